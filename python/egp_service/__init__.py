@@ -1,0 +1,1 @@
+"""Ensemble Gaussian-process model predictive control for roads of unknown friction."""
