@@ -1,0 +1,56 @@
+# Builds in .venv and target; needs a Rust toolchain, Python 3.11 or newer, and make.
+PYTHON ?= python3
+BIN    := .venv/bin
+RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name '*.proto' -o -name Cargo.toml 2>/dev/null)
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test bench fmt lint rust-test python-test clean
+
+help: ## List these commands
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+
+demo: .venv/built-viz ## Set up, then drive a lap over three surfaces and draw it
+	$(BIN)/egp demo
+
+test: lint rust-test python-test ## Set up and pass every check: format, lint, types, Rust and Python tests
+
+bench: .venv/built-dev ## Run the benchmarks
+	cargo bench --workspace
+	$(BIN)/python tests/bench/compare.py
+
+fmt: .venv/built-dev ## Format Rust and Python
+	cargo fmt --all
+	$(BIN)/ruff format python tests
+	$(BIN)/ruff check --fix python tests
+
+lint: .venv/built-dev ## Check format, lints, types, stubs and import rules
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --locked -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked
+	$(BIN)/ruff format --check python tests
+	$(BIN)/ruff check python tests
+	$(BIN)/mypy
+	$(BIN)/stubtest egp_service._core
+	$(BIN)/lint-imports
+
+rust-test: ## Run the Rust tests
+	cargo test --workspace --locked
+
+python-test: .venv/built-dev ## Run the Python tests
+	$(BIN)/pytest
+
+clean: ## Remove what these commands built
+	rm -rf .venv target
+
+# One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension.
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python 3.11 or newer is needed, found $$($(PYTHON) --version). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	@command -v cargo >/dev/null || { echo "A Rust toolchain is needed: see https://rustup.rs"; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --constraint constraints.txt maturin
+
+.venv/built-%: .venv/bin/python pyproject.toml constraints.txt $(RUST)
+	VIRTUAL_ENV=$(CURDIR)/.venv PIP_CONSTRAINT=$(CURDIR)/constraints.txt \
+		$(BIN)/maturin develop --release --locked --extras $*
+	@touch $@

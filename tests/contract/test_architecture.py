@@ -1,0 +1,75 @@
+"""The import rules of the Rust workspace: who may depend on whom, and who may name what."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+# A crate may depend only on the workspace crates listed here. Dev-dependencies count too, but for
+# benchmarks and tests of the clients, which drive the real service.
+ALLOWED = {
+    "egp-core": set(),
+    "egp-wire": set(),
+    "egp-gate": set(),
+    "egp-plant": set(),
+    "egp-path": set(),
+    "egp-service": {"egp-core", "egp-wire"},
+    "egp-vehicle": {"egp-wire", "egp-gate"},
+    "egp-simulator": {"egp-wire", "egp-gate", "egp-path", "egp-plant", "egp-vehicle"},
+    "egp-load": {"egp-wire", "egp-vehicle", "egp-simulator"},
+    "egp-python": {"egp-core", "egp-wire", "egp-gate", "egp-plant", "egp-path", "egp-service"},
+}
+
+# Libraries that are named in one file of a crate only, so that replacing them is one edit.
+ONE_FILE = {
+    "rust/core/src": ["clarabel", "safetensors"],
+    "rust/python/src": ["numpy"],
+    "rust/service/src": ["zenoh"],
+    "clients/vehicle/src": ["zenoh"],
+}
+
+
+def workspace_dependencies() -> dict[str, set[str]]:
+    """Normal and build dependencies between workspace crates, as cargo resolves them."""
+    output = subprocess.run(
+        ["cargo", "metadata", "--format-version", "1", "--no-deps", "--locked"],  # noqa: S607
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    ).stdout
+    packages = json.loads(output)["packages"]
+    names = {package["name"] for package in packages}
+    return {
+        package["name"]: {
+            dependency["name"]
+            for dependency in package["dependencies"]
+            if dependency["kind"] != "dev" and dependency["name"] in names
+        }
+        for package in packages
+    }
+
+
+def test_crates_depend_only_on_what_the_design_allows() -> None:
+    actual = workspace_dependencies()
+    assert set(actual) == set(ALLOWED), "a new crate needs its rule here"
+    for crate, dependencies in actual.items():
+        assert dependencies <= ALLOWED[crate], f"{crate} may not import {dependencies - ALLOWED[crate]}"
+
+
+@pytest.mark.parametrize(
+    ("folder", "library"), [(folder, name) for folder, names in ONE_FILE.items() for name in names]
+)
+def test_a_library_is_named_in_one_file(folder: str, library: str) -> None:
+    named = re.compile(rf"\b{library}::")
+    files = sorted(
+        str(path.relative_to(ROOT))
+        for path in (ROOT / folder).rglob("*.rs")
+        if named.search(path.read_text())
+    )
+    assert len(files) == 1, f"{library} is named in {files}"
