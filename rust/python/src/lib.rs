@@ -1,9 +1,12 @@
 //! The `_core` extension: adapters between Python and the Rust crates, nothing else.
 
+mod error;
+
 use pyo3::prelude::*;
 
 /// The private extension module behind `egp_service`.
 #[pymodule]
-fn _core(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    error::register(module)?;
     Ok(())
 }
