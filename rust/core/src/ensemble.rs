@@ -1,0 +1,132 @@
+//! How members combine: the ensemble's mean, Jacobian and variance.
+
+use crate::library::{Library, Member};
+use crate::{GpInput, GpJacobian, GpOutput, VarianceScratch};
+
+/// Why weights do not make an ensemble.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EnsembleError {
+    /// Not one weight for each member.
+    #[error("{found} weights came for {expected} members")]
+    WeightCount {
+        /// Number of members.
+        expected: usize,
+        /// Number of weights.
+        found: usize,
+    },
+    /// No weight is above the threshold, so nothing is left to predict with.
+    #[error(
+        "no weight is above the threshold {threshold}; with N members keep the threshold below 1/N"
+    )]
+    NothingKept {
+        /// The threshold.
+        threshold: f64,
+    },
+}
+
+/// The two readings of the ensemble's variance, in squared output units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EnsembleVariance {
+    /// Members as independent random variables, eq. (3): `Σ w² σ²`. Optimistic: measured coverage falls below
+    /// nominal as soon as several members share the weight.
+    pub independent: GpOutput,
+    /// One member, drawn with probability `w`, is true; by the law of total variance
+    /// `Σ w (σ² + s²) + Σ w (μ - μ̄)²`, noise and disagreement of the members included. For constraints.
+    pub mixture: GpOutput,
+}
+
+/// Members with their weights, those of little weight left out.
+#[derive(Clone, Copy, Debug)]
+pub struct Ensemble<'a> {
+    members: &'a [Member],
+    weights: &'a [f64],
+    threshold: f64,
+    kept: f64,
+}
+
+impl<'a> Ensemble<'a> {
+    /// Blends the members of weight above `threshold`; their weights are scaled up to keep the sum of all.
+    ///
+    /// Weights are expected on the simplex; `threshold` zero keeps every positive weight.
+    ///
+    /// # Errors
+    /// [`EnsembleError::WeightCount`], [`EnsembleError::NothingKept`].
+    pub fn new(
+        library: &'a Library,
+        weights: &'a [f64],
+        threshold: f64,
+    ) -> Result<Self, EnsembleError> {
+        let members = library.members();
+        if weights.len() != members.len() {
+            return Err(EnsembleError::WeightCount {
+                expected: members.len(),
+                found: weights.len(),
+            });
+        }
+        let kept: f64 = weights.iter().filter(|&&weight| weight > threshold).sum();
+        if kept.is_nan() || kept <= 0.0 {
+            return Err(EnsembleError::NothingKept { threshold });
+        }
+        Ok(Self {
+            members,
+            weights,
+            threshold,
+            kept: kept / weights.iter().sum::<f64>(),
+        })
+    }
+
+    /// The share of the weight that was left out, between 0 and 1.
+    pub fn dropped_mass(&self) -> f64 {
+        1.0 - self.kept
+    }
+
+    /// The members that count, with their scaled weights.
+    pub fn active(&self) -> impl Iterator<Item = (f64, &'a Member)> {
+        let (threshold, kept) = (self.threshold, self.kept);
+        let pairs = self.weights.iter().zip(self.members);
+        pairs
+            .filter(move |&(&weight, _)| weight > threshold)
+            .map(move |(&weight, member)| (weight / kept, member))
+    }
+
+    /// The mean, eq. (3): `Σ w μ(z)`, in output units.
+    pub fn mean(&self, z: &GpInput) -> GpOutput {
+        self.active()
+            .map(|(weight, member)| weight * member.mean(z))
+            .sum()
+    }
+
+    /// The mean and its Jacobian: `Σ w μ(z)`, `Σ w ∂μ/∂z`, in physical units.
+    pub fn mean_jacobian(&self, z: &GpInput, jacobian: &mut GpJacobian) -> GpOutput {
+        jacobian.fill(0.0);
+        let mut mean = GpOutput::zeros();
+        let mut member_jacobian = GpJacobian::zeros();
+        for (weight, member) in self.active() {
+            mean += weight * member.mean_jacobian(z, &mut member_jacobian);
+            *jacobian += weight * member_jacobian;
+        }
+        mean
+    }
+
+    /// Both variances at `z`.
+    pub fn variance(&self, z: &GpInput, scratch: &mut VarianceScratch) -> EnsembleVariance {
+        let mut independent = GpOutput::zeros();
+        let mut mixture = GpOutput::zeros();
+        // West's weighted update of mean and disagreement: no second pass, no cancellation.
+        let (mut sum, mut mean) = (0.0, GpOutput::zeros());
+        for (weight, member) in self.active() {
+            let variance = member.variance(z, scratch);
+            independent += weight * weight * variance;
+            mixture += weight * (variance + member.noise_std().map(|std| std * std));
+            sum += weight;
+            let member_mean = member.mean(z);
+            let before = member_mean - mean;
+            mean += before * (weight / sum);
+            mixture += weight * before.component_mul(&(member_mean - mean));
+        }
+        EnsembleVariance {
+            independent,
+            mixture,
+        }
+    }
+}

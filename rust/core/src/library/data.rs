@@ -1,0 +1,192 @@
+//! The content of a library as plain numbers: what a trainer hands over and what a file holds.
+
+use std::collections::BTreeMap;
+
+use super::LibraryError;
+use super::limits::MAX_GOLDEN;
+use super::metadata::{MemberMetadata, check_count};
+use crate::{Kernel, NY, NZ};
+
+/// Everything a library file is written from.
+#[derive(Clone, Debug)]
+pub struct LibrarySpec {
+    /// Period over which the outputs change, s.
+    pub dt: f64,
+    /// The kernel of all members.
+    pub kernel: Kernel,
+    /// The vehicle the data come from.
+    pub vehicle: String,
+    /// How the library was made: versions, settings, seeds.
+    pub provenance: BTreeMap<String, String>,
+    /// One member for each surface.
+    pub members: Vec<MemberData>,
+}
+
+/// One surface's GPs. Inputs, targets, scalers, envelope and golden predictions are in physical units; everything
+/// else lives in the z-scored space. `M` points, `G` golden points.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MemberData {
+    /// The surface's name.
+    pub label: String,
+    /// Nominal friction coefficient of the surface.
+    pub friction: f64,
+    /// SHA-256 of the dataset the member was trained on, hexadecimal.
+    pub dataset: String,
+    /// Training inputs, `[M, 6]`.
+    pub inputs: Vec<[f64; NZ]>,
+    /// Training targets, `[M, 3]`.
+    pub targets: Vec<[f64; NY]>,
+    /// Means of the inputs for z-scoring, `[6]`.
+    pub input_mean: [f64; NZ],
+    /// Standard deviations of the inputs for z-scoring, `[6]`.
+    pub input_std: [f64; NZ],
+    /// Means of the targets for z-scoring, `[3]`.
+    pub target_mean: [f64; NY],
+    /// Standard deviations of the targets for z-scoring, `[3]`.
+    pub target_std: [f64; NY],
+    /// Lengthscales, `[3, 6]`.
+    pub lengthscales: [[f64; NZ]; NY],
+    /// Prior variances, `[3]`.
+    pub outputscale: [f64; NY],
+    /// Noise variances, `[3]`.
+    pub noise: [f64; NY],
+    /// Prior means, `[3]`.
+    pub constant: [f64; NY],
+    /// `(K + s² I)⁻¹ (y - m)`, `[3, M]`.
+    pub alpha: [Vec<f64>; NY],
+    /// Smallest and largest training inputs, `[2, 6]`.
+    pub envelope: [[f64; NZ]; 2],
+    /// Where the trainer predicted, `[G, 6]`.
+    pub golden_z: Vec<[f64; NZ]>,
+    /// The trainer's means, `[G, 3]`.
+    pub golden_mean: Vec<[f64; NY]>,
+    /// The trainer's Jacobians, `[G, 3, 6]`.
+    pub golden_jacobian: Vec<[[f64; NZ]; NY]>,
+    /// The trainer's latent variances, `[G, 3]`.
+    pub golden_variance: Vec<[f64; NY]>,
+}
+
+/// A tensor to be written: name inside the member, shape, numbers in row-major order.
+pub(super) type Tensor = (&'static str, Vec<usize>, Vec<f64>);
+
+/// Where the tensors of one member come from.
+pub(super) trait TensorSource {
+    /// The first dimension of a tensor.
+    fn leading(&self, name: &'static str) -> Result<usize, LibraryError>;
+    /// The numbers of a tensor, which must have that shape.
+    fn take(&mut self, name: &'static str, shape: &[usize]) -> Result<Vec<f64>, LibraryError>;
+}
+
+impl MemberData {
+    /// The tensors of this member, in the order of the format's description.
+    pub(super) fn tensors(&self) -> Vec<Tensor> {
+        let (m, g) = (self.inputs.len(), self.golden_z.len());
+        vec![
+            ("inputs", vec![m, NZ], self.inputs.as_flattened().to_vec()),
+            (
+                "targets",
+                vec![self.targets.len(), NY],
+                self.targets.as_flattened().to_vec(),
+            ),
+            ("input_mean", vec![NZ], self.input_mean.to_vec()),
+            ("input_std", vec![NZ], self.input_std.to_vec()),
+            ("target_mean", vec![NY], self.target_mean.to_vec()),
+            ("target_std", vec![NY], self.target_std.to_vec()),
+            (
+                "lengthscales",
+                vec![NY, NZ],
+                self.lengthscales.as_flattened().to_vec(),
+            ),
+            ("outputscale", vec![NY], self.outputscale.to_vec()),
+            ("noise", vec![NY], self.noise.to_vec()),
+            ("constant", vec![NY], self.constant.to_vec()),
+            (
+                "alpha",
+                vec![NY, self.alpha.concat().len() / NY],
+                self.alpha.concat(),
+            ),
+            (
+                "envelope",
+                vec![2, NZ],
+                self.envelope.as_flattened().to_vec(),
+            ),
+            (
+                "golden_z",
+                vec![g, NZ],
+                self.golden_z.as_flattened().to_vec(),
+            ),
+            (
+                "golden_mean",
+                vec![self.golden_mean.len(), NY],
+                self.golden_mean.as_flattened().to_vec(),
+            ),
+            (
+                "golden_jacobian",
+                vec![self.golden_jacobian.len(), NY, NZ],
+                self.golden_jacobian.as_flattened().as_flattened().to_vec(),
+            ),
+            (
+                "golden_variance",
+                vec![self.golden_variance.len(), NY],
+                self.golden_variance.as_flattened().to_vec(),
+            ),
+        ]
+    }
+
+    /// Reads one member; shapes are checked by the source, values by the verification.
+    pub(super) fn read(
+        metadata: &MemberMetadata,
+        source: &mut impl TensorSource,
+    ) -> Result<Self, LibraryError> {
+        let m = metadata.n;
+        let g = source.leading("golden_z")?;
+        check_count(
+            &format!("golden points of member \"{}\"", metadata.label),
+            g,
+            MAX_GOLDEN,
+        )?;
+        let inputs = rows(&source.take("inputs", &[m, NZ])?);
+        let targets = rows(&source.take("targets", &[m, NY])?);
+        let mut vector_z = |name| Ok(row(&source.take(name, &[NZ])?));
+        let (input_mean, input_std) = (vector_z("input_mean")?, vector_z("input_std")?);
+        let mut vector_y = |name| Ok(row(&source.take(name, &[NY])?));
+        let (target_mean, target_std) = (vector_y("target_mean")?, vector_y("target_std")?);
+        let (outputscale, noise, constant) = (
+            vector_y("outputscale")?,
+            vector_y("noise")?,
+            vector_y("constant")?,
+        );
+        let alpha = source.take("alpha", &[NY, m])?;
+        Ok(Self {
+            label: metadata.label.clone(),
+            friction: metadata.friction,
+            dataset: metadata.dataset.clone(),
+            inputs,
+            targets,
+            input_mean,
+            input_std,
+            target_mean,
+            target_std,
+            lengthscales: row(&rows(&source.take("lengthscales", &[NY, NZ])?)),
+            outputscale,
+            noise,
+            constant,
+            alpha: std::array::from_fn(|o| alpha[o * m..(o + 1) * m].to_vec()),
+            envelope: row(&rows(&source.take("envelope", &[2, NZ])?)),
+            golden_z: rows(&source.take("golden_z", &[g, NZ])?),
+            golden_mean: rows(&source.take("golden_mean", &[g, NY])?),
+            golden_jacobian: rows(&rows(&source.take("golden_jacobian", &[g, NY, NZ])?)),
+            golden_variance: rows(&source.take("golden_variance", &[g, NY])?),
+        })
+    }
+}
+
+/// Groups of `C` consecutive elements; the count was checked with the shape.
+fn rows<T: Copy, const C: usize>(flat: &[T]) -> Vec<[T; C]> {
+    flat.as_chunks().0.to_vec()
+}
+
+/// The first `C` elements; the count was checked with the shape.
+fn row<T: Copy, const C: usize>(flat: &[T]) -> [T; C] {
+    std::array::from_fn(|i| flat[i])
+}

@@ -1,0 +1,256 @@
+//! Why a library was refused.
+
+/// Why a library file was refused; the running library, if any, stays.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum LibraryError {
+    /// More bytes than a library may have.
+    #[error("file has {bytes} bytes, the limit is {limit}; train with fewer points or members")]
+    TooLarge {
+        /// Size of the file.
+        bytes: usize,
+        /// Largest accepted size.
+        limit: usize,
+    },
+    /// The header's length field is beyond the limit; nothing of it was parsed.
+    #[error(
+        "header claims {bytes} bytes, the limit is {limit}; this is not a library file, export it again"
+    )]
+    HeaderTooLarge {
+        /// What the length field says.
+        bytes: u64,
+        /// Largest accepted header.
+        limit: usize,
+    },
+    /// The file ends before, or goes on after, what its header promises.
+    #[error("header promises {expected} bytes, the file has {found}; copy or export it again")]
+    Length {
+        /// Bytes promised.
+        expected: usize,
+        /// Bytes present.
+        found: usize,
+    },
+    /// Not a safetensors file, or one without our metadata.
+    #[error("not a library file: {reason}; export one with `egp train`")]
+    Malformed {
+        /// What the parser found.
+        reason: String,
+    },
+    /// Bytes changed after the file was written.
+    #[error(
+        "file is corrupt: it was sealed with SHA-256 {expected}, but its content gives {found}; copy it again"
+    )]
+    Corrupt {
+        /// Digest in the metadata.
+        expected: String,
+        /// Digest of the content.
+        found: String,
+    },
+    /// Written for another version of the format.
+    #[error(
+        "schema version is {found}, this program reads {supported}; export the library again with it"
+    )]
+    SchemaVersion {
+        /// Version of the file.
+        found: u32,
+        /// Version understood here.
+        supported: u32,
+    },
+    /// The metadata lack a field, have an unknown one, or one of the wrong type.
+    #[error("metadata do not follow the schema: {reason}; export the library again")]
+    Metadata {
+        /// What the parser found.
+        reason: String,
+    },
+    /// Other inputs, outputs or units than those of the vehicle equations.
+    #[error("signals are {found}, expected {expected}; convert the data and train again")]
+    Signals {
+        /// Names and units in the file.
+        found: String,
+        /// Names and units used here.
+        expected: String,
+    },
+    /// A kernel that is not built in.
+    #[error("kernel is \"{found}\", known are \"rbf\" and \"matern52\"; train with one of these")]
+    UnknownKernel {
+        /// Name in the file.
+        found: String,
+    },
+    /// A period no controller can run at.
+    #[error(
+        "dt is {found} s, it must be within {min} s and {max} s; collect data at such a period"
+    )]
+    TimeStep {
+        /// Value in the file.
+        found: f64,
+        /// Smallest accepted.
+        min: f64,
+        /// Largest accepted.
+        max: f64,
+    },
+    /// Too few or too many members, points or golden points.
+    #[error("number of {what} is {found}, it must be within 1 and {limit}")]
+    Count {
+        /// Of what.
+        what: String,
+        /// How many.
+        found: usize,
+        /// How many are accepted.
+        limit: usize,
+    },
+    /// An empty label, or one that two members have.
+    #[error("member label \"{label}\" is empty or used twice; give every surface its own name")]
+    Label {
+        /// The label.
+        label: String,
+    },
+    /// A friction coefficient that is not a positive number.
+    #[error("friction of member \"{label}\" is {found}, it must be a positive number")]
+    Friction {
+        /// Member.
+        label: String,
+        /// Value in the file.
+        found: f64,
+    },
+    /// A tensor that must be there is not.
+    #[error("tensor \"{tensor}\" is missing; export the library again")]
+    MissingTensor {
+        /// Name.
+        tensor: String,
+    },
+    /// A tensor that has no place in the format.
+    #[error("tensor \"{tensor}\" does not belong in a library; remove it or export again")]
+    UnexpectedTensor {
+        /// Name.
+        tensor: String,
+    },
+    /// Other numbers than 64-bit floats.
+    #[error("tensor \"{tensor}\" has type {found}, expected F64; train in double precision")]
+    DataType {
+        /// Name.
+        tensor: String,
+        /// Type in the file.
+        found: String,
+    },
+    /// A tensor of another shape.
+    #[error("tensor \"{tensor}\" has shape {found:?}, expected {expected:?}")]
+    Shape {
+        /// Name.
+        tensor: String,
+        /// Expected.
+        expected: Vec<usize>,
+        /// Found.
+        found: Vec<usize>,
+    },
+    /// NaN or infinity.
+    #[error(
+        "tensor \"{tensor}\" holds {value} at flat index {index}; check the data and train again"
+    )]
+    NonFinite {
+        /// Name.
+        tensor: String,
+        /// Flat index of the first such number.
+        index: usize,
+        /// The number.
+        value: f64,
+    },
+    /// A scale, lengthscale or variance that is zero or negative.
+    #[error(
+        "tensor \"{tensor}\" must be positive, it holds {value} at flat index {index}; train again"
+    )]
+    NotPositive {
+        /// Name.
+        tensor: String,
+        /// Flat index of the first such number.
+        index: usize,
+        /// The number.
+        value: f64,
+    },
+    /// The envelope's lower bound lies above its upper bound.
+    #[error("tensor \"{tensor}\" has min {min} above max {max} in input {input}; export again")]
+    Envelope {
+        /// Name.
+        tensor: String,
+        /// Index of the GP input.
+        input: usize,
+        /// Lower bound.
+        min: f64,
+        /// Upper bound.
+        max: f64,
+    },
+    /// `K + s² I` cannot be factored.
+    #[error(
+        "covariance behind \"{tensor}\" is not positive definite for output {output} at training point {point}; \
+         remove repeated points or train with more noise"
+    )]
+    NotPositiveDefinite {
+        /// Name of the tensor with the training inputs.
+        tensor: String,
+        /// Index of the output.
+        output: usize,
+        /// Row where the factorisation failed.
+        point: usize,
+    },
+    /// `alpha` does not solve its linear system.
+    #[error(
+        "\"{tensor}\" leaves the residual {residual:e} in (K + s² I) alpha = y - m for output {output}, \
+         allowed is {tolerance:e}; compute it by an exact Cholesky solve in double precision"
+    )]
+    Alpha {
+        /// Name.
+        tensor: String,
+        /// Index of the output.
+        output: usize,
+        /// Largest residual, z-scored.
+        residual: f64,
+        /// Largest accepted.
+        tolerance: f64,
+    },
+    /// The self-test on stored predictions failed.
+    #[error(
+        "self-test failed: \"{tensor}\" stores {expected:e} at flat index {index}, computed {found:e}, \
+         allowed difference {tolerance:e}; the exporter and this program disagree on the model"
+    )]
+    Golden {
+        /// Name.
+        tensor: String,
+        /// Flat index.
+        index: usize,
+        /// Stored prediction.
+        expected: f64,
+        /// Prediction made here.
+        found: f64,
+        /// Accepted difference.
+        tolerance: f64,
+    },
+}
+
+impl LibraryError {
+    /// A short stable name of the kind of refusal, for programs.
+    pub const fn code(&self) -> &'static str {
+        match self {
+            Self::TooLarge { .. } => "too_large",
+            Self::HeaderTooLarge { .. } => "header_too_large",
+            Self::Length { .. } => "length",
+            Self::Malformed { .. } => "malformed",
+            Self::Corrupt { .. } => "corrupt",
+            Self::SchemaVersion { .. } => "schema_version",
+            Self::Metadata { .. } => "metadata",
+            Self::Signals { .. } => "signals",
+            Self::UnknownKernel { .. } => "unknown_kernel",
+            Self::TimeStep { .. } => "time_step",
+            Self::Count { .. } => "count",
+            Self::Label { .. } => "label",
+            Self::Friction { .. } => "friction",
+            Self::MissingTensor { .. } => "missing_tensor",
+            Self::UnexpectedTensor { .. } => "unexpected_tensor",
+            Self::DataType { .. } => "data_type",
+            Self::Shape { .. } => "shape",
+            Self::NonFinite { .. } => "non_finite",
+            Self::NotPositive { .. } => "not_positive",
+            Self::Envelope { .. } => "envelope",
+            Self::NotPositiveDefinite { .. } => "not_positive_definite",
+            Self::Alpha { .. } => "alpha",
+            Self::Golden { .. } => "golden",
+        }
+    }
+}

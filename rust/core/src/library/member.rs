@@ -1,0 +1,120 @@
+//! One surface's GPs, in physical units.
+
+use super::data::MemberData;
+use crate::gp::{Gp, Hyperparameters, SingularCovariance};
+use crate::scaler::Scaler;
+use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
+
+/// The GPs of one surface: physical units outside, the z-scored space inside.
+#[derive(Clone, Debug)]
+pub struct Member {
+    label: String,
+    friction: f64,
+    dataset: String,
+    envelope: (GpInput, GpInput),
+    input_scaler: Scaler<NZ>,
+    target_scaler: Scaler<NY>,
+    hyperparameters: [Hyperparameters; NY],
+    gp: Gp,
+}
+
+impl Member {
+    /// Scales and factors the data of a member, whose values were checked before.
+    pub(super) fn new(data: &MemberData, kernel: Kernel) -> Result<Self, SingularCovariance> {
+        let input_scaler = Scaler::new(data.input_mean, data.input_std);
+        let hyperparameters = std::array::from_fn(|o| Hyperparameters {
+            lengthscales: data.lengthscales[o],
+            outputscale: data.outputscale[o],
+            noise: data.noise[o],
+            constant: data.constant[o],
+        });
+        let inputs: Vec<GpInput> = data
+            .inputs
+            .iter()
+            .map(|&z| input_scaler.scale(&z.into()))
+            .collect();
+        let gp = Gp::new(kernel, &inputs, &hyperparameters, &data.alpha)?;
+        Ok(Self {
+            label: data.label.clone(),
+            friction: data.friction,
+            dataset: data.dataset.clone(),
+            envelope: (data.envelope[0].into(), data.envelope[1].into()),
+            input_scaler,
+            target_scaler: Scaler::new(data.target_mean, data.target_std),
+            hyperparameters,
+            gp,
+        })
+    }
+
+    /// The surface's name.
+    pub fn label(&self) -> &str {
+        &self.label
+    }
+
+    /// Nominal friction coefficient of the surface.
+    pub fn friction(&self) -> f64 {
+        self.friction
+    }
+
+    /// SHA-256 of the dataset the member was trained on, hexadecimal.
+    pub fn dataset(&self) -> &str {
+        &self.dataset
+    }
+
+    /// Smallest and largest training inputs.
+    pub fn envelope(&self) -> (GpInput, GpInput) {
+        self.envelope
+    }
+
+    /// Number of training points.
+    pub fn n_points(&self) -> usize {
+        self.gp.n_points()
+    }
+
+    /// Hyperparameters of each output in the z-scored space.
+    pub fn hyperparameters(&self) -> &[Hyperparameters; NY] {
+        &self.hyperparameters
+    }
+
+    /// From physical to z-scored inputs.
+    pub fn input_scaler(&self) -> &Scaler<NZ> {
+        &self.input_scaler
+    }
+
+    /// From physical to z-scored targets.
+    pub fn target_scaler(&self) -> &Scaler<NY> {
+        &self.target_scaler
+    }
+
+    /// Standard deviation of the measurement noise, in output units.
+    pub fn noise_std(&self) -> GpOutput {
+        GpOutput::from_fn(|o, _| self.hyperparameters[o].noise.sqrt() * self.target_scaler.std()[o])
+    }
+
+    /// The predictive mean at `z`, in output units.
+    pub fn mean(&self, z: &GpInput) -> GpOutput {
+        self.target_scaler
+            .unscale(&self.gp.mean(&self.input_scaler.scale(z)))
+    }
+
+    /// The predictive mean at `z` and its Jacobian, both in physical units.
+    ///
+    /// By the chain rule `∂y_o/∂z_d = target_std_o / input_std_d · ∂ŷ_o/∂ẑ_d`.
+    pub fn mean_jacobian(&self, z: &GpInput, jacobian: &mut GpJacobian) -> GpOutput {
+        let scaled = self.gp.mean_jacobian(&self.input_scaler.scale(z), jacobian);
+        for o in 0..NY {
+            for d in 0..NZ {
+                jacobian[(o, d)] *= self.target_scaler.std()[o] / self.input_scaler.std()[d];
+            }
+        }
+        self.target_scaler.unscale(&scaled)
+    }
+
+    /// The variance of the latent function at `z`, in squared output units.
+    pub fn variance(&self, z: &GpInput, scratch: &mut VarianceScratch) -> GpOutput {
+        let std = self.target_scaler.std();
+        self.gp
+            .variance(&self.input_scaler.scale(z), scratch)
+            .component_mul(&std.component_mul(std))
+    }
+}

@@ -1,0 +1,163 @@
+//! What a library file says about itself, besides its tensors.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::LibraryError;
+use super::data::LibrarySpec;
+use super::limits::{MAX_DT, MAX_MEMBERS, MAX_POINTS, MIN_DT, SCHEMA_VERSION};
+use crate::Kernel;
+
+const INPUTS: [(&str, &str); crate::NZ] = [
+    ("v_x", "m/s"),
+    ("v_y", "m/s"),
+    ("omega", "rad/s"),
+    ("delta", "rad"),
+    ("F_x", "N"),
+    ("delta_dot", "rad/s"),
+];
+const OUTPUTS: [(&str, &str); crate::NY] = [("dv_x", "m/s"), ("dv_y", "m/s"), ("domega", "rad/s")];
+
+/// A named quantity and its unit.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Signal {
+    /// Name as in the vehicle equations; a leading `d` means the change over `dt`.
+    pub name: String,
+    /// SI unit.
+    pub unit: String,
+}
+
+/// What is known about a member besides its numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MemberMetadata {
+    /// The surface's name.
+    pub label: String,
+    /// Nominal friction coefficient of the surface.
+    pub friction: f64,
+    /// SHA-256 of the dataset the member was trained on, hexadecimal.
+    pub dataset: String,
+    /// Number of training points kept.
+    pub n: usize,
+}
+
+/// The metadata of a library, stored as one JSON string.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Metadata {
+    /// Version of the file format.
+    pub schema: u32,
+    /// SHA-256 of the whole file with these 64 digits written as zeros, hexadecimal.
+    pub sha256: String,
+    /// Period over which the outputs change, s.
+    pub dt: f64,
+    /// Name of the kernel.
+    pub kernel: String,
+    /// GP inputs, in order.
+    pub inputs: Vec<Signal>,
+    /// GP outputs, in order.
+    pub outputs: Vec<Signal>,
+    /// The vehicle the data come from.
+    pub vehicle: String,
+    /// Members, in order.
+    pub members: Vec<MemberMetadata>,
+    /// How the library was made: versions, settings, seeds.
+    pub provenance: BTreeMap<String, String>,
+}
+
+impl Metadata {
+    /// The metadata of a library still to be written, without a digest.
+    pub(super) fn new(spec: &LibrarySpec) -> Self {
+        let member = |member: &super::MemberData| MemberMetadata {
+            label: member.label.clone(),
+            friction: member.friction,
+            dataset: member.dataset.clone(),
+            n: member.inputs.len(),
+        };
+        Self {
+            schema: SCHEMA_VERSION,
+            sha256: "0".repeat(64),
+            dt: spec.dt,
+            kernel: spec.kernel.name().to_owned(),
+            inputs: signals(&INPUTS),
+            outputs: signals(&OUTPUTS),
+            vehicle: spec.vehicle.clone(),
+            members: spec.members.iter().map(member).collect(),
+            provenance: spec.provenance.clone(),
+        }
+    }
+
+    /// The kernel, after every field was checked.
+    pub(super) fn validate(&self) -> Result<Kernel, LibraryError> {
+        for (found, expected) in [
+            (&self.inputs, signals(&INPUTS)),
+            (&self.outputs, signals(&OUTPUTS)),
+        ] {
+            if *found != expected {
+                return Err(LibraryError::Signals {
+                    found: listing(found),
+                    expected: listing(&expected),
+                });
+            }
+        }
+        if !(MIN_DT..=MAX_DT).contains(&self.dt) {
+            return Err(LibraryError::TimeStep {
+                found: self.dt,
+                min: MIN_DT,
+                max: MAX_DT,
+            });
+        }
+        check_count("members", self.members.len(), MAX_MEMBERS)?;
+        for (i, member) in self.members.iter().enumerate() {
+            let label = member.label.clone();
+            if label.is_empty() || self.members[..i].iter().any(|other| other.label == label) {
+                return Err(LibraryError::Label { label });
+            }
+            if !(member.friction.is_finite() && member.friction > 0.0) {
+                return Err(LibraryError::Friction {
+                    label,
+                    found: member.friction,
+                });
+            }
+            check_count(
+                &format!("points of member \"{label}\""),
+                member.n,
+                MAX_POINTS,
+            )?;
+        }
+        Kernel::from_name(&self.kernel).ok_or_else(|| LibraryError::UnknownKernel {
+            found: self.kernel.clone(),
+        })
+    }
+}
+
+/// Refuses nothing at all and more than the limit.
+pub(super) fn check_count(what: &str, found: usize, limit: usize) -> Result<(), LibraryError> {
+    if (1..=limit).contains(&found) {
+        return Ok(());
+    }
+    Err(LibraryError::Count {
+        what: what.to_owned(),
+        found,
+        limit,
+    })
+}
+
+fn signals(list: &[(&str, &str)]) -> Vec<Signal> {
+    list.iter()
+        .map(|&(name, unit)| Signal {
+            name: name.to_owned(),
+            unit: unit.to_owned(),
+        })
+        .collect()
+}
+
+fn listing(signals: &[Signal]) -> String {
+    signals
+        .iter()
+        .map(|Signal { name, unit }| format!("{name} [{unit}]"))
+        .collect::<Vec<_>>()
+        .join(", ")
+}

@@ -1,0 +1,98 @@
+//! A library: one stored set of GPs for each surface.
+//!
+//! Loading means reading (`format`), checking (`verify`) and factoring once; afterwards a [`Library`] never
+//! changes. Its identity is the SHA-256 of its bytes, which requests pin.
+
+mod data;
+mod error;
+mod format;
+mod limits;
+mod member;
+mod metadata;
+mod verify;
+
+pub use data::{LibrarySpec, MemberData};
+pub use error::LibraryError;
+pub use limits::*;
+pub use member::Member;
+pub use metadata::{MemberMetadata, Metadata, Signal};
+use sha2::{Digest, Sha256};
+
+use crate::Kernel;
+
+/// A verified library, ready for predictions.
+#[derive(Clone, Debug)]
+pub struct Library {
+    id: [u8; 32],
+    kernel: Kernel,
+    metadata: Metadata,
+    members: Vec<Member>,
+}
+
+impl Library {
+    /// Reads, verifies and factors a library file.
+    ///
+    /// # Errors
+    /// [`LibraryError`] names the tensor or field, what was expected, what came, and what to do next.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, LibraryError> {
+        let (metadata, data) = format::read(bytes)?;
+        let kernel = metadata.validate()?;
+        let mut members = Vec::with_capacity(data.len());
+        for (i, data) in data.iter().enumerate() {
+            verify::check_values(data, i)?;
+            let member = Member::new(data, kernel).map_err(|singular| {
+                LibraryError::NotPositiveDefinite {
+                    tensor: format::tensor_name(i, "inputs"),
+                    output: singular.output,
+                    point: singular.point,
+                }
+            })?;
+            verify::check_alpha(data, &member, i)?;
+            verify::check_golden(data, &member, i)?;
+            members.push(member);
+        }
+        Ok(Self {
+            id: Sha256::digest(bytes).into(),
+            kernel,
+            metadata,
+            members,
+        })
+    }
+
+    /// SHA-256 of the file.
+    pub fn id(&self) -> [u8; 32] {
+        self.id
+    }
+
+    /// Period over which the outputs change, s.
+    pub fn dt(&self) -> f64 {
+        self.metadata.dt
+    }
+
+    /// The kernel of all members.
+    pub fn kernel(&self) -> Kernel {
+        self.kernel
+    }
+
+    /// The members, in the order of the weights.
+    pub fn members(&self) -> &[Member] {
+        &self.members
+    }
+
+    /// Units, names, vehicle, provenance.
+    pub fn metadata(&self) -> &Metadata {
+        &self.metadata
+    }
+}
+
+/// The bytes of a library file; the same specification gives the same bytes.
+///
+/// They are read back and verified, so that no file is ever written that would be refused.
+///
+/// # Errors
+/// As [`Library::from_bytes`].
+pub fn encode(spec: &LibrarySpec) -> Result<Vec<u8>, LibraryError> {
+    let bytes = format::write(spec)?;
+    Library::from_bytes(&bytes)?;
+    Ok(bytes)
+}

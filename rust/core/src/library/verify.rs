@@ -1,0 +1,158 @@
+//! The checks on a member's numbers: before it is built, and by what it then predicts.
+
+use super::LibraryError;
+use super::data::MemberData;
+use super::format::tensor_name;
+use super::member::Member;
+use crate::{GpInput, GpJacobian, NY, NZ, VarianceScratch};
+
+/// Tensors whose numbers must be positive.
+const POSITIVE: [&str; 5] = [
+    "input_std",
+    "target_std",
+    "lengthscales",
+    "outputscale",
+    "noise",
+];
+/// Largest residual of `alpha`, relative to the terms that cancel in it.
+const ALPHA_TOLERANCE: f64 = 1e-10;
+/// Largest difference to a golden mean or Jacobian, z-scored.
+const MEAN_TOLERANCE: f64 = 1e-9;
+/// Largest difference to a golden variance, relative to the prior variance.
+const VARIANCE_TOLERANCE: f64 = 1e-8;
+/// Relative rounding of one kernel value in the exporter: distances by `|x|² + |z|² - 2xz` lose digits.
+const KERNEL_ROUNDING: f64 = 1e-12;
+
+/// Finite numbers, positive scales, and an ordered envelope.
+pub(super) fn check_values(data: &MemberData, member: usize) -> Result<(), LibraryError> {
+    for (name, _, values) in data.tensors() {
+        let tensor = || tensor_name(member, name);
+        if let Some(index) = values.iter().position(|value| !value.is_finite()) {
+            return Err(LibraryError::NonFinite {
+                tensor: tensor(),
+                index,
+                value: values[index],
+            });
+        }
+        let positive = POSITIVE.contains(&name);
+        if let Some(index) = values.iter().position(|&value| positive && value <= 0.0) {
+            return Err(LibraryError::NotPositive {
+                tensor: tensor(),
+                index,
+                value: values[index],
+            });
+        }
+    }
+    let [min, max] = data.envelope;
+    if let Some(input) = (0..NZ).find(|&d| min[d] > max[d]) {
+        let tensor = tensor_name(member, "envelope");
+        return Err(LibraryError::Envelope {
+            tensor,
+            input,
+            min: min[input],
+            max: max[input],
+        });
+    }
+    Ok(())
+}
+
+/// `(K + s² I) alpha = y - m`, evaluated as `μ(x_i) + s² alpha_i - y_i` at every training point.
+pub(super) fn check_alpha(
+    data: &MemberData,
+    built: &Member,
+    member: usize,
+) -> Result<(), LibraryError> {
+    let mut largest = [0.0_f64; NY];
+    for (i, (z, y)) in data.inputs.iter().zip(&data.targets).enumerate() {
+        let difference = built.target_scaler().scale(&built.mean(&GpInput::from(*z)))
+            - built.target_scaler().scale(&(*y).into());
+        for o in 0..NY {
+            largest[o] = largest[o].max((difference[o] + data.noise[o] * data.alpha[o][i]).abs());
+        }
+    }
+    for (output, residual) in largest.into_iter().enumerate() {
+        let tolerance = ALPHA_TOLERANCE * (1.0 + mean_amplification(data, output));
+        if residual > tolerance {
+            return Err(LibraryError::Alpha {
+                tensor: tensor_name(member, "alpha"),
+                output,
+                residual,
+                tolerance,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// The trainer's predictions must come out again.
+///
+/// Tolerances are those of the parity tests, plus what rounding of the exporter's kernel values and covariance can
+/// contribute at most: `Σ|alpha|` amplifies the former in the mean, `1/s²` the latter in the variance.
+pub(super) fn check_golden(
+    data: &MemberData,
+    built: &Member,
+    member: usize,
+) -> Result<(), LibraryError> {
+    let (y_std, z_std) = (built.target_scaler().std(), built.input_scaler().std());
+    let mut scratch = VarianceScratch::default();
+    let mut jacobian = GpJacobian::zeros();
+    for (g, z) in data.golden_z.iter().enumerate() {
+        let mean = built.mean_jacobian(&(*z).into(), &mut jacobian);
+        let variance = built.variance(&(*z).into(), &mut scratch);
+        for o in 0..NY {
+            let mean_tolerance = MEAN_TOLERANCE + KERNEL_ROUNDING * mean_amplification(data, o);
+            let check = |name, index, expected: f64, found: f64, tolerance: f64| {
+                if (found - expected).abs() <= tolerance {
+                    return Ok(());
+                }
+                Err(LibraryError::Golden {
+                    tensor: tensor_name(member, name),
+                    index,
+                    expected,
+                    found,
+                    tolerance,
+                })
+            };
+            check(
+                "golden_mean",
+                g * NY + o,
+                data.golden_mean[g][o],
+                mean[o],
+                mean_tolerance * y_std[o],
+            )?;
+            for d in 0..NZ {
+                let expected = data.golden_jacobian[g][o][d];
+                let tolerance =
+                    mean_tolerance * y_std[o] / (z_std[d] * data.lengthscales[o][d].min(1.0));
+                check(
+                    "golden_jacobian",
+                    (g * NY + o) * NZ + d,
+                    expected,
+                    jacobian[(o, d)],
+                    tolerance,
+                )?;
+            }
+            let prior = data.outputscale[o] * y_std[o] * y_std[o];
+            let rounding =
+                f64::EPSILON * data.inputs.len() as f64 * data.outputscale[o] / data.noise[o];
+            let tolerance = (VARIANCE_TOLERANCE + rounding) * prior;
+            check(
+                "golden_variance",
+                g * NY + o,
+                data.golden_variance[g][o],
+                variance[o],
+                tolerance,
+            )?;
+        }
+    }
+    Ok(())
+}
+
+/// `outputscale · Σ|alpha|`: how much a relative error of the kernel values can change the mean.
+fn mean_amplification(data: &MemberData, output: usize) -> f64 {
+    data.outputscale[output]
+        * data.alpha[output]
+            .iter()
+            .map(|alpha| alpha.abs())
+            .sum::<f64>()
+}
