@@ -16,8 +16,6 @@ create_exception!(
 /// A typed Rust error as the Python exception, keeping its message.
 ///
 /// Used as `.map_err(raise)?` at the boundary.
-// By value, because that is how `map_err` hands the error over.
-#[allow(clippy::needless_pass_by_value, dead_code)]
 pub fn raise(error: impl Display) -> PyErr {
     EgpError::new_err(error.to_string())
 }

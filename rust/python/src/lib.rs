@@ -1,6 +1,9 @@
 //! The `_core` extension: adapters between Python and the Rust crates, nothing else.
 
+#![allow(clippy::needless_pass_by_value)] // pyo3 hands arguments over by value
+
 mod error;
+mod plant;
 
 use pyo3::prelude::*;
 
@@ -8,5 +11,6 @@ use pyo3::prelude::*;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     error::register(module)?;
+    plant::register(module)?;
     Ok(())
 }

@@ -1,0 +1,201 @@
+//! The right-hand side of the 29 differential equations.
+
+use crate::axle::{AxleModel, Suspension, spun};
+use crate::state::{AxleState, Body, NX, StateVector, WHEELS};
+use crate::{GRAVITY, Parameters, PlantError};
+
+/// Below this speed, m/s, slip is undefined and the vehicle moves as a kinematic single track.
+pub const KINEMATIC_SPEED: f64 = 0.1;
+
+/// `dx/dt` for the input `[F_x, delta_dot]` (N, rad/s) and the friction under each wheel (front -y, front +y,
+/// rear -y, rear +y).
+///
+/// The input passes the actuator limits first. No check is made for NaN: NaN in, NaN out.
+///
+/// # Errors
+/// [`PlantError::Spun`] when a wheel contact moves backward at speed.
+pub fn derivative(
+    parameters: &Parameters,
+    x: &StateVector,
+    input: [f64; 2],
+    friction: [f64; 4],
+) -> Result<StateVector, PlantError> {
+    let body = Body::of(x);
+    let states = AxleState::both(x);
+    let axles = axles(parameters, &body, &states);
+    let acceleration = parameters
+        .limits
+        .acceleration(body.v_x, input[0] / parameters.mass);
+    let steering_rate = parameters.limits.steering_rate(body.delta, input[1]);
+    let slipping = body.v_x.abs() >= KINEMATIC_SPEED;
+
+    let suspension = [axles[0].suspension(), axles[1].suspension()];
+    let front = axles[0]
+        .road(suspension[0].camber, [friction[0], friction[1]], slipping)
+        .map_err(|wheel| spun(0, wheel))?;
+    let rear = axles[1]
+        .road(suspension[1].camber, [friction[2], friction[3]], slipping)
+        .map_err(|wheel| spun(1, wheel))?;
+    let road = [front, rear];
+
+    let sprung = &parameters.sprung;
+    let sum_x = road[0].x + road[1].x;
+    let yaw_moment = road[0].yaw_moment + road[1].yaw_moment;
+    let roll_moment =
+        axles[0].sprung_roll_moment(&suspension[0]) + axles[1].sprung_roll_moment(&suspension[1]);
+    let (sin_roll, cos_roll) = body.roll.sin_cos();
+    let springs = suspension.each_ref().map(|s| s.spring[0] + s.spring[1]);
+    let joints = suspension[0].joint + suspension[1].joint;
+    let centripetal = body.omega * body.v_x;
+
+    let mut f = [0.0; NX];
+    f[2] = steering_rate;
+    if slipping {
+        let (sin, cos) = body.psi.sin_cos();
+        f[0] = body.v_x * cos - body.v_y * sin;
+        f[1] = body.v_x * sin + body.v_y * cos;
+        f[3] = sum_x / parameters.mass + body.omega * body.v_y;
+        f[4] = body.omega;
+        let product = sprung.roll_yaw_product / sprung.roll_inertia;
+        f[5] = (yaw_moment + product * roll_moment)
+            / (parameters.yaw_inertia - sprung.roll_yaw_product * product);
+    } else {
+        kinematic(parameters, &body, [acceleration, steering_rate], &mut f);
+    }
+
+    f[6] = body.roll_rate;
+    let product = sprung.roll_yaw_product / parameters.yaw_inertia;
+    f[7] = (product * yaw_moment + roll_moment)
+        / (sprung.roll_inertia - sprung.roll_yaw_product * product);
+    f[8] = body.pitch_rate;
+    f[9] = (axles[0].axle.position * springs[0]
+        + axles[1].axle.position * springs[1]
+        + sum_x * (sprung.height - body.z))
+        / sprung.pitch_inertia;
+    f[10] = sprung_lateral_acceleration(parameters, &body, &suspension) - centripetal;
+    f[11] = body.v_z;
+    f[12] = GRAVITY - ((springs[0] + springs[1]) * cos_roll - joints * sin_roll) / sprung.mass;
+
+    for (i, model) in axles.iter().enumerate() {
+        let (axle, state, at) = (model.axle, model.state, 13 + 5 * i);
+        let (suspension, road, spring) = (&suspension[i], &road[i], springs[i]);
+        f[at] = state.roll_rate;
+        f[at + 1] = model.unsprung_roll_moment(suspension, road) / axle.roll_inertia;
+        f[at + 2] = (road.y - suspension.joint * cos_roll - spring * sin_roll) / axle.unsprung_mass
+            - centripetal;
+        f[at + 3] = state.v_z;
+        let lift = road.load[0] + road.load[1] + suspension.joint * sin_roll - spring * cos_roll;
+        f[at + 4] = GRAVITY - lift / axle.unsprung_mass;
+
+        let share = if acceleration > 0.0 {
+            axle.drive_share
+        } else {
+            axle.brake_share
+        };
+        let torque = 0.5 * share * parameters.mass * parameters.wheel.radius * acceleration;
+        for w in 0..2 {
+            // A locked wheel stays locked, it does not turn backward.
+            f[WHEELS.start + 2 * i + w] = if state.spin[w] < 0.0 {
+                0.0
+            } else {
+                (torque - parameters.wheel.radius * road.tyre[w].x) / parameters.wheel.inertia
+            };
+        }
+        f[27 + i] = suspension.joint_rate;
+    }
+    Ok(f)
+}
+
+/// Lateral acceleration of the sprung mass in a state, m/s², as an accelerometer in the body would read it.
+///
+/// Depends on suspension and joints only, so neither input nor friction is needed.
+pub fn lateral_acceleration(parameters: &Parameters, x: &StateVector) -> f64 {
+    let body = Body::of(x);
+    let states = AxleState::both(x);
+    let suspension = axles(parameters, &body, &states).map(|axle| axle.suspension());
+    sprung_lateral_acceleration(parameters, &body, &suspension)
+}
+
+/// Makes yaw rate, lateral speeds and wheel speeds those of the kinematic single track, with rolling wheels.
+pub(crate) fn roll_without_slip(parameters: &Parameters, x: &mut StateVector) {
+    let (beta, yaw_rate) = single_track(parameters, x[2], x[3]);
+    x[5] = yaw_rate;
+    x[10] = x[3] * beta.tan();
+    for (i, axle) in parameters.axles().into_iter().enumerate() {
+        x[15 + 5 * i] = x[10] + axle.position * yaw_rate;
+    }
+    let body = Body::of(x);
+    let states = AxleState::both(x);
+    let rolling = axles(parameters, &body, &states).map(|axle| axle.contact_speeds());
+    for (spin, speed) in x[WHEELS].iter_mut().zip(rolling.into_iter().flatten()) {
+        *spin = speed / parameters.wheel.radius;
+    }
+}
+
+/// Slip angle of the centre of mass and yaw rate of the kinematic single track,
+/// `beta = atan(tan(delta) b / l)`, `omega = v cos(beta) tan(delta) / l`.
+fn single_track(parameters: &Parameters, delta: f64, speed: f64) -> (f64, f64) {
+    let wheelbase = parameters.wheelbase();
+    let tan = delta.tan();
+    let beta = (tan * -parameters.rear.position / wheelbase).atan();
+    (beta, speed * beta.cos() * tan / wheelbase)
+}
+
+fn axles<'a>(
+    parameters: &'a Parameters,
+    body: &'a Body,
+    states: &'a [AxleState; 2],
+) -> [AxleModel<'a>; 2] {
+    let load = parameters.static_spring_loads();
+    let model = |i: usize, axle, steering| AxleModel {
+        vehicle: parameters,
+        axle,
+        body,
+        state: &states[i],
+        steering,
+        static_spring_load: load[i],
+    };
+    [
+        model(0, &parameters.front, body.delta),
+        model(1, &parameters.rear, 0.0),
+    ]
+}
+
+fn sprung_lateral_acceleration(
+    parameters: &Parameters,
+    body: &Body,
+    suspension: &[Suspension; 2],
+) -> f64 {
+    let (sin_roll, cos_roll) = body.roll.sin_cos();
+    let force: f64 = suspension
+        .iter()
+        .map(|s| s.joint * cos_roll + (s.spring[0] + s.spring[1]) * sin_roll)
+        .sum();
+    force / parameters.sprung.mass
+}
+
+/// Planar motion at walking speed: a kinematic single track about the centre of mass.
+fn kinematic(
+    parameters: &Parameters,
+    body: &Body,
+    [acceleration, steering_rate]: [f64; 2],
+    f: &mut StateVector,
+) {
+    let (beta, yaw_rate) = single_track(parameters, body.delta, body.v_x);
+    f[0] = body.v_x * (beta + body.psi).cos();
+    f[1] = body.v_x * (beta + body.psi).sin();
+    f[3] = acceleration;
+    f[4] = yaw_rate;
+
+    let wheelbase = parameters.wheelbase();
+    let to_rear = -parameters.rear.position;
+    let (tan, cos) = (body.delta.tan(), body.delta.cos());
+    // The original puts the roll angle where the slip angle belongs, and squares the whole of tan(delta)^2 b / l;
+    // kept, as both are negligible at this speed and parity is worth more.
+    let square = (tan * tan * to_rear / wheelbase).powi(2);
+    let beta_rate = to_rear * steering_rate / (wheelbase * cos * cos * (1.0 + square));
+    let (sin_roll, cos_roll) = body.roll.sin_cos();
+    f[5] = (acceleration * cos_roll * tan - body.v_x * sin_roll * beta_rate * tan
+        + body.v_x * cos_roll * steering_rate / (cos * cos))
+        / wheelbase;
+}

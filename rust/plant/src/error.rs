@@ -1,0 +1,67 @@
+//! Everything the plant refuses.
+
+use thiserror::Error;
+
+/// Why the plant refused an input or stopped; the state is then what it was before the call.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum PlantError {
+    /// No such vehicle.
+    #[error("expected CommonRoad vehicle 1 or 2, got {0}")]
+    UnknownVehicle(u32),
+    /// A number that must be finite is not.
+    #[error("expected a finite {name}, got {value}")]
+    NotFinite {
+        /// What the number is.
+        name: &'static str,
+        /// What came.
+        value: f64,
+    },
+    /// A period that is not positive.
+    #[error("expected a period dt > 0 in seconds, got {0}")]
+    Period(f64),
+    /// A friction coefficient for which the tyre has no force law.
+    #[error("expected a friction coefficient > 0, got {0}; dry asphalt is about 1, ice 0.1")]
+    Friction(f64),
+    /// A friction map that is not a grid.
+    #[error("expected rows x columns = {expected} friction values in at least one cell, got {got}")]
+    MapShape {
+        /// Rows times columns.
+        expected: usize,
+        /// Values given.
+        got: usize,
+    },
+    /// A cell size that is not positive.
+    #[error("expected a cell size > 0 in metres, got {0}")]
+    MapCell(f64),
+    /// Driving backward is outside what the tyre equations cover.
+    #[error("expected a forward speed v_x >= 0, got {0} m/s; the vehicle only drives forward")]
+    Backward(f64),
+    /// A wheel contact moves backward: the vehicle has spun.
+    #[error(
+        "wheel {wheel} (front -y, front +y, rear -y, rear +y) moves backward at {speed} m/s: the vehicle has spun, \
+         which the tyre equations do not cover; reset the plant or command less"
+    )]
+    Spun {
+        /// Index of the wheel.
+        wheel: usize,
+        /// Speed of its contact along the wheel, m/s.
+        speed: f64,
+    },
+    /// The integration diverged.
+    #[error("state {name} left the finite range at v_x = {v_x} m/s; reset the plant")]
+    Diverged {
+        /// The first state that is not finite.
+        name: &'static str,
+        /// Speed at the last finite state, m/s.
+        v_x: f64,
+    },
+}
+
+/// `value` if it is finite.
+pub(crate) fn finite(name: &'static str, value: f64) -> Result<f64, PlantError> {
+    if value.is_finite() {
+        Ok(value)
+    } else {
+        Err(PlantError::NotFinite { name, value })
+    }
+}

@@ -1,0 +1,166 @@
+//! The stepping vehicle.
+
+use crate::axle::wheel_offsets;
+use crate::dynamics::{KINEMATIC_SPEED, roll_without_slip};
+use crate::error::finite;
+use crate::friction::checked;
+use crate::integrator::{longest_substep, rk4};
+use crate::state::{STATE_NAMES, StateVector, VehicleState, WHEELS, initial_state, settled};
+use crate::{Friction, Parameters, PlantError, lateral_acceleration};
+
+/// A vehicle and its state.
+///
+/// Between substeps the plant adds to [`crate::derivative`] what keeps a drive to standstill and away again sane:
+/// brakes hold the vehicle but do not push it backward, locked wheels stay at zero, the steering stays within its
+/// stops, and below [`KINEMATIC_SPEED`] nothing slips (there the equations alone let a parked vehicle gain 0.2 m/s of
+/// lateral speed a second from its tyres' offsets).
+#[derive(Clone, Debug)]
+pub struct Plant {
+    parameters: Parameters,
+    state: StateVector,
+}
+
+impl Plant {
+    /// A vehicle at rest in the origin, heading along +x.
+    pub fn new(parameters: Parameters) -> Self {
+        let state = settled(&parameters, &VehicleState::default());
+        Self { parameters, state }
+    }
+
+    /// The vehicle's parameters.
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+
+    /// All states, see [`crate::STATE_NAMES`].
+    pub fn state(&self) -> &StateVector {
+        &self.state
+    }
+
+    /// What a controller sees.
+    pub fn vehicle_state(&self) -> VehicleState {
+        VehicleState::of(&self.state)
+    }
+
+    /// Lateral acceleration of the body, m/s².
+    pub fn lateral_acceleration(&self) -> f64 {
+        lateral_acceleration(&self.parameters, &self.state)
+    }
+
+    /// Puts the vehicle somewhere, its suspension at rest and its wheels rolling.
+    ///
+    /// # Errors
+    /// [`PlantError::NotFinite`], [`PlantError::Backward`].
+    pub fn reset(&mut self, vehicle: &VehicleState) -> Result<(), PlantError> {
+        self.state = initial_state(&self.parameters, vehicle)?;
+        Ok(())
+    }
+
+    /// Sets all states.
+    ///
+    /// # Errors
+    /// [`PlantError::NotFinite`], [`PlantError::Backward`].
+    pub fn set_state(&mut self, state: &StateVector) -> Result<(), PlantError> {
+        for (name, &value) in STATE_NAMES.into_iter().zip(state) {
+            finite(name, value)?;
+        }
+        if state[3] < 0.0 {
+            return Err(PlantError::Backward(state[3]));
+        }
+        self.state = *state;
+        Ok(())
+    }
+
+    /// Moves by `dt` seconds under the constant input `[F_x, delta_dot]` (N, rad/s).
+    ///
+    /// Friction is read under each wheel once a substep (at most [`crate::MAX_SUBSTEP`]).
+    ///
+    /// # Errors
+    /// A refused input, [`PlantError::Spun`] or [`PlantError::Diverged`]; the state is then unchanged.
+    pub fn step(
+        &mut self,
+        input: [f64; 2],
+        dt: f64,
+        friction: &impl Friction,
+    ) -> Result<(), PlantError> {
+        check_step(input, dt)?;
+        let mut state = self.state;
+        let mut remaining = dt;
+        while remaining > 0.0 {
+            // Equal substeps over what remains, so that no sliver is left at the end.
+            let count = (remaining / longest_substep(&self.parameters, state[3])).ceil();
+            let h = remaining / count;
+            state = self.substep(&state, input, h, friction)?;
+            remaining = if count > 1.0 { remaining - h } else { 0.0 };
+        }
+        self.state = state;
+        Ok(())
+    }
+
+    fn substep(
+        &self,
+        state: &StateVector,
+        [force, steering_rate]: [f64; 2],
+        h: f64,
+        friction: &impl Friction,
+    ) -> Result<StateVector, PlantError> {
+        let mu = self.friction_under_wheels(state, friction)?;
+        let v_x = state[3];
+        // Braking ends at standstill. Above walking speed a substep is too short to get there.
+        let force = if v_x < KINEMATIC_SPEED {
+            force.max(-self.parameters.mass * v_x / h)
+        } else {
+            force
+        };
+        let mut next = rk4(&self.parameters, state, [force, steering_rate], mu, h)?;
+        if let Some(i) = next.iter().position(|value| !value.is_finite()) {
+            return Err(PlantError::Diverged {
+                name: STATE_NAMES[i],
+                v_x,
+            });
+        }
+        let stop = self.parameters.limits.steering_angle;
+        next[2] = next[2].clamp(-stop, stop);
+        if next[3] < KINEMATIC_SPEED {
+            roll_without_slip(&self.parameters, &mut next);
+        }
+        for wheel in &mut next[WHEELS] {
+            *wheel = wheel.max(0.0);
+        }
+        Ok(next)
+    }
+
+    fn friction_under_wheels(
+        &self,
+        state: &StateVector,
+        friction: &impl Friction,
+    ) -> Result<[f64; 4], PlantError> {
+        let [front, rear] = self.parameters.axles();
+        let [a, b] = wheel_offsets(front);
+        let [c, d] = wheel_offsets(rear);
+        let (sin, cos) = state[4].sin_cos();
+        let mut mu = [0.0; 4];
+        let contacts = [
+            (front.position, a),
+            (front.position, b),
+            (rear.position, c),
+            (rear.position, d),
+        ];
+        for (mu, (x, y)) in mu.iter_mut().zip(contacts) {
+            let contact = [state[0] + x * cos - y * sin, state[1] + x * sin + y * cos];
+            *mu = checked(friction.coefficient(contact))?;
+        }
+        Ok(mu)
+    }
+}
+
+/// Refuses an input or period that is no number.
+pub(crate) fn check_step(input: [f64; 2], dt: f64) -> Result<(), PlantError> {
+    finite("F_x", input[0])?;
+    finite("delta_dot", input[1])?;
+    if dt.is_finite() && dt > 0.0 {
+        Ok(())
+    } else {
+        Err(PlantError::Period(dt))
+    }
+}

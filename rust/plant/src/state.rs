@@ -1,0 +1,207 @@
+//! The 29 states, in the order of the CommonRoad multi-body vehicle.
+
+use crate::error::finite;
+use crate::{GRAVITY, Parameters, PlantError};
+
+/// Number of states.
+pub const NX: usize = 29;
+
+/// All states; order and units in [`STATE_NAMES`].
+pub type StateVector = [f64; NX];
+
+/// Names with units. `z` points down; `_f`, `_r` are the unsprung masses, wheels are ordered by y (see the crate's
+/// page), `joint` is the lateral displacement between the body and an axle.
+pub const STATE_NAMES: [&str; NX] = [
+    "p_x [m]",
+    "p_y [m]",
+    "delta [rad]",
+    "v_x [m/s]",
+    "psi [rad]",
+    "omega [rad/s]",
+    "roll [rad]",
+    "roll_rate [rad/s]",
+    "pitch [rad]",
+    "pitch_rate [rad/s]",
+    "v_y [m/s]",
+    "z [m]",
+    "v_z [m/s]",
+    "roll_f [rad]",
+    "roll_rate_f [rad/s]",
+    "v_y_f [m/s]",
+    "z_f [m]",
+    "v_z_f [m/s]",
+    "roll_r [rad]",
+    "roll_rate_r [rad/s]",
+    "v_y_r [m/s]",
+    "z_r [m]",
+    "v_z_r [m/s]",
+    "wheel_f_minus_y [rad/s]",
+    "wheel_f_plus_y [rad/s]",
+    "wheel_r_minus_y [rad/s]",
+    "wheel_r_plus_y [rad/s]",
+    "joint_f [m]",
+    "joint_r [m]",
+];
+
+/// Where the four wheel speeds stand in the state.
+pub(crate) const WHEELS: std::ops::Range<usize> = 23..27;
+
+/// The seven states a controller sees, `[p_x, p_y, v_x, psi, v_y, omega, delta]`, SI units.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[allow(missing_docs)]
+pub struct VehicleState {
+    pub p_x: f64,
+    pub p_y: f64,
+    pub v_x: f64,
+    pub psi: f64,
+    pub v_y: f64,
+    pub omega: f64,
+    pub delta: f64,
+}
+
+impl VehicleState {
+    /// In the order of the controller's state.
+    pub fn to_array(self) -> [f64; 7] {
+        [
+            self.p_x, self.p_y, self.v_x, self.psi, self.v_y, self.omega, self.delta,
+        ]
+    }
+
+    /// From the order of the controller's state.
+    pub fn from_array([p_x, p_y, v_x, psi, v_y, omega, delta]: [f64; 7]) -> Self {
+        Self {
+            p_x,
+            p_y,
+            v_x,
+            psi,
+            v_y,
+            omega,
+            delta,
+        }
+    }
+
+    /// The part of a full state that a controller sees.
+    pub fn of(x: &StateVector) -> Self {
+        Self {
+            p_x: x[0],
+            p_y: x[1],
+            v_x: x[3],
+            psi: x[4],
+            v_y: x[10],
+            omega: x[5],
+            delta: x[2],
+        }
+    }
+
+    fn checked(self) -> Result<Self, PlantError> {
+        const NAMES: [&str; 7] = ["p_x", "p_y", "v_x", "psi", "v_y", "omega", "delta"];
+        for (name, value) in NAMES.into_iter().zip(self.to_array()) {
+            finite(name, value)?;
+        }
+        if self.v_x < 0.0 {
+            Err(PlantError::Backward(self.v_x))
+        } else {
+            Ok(self)
+        }
+    }
+}
+
+/// The full state with the suspension at rest and the wheels rolling.
+///
+/// # Errors
+/// [`PlantError::NotFinite`], [`PlantError::Backward`].
+pub fn initial_state(
+    parameters: &Parameters,
+    vehicle: &VehicleState,
+) -> Result<StateVector, PlantError> {
+    Ok(settled(parameters, &vehicle.checked()?))
+}
+
+/// [`initial_state`] of a vehicle state known to be valid.
+pub(crate) fn settled(parameters: &Parameters, vehicle: &VehicleState) -> StateVector {
+    let &VehicleState {
+        p_x,
+        p_y,
+        v_x,
+        psi,
+        v_y,
+        omega,
+        delta,
+    } = vehicle;
+    let spring = parameters.static_spring_loads();
+    let mut x = [0.0; NX];
+    [x[0], x[1], x[2], x[3], x[4], x[5], x[10]] = [p_x, p_y, delta, v_x, psi, omega, v_y];
+    for (i, axle) in parameters.axles().into_iter().enumerate() {
+        let load = 2.0 * spring[i] + axle.unsprung_mass * GRAVITY;
+        x[15 + 5 * i] = v_y + axle.position * omega;
+        x[16 + 5 * i] = load / (2.0 * parameters.wheel.vertical_stiffness);
+    }
+    x[WHEELS].fill(v_x / parameters.wheel.radius);
+    x
+}
+
+/// Motion of the sprung mass.
+#[derive(Clone, Copy)]
+pub(crate) struct Body {
+    pub delta: f64,
+    pub v_x: f64,
+    pub psi: f64,
+    pub omega: f64,
+    pub roll: f64,
+    pub roll_rate: f64,
+    pub pitch: f64,
+    pub pitch_rate: f64,
+    pub v_y: f64,
+    pub z: f64,
+    pub v_z: f64,
+}
+
+impl Body {
+    pub fn of(x: &StateVector) -> Self {
+        Self {
+            delta: x[2],
+            v_x: x[3],
+            psi: x[4],
+            omega: x[5],
+            roll: x[6],
+            roll_rate: x[7],
+            pitch: x[8],
+            pitch_rate: x[9],
+            v_y: x[10],
+            z: x[11],
+            v_z: x[12],
+        }
+    }
+}
+
+/// Motion of one unsprung mass and its two wheels.
+#[derive(Clone, Copy)]
+pub(crate) struct AxleState {
+    pub roll: f64,
+    pub roll_rate: f64,
+    pub v_y: f64,
+    pub z: f64,
+    pub v_z: f64,
+    /// Wheel speeds, rad/s, the wheel at -y first.
+    pub spin: [f64; 2],
+    /// Lateral displacement in the joint, m.
+    pub joint: f64,
+}
+
+impl AxleState {
+    /// Front and rear.
+    pub fn both(x: &StateVector) -> [Self; 2] {
+        [0, 1].map(|i| {
+            let at = 13 + 5 * i;
+            Self {
+                roll: x[at],
+                roll_rate: x[at + 1],
+                v_y: x[at + 2],
+                z: x[at + 3],
+                v_z: x[at + 4],
+                spin: [x[23 + 2 * i], x[24 + 2 * i]],
+                joint: x[27 + i],
+            }
+        })
+    }
+}
