@@ -1,0 +1,194 @@
+//! Whatever comes in, what goes out respects the limits.
+#![allow(clippy::unwrap_used)]
+
+use egp_gate::{Gate, GateError, Limits, Mode};
+use proptest::prelude::*;
+
+const DT: f64 = 0.05;
+
+/// Slow steering slew, so that the look-ahead over several periods matters.
+fn limits(steering_slew: f64) -> Limits {
+    Limits {
+        steering_slew,
+        ..Limits::default()
+    }
+}
+
+/// Any double, with the special ones common.
+fn wild() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        any::<f64>(),
+        -20_000.0..20_000.0,
+        -1.0..1.0,
+        Just(f64::NAN),
+        Just(f64::INFINITY),
+        Just(f64::NEG_INFINITY)
+    ]
+}
+
+#[derive(Clone, Debug)]
+enum Event {
+    Plan(u64, Vec<[f64; 2]>),
+    Measurement(f64, f64),
+    Reset,
+}
+
+fn event() -> impl Strategy<Value = Event> {
+    let plan = prop::collection::vec([wild(), wild()], 0..6);
+    let tame = prop::collection::vec([-9e3..9e3, -0.6..0.6], 1..6);
+    prop_oneof![
+        1 => (0_u64..3, plan).prop_map(|(age, u)| Event::Plan(age, u)),
+        4 => (0_u64..3, tame).prop_map(|(age, u)| Event::Plan(age, u)),
+        1 => (wild(), wild()).prop_map(|(v_x, delta)| Event::Measurement(v_x, delta)),
+        8 => (-5.0..60.0, -0.95..0.95).prop_map(|(v_x, delta)| Event::Measurement(v_x, delta)),
+        1 => Just(Event::Reset),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn outputs_respect_value_and_slew_limits(
+        events in prop::collection::vec(event(), 1..60),
+        steering_slew in 0.05..10.0,
+    ) {
+        let limits = limits(steering_slew);
+        let mut gate = Gate::new(limits, DT, 3, 3.0).unwrap();
+        let (mut tick, mut previous) = (2, [0.0; 2]);
+        for event in events {
+            match event {
+                Event::Plan(age, u) => { let _ = gate.accept(tick - age, &u); }
+                Event::Reset => gate.reset(),
+                Event::Measurement(v_x, delta) => {
+                    let was = gate.mode();
+                    let command = gate.command(tick, v_x, delta);
+                    let [force, rate] = command.u;
+                    let (df, dr) = (limits.force_slew * DT, limits.steering_slew * DT);
+                    prop_assert!((limits.force_min..=limits.force_max).contains(&force));
+                    prop_assert!(rate.abs() <= limits.steering_rate);
+                    prop_assert!((force - previous[0]).abs() <= df * (1.0 + 1e-12));
+                    prop_assert!((rate - previous[1]).abs() <= dr * (1.0 + 1e-12));
+                    if v_x.is_finite() && v_x.abs() > 1.0 {
+                        let ceiling = (limits.power / v_x.abs()).max(previous[0] - df);
+                        prop_assert!(force <= ceiling + 1e-9);
+                    }
+                    prop_assert!(was != Mode::Stop || command.mode == Mode::Stop);
+                    prop_assert!((v_x.is_finite() && delta.is_finite()) || command.mode == Mode::Stop);
+                    previous = command.u;
+                    tick += 1;
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_steering_angle_stays_inside_its_limit(
+        wanted in prop::collection::vec(-1.0..1.0, 1..200),
+        steering_slew in 0.05..10.0,
+        start in -0.91..0.91,
+    ) {
+        let limits = limits(steering_slew);
+        let mut gate = Gate::new(limits, DT, 0, 3.0).unwrap();
+        let mut delta: f64 = start;
+        for (tick, rate) in (0..).zip(wanted) {
+            gate.accept(tick, &[[0.0, rate]]).unwrap();
+            delta += DT * gate.command(tick, 10.0, delta).u[1];
+            prop_assert!(delta.abs() <= limits.steering_angle + 1e-12);
+        }
+    }
+
+    #[test]
+    fn without_new_plans_the_tail_ends_in_a_stop(length in 1_usize..20, max_tail in 0_u64..20) {
+        let mut gate = Gate::new(Limits::default(), DT, max_tail, 3.0).unwrap();
+        gate.accept(7, &vec![[100.0, 0.0]; length]).unwrap();
+        let usable = (max_tail + 1).min(length as u64);
+        for age in 0..usable + 5 {
+            let expected = match age {
+                0 => Mode::Normal,
+                _ if age < usable => Mode::Tail,
+                _ => Mode::Stop,
+            };
+            prop_assert_eq!(gate.command(7 + age, 10.0, 0.0).mode, expected);
+        }
+        prop_assert_eq!(gate.accept(100, &[[0.0, 0.0]]), Err(GateError::Stopped));
+    }
+}
+
+#[test]
+fn a_stop_brings_a_point_mass_to_rest_and_holds_it() {
+    let limits = Limits::default();
+    let mut gate = Gate::new(limits, DT, 0, 3.0).unwrap();
+    let mut v_x = 20.0;
+    for tick in 0..400 {
+        v_x += DT * gate.command(tick, v_x, 0.1).u[0] / limits.mass;
+        assert!(v_x > -0.2);
+    }
+    assert!(v_x.abs() < 1e-3);
+}
+
+#[test]
+fn an_unknown_speed_is_braked() {
+    let mut gate = Gate::new(Limits::default(), DT, 0, 3.0).unwrap();
+    for tick in 0..10 {
+        assert_eq!(gate.command(tick, f64::NAN, f64::NAN).mode, Mode::Stop);
+    }
+    assert_eq!(
+        gate.command(10, f64::NAN, 0.0).u,
+        [-3.0 * Limits::default().mass, 0.0]
+    );
+}
+
+#[test]
+fn a_refused_plan_leaves_the_held_one() {
+    let mut gate = Gate::new(Limits::default(), DT, 5, 3.0).unwrap();
+    gate.accept(4, &[[10.0, 0.0], [20.0, 0.0]]).unwrap();
+    assert_eq!(
+        gate.accept(5, &[[1.0, 0.0], [1.0, f64::NAN]]),
+        Err(GateError::NotFinite(1))
+    );
+    assert_eq!(
+        gate.accept(3, &[[1.0, 0.0]]),
+        Err(GateError::Stale { held: 4, got: 3 })
+    );
+    assert_eq!(gate.accept(5, &[]), Err(GateError::Length(0)));
+    let command = gate.command(5, 10.0, 0.0);
+    assert_eq!(
+        (command.u, command.mode, command.limited),
+        ([20.0, 0.0], Mode::Tail, false)
+    );
+}
+
+#[test]
+fn after_a_reset_driving_needs_a_new_plan() {
+    let mut gate = Gate::new(Limits::default(), DT, 5, 3.0).unwrap();
+    assert_eq!(gate.command(0, 10.0, 0.0).mode, Mode::Stop);
+    gate.reset();
+    assert_eq!(gate.command(1, 10.0, 0.0).mode, Mode::Stop);
+    gate.reset();
+    gate.accept(2, &[[10.0, 0.0]]).unwrap();
+    assert_eq!(gate.command(2, 10.0, 0.0).mode, Mode::Normal);
+}
+
+#[test]
+fn limits_that_bound_nothing_are_refused() {
+    for limits in [
+        Limits {
+            force_max: f64::NAN,
+            ..Limits::default()
+        },
+        Limits {
+            force_min: 1.0,
+            ..Limits::default()
+        },
+        Limits {
+            steering_slew: 0.0,
+            ..Limits::default()
+        },
+    ] {
+        assert!(matches!(
+            Gate::new(limits, DT, 5, 3.0),
+            Err(GateError::Limits(_))
+        ));
+    }
+    assert!(Gate::new(Limits::default(), DT, 5, 9.0).is_err());
+    assert!(Gate::new(Limits::default(), 0.0, 5, 3.0).is_err());
+}
