@@ -1,13 +1,16 @@
 """Types of the compiled extension, one section per Rust file under `rust/python/src`."""
 
-from typing import final
+from collections.abc import Mapping, Sequence
+from typing import Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "Command",
     "EgpError",
     "FrictionMap",
+    "Gate",
     "Plant",
     "plant_derivative",
     "plant_initial_states",
@@ -18,6 +21,39 @@ __all__ = [
 
 class EgpError(ValueError):
     """A refused input or a failed computation; the message says what was expected and what came."""
+
+# gate.rs
+
+@final
+class Command:
+    """What leaves the gate in one period."""
+
+    @property
+    def u(self) -> tuple[float, float]:
+        """Force [N] and steering rate [rad/s]."""
+    @property
+    def mode(self) -> Literal["normal", "tail", "stop"]:
+        """Where it comes from."""
+    @property
+    def limited(self) -> bool:
+        """Whether a limit changed what the plan asked for."""
+
+@final
+class Gate:
+    """NORMAL → TAIL (rest of the last plan) → STOP (brakes, latched), with hard limits."""
+
+    def __new__(cls, dt: float, settings: Mapping[str, float] = ...) -> Gate: ...
+    def accept(
+        self, tick: int, plan_u: Sequence[tuple[float, float]] | NDArray[np.float64]
+    ) -> None:
+        """Take a plan of (T, 2) inputs whose first one is meant for period `tick`."""
+    def command(self, tick: int, v_x: float, delta: float) -> Command:
+        """Give what the actuators get in period `tick`, at this measured speed and angle."""
+    def reset(self) -> None:
+        """Leave STOP and forget the old plan."""
+    @property
+    def mode(self) -> Literal["normal", "tail", "stop"]:
+        """Where the last command came from."""
 
 # plant.rs
 

@@ -1,0 +1,116 @@
+//! The gate in front of the actuators.
+
+use std::collections::BTreeMap;
+
+use egp_gate::{Limits, Mode};
+use pyo3::prelude::*;
+
+use crate::error::{EgpError, raise};
+
+/// What leaves the gate in one period.
+#[pyclass(frozen, get_all, module = "egp_service._core")]
+#[derive(Clone)]
+struct Command {
+    /// Force [N] and steering rate [rad/s].
+    u: (f64, f64),
+    /// "normal", "tail" or "stop".
+    mode: &'static str,
+    /// Whether a limit changed what the plan asked for.
+    limited: bool,
+}
+
+/// NORMAL → TAIL (rest of the last plan) → STOP (brakes, latched), with hard value and slew limits.
+#[pyclass(module = "egp_service._core")]
+struct Gate(egp_gate::Gate);
+
+/// `settings` over the defaults; unknown names are refused.
+fn configure(settings: &BTreeMap<String, f64>) -> PyResult<(Limits, u64, f64)> {
+    let mut limits = Limits::default();
+    let (mut max_tail_ticks, mut stop_deceleration) = (10.0, 3.0);
+    for (name, value) in settings {
+        *match name.as_str() {
+            "mass" => &mut limits.mass,
+            "force_min" => &mut limits.force_min,
+            "force_max" => &mut limits.force_max,
+            "power" => &mut limits.power,
+            "force_slew" => &mut limits.force_slew,
+            "steering_angle" => &mut limits.steering_angle,
+            "steering_rate" => &mut limits.steering_rate,
+            "steering_slew" => &mut limits.steering_slew,
+            "max_tail_ticks" => &mut max_tail_ticks,
+            "stop_deceleration" => &mut stop_deceleration,
+            _ => {
+                return Err(EgpError::new_err(format!(
+                    "unknown gate setting {name:?}; known: mass, force_min, force_max, power, \
+                     force_slew, steering_angle, steering_rate, steering_slew, max_tail_ticks, \
+                     stop_deceleration"
+                )));
+            }
+        } = *value;
+    }
+    if !(0.0..=1e6).contains(&max_tail_ticks) || max_tail_ticks.fract() != 0.0 {
+        return Err(EgpError::new_err(format!(
+            "gate setting max_tail_ticks must be a whole number from 0 to 1000000, got {max_tail_ticks}"
+        )));
+    }
+    // Checked above: whole, not negative, small.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    Ok((limits, max_tail_ticks as u64, stop_deceleration))
+}
+
+#[pymethods]
+impl Gate {
+    #[new]
+    #[pyo3(signature = (dt, settings = BTreeMap::new()))]
+    fn new(dt: f64, settings: BTreeMap<String, f64>) -> PyResult<Self> {
+        let (limits, max_tail_ticks, stop_deceleration) = configure(&settings)?;
+        egp_gate::Gate::new(limits, dt, max_tail_ticks, stop_deceleration)
+            .map(Self)
+            .map_err(raise)
+    }
+
+    /// Take a plan of (T, 2) inputs whose first one is meant for period `tick`.
+    fn accept(&mut self, tick: u64, plan_u: Vec<[f64; 2]>) -> PyResult<()> {
+        self.0.accept(tick, &plan_u).map_err(raise)
+    }
+
+    /// Give what the actuators get in period `tick`, at this measured speed and angle.
+    fn command(&mut self, tick: u64, v_x: f64, delta: f64) -> Command {
+        let command = self.0.command(tick, v_x, delta);
+        let [force, steering_rate] = command.u;
+        Command {
+            u: (force, steering_rate),
+            mode: name(command.mode),
+            limited: command.limited,
+        }
+    }
+
+    /// Leave STOP and forget the old plan.
+    fn reset(&mut self) {
+        self.0.reset();
+    }
+
+    /// Where the last command came from: "normal", "tail" or "stop".
+    #[getter]
+    fn mode(&self) -> &'static str {
+        name(self.0.mode())
+    }
+}
+
+/// The mode as Python sees it.
+fn name(mode: Mode) -> &'static str {
+    match mode {
+        Mode::Normal => "normal",
+        Mode::Tail => "tail",
+        Mode::Stop => "stop",
+    }
+}
+
+/// Adds the classes to the module.
+///
+/// # Errors
+/// When Python refuses a class.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<Command>()?;
+    module.add_class::<Gate>()
+}
