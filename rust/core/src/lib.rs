@@ -7,7 +7,16 @@ pub mod ensemble;
 pub mod gp;
 pub mod kernel;
 pub mod library;
+pub mod linearisation;
+pub mod ocp;
+pub mod qp;
 pub mod scaler;
+pub mod settings;
+pub mod solver;
+pub mod step;
+pub mod trajectory;
+pub mod vehicle;
+pub mod weights;
 
 mod cholesky;
 
@@ -17,6 +26,10 @@ pub use ensemble::{Ensemble, EnsembleError, EnsembleVariance};
 pub use gp::VarianceScratch;
 pub use kernel::Kernel;
 pub use library::{Library, LibraryError, Member};
+pub use qp::{OcpQp, OcpSolution};
+pub use settings::{Settings, SettingsError};
+pub use solver::{QpSolver, Status};
+pub use step::{StepError, StepReply, StepRequest, Workspace, step};
 
 /// Number of states `[p_x, p_y, v_x, psi, v_y, omega, delta]`.
 pub const NX: usize = 7;

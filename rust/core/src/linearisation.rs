@@ -1,0 +1,112 @@
+//! The ensemble made affine along an operating trajectory, eqs. (15)-(17), in closed form.
+
+use nalgebra::SMatrix;
+
+use crate::settings::{Operating, OperatingSettings};
+use crate::trajectory::Guess;
+use crate::vehicle::{DELTA, OMEGA, V_X, V_Y, gp_input, jacobians, successor};
+use crate::{Ensemble, GpJacobian, Input, NU, NX, State};
+
+/// `x_{t+1} = A x_t + B u_t + c`, inputs in N and rad/s.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AffineDynamics {
+    /// `A_t`.
+    pub a: SMatrix<f64, NX, NX>,
+    /// `B_t`.
+    pub b: SMatrix<f64, NX, NU>,
+    /// `c_t`.
+    pub c: State,
+}
+
+/// An operating trajectory and the dynamics along it.
+#[derive(Debug, Clone)]
+pub struct Linearisation {
+    /// Operating states, stages `0..=T`.
+    pub x: Vec<State>,
+    /// Dynamics, stages `0..T`.
+    pub stages: Vec<AffineDynamics>,
+}
+
+/// The box operating states are kept in.
+#[derive(Debug, Clone, Copy)]
+struct Domain {
+    v_x: (f64, f64),
+    v_y: f64,
+    omega: f64,
+    delta: f64,
+}
+
+impl Domain {
+    /// The nearest state inside; positions and yaw are free.
+    fn clamp(&self, mut x: State) -> State {
+        x[V_X] = x[V_X].clamp(self.v_x.0, self.v_x.1);
+        x[V_Y] = x[V_Y].clamp(-self.v_y, self.v_y);
+        x[OMEGA] = x[OMEGA].clamp(-self.omega, self.omega);
+        x[DELTA] = x[DELTA].clamp(-self.delta, self.delta);
+        x
+    }
+}
+
+impl Linearisation {
+    /// Memory for a horizon of `horizon` inputs.
+    pub fn new(horizon: usize) -> Self {
+        let neutral = AffineDynamics {
+            a: SMatrix::identity(),
+            b: SMatrix::zeros(),
+            c: State::zeros(),
+        };
+        Self {
+            x: vec![State::zeros(); horizon + 1],
+            stages: vec![neutral; horizon],
+        }
+    }
+
+    /// Linearises about the guess's inputs and, with [`Operating::Shift`], its states; where there are none, about
+    /// the ensemble's own prediction. Stage 0 is the measured state `x0` in any case.
+    ///
+    /// One pass: each stage evaluates value and Jacobian of the active members once. Operating states are clamped
+    /// to where members know something, `|delta|` and the highest `v_x` to `delta` and `v_x_max`; the affine term
+    /// belongs to the clamped state, so the result is still a tangent of the ensemble.
+    pub fn along(
+        &mut self,
+        ensemble: &Ensemble,
+        dt: f64,
+        x0: &State,
+        guess: &Guess,
+        settings: &OperatingSettings,
+        [v_x_max, delta]: [f64; 2],
+    ) {
+        let domain = Domain {
+            v_x: (settings.v_x_min, v_x_max.max(settings.v_x_min)),
+            v_y: settings.v_y,
+            omega: settings.omega,
+            delta,
+        };
+        self.x[0] = domain.clamp(*x0);
+        for t in 0..self.stages.len() {
+            let (stage, next) = tangent(ensemble, dt, &self.x[t], &guess.u[t]);
+            self.stages[t] = stage;
+            let planned = match settings.kind {
+                Operating::Shift => guess.x.get(t + 1),
+                Operating::Rollout => None,
+            };
+            self.x[t + 1] = domain.clamp(*planned.unwrap_or(&next));
+        }
+    }
+}
+
+/// The dynamics at one point, eq. (15), and its successor.
+fn tangent(ensemble: &Ensemble, dt: f64, x: &State, u: &Input) -> (AffineDynamics, State) {
+    let mut gp = GpJacobian::zeros();
+    let change = ensemble.mean_jacobian(&gp_input(x, u), &mut gp);
+    let next = successor(x, u, &change, dt);
+    let (a, b) = jacobians(x, &gp, dt);
+    (
+        AffineDynamics {
+            a,
+            b,
+            c: next - a * x - b * u,
+        },
+        next,
+    )
+}

@@ -1,0 +1,143 @@
+//! Hard bounds that can always be met, and soft bounds on states and track edges.
+
+use crate::qp::{MAX_SOFT, OcpQp, SoftRow};
+use crate::settings::{Limits, Penalty, Soft};
+use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, V_X, V_Y};
+use crate::{Input, NU, State};
+
+/// Share of a slew step by which a bound that cannot be met yet stays open: an interior-point method needs one.
+const INTERIOR: f64 = 0.01;
+
+/// Soft rows the settings ask for; the rows of the envelope come last.
+pub fn soft_rows(soft: &Soft) -> usize {
+    if soft.envelope.is_some() {
+        MAX_SOFT
+    } else {
+        MAX_SOFT - 2
+    }
+}
+
+/// Penalties in the order of the soft rows.
+pub(super) fn penalties(soft: &Soft) -> [Penalty; MAX_SOFT] {
+    [
+        soft.speed,
+        soft.steering,
+        soft.track,
+        soft.lateral_motion,
+        soft.lateral_motion,
+    ]
+}
+
+/// Bounds on inputs and their rates.
+///
+/// An applied input outside the bounds (after a change of limits, or a drive-power bound that fell with rising
+/// speed) is led back as fast as the slew limit allows: forward through the stages, each bound is opened just enough
+/// to touch what is reachable. Hence some input sequence satisfies all of them, whatever is applied now.
+pub(super) fn hard(limits: &Limits, dt: f64, operating: &[State], qp: &mut OcpQp) {
+    let slew = Input::new(limits.a_slew * dt, limits.delta_dot_slew * dt);
+    let (mut low, mut high) = (qp.u_prev, qp.u_prev);
+    for (stage, x) in qp.stages_mut().iter_mut().zip(operating) {
+        let drive = limits
+            .a_max
+            .min(limits.power / x[V_X].max(f64::MIN_POSITIVE));
+        stage.u_min = Input::new(limits.a_min, -limits.delta_dot);
+        stage.u_max = Input::new(drive, limits.delta_dot);
+        stage.du_min = -slew;
+        stage.du_max = slew;
+        for i in 0..NU {
+            let (reach_low, reach_high) = (low[i] - slew[i], high[i] + slew[i]);
+            stage.u_max[i] = stage.u_max[i].max(reach_low + INTERIOR * slew[i]);
+            stage.u_min[i] = stage.u_min[i].min(reach_high - INTERIOR * slew[i]);
+            low[i] = stage.u_min[i].max(reach_low);
+            high[i] = stage.u_max[i].min(reach_high);
+        }
+    }
+}
+
+/// Soft rows of one stage, in the order of [`crate::qp::SOFT_PATTERN`].
+pub(super) fn soft(
+    soft: &Soft,
+    reference: &State,
+    widths: Option<&[f64; 2]>,
+    rows: &mut [SoftRow; MAX_SOFT],
+) {
+    let [v_y, omega] = soft.envelope.unwrap_or([1.0; 2]);
+    *rows = [
+        interval(V_X, 0.0, soft.v_x_max),
+        interval(DELTA, -soft.delta, soft.delta),
+        widths.map_or_else(SoftRow::inactive, |widths| {
+            track(reference, widths, soft.edge_margin)
+        }),
+        interval(V_Y, -v_y, v_y),
+        interval(OMEGA, -omega, omega),
+    ];
+}
+
+fn interval(state: usize, lower: f64, upper: f64) -> SoftRow {
+    SoftRow {
+        normal: State::ith(state, 1.0),
+        lower,
+        upper,
+    }
+}
+
+/// The strip between the track edges, as half-planes normal to the reference yaw. Where the track is narrower than
+/// the margins it is the middle between the edges.
+fn track(reference: &State, [left, right]: &[f64; 2], margin: f64) -> SoftRow {
+    let (sin, cos) = reference[PSI].sin_cos();
+    let mut normal = State::zeros();
+    normal[P_X] = -sin;
+    normal[P_Y] = cos;
+    let centre = normal.dot(reference);
+    let (lower, upper) = (centre - right + margin, centre + left - margin);
+    let middle = 0.5 * (lower + upper);
+    SoftRow {
+        normal,
+        lower: lower.min(middle),
+        upper: upper.max(middle),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn some_input_sequence_meets_all_bounds_whatever_is_applied() {
+        let (limits, dt) = (Limits::default(), 0.05);
+        for a in [-40.0, -8.0, 0.0, 5.9, 12.0, 49.0] {
+            for rate in [-3.0, 0.0, 0.41, 9.0] {
+                let mut qp = OcpQp::new(20, 3);
+                qp.u_prev = Input::new(a, rate);
+                let operating: Vec<State> = (0..21)
+                    .map(|t| State::ith(V_X, 2.0 + 3.0 * f64::from(t)))
+                    .collect();
+                hard(&limits, dt, &operating, &mut qp);
+                let (mut low, mut high) = (qp.u_prev, qp.u_prev);
+                for stage in qp.stages() {
+                    for i in 0..NU {
+                        low[i] = (low[i] + stage.du_min[i]).max(stage.u_min[i]);
+                        high[i] = (high[i] + stage.du_max[i]).min(stage.u_max[i]);
+                        assert!(high[i] - low[i] > 1e-4, "{a} {rate}");
+                    }
+                }
+                assert!(
+                    high[0] <= limits.power / 59.0 + 1e-12,
+                    "led back in the end: {high}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_strip_lies_left_and_right_of_the_reference() {
+        let mut reference = State::zeros();
+        (reference[P_X], reference[P_Y], reference[PSI]) = (3.0, 1.0, std::f64::consts::FRAC_PI_2);
+        let row = track(&reference, &[4.0, 2.0], 0.5);
+        // Looking along +y, left is -x: x between 3 - 3.5 and 3 + 1.5.
+        let at = |x: f64| row.normal[P_X] * x + row.normal[P_Y] * 1.0;
+        assert!((at(-0.5) - row.upper).abs() < 1e-12 && (at(4.5) - row.lower).abs() < 1e-12);
+        let narrow = track(&reference, &[0.2, 0.4], 0.5);
+        assert!(narrow.lower == narrow.upper && (at(3.1) - narrow.lower).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,60 @@
+//! From reference, bounds and affine dynamics to the QP, eq. (18).
+//!
+//! Inputs are scaled to `[a, delta_dot]` with `a = F_x/m`, so that both are of order one: newtons beside radians
+//! would spoil the QP's conditioning.
+
+mod bounds;
+mod cost;
+
+use crate::linearisation::Linearisation;
+use crate::qp::OcpQp;
+use crate::vehicle::FORCE;
+use crate::{Input, Settings, State};
+
+pub use bounds::soft_rows;
+
+/// The reference over the horizon in the vehicle's frame, rows `0..=T`.
+#[derive(Debug, Clone, Copy)]
+pub struct Reference<'a> {
+    /// `[p_x, p_y, v_x, psi]` in their places of a state, zero elsewhere.
+    pub x: &'a [State],
+    /// Distances `[left, right]` in m from the reference point to the track edges; empty if unknown.
+    pub widths: &'a [[f64; 2]],
+}
+
+/// Fills `qp` for the measured state `x0` and the input now applied, both in the vehicle's frame and SI units.
+///
+/// All slices must have the horizon of `qp`.
+pub fn assemble(
+    settings: &Settings,
+    dt: f64,
+    x0: &State,
+    u_prev: &Input,
+    dynamics: &Linearisation,
+    reference: &Reference,
+    qp: &mut OcpQp,
+) {
+    qp.x0 = *x0;
+    qp.u_prev = *u_prev;
+    qp.u_prev[FORCE] /= settings.mass;
+    qp.r = settings.cost.input.into();
+    qp.r_d = settings.cost.rate.into();
+    qp.penalty = bounds::penalties(&settings.soft);
+    let horizon = qp.horizon();
+    for (t, (stage, affine)) in qp.stages_mut().iter_mut().zip(&dynamics.stages).enumerate() {
+        stage.a = affine.a;
+        stage.b = affine.b;
+        stage.b.column_mut(FORCE).scale_mut(settings.mass);
+        stage.c = affine.c;
+        let target = &reference.x[t + 1];
+        stage.q = cost::state_weight(&settings.cost, target, t + 1 == horizon);
+        stage.reference = *target;
+        bounds::soft(
+            &settings.soft,
+            target,
+            reference.widths.get(t + 1),
+            &mut stage.soft,
+        );
+    }
+    bounds::hard(&settings.limits, dt, &dynamics.x, qp);
+}

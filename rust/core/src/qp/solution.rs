@@ -1,0 +1,58 @@
+//! What a solver hands back.
+
+use super::{KktResidual, MAX_SOFT};
+use crate::solver::Status;
+use crate::{Input, State};
+
+/// Lagrange multipliers of one stage's inequalities, all meant to be >= 0.
+///
+/// Those of the dynamics follow from these by the adjoint recursion and those of `s >= 0` by stationarity in `s`.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Multipliers {
+    /// Of `u_min <= u`.
+    pub u_lower: Input,
+    /// Of `u <= u_max`.
+    pub u_upper: Input,
+    /// Of `du_min <= u_t - u_{t-1}`.
+    pub du_lower: Input,
+    /// Of `u_t - u_{t-1} <= du_max`.
+    pub du_upper: Input,
+    /// Of `lower - s <= gᵀx`.
+    pub soft_lower: [f64; MAX_SOFT],
+    /// Of `gᵀx <= upper + s`.
+    pub soft_upper: [f64; MAX_SOFT],
+}
+
+/// Inputs, the states that follow from them, multipliers, and how well all of it fits.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OcpSolution {
+    /// States `x_0..=x_T`, rolled out from the inputs: the dynamics hold to rounding.
+    pub x: Vec<State>,
+    /// Scaled inputs `u_0..u_{T-1}`.
+    pub u: Vec<Input>,
+    /// Multipliers of stages `0..T`.
+    pub multipliers: Vec<Multipliers>,
+    /// What became of it.
+    pub status: Status,
+    /// Iterations the solver took.
+    pub iterations: u32,
+    /// Our own check.
+    pub kkt: KktResidual,
+    /// Adjoint states, scratch of the check.
+    pub(super) adjoint: Vec<State>,
+}
+
+impl OcpSolution {
+    /// Space for a horizon of `horizon` inputs.
+    pub fn new(horizon: usize) -> Self {
+        Self {
+            x: vec![State::zeros(); horizon + 1],
+            u: vec![Input::zeros(); horizon],
+            multipliers: vec![Multipliers::default(); horizon],
+            status: Status::NumericalError,
+            iterations: 0,
+            kkt: KktResidual::default(),
+            adjoint: vec![State::zeros(); horizon + 1],
+        }
+    }
+}

@@ -1,0 +1,265 @@
+//! Settings of the optimal control problem, eqs. (15)-(18).
+
+use serde::{Deserialize, Serialize};
+
+use super::{SettingsError, check, not_negative, positive};
+use crate::NU;
+
+/// Which states the members are linearised about; the inputs are the previous plan's in both.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Operating {
+    /// The previous plan's own states (multiple shooting): what the ensemble predicts differently enters as the
+    /// affine term, and one bad prediction cannot carry the whole trajectory away.
+    Shift,
+    /// The ensemble's prediction from the measured state under the previous plan's inputs.
+    Rollout,
+}
+
+/// The operating trajectory and the box it is kept in, which is where members know something.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OperatingSettings {
+    /// Default `shift`.
+    pub kind: Operating,
+    /// Slowest speed to linearise at, in m/s: tyre models know no standstill. Default 1.
+    pub v_x_min: f64,
+    /// Largest |v_y| to linearise at, in m/s. Default 8.
+    pub v_y: f64,
+    /// Largest |omega| to linearise at, in rad/s. Default 3.
+    pub omega: f64,
+}
+
+/// Weights of the quadratic cost; every term is `½ weight · error²`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Cost {
+    /// Position error along the reference, 1/m². Equal to `lateral` it is the paper's fixed Q. Default 10.
+    pub longitudinal: f64,
+    /// Position error across the reference, 1/m². Default 20.
+    pub lateral: f64,
+    /// Speed error, 1/(m/s)². Default 2.
+    pub v_x: f64,
+    /// Yaw error, 1/rad². Default 10.
+    pub psi: f64,
+    /// Factor of the state weights at the last stage (`Q_T = terminal · Q`). Default 2.
+    pub terminal: f64,
+    /// `R` on `[F_x/m, delta_dot]`, 1/(m/s²)² and 1/(rad/s)². Default [0.05, 2].
+    pub input: [f64; NU],
+    /// `R_d` on the change of `[F_x/m, delta_dot]` from stage to stage, the first from the applied input.
+    /// Default [0.05, 5].
+    pub rate: [f64; NU],
+}
+
+/// Hard bounds: what the actuators can do, and what the training data know.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Limits {
+    /// Strongest braking, `F_x/m` in m/s². Default -8.
+    pub a_min: f64,
+    /// Strongest drive, `F_x/m` in m/s². Default 6.
+    pub a_max: f64,
+    /// Drive power per mass in W/kg: `F_x/m <= power/v_x`. Default 54.7.
+    pub power: f64,
+    /// Steering rate in rad/s. Default 0.4.
+    pub delta_dot: f64,
+    /// Change of `F_x/m` per second, m/s³. Default 60.
+    pub a_slew: f64,
+    /// Change of the steering rate per second, rad/s². Default 8.
+    pub delta_dot_slew: f64,
+}
+
+/// Penalty of a soft bound violated by `s`: `linear·s + ½ quadratic·s²`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Penalty {
+    /// Exact-penalty part: above it the bound is kept whenever it can be. Default 200.
+    pub linear: f64,
+    /// Part that spreads a violation nobody can avoid. Default 2000.
+    pub quadratic: f64,
+}
+
+/// Soft bounds on states: they may be violated at a price, so that no measured state is infeasible.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Soft {
+    /// Highest speed in m/s; the lowest is 0. Default 60.
+    pub v_x_max: f64,
+    /// Largest steering angle in rad. Default 0.91.
+    pub delta: f64,
+    /// `[|v_y|, |omega|]` the plan should stay within, in m/s and rad/s; none by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub envelope: Option<[f64; 2]>,
+    /// Distance kept between centre of mass and track edge, in m: half the width and a margin. Default 1.1.
+    pub edge_margin: f64,
+    /// Price of speed violations.
+    pub speed: Penalty,
+    /// Price of steering-angle violations.
+    pub steering: Penalty,
+    /// Price of leaving the track.
+    pub track: Penalty,
+    /// Price of leaving the envelope.
+    pub lateral_motion: Penalty,
+}
+
+/// QP solver and the check every solution must pass.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SolverSettings {
+    /// Iteration limit; there is no time limit, which would make replies depend on the machine. Default 50.
+    pub max_iterations: u32,
+    /// Relative tolerance handed to the solver. Default 1e-9.
+    pub tolerance: f64,
+    /// Largest KKT residual a returned plan may have, by our own check. Default 1e-5.
+    pub kkt_tolerance: f64,
+}
+
+impl Default for OperatingSettings {
+    fn default() -> Self {
+        Self {
+            kind: Operating::Shift,
+            v_x_min: 1.0,
+            v_y: 8.0,
+            omega: 3.0,
+        }
+    }
+}
+
+impl Default for Cost {
+    fn default() -> Self {
+        Self {
+            longitudinal: 10.0,
+            lateral: 20.0,
+            v_x: 2.0,
+            psi: 10.0,
+            terminal: 2.0,
+            input: [0.05, 2.0],
+            rate: [0.05, 5.0],
+        }
+    }
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            a_min: -8.0,
+            a_max: 6.0,
+            power: 54.7,
+            delta_dot: 0.4,
+            a_slew: 60.0,
+            delta_dot_slew: 8.0,
+        }
+    }
+}
+
+impl Default for Penalty {
+    fn default() -> Self {
+        Self {
+            linear: 200.0,
+            quadratic: 2000.0,
+        }
+    }
+}
+
+impl Default for Soft {
+    fn default() -> Self {
+        Self {
+            v_x_max: 60.0,
+            delta: 0.91,
+            envelope: None,
+            edge_margin: 1.1,
+            speed: Penalty::default(),
+            steering: Penalty::default(),
+            track: Penalty::default(),
+            lateral_motion: Penalty::default(),
+        }
+    }
+}
+
+impl Default for SolverSettings {
+    fn default() -> Self {
+        Self {
+            max_iterations: 50,
+            tolerance: 1e-9,
+            kkt_tolerance: 1e-5,
+        }
+    }
+}
+
+impl OperatingSettings {
+    pub(super) fn validate(&self) -> Result<(), SettingsError> {
+        positive("operating.v_x_min", self.v_x_min)?;
+        positive("operating.v_y", self.v_y)?;
+        positive("operating.omega", self.omega)
+    }
+}
+
+impl Cost {
+    pub(super) fn validate(&self) -> Result<(), SettingsError> {
+        not_negative("cost.longitudinal", self.longitudinal)?;
+        not_negative("cost.lateral", self.lateral)?;
+        not_negative("cost.v_x", self.v_x)?;
+        not_negative("cost.psi", self.psi)?;
+        not_negative("cost.terminal", self.terminal)?;
+        for i in 0..NU {
+            positive("cost.input", self.input[i])?; // keeps the QP strictly convex: one solution
+            not_negative("cost.rate", self.rate[i])?;
+        }
+        Ok(())
+    }
+}
+
+impl Limits {
+    pub(super) fn validate(&self) -> Result<(), SettingsError> {
+        check("limits.a_min", self.a_min, "finite and negative", |v| {
+            v < 0.0
+        })?;
+        positive("limits.a_max", self.a_max)?;
+        positive("limits.power", self.power)?;
+        positive("limits.delta_dot", self.delta_dot)?;
+        positive("limits.a_slew", self.a_slew)?;
+        positive("limits.delta_dot_slew", self.delta_dot_slew)
+    }
+}
+
+impl Soft {
+    pub(super) fn validate(&self) -> Result<(), SettingsError> {
+        positive("soft.v_x_max", self.v_x_max)?;
+        positive("soft.delta", self.delta)?;
+        for bound in self.envelope.iter().flatten() {
+            positive("soft.envelope", *bound)?;
+        }
+        not_negative("soft.edge_margin", self.edge_margin)?;
+        positive("soft.speed.linear", self.speed.linear)?;
+        positive("soft.speed.quadratic", self.speed.quadratic)?;
+        positive("soft.steering.linear", self.steering.linear)?;
+        positive("soft.steering.quadratic", self.steering.quadratic)?;
+        positive("soft.track.linear", self.track.linear)?;
+        positive("soft.track.quadratic", self.track.quadratic)?;
+        positive("soft.lateral_motion.linear", self.lateral_motion.linear)?;
+        positive(
+            "soft.lateral_motion.quadratic",
+            self.lateral_motion.quadratic,
+        )
+    }
+}
+
+impl SolverSettings {
+    pub(super) fn validate(&self) -> Result<(), SettingsError> {
+        check(
+            "solver.max_iterations",
+            f64::from(self.max_iterations),
+            "in 1..=1000",
+            |n| (1.0..=1000.0).contains(&n),
+        )?;
+        check("solver.tolerance", self.tolerance, "in (0, 1e-3]", |v| {
+            v > 0.0 && v <= 1e-3
+        })?;
+        check(
+            "solver.kkt_tolerance",
+            self.kkt_tolerance,
+            "in (0, 1e-2]",
+            |v| v > 0.0 && v <= 1e-2,
+        )
+    }
+}

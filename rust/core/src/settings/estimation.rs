@@ -1,0 +1,75 @@
+//! Settings of the weights, eq. (6).
+
+use serde::{Deserialize, Serialize};
+
+use super::{SettingsError, check, not_negative};
+
+/// How the ensemble's weights follow the last transitions.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WeightSettings {
+    /// Window `K`: number of past transitions that count. Default 10.
+    pub window: usize,
+    /// Divide each output's error by its noise (`S` = 1/std), so that m/s and rad/s may be added. Default true;
+    /// false is the paper's `S = I`.
+    pub whiten: bool,
+    /// What holds the weights when the window carries no information. Default quadratic with lambda 20.
+    pub prior: Prior,
+    /// Members with a weight at or below this are not evaluated in the control model; the rest is renormalised and
+    /// the dropped mass reported. Weights never become zero by themselves. Default 1e-3.
+    pub threshold: f64,
+    /// At most this many members are evaluated in the control model, the heaviest first. Default 8.
+    pub max_active: usize,
+}
+
+/// The term of eq. (6) that keeps the weights near the previous ones.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
+pub enum Prior {
+    /// `lambda ||w - w_prev||²`: unique weights for any data.
+    Quadratic {
+        /// Strength, in squared whitened errors.
+        lambda: f64,
+    },
+    /// `alpha ||w - w_prev||_1`, the paper's: small errors change nothing at all.
+    L1 {
+        /// Strength, in squared whitened errors.
+        alpha: f64,
+    },
+}
+
+impl Default for WeightSettings {
+    fn default() -> Self {
+        Self {
+            window: 10,
+            whiten: true,
+            prior: Prior::Quadratic { lambda: 20.0 },
+            threshold: 1e-3,
+            max_active: 8,
+        }
+    }
+}
+
+impl WeightSettings {
+    /// Longest window accepted.
+    pub const MAX_WINDOW: usize = 1000;
+
+    pub(super) fn validate(&self) -> Result<(), SettingsError> {
+        check("weights.window", self.window as f64, "in 1..=1000", |k| {
+            (1.0..=Self::MAX_WINDOW as f64).contains(&k)
+        })?;
+        match self.prior {
+            Prior::Quadratic { lambda } => not_negative("weights.prior.lambda", lambda)?,
+            Prior::L1 { alpha } => not_negative("weights.prior.alpha", alpha)?,
+        }
+        check("weights.threshold", self.threshold, "in [0, 0.1]", |v| {
+            (0.0..=0.1).contains(&v)
+        })?;
+        check(
+            "weights.max_active",
+            self.max_active as f64,
+            "at least 1",
+            |v| v >= 1.0,
+        )
+    }
+}

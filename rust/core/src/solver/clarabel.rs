@@ -1,0 +1,216 @@
+//! Clarabel, an interior-point solver for sparse conic problems.
+//!
+//! Set up once and updated in place. That needs presolve and the dropping of zeros off (both change the pattern) and
+//! finite bounds only. Equilibration is off as well: its scaling would come from the problem of the set-up, and the
+//! inputs are scaled already. Iterations are capped, time is not: a time limit would make results depend on the
+//! machine. The same problem gives the same bits, whatever was solved before.
+
+use clarabel::algebra::CscMatrix;
+use clarabel::solver::{
+    DefaultSettings, DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, SupportedConeT,
+    ZeroConeT,
+};
+
+use super::{QpSolver, SolverSetupError, Status};
+use crate::NU;
+use crate::qp::{Csc, OcpQp, OcpSolution, SparseQp};
+use crate::settings::SolverSettings;
+
+const NAME: &str = "clarabel 0.11";
+
+/// One row `sign · (a z) <= sign · bound` of Clarabel's one-sided form.
+#[derive(Clone, Copy)]
+struct Row {
+    source: usize,
+    sign: f64,
+}
+
+/// Clarabel with the pattern of one [`OcpQp`].
+pub struct ClarabelSolver {
+    sparse: SparseQp,
+    solver: DefaultSolver<f64>,
+    /// Clarabel's rows: equalities, then inequalities.
+    rows: Vec<Row>,
+    /// Clarabel's row for the lower and upper bound of each row of `sparse`.
+    place: Vec<[Option<usize>; 2]>,
+    /// Where each entry of Clarabel's matrix comes from in `sparse.a.values`, and its sign.
+    entries: Vec<(usize, f64)>,
+    a_values: Vec<f64>,
+    b: Vec<f64>,
+}
+
+impl ClarabelSolver {
+    /// A solver for problems with the horizon and soft rows of `pattern`.
+    ///
+    /// # Errors
+    /// [`SolverSetupError`] if Clarabel refuses settings or dimensions.
+    pub fn new(pattern: &OcpQp, settings: &SolverSettings) -> Result<Self, SolverSetupError> {
+        let sparse = SparseQp::new(pattern);
+        let (rows, place, equalities) = split_rows(&sparse);
+        let (a, entries) = split_matrix(&sparse.a, &place, rows.len());
+        let cones: [SupportedConeT<f64>; 2] = [
+            ZeroConeT(equalities),
+            NonnegativeConeT(rows.len() - equalities),
+        ];
+        let b = vec![0.0; rows.len()];
+        let solver = DefaultSolver::new(
+            &to_clarabel(&sparse.p),
+            &sparse.q,
+            &a,
+            &b,
+            &cones,
+            options(settings),
+        )
+        .map_err(|error| SolverSetupError {
+            solver: NAME,
+            reason: error.to_string(),
+        })?;
+        Ok(Self {
+            sparse,
+            solver,
+            rows,
+            place,
+            a_values: vec![0.0; entries.len()],
+            entries,
+            b,
+        })
+    }
+
+    /// Hands the values of `self.sparse` to Clarabel; false if it refused them.
+    fn update(&mut self) -> bool {
+        for (value, &(slot, sign)) in self.a_values.iter_mut().zip(&self.entries) {
+            *value = sign * self.sparse.a.values[slot];
+        }
+        for (value, row) in self.b.iter_mut().zip(&self.rows) {
+            let bound = if row.sign > 0.0 {
+                self.sparse.u[row.source]
+            } else {
+                self.sparse.l[row.source]
+            };
+            *value = row.sign * bound;
+        }
+        self.solver
+            .update_data(
+                &self.sparse.p.values,
+                &self.sparse.q,
+                &self.a_values,
+                &self.b,
+            )
+            .is_ok()
+    }
+
+    /// Inputs and multipliers out of Clarabel's vectors.
+    fn read(&self, qp: &OcpQp, out: &mut OcpSolution) {
+        let (x, z) = (&self.solver.solution.x, &self.solver.solution.z);
+        let layout = self.sparse.layout();
+        let multiplier = |row: usize, side: usize| self.place[row][side].map_or(0.0, |k| z[k]);
+        for (t, (u, multipliers)) in out.u.iter_mut().zip(&mut out.multipliers).enumerate() {
+            for i in 0..NU {
+                u[i] = x[layout.input(t, i)];
+                multipliers.u_lower[i] = multiplier(layout.input_row(t, i), 0);
+                multipliers.u_upper[i] = multiplier(layout.input_row(t, i), 1);
+                multipliers.du_lower[i] = multiplier(layout.rate_row(t, i), 0);
+                multipliers.du_upper[i] = multiplier(layout.rate_row(t, i), 1);
+            }
+            for j in 0..qp.n_soft() {
+                multipliers.soft_lower[j] = multiplier(layout.soft_row(t, j, 0), 0);
+                multipliers.soft_upper[j] = multiplier(layout.soft_row(t, j, 1), 1);
+            }
+        }
+    }
+}
+
+impl QpSolver for ClarabelSolver {
+    fn solve(&mut self, qp: &OcpQp, out: &mut OcpSolution) -> Status {
+        self.sparse.update(qp);
+        if !self.update() {
+            return Status::NumericalError;
+        }
+        self.solver.solve();
+        self.read(qp, out);
+        out.iterations = self.solver.solution.iterations;
+        match self.solver.solution.status {
+            SolverStatus::Solved | SolverStatus::AlmostSolved => Status::Solved,
+            SolverStatus::MaxIterations => Status::IterationLimit,
+            SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => {
+                Status::Infeasible
+            }
+            _ => Status::NumericalError,
+        }
+    }
+
+    fn name(&self) -> &'static str {
+        NAME
+    }
+}
+
+/// Clarabel's rows for the finite sides of `l <= Az <= u`: equalities first, their number last.
+fn split_rows(sparse: &SparseQp) -> (Vec<Row>, Vec<[Option<usize>; 2]>, usize) {
+    let mut rows = Vec::new();
+    let mut place = vec![[None, None]; sparse.l.len()];
+    let is_equality = |source: usize| sparse.l[source] == sparse.u[source];
+    for source in (0..sparse.l.len()).filter(|&row| is_equality(row)) {
+        place[source][1] = Some(rows.len());
+        rows.push(Row { source, sign: 1.0 });
+    }
+    let equalities = rows.len();
+    for source in (0..sparse.l.len()).filter(|&row| !is_equality(row)) {
+        for (side, bound, sign) in [(0, sparse.l[source], -1.0), (1, sparse.u[source], 1.0)] {
+            if bound.is_finite() {
+                place[source][side] = Some(rows.len());
+                rows.push(Row { source, sign });
+            }
+        }
+    }
+    (rows, place, equalities)
+}
+
+/// The matrix with those rows, and where each of its entries comes from.
+fn split_matrix(
+    a: &Csc,
+    place: &[[Option<usize>; 2]],
+    rows: usize,
+) -> (CscMatrix<f64>, Vec<(usize, f64)>) {
+    let (mut coordinates, mut sources) = (Vec::new(), Vec::new());
+    for column in 0..a.columns {
+        for slot in a.column_start[column]..a.column_start[column + 1] {
+            for (side, sign) in [(0, -1.0), (1, 1.0)] {
+                if let Some(row) = place[a.row_index[slot]][side] {
+                    coordinates.push((row, column));
+                    sources.push((slot, sign));
+                }
+            }
+        }
+    }
+    let (matrix, slots) = Csc::from_entries(rows, a.columns, &coordinates);
+    let mut entries = vec![(0, 0.0); sources.len()];
+    for (source, slot) in sources.into_iter().zip(slots) {
+        entries[slot] = source;
+    }
+    (to_clarabel(&matrix), entries)
+}
+
+fn to_clarabel(m: &Csc) -> CscMatrix<f64> {
+    CscMatrix::new(
+        m.rows,
+        m.columns,
+        m.column_start.clone(),
+        m.row_index.clone(),
+        m.values.clone(),
+    )
+}
+
+fn options(settings: &SolverSettings) -> DefaultSettings<f64> {
+    DefaultSettings {
+        verbose: false,
+        max_iter: settings.max_iterations,
+        tol_gap_abs: settings.tolerance,
+        tol_gap_rel: settings.tolerance,
+        tol_feas: settings.tolerance,
+        equilibrate_enable: false,
+        presolve_enable: false,
+        input_sparse_dropzeros: false,
+        max_threads: 1,
+        ..DefaultSettings::default()
+    }
+}

@@ -1,0 +1,178 @@
+//! The control step: from a measured state to a plan, as one pure function.
+//!
+//! No clock, no randomness, no state between calls: the same library, settings and request give the same bits,
+//! whatever the workspace did before. See `NOTATION.md` for the symbols.
+
+mod request;
+mod validate;
+mod workspace;
+
+pub use request::{StepReply, StepRequest};
+pub use validate::StepError;
+pub use workspace::{SetupError, Workspace};
+
+use validate::Rows;
+
+use crate::ocp::{self, Reference};
+use crate::solver::{Status, solve_checked};
+use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, gp_input, wrap};
+use crate::weights::select_active;
+use crate::{Ensemble, GpInput, Input, Library, NY, Settings, State, VarianceScratch};
+
+/// One control step: weights, eq. (6); linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
+///
+/// After the first call with a workspace nothing is allocated here (the QP solver may). A reply whose status is not
+/// [`Status::Solved`] holds weights and history for the next request, and no plan.
+///
+/// # Errors
+/// [`StepError`] if the request is malformed, or if the workspace was made for another library or other settings.
+/// The reply is then empty.
+pub fn step(
+    library: &Library,
+    settings: &Settings,
+    request: &StepRequest,
+    ws: &mut Workspace,
+    reply: &mut StepReply,
+) -> Result<(), StepError> {
+    reply.clear();
+    ws.belongs_to(library, settings)?;
+    let rows = validate::validate(library, settings, request)?;
+    estimate_weights(library, settings, &rows, ws, reply);
+
+    let frame = Frame::of(&rows.x);
+    let x0 = local_state(&rows.x);
+    localise_reference(&frame, &rows, &mut ws.reference);
+    ws.guess
+        .shift(&frame, rows.plan_x, rows.plan_u, rows.plan_shift);
+
+    let dropped = select_active(
+        &reply.weights,
+        settings.weights.threshold,
+        settings.weights.max_active,
+        &mut ws.active,
+    );
+    reply.dropped_mass = dropped;
+    let ensemble = Ensemble::new(library, &ws.active, 0.0).map_err(StepError::Ensemble)?;
+    let edges = [settings.soft.v_x_max, settings.soft.delta];
+    ws.dynamics.along(
+        &ensemble,
+        library.dt(),
+        &x0,
+        &ws.guess,
+        &settings.operating,
+        edges,
+    );
+    let reference = Reference {
+        x: &ws.reference,
+        widths: rows.widths,
+    };
+    ocp::assemble(
+        settings,
+        library.dt(),
+        &x0,
+        &rows.u_prev,
+        &ws.dynamics,
+        &reference,
+        &mut ws.qp,
+    );
+
+    reply.status = solve_checked(
+        ws.solver.as_mut(),
+        &ws.qp,
+        settings.solver.kkt_tolerance,
+        &mut ws.solution,
+    );
+    reply.iterations = ws.solution.iterations;
+    reply.kkt_residual = ws.solution.kkt.worst();
+    if reply.status == Status::Solved {
+        write_plan(settings, &frame, &rows, ws, reply);
+        if request.want_sigma {
+            write_sigma(&ensemble, &mut ws.scratch, reply);
+        }
+    }
+    Ok(())
+}
+
+/// The measured state in its own frame.
+fn local_state(x: &State) -> State {
+    let mut local = *x;
+    (local[P_X], local[P_Y], local[PSI]) = (0.0, 0.0, 0.0);
+    local
+}
+
+/// The reference in the vehicle's frame; its yaw starts within half a turn of the vehicle's and is continuous.
+fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
+    let mut psi = 0.0;
+    for (t, (row, x)) in rows.reference.iter().zip(out).enumerate() {
+        psi = match t.checked_sub(1) {
+            None => frame.yaw_to_local(row[3]),
+            Some(before) => psi + wrap(row[3] - rows.reference[before][3]),
+        };
+        [x[P_X], x[P_Y]] = frame.position_to_local(row[0], row[1]);
+        (x[V_X], x[PSI]) = (row[2], psi);
+    }
+}
+
+/// Weights from the window; predictions the client did not carry are computed, for all members, and returned.
+fn estimate_weights(
+    library: &Library,
+    settings: &Settings,
+    rows: &Rows,
+    ws: &mut Workspace,
+    reply: &mut StepReply,
+) {
+    let members = library.members();
+    let missing = rows.history_z.len() - rows.history_f.len() / (members.len() * NY);
+    for z in &rows.history_z[..missing] {
+        let z = GpInput::from(*z);
+        reply.history_f.extend(
+            members
+                .iter()
+                .flat_map(|member| <[f64; NY]>::from(member.mean(&z))),
+        );
+    }
+    reply.history_f.extend_from_slice(rows.history_f);
+    validate::starting_weights(rows.weights, &mut ws.previous);
+    reply.weights.resize(members.len(), 0.0);
+    ws.estimator.estimate(
+        &reply.history_f,
+        rows.history_y,
+        &ws.inverse_noise,
+        settings.weights.prior,
+        &ws.previous,
+        &mut reply.weights,
+    );
+}
+
+/// The plan on the map and in newtons.
+fn write_plan(
+    settings: &Settings,
+    frame: &Frame,
+    rows: &Rows,
+    ws: &Workspace,
+    reply: &mut StepReply,
+) {
+    reply.plan_x.extend_from_slice(rows.x.as_slice()); // row 0 is the measurement, bit for bit
+    for x in &ws.solution.x[1..] {
+        reply.plan_x.extend_from_slice(frame.to_map(x).as_slice());
+    }
+    for u in &ws.solution.u {
+        reply
+            .plan_u
+            .extend([u[FORCE] * settings.mass, u[DELTA_DOT]]);
+    }
+}
+
+/// Standard deviations of `[v_x, v_y, omega]` one step ahead of each plan stage; row 0, the measurement, is zero.
+fn write_sigma(ensemble: &Ensemble, scratch: &mut VarianceScratch, reply: &mut StepReply) {
+    reply.sigma.extend([0.0; NY]);
+    let (states, inputs) = (
+        reply.plan_x.as_chunks::<7>().0,
+        reply.plan_u.as_chunks::<2>().0,
+    );
+    for (x, u) in states.iter().zip(inputs) {
+        let z = gp_input(&State::from(*x), &Input::from(*u));
+        let variance = ensemble.variance(&z, scratch).mixture;
+        reply.sigma.extend(variance.iter().map(|v| v.sqrt()));
+    }
+}

@@ -1,0 +1,93 @@
+//! What goes into a step and what comes out. All matrices are flat and row-major.
+
+use crate::solver::Status;
+
+/// A step's input, borrowed. `T` is the horizon of the settings, `N` the number of members, `k <= K` the number of
+/// transitions sent.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct StepRequest<'a> {
+    /// Measured state, `[7]`.
+    pub x: &'a [f64],
+    /// Input now applied, `[2]`, in N and rad/s.
+    pub u_prev: &'a [f64],
+    /// Weights of the last reply, `[N]`; empty means uniform.
+    pub weights: &'a [f64],
+    /// States of the last plan, `[T+1, 7]`; empty means a cold start.
+    pub plan_x: &'a [f64],
+    /// Inputs of the last plan, `[T, 2]`; empty exactly if `plan_x` is.
+    pub plan_u: &'a [f64],
+    /// Periods since the plan was made: 1 in steady operation, more after misses.
+    pub plan_shift: u32,
+    /// GP inputs of the last transitions, newest first, `[k, 6]`.
+    pub history_z: &'a [f64],
+    /// Measured changes of `[v_x, v_y, omega]` over those transitions, newest first, `[k, 3]`.
+    pub history_y: &'a [f64],
+    /// What the members predicted for the *oldest* `k'` of those transitions, newest first, `[k', N, 3]`: the last
+    /// reply's rows without those that left the window. The newest `k - k'` are computed.
+    pub history_f: &'a [f64],
+    /// Reference `[p_x, p_y, v_x, psi]` now and at each stage, `[T+1, 4]`. Yaw may be wrapped.
+    pub reference: &'a [f64],
+    /// Distances `[left, right]` in m from each reference point to the track edges, `[T+1, 2]`; empty if unknown.
+    pub widths: &'a [f64],
+    /// Whether to compute standard deviations along the plan, which costs more than the step itself.
+    pub want_sigma: bool,
+}
+
+/// A step's output, reused from step to step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepReply {
+    /// What became of the QP. Only [`Status::Solved`] comes with a plan.
+    pub status: Status,
+    /// Planned states, `[T+1, 7]`; row 0 is the measured state. Empty without a plan.
+    pub plan_x: Vec<f64>,
+    /// Planned inputs, `[T, 2]`, in N and rad/s. Empty without a plan.
+    pub plan_u: Vec<f64>,
+    /// Weights, `[N]`, on the simplex.
+    pub weights: Vec<f64>,
+    /// Standard deviation of `[v_x, v_y, omega]` at each stage, given the stage before, `[T+1, 3]`: noise and the
+    /// members' disagreement included. Empty unless asked for.
+    pub sigma: Vec<f64>,
+    /// Predictions for all transitions sent, newest first, `[k, N, 3]`, to be carried to the next request.
+    pub history_f: Vec<f64>,
+    /// Weight of the members left out of the control model.
+    pub dropped_mass: f64,
+    /// Iterations of the QP solver.
+    pub iterations: u32,
+    /// Largest KKT residual of the solution by our own check; infinite if there was none to check.
+    pub kkt_residual: f64,
+}
+
+impl Default for StepReply {
+    fn default() -> Self {
+        Self {
+            status: Status::NumericalError,
+            plan_x: Vec::new(),
+            plan_u: Vec::new(),
+            weights: Vec::new(),
+            sigma: Vec::new(),
+            history_f: Vec::new(),
+            dropped_mass: 0.0,
+            iterations: 0,
+            kkt_residual: f64::INFINITY,
+        }
+    }
+}
+
+impl StepReply {
+    /// Empties everything but keeps the memory.
+    pub(super) fn clear(&mut self) {
+        for field in [
+            &mut self.plan_x,
+            &mut self.plan_u,
+            &mut self.weights,
+            &mut self.sigma,
+            &mut self.history_f,
+        ] {
+            field.clear();
+        }
+        self.status = Status::NumericalError;
+        self.dropped_mass = 0.0;
+        self.iterations = 0;
+        self.kkt_residual = f64::INFINITY;
+    }
+}

@@ -1,0 +1,279 @@
+//! A request is refused, with a reason, unless every number in it can be meant.
+
+use super::StepRequest;
+use crate::vehicle::{DELTA, DELTA_DOT, FORCE, OMEGA, P_X, P_Y, V_X, V_Y};
+use crate::{EnsembleError, Input, Library, NU, NX, NY, NZ, Settings, State};
+
+/// Why a step was refused.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum StepError {
+    /// A field with the wrong number of values.
+    #[error("`{field}` must hold {expected} values ({shape}), got {found}")]
+    Shape {
+        /// The field.
+        field: &'static str,
+        /// Its shape in symbols.
+        shape: &'static str,
+        /// Number of values expected.
+        expected: usize,
+        /// Number of values that came.
+        found: usize,
+    },
+    /// More transitions than the window holds.
+    #[error(
+        "`{field}` holds {found} transitions, the window is {window}; send only the newest {window}"
+    )]
+    Window {
+        /// The field.
+        field: &'static str,
+        /// `K` of the settings.
+        window: usize,
+        /// Number of rows that came.
+        found: usize,
+    },
+    /// A number that is NaN, infinite, or larger than any quantity of a road vehicle in SI units.
+    #[error("`{field}`[{index}] is {value}; expected a finite number of at most 1e7")]
+    NotFinite {
+        /// The field.
+        field: &'static str,
+        /// Index in the flat field.
+        index: usize,
+        /// The value that came.
+        value: f64,
+    },
+    /// A quantity outside the domain of the controller; usually a wrong unit, sign or frame.
+    #[error("{quantity} is {value}, outside [{min}, {max}]; check unit, sign and frame")]
+    Domain {
+        /// The quantity, with its field and unit.
+        quantity: &'static str,
+        /// The value that came.
+        value: f64,
+        /// Smallest accepted.
+        min: f64,
+        /// Largest accepted.
+        max: f64,
+    },
+    /// Weights that are negative or do not sum to 1.
+    #[error(
+        "`weights` must be >= 0 and sum to 1, got a sum of {sum} and a smallest of {smallest}; send those of the last reply, or none"
+    )]
+    Weights {
+        /// Their sum.
+        sum: f64,
+        /// The smallest.
+        smallest: f64,
+    },
+    /// The workspace was made for another library or other settings.
+    #[error(
+        "the workspace belongs to another library or other settings; make a new one with `Workspace::new`"
+    )]
+    Workspace,
+    /// The weights do not make an ensemble.
+    #[error(transparent)]
+    Ensemble(EnsembleError),
+}
+
+/// No quantity of a road vehicle in SI units is larger.
+const MAX_MAGNITUDE: f64 = 1e7;
+/// Weights may miss the simplex by this much before they are put back on it.
+const SIMPLEX_TOLERANCE: f64 = 1e-6;
+
+/// A validated request as rows.
+pub(super) struct Rows<'a> {
+    pub x: State,
+    pub u_prev: Input,
+    pub weights: &'a [f64],
+    pub plan_x: &'a [[f64; NX]],
+    pub plan_u: &'a [[f64; NU]],
+    pub plan_shift: usize,
+    pub history_z: &'a [[f64; NZ]],
+    pub history_y: &'a [[f64; NY]],
+    pub history_f: &'a [f64],
+    pub reference: &'a [[f64; 4]],
+    pub widths: &'a [[f64; 2]],
+}
+
+/// Checks shapes, finiteness and domains.
+pub(super) fn validate<'a>(
+    library: &Library,
+    settings: &Settings,
+    request: &StepRequest<'a>,
+) -> Result<Rows<'a>, StepError> {
+    shapes(library.members().len(), settings, request)?;
+    finite(request)?;
+    let rows = Rows {
+        x: State::from_column_slice(request.x),
+        u_prev: Input::from_column_slice(request.u_prev),
+        weights: request.weights,
+        plan_x: request.plan_x.as_chunks().0,
+        plan_u: request.plan_u.as_chunks().0,
+        plan_shift: usize::try_from(request.plan_shift).unwrap_or(usize::MAX),
+        history_z: request.history_z.as_chunks().0,
+        history_y: request.history_y.as_chunks().0,
+        history_f: request.history_f,
+        reference: request.reference.as_chunks().0,
+        widths: request.widths.as_chunks().0,
+    };
+    domains(settings, &rows)?;
+    Ok(rows)
+}
+
+fn shapes(n: usize, settings: &Settings, request: &StepRequest) -> Result<(), StepError> {
+    let horizon = settings.horizon;
+    let exact = |field, shape, values: &[f64], expected| {
+        let found = values.len();
+        if found == expected {
+            Ok(())
+        } else {
+            Err(StepError::Shape {
+                field,
+                shape,
+                expected,
+                found,
+            })
+        }
+    };
+    let optional = |field, shape, values: &[f64], expected| {
+        if values.is_empty() {
+            Ok(())
+        } else {
+            exact(field, shape, values, expected)
+        }
+    };
+    exact("x", "[7]", request.x, NX)?;
+    exact("u_prev", "[2]", request.u_prev, NU)?;
+    optional("weights", "[N]", request.weights, n)?;
+    optional("plan_x", "[T+1, 7]", request.plan_x, (horizon + 1) * NX)?;
+    let inputs = if request.plan_x.is_empty() {
+        0
+    } else {
+        horizon * NU
+    };
+    exact(
+        "plan_u",
+        "[T, 2], empty if plan_x is",
+        request.plan_u,
+        inputs,
+    )?;
+    exact(
+        "reference",
+        "[T+1, 4]",
+        request.reference,
+        (horizon + 1) * 4,
+    )?;
+    optional("widths", "[T+1, 2]", request.widths, (horizon + 1) * 2)?;
+    let transitions = request.history_z.len() / NZ;
+    let window = settings.weights.window;
+    if transitions > window {
+        return Err(StepError::Window {
+            field: "history_z",
+            window,
+            found: transitions,
+        });
+    }
+    exact("history_z", "[k, 6]", request.history_z, transitions * NZ)?;
+    exact(
+        "history_y",
+        "[k, 3], as many rows as history_z",
+        request.history_y,
+        transitions * NY,
+    )?;
+    let predicted = (request.history_f.len() / (n * NY)).min(transitions);
+    exact(
+        "history_f",
+        "[k', N, 3], at most k rows",
+        request.history_f,
+        predicted * n * NY,
+    )
+}
+
+fn finite(request: &StepRequest) -> Result<(), StepError> {
+    for (field, values) in [
+        ("x", request.x),
+        ("u_prev", request.u_prev),
+        ("weights", request.weights),
+        ("plan_x", request.plan_x),
+        ("plan_u", request.plan_u),
+        ("history_z", request.history_z),
+        ("history_y", request.history_y),
+        ("history_f", request.history_f),
+        ("reference", request.reference),
+        ("widths", request.widths),
+    ] {
+        let bad = |v: &f64| v.is_nan() || v.abs() > MAX_MAGNITUDE;
+        if let Some(index) = values.iter().position(bad) {
+            return Err(StepError::NotFinite {
+                field,
+                index,
+                value: values[index],
+            });
+        }
+    }
+    Ok(())
+}
+
+fn domains(settings: &Settings, rows: &Rows) -> Result<(), StepError> {
+    let within = |quantity, value: f64, min, max| {
+        if (min..=max).contains(&value) {
+            Ok(())
+        } else {
+            Err(StepError::Domain {
+                quantity,
+                value,
+                min,
+                max,
+            })
+        }
+    };
+    let x = &rows.x;
+    within("x.v_x (m/s)", x[V_X], -1.0, 100.0)?; // a standing vehicle measures noise around zero
+    within("x.v_y (m/s)", x[V_Y], -50.0, 50.0)?;
+    within("x.omega (rad/s)", x[OMEGA], -20.0, 20.0)?;
+    within("x.delta (rad)", x[DELTA], -1.5, 1.5)?;
+    within(
+        "u_prev.F_x / mass (m/s^2)",
+        rows.u_prev[FORCE] / settings.mass,
+        -50.0,
+        50.0,
+    )?;
+    within(
+        "u_prev.delta_dot (rad/s)",
+        rows.u_prev[DELTA_DOT],
+        -10.0,
+        10.0,
+    )?;
+    for row in rows.reference {
+        let distance = (row[0] - x[P_X]).hypot(row[1] - x[P_Y]);
+        within(
+            "distance of a reference point from the vehicle (m)",
+            distance,
+            0.0,
+            1000.0,
+        )?;
+        within("reference.v_x (m/s)", row[2], 0.0, 100.0)?;
+    }
+    for width in rows.widths.iter().flatten() {
+        within("widths (m)", *width, -1000.0, 1000.0)?;
+    }
+    if rows.weights.is_empty() {
+        return Ok(());
+    }
+    let sum: f64 = rows.weights.iter().sum();
+    let smallest = rows.weights.iter().copied().fold(f64::INFINITY, f64::min);
+    if (sum - 1.0).abs() > SIMPLEX_TOLERANCE || smallest < -SIMPLEX_TOLERANCE {
+        return Err(StepError::Weights { sum, smallest });
+    }
+    Ok(())
+}
+
+/// The previous weights exactly on the simplex; uniform if none came.
+pub(super) fn starting_weights(weights: &[f64], out: &mut [f64]) {
+    if weights.is_empty() {
+        out.fill(1.0 / out.len() as f64);
+        return;
+    }
+    let sum: f64 = weights.iter().map(|w| w.max(0.0)).sum();
+    for (out, w) in out.iter_mut().zip(weights) {
+        *out = w.max(0.0) / sum;
+    }
+}

@@ -1,0 +1,84 @@
+//! Memory of the control step, made once for a library and settings.
+
+use super::StepError;
+use crate::linearisation::Linearisation;
+use crate::ocp::soft_rows;
+use crate::qp::{OcpQp, OcpSolution};
+use crate::settings::SettingsError;
+use crate::solver::{ClarabelSolver, QpSolver, SolverSetupError};
+use crate::trajectory::Guess;
+use crate::weights::{WeightEstimator, inverse_noise};
+use crate::{GpOutput, Library, Settings, State, VarianceScratch};
+
+/// Why a workspace could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum SetupError {
+    /// Settings out of range.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// The QP solver refused its set-up.
+    #[error(transparent)]
+    Solver(#[from] SolverSetupError),
+}
+
+/// Memory for one step at a time; each worker has its own. It carries nothing from one step to the next.
+pub struct Workspace {
+    library: [u8; 32],
+    settings: Settings,
+    pub(super) inverse_noise: GpOutput,
+    pub(super) estimator: WeightEstimator,
+    pub(super) previous: Vec<f64>,
+    pub(super) active: Vec<f64>,
+    pub(super) reference: Vec<State>,
+    pub(super) guess: Guess,
+    pub(super) dynamics: Linearisation,
+    pub(super) qp: OcpQp,
+    pub(super) solver: Box<dyn QpSolver + Send>,
+    pub(super) solution: OcpSolution,
+    pub(super) scratch: VarianceScratch,
+}
+
+impl Workspace {
+    /// Allocates everything a step needs and sets the QP solver up.
+    ///
+    /// # Errors
+    /// [`SetupError`] for settings out of range, or if the QP solver refuses.
+    pub fn new(library: &Library, settings: &Settings) -> Result<Self, SetupError> {
+        settings.validate()?;
+        let (n, horizon) = (library.members().len(), settings.horizon);
+        let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
+        let solver = Box::new(ClarabelSolver::new(&qp, &settings.solver)?);
+        Ok(Self {
+            library: library.id(),
+            settings: settings.clone(),
+            inverse_noise: inverse_noise(library, settings.weights.whiten),
+            estimator: WeightEstimator::new(n),
+            previous: vec![0.0; n],
+            active: vec![0.0; n],
+            reference: vec![State::zeros(); horizon + 1],
+            guess: Guess::new(horizon),
+            dynamics: Linearisation::new(horizon),
+            qp,
+            solver,
+            solution: OcpSolution::new(horizon),
+            scratch: VarianceScratch::default(),
+        })
+    }
+
+    /// Name of the QP solver.
+    pub fn solver_name(&self) -> &'static str {
+        self.solver.name()
+    }
+
+    pub(super) fn belongs_to(
+        &self,
+        library: &Library,
+        settings: &Settings,
+    ) -> Result<(), StepError> {
+        if self.library == library.id() && self.settings == *settings {
+            Ok(())
+        } else {
+            Err(StepError::Workspace)
+        }
+    }
+}

@@ -1,0 +1,27 @@
+//! The vehicle of eq. (11): where each quantity stands, exact kinematics, and the frame the step works in.
+
+mod frame;
+mod kinematics;
+
+pub use frame::{Frame, wrap};
+pub use kinematics::{gp_input, jacobians, successor};
+
+/// Index of `p_x` in the state, m.
+pub const P_X: usize = 0;
+/// Index of `p_y` in the state, m.
+pub const P_Y: usize = 1;
+/// Index of `v_x` in the state, m/s.
+pub const V_X: usize = 2;
+/// Index of `psi` in the state, rad.
+pub const PSI: usize = 3;
+/// Index of `v_y` in the state, m/s.
+pub const V_Y: usize = 4;
+/// Index of `omega` in the state, rad/s.
+pub const OMEGA: usize = 5;
+/// Index of `delta` in the state, rad.
+pub const DELTA: usize = 6;
+
+/// Index of `F_x` in the input (N), and of `a = F_x/m` (m/s²) in the scaled input.
+pub const FORCE: usize = 0;
+/// Index of `delta_dot` in the input, rad/s.
+pub const DELTA_DOT: usize = 1;

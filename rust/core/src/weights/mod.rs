@@ -1,0 +1,156 @@
+//! Weights, eq. (6): which blend of members explains the last transitions best.
+//!
+//! ```text
+//! w = argmin ||S (Y - F w)||² + prior(w - w_prev)   on the simplex
+//! ```
+//!
+//! `Y` are the measured changes of the last `K` periods, column `n` of `F` what member `n` predicted for them, `S`
+//! one over each output's noise, without which m/s would be added to rad/s.
+
+mod active_set;
+
+pub use active_set::{ActiveSet, SimplexQp};
+
+use crate::settings::Prior;
+use crate::{GpOutput, Library, NY};
+
+/// Ridge on `H` relative to its largest entry: with identical members and no quadratic prior it picks, of all
+/// minima, the one nearest to the previous weights.
+const RIDGE: f64 = 1e-10;
+
+/// Estimator and its memory, for `N` members.
+#[derive(Debug, Clone)]
+pub struct WeightEstimator {
+    hessian: Vec<f64>,
+    linear: Vec<f64>,
+    solver: ActiveSet,
+}
+
+impl WeightEstimator {
+    /// An estimator for `n` members.
+    pub fn new(n: usize) -> Self {
+        Self {
+            hessian: vec![0.0; n * n],
+            linear: vec![0.0; n],
+            solver: ActiveSet::new(n),
+        }
+    }
+
+    /// The weights, eq. (6), written to `w`, which is on the simplex to rounding.
+    ///
+    /// * `predictions`: rows `[N * 3]` of `F`, one for each transition, member after member
+    /// * `measured`: rows `[3]` of `Y`
+    /// * `inverse_noise`: diagonal of `S`
+    /// * `previous`: `w_prev`, on the simplex
+    ///
+    /// Without transitions the weights stay as they are. Returns the solver's rounds, see [`ActiveSet::solve`].
+    pub fn estimate(
+        &mut self,
+        predictions: &[f64],
+        measured: &[[f64; NY]],
+        inverse_noise: &GpOutput,
+        prior: Prior,
+        previous: &[f64],
+        w: &mut [f64],
+    ) -> Option<usize> {
+        let n = previous.len();
+        w.copy_from_slice(previous);
+        self.hessian.fill(0.0);
+        self.linear.fill(0.0);
+        for (row, y) in predictions.chunks_exact(n * NY).zip(measured) {
+            self.add_transition(row, y, inverse_noise);
+        }
+        let (lambda, alpha) = match prior {
+            Prior::Quadratic { lambda } => (lambda, 0.0),
+            Prior::L1 { alpha } => (0.0, alpha),
+        };
+        let largest = (0..n).map(|i| self.hessian[i * n + i]).fold(1.0, f64::max);
+        let ridge = 2.0 * lambda + RIDGE * largest;
+        for (i, w_prev) in previous.iter().enumerate() {
+            self.hessian[i * n + i] += ridge;
+            self.linear[i] -= ridge * w_prev;
+        }
+        let qp = SimplexQp {
+            hessian: &self.hessian,
+            linear: &self.linear,
+            centre: previous,
+            alpha,
+        };
+        self.solver.solve(&qp, w)
+    }
+
+    /// Adds one row of `2 FᵀS²F` and `-2 FᵀS²Y`.
+    fn add_transition(
+        &mut self,
+        predicted: &[f64],
+        measured: &[f64; NY],
+        inverse_noise: &GpOutput,
+    ) {
+        let n = self.linear.len();
+        for output in 0..NY {
+            let factor = 2.0 * inverse_noise[output].powi(2);
+            let member = |i: usize| predicted[i * NY + output];
+            for i in 0..n {
+                let scaled = factor * member(i);
+                self.linear[i] -= scaled * measured[output];
+                for j in 0..n {
+                    self.hessian[i * n + j] += scaled * member(j);
+                }
+            }
+        }
+    }
+}
+
+/// Diagonal of `S`: one over the members' root-mean-square noise when `whiten`, else 1.
+pub fn inverse_noise(library: &Library, whiten: bool) -> GpOutput {
+    if !whiten {
+        return GpOutput::repeat(1.0);
+    }
+    let members = library.members();
+    let variance: GpOutput = members
+        .iter()
+        .map(|m| m.noise_std().map(|std| std * std))
+        .sum();
+    (variance / members.len() as f64).map(|v| 1.0 / v.sqrt())
+}
+
+/// Keeps the weights of at most `max_active` members above `threshold` (always the heaviest), scaled up to sum to 1,
+/// zero elsewhere. Returns the mass that was dropped.
+pub fn select_active(
+    weights: &[f64],
+    threshold: f64,
+    max_active: usize,
+    active: &mut [f64],
+) -> f64 {
+    active.fill(0.0);
+    let mut kept = 0.0;
+    for rank in 0..max_active.min(weights.len()) {
+        let heaviest = (0..weights.len())
+            .filter(|&i| active[i] == 0.0 && (rank == 0 || weights[i] > threshold))
+            .reduce(|best, i| if weights[i] > weights[best] { i } else { best });
+        let Some(i) = heaviest else { break };
+        active[i] = weights[i];
+        kept += weights[i];
+    }
+    for w in active.iter_mut() {
+        *w /= kept;
+    }
+    (1.0 - kept).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn selection_keeps_the_heaviest() {
+        let mut active = [0.0; 4];
+        let dropped = select_active(&[0.5, 0.0004, 0.2996, 0.2], 1e-3, 2, &mut active);
+        assert!((dropped - 0.2004).abs() < 1e-15);
+        assert_eq!(active[1] + active[3], 0.0);
+        assert!((active.iter().sum::<f64>() - 1.0).abs() < 1e-15 && active[0] > active[2]);
+        let uniform = [0.25; 4];
+        assert_eq!(select_active(&uniform, 0.0999, 8, &mut active), 0.0);
+        assert_eq!(active, uniform);
+    }
+}
