@@ -59,7 +59,9 @@ def test_crates_depend_only_on_what_the_design_allows() -> None:
     actual = workspace_dependencies()
     assert set(actual) == set(ALLOWED), "a new crate needs its rule here"
     for crate, dependencies in actual.items():
-        assert dependencies <= ALLOWED[crate], f"{crate} may not import {dependencies - ALLOWED[crate]}"
+        assert dependencies <= ALLOWED[crate], (
+            f"{crate} may not import {dependencies - ALLOWED[crate]}"
+        )
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,9 @@ pub const KINEMATIC_SPEED: f64 = 0.1;
 /// `dx/dt` for the input `[F_x, delta_dot]` (N, rad/s) and the friction under each wheel (front -y, front +y,
 /// rear -y, rear +y).
 ///
-/// The input passes the actuator limits first. No check is made for NaN: NaN in, NaN out.
+/// The input passes the actuator limits first. As in the original a lifted wheel has a negative load, pulls the
+/// vehicle down and pushes its tyre force the wrong way: above about 9 m/s² of lateral acceleration, where the inner
+/// rear wheel of vehicle 1 lifts, this is not a real car any more. No check is made for NaN: NaN in, NaN out.
 ///
 /// # Errors
 /// [`PlantError::Spun`] when a wheel contact moves backward at speed.

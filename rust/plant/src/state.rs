@@ -1,7 +1,7 @@
 //! The 29 states, in the order of the CommonRoad multi-body vehicle.
 
 use crate::error::finite;
-use crate::{GRAVITY, Parameters, PlantError};
+use crate::{Parameters, PlantError};
 
 /// Number of states.
 pub const NX: usize = 29;
@@ -106,7 +106,10 @@ impl VehicleState {
     }
 }
 
-/// The full state with the suspension at rest and the wheels rolling.
+/// The full state with suspension and tyres in static balance and the wheels rolling.
+///
+/// As the original's initial state but for the body's height and pitch: it leaves both at zero while the tyres are
+/// compressed, and the wheel loads then swing by a tenth for the first half second.
 ///
 /// # Errors
 /// [`PlantError::NotFinite`], [`PlantError::Backward`].
@@ -128,14 +131,18 @@ pub(crate) fn settled(parameters: &Parameters, vehicle: &VehicleState) -> StateV
         omega,
         delta,
     } = vehicle;
-    let spring = parameters.static_spring_loads();
+    let wheel_load = parameters.static_wheel_loads();
     let mut x = [0.0; NX];
     [x[0], x[1], x[2], x[3], x[4], x[5], x[10]] = [p_x, p_y, delta, v_x, psi, omega, v_y];
+    let mut compression = [0.0; 2];
     for (i, axle) in parameters.axles().into_iter().enumerate() {
-        let load = 2.0 * spring[i] + axle.unsprung_mass * GRAVITY;
+        compression[i] = wheel_load[i] / parameters.wheel.vertical_stiffness;
         x[15 + 5 * i] = v_y + axle.position * omega;
-        x[16 + 5 * i] = load / (2.0 * parameters.wheel.vertical_stiffness);
+        x[16 + 5 * i] = compression[i];
     }
+    // Zero travel of the springs, where they carry the static load: z - l pitch = compression at both axles.
+    let pitch = (compression[1] - compression[0]) / parameters.wheelbase();
+    [x[8], x[11]] = [pitch, compression[0] + parameters.front.position * pitch];
     x[WHEELS].fill(v_x / parameters.wheel.radius);
     x
 }

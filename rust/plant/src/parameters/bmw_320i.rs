@@ -43,7 +43,7 @@ pub(super) const PARAMETERS: Parameters = Parameters {
         radius: 0.344,
         inertia: 1.7,
         vertical_stiffness: 158_294.139_811_911_5,
-        lateral_compliance: 1.643_072_459_967_472_5e-5,
+        lateral_compliance: 1.643_072_459_997_472_5e-5,
     },
     joint: Joint {
         stiffness: 175_186.659_437_007_88,

@@ -1,0 +1,261 @@
+//! What must hold for any state, input and surface.
+
+#![allow(missing_docs, clippy::unwrap_used)]
+
+use egp_plant::{
+    BatchItem, Contact, Friction, GRAVITY, MAX_SUBSTEP, Map, Plant, PlantError, Uniform, VehicleId,
+    VehicleState, derivative, initial_state, longest_substep, step_batch,
+};
+use proptest::prelude::*;
+
+const VEHICLES: [VehicleId; 2] = [VehicleId::FordEscort, VehicleId::Bmw320i];
+
+fn plant(vehicle: VehicleId, state: VehicleState) -> Plant {
+    let mut plant = Plant::new(vehicle.parameters());
+    plant.reset(&state).unwrap();
+    plant
+}
+
+fn at_speed(v_x: f64) -> VehicleState {
+    VehicleState {
+        v_x,
+        ..VehicleState::default()
+    }
+}
+
+proptest! {
+    #[test]
+    fn tyre_force_stays_within_friction(
+        slip in -3.0..1.0f64, slip_angle in -1.5..1.5f64, camber in -0.1..0.1f64,
+        load in 0.0..9000.0f64, friction in 0.05..1.5f64,
+    ) {
+        let tyre = VehicleId::FordEscort.parameters().tyre;
+        let force = tyre.force(&Contact { slip, slip_angle, camber, load, friction });
+        // The reductions exceed 1 by the shifts; lateral also has the vertical shift, 0.04 load.
+        prop_assert!(force.x.abs() <= 1.02 * friction * load);
+        prop_assert!(force.y.abs() <= (1.05 * friction + 0.04) * load);
+    }
+
+    #[test]
+    fn any_drive_stays_finite_and_within_stops(
+        vehicle in 0..2usize, v_x in 0.0..40.0f64, delta in -0.9..0.9f64, friction in 0.1..1.3f64,
+        inputs in prop::collection::vec((-20_000.0..20_000.0f64, -1.0..1.0f64), 1..20),
+    ) {
+        let mut plant = plant(VEHICLES[vehicle], VehicleState { delta, ..at_speed(v_x) });
+        let stop = plant.parameters().limits.steering_angle;
+        let surface = Uniform::new(friction).unwrap();
+        for (force, rate) in inputs {
+            let before = *plant.state();
+            match plant.step([force, rate], 0.05, &surface) {
+                Ok(()) => prop_assert!(plant.state().iter().all(|value| value.is_finite())),
+                Err(error) => {
+                    prop_assert!(matches!(error, PlantError::Spun { .. }), "{}", error);
+                    prop_assert_eq!(plant.state(), &before);
+                }
+            }
+            prop_assert!(plant.vehicle_state().delta.abs() <= stop);
+            prop_assert!(plant.state()[23..27].iter().all(|&wheel| wheel >= 0.0));
+        }
+    }
+
+    #[test]
+    fn motion_does_not_depend_on_place_or_heading(psi in -3.0..3.0f64, p_x in -1e3..1e3f64, p_y in -1e3..1e3f64) {
+        let surface = Uniform::new(0.8).unwrap();
+        let input = [1500.0, 0.2];
+        let mut here = plant(VehicleId::FordEscort, at_speed(15.0));
+        let mut there = plant(VehicleId::FordEscort, VehicleState { p_x, p_y, psi, ..at_speed(15.0) });
+        here.step(input, 0.5, &surface).unwrap();
+        there.step(input, 0.5, &surface).unwrap();
+        let (here, there) = (here.vehicle_state(), there.vehicle_state());
+        let (sin, cos) = psi.sin_cos();
+        prop_assert!((there.p_x - p_x - (cos * here.p_x - sin * here.p_y)).abs() < 1e-9);
+        prop_assert!((there.p_y - p_y - (sin * here.p_x + cos * here.p_y)).abs() < 1e-9);
+        prop_assert!((there.psi - psi - here.psi).abs() < 1e-9);
+        prop_assert!((there.v_y - here.v_y).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn a_settled_vehicle_carries_its_weight() {
+    for vehicle in VEHICLES {
+        let parameters = vehicle.parameters();
+        let [front, rear] = parameters.static_wheel_loads();
+        let unsprung = parameters.front.unsprung_mass + parameters.rear.unsprung_mass;
+        let weight = (parameters.sprung.mass + unsprung) * GRAVITY;
+        assert!((2.0 * (front + rear) - weight).abs() < 1e-9 * weight);
+
+        let x = initial_state(&parameters, &at_speed(20.0)).unwrap();
+        let f = derivative(&parameters, &x, [0.0; 2], [1.0; 4]).unwrap();
+        for vertical in [12, 17, 22] {
+            assert!(
+                f[vertical].abs() < 1e-9,
+                "acceleration {vertical}: {}",
+                f[vertical]
+            );
+        }
+    }
+}
+
+#[test]
+fn substeps_converge_at_fourth_order() {
+    // In a steady bend no camber changes sign, where the tyre's shifts jump. Halving the step must divide the error
+    // by 16; 10 leaves room for the next order.
+    let surface = Uniform::new(1.0).unwrap();
+    let mut bend = plant(
+        VehicleId::FordEscort,
+        VehicleState {
+            delta: 0.02,
+            ..at_speed(25.0)
+        },
+    );
+    bend.step([0.0; 2], 2.0, &surface).unwrap();
+    let drive = |steps: u32| {
+        let mut plant = bend.clone();
+        for _ in 0..steps {
+            plant
+                .step([800.0, 0.1], 0.2 / f64::from(steps), &surface)
+                .unwrap();
+        }
+        plant.vehicle_state()
+    };
+    let exact = drive(1600);
+    let error = |steps| (drive(steps).omega - exact.omega).abs();
+    assert!(
+        error(50) > 10.0 * error(100),
+        "{:e} {:e}",
+        error(50),
+        error(100)
+    );
+}
+
+#[test]
+fn substeps_shrink_with_speed() {
+    let parameters = VehicleId::FordEscort.parameters();
+    assert_eq!(longest_substep(&parameters, 30.0), MAX_SUBSTEP);
+    assert!(longest_substep(&parameters, 1.0) < 5e-4);
+    assert_eq!(longest_substep(&parameters, 0.0), MAX_SUBSTEP);
+}
+
+#[test]
+fn brakes_stop_and_hold_and_the_vehicle_drives_away_again() {
+    let surface = Uniform::new(0.8).unwrap();
+    for vehicle in VEHICLES {
+        let mut plant = plant(
+            vehicle,
+            VehicleState {
+                delta: 0.05,
+                ..at_speed(8.0)
+            },
+        );
+        let mass = plant.parameters().mass;
+        for _ in 0..60 {
+            plant.step([-6.0 * mass, 0.0], 0.05, &surface).unwrap();
+        }
+        let parked = plant.vehicle_state();
+        assert!(parked.v_x.abs() < 1e-12 && parked.v_y.abs() < 1e-12);
+        for _ in 0..200 {
+            plant.step([-6.0 * mass, 0.0], 0.05, &surface).unwrap();
+        }
+        assert!((plant.vehicle_state().p_x - parked.p_x).abs() < 1e-9);
+        for _ in 0..20 {
+            plant.step([2.0 * mass, 0.0], 0.05, &surface).unwrap();
+        }
+        let v_x = plant.vehicle_state().v_x;
+        assert!((1.8..2.05).contains(&v_x), "{v_x}");
+    }
+}
+
+#[test]
+fn braking_with_ice_on_the_left_turns_the_vehicle_right() {
+    // Fixes the handedness of the wheel order: y is to the left, cells are 1 km.
+    let split = Map::new([-1000.0, -1000.0], 1000.0, [2, 2], vec![1.0, 1.0, 0.2, 0.2]).unwrap();
+    assert_eq!(split.coefficient([0.0, 0.7]), 0.2);
+    for vehicle in VEHICLES {
+        let mut plant = plant(vehicle, at_speed(20.0));
+        let brake = [-6.0 * plant.parameters().mass, 0.0];
+        plant.step(brake, 0.2, &split).unwrap();
+        assert!(
+            plant.vehicle_state().omega < -0.05,
+            "{}",
+            plant.vehicle_state().omega
+        );
+    }
+}
+
+#[test]
+fn a_uniform_map_is_a_uniform_surface() {
+    let map = Map::new([0.0, 0.0], 1.0, [1, 1], vec![0.7]).unwrap();
+    let mut on_map = plant(VehicleId::FordEscort, at_speed(15.0));
+    let mut uniform = on_map.clone();
+    on_map.step([-2000.0, 0.3], 0.5, &map).unwrap();
+    uniform
+        .step([-2000.0, 0.3], 0.5, &Uniform::new(0.7).unwrap())
+        .unwrap();
+    assert_eq!(on_map.state(), uniform.state());
+}
+
+#[test]
+fn a_batch_is_its_plants_bit_for_bit_and_one_spin_leaves_the_others() {
+    let mut items: Vec<BatchItem> = (0..40)
+        .map(|i| BatchItem {
+            plant: plant(VehicleId::FordEscort, at_speed(5.0 + 0.5 * f64::from(i))),
+            input: [100.0 * f64::from(i), 0.01 * f64::from(i)],
+            friction: Uniform::new(0.4 + 0.02 * f64::from(i)).unwrap(),
+        })
+        .collect();
+    items[7]
+        .plant
+        .reset(&VehicleState {
+            omega: 20.0,
+            ..at_speed(5.0)
+        })
+        .unwrap();
+    let mut alone = items.clone();
+    let results = step_batch(&mut items, 0.05).unwrap();
+    for (i, (item, result)) in alone.iter_mut().zip(&results).enumerate() {
+        assert_eq!(item.plant.step(item.input, 0.05, &item.friction), *result);
+        assert_eq!(item.plant.state(), items[i].plant.state());
+        assert_eq!(result.is_err(), i == 7);
+    }
+}
+
+#[test]
+fn refusals_keep_the_state() {
+    let surface = Uniform::new(1.0).unwrap();
+    let mut plant = plant(VehicleId::FordEscort, at_speed(10.0));
+    let before = *plant.state();
+    assert!(matches!(
+        plant.step([f64::NAN, 0.0], 0.1, &surface),
+        Err(PlantError::NotFinite { name: "F_x", .. })
+    ));
+    assert!(matches!(
+        plant.step([0.0, f64::INFINITY], 0.1, &surface),
+        Err(PlantError::NotFinite {
+            name: "delta_dot",
+            ..
+        })
+    ));
+    for dt in [0.0, -0.1, f64::NAN, f64::INFINITY] {
+        assert!(matches!(
+            plant.step([0.0; 2], dt, &surface),
+            Err(PlantError::Period(_))
+        ));
+    }
+    assert_eq!(
+        plant.reset(&at_speed(-1.0)),
+        Err(PlantError::Backward(-1.0))
+    );
+    assert!(plant.reset(&at_speed(f64::NAN)).is_err());
+    assert!(plant.set_state(&[f64::NAN; 29]).is_err());
+    assert_eq!(plant.state(), &before);
+
+    let mut broken = before;
+    broken[12] = 1e308;
+    plant.set_state(&broken).unwrap();
+    assert!(matches!(
+        plant.step([0.0; 2], 0.05, &surface),
+        Err(PlantError::Diverged { .. })
+    ));
+    assert_eq!(plant.state(), &broken);
+    assert_eq!(VehicleId::try_from(3), Err(PlantError::UnknownVehicle(3)));
+}
