@@ -1,1 +1,66 @@
-//! egp-wire.
+//! What travels between a vehicle and the service: typed requests, replies and errors, their protobuf
+//! encoding, key expressions, and the carry a client keeps between steps.
+//!
+//! Decoding is the trust boundary: a [`Request`] or [`Reply`] that came out of `decode` has exact
+//! shapes, finite numbers inside the declared domain and weights on the simplex. The crate knows neither
+//! the network nor the mathematics.
+//!
+//! ```
+//! use egp_wire::{Carry, Limits, Request};
+//!
+//! let mut carry = Carry::new([7; 32], 10);
+//! let x = [0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0];
+//! let reference = vec![[0.0, 0.0, 12.0, 0.0]; 21];
+//! let bytes = carry.request(x, reference, vec![], 40_000).encode();
+//! assert_eq!(Request::decode(&bytes, &Limits::default())?.sequence, 1);
+//! # Ok::<(), egp_wire::Invalid>(())
+//! ```
+
+mod carry;
+mod check;
+mod error;
+mod header;
+pub mod keys;
+mod limits;
+mod ready;
+mod reply;
+mod request;
+mod tensor;
+
+pub use carry::Carry;
+pub use error::{Code, Invalid, WireError};
+pub use header::Header;
+pub use limits::Limits;
+pub use proto::{Load, PlantTruth, Status, Timing};
+pub use ready::Ready;
+pub use reply::Reply;
+pub use request::Request;
+
+/// The messages as generated from `proto/egp/v1/egp.proto`, unvalidated.
+#[allow(missing_docs, clippy::pedantic)]
+pub mod proto {
+    include!(concat!(env!("OUT_DIR"), "/egp.v1.rs"));
+}
+
+/// Serialised `google.protobuf.FileDescriptorSet` of the `.proto`, for recordings and for clients that
+/// build their messages at run time.
+pub const FILE_DESCRIPTOR_SET: &[u8] =
+    include_bytes!(concat!(env!("OUT_DIR"), "/egp.v1.descriptors.bin"));
+
+/// Version of the messages; a request with another one is refused.
+pub const VERSION: u32 = 1;
+
+/// State `[p_x, p_y, v_x, psi, v_y, omega, delta]`, SI.
+pub type State = [f64; 7];
+/// Input `[F_x, delta_dot]`, N and rad/s.
+pub type Input = [f64; 2];
+/// GP input `[v_x, v_y, omega, delta, F_x, delta_dot]`.
+pub type GpInput = [f64; 6];
+/// GP output: change of `[v_x, v_y, omega]` over one period.
+pub type GpOutput = [f64; 3];
+/// Reference row `[p_x, p_y, v_x, psi]`.
+pub type ReferenceRow = [f64; 4];
+/// Distances `[left, right]` from the reference point to the track edges, m.
+pub type WidthRow = [f64; 2];
+/// SHA-256 of a library file.
+pub type LibraryId = [u8; 32];

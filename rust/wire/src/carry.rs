@@ -1,0 +1,225 @@
+//! What a client keeps from one step to the next, because the service keeps nothing.
+
+use std::collections::VecDeque;
+
+use crate::{
+    GpInput, GpOutput, Input, Invalid, LibraryId, ReferenceRow, Reply, Request, State, Status,
+    WidthRow,
+};
+
+/// One measured transition and, once a reply brought them, the members' predictions of it.
+#[derive(Clone, Debug)]
+struct Transition {
+    /// Sequence number of the first request that held it.
+    born: u64,
+    z: GpInput,
+    y: GpOutput,
+    f: Option<Vec<GpOutput>>,
+}
+
+#[derive(Clone, Debug)]
+struct Plan {
+    /// Sequence number of the request whose measured state is row 0.
+    born: u64,
+    x: Vec<State>,
+    u: Vec<Input>,
+}
+
+/// The state of a vehicle between steps: history, weights, plan, and the input being applied.
+///
+/// Once per control period: [`request`](Self::request) with the measured state, [`accept`](Self::accept)
+/// when a reply comes (late ones too), [`applied`](Self::applied) with what went to the actuators.
+#[derive(Clone, Debug)]
+pub struct Carry {
+    library: LibraryId,
+    capacity: usize,
+    sequence: u64,
+    history: VecDeque<Transition>,
+    weights: Vec<f64>,
+    plan: Option<Plan>,
+    accepted: u64,
+    u: Input,
+    /// State and input at the start of the running period; empty before the first input.
+    running: Option<(State, Input)>,
+    x: Option<State>,
+}
+
+impl Carry {
+    /// An empty carry for a library; `history` is K, the number of transitions to keep.
+    pub fn new(library: LibraryId, history: usize) -> Self {
+        Self {
+            library,
+            capacity: history,
+            sequence: 0,
+            history: VecDeque::with_capacity(history),
+            weights: Vec::new(),
+            plan: None,
+            accepted: 0,
+            u: [0.0; 2],
+            running: None,
+            x: None,
+        }
+    }
+
+    /// Library of the requests.
+    pub fn library(&self) -> LibraryId {
+        self.library
+    }
+
+    /// Sequence number of the last request; 0 before the first.
+    pub fn sequence(&self) -> u64 {
+        self.sequence
+    }
+
+    /// Weights of the newest reply; empty before the first.
+    pub fn weights(&self) -> &[f64] {
+        &self.weights
+    }
+
+    /// The input [`applied`](Self::applied) last.
+    pub fn last_input(&self) -> Input {
+        self.u
+    }
+
+    /// Notes the input that goes to the actuators for the period that now begins.
+    pub fn applied(&mut self, u: Input) {
+        self.u = u;
+        self.running = self.x.map(|x| (x, u));
+    }
+
+    /// Opens a control period: adds the transition of the last one and makes the request.
+    ///
+    /// Call it exactly once a period, even when the request is not sent: the plan's age is counted in
+    /// calls. `x` is the measured state, `reference` and `widths` begin at now, `budget_us` is the time
+    /// the answer has.
+    pub fn request(
+        &mut self,
+        x: State,
+        reference: Vec<ReferenceRow>,
+        widths: Vec<WidthRow>,
+        budget_us: u32,
+    ) -> Request {
+        self.sequence += 1;
+        if let Some((before, u)) = self.running.take() {
+            self.remember(before, u, x);
+        }
+        self.x = Some(x);
+        self.forget_spent_plan(reference.len().saturating_sub(1));
+        let (plan_x, plan_u, plan_shift) =
+            self.plan.as_ref().map_or_else(Default::default, |plan| {
+                (plan.x.clone(), plan.u.clone(), self.age(plan.born))
+            });
+        Request {
+            library: self.library,
+            sequence: self.sequence,
+            budget_us,
+            x,
+            u_prev: self.u,
+            weights: self.weights.clone(),
+            plan_x,
+            plan_u,
+            plan_shift,
+            history_z: self.history.iter().map(|transition| transition.z).collect(),
+            history_y: self.history.iter().map(|transition| transition.y).collect(),
+            history_f: self.predictions(),
+            reference,
+            widths,
+            want_sigma: false,
+        }
+    }
+
+    /// Takes over what a reply brings. Returns whether it was newer than the last one taken.
+    ///
+    /// Weights and predictions count whatever the solver's status; a plan comes only with
+    /// [`Status::Solved`], and until then the previous one stays and ages.
+    ///
+    /// # Errors
+    /// [`Invalid::Field`] for a reply of another library or to a request never made; the carry stays.
+    pub fn accept(&mut self, reply: &Reply) -> Result<bool, Invalid> {
+        if reply.library != self.library {
+            return Err(Invalid::field(
+                "library",
+                "the reply comes from another library",
+            ));
+        }
+        if reply.sequence > self.sequence {
+            return Err(Invalid::field(
+                "sequence",
+                format!(
+                    "reply {} is ahead of request {}",
+                    reply.sequence, self.sequence
+                ),
+            ));
+        }
+        if reply.sequence <= self.accepted {
+            return Ok(false);
+        }
+        self.accepted = reply.sequence;
+        self.weights.clone_from(&reply.weights);
+        // The reply's rows are the request's history, newest first; transitions added since have none.
+        let known = self
+            .history
+            .iter_mut()
+            .filter(|transition| transition.born <= reply.sequence);
+        for (transition, f) in known.zip(&reply.history_f) {
+            transition.f = Some(f.clone());
+        }
+        if reply.status == Status::Solved {
+            self.plan = Some(Plan {
+                born: reply.sequence,
+                x: reply.plan_x.clone(),
+                u: reply.plan_u.clone(),
+            });
+        }
+        Ok(true)
+    }
+
+    /// Forgets history, weights and plan, for instance after the vehicle was moved; sequence numbers go on.
+    pub fn reset(&mut self) {
+        *self = Self {
+            sequence: self.sequence,
+            accepted: self.sequence,
+            ..Self::new(self.library, self.capacity)
+        };
+    }
+
+    fn remember(&mut self, before: State, u: Input, after: State) {
+        let [_, _, v_x, _, v_y, omega, delta] = before;
+        let [_, _, v_x_after, _, v_y_after, omega_after, _] = after;
+        self.history.push_front(Transition {
+            born: self.sequence,
+            z: [v_x, v_y, omega, delta, u[0], u[1]],
+            y: [v_x_after - v_x, v_y_after - v_y, omega_after - omega],
+            f: None,
+        });
+        self.history.truncate(self.capacity);
+    }
+
+    /// Predictions of the oldest rows, newest of them first, as far as they are known without a gap.
+    fn predictions(&self) -> Vec<Vec<GpOutput>> {
+        let mut rows: Vec<_> = self
+            .history
+            .iter()
+            .rev()
+            .map_while(|transition| transition.f.clone())
+            .collect();
+        rows.reverse();
+        rows
+    }
+
+    fn age(&self, born: u64) -> u32 {
+        u32::try_from(self.sequence - born).unwrap_or(u32::MAX)
+    }
+
+    /// A plan with no row left for now, or of another horizon, starts nothing warm.
+    fn forget_spent_plan(&mut self, horizon: usize) {
+        let age = self.plan.as_ref().map(|plan| self.age(plan.born) as usize);
+        let fits = self
+            .plan
+            .as_ref()
+            .is_some_and(|plan| plan.u.len() == horizon);
+        if !fits || age.is_some_and(|age| age >= horizon) {
+            self.plan = None;
+        }
+    }
+}

@@ -1,0 +1,209 @@
+//! The declared domain of every quantity, and checks that name the field and the component at fault.
+
+use crate::{GpOutput, Invalid, LibraryId, VERSION};
+
+/// A component's name and the largest magnitude accepted.
+type Domain<const W: usize> = [(&'static str, f64); W];
+
+// Far beyond what a road vehicle does, near enough that products of them stay exact to many digits.
+const POSITION: f64 = 1e8; // m: larger than any UTM coordinate
+const SPEED: f64 = 150.0; // m/s
+const YAW: f64 = 1e5; // rad, unwrapped
+const YAW_RATE: f64 = 50.0; // rad/s
+const STEERING: f64 = 1.6; // rad
+const FORCE: f64 = 1e6; // N
+const STEERING_RATE: f64 = 20.0; // rad/s
+const WIDTH: f64 = 1e4; // m
+
+pub(crate) const STATE: Domain<7> = [
+    ("p_x", POSITION),
+    ("p_y", POSITION),
+    ("v_x", SPEED),
+    ("psi", YAW),
+    ("v_y", SPEED),
+    ("omega", YAW_RATE),
+    ("delta", STEERING),
+];
+pub(crate) const INPUT: Domain<2> = [("F_x", FORCE), ("delta_dot", STEERING_RATE)];
+pub(crate) const GP_INPUT: Domain<6> = [
+    ("v_x", SPEED),
+    ("v_y", SPEED),
+    ("omega", YAW_RATE),
+    ("delta", STEERING),
+    ("F_x", FORCE),
+    ("delta_dot", STEERING_RATE),
+];
+pub(crate) const GP_OUTPUT: Domain<3> = [("v_x", SPEED), ("v_y", SPEED), ("omega", YAW_RATE)];
+pub(crate) const REFERENCE: Domain<4> = [
+    ("p_x", POSITION),
+    ("p_y", POSITION),
+    ("v_x", SPEED),
+    ("psi", YAW),
+];
+pub(crate) const WIDTHS: Domain<2> = [("left", WIDTH), ("right", WIDTH)];
+
+/// Slack on the sum and the sign of weights: rounding of a solver, not an opinion.
+const SIMPLEX_TOLERANCE: f64 = 1e-6;
+
+/// Every component of every row inside its domain. NaN is outside.
+pub(crate) fn domain<const W: usize>(
+    field: &'static str,
+    rows: &[[f64; W]],
+    domain: &Domain<W>,
+) -> Result<(), Invalid> {
+    for (index, row) in rows.iter().enumerate() {
+        for (value, (name, limit)) in row.iter().zip(domain) {
+            if !(-limit..=*limit).contains(value) {
+                return Err(Invalid::field(
+                    field,
+                    format!("row {index}: {name} = {value} is outside ±{limit}"),
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Weights that are non-negative and sum to one; none at all is fine.
+pub(crate) fn simplex(field: &'static str, weights: &[f64]) -> Result<(), Invalid> {
+    if weights.is_empty() {
+        return Ok(());
+    }
+    if let Some((index, weight)) = weights
+        .iter()
+        .enumerate()
+        .find(|(_, w)| !(-SIMPLEX_TOLERANCE..=f64::MAX).contains(*w))
+    {
+        return Err(Invalid::field(
+            field,
+            format!("weight {index} = {weight} is negative"),
+        ));
+    }
+    let sum: f64 = weights.iter().sum();
+    if !(1.0 - SIMPLEX_TOLERANCE..=1.0 + SIMPLEX_TOLERANCE).contains(&sum) {
+        return Err(Invalid::field(
+            field,
+            format!("weights sum to {sum}, expected 1"),
+        ));
+    }
+    Ok(())
+}
+
+/// Exactly `expected` rows, or none when that is allowed.
+pub(crate) fn row_count(
+    field: &'static str,
+    actual: usize,
+    expected: usize,
+    because: &str,
+) -> Result<(), Invalid> {
+    if actual == expected {
+        return Ok(());
+    }
+    Err(Invalid::field(
+        field,
+        format!("expected {expected} rows ({because}), got {actual}"),
+    ))
+}
+
+pub(crate) fn version(actual: u32) -> Result<(), Invalid> {
+    if actual == VERSION {
+        Ok(())
+    } else {
+        Err(Invalid::Version { actual })
+    }
+}
+
+pub(crate) fn library(bytes: &[u8]) -> Result<LibraryId, Invalid> {
+    LibraryId::try_from(bytes).map_err(|_| {
+        Invalid::field(
+            "library",
+            format!("expected the 32 bytes of a SHA-256, got {}", bytes.len()),
+        )
+    })
+}
+
+pub(crate) fn size(bytes: &[u8], limit: usize) -> Result<(), Invalid> {
+    if bytes.len() <= limit {
+        Ok(())
+    } else {
+        Err(Invalid::TooLarge {
+            limit,
+            actual: bytes.len(),
+        })
+    }
+}
+
+/// Longer budgets than this are a mistake of units.
+const MAX_BUDGET_US: u32 = 10_000_000;
+
+pub(crate) fn budget(budget_us: u32) -> Result<(), Invalid> {
+    if (1..=MAX_BUDGET_US).contains(&budget_us) {
+        return Ok(());
+    }
+    Err(Invalid::field(
+        "budget_us",
+        format!("expected microseconds in 1..={MAX_BUDGET_US}, got {budget_us}"),
+    ))
+}
+
+pub(crate) fn at_most(
+    field: &'static str,
+    actual: u32,
+    limit: usize,
+    because: &str,
+) -> Result<(), Invalid> {
+    if actual as usize <= limit {
+        return Ok(());
+    }
+    Err(Invalid::field(
+        field,
+        format!("expected at most {limit} ({because}), got {actual}"),
+    ))
+}
+
+/// `history_f` has at most one row per row of the history, each with one block per member.
+///
+/// Predictions have no domain beyond being finite: a member may extrapolate wildly outside its data.
+pub(crate) fn predictions(
+    history_f: &[Vec<GpOutput>],
+    history_rows: usize,
+    weights: &[f64],
+) -> Result<(), Invalid> {
+    const FIELD: &str = "history_f";
+    if history_f.len() > history_rows {
+        return Err(Invalid::field(
+            FIELD,
+            format!(
+                "expected at most {history_rows} rows (as many as in history_z), got {}",
+                history_f.len()
+            ),
+        ));
+    }
+    let Some(first) = history_f.first() else {
+        return Ok(());
+    };
+    let members = if weights.is_empty() {
+        first.len()
+    } else {
+        weights.len()
+    };
+    if let Some(row) = history_f.iter().find(|row| row.len() != members) {
+        return Err(Invalid::field(
+            FIELD,
+            format!(
+                "expected {members} members (as many as in weights), got {}",
+                row.len()
+            ),
+        ));
+    }
+    if history_f
+        .iter()
+        .flatten()
+        .flatten()
+        .all(|value| value.is_finite())
+    {
+        Ok(())
+    } else {
+        Err(Invalid::field(FIELD, "a prediction is not finite"))
+    }
+}

@@ -1,0 +1,131 @@
+//! Why a message was refused ([`Invalid`]) and what is told to the other side ([`WireError`]).
+
+use prost::Message as _;
+use thiserror::Error;
+
+use crate::proto;
+pub use crate::proto::error::Code;
+
+/// Why bytes are not a valid message.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum Invalid {
+    /// Larger than [`crate::Limits::message_bytes`].
+    #[error("the message has {actual} bytes, at most {limit} are accepted")]
+    TooLarge {
+        /// Bytes accepted.
+        limit: usize,
+        /// Bytes that came.
+        actual: usize,
+    },
+    /// Not a protobuf encoding of the message.
+    #[error("not an egp.v1 message: {0}")]
+    Malformed(#[from] prost::DecodeError),
+    /// Another version of the messages.
+    #[error(
+        "message version {actual}, this side speaks version {}; update the older one",
+        crate::VERSION
+    )]
+    Version {
+        /// Version that came.
+        actual: u32,
+    },
+    /// A field whose shape or value is refused.
+    #[error("{field}: {reason}")]
+    Field {
+        /// Name as in the `.proto`.
+        field: &'static str,
+        /// What was expected and what came.
+        reason: String,
+    },
+}
+
+impl Invalid {
+    pub(crate) fn field(field: &'static str, reason: impl Into<String>) -> Self {
+        Self::Field {
+            field,
+            reason: reason.into(),
+        }
+    }
+}
+
+/// An error as it travels to the client.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[error("{}{detail}", if field.is_empty() { String::new() } else { format!("{field}: ") })]
+pub struct WireError {
+    /// What kind of error.
+    pub code: Code,
+    /// Whether another attempt, here or at another replica, may succeed.
+    pub retryable: bool,
+    /// How long to wait before that, microseconds; 0 when it makes no difference.
+    pub retry_after_us: u32,
+    /// The field at fault, as named in the `.proto`; empty when none is.
+    pub field: String,
+    /// What was expected, what came, what to try.
+    pub detail: String,
+}
+
+impl WireError {
+    /// An error at which another attempt may succeed, after `retry_after_us`.
+    pub fn retryable(code: Code, retry_after_us: u32, detail: impl Into<String>) -> Self {
+        Self {
+            code,
+            retryable: true,
+            retry_after_us,
+            field: String::new(),
+            detail: detail.into(),
+        }
+    }
+
+    /// An error that the same request would meet again.
+    pub fn permanent(code: Code, detail: impl Into<String>) -> Self {
+        Self {
+            code,
+            retryable: false,
+            retry_after_us: 0,
+            field: String::new(),
+            detail: detail.into(),
+        }
+    }
+
+    /// Bytes of an `egp.v1.Error`.
+    pub fn encode(&self) -> Vec<u8> {
+        proto::Error {
+            code: self.code.into(),
+            retryable: self.retryable,
+            retry_after_us: self.retry_after_us,
+            field: self.field.clone(),
+            detail: self.detail.clone(),
+        }
+        .encode_to_vec()
+    }
+
+    /// Reads an `egp.v1.Error`. A code this side does not know becomes [`Code::Unspecified`].
+    ///
+    /// # Errors
+    /// [`Invalid`] when the bytes are no such message.
+    pub fn decode(bytes: &[u8]) -> Result<Self, Invalid> {
+        let error = proto::Error::decode(bytes)?;
+        Ok(Self {
+            code: error.code(),
+            retryable: error.retryable,
+            retry_after_us: error.retry_after_us,
+            field: error.field,
+            detail: error.detail,
+        })
+    }
+}
+
+impl From<Invalid> for WireError {
+    fn from(invalid: Invalid) -> Self {
+        match invalid {
+            Invalid::Field { field, reason } => Self {
+                field: field.to_owned(),
+                ..Self::permanent(Code::InvalidField, reason)
+            },
+            Invalid::Version { .. } => Self::permanent(Code::Version, invalid.to_string()),
+            Invalid::TooLarge { .. } | Invalid::Malformed(_) => {
+                Self::permanent(Code::Malformed, invalid.to_string())
+            }
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! Key expressions, DESIGN §5.
+//!
+//! Each replica has its own prefix, because zenoh does not balance queries over replicas; the client
+//! chooses one. A vehicle's identity is its key, never its payload, so that access control covers it.
+
+use std::{fmt, str::FromStr};
+
+use thiserror::Error;
+
+const PREFIX: &str = "egp/v1/r/";
+const LIVE: &str = "egp/v1/@live/";
+const LOAD: &str = "egp/v1/@load/";
+const STEP: &str = "/step";
+const NAME_MAX: usize = 64;
+
+/// Matches the liveliness tokens of all replicas.
+pub const ALL_LIVE: &str = "egp/v1/@live/*";
+
+/// The text is not a name.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error(
+    "{0:?} is no name of a replica, fleet or vehicle: use 1 to {NAME_MAX} of A-Z a-z 0-9 . _ -"
+)]
+pub struct NameError(String);
+
+/// Name of a replica, a fleet or a vehicle: one chunk of a key.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Name(String);
+
+impl Name {
+    /// The name as text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl FromStr for Name {
+    type Err = NameError;
+
+    fn from_str(text: &str) -> Result<Self, NameError> {
+        let allowed = |c: u8| c.is_ascii_alphanumeric() || matches!(c, b'.' | b'_' | b'-');
+        if (1..=NAME_MAX).contains(&text.len()) && text.bytes().all(allowed) {
+            Ok(Self(text.to_owned()))
+        } else {
+            Err(NameError(text.to_owned()))
+        }
+    }
+}
+
+impl fmt::Display for Name {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// What a replica declares its queryable on.
+pub fn replica(replica: &Name) -> String {
+    format!("{PREFIX}{replica}/**")
+}
+
+/// Where a vehicle asks a replica for a control step.
+pub fn step(replica: &Name, fleet: &Name, vehicle: &Name) -> String {
+    format!("{PREFIX}{replica}/{fleet}/{vehicle}{STEP}")
+}
+
+/// Where a replica answers whether it is alive (`text/plain`).
+pub fn health(replica: &Name) -> String {
+    format!("{PREFIX}{replica}/health")
+}
+
+/// Where a replica answers what it serves ([`crate::Ready`]).
+pub fn ready(replica: &Name) -> String {
+    format!("{PREFIX}{replica}/ready")
+}
+
+/// Where a replica answers its OpenMetrics text.
+pub fn metrics(replica: &Name) -> String {
+    format!("{PREFIX}{replica}/metrics")
+}
+
+/// Liveliness token of a replica.
+pub fn live(replica: &Name) -> String {
+    format!("{LIVE}{replica}")
+}
+
+/// Where a replica publishes its [`crate::Load`].
+pub fn load(replica: &Name) -> String {
+    format!("{LOAD}{replica}")
+}
+
+/// The replica a liveliness token belongs to.
+pub fn replica_of_live(key: &str) -> Option<Name> {
+    key.strip_prefix(LIVE)?.parse().ok()
+}
+
+/// What a query under a replica's prefix asks for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// A control step.
+    Step {
+        /// Fleet of the vehicle.
+        fleet: Name,
+        /// The vehicle.
+        vehicle: Name,
+    },
+    /// [`health`].
+    Health,
+    /// [`ready`].
+    Ready,
+    /// [`metrics`].
+    Metrics,
+}
+
+/// Reads the key of a query; nothing when it is none of ours.
+pub fn parse(key: &str) -> Option<Target> {
+    let (_replica, rest) = key.strip_prefix(PREFIX)?.split_once('/')?;
+    match rest {
+        "health" => Some(Target::Health),
+        "ready" => Some(Target::Ready),
+        "metrics" => Some(Target::Metrics),
+        _ => {
+            let (fleet, vehicle) = rest.strip_suffix(STEP)?.split_once('/')?;
+            Some(Target::Step {
+                fleet: fleet.parse().ok()?,
+                vehicle: vehicle.parse().ok()?,
+            })
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn keys_read_back() {
+        let [here, fleet, vehicle] = ["r1", "depot", "car-7"].map(|name| name.parse().unwrap());
+        assert_eq!(
+            step(&here, &fleet, &vehicle),
+            "egp/v1/r/r1/depot/car-7/step"
+        );
+        assert_eq!(
+            parse(&step(&here, &fleet, &vehicle)),
+            Some(Target::Step { fleet, vehicle })
+        );
+        assert_eq!(parse(&ready(&here)), Some(Target::Ready));
+        assert_eq!(parse("egp/v1/r/r1/depot/step"), None);
+        assert_eq!(parse("egp/v1/r/r1/a/b/c/step"), None);
+        assert_eq!(replica_of_live(&live(&here)), Some(here));
+    }
+
+    #[test]
+    fn names_are_single_literal_chunks() {
+        for bad in ["", "a/b", "*", "$*", "@x", "a b", &"n".repeat(65)] {
+            assert!(bad.parse::<Name>().is_err(), "{bad:?}");
+        }
+    }
+}

@@ -1,0 +1,25 @@
+//! How large a message may be before anybody looks at its numbers.
+
+/// Size limits applied while decoding. The defaults fit the largest request the service is made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Bytes of an encoded message.
+    pub message_bytes: usize,
+    /// Members of a library, N.
+    pub members: usize,
+    /// Inputs of a plan, T.
+    pub horizon: usize,
+    /// Transitions of the history, K.
+    pub history: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            message_bytes: 256 * 1024,
+            members: 64,
+            horizon: 128,
+            history: 64,
+        }
+    }
+}

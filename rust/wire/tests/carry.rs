@@ -1,0 +1,132 @@
+//! The carry through lost, late and repeated replies.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use egp_wire::{Carry, Limits, Reply, Request, Status};
+
+const LIBRARY: [u8; 32] = [3; 32];
+const HORIZON: usize = 4;
+
+fn state(v_x: f64) -> [f64; 7] {
+    [0.0, 0.0, v_x, 0.0, 0.0, 0.0, 0.0]
+}
+
+/// One control period at the speed `v_x`; the request must be valid.
+fn period(carry: &mut Carry, v_x: f64, force: f64) -> Request {
+    let request = carry.request(state(v_x), vec![[0.0; 4]; HORIZON + 1], vec![], 1000);
+    request.validate(&Limits::default()).unwrap();
+    carry.applied([force, 0.0]);
+    request
+}
+
+/// The reply that a service would give, each prediction marked with `mark`.
+fn answer(request: &Request, status: Status, mark: f64) -> Reply {
+    let solved = status == Status::Solved;
+    Reply {
+        library: LIBRARY,
+        sequence: request.sequence,
+        status,
+        plan_x: if solved {
+            vec![request.x; HORIZON + 1]
+        } else {
+            vec![]
+        },
+        plan_u: if solved {
+            vec![[1.0, 0.0]; HORIZON]
+        } else {
+            vec![]
+        },
+        weights: vec![0.5, 0.5],
+        sigma: vec![],
+        history_f: vec![vec![[mark; 3]; 2]; request.history_z.len()],
+        dropped_mass: 0.0,
+        iterations: 1,
+        kkt_residual: 0.0,
+        solver: String::new(),
+    }
+}
+
+#[test]
+fn each_period_adds_the_transition_of_the_last() {
+    let mut carry = Carry::new(LIBRARY, 3);
+    assert!(period(&mut carry, 10.0, 100.0).history_z.is_empty());
+    let second = period(&mut carry, 10.5, 200.0);
+    assert_eq!(second.history_z, [[10.0, 0.0, 0.0, 0.0, 100.0, 0.0]]);
+    assert_eq!(second.history_y, [[0.5, 0.0, 0.0]]);
+    assert_eq!(second.u_prev, [100.0, 0.0]);
+    for v_x in [11.0, 12.0, 13.0] {
+        period(&mut carry, v_x, 0.0);
+    }
+    let last = period(&mut carry, 14.0, 0.0);
+    assert_eq!(
+        last.history_y.iter().map(|y| y[0]).collect::<Vec<_>>(),
+        [1.0, 1.0, 1.0]
+    );
+}
+
+#[test]
+fn predictions_stay_with_their_transition_when_replies_are_lost_or_late() {
+    let mut carry = Carry::new(LIBRARY, 4);
+    period(&mut carry, 10.0, 0.0);
+    let second = period(&mut carry, 11.0, 0.0);
+    let third = period(&mut carry, 12.0, 0.0);
+    // The reply to the second comes a period late: it knows one of the two transitions.
+    assert!(carry.accept(&answer(&second, Status::Solved, 2.0)).unwrap());
+    let fourth = period(&mut carry, 13.0, 0.0);
+    assert_eq!((fourth.history_z.len(), fourth.history_f.len()), (3, 1));
+    assert_eq!(fourth.plan_shift, 2);
+    assert!(carry.accept(&answer(&fourth, Status::Solved, 4.0)).unwrap());
+    // One that comes after its successor brings nothing.
+    assert!(!carry.accept(&answer(&third, Status::Solved, 3.0)).unwrap());
+    let fifth = period(&mut carry, 14.0, 0.0);
+    assert_eq!((fifth.history_z.len(), fifth.history_f.len()), (4, 3));
+    assert_eq!(fifth.history_f[0][0], [4.0; 3]);
+    assert_eq!(fifth.plan_shift, 1);
+}
+
+#[test]
+fn an_unsolved_reply_brings_weights_and_leaves_the_plan_to_age_out() {
+    let mut carry = Carry::new(LIBRARY, 2);
+    let first = period(&mut carry, 10.0, 0.0);
+    carry.accept(&answer(&first, Status::Solved, 0.0)).unwrap();
+    for shift in 1..4 {
+        let request = period(&mut carry, 10.0, 0.0);
+        assert_eq!((request.plan_shift, request.plan_u.len()), (shift, HORIZON));
+        carry
+            .accept(&answer(&request, Status::Infeasible, 0.0))
+            .unwrap();
+    }
+    let request = period(&mut carry, 10.0, 0.0);
+    assert_eq!((request.plan_shift, request.plan_u.len()), (0, 0));
+    assert_eq!(request.weights, [0.5, 0.5]);
+}
+
+#[test]
+fn foreign_replies_are_refused_and_reset_forgets() {
+    let mut carry = Carry::new(LIBRARY, 2);
+    let first = period(&mut carry, 10.0, 0.0);
+    let reply = answer(&first, Status::Solved, 0.0);
+    assert!(
+        carry
+            .accept(&Reply {
+                library: [0; 32],
+                ..reply.clone()
+            })
+            .is_err()
+    );
+    assert!(
+        carry
+            .accept(&Reply {
+                sequence: 9,
+                ..reply.clone()
+            })
+            .is_err()
+    );
+    carry.reset();
+    assert!(
+        !carry.accept(&reply).unwrap(),
+        "a reply from before the reset is stale"
+    );
+    let next = period(&mut carry, 10.0, 0.0);
+    assert_eq!(next.sequence, 2);
+    assert!(next.history_z.is_empty() && next.plan_u.is_empty() && next.weights.is_empty());
+}

@@ -1,0 +1,66 @@
+//! Decoding survives any bytes; what it accepts encodes to itself.
+#![allow(clippy::unwrap_used, missing_docs, dead_code)]
+
+mod fixtures;
+
+use egp_wire::{Header, Limits, Ready, Reply, Request, WireError};
+use proptest::{collection::vec, prelude::*};
+
+fn row<const W: usize>(limit: f64) -> impl Strategy<Value = [f64; W]> {
+    [(); W].map(|()| -limit..limit)
+}
+
+prop_compose! {
+    fn request()(horizon in 1usize..30, members in 1usize..9, history in 0usize..12)(
+        x in row(1.5), u_prev in row(10.0), raw_weights in vec(0.01..1.0, members),
+        plan_x in vec(row(1.5), horizon + 1), plan_u in vec(row(10.0), horizon),
+        plan_shift in 0..=u32::try_from(horizon).unwrap(),
+        history_z in vec(row(1.0), history), history_y in vec(row(1.0), history),
+        mut history_f in vec(vec(row(1e12), members), history), predicted in 0..=history,
+        reference in vec(row(1e4), horizon + 1).prop_map(|rows| rows.iter().map(|r: &[f64; 4]| [r[0], r[1], r[2] / 1e3, r[3]]).collect()),
+        widths in vec([0.0..50.0, 0.0..50.0], horizon + 1),
+        sequence in any::<u64>(), budget_us in 1u32..10_000_000, want_sigma in any::<bool>(),
+        library in any::<[u8; 32]>(),
+    ) -> Request {
+        let sum: f64 = raw_weights.iter().sum();
+        let weights = raw_weights.iter().map(|w| w / sum).collect();
+        history_f.truncate(predicted);
+        Request {
+            library, sequence, budget_us, x, u_prev, weights, plan_x, plan_u, plan_shift,
+            history_z, history_y, history_f, reference, widths, want_sigma,
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn requests_round_trip(request in request()) {
+        let decoded = Request::decode(&request.encode(), &Limits::default()).unwrap();
+        prop_assert_eq!(&decoded, &request);
+        let header = Header::decode(&request.encode(), &Limits::default()).unwrap();
+        prop_assert_eq!(header.sequence, request.sequence);
+    }
+
+    #[test]
+    fn arbitrary_bytes_never_panic(bytes in vec(any::<u8>(), 0..600)) {
+        let limits = Limits::default();
+        let _ = Request::decode(&bytes, &limits);
+        let _ = Reply::decode(&bytes, &limits);
+        let _ = Ready::decode(&bytes, &limits);
+        let _ = Header::decode(&bytes, &limits);
+        let _ = WireError::decode(&bytes);
+    }
+
+    #[test]
+    fn damaged_messages_never_panic(at in 0usize..2000, bit in 0u8..8) {
+        for (_, mut bytes) in fixtures::all() {
+            let at = at % bytes.len();
+            bytes[at] ^= 1 << bit;
+            let limits = Limits::default();
+            if let Ok(request) = Request::decode(&bytes, &limits) {
+                prop_assert!(request.validate(&limits).is_ok());
+            }
+            let _ = Reply::decode(&bytes, &limits);
+        }
+    }
+}

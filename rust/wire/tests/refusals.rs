@@ -1,0 +1,116 @@
+//! Whatever is wrong with a message, the refusal says where.
+#![allow(clippy::unwrap_used, clippy::panic, missing_docs, dead_code)]
+
+mod fixtures;
+
+use egp_wire::{Code, Header, Invalid, Limits, Reply, Request, WireError, proto};
+use prost::Message as _;
+
+fn limits() -> Limits {
+    Limits::default()
+}
+
+/// The field that a request is refused for after `spoil`.
+fn refused(spoil: impl FnOnce(&mut Request)) -> String {
+    let mut request = fixtures::full_request();
+    spoil(&mut request);
+    match Request::decode(&request.encode(), &limits()) {
+        Err(Invalid::Field { field, reason }) => format!("{field}: {reason}"),
+        other => panic!("expected a refused field, got {other:?}"),
+    }
+}
+
+/// The same on the level of protobuf, for what the typed request cannot express.
+fn refused_raw(spoil: impl FnOnce(&mut proto::StepRequest)) -> Invalid {
+    let mut raw = proto::StepRequest::decode(&*fixtures::full_request().encode()).unwrap();
+    spoil(&mut raw);
+    Request::decode(&raw.encode_to_vec(), &limits()).unwrap_err()
+}
+
+#[test]
+fn values_outside_the_domain_are_named() {
+    assert!(refused(|r| r.x[2] = f64::NAN).starts_with("x: value 2 is not finite"));
+    assert!(refused(|r| r.x[2] = 1e3).starts_with("x: row 0: v_x = 1000 is outside"));
+    assert!(refused(|r| r.u_prev[0] = f64::INFINITY).starts_with("u_prev"));
+    assert!(refused(|r| r.plan_x[3][4] = -1e9).starts_with("plan_x: row 3: v_y"));
+    assert!(refused(|r| r.history_f[1][0][2] = f64::NAN).starts_with("history_f"));
+    assert!(refused(|r| r.budget_us = 0).starts_with("budget_us"));
+    assert!(refused(|r| r.widths[1] = [-3.0, 1.0]).starts_with("widths: row 1: the edges cross"));
+}
+
+#[test]
+fn weights_off_the_simplex_are_refused() {
+    assert!(refused(|r| r.weights = vec![0.7, 0.7]).contains("sum to 1.4"));
+    assert!(refused(|r| r.weights = vec![1.5, -0.5]).contains("weight 1 = -0.5 is negative"));
+}
+
+#[test]
+fn fields_that_do_not_fit_together_are_refused() {
+    assert!(refused(|r| r.plan_u.clear()).starts_with("plan_u: expected 4 rows"));
+    assert!(refused(|r| r.plan_x.truncate(2)).starts_with("plan_x: expected 5 rows"));
+    assert!(refused(|r| r.plan_shift = 5).starts_with("plan_shift: expected at most 4"));
+    assert!(refused(|r| r.history_y.truncate(2)).starts_with("history_y: expected 3 rows"));
+    assert!(refused(|r| r.weights = vec![1.0]).starts_with("history_f: expected 1 members"));
+    assert!(refused(|r| r.widths.truncate(2)).starts_with("widths: expected 5 rows"));
+    assert!(refused(|r| r.reference.clear()).starts_with("reference"));
+    assert!(refused(|r| r.reference = vec![[0.0; 4]; 200]).contains("n in 1..=129"));
+    assert!(refused(|r| r.weights = vec![0.01; 100]).contains("n in 1..=64"));
+}
+
+#[test]
+fn shapes_and_data_must_agree() {
+    let message = |invalid: Invalid| invalid.to_string();
+    assert!(message(refused_raw(|r| r.x = None)).contains("x: is required and absent"));
+    let short = refused_raw(|r| r.x.as_mut().unwrap().data.truncate(55));
+    assert!(message(short).contains("needs 56 bytes of data, got 55"));
+    let lying = refused_raw(|r| r.plan_u.as_mut().unwrap().shape = vec![u32::MAX, u32::MAX]);
+    assert!(message(lying).starts_with("plan_u: expected shape"));
+    assert!(
+        message(refused_raw(|r| r.library.truncate(31))).contains("32 bytes of a SHA-256, got 31")
+    );
+    assert_eq!(
+        refused_raw(|r| r.version = 2),
+        Invalid::Version { actual: 2 }
+    );
+}
+
+#[test]
+fn truncated_and_oversized_messages_are_refused() {
+    let bytes = fixtures::full_request().encode();
+    for length in 0..bytes.len() {
+        assert!(
+            Request::decode(&bytes[..length], &limits()).is_err(),
+            "{length} bytes were accepted"
+        );
+    }
+    let tight = Limits {
+        message_bytes: bytes.len() - 1,
+        ..limits()
+    };
+    let error = Request::decode(&bytes, &tight).unwrap_err();
+    assert!(matches!(error, Invalid::TooLarge { .. }));
+    assert_eq!(WireError::from(error).code, Code::Malformed);
+}
+
+#[test]
+fn the_header_is_read_alone() {
+    let header = Header::decode(&fixtures::full_request().encode(), &limits()).unwrap();
+    assert_eq!((header.sequence, header.budget_us), (7, 40_000));
+    let spoiled = refused_raw(|r| r.budget_us = 20_000_000);
+    assert!(spoiled.to_string().starts_with("budget_us"));
+}
+
+#[test]
+fn a_reply_cannot_carry_an_unsolved_plan() {
+    let mut reply = fixtures::solved_reply();
+    reply.status = egp_wire::Status::CheckFailed;
+    let error = Reply::decode(&reply.encode(), &limits()).unwrap_err();
+    assert!(
+        error
+            .to_string()
+            .contains("present although nothing was solved")
+    );
+    let mut reply = fixtures::infeasible_reply();
+    reply.status = egp_wire::Status::Solved;
+    assert!(Reply::decode(&reply.encode(), &limits()).is_err());
+}
