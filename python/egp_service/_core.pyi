@@ -1,6 +1,7 @@
 """Types of the compiled extension, one section per Rust file under `rust/python/src`."""
 
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from typing import Literal, final
 
 import numpy as np
@@ -11,10 +12,15 @@ __all__ = [
     "EgpError",
     "FrictionMap",
     "Gate",
+    "Library",
+    "LibraryError",
+    "Member",
+    "MemberData",
     "Plant",
     "plant_derivative",
     "plant_initial_states",
     "plant_step_batch",
+    "write_library",
 ]
 
 # error.rs
@@ -140,4 +146,155 @@ def plant_step_batch(
 
     States (n, 29), inputs (n, 2), friction (n,). Returns the new states and which
     vehicles completed the period; one that spun keeps its state.
+    """
+
+# library.rs
+
+class LibraryError(EgpError):
+    """A refused library file; `code` names the kind of refusal, the message what to do next."""
+
+    code: str
+
+@final
+class Library:
+    """A verified library: one member for each surface, never changing after it was loaded."""
+
+    @staticmethod
+    def load(path: str | PathLike[str]) -> Library:
+        """Read, verify and factor a library file.
+
+        Raises `LibraryError` for a file that fails a check, `OSError` for one that cannot be read.
+        """
+
+    @property
+    def id(self) -> str:
+        """SHA-256 of the file, hexadecimal; requests pin it."""
+
+    @property
+    def dt(self) -> float:
+        """Period over which the outputs change, s."""
+
+    @property
+    def kernel(self) -> str:
+        """Name of the kernel, "rbf" or "matern52"."""
+
+    @property
+    def vehicle(self) -> str:
+        """The vehicle the data come from."""
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """How the library was made: versions, settings, seeds."""
+
+    @property
+    def members(self) -> list[Member]:
+        """The members, in the order of the weights."""
+
+    def predict(
+        self, z: NDArray[np.float64], member: int = 0
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Predict with one member at GP inputs `z` (n, 6), all in physical units.
+
+        Returns the mean (n, 3), its Jacobian (n, 3, 6) and the variance of the latent function,
+        measurement noise not included, (n, 3).
+        """
+
+@final
+class Member:
+    """One surface's GPs inside a library; hyperparameters live in the z-scored space."""
+
+    @property
+    def label(self) -> str:
+        """The surface's name."""
+
+    @property
+    def friction(self) -> float:
+        """Nominal friction coefficient of the surface."""
+
+    @property
+    def dataset(self) -> str:
+        """SHA-256 of the dataset the member was trained on."""
+
+    @property
+    def n_points(self) -> int:
+        """Number of training points."""
+
+    @property
+    def envelope(self) -> NDArray[np.float64]:
+        """Smallest and largest training inputs (2, 6), physical units."""
+
+    @property
+    def lengthscales(self) -> NDArray[np.float64]:
+        """Lengthscales of each output (3, 6)."""
+
+    @property
+    def outputscale(self) -> NDArray[np.float64]:
+        """Prior variances (3,)."""
+
+    @property
+    def noise(self) -> NDArray[np.float64]:
+        """Noise variances (3,)."""
+
+    @property
+    def constant(self) -> NDArray[np.float64]:
+        """Prior means (3,)."""
+
+    @property
+    def noise_std(self) -> NDArray[np.float64]:
+        """Standard deviations of the measurement noise (3,), output units."""
+
+@final
+class MemberData:
+    """One surface's GPs on their way into a file; M points, G golden points.
+
+    Inputs, targets, scalers, envelope and golden predictions are in physical units, everything else
+    in the z-scored space: `alpha = (K + noise I)^-1 (y - constant)` with z-scored `y`. The golden
+    arrays hold what the trainer's own implementation predicts; loading must reproduce them. A few
+    points inside the data and a few far outside will do.
+    """
+
+    def __new__(
+        cls,
+        *,
+        label: str,
+        friction: float,
+        dataset: str,
+        inputs: NDArray[np.float64],
+        targets: NDArray[np.float64],
+        input_mean: NDArray[np.float64],
+        input_std: NDArray[np.float64],
+        target_mean: NDArray[np.float64],
+        target_std: NDArray[np.float64],
+        lengthscales: NDArray[np.float64],
+        outputscale: NDArray[np.float64],
+        noise: NDArray[np.float64],
+        constant: NDArray[np.float64],
+        alpha: NDArray[np.float64],
+        envelope: NDArray[np.float64],
+        golden_z: NDArray[np.float64],
+        golden_mean: NDArray[np.float64],
+        golden_jacobian: NDArray[np.float64],
+        golden_variance: NDArray[np.float64],
+    ) -> MemberData:
+        """Take over the arrays.
+
+        Shapes: inputs (M, 6), targets (M, 3), input_mean and input_std (6,), target_mean and
+        target_std (3,), lengthscales (3, 6), outputscale, noise and constant (3,), alpha (3, M),
+        envelope (2, 6), golden_z (G, 6), golden_mean (G, 3), golden_jacobian (G, 3, 6),
+        golden_variance (G, 3).
+        """
+
+def write_library(
+    path: str | PathLike[str],
+    *,
+    dt: float,
+    kernel: str,
+    vehicle: str,
+    members: Sequence[MemberData],
+    provenance: Mapping[str, str],
+) -> None:
+    """Write a library file, all of it or nothing, after verifying that it can be loaded.
+
+    `dt` in s, `kernel` "rbf" or "matern52". The same arguments give the same bytes.
+    Raises `LibraryError` for content that fails a check, `OSError` when writing fails.
     """

@@ -2,8 +2,10 @@
 
 #![allow(clippy::needless_pass_by_value)] // pyo3 hands arguments over by value
 
+mod array;
 mod error;
 mod gate;
+mod library;
 mod plant;
 
 use pyo3::prelude::*;
@@ -13,6 +15,7 @@ use pyo3::prelude::*;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     error::register(module)?;
     gate::register(module)?;
+    library::register(module)?;
     plant::register(module)?;
     Ok(())
 }

@@ -1,15 +1,13 @@
 //! `Plant`, `FrictionMap` and the functions on many states at once.
 
 use egp_plant::{BatchItem, Map, NX, Parameters, StateVector, Uniform, VehicleId, VehicleState};
-use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, ToPyArray,
-};
 use pyo3::prelude::*;
 
+use crate::array::{Matrix, NewMatrix, NewVector, Vector, array, fixed, rows, vector};
 use crate::error::{EgpError, raise};
 
 /// A batch after one period: the states, and which plants made it.
-type Stepped<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<bool>>);
+type Stepped<'py> = (NewMatrix<'py>, NewVector<'py, bool>);
 
 /// A simulated vehicle.
 #[pyclass(module = "egp_service._core")]
@@ -47,12 +45,7 @@ impl Plant {
         self.0.reset(&state).map_err(raise)
     }
 
-    fn step(
-        &mut self,
-        u: PyReadonlyArray1<'_, f64>,
-        dt: f64,
-        friction: Surface<'_>,
-    ) -> PyResult<()> {
+    fn step(&mut self, u: Vector<'_>, dt: f64, friction: Surface<'_>) -> PyResult<()> {
         let input = fixed("u", &u)?;
         match friction {
             Surface::Uniform(mu) => {
@@ -65,18 +58,18 @@ impl Plant {
     }
 
     #[getter]
-    fn state<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.0.state().to_pyarray(py)
+    fn state<'py>(&self, py: Python<'py>) -> NewVector<'py> {
+        vector(py, *self.0.state())
     }
 
     #[setter]
-    fn set_state(&mut self, state: PyReadonlyArray1<'_, f64>) -> PyResult<()> {
+    fn set_state(&mut self, state: Vector<'_>) -> PyResult<()> {
         self.0.set_state(&fixed("state", &state)?).map_err(raise)
     }
 
     #[getter]
-    fn vehicle_state<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.0.vehicle_state().to_array().to_pyarray(py)
+    fn vehicle_state<'py>(&self, py: Python<'py>) -> NewVector<'py> {
+        vector(py, self.0.vehicle_state().to_array())
     }
 
     #[getter]
@@ -97,7 +90,7 @@ struct FrictionMap(Map);
 #[pymethods]
 impl FrictionMap {
     #[new]
-    fn new(values: PyReadonlyArray2<'_, f64>, origin: (f64, f64), cell: f64) -> PyResult<Self> {
+    fn new(values: Matrix<'_>, origin: (f64, f64), cell: f64) -> PyResult<Self> {
         let values = values.as_array();
         let (rows, columns) = values.dim();
         Map::new(
@@ -122,18 +115,18 @@ enum Surface<'py> {
 #[derive(FromPyObject)]
 enum WheelFriction<'py> {
     Uniform(f64),
-    Wheels(PyReadonlyArray1<'py, f64>),
+    Wheels(Vector<'py>),
 }
 
 #[pyfunction]
 #[pyo3(signature = (state, u, friction, vehicle = 1))]
 fn plant_derivative<'py>(
     py: Python<'py>,
-    state: PyReadonlyArray1<'py, f64>,
-    u: PyReadonlyArray1<'py, f64>,
+    state: Vector<'py>,
+    u: Vector<'py>,
     friction: WheelFriction<'py>,
     vehicle: u32,
-) -> PyResult<Bound<'py, PyArray1<f64>>> {
+) -> PyResult<NewVector<'py>> {
     let friction = match friction {
         WheelFriction::Uniform(mu) => [mu; 4],
         WheelFriction::Wheels(mu) => fixed("friction", &mu)?,
@@ -144,7 +137,7 @@ fn plant_derivative<'py>(
         fixed("u", &u)?,
         friction,
     )
-    .map(|slope| slope.to_pyarray(py))
+    .map(|slope| vector(py, slope))
     .map_err(raise)
 }
 
@@ -152,9 +145,9 @@ fn plant_derivative<'py>(
 #[pyo3(signature = (vehicle_states, vehicle = 1))]
 fn plant_initial_states<'py>(
     py: Python<'py>,
-    vehicle_states: PyReadonlyArray2<'py, f64>,
+    vehicle_states: Matrix<'py>,
     vehicle: u32,
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
+) -> PyResult<NewMatrix<'py>> {
     let parameters = parameters(vehicle)?;
     let states = rows::<7>("vehicle_states", &vehicle_states)?
         .into_iter()
@@ -169,10 +162,10 @@ fn plant_initial_states<'py>(
 #[pyo3(signature = (states, u, dt, friction, vehicle = 1))]
 fn plant_step_batch<'py>(
     py: Python<'py>,
-    states: PyReadonlyArray2<'py, f64>,
-    u: PyReadonlyArray2<'py, f64>,
+    states: Matrix<'py>,
+    u: Matrix<'py>,
     dt: f64,
-    friction: PyReadonlyArray1<'py, f64>,
+    friction: Vector<'py>,
     vehicle: u32,
 ) -> PyResult<Stepped<'py>> {
     let parameters = parameters(vehicle)?;
@@ -205,7 +198,7 @@ fn plant_step_batch<'py>(
     let completed: Vec<bool> = results.iter().map(Result::is_ok).collect();
     Ok((
         matrix(py, items.iter().map(|item| *item.plant.state()).collect())?,
-        completed.into_pyarray(py),
+        vector(py, completed),
     ))
 }
 
@@ -215,37 +208,9 @@ fn parameters(vehicle: u32) -> PyResult<Parameters> {
         .map_err(raise)
 }
 
-/// A vector of known length.
-fn fixed<const N: usize>(name: &str, array: &PyReadonlyArray1<'_, f64>) -> PyResult<[f64; N]> {
-    let values: Vec<f64> = array.as_array().iter().copied().collect();
-    let count = values.len();
-    values
-        .try_into()
-        .map_err(|_| EgpError::new_err(format!("expected {name} of shape ({N},), got ({count},)")))
-}
-
-/// The rows of a matrix with a known number of columns.
-fn rows<const N: usize>(name: &str, array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; N]>> {
-    let array = array.as_array();
-    let (count, columns) = array.dim();
-    if columns != N {
-        return Err(EgpError::new_err(format!(
-            "expected {name} of shape (n, {N}), got ({count}, {columns})"
-        )));
-    }
-    Ok(array
-        .rows()
-        .into_iter()
-        .map(|row| std::array::from_fn(|i| row[i]))
-        .collect())
-}
-
-fn matrix(py: Python<'_>, states: Vec<StateVector>) -> PyResult<Bound<'_, PyArray2<f64>>> {
+fn matrix(py: Python<'_>, states: Vec<StateVector>) -> PyResult<NewMatrix<'_>> {
     let count = states.len();
-    states
-        .into_flattened()
-        .into_pyarray(py)
-        .reshape([count, NX])
+    array(py, states.into_flattened(), [count, NX])
 }
 
 /// Adds this file's classes and functions to the module.

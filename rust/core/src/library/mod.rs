@@ -13,6 +13,7 @@ mod verify;
 
 pub use data::{LibrarySpec, MemberData};
 pub use error::LibraryError;
+pub use format::hex;
 pub use limits::*;
 pub use member::Member;
 pub use metadata::{MemberMetadata, Metadata, Signal};

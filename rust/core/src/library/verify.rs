@@ -14,14 +14,14 @@ const POSITIVE: [&str; 5] = [
     "outputscale",
     "noise",
 ];
-/// Largest residual of `alpha`, relative to the terms that cancel in it.
+/// Largest residual of `alpha`, z-scored.
 const ALPHA_TOLERANCE: f64 = 1e-10;
 /// Largest difference to a golden mean or Jacobian, z-scored.
 const MEAN_TOLERANCE: f64 = 1e-9;
 /// Largest difference to a golden variance, relative to the prior variance.
 const VARIANCE_TOLERANCE: f64 = 1e-8;
 /// Relative rounding of one kernel value in the exporter: distances by `|x|² + |z|² - 2xz` lose digits.
-const KERNEL_ROUNDING: f64 = 1e-12;
+const KERNEL_ROUNDING: f64 = 1e-13;
 
 /// Finite numbers, positive scales, and an ordered envelope.
 pub(super) fn check_values(data: &MemberData, member: usize) -> Result<(), LibraryError> {
@@ -71,7 +71,7 @@ pub(super) fn check_alpha(
         }
     }
     for (output, residual) in largest.into_iter().enumerate() {
-        let tolerance = ALPHA_TOLERANCE * (1.0 + mean_amplification(data, output));
+        let tolerance = ALPHA_TOLERANCE + KERNEL_ROUNDING * mean_amplification(data, output);
         if residual > tolerance {
             return Err(LibraryError::Alpha {
                 tensor: tensor_name(member, "alpha"),

@@ -1,0 +1,90 @@
+//! numpy arrays of known shape as Rust arrays, and back.
+
+use numpy::ndarray::IntoDimension;
+use numpy::{Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
+use numpy::{IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
+use pyo3::prelude::*;
+
+use crate::error::EgpError;
+
+/// A vector from Python.
+pub type Vector<'py> = PyReadonlyArray1<'py, f64>;
+/// A matrix from Python.
+pub type Matrix<'py> = PyReadonlyArray2<'py, f64>;
+/// A three-dimensional array from Python.
+pub type Cube<'py> = PyReadonlyArray3<'py, f64>;
+/// A vector for Python.
+pub type NewVector<'py, T = f64> = Bound<'py, PyArray1<T>>;
+/// A matrix for Python.
+pub type NewMatrix<'py> = Bound<'py, PyArray2<f64>>;
+/// A three-dimensional array for Python.
+pub type NewCube<'py> = Bound<'py, PyArray3<f64>>;
+
+/// A vector of `N` numbers.
+///
+/// # Errors
+/// Another length.
+pub fn fixed<const N: usize>(name: &str, array: &Vector<'_>) -> PyResult<[f64; N]> {
+    let array = array.as_array();
+    if array.len() == N {
+        return Ok(std::array::from_fn(|i| array[i]));
+    }
+    Err(wrong_shape(name, &format!("({N},)"), &[array.len()]))
+}
+
+/// The rows of a matrix with `N` columns.
+///
+/// # Errors
+/// Another number of columns.
+pub fn rows<const N: usize>(name: &str, array: &Matrix<'_>) -> PyResult<Vec<[f64; N]>> {
+    let array = array.as_array();
+    if array.ncols() == N {
+        return Ok(array
+            .rows()
+            .into_iter()
+            .map(|row| std::array::from_fn(|i| row[i]))
+            .collect());
+    }
+    Err(wrong_shape(name, &format!("(n, {N})"), array.shape()))
+}
+
+/// The layers of an `(n, R, C)` array.
+///
+/// # Errors
+/// Other sizes of the layers.
+pub fn layers<const R: usize, const C: usize>(
+    name: &str,
+    array: &Cube<'_>,
+) -> PyResult<Vec<[[f64; C]; R]>> {
+    let array = array.as_array();
+    if array.shape()[1..] != [R, C] {
+        return Err(wrong_shape(name, &format!("(n, {R}, {C})"), array.shape()));
+    }
+    let layer =
+        |layer: usize| std::array::from_fn(|r| std::array::from_fn(|c| array[[layer, r, c]]));
+    Ok((0..array.shape()[0]).map(layer).collect())
+}
+
+/// A numpy vector of these numbers.
+pub fn vector<T: Element>(py: Python<'_>, values: impl IntoIterator<Item = T>) -> NewVector<'_, T> {
+    PyArray1::from_iter(py, values)
+}
+
+/// A numpy array of that shape from numbers in row-major order.
+///
+/// # Errors
+/// When the count does not match the shape.
+pub fn array<S: IntoDimension>(
+    py: Python<'_>,
+    values: Vec<f64>,
+    shape: S,
+) -> PyResult<Bound<'_, PyArray<f64, S::Dim>>> {
+    values.into_pyarray(py).reshape(shape)
+}
+
+/// The refusal of an array by its shape.
+pub fn wrong_shape(name: &str, expected: &str, found: &[usize]) -> PyErr {
+    EgpError::new_err(format!(
+        "expected {name} of shape {expected}, got {found:?}"
+    ))
+}
