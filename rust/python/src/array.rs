@@ -82,9 +82,11 @@ pub fn array<S: IntoDimension>(
     values.into_pyarray(py).reshape(shape)
 }
 
-/// The refusal of an array by its shape.
+/// The refusal of an array by its shape, shown as Python shows shapes.
 pub fn wrong_shape(name: &str, expected: &str, found: &[usize]) -> PyErr {
-    EgpError::new_err(format!(
-        "expected {name} of shape {expected}, got {found:?}"
-    ))
+    let found = match found {
+        [count] => format!("({count},)"),
+        _ => format!("{found:?}").replace('[', "(").replace(']', ")"),
+    };
+    EgpError::new_err(format!("expected {name} of shape {expected}, got {found}"))
 }

@@ -1,0 +1,37 @@
+"""`egp inspect` shows what is in the file."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from egp_service._core import Library
+from egp_service.inspect_library import inspect
+from library_example import write_example
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_inspect_shows_surfaces_sizes_scales_and_identity(tmp_path: Path) -> None:
+    path = tmp_path / "library.safetensors"
+    write_example(path)
+    library = Library.load(path)
+    console = Console(file=io.StringIO(), width=200)
+    inspect(path, console)
+    assert isinstance(console.file, io.StringIO)
+    text = console.file.getvalue()
+    member = library.members[1]
+    expected = [
+        library.id,
+        "0.05 s",
+        "rbf",
+        "friction 1.1",
+        "30",
+        f"{member.lengthscales[2, 3]:.3g}",
+        f"{member.envelope[1, 4]:.4g}",
+        f"{member.noise_std[0]:.2g}",
+    ]
+    assert [value for value in expected if value not in text] == []
