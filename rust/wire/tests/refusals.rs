@@ -76,7 +76,8 @@ fn shapes_and_data_must_agree() {
 
 #[test]
 fn truncated_and_oversized_messages_are_refused() {
-    let bytes = fixtures::full_request().encode();
+    // Its last field is a required one; protobuf cannot tell that a trailing optional field is missing.
+    let bytes = fixtures::cold_request().encode();
     for length in 0..bytes.len() {
         assert!(
             Request::decode(&bytes[..length], &limits()).is_err(),
