@@ -1,0 +1,251 @@
+//! The reference path: a curve by arc length, with widths and friction.
+
+use crate::arc_length::{ArcLengthSpline, parametrise};
+use crate::error::PathError;
+use crate::friction::{Zone, check_zones, friction_at};
+use crate::spline::{Jet, Piece};
+
+/// Distance in m below which a closed path's last point repeats its first.
+const SAME_POINT: f64 = 1e-6;
+
+/// A planar curve `p(s)` with `|p'(s)| = 1` (to 1e-6) and continuous curvature.
+#[derive(Debug, Clone)]
+pub struct Path {
+    closed: bool,
+    step: f64,
+    pieces: Vec<Piece>,
+    /// `[left, right]` at each knot.
+    widths: Option<Vec<[f64; 2]>>,
+    zones: Vec<Zone>,
+}
+
+/// What a path is like at one arc length.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Position in m.
+    pub x: f64,
+    /// Position in m.
+    pub y: f64,
+    /// Direction of travel in rad, in `(-pi, pi]`.
+    pub yaw: f64,
+    /// Curvature in 1/m, positive in left turns.
+    pub curvature: f64,
+    /// Distance to the left edge in m; infinite for a path without widths.
+    pub left: f64,
+    /// Distance to the right edge in m; infinite for a path without widths.
+    pub right: f64,
+    /// Friction coefficient.
+    pub friction: f64,
+}
+
+impl Path {
+    /// A path through waypoints in m, with `[left, right]` distances to the edges at each of them.
+    ///
+    /// Widths are interpolated linearly. A closed path may repeat its first point at the end.
+    ///
+    /// # Errors
+    /// Fewer than four points, repeated or non-finite ones, widths that are negative or not one per
+    /// point, or points that zigzag.
+    pub fn from_points(
+        points: &[[f64; 2]],
+        closed: bool,
+        widths: Option<&[[f64; 2]]>,
+    ) -> Result<Self, PathError> {
+        let wide = widths.unwrap_or_default();
+        if widths.is_some() && wide.len() != points.len() {
+            return Err(PathError::WidthCount {
+                expected: points.len(),
+                got: wide.len(),
+            });
+        }
+        check_finite("coordinates", points, |_| true)?;
+        check_finite("widths of at least 0", wide, |w| w >= 0.0)?;
+        let points = match points {
+            [first, inner @ .., last] if closed && distance(*first, *last) < SAME_POINT => {
+                &points[..=inner.len()]
+            }
+            _ => points,
+        };
+        if points.len() < 4 {
+            return Err(PathError::TooFewPoints(points.len()));
+        }
+        if let Some(i) = points
+            .windows(2)
+            .position(|p| distance(p[0], p[1]) < SAME_POINT)
+        {
+            return Err(PathError::RepeatedPoint(i));
+        }
+        let ArcLengthSpline {
+            pieces,
+            step,
+            stations,
+        } = parametrise(points, closed)?;
+        let mut path = Self {
+            closed,
+            step,
+            pieces,
+            widths: None,
+            zones: Vec::new(),
+        };
+        path.widths = widths.map(|widths| path.widths_at_knots(&stations, widths));
+        Ok(path)
+    }
+
+    /// The same path with these zones of friction, the first of which starts at 0.
+    ///
+    /// # Errors
+    /// Starts that don't rise from 0 to below 1, or a friction that isn't positive.
+    pub fn with_friction(mut self, zones: &[Zone]) -> Result<Self, PathError> {
+        check_zones(zones)?;
+        self.zones = zones.to_vec();
+        Ok(self)
+    }
+
+    /// Length in m, of one lap when closed.
+    pub fn length(&self) -> f64 {
+        self.step * self.pieces.len() as f64
+    }
+
+    /// Whether the end joins the start.
+    pub fn closed(&self) -> bool {
+        self.closed
+    }
+
+    /// Whether the track's edges are known.
+    pub fn has_widths(&self) -> bool {
+        self.widths.is_some()
+    }
+
+    /// The path at arc length `s`: any lap of a closed one, straight on beyond an open one's ends.
+    pub fn sample(&self, s: f64) -> Sample {
+        let Jet {
+            position,
+            first,
+            second,
+        } = self.jet(s);
+        let [left, right] = self.widths_at(s);
+        Sample {
+            x: position[0],
+            y: position[1],
+            yaw: first[1].atan2(first[0]),
+            curvature: cross(first, second) / first[0].hypot(first[1]).powi(3),
+            left,
+            right,
+            friction: self.friction(s),
+        }
+    }
+
+    /// Friction coefficient at arc length `s`; 1 on a path without zones.
+    pub fn friction(&self, s: f64) -> f64 {
+        let s = self.wrap(s);
+        friction_at(&self.zones, s.max(0.0) / self.length())
+    }
+
+    /// `s` within `[0, length)` on a closed path, unchanged on an open one.
+    pub fn wrap(&self, s: f64) -> f64 {
+        if !self.closed {
+            return s;
+        }
+        let wrapped = s.rem_euclid(self.length());
+        if wrapped < self.length() {
+            wrapped
+        } else {
+            0.0
+        }
+    }
+
+    /// Distance between neighbouring knots in m.
+    pub(crate) fn step(&self) -> f64 {
+        self.step
+    }
+
+    /// Number of spline pieces.
+    pub(crate) fn piece_count(&self) -> usize {
+        self.pieces.len()
+    }
+
+    /// Position of a knot, `0..piece_count()`.
+    pub(crate) fn knot(&self, index: usize) -> [f64; 2] {
+        self.pieces[index].start()
+    }
+
+    /// Position and derivatives at any arc length.
+    pub(crate) fn jet(&self, s: f64) -> Jet {
+        let s = self.wrap(s);
+        let inside = s.clamp(0.0, self.length());
+        let (index, u) = self.locate(inside);
+        let mut jet = self.pieces[index].jet(u);
+        if s != inside {
+            jet.position = [0, 1].map(|axis| jet.position[axis] + (s - inside) * jet.first[axis]);
+            jet.second = [0.0; 2];
+        }
+        jet
+    }
+
+    /// The piece that holds `s` in `[0, length]`, and the distance from its start.
+    fn locate(&self, s: f64) -> (usize, f64) {
+        let index = ((s / self.step) as usize).min(self.pieces.len() - 1);
+        (index, s - index as f64 * self.step)
+    }
+
+    fn widths_at(&self, s: f64) -> [f64; 2] {
+        let Some(widths) = &self.widths else {
+            return [f64::INFINITY; 2];
+        };
+        let (index, u) = self.locate(self.wrap(s).clamp(0.0, self.length()));
+        let (a, b) = (widths[index], widths[(index + 1) % widths.len()]);
+        [0, 1].map(|side| a[side] + (b[side] - a[side]) * u / self.step)
+    }
+
+    /// Linear interpolation of the waypoints' widths at the spline's knots.
+    fn widths_at_knots(&self, stations: &[f64], widths: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        let length = self.length();
+        (0..self.pieces.len() + usize::from(!self.closed))
+            .map(|knot| {
+                let s = knot as f64 * self.step;
+                let i = stations
+                    .partition_point(|&station| station <= s)
+                    .clamp(1, stations.len())
+                    - 1;
+                let end = stations.get(i + 1).copied().unwrap_or(length);
+                let ratio = ((s - stations[i]) / (end - stations[i])).clamp(0.0, 1.0);
+                let next = if self.closed {
+                    (i + 1) % stations.len()
+                } else {
+                    (i + 1).min(stations.len() - 1)
+                };
+                [0, 1].map(|side| {
+                    let at = widths[i][side];
+                    if ratio > 0.0 {
+                        at + ratio * (widths[next][side] - at)
+                    } else {
+                        at
+                    }
+                })
+            })
+            .collect()
+    }
+}
+
+/// `a x b`, positive when `b` points to the left of `a`.
+pub(crate) fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[1] - a[1] * b[0]
+}
+
+fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (b[0] - a[0]).hypot(b[1] - a[1])
+}
+
+fn check_finite(
+    what: &'static str,
+    rows: &[[f64; 2]],
+    accept: impl Fn(f64) -> bool,
+) -> Result<(), PathError> {
+    match (rows.iter().enumerate())
+        .flat_map(|(index, row)| row.map(|value| (index, value)))
+        .find(|(_, value)| !value.is_finite() || !accept(*value))
+    {
+        Some((index, value)) => Err(PathError::NotFinite { what, index, value }),
+        None => Ok(()),
+    }
+}

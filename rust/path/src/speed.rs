@@ -1,0 +1,330 @@
+//! How fast a path can be driven.
+
+use crate::error::{PathError, check};
+use crate::path::Path;
+
+/// Standard gravity in m/s².
+const GRAVITY: f64 = 9.806_65;
+
+/// What bounds the speed. The friction circle of `mu g` is scaled in each direction, because a
+/// vehicle with one driven axle and weight transfer reaches far less of it by driving than by turning.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpeedLimits {
+    /// Fraction of the reachable accelerations to use, in `(0, 1]`; how hard the lap is.
+    pub grip: f64,
+    /// Reachable lateral acceleration as a fraction of `mu g`.
+    pub lateral: f64,
+    /// Reachable deceleration as a fraction of `mu g`.
+    pub braking: f64,
+    /// Reachable acceleration as a fraction of `mu g`.
+    pub driving: f64,
+    /// Highest speed in m/s.
+    pub v_max: f64,
+    /// The vehicle's largest deceleration in m/s².
+    pub a_brake: f64,
+    /// The vehicle's largest acceleration in m/s².
+    pub a_drive: f64,
+    /// The vehicle's power per mass in W/kg: it accelerates by `power / v` at most.
+    pub power: f64,
+    /// Speed in m/s at the start of an open path; none: as fast as the rest allows.
+    pub start_speed: Option<f64>,
+    /// Speed in m/s at the end of an open path; none: as fast as the rest allows.
+    pub end_speed: Option<f64>,
+}
+
+impl Default for SpeedLimits {
+    /// CommonRoad vehicle 1 (a Ford Escort, front driven) at 80 % of its grip.
+    fn default() -> Self {
+        Self {
+            grip: 0.8,
+            lateral: 0.88,
+            braking: 0.45,
+            driving: 0.22,
+            v_max: 30.0,
+            a_brake: 8.0,
+            a_drive: 6.0,
+            power: 54.7,
+            start_speed: None,
+            end_speed: None,
+        }
+    }
+}
+
+/// Speed over the arc length of one path: constant acceleration between its knots, so that time
+/// along the path has a closed form.
+#[derive(Debug, Clone)]
+pub struct SpeedProfile {
+    closed: bool,
+    step: f64,
+    /// `v²` at each knot, the end included.
+    squares: Vec<f64>,
+    /// Time in s since the start at each knot.
+    times: Vec<f64>,
+}
+
+impl SpeedProfile {
+    /// The fastest profile within the limits, by a backward pass for braking and a forward pass for
+    /// driving. At every knot the friction ellipse holds,
+    /// `(a_lat / (lateral mu g))² + (a_lon / (braking | driving) mu g)² <= grip²`,
+    /// for both accelerations that meet there, with the lowest friction within a step.
+    ///
+    /// # Errors
+    /// A limit outside its range, or a start or end speed on a closed path.
+    pub fn new(path: &Path, limits: &SpeedLimits) -> Result<Self, PathError> {
+        limits.check(path.closed())?;
+        let knots = Knot::along(path, limits);
+        let top = limits.v_max * limits.v_max;
+        let mut squares: Vec<f64> = knots
+            .iter()
+            .map(|knot| top.min(knot.lateral / knot.curvature))
+            .collect();
+        let count = knots.len();
+        // The slowest knot of a lap is slower than any other forces it to be: begun there, a lap closes.
+        let mut first = 0;
+        if path.closed() {
+            first = (1..count).fold(0, |slowest, i| {
+                if squares[i] < squares[slowest] {
+                    i
+                } else {
+                    slowest
+                }
+            });
+        } else {
+            for (end, speed) in [(0, limits.start_speed), (count - 1, limits.end_speed)] {
+                squares[end] = speed.map_or(squares[end], |v| squares[end].min(v * v));
+            }
+        }
+        let pairs = (0..path.piece_count()).map(|k| ((first + k) % count, (first + k + 1) % count));
+        let mut limit = |from: usize, to: usize, allowed: &dyn Fn(&Knot, f64) -> f64| {
+            squares[to] = reach(
+                (&knots[from], squares[from]),
+                (&knots[to], squares[to]),
+                path.step(),
+                allowed,
+            );
+        };
+        for (knot, next) in pairs.clone().rev() {
+            limit(next, knot, &|at, square| at.braking(limits, square));
+        }
+        for (knot, next) in pairs {
+            limit(knot, next, &|at, square| at.driving(limits, square));
+        }
+        if path.closed() {
+            squares.push(squares[0]);
+        }
+        Ok(Self::from_squares(path, squares))
+    }
+
+    /// One speed everywhere, whatever the friction.
+    ///
+    /// # Errors
+    /// A speed that isn't positive.
+    pub fn constant(path: &Path, speed: f64) -> Result<Self, PathError> {
+        check("speed", speed, "a positive number", |v| v > 0.0)?;
+        Ok(Self::from_squares(
+            path,
+            vec![speed * speed; path.piece_count() + 1],
+        ))
+    }
+
+    fn from_squares(path: &Path, squares: Vec<f64>) -> Self {
+        let step = path.step();
+        let mut times = vec![0.0; squares.len()];
+        for i in 1..times.len() {
+            times[i] = times[i - 1] + 2.0 * step / (squares[i - 1].sqrt() + squares[i].sqrt());
+        }
+        Self {
+            closed: path.closed(),
+            step,
+            squares,
+            times,
+        }
+    }
+
+    /// Length in m of the path it was made for.
+    pub fn length(&self) -> f64 {
+        self.step * (self.squares.len() - 1) as f64
+    }
+
+    /// Time in s for the lap, or from start to end.
+    pub fn lap_time(&self) -> f64 {
+        self.times[self.times.len() - 1]
+    }
+
+    /// Speed in m/s at arc length `s`; beyond an open path's ends as at the end.
+    pub fn speed(&self, s: f64) -> f64 {
+        let s = if self.closed {
+            s.rem_euclid(self.length())
+        } else {
+            s.clamp(0.0, self.length())
+        };
+        let (i, u) = self.locate(s);
+        (self.squares[i] + 2.0 * self.acceleration(i) * u)
+            .max(0.0)
+            .sqrt()
+    }
+
+    /// Time in s at which the profile passes `s`, counting from `s = 0` at time 0; it doesn't wrap, so
+    /// a closed path's second lap follows its first.
+    pub fn time(&self, s: f64) -> f64 {
+        let (laps, s) = self.split(s, self.length());
+        let inside = s.clamp(0.0, self.length());
+        let (i, u) = self.locate(inside);
+        let mut time = laps * self.lap_time() + self.times[i];
+        if u > 0.0 {
+            time += 2.0 * u / (self.squares[i].sqrt() + self.speed(inside));
+        }
+        if s == inside {
+            time
+        } else {
+            time + (s - inside) / self.speed(inside)
+        }
+    }
+
+    /// Arc length passed at a time; the inverse of [`Self::time`].
+    pub fn station(&self, time: f64) -> f64 {
+        let (laps, time) = self.split(time, self.lap_time());
+        let inside = time.clamp(0.0, self.lap_time());
+        let i = self
+            .times
+            .partition_point(|&t| t <= inside)
+            .clamp(1, self.times.len() - 1)
+            - 1;
+        let tau = inside - self.times[i];
+        let u = tau * (self.squares[i].sqrt() + 0.5 * self.acceleration(i) * tau);
+        let s = i as f64 * self.step + u.clamp(0.0, self.step);
+        let beyond = if time == inside {
+            0.0
+        } else {
+            (time - inside) * self.speed(s)
+        };
+        laps * self.length() + s + beyond
+    }
+
+    /// Whole laps of a closed path, and the rest.
+    fn split(&self, value: f64, lap: f64) -> (f64, f64) {
+        let laps = if self.closed {
+            (value / lap).floor()
+        } else {
+            0.0
+        };
+        (laps, value - laps * lap)
+    }
+
+    fn locate(&self, s: f64) -> (usize, f64) {
+        let i = ((s / self.step) as usize).min(self.squares.len() - 2);
+        (i, s - i as f64 * self.step)
+    }
+
+    /// Acceleration in m/s² between a knot and the next.
+    fn acceleration(&self, i: usize) -> f64 {
+        (self.squares[i + 1] - self.squares[i]) / (2.0 * self.step)
+    }
+}
+
+/// What bounds the speed at one knot.
+struct Knot {
+    /// Absolute curvature in 1/m.
+    curvature: f64,
+    /// Usable grip in m/s².
+    grip: f64,
+    /// Largest lateral acceleration in m/s².
+    lateral: f64,
+}
+
+impl Knot {
+    fn along(path: &Path, limits: &SpeedLimits) -> Vec<Self> {
+        let step = path.step();
+        (0..path.piece_count() + usize::from(!path.closed()))
+            .map(|knot| {
+                let s = knot as f64 * step;
+                let friction = [s - step, s, s + step]
+                    .map(|s| path.friction(s))
+                    .into_iter()
+                    .fold(f64::INFINITY, f64::min);
+                let grip = limits.grip * friction * GRAVITY;
+                Self {
+                    curvature: path.sample(s).curvature.abs(),
+                    grip,
+                    lateral: limits.lateral * grip,
+                }
+            })
+            .collect()
+    }
+
+    /// The share of the longitudinal grip that turning at `v²` leaves, from the friction ellipse.
+    fn left_by_turning(&self, square: f64) -> f64 {
+        let load = square * self.curvature / self.lateral;
+        (1.0 - load * load).max(0.0).sqrt()
+    }
+
+    fn braking(&self, limits: &SpeedLimits, square: f64) -> f64 {
+        (limits.braking * self.grip * self.left_by_turning(square)).min(limits.a_brake)
+    }
+
+    fn driving(&self, limits: &SpeedLimits, square: f64) -> f64 {
+        let motor = limits.a_drive.min(limits.power / square.sqrt());
+        (limits.driving * self.grip * self.left_by_turning(square)).min(motor)
+    }
+}
+
+/// The largest `v²` at `to`, below its present one, that the acceleration allowed at both knots
+/// reaches from `from`. What is allowed falls with speed, so the bound is bisected.
+fn reach(
+    (from, start): (&Knot, f64),
+    (to, limit): (&Knot, f64),
+    step: f64,
+    allowed: &dyn Fn(&Knot, f64) -> f64,
+) -> f64 {
+    let feasible = |square: f64| square - start <= 2.0 * step * allowed(to, square);
+    let most = limit.min(start + 2.0 * step * allowed(from, start));
+    if most <= start || feasible(most) {
+        return most;
+    }
+    let (mut low, mut high) = (start, most);
+    for _ in 0..50 {
+        let middle = f64::midpoint(low, high);
+        if feasible(middle) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    low
+}
+
+impl SpeedLimits {
+    fn check(&self, closed: bool) -> Result<(), PathError> {
+        check("grip", self.grip, "a fraction in (0, 1]", |g| {
+            g > 0.0 && g <= 1.0
+        })?;
+        for (name, value) in [
+            ("lateral", self.lateral),
+            ("braking", self.braking),
+            ("driving", self.driving),
+            ("v_max", self.v_max),
+            ("a_brake", self.a_brake),
+            ("a_drive", self.a_drive),
+            ("power", self.power),
+        ] {
+            check(name, value, "a positive number", |x| x > 0.0)?;
+        }
+        for (name, speed) in [
+            ("start_speed", self.start_speed),
+            ("end_speed", self.end_speed),
+        ] {
+            match speed {
+                Some(value) if closed => {
+                    return Err(PathError::Parameter {
+                        name,
+                        expected: "nothing on a closed path",
+                        value,
+                    });
+                }
+                Some(value) => check(name, value, "a number of at least 0", |v| v >= 0.0)?,
+                None => {}
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,152 @@
+//! The reference over the horizon: timing against numerical integration, yaw, ends.
+
+#![allow(clippy::unwrap_used)]
+
+use std::f64::consts::{PI, TAU};
+
+use egp_path::tracks::RoundedRectangle;
+use egp_path::{Path, PathError, Projection, SpeedLimits, SpeedProfile, horizon_reference};
+
+const DT: f64 = 0.05;
+
+type Rows = (Vec<[f64; 4]>, Vec<[f64; 2]>, Projection);
+
+fn reference(path: &Path, profile: &SpeedProfile, position: [f64; 2], psi: f64) -> Rows {
+    let (mut rows, mut widths) = (vec![[0.0; 4]; 41], vec![[0.0; 2]; 41]);
+    let found = horizon_reference(
+        path,
+        profile,
+        position,
+        psi,
+        DT,
+        None,
+        &mut rows,
+        &mut widths,
+    )
+    .unwrap();
+    (rows, widths, found)
+}
+
+#[test]
+fn stages_are_spaced_by_time_along_the_profile() {
+    let path = RoundedRectangle::default().path().unwrap();
+    let profile = SpeedProfile::new(&path, &SpeedLimits::default()).unwrap();
+    for start in [0.0, 20.0, 37.0, 60.0, path.length() - 4.0] {
+        let at = path.sample(start);
+        let position = [at.x - at.yaw.sin(), at.y + at.yaw.cos()];
+        let (rows, widths, found) = reference(&path, &profile, position, at.yaw);
+        assert!((found.lateral - 1.0).abs() < 1e-6);
+        let mut s = found.s;
+        for (k, row) in rows.iter().enumerate() {
+            let expected = path.sample(s);
+            assert!(
+                (row[0] - expected.x).hypot(row[1] - expected.y) < 1e-3,
+                "stage {k} from {start}"
+            );
+            assert!((row[2] - profile.speed(s)).abs() < 1e-3);
+            assert_eq!(widths[k].map(|w| (w * 1e9).round()), [3.5e9; 2]);
+            for _ in 0..500 {
+                s += DT / 500.0 * profile.speed(s + DT / 1000.0 * profile.speed(s));
+            }
+        }
+    }
+}
+
+#[test]
+fn yaw_is_unwrapped_relative_to_the_vehicle() {
+    let path = RoundedRectangle::default().path().unwrap();
+    let profile = SpeedProfile::constant(&path, 12.0).unwrap();
+    for turns in [-3.0, 0.0, 5.0] {
+        // The upper side is driven at yaw pi, where atan2 jumps; the corner after it goes beyond.
+        let start = path.length() / 2.0 + 30.0;
+        let at = path.sample(start);
+        let psi = PI + 0.1 + turns * TAU;
+        let (rows, ..) = reference(&path, &profile, [at.x, at.y], psi);
+        assert!((rows[0][3] - psi).abs() < 0.2);
+        assert!(
+            rows.windows(2)
+                .all(|r| (r[1][3] - r[0][3]).abs() < 0.1 && r[1][3] >= r[0][3] - 1e-6)
+        );
+        assert!(rows[40][3] > rows[0][3] + 0.3);
+    }
+}
+
+#[test]
+fn past_an_open_end_the_reference_goes_straight_on() {
+    let points: Vec<_> = (0..=20)
+        .map(|i| [f64::from(i), 0.1 * f64::from(i)])
+        .collect();
+    let path = Path::from_points(&points, false, None).unwrap();
+    let profile = SpeedProfile::constant(&path, 10.0).unwrap();
+    let (rows, widths, found) = reference(&path, &profile, [30.0, 3.0], 0.0);
+    assert!(found.s > path.length() && found.lateral.abs() < 1e-9);
+    for (k, row) in rows.iter().enumerate() {
+        let along = (row[0] - 30.0).hypot(row[1] - 3.0);
+        assert!((along - 10.0 * DT * k as f64).abs() < 1e-6);
+        assert!((row[1] / row[0] - 0.1).abs() < 1e-9 && row[2] == 10.0);
+    }
+    assert!(widths.iter().flatten().all(|w| w.is_infinite()));
+}
+
+#[test]
+fn it_stays_where_the_profile_ends_standing() {
+    let points: Vec<_> = (0..=20).map(|i| [f64::from(i), 0.0]).collect();
+    let path = Path::from_points(&points, false, None).unwrap();
+    let stop = SpeedLimits {
+        end_speed: Some(0.0),
+        ..SpeedLimits::default()
+    };
+    let profile = SpeedProfile::new(&path, &stop).unwrap();
+    let (rows, ..) = reference(&path, &profile, [19.0, 0.0], 0.0);
+    assert!((rows[40][0] - 20.0).abs() < 1e-9 && rows[40][2] == 0.0);
+    let (rows, ..) = reference(&path, &profile, [21.0, 0.0], 0.0);
+    assert!(
+        rows.iter()
+            .all(|row| (row[0] - 21.0).abs() < 1e-9 && row[2] == 0.0)
+    );
+}
+
+#[test]
+fn refused_requests_are_named() {
+    let path = RoundedRectangle::default().path().unwrap();
+    let profile = SpeedProfile::constant(&path, 10.0).unwrap();
+    let other = RoundedRectangle {
+        length: 150.0,
+        ..RoundedRectangle::default()
+    }
+    .path()
+    .unwrap();
+    let (mut rows, mut widths) = ([[0.0; 4]; 3], [[0.0; 2]; 2]);
+    let mut ask = |path: &Path, x: f64, dt: f64| {
+        horizon_reference(
+            path,
+            &profile,
+            [x, 0.0],
+            0.0,
+            dt,
+            None,
+            &mut rows,
+            &mut widths,
+        )
+        .unwrap_err()
+    };
+    assert!(matches!(
+        ask(&path, f64::NAN, DT),
+        PathError::Parameter { name: "p_x", .. }
+    ));
+    assert!(matches!(
+        ask(&path, 0.0, 0.0),
+        PathError::Parameter { name: "dt", .. }
+    ));
+    assert!(matches!(
+        ask(&other, 0.0, DT),
+        PathError::ForeignProfile { .. }
+    ));
+    assert_eq!(
+        ask(&path, 0.0, DT),
+        PathError::HorizonRows {
+            reference: 3,
+            widths: 2
+        }
+    );
+}

@@ -1,0 +1,226 @@
+//! Speed profiles: closed forms, and the limits checked from outside by finite differences.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use std::f64::consts::TAU;
+
+use egp_path::tracks::RoundedRectangle;
+use egp_path::{Path, PathError, SpeedLimits, SpeedProfile, Zone};
+use proptest::prelude::*;
+
+const G: f64 = 9.806_65;
+
+fn straight(length: f64) -> Path {
+    let points: Vec<_> = (0..=10)
+        .map(|i| [length * f64::from(i) / 10.0, 0.0])
+        .collect();
+    Path::from_points(&points, false, None).unwrap()
+}
+
+fn demo() -> Path {
+    let zones =
+        [(0.0, 0.5), (0.35, 0.8), (0.7, 1.1)].map(|(start, friction)| Zone { start, friction });
+    RoundedRectangle::default()
+        .path()
+        .unwrap()
+        .with_friction(&zones)
+        .unwrap()
+}
+
+/// The largest violation of any limit, from speeds alone, relative to the limit.
+fn violation(path: &Path, limits: &SpeedLimits) -> f64 {
+    let profile = SpeedProfile::new(path, limits).unwrap();
+    let h = 0.01;
+    let margin = if path.closed() { 0.0 } else { h };
+    let count = 5000;
+    let mut worst = f64::NEG_INFINITY;
+    for i in 0..count {
+        let s = margin + (path.length() - 2.0 * margin) * f64::from(i) / f64::from(count);
+        let at = path.sample(s);
+        let v = profile.speed(s);
+        let a = (profile.speed(s + h).powi(2) - profile.speed(s - h).powi(2)) / (4.0 * h);
+        let grip = limits.grip * at.friction * G;
+        let (fraction, most) = if a > 0.0 {
+            (limits.driving, limits.a_drive.min(limits.power / v))
+        } else {
+            (limits.braking, limits.a_brake)
+        };
+        let ellipse = (v * v * at.curvature / (limits.lateral * grip)).hypot(a / (fraction * grip));
+        worst = worst
+            .max(ellipse - 1.0)
+            .max(a.abs() / most - 1.0)
+            .max(v / limits.v_max - 1.0);
+    }
+    worst
+}
+
+#[test]
+fn a_circle_is_driven_at_its_lateral_limit() {
+    let points: Vec<_> = (0..200)
+        .map(|i| (TAU * f64::from(i) / 200.0).sin_cos())
+        .map(|(sin, cos)| [30.0 * cos, 30.0 * sin])
+        .collect();
+    let path = Path::from_points(&points, true, None).unwrap();
+    let limits = SpeedLimits {
+        grip: 0.9,
+        ..SpeedLimits::default()
+    };
+    let profile = SpeedProfile::new(&path, &limits).unwrap();
+    let speed = (0.9 * 0.88 * G * 30.0).sqrt();
+    assert!((profile.speed(50.0) / speed - 1.0).abs() < 1e-4);
+    assert!((profile.lap_time() * speed / path.length() - 1.0).abs() < 1e-4);
+}
+
+#[test]
+fn a_drag_race_has_the_closed_form_of_constant_acceleration() {
+    let path = straight(100.0)
+        .with_friction(&[Zone {
+            start: 0.0,
+            friction: 0.5,
+        }])
+        .unwrap();
+    let limits = SpeedLimits {
+        start_speed: Some(0.0),
+        end_speed: Some(0.0),
+        ..SpeedLimits::default()
+    };
+    let profile = SpeedProfile::new(&path, &limits).unwrap();
+    let (drive, brake) = (0.8 * 0.22 * 0.5 * G, 0.8 * 0.45 * 0.5 * G);
+    let turn = 100.0 * brake / (drive + brake);
+    for s in [0.0, 1.0, 10.0, 30.0, 60.0] {
+        assert!((profile.speed(s) - (2.0 * drive * s).sqrt()).abs() < 1e-9);
+        assert!((profile.time(s) - (2.0 * s / drive).sqrt()).abs() < 1e-9);
+    }
+    for s in [turn + 1.0, 90.0, 99.0, 100.0] {
+        assert!((profile.speed(s) - (2.0 * brake * (100.0 - s)).sqrt()).abs() < 1e-6);
+    }
+    assert!(profile.speed(-3.0) < 1e-6 && profile.speed(130.0) < 1e-6);
+}
+
+#[test]
+fn every_limit_holds_everywhere_on_the_demo_lap() {
+    for grip in [0.3, 0.82, 0.9, 1.0] {
+        let limits = SpeedLimits {
+            grip,
+            ..SpeedLimits::default()
+        };
+        let worst = violation(&demo(), &limits);
+        assert!(worst < 5e-3, "{worst} at grip {grip}");
+        // Some limit is reached: the profile isn't merely slow.
+        assert!(worst > -1e-3, "{worst} at grip {grip}");
+    }
+}
+
+#[test]
+fn the_demo_lap_closes_and_takes_half_a_minute() {
+    let path = demo();
+    let profile = SpeedProfile::new(
+        &path,
+        &SpeedLimits {
+            grip: 0.82,
+            ..SpeedLimits::default()
+        },
+    )
+    .unwrap();
+    assert!(
+        (25.0..40.0).contains(&profile.lap_time()),
+        "{}",
+        profile.lap_time()
+    );
+    assert!((profile.speed(-1e-9) - profile.speed(1e-9)).abs() < 1e-6);
+    let ahead = profile.time(path.length() + 10.0) - profile.time(path.length() - 10.0);
+    let apart = profile.time(10.0) - profile.time(-10.0);
+    assert!((ahead - apart).abs() < 1e-9);
+}
+
+#[test]
+fn it_brakes_before_the_slippery_zone_and_not_inside() {
+    let points: Vec<_> = (0..=50)
+        .map(|i| [4.0 * f64::from(i), 12.0 * (f64::from(i) / 8.0).sin()])
+        .collect();
+    let path = Path::from_points(&points, false, None).unwrap();
+    let zones = [(0.0, 1.1), (0.5, 0.4)].map(|(start, friction)| Zone { start, friction });
+    assert!(
+        violation(
+            &path.with_friction(&zones).unwrap(),
+            &SpeedLimits::default()
+        ) < 5e-3
+    );
+}
+
+#[test]
+fn refused_limits_are_named() {
+    let refuse = |path: &Path, limits: SpeedLimits| SpeedProfile::new(path, &limits).unwrap_err();
+    let name = |error: PathError| match error {
+        PathError::Parameter { name, .. } => name,
+        other => panic!("{other}"),
+    };
+    let default = SpeedLimits::default();
+    let open = straight(10.0);
+    assert_eq!(
+        name(refuse(
+            &open,
+            SpeedLimits {
+                grip: 1.2,
+                ..default
+            }
+        )),
+        "grip"
+    );
+    assert_eq!(
+        name(refuse(
+            &open,
+            SpeedLimits {
+                power: f64::NAN,
+                ..default
+            }
+        )),
+        "power"
+    );
+    assert_eq!(
+        name(refuse(
+            &open,
+            SpeedLimits {
+                end_speed: Some(-1.0),
+                ..default
+            }
+        )),
+        "end_speed"
+    );
+    assert_eq!(
+        name(refuse(
+            &demo(),
+            SpeedLimits {
+                start_speed: Some(1.0),
+                ..default
+            }
+        )),
+        "start_speed"
+    );
+    assert_eq!(
+        name(SpeedProfile::constant(&open, 0.0).unwrap_err()),
+        "speed"
+    );
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn station_inverts_time(time in -100.0..200.0_f64) {
+        for path in [demo(), straight(80.0)] {
+            let profile = SpeedProfile::new(&path, &SpeedLimits::default()).unwrap();
+            prop_assert!((profile.time(profile.station(time)) - time).abs() < 1e-8);
+        }
+    }
+
+    #[test]
+    fn limits_hold_whatever_they_are(grip in 0.1..1.0_f64, v_max in 2.0..40.0_f64, drop in 0.1..1.2_f64) {
+        let path = demo().with_friction(&[
+            Zone { start: 0.0, friction: 1.0 },
+            Zone { start: 0.55, friction: drop },
+        ]).unwrap();
+        let worst = violation(&path, &SpeedLimits { grip, v_max, ..SpeedLimits::default() });
+        prop_assert!(worst < 5e-3, "{}", worst);
+    }
+}
