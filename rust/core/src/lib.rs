@@ -19,6 +19,7 @@ pub mod vehicle;
 pub mod weights;
 
 mod cholesky;
+mod simd;
 
 use nalgebra::{SMatrix, SVector};
 

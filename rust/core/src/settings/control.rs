@@ -102,10 +102,22 @@ pub struct Soft {
     pub lateral_motion: Penalty,
 }
 
+/// Which QP solver a step asks first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SolverKind {
+    /// The structure-exploiting interior point; Clarabel takes over when a solution fails its check.
+    Riccati,
+    /// Clarabel alone.
+    Clarabel,
+}
+
 /// QP solver and the check every solution must pass.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SolverSettings {
+    /// Default `riccati`.
+    pub kind: SolverKind,
     /// Iteration limit; there is no time limit, which would make replies depend on the machine. Default 50.
     pub max_iterations: u32,
     /// Relative tolerance handed to the solver. Default 1e-9.
@@ -179,6 +191,7 @@ impl Default for Soft {
 impl Default for SolverSettings {
     fn default() -> Self {
         Self {
+            kind: SolverKind::Riccati,
             max_iterations: 50,
             tolerance: 1e-9,
             kkt_tolerance: 1e-5,

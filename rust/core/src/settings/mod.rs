@@ -15,7 +15,9 @@ mod estimation;
 
 use serde::{Deserialize, Serialize};
 
-pub use control::{Cost, Limits, Operating, OperatingSettings, Penalty, Soft, SolverSettings};
+pub use control::{
+    Cost, Limits, Operating, OperatingSettings, Penalty, Soft, SolverKind, SolverSettings,
+};
 pub use estimation::{Prior, WeightSettings};
 
 /// Settings of the control step. Defaults drive vehicle 1 of CommonRoad at `dt` = 0.05 s.

@@ -1,10 +1,13 @@
 //! QP solvers behind one trait. A solver proposes, [`solve_checked`] decides.
 
 mod clarabel;
+mod riccati;
 
 pub use self::clarabel::ClarabelSolver;
+pub use self::riccati::RiccatiSolver;
 
 use crate::qp::{KktResidual, OcpQp, OcpSolution};
+use crate::settings::{SolverKind, SolverSettings};
 
 /// What became of a problem. Only [`Status::Solved`] comes with a plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,6 +42,39 @@ pub struct SolverSetupError {
     pub solver: &'static str,
     /// What it said.
     pub reason: String,
+}
+
+/// The solvers to ask, in this order, for problems of the pattern of `qp`.
+///
+/// # Errors
+/// [`SolverSetupError`] if one refuses.
+pub fn rungs(
+    qp: &OcpQp,
+    settings: &SolverSettings,
+) -> Result<Vec<Box<dyn QpSolver + Send>>, SolverSetupError> {
+    let mut rungs: Vec<Box<dyn QpSolver + Send>> = Vec::new();
+    if settings.kind == SolverKind::Riccati {
+        rungs.push(Box::new(RiccatiSolver::new(qp.horizon(), settings)));
+    }
+    rungs.push(Box::new(ClarabelSolver::new(qp, settings)?));
+    Ok(rungs)
+}
+
+/// Asks one solver after the other until a solution passes the check; returns the name of the last one asked.
+pub fn solve_first(
+    rungs: &mut [Box<dyn QpSolver + Send>],
+    qp: &OcpQp,
+    kkt_tolerance: f64,
+    out: &mut OcpSolution,
+) -> &'static str {
+    let mut asked = "";
+    for solver in rungs {
+        asked = solver.name();
+        if solve_checked(solver.as_mut(), qp, kkt_tolerance, out) == Status::Solved {
+            break;
+        }
+    }
+    asked
 }
 
 /// Solves and checks: `out.status` is [`Status::Solved`] exactly if the KKT residual computed from `qp` is at most

@@ -14,7 +14,7 @@ pub use workspace::{SetupError, Workspace};
 use validate::Rows;
 
 use crate::ocp::{self, Reference};
-use crate::solver::{Status, solve_checked};
+use crate::solver::{Status, solve_first};
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, gp_input, wrap};
 use crate::weights::select_active;
 use crate::{Ensemble, GpInput, Input, Library, NY, Settings, State, VarianceScratch};
@@ -76,12 +76,13 @@ pub fn step(
         &mut ws.qp,
     );
 
-    reply.status = solve_checked(
-        ws.solver.as_mut(),
+    ws.asked = solve_first(
+        &mut ws.solvers,
         &ws.qp,
         settings.solver.kkt_tolerance,
         &mut ws.solution,
     );
+    reply.status = ws.solution.status;
     reply.iterations = ws.solution.iterations;
     reply.kkt_residual = ws.solution.kkt.worst();
     if reply.status == Status::Solved {

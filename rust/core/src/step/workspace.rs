@@ -5,7 +5,7 @@ use crate::linearisation::Linearisation;
 use crate::ocp::soft_rows;
 use crate::qp::{OcpQp, OcpSolution};
 use crate::settings::SettingsError;
-use crate::solver::{ClarabelSolver, QpSolver, SolverSetupError};
+use crate::solver::{self, QpSolver, SolverSetupError};
 use crate::trajectory::Guess;
 use crate::weights::{WeightEstimator, inverse_noise};
 use crate::{GpOutput, Library, Settings, State, VarianceScratch};
@@ -33,7 +33,8 @@ pub struct Workspace {
     pub(super) guess: Guess,
     pub(super) dynamics: Linearisation,
     pub(super) qp: OcpQp,
-    pub(super) solver: Box<dyn QpSolver + Send>,
+    pub(super) solvers: Vec<Box<dyn QpSolver + Send>>,
+    pub(super) asked: &'static str,
     pub(super) solution: OcpSolution,
     pub(super) scratch: VarianceScratch,
 }
@@ -47,7 +48,7 @@ impl Workspace {
         settings.validate()?;
         let (n, horizon) = (library.members().len(), settings.horizon);
         let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
-        let solver = Box::new(ClarabelSolver::new(&qp, &settings.solver)?);
+        let solvers = solver::rungs(&qp, &settings.solver)?;
         Ok(Self {
             library: library.id(),
             settings: settings.clone(),
@@ -59,15 +60,16 @@ impl Workspace {
             guess: Guess::new(horizon),
             dynamics: Linearisation::new(horizon),
             qp,
-            solver,
+            solvers,
+            asked: "",
             solution: OcpSolution::new(horizon),
             scratch: VarianceScratch::default(),
         })
     }
 
-    /// Name of the QP solver.
+    /// Name of the QP solver that the last step ended with; empty before the first.
     pub fn solver_name(&self) -> &'static str {
-        self.solver.name()
+        self.asked
     }
 
     pub(super) fn belongs_to(

@@ -1,0 +1,368 @@
+//! Mehrotra's predictor-corrector on the stage-wise problem (Nocedal & Wright, *Numerical
+//! Optimization*, 2nd ed., algorithm 16.4; Rao, Wright & Rawlings, JOTA 99, 1998).
+//!
+//! States are always rolled out from the controls, so the dynamics hold at every iterate and the
+//! only stationarity left is that of the controls, taken through the adjoint.
+
+use super::recursion::{Aug, Factor, Symmetric, backward, factorise, forward};
+use super::rows::{Iterate, Push, ROWS, Residual, Rows, Scaling, Targets, signed_values};
+use super::stage::{Point, Stage, roll_out};
+use crate::NU;
+use crate::simd::Vectorised;
+
+/// What an iteration keeps of a stage between its passes.
+#[derive(Clone, Copy, Debug)]
+struct Pass {
+    y: Rows,
+    residual: Residual,
+    scaling: Scaling,
+    factor: Factor,
+    /// `L⁻¹ q_v` of the current right-hand side.
+    lead: [f64; NU],
+    targets: Targets,
+    push: Push,
+    dv: [f64; NU],
+    step: Iterate,
+}
+
+/// How an attempt ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Outcome {
+    /// Residuals and complementarity are below the tolerance.
+    Converged,
+    /// The iteration limit came first.
+    IterationLimit,
+    /// The factorisation broke down or the iterate left the finite numbers.
+    Breakdown,
+}
+
+/// Optimality of a point: the largest entry of each residual.
+#[derive(Clone, Copy, Debug)]
+struct Optimality {
+    /// Stationarity of the controls relative to its largest term (at least 1), and of the slack prices.
+    stationarity: f64,
+    /// Violation of the rows.
+    primal: f64,
+    /// Mean product of slack and multiplier.
+    mu: f64,
+}
+
+/// One attempt at a problem.
+pub(super) struct Attempt<'a> {
+    pub method: &'a mut InteriorPoint,
+    pub initial: &'a Aug,
+    pub stages: &'a [Stage],
+    pub points: &'a mut [Point],
+    pub tolerance: f64,
+    pub limit: u32,
+}
+
+impl Vectorised for Attempt<'_> {
+    type Output = (Outcome, u32);
+
+    #[inline(always)]
+    fn compute(self) -> Self::Output {
+        self.method.run(
+            self.initial,
+            self.stages,
+            self.points,
+            self.tolerance,
+            self.limit,
+        )
+    }
+}
+
+/// Memory and method of the interior point.
+#[derive(Clone, Debug)]
+pub(super) struct InteriorPoint {
+    passes: Vec<Pass>,
+}
+
+/// Complementarity of the start: large, so that a start far from the solution has room to move.
+const START: f64 = 100.0;
+
+/// Complementarity must be this much smaller than the other residuals: where a bound is only just
+/// active, the solution is off by its square root.
+const SHARPNESS: f64 = 1e-4;
+
+/// Share of the way to the boundary that a step may go.
+const FRACTION_TO_BOUNDARY: f64 = 0.995;
+
+impl InteriorPoint {
+    pub fn new(horizon: usize) -> Self {
+        let rows = [0.0; ROWS];
+        let iterate = Iterate {
+            slack: rows,
+            lambda: rows,
+            epsilon: rows,
+            gamma: rows,
+        };
+        let pass = Pass {
+            y: rows,
+            residual: Residual {
+                primal: rows,
+                price: rows,
+            },
+            scaling: Scaling::default(),
+            factor: Factor::default(),
+            lead: [0.0; NU],
+            targets: Targets {
+                first: rows,
+                second: rows,
+            },
+            push: Push {
+                shift: rows,
+                drive: rows,
+            },
+            dv: [0.0; NU],
+            step: iterate,
+        };
+        Self {
+            passes: vec![pass; horizon],
+        }
+    }
+
+    /// Improves `points` until `tolerance` or `limit`; returns the outcome and the iterations spent.
+    #[inline(always)]
+    fn run(
+        &mut self,
+        initial: &Aug,
+        stages: &[Stage],
+        points: &mut [Point],
+        tolerance: f64,
+        limit: u32,
+    ) -> (Outcome, u32) {
+        if !self.start(initial, stages, points) {
+            return (Outcome::Breakdown, 0);
+        }
+        for iteration in 0..=limit {
+            roll_out(initial, stages, points);
+            let Optimality {
+                stationarity,
+                primal,
+                mu,
+            } = self.residuals(stages, points);
+            let worst = stationarity.max(primal).max(mu / SHARPNESS);
+            if !(stationarity + primal + mu).is_finite() {
+                return (Outcome::Breakdown, iteration);
+            }
+            if worst <= tolerance {
+                return (Outcome::Converged, iteration);
+            }
+            if iteration < limit {
+                if !self.factorise(stages, points) {
+                    return (Outcome::Breakdown, iteration);
+                }
+                self.improve(stages, points, mu, 0.1 * SHARPNESS * tolerance);
+            }
+        }
+        (Outcome::IterationLimit, limit)
+    }
+
+    /// A start inside all hard rows: the LQ regulator without rows, its controls saturated on the
+    /// way, and each row placed on its own central path.
+    #[inline(always)]
+    fn start(&mut self, initial: &Aug, stages: &[Stage], points: &mut [Point]) -> bool {
+        for point in points.iter_mut() {
+            point.v = [0.0; NU];
+            point.rows = Iterate::default();
+        }
+        roll_out(initial, stages, points);
+        let mut p = Symmetric::default();
+        let mut gradient = Aug::default();
+        for ((stage, point), pass) in stages.iter().zip(points.iter()).zip(&mut self.passes).rev() {
+            p.add(&stage.hessian);
+            gradient.add(&stage.cost_gradient(&point.s));
+            let Some((factor, previous)) = factorise(&stage.dynamics, &stage.rate, &p) else {
+                return false;
+            };
+            pass.factor = factor;
+            p = previous;
+            (gradient, pass.lead) = backward(&stage.dynamics, &pass.factor, &gradient, &[0.0; NU]);
+        }
+        let mut s = *initial;
+        let mut ds = Aug::default();
+        for ((stage, point), pass) in stages.iter().zip(points.iter_mut()).zip(&self.passes) {
+            let (v, _) = forward(&stage.dynamics, &pass.factor, &pass.lead, &ds);
+            point.v = stage.bounds.inside(&v, &s.u);
+            let free = point.s;
+            s = stage.successor(&s, &point.v);
+            point.s = s;
+            for (d, (a, b)) in ds.x.iter_mut().zip(s.x.iter().zip(&free.x)) {
+                *d = a - b;
+            }
+            for (d, (a, b)) in ds.u.iter_mut().zip(s.u.iter().zip(&free.u)) {
+                *d = a - b;
+            }
+        }
+        for (stage, point) in stages.iter().zip(points.iter_mut()) {
+            let y = signed_values(&point.v, &point.s, &stage.bounds.normal);
+            point.rows = stage.bounds.centred(&y, START);
+        }
+        true
+    }
+
+    /// Row values, residuals, and stationarity of the controls by the adjoint.
+    #[inline(always)]
+    fn residuals(&mut self, stages: &[Stage], points: &[Point]) -> Optimality {
+        let mut adjoint = Aug::default();
+        let mut scale = 1.0_f64;
+        let (mut stationarity, mut primal, mut complementarity, mut count) =
+            (0.0_f64, 0.0_f64, 0.0, 0.0);
+        for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes).rev() {
+            let bounds = &stage.bounds;
+            pass.y = signed_values(&point.v, &point.s, &bounds.normal);
+            pass.residual = bounds.residual(&pass.y, &point.rows);
+            let largest = |r: &Rows| r.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+            primal = primal.max(largest(&pass.residual.primal));
+            stationarity = stationarity.max(largest(&pass.residual.price));
+            let (sum, rows) = bounds.complementarity(&point.rows);
+            complementarity += sum;
+            count += rows;
+
+            let mut next = stage.cost_gradient(&point.s);
+            next.add(&adjoint);
+            let rate = bounds.add_gradient(&point.rows.lambda, &mut next);
+            adjoint = stage.dynamics.apply_transposed(&next);
+            for i in 0..NU {
+                let own = stage.rate[i] * point.v[i];
+                let g = own + rate[i] + adjoint.u[i];
+                scale = scale
+                    .max(own.abs())
+                    .max(rate[i].abs())
+                    .max(adjoint.u[i].abs());
+                // `max` forgets NaN, a sum does not.
+                stationarity = if g.is_nan() {
+                    g
+                } else {
+                    stationarity.max(g.abs())
+                };
+            }
+        }
+        Optimality {
+            stationarity: stationarity / scale,
+            primal,
+            mu: if count > 0.0 {
+                complementarity / count
+            } else {
+                0.0
+            },
+        }
+    }
+
+    /// The Riccati recursion with the rows' curvature.
+    #[inline(always)]
+    fn factorise(&mut self, stages: &[Stage], points: &[Point]) -> bool {
+        let mut p = Symmetric::default();
+        for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes).rev() {
+            pass.scaling = stage.bounds.scale(&point.rows);
+            p.add(&stage.hessian);
+            let mut rate = stage.bounds.add_curvature(&pass.scaling.weight, &mut p);
+            for (rate, weight) in rate.iter_mut().zip(&stage.rate) {
+                *rate += weight;
+            }
+            match factorise(&stage.dynamics, &rate, &p) {
+                Some((factor, previous)) => {
+                    pass.factor = factor;
+                    p = previous;
+                }
+                None => return false,
+            }
+        }
+        true
+    }
+
+    /// Predictor, centring, corrector and the step.
+    #[inline(always)]
+    fn improve(&mut self, stages: &[Stage], points: &mut [Point], mu: f64, floor: f64) {
+        self.newton(stages, points, |rows, _| Targets::affine(rows));
+        let affine = self.longest(stages, points);
+        let mut product = 0.0;
+        let mut count = 0.0;
+        for ((stage, point), pass) in stages.iter().zip(points.iter()).zip(&self.passes) {
+            let (sum, rows) = stage
+                .bounds
+                .complementarity(&point.rows.moved(affine, &pass.step));
+            product += sum;
+            count += rows;
+        }
+        if count > 0.0 {
+            let ratio = (product / count / mu).clamp(0.0, 1.0);
+            let target = (ratio * ratio * ratio * mu).max(floor);
+            self.newton(stages, points, |rows, step| {
+                Targets::corrected(rows, step, target)
+            });
+        }
+        let step = if count > 0.0 {
+            let longest = self.longest(stages, points);
+            if longest < 1.0 {
+                FRACTION_TO_BOUNDARY * longest
+            } else {
+                1.0
+            }
+        } else {
+            1.0
+        };
+        for (point, pass) in points.iter_mut().zip(&self.passes) {
+            for (v, dv) in point.v.iter_mut().zip(&pass.dv) {
+                *v = step.mul_add(*dv, *v);
+            }
+            point.rows = point.rows.moved(step, &pass.step);
+        }
+    }
+
+    /// Solves the Newton system for the targets of complementarity that `aim` names from the
+    /// iterate and the last step.
+    #[inline(always)]
+    fn newton(
+        &mut self,
+        stages: &[Stage],
+        points: &[Point],
+        aim: impl Fn(&Iterate, &Iterate) -> Targets,
+    ) {
+        let mut p = Aug::default();
+        for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes).rev() {
+            let targets = aim(&point.rows, &pass.step);
+            let push = pass.scaling.push(&point.rows, &pass.residual, &targets);
+            pass.push = push;
+            pass.targets = targets;
+            let mut force = [0.0; ROWS];
+            for (f, (lambda, shift)) in force
+                .iter_mut()
+                .zip(point.rows.lambda.iter().zip(&push.shift))
+            {
+                *f = lambda + shift;
+            }
+            let mut next = stage.cost_gradient(&point.s);
+            next.add(&p);
+            let mut g_v = stage.bounds.add_gradient(&force, &mut next);
+            for i in 0..NU {
+                g_v[i] = stage.rate[i].mul_add(point.v[i], g_v[i]);
+            }
+            (p, pass.lead) = backward(&stage.dynamics, &pass.factor, &next, &g_v);
+        }
+        let mut ds = Aug::default();
+        for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes) {
+            (pass.dv, ds) = forward(&stage.dynamics, &pass.factor, &pass.lead, &ds);
+            let dy = signed_values(&pass.dv, &ds, &stage.bounds.normal);
+            pass.step = stage.bounds.recover(
+                &pass.scaling,
+                &pass.push,
+                &point.rows,
+                &pass.residual,
+                &pass.targets,
+                &dy,
+            );
+        }
+    }
+
+    /// Longest step that keeps slacks and multipliers positive.
+    #[inline(always)]
+    fn longest(&self, stages: &[Stage], points: &[Point]) -> f64 {
+        let mut worst = 1.0_f64;
+        for ((stage, point), pass) in stages.iter().zip(points).zip(&self.passes) {
+            worst = worst.max(stage.bounds.fastest_decrease(&point.rows, &pass.step));
+        }
+        1.0 / worst
+    }
+}

@@ -1,0 +1,295 @@
+//! Stage-wise Riccati recursion on the rate-augmented problem.
+//!
+//! With `s = [x, u₋]` (the state and the input applied before the stage) and the control
+//! `v = u − u₋`, a linear time-varying OCP with input-rate terms is a plain LQ problem:
+//!
+//! ```text
+//! s⁺ = Ā s + B̄ v,   Ā = [A B; 0 I],   B̄ = [B; I] = the last NU columns of Ā
+//! min Σ ½ vᵀ D v + gᵥᵀ v  +  Σ ½ sᵀ H s + gₛᵀ s
+//! ```
+//!
+//! so one product `M = Āᵀ P Ā` holds all three blocks that the recursion needs:
+//! `Q_ss = M`, `Q_vs = M[u, :]`, `Q_vv = D + M[u, u]` (Rawlings, Mayne, Diehl, *Model Predictive
+//! Control*, 2nd ed., section 8.8). The bottom rows of `Ā` are never stored.
+//!
+//! State rows are padded to `LANES` so that a row is whole vector registers; the padding is zero
+//! on the way in and stays zero.
+
+use crate::{NU, NX};
+
+/// A state row padded to whole vector registers.
+pub(super) const LANES: usize = 8;
+/// Rows of the augmented state `[x, u₋]`.
+pub(super) const NS: usize = NX + NU;
+pub(super) type Row = [f64; LANES];
+
+/// `y += a * x` on one padded row.
+#[inline(always)]
+pub(super) fn axpy(y: &mut Row, a: f64, x: &Row) {
+    for (y, x) in y.iter_mut().zip(x) {
+        *y = a.mul_add(*x, *y);
+    }
+}
+
+/// Inner product of two padded rows, in a fixed order of summation.
+#[inline(always)]
+pub(super) fn dot(a: &Row, b: &Row) -> f64 {
+    let mut p = [0.0; LANES];
+    for i in 0..LANES {
+        p[i] = a[i] * b[i];
+    }
+    ((p[0] + p[4]) + (p[2] + p[6])) + ((p[1] + p[5]) + (p[3] + p[7]))
+}
+
+/// `[A B]` of one stage, by columns for products and by rows for transposed products.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Dynamics {
+    /// Columns of `[A B]`.
+    pub columns: [Row; NS],
+    /// Rows of `A`.
+    pub a_rows: [Row; NX],
+}
+
+impl Dynamics {
+    /// `Ā [x; u] = [A x + B u; u]`, the state part.
+    #[inline(always)]
+    pub fn apply(&self, x: &Row, u: &[f64; NU]) -> Row {
+        let mut out = [0.0; LANES];
+        for (column, value) in self.columns.iter().zip(x.iter().take(NX).chain(u)) {
+            axpy(&mut out, *value, column);
+        }
+        out
+    }
+
+    /// `Āᵀ [q; r] = [Aᵀ q; Bᵀ q + r]`.
+    #[inline(always)]
+    pub fn apply_transposed(&self, q: &Aug) -> Aug {
+        let mut x = [0.0; LANES];
+        for (row, value) in self.a_rows.iter().zip(&q.x) {
+            axpy(&mut x, *value, row);
+        }
+        let mut u = q.u;
+        for (u, column) in u.iter_mut().zip(&self.columns[NX..]) {
+            *u += dot(column, &q.x);
+        }
+        Aug { x, u }
+    }
+}
+
+/// A vector over the augmented state `[x, u]`.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Aug {
+    pub x: Row,
+    pub u: [f64; NU],
+}
+
+impl Aug {
+    /// `self += other`.
+    #[inline(always)]
+    pub fn add(&mut self, other: &Self) {
+        let mine = self.x.iter_mut().chain(&mut self.u);
+        for (m, o) in mine.zip(other.x.iter().chain(&other.u)) {
+            *m += o;
+        }
+    }
+}
+
+/// A symmetric matrix over the augmented state: `[xx, xu; xuᵀ, uu]`.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Symmetric {
+    /// Columns of the state block.
+    pub xx: [Row; NX],
+    /// Columns of the state-input block.
+    pub xu: [Row; NU],
+    pub uu: [[f64; NU]; NU],
+}
+
+impl Symmetric {
+    /// `self += other`.
+    #[inline(always)]
+    pub fn add(&mut self, other: &Self) {
+        let mine = self.xx.iter_mut().chain(&mut self.xu);
+        for (m, o) in mine.zip(other.xx.iter().chain(&other.xu)) {
+            for (m, o) in m.iter_mut().zip(o) {
+                *m += o;
+            }
+        }
+        for (m, o) in self
+            .uu
+            .as_flattened_mut()
+            .iter_mut()
+            .zip(other.uu.as_flattened())
+        {
+            *m += o;
+        }
+    }
+
+    /// Product with an augmented vector.
+    #[inline(always)]
+    pub fn apply(&self, s: &Aug) -> Aug {
+        let mut x = [0.0; LANES];
+        for (column, value) in self.xx.iter().zip(&s.x) {
+            axpy(&mut x, *value, column);
+        }
+        let mut u = [0.0; NU];
+        for (i, column) in self.xu.iter().enumerate() {
+            axpy(&mut x, s.u[i], column);
+            u[i] = dot(column, &s.x);
+            for j in 0..NU {
+                u[i] = self.uu[i][j].mul_add(s.u[j], u[i]);
+            }
+        }
+        Aug { x, u }
+    }
+}
+
+/// What the factorisation leaves behind for one stage: `Q_vv = L Lᵀ` and `Y = L⁻¹ Q_vs`.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Factor {
+    /// Reciprocal diagonal of `L`.
+    inverse_diagonal: [f64; NU],
+    /// The one entry of `L` below its diagonal.
+    below: f64,
+    y_x: [Row; NU],
+    y_u: [[f64; NU]; NU],
+}
+
+impl Factor {
+    /// `L⁻¹ q`.
+    #[inline(always)]
+    fn forward(&self, q: [f64; NU]) -> [f64; NU] {
+        let a = q[0] * self.inverse_diagonal[0];
+        [a, (q[1] - self.below * a) * self.inverse_diagonal[1]]
+    }
+
+    /// `L⁻ᵀ q`.
+    #[inline(always)]
+    fn backward(&self, q: [f64; NU]) -> [f64; NU] {
+        let b = q[1] * self.inverse_diagonal[1];
+        [(q[0] - self.below * b) * self.inverse_diagonal[0], b]
+    }
+}
+
+/// One backward step: factorises the stage and returns its `P`, to which the caller adds the
+/// stage's own Hessian. `None` when `Q_vv` is not positive definite to working precision.
+#[inline(always)]
+pub(super) fn factorise(
+    dynamics: &Dynamics,
+    rate: &[f64; NU],
+    p: &Symmetric,
+) -> Option<(Factor, Symmetric)> {
+    // G = P Ā restricted to its state rows: [Pxx A, Pxx B + Pxu].
+    let mut g = [[0.0; LANES]; NS];
+    for (g, column) in g.iter_mut().zip(&dynamics.columns) {
+        for (value, p_column) in column.iter().zip(&p.xx) {
+            axpy(g, *value, p_column);
+        }
+    }
+    for (g, p_column) in g[NX..].iter_mut().zip(&p.xu) {
+        for (g, p) in g.iter_mut().zip(p_column) {
+            *g += p;
+        }
+    }
+    // M = Āᵀ P Ā.
+    let mut m = Symmetric::default();
+    for (m, g) in m.xx.iter_mut().chain(&mut m.xu).zip(&g) {
+        for (row, value) in dynamics.a_rows.iter().zip(g) {
+            axpy(m, *value, row);
+        }
+    }
+    for i in 0..NU {
+        for j in 0..NU {
+            m.uu[i][j] = dot(&dynamics.columns[NX + i], &g[NX + j])
+                + dot(&p.xu[i], &dynamics.columns[NX + j])
+                + p.uu[i][j];
+        }
+    }
+    let cross = 0.5 * (m.uu[0][1] + m.uu[1][0]);
+    m.uu[0][1] = cross;
+    m.uu[1][0] = cross;
+
+    let first = m.uu[0][0] + rate[0];
+    let d0 = 1.0 / first.sqrt();
+    let below = cross * d0;
+    let second = below.mul_add(-below, m.uu[1][1] + rate[1]);
+    if !(first > 0.0 && second > 0.0) {
+        return None;
+    }
+    let d1 = 1.0 / second.sqrt();
+    let mut factor = Factor {
+        inverse_diagonal: [d0, d1],
+        below,
+        ..Factor::default()
+    };
+    for i in 0..LANES {
+        let y = factor.forward([m.xu[0][i], m.xu[1][i]]);
+        factor.y_x[0][i] = y[0];
+        factor.y_x[1][i] = y[1];
+    }
+    for j in 0..NU {
+        let y = factor.forward([m.uu[0][j], m.uu[1][j]]);
+        factor.y_u[0][j] = y[0];
+        factor.y_u[1][j] = y[1];
+    }
+    // P = M − Yᵀ Y.
+    for k in 0..NU {
+        for (j, column) in m.xx.iter_mut().enumerate() {
+            axpy(column, -factor.y_x[k][j], &factor.y_x[k]);
+        }
+        for (j, column) in m.xu.iter_mut().enumerate() {
+            axpy(column, -factor.y_u[k][j], &factor.y_x[k]);
+        }
+        for i in 0..NU {
+            for j in 0..NU {
+                m.uu[i][j] = factor.y_u[k][i].mul_add(-factor.y_u[k][j], m.uu[i][j]);
+            }
+        }
+    }
+    Some((factor, m))
+}
+
+/// One backward step of a right-hand side: from the gradient of the cost-to-go at the next stage
+/// to the gradient at this one (without its own `gₛ`), and `L⁻¹ q_v` for the forward step.
+#[inline(always)]
+pub(super) fn backward(
+    dynamics: &Dynamics,
+    factor: &Factor,
+    next: &Aug,
+    g_v: &[f64; NU],
+) -> (Aug, [f64; NU]) {
+    let mut p = dynamics.apply_transposed(next);
+    let y = factor.forward([g_v[0] + p.u[0], g_v[1] + p.u[1]]);
+    for k in 0..NU {
+        axpy(&mut p.x, -y[k], &factor.y_x[k]);
+        for j in 0..NU {
+            p.u[j] = factor.y_u[k][j].mul_add(-y[k], p.u[j]);
+        }
+    }
+    (p, y)
+}
+
+/// One forward step: the control `v` and the next augmented state from this one.
+#[inline(always)]
+pub(super) fn forward(
+    dynamics: &Dynamics,
+    factor: &Factor,
+    y: &[f64; NU],
+    s: &Aug,
+) -> ([f64; NU], Aug) {
+    let mut t = *y;
+    for k in 0..NU {
+        t[k] += dot(&factor.y_x[k], &s.x);
+        for j in 0..NU {
+            t[k] = factor.y_u[k][j].mul_add(s.u[j], t[k]);
+        }
+    }
+    let v = factor.backward([-t[0], -t[1]]);
+    let u = [s.u[0] + v[0], s.u[1] + v[1]];
+    (
+        v,
+        Aug {
+            x: dynamics.apply(&s.x, &u),
+            u,
+        },
+    )
+}

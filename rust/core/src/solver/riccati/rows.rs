@@ -1,0 +1,397 @@
+//! The inequalities of one stage: values, slacks, multipliers and what they add to the LQ problem.
+//!
+//! Every row is two-sided, `lower ≤ a·w ≤ upper`, and is kept as two one-sided rows of sign `σ`,
+//!
+//! ```text
+//! σ a·w − ε + s = b,   s ≥ 0, λ ≥ 0,   s λ → μ          (λ: multiplier of the row)
+//! soft rows:  price ρ₁ ε + ½ ρ₂ ε²,   ε ≥ 0, γ ≥ 0,   ε γ → μ          (hard rows: ε = 0)
+//! ```
+//!
+//! A Newton step eliminates `s, ε, γ` of each row on its own, which leaves
+//! `Δλ = W (σ a·Δw + q)`: the row adds `W a aᵀ` to the Hessian and `σ a (λ + W q)` to the
+//! gradient. Written without a division by `λ` or by `1/ε`, so that rows far from their bound and
+//! rows exactly on it need no special case.
+
+use super::recursion::{Aug, Symmetric};
+use crate::NU;
+use crate::settings::Penalty;
+
+/// Two-sided rows of a stage: rate (2), input (2), v_x, delta, v_y, omega, track, padding (3).
+pub(super) const PAIRS: usize = 12;
+/// One-sided rows: all upper sides, then all lower sides.
+pub(super) const ROWS: usize = 2 * PAIRS;
+pub(super) type Rows = [f64; ROWS];
+
+/// First input row; rate rows come before it.
+pub(super) const INPUT: usize = NU;
+/// First box row on a state.
+pub(super) const STATE: usize = 2 * NU;
+/// The states that may be boxed, in the order of their rows: v_x, delta, v_y, omega.
+pub(super) const BOXED: [usize; 4] = [2, 6, 4, 5];
+/// The track row.
+pub(super) const TRACK: usize = STATE + BOXED.len();
+
+/// Slack a hard row starts with when its bounds leave no room inside.
+const SMALLEST_SLACK: f64 = 0.01;
+
+/// What the rows of a stage are.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bounds {
+    /// `b`: upper bounds, then negated lower bounds; zero where a row is switched off.
+    pub b: Rows,
+    /// 1 for a row that exists, 0 for one that does not.
+    pub on: Rows,
+    /// 1 for a soft row that exists, 0 for any other.
+    pub soft: Rows,
+    /// `ρ₁`.
+    pub linear: Rows,
+    /// `ρ₂`.
+    pub quadratic: Rows,
+    /// Normal of the track row in the plane of positions.
+    pub normal: [f64; 2],
+}
+
+/// The primal-dual iterate of a stage's rows. Rows that do not exist keep `s = 1, λ = 0`, rows that
+/// are not soft `ε = 1, γ = 0`, so that no loop over rows needs a branch.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Iterate {
+    pub slack: Rows,
+    pub lambda: Rows,
+    pub epsilon: Rows,
+    pub gamma: Rows,
+}
+
+/// What a factorisation needs of the rows; both right-hand sides of an iteration share it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Scaling {
+    /// `W`.
+    pub weight: Rows,
+    /// `1/(λ/D + s)`.
+    stiffness: Rows,
+    /// `1/D = 1/(ρ₂ + γ/ε)`, zero for hard rows.
+    compliance: Rows,
+    inverse_epsilon: Rows,
+}
+
+impl Default for Scaling {
+    fn default() -> Self {
+        let zero = [0.0; ROWS];
+        Self {
+            weight: zero,
+            stiffness: zero,
+            compliance: zero,
+            inverse_epsilon: zero,
+        }
+    }
+}
+
+impl Scaling {
+    /// The part of the elimination that depends on the targets.
+    #[inline(always)]
+    pub fn push(&self, it: &Iterate, r: &Residual, targets: &Targets) -> Push {
+        let mut p = Push {
+            shift: [0.0; ROWS],
+            drive: [0.0; ROWS],
+        };
+        for k in 0..ROWS {
+            let drive = targets.second[k].mul_add(self.inverse_epsilon[k], -r.price[k]);
+            let gap = self.compliance[k].mul_add(drive, r.primal[k]);
+            p.shift[k] = self.stiffness[k] * it.lambda[k].mul_add(-gap, targets.first[k]);
+            p.drive[k] = drive;
+        }
+        p
+    }
+}
+
+/// What one right-hand side adds.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Push {
+    /// `W q`.
+    pub shift: Rows,
+    /// `r₂/ε − r_ε`.
+    pub drive: Rows,
+}
+
+/// `r_p = b − σ a·w + ε − s` and `r_ε = ρ₁ + ρ₂ ε − λ − γ`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Residual {
+    pub primal: Rows,
+    pub price: Rows,
+}
+
+/// Targets of complementarity, `s Δλ + λ Δs = first` and `ε Δγ + γ Δε = second`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Targets {
+    pub first: Rows,
+    pub second: Rows,
+}
+
+/// `a·w` of all pairs, repeated with the opposite sign for the lower sides.
+#[inline(always)]
+pub(super) fn signed_values(v: &[f64; NU], s: &Aug, normal: &[f64; 2]) -> Rows {
+    let mut y = [0.0; ROWS];
+    y[..NU].copy_from_slice(v);
+    y[INPUT..STATE].copy_from_slice(&s.u);
+    for (row, state) in BOXED.iter().enumerate() {
+        y[STATE + row] = s.x[*state];
+    }
+    y[TRACK] = normal[0].mul_add(s.x[0], normal[1] * s.x[1]);
+    for k in 0..PAIRS {
+        y[PAIRS + k] = -y[k];
+    }
+    y
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        let zero = [0.0; ROWS];
+        Self {
+            b: zero,
+            on: zero,
+            soft: zero,
+            linear: zero,
+            quadratic: [1.0; ROWS],
+            normal: [0.0; 2],
+        }
+    }
+}
+
+impl Default for Iterate {
+    fn default() -> Self {
+        let (zero, one) = ([0.0; ROWS], [1.0; ROWS]);
+        Self {
+            slack: one,
+            lambda: zero,
+            epsilon: one,
+            gamma: zero,
+        }
+    }
+}
+
+impl Bounds {
+    /// Row `k` must lie within `lower..=upper`.
+    pub fn hard(&mut self, k: usize, lower: f64, upper: f64) {
+        for (side, bound) in [(k, upper), (PAIRS + k, -lower)] {
+            self.b[side] = bound;
+            self.on[side] = 1.0;
+        }
+    }
+
+    /// Row `k` should lie within `lower..=upper`, at that price.
+    pub fn soft(&mut self, k: usize, lower: f64, upper: f64, penalty: Penalty) {
+        self.hard(k, lower, upper);
+        for side in [k, PAIRS + k] {
+            self.soft[side] = 1.0;
+            self.linear[side] = penalty.linear;
+            self.quadratic[side] = penalty.quadratic;
+        }
+    }
+
+    /// Slacks, prices and multipliers on the central path for row values `y` and complementarity `mu`. For a soft row
+    /// that is a quadratic in `ε`, once its price is taken at the violation.
+    #[inline(always)]
+    pub fn centred(&self, y: &Rows, mu: f64) -> Iterate {
+        let mut it = Iterate::default();
+        for k in 0..ROWS {
+            let distance = self.b[k] - y[k];
+            if self.soft[k] > 0.0 {
+                let price = self.quadratic[k].mul_add((-distance).max(0.0), self.linear[k]);
+                let (middle, reach) = (2.0 * mu, price * distance);
+                let root = (middle * middle + reach * reach).sqrt();
+                it.epsilon[k] = (middle - reach + root) / (2.0 * price);
+                it.slack[k] = (middle + reach + root) / (2.0 * price);
+                it.lambda[k] = mu / it.slack[k];
+                it.gamma[k] = mu / it.epsilon[k];
+            } else if self.on[k] > 0.0 {
+                it.slack[k] = distance.max(SMALLEST_SLACK);
+                it.lambda[k] = mu / it.slack[k];
+            }
+        }
+        it
+    }
+
+    /// The control nearest to `v` that keeps a tenth of the width from each hard bound, the bounds
+    /// on the input first and those on its rate last.
+    #[inline(always)]
+    pub fn inside(&self, v: &[f64; NU], u: &[f64; NU]) -> [f64; NU] {
+        let within = |k: usize, value: f64| {
+            let (lower, upper) = (-self.b[PAIRS + k], self.b[k]);
+            let room = 0.1 * (upper - lower);
+            value.max(lower + room).min(upper - room)
+        };
+        let mut out = *v;
+        for i in 0..NU {
+            out[i] = within(i, within(INPUT + i, u[i] + v[i]) - u[i]);
+        }
+        out
+    }
+
+    /// Residuals of the rows and of the prices at row values `y`; zero where there is none.
+    #[inline(always)]
+    pub fn residual(&self, y: &Rows, it: &Iterate) -> Residual {
+        let mut r = Residual {
+            primal: [0.0; ROWS],
+            price: [0.0; ROWS],
+        };
+        for k in 0..ROWS {
+            let epsilon = self.soft[k] * it.epsilon[k];
+            r.primal[k] = self.on[k] * (self.b[k] - y[k] + epsilon - it.slack[k]);
+            let price = self.quadratic[k].mul_add(it.epsilon[k], self.linear[k]);
+            r.price[k] = self.soft[k] * (price - it.lambda[k] - it.gamma[k]);
+        }
+        r
+    }
+
+    /// Eliminates `Δs, Δε, Δγ`: the part that does not depend on the targets.
+    #[inline(always)]
+    pub fn scale(&self, it: &Iterate) -> Scaling {
+        let mut c = Scaling {
+            weight: [0.0; ROWS],
+            stiffness: [0.0; ROWS],
+            compliance: [0.0; ROWS],
+            inverse_epsilon: [0.0; ROWS],
+        };
+        for k in 0..ROWS {
+            c.inverse_epsilon[k] = 1.0 / it.epsilon[k];
+            c.compliance[k] =
+                self.soft[k] / it.gamma[k].mul_add(c.inverse_epsilon[k], self.quadratic[k]);
+            c.stiffness[k] = self.on[k] / it.lambda[k].mul_add(c.compliance[k], it.slack[k]);
+            c.weight[k] = it.lambda[k] * c.stiffness[k];
+        }
+        c
+    }
+
+    /// The steps of all four quantities from the step of the row values.
+    #[inline(always)]
+    pub fn recover(
+        &self,
+        c: &Scaling,
+        p: &Push,
+        it: &Iterate,
+        r: &Residual,
+        targets: &Targets,
+        dy: &Rows,
+    ) -> Iterate {
+        let mut d = Iterate {
+            slack: [0.0; ROWS],
+            lambda: [0.0; ROWS],
+            epsilon: [0.0; ROWS],
+            gamma: [0.0; ROWS],
+        };
+        for k in 0..ROWS {
+            let lambda = c.weight[k].mul_add(dy[k], p.shift[k]);
+            let epsilon = c.compliance[k] * (lambda + p.drive[k]);
+            d.lambda[k] = lambda;
+            d.epsilon[k] = epsilon;
+            d.slack[k] = self.on[k] * (r.primal[k] - dy[k] + epsilon);
+            d.gamma[k] =
+                self.soft[k] * ((targets.second[k] - it.gamma[k] * epsilon) * c.inverse_epsilon[k]);
+        }
+        d
+    }
+
+    /// Adds `Σ W a aᵀ` to the Hessian of the next augmented state and returns the rate part.
+    #[inline(always)]
+    pub fn add_curvature(&self, weight: &Rows, h: &mut Symmetric) -> [f64; NU] {
+        let pair = |k: usize| weight[k] + weight[PAIRS + k];
+        for i in 0..NU {
+            h.uu[i][i] += pair(INPUT + i);
+        }
+        for (row, state) in BOXED.iter().enumerate() {
+            h.xx[*state][*state] += pair(STATE + row);
+        }
+        let track = pair(TRACK);
+        for i in 0..2 {
+            for j in 0..2 {
+                h.xx[i][j] += track * self.normal[i] * self.normal[j];
+            }
+        }
+        [pair(0), pair(1)]
+    }
+
+    /// Adds `Σ σ a f` to the gradient of the next augmented state and returns the rate part.
+    #[inline(always)]
+    pub fn add_gradient(&self, force: &Rows, g: &mut Aug) -> [f64; NU] {
+        let pair = |k: usize| force[k] - force[PAIRS + k];
+        for i in 0..NU {
+            g.u[i] += pair(INPUT + i);
+        }
+        for (row, state) in BOXED.iter().enumerate() {
+            g.x[*state] += pair(STATE + row);
+        }
+        let track = pair(TRACK);
+        g.x[0] += track * self.normal[0];
+        g.x[1] += track * self.normal[1];
+        [pair(0), pair(1)]
+    }
+
+    /// `Σ s λ + Σ ε γ` and the number of products in it.
+    #[inline(always)]
+    pub fn complementarity(&self, it: &Iterate) -> (f64, f64) {
+        let mut product = [0.0; ROWS];
+        let mut count = [0.0; ROWS];
+        for k in 0..ROWS {
+            product[k] = self.on[k] * it.slack[k] * it.lambda[k]
+                + self.soft[k] * it.epsilon[k] * it.gamma[k];
+            count[k] = self.on[k] + self.soft[k];
+        }
+        (product.iter().sum(), count.iter().sum())
+    }
+
+    /// The largest relative rate of decrease among slacks and multipliers, `max −Δ/value`.
+    #[inline(always)]
+    pub fn fastest_decrease(&self, it: &Iterate, step: &Iterate) -> f64 {
+        let mut worst = [0.0_f64; ROWS];
+        for k in 0..ROWS {
+            let hard = (-step.slack[k] / it.slack[k]).max(-step.lambda[k] / it.lambda[k]);
+            let soft = (-step.epsilon[k] / it.epsilon[k]).max(-step.gamma[k] / it.gamma[k]);
+            worst[k] = (self.on[k] * hard).max(self.soft[k] * soft);
+        }
+        worst.iter().fold(0.0, |a, b| a.max(*b))
+    }
+}
+
+impl Iterate {
+    /// The iterate after a step of that length.
+    #[inline(always)]
+    pub fn moved(&self, length: f64, step: &Self) -> Self {
+        let mut next = *self;
+        for k in 0..ROWS {
+            next.slack[k] = length.mul_add(step.slack[k], self.slack[k]);
+            next.lambda[k] = length.mul_add(step.lambda[k], self.lambda[k]);
+            next.epsilon[k] = length.mul_add(step.epsilon[k], self.epsilon[k]);
+            next.gamma[k] = length.mul_add(step.gamma[k], self.gamma[k]);
+        }
+        next
+    }
+}
+
+impl Targets {
+    /// The predictor's: complementarity zero.
+    #[inline(always)]
+    pub fn affine(it: &Iterate) -> Self {
+        let mut t = Self {
+            first: [0.0; ROWS],
+            second: [0.0; ROWS],
+        };
+        for k in 0..ROWS {
+            t.first[k] = -it.slack[k] * it.lambda[k];
+            t.second[k] = -it.epsilon[k] * it.gamma[k];
+        }
+        t
+    }
+
+    /// The corrector's: complementarity `mu`, second-order term of the predictor included.
+    #[inline(always)]
+    pub fn corrected(it: &Iterate, step: &Iterate, mu: f64) -> Self {
+        let mut t = Self {
+            first: [0.0; ROWS],
+            second: [0.0; ROWS],
+        };
+        for k in 0..ROWS {
+            t.first[k] = mu - it.slack[k].mul_add(it.lambda[k], step.slack[k] * step.lambda[k]);
+            t.second[k] = mu - it.epsilon[k].mul_add(it.gamma[k], step.epsilon[k] * step.gamma[k]);
+        }
+        t
+    }
+}
