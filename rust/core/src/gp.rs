@@ -10,6 +10,7 @@
 
 use crate::cholesky::{Cholesky, NotPositiveDefinite, dot};
 use crate::kernel::{Kernel, LANES, Lanes, Points, in_blocks, squared_distance};
+use crate::simd::{Vectorised, vectorised};
 use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
 
 /// Hyperparameters of one output in the z-scored space.
@@ -100,45 +101,16 @@ impl Gp {
 
     /// The predictive mean at a z-scored input.
     pub fn mean(&self, z: &GpInput) -> GpOutput {
-        let mut sums = [[0.0; LANES]; NY];
-        for (block, differences) in self.points.differences(z).enumerate() {
-            for (sum, output) in sums.iter_mut().zip(&self.outputs) {
-                let value = self.kernel.value(&squared_distance(
-                    &differences,
-                    &output.inverse_squared_lengthscales,
-                ));
-                add_product(sum, &value, &output.weights[block]);
-            }
-        }
-        GpOutput::from_fn(|o, _| self.outputs[o].constant + total(&sums[o]))
+        vectorised(Mean { gp: self, z })
     }
 
     /// The predictive mean at a z-scored input, and its Jacobian in the z-scored space.
     pub fn mean_jacobian(&self, z: &GpInput, jacobian: &mut GpJacobian) -> GpOutput {
-        let mut sums = [[0.0; LANES]; NY];
-        let mut gradients = [[[0.0; LANES]; NZ]; NY];
-        for (block, differences) in self.points.differences(z).enumerate() {
-            for ((sum, gradient), output) in sums.iter_mut().zip(&mut gradients).zip(&self.outputs)
-            {
-                let r2 = squared_distance(&differences, &output.inverse_squared_lengthscales);
-                let (value, mut slope) = self.kernel.value_slope(&r2);
-                let weights = &output.weights[block];
-                add_product(sum, &value, weights);
-                for (slope, weight) in slope.iter_mut().zip(weights) {
-                    *slope *= weight;
-                }
-                for (gradient, difference) in gradient.iter_mut().zip(&differences) {
-                    add_product(gradient, &slope, difference);
-                }
-            }
-        }
-        for (o, output) in self.outputs.iter().enumerate() {
-            for d in 0..NZ {
-                jacobian[(o, d)] =
-                    2.0 * output.inverse_squared_lengthscales[d] * total(&gradients[o][d]);
-            }
-        }
-        GpOutput::from_fn(|o, _| self.outputs[o].constant + total(&sums[o]))
+        vectorised(MeanJacobian {
+            gp: self,
+            z,
+            jacobian,
+        })
     }
 
     /// The variance of the latent function at a z-scored input; between 0 and the outputscale.
@@ -146,14 +118,14 @@ impl Gp {
         let covariances = &mut scratch.covariances;
         GpOutput::from_fn(|o, _| {
             let output = &self.outputs[o];
-            covariance_row(
-                self.kernel,
-                &self.points,
+            vectorised(CovarianceRow {
+                kernel: self.kernel,
+                points: &self.points,
                 z,
-                &output.inverse_squared_lengthscales,
-                output.outputscale,
-                covariances,
-            );
+                scales: &output.inverse_squared_lengthscales,
+                outputscale: output.outputscale,
+                row: covariances,
+            });
             output.factor.half_solve(covariances);
             // Rounding may leave a tiny negative number next to a training point.
             (output.outputscale - dot(covariances, covariances)).max(0.0)
@@ -172,35 +144,115 @@ fn factor(
     let mut lower = Vec::with_capacity(inputs.len() * (inputs.len() + 1) / 2);
     let mut row = Vec::new();
     for (i, input) in inputs.iter().enumerate() {
-        covariance_row(kernel, points, input, scales, hyper.outputscale, &mut row);
+        vectorised(CovarianceRow {
+            kernel,
+            points,
+            z: input,
+            scales,
+            outputscale: hyper.outputscale,
+            row: &mut row,
+        });
         lower.extend_from_slice(&row[..i]);
         lower.push(hyper.outputscale + hyper.noise);
     }
     Cholesky::factor(lower)
 }
 
-/// `k(z, X)` of one output into `row`, whose length becomes the number of points.
-fn covariance_row(
-    kernel: Kernel,
-    points: &Points,
-    z: &GpInput,
-    scales: &[f64; NZ],
-    outputscale: f64,
-    row: &mut Vec<f64>,
-) {
-    row.clear();
-    for differences in points.differences(z) {
-        let value = kernel.value(&squared_distance(&differences, scales));
-        row.extend_from_slice(&value.map(|value| outputscale * value));
+/// [`Gp::mean`].
+struct Mean<'a> {
+    gp: &'a Gp,
+    z: &'a GpInput,
+}
+
+impl Vectorised for Mean<'_> {
+    type Output = GpOutput;
+
+    #[inline(always)]
+    fn compute(self) -> GpOutput {
+        let Self { gp, z } = self;
+        let mut sums = [[0.0; LANES]; NY];
+        for (block, differences) in gp.points.differences(z).enumerate() {
+            for (sum, output) in sums.iter_mut().zip(&gp.outputs) {
+                let r2 = squared_distance(&differences, &output.inverse_squared_lengthscales);
+                add_product(sum, &gp.kernel.value(&r2), &output.weights[block]);
+            }
+        }
+        GpOutput::from_fn(|o, _| gp.outputs[o].constant + total(&sums[o]))
     }
-    row.truncate(points.len());
+}
+
+/// [`Gp::mean_jacobian`].
+struct MeanJacobian<'a> {
+    gp: &'a Gp,
+    z: &'a GpInput,
+    jacobian: &'a mut GpJacobian,
+}
+
+impl Vectorised for MeanJacobian<'_> {
+    type Output = GpOutput;
+
+    /// One output after the other: its seven sums stay in registers, and the points in the first-level cache.
+    #[inline(always)]
+    fn compute(self) -> GpOutput {
+        let Self { gp, z, jacobian } = self;
+        let mut mean = GpOutput::zeros();
+        for (o, output) in gp.outputs.iter().enumerate() {
+            let scales = &output.inverse_squared_lengthscales;
+            let mut sum = [0.0; LANES];
+            let mut gradient = [[0.0; LANES]; NZ];
+            for (differences, weights) in gp.points.differences(z).zip(&output.weights) {
+                let (value, mut slope) = gp
+                    .kernel
+                    .value_slope(&squared_distance(&differences, scales));
+                add_product(&mut sum, &value, weights);
+                for (slope, weight) in slope.iter_mut().zip(weights) {
+                    *slope *= weight;
+                }
+                for (gradient, difference) in gradient.iter_mut().zip(&differences) {
+                    add_product(gradient, &slope, difference);
+                }
+            }
+            mean[o] = output.constant + total(&sum);
+            for d in 0..NZ {
+                jacobian[(o, d)] = 2.0 * scales[d] * total(&gradient[d]);
+            }
+        }
+        mean
+    }
+}
+
+/// `k(z, X)` of one output into `row`, whose length becomes the number of points.
+struct CovarianceRow<'a> {
+    kernel: Kernel,
+    points: &'a Points,
+    z: &'a GpInput,
+    scales: &'a [f64; NZ],
+    outputscale: f64,
+    row: &'a mut Vec<f64>,
+}
+
+impl Vectorised for CovarianceRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn compute(self) {
+        self.row.clear();
+        for differences in self.points.differences(self.z) {
+            let value = self
+                .kernel
+                .value(&squared_distance(&differences, self.scales));
+            self.row
+                .extend_from_slice(&value.map(|value| self.outputscale * value));
+        }
+        self.row.truncate(self.points.len());
+    }
 }
 
 /// `sum += a · b`, lane by lane.
 #[inline(always)]
 fn add_product(sum: &mut Lanes, a: &Lanes, b: &Lanes) {
     for l in 0..LANES {
-        sum[l] += a[l] * b[l];
+        sum[l] = a[l].mul_add(b[l], sum[l]);
     }
 }
 

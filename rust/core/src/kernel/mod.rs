@@ -5,6 +5,7 @@
 //!
 //! Adding a kernel: one file that implements [`Profile`], one variant and its name in [`Kernel`].
 
+mod exp;
 mod matern52;
 mod points;
 mod rbf;

@@ -66,7 +66,7 @@ pub fn squared_distance(
     let mut r2 = [0.0; LANES];
     for (difference, scale) in differences.iter().zip(inverse_squared_lengthscales) {
         for (r2, difference) in r2.iter_mut().zip(difference) {
-            *r2 += difference * difference * scale;
+            *r2 = (difference * difference).mul_add(*scale, *r2);
         }
     }
     r2

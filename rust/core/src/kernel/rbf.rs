@@ -1,5 +1,6 @@
 //! Squared-exponential kernel.
 
+use super::exp::exp;
 use super::{Lanes, Profile};
 
 /// `φ(r²) = exp(-r²/2)`; Rasmussen & Williams (2006), eq. (4.9).
@@ -9,7 +10,7 @@ pub struct Rbf;
 impl Profile for Rbf {
     #[inline(always)]
     fn value(r2: &Lanes) -> Lanes {
-        r2.map(|r2| (-0.5 * r2).exp())
+        exp(&r2.map(|r2| -0.5 * r2))
     }
 
     #[inline(always)]
