@@ -13,27 +13,36 @@ pub(crate) struct Cholesky {
 #[derive(Debug)]
 pub(crate) struct NotPositiveDefinite(pub usize);
 
+/// Rows factored together.
+const PANEL: usize = 16;
+
 /// Where row `i` of a packed lower triangle begins.
 const fn row_start(i: usize) -> usize {
     i * (i + 1) / 2
 }
 
 impl Cholesky {
-    /// Factors the matrix with the given packed lower triangle (row `i` has `i + 1` entries) in place.
-    pub fn factor(mut lower: Vec<f64>) -> Result<Self, NotPositiveDefinite> {
-        let mut i = 0;
-        while row_start(i) < lower.len() {
-            let (above, row) = lower.split_at_mut(row_start(i));
-            for j in 0..i {
-                let row_j = &above[row_start(j)..=row_start(j) + j];
-                row[j] = (row[j] - dot(&row[..j], &row_j[..j])) / row_j[j];
+    /// Factors the `n × n` matrix with the given packed lower triangle (row `i` has `i + 1` entries) in place.
+    pub fn factor(n: usize, mut lower: Vec<f64>) -> Result<Self, NotPositiveDefinite> {
+        // Entry (i, j) needs the entries before it in rows i and j. Going down the columns of a panel of rows uses
+        // each earlier row for the whole panel while it is in the cache.
+        for start in (0..n).step_by(PANEL) {
+            let end = n.min(start + PANEL);
+            for j in 0..end {
+                for i in start.max(j)..end {
+                    let (above, row) = lower.split_at_mut(row_start(i));
+                    if i == j {
+                        let pivot = row[j] - dot(&row[..j], &row[..j]);
+                        if pivot.is_nan() || pivot <= 0.0 {
+                            return Err(NotPositiveDefinite(j));
+                        }
+                        row[j] = pivot.sqrt();
+                    } else {
+                        let row_j = &above[row_start(j)..=row_start(j) + j];
+                        row[j] = (row[j] - dot(&row[..j], &row_j[..j])) / row_j[j];
+                    }
+                }
             }
-            let pivot = row[i] - dot(&row[..i], &row[..i]);
-            if pivot.is_nan() || pivot <= 0.0 {
-                return Err(NotPositiveDefinite(i));
-            }
-            row[i] = pivot.sqrt();
-            i += 1;
         }
         Ok(Self { rows: lower })
     }

@@ -155,7 +155,7 @@ fn factor(
         lower.extend_from_slice(&row[..i]);
         lower.push(hyper.outputscale + hyper.noise);
     }
-    Cholesky::factor(lower)
+    Cholesky::factor(inputs.len(), lower)
 }
 
 /// [`Gp::mean`].

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use egp_core::library::{LibrarySpec, MemberData, encode};
 use egp_core::{Kernel, Library, NY, NZ};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -98,7 +98,7 @@ fn member(kernel: Kernel, friction: f64, n: usize, seed: u64) -> MemberData {
 struct Dense {
     kernel: Kernel,
     output: usize,
-    inverse: DMatrix<f64>,
+    covariance: Cholesky<f64, Dyn>,
     alpha: DVector<f64>,
 }
 
@@ -121,7 +121,7 @@ impl Dense {
             kernel,
             output,
             alpha: cholesky.solve(&y),
-            inverse: cholesky.inverse(),
+            covariance: cholesky,
         }
     }
 
@@ -161,7 +161,7 @@ impl Dense {
     fn variance(&self, data: &MemberData, z: &[f64; NZ]) -> f64 {
         let o = self.output;
         let k = self.covariances(data, z);
-        data.target_std[o].powi(2) * (data.outputscale[o] - k.dot(&(&self.inverse * &k)))
+        data.target_std[o].powi(2) * (data.outputscale[o] - k.dot(&self.covariance.solve(&k)))
     }
 }
 

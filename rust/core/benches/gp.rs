@@ -1,0 +1,55 @@
+//! One GP query: mean, mean with Jacobian, variance; per member, that is for all three outputs.
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::semicolon_if_nothing_returned
+)]
+
+#[path = "../tests/support/mod.rs"]
+mod support;
+
+use std::hint::black_box;
+
+use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use egp_core::{GpInput, GpJacobian, Kernel, VarianceScratch};
+
+fn queries(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("gp");
+    for (kernel, n) in [
+        (Kernel::Rbf, 700),
+        (Kernel::Matern52, 700),
+        (Kernel::Rbf, 2000),
+    ] {
+        let library = support::library(kernel, &[0.8], n, 0);
+        let member = &library.members()[0];
+        let z = GpInput::from(support::CENTRE).add_scalar(0.1);
+        let name = |what| BenchmarkId::new(what, format!("{} {n}", kernel.name()));
+        group.bench_function(name("mean"), |bencher| {
+            bencher.iter(|| member.mean(black_box(&z)))
+        });
+        let mut jacobian = GpJacobian::zeros();
+        group.bench_function(name("mean_jacobian"), |bencher| {
+            bencher.iter(|| member.mean_jacobian(black_box(&z), &mut jacobian));
+        });
+        let mut scratch = VarianceScratch::default();
+        group.bench_function(name("variance"), |bencher| {
+            bencher.iter(|| member.variance(black_box(&z), &mut scratch));
+        });
+    }
+    group.finish();
+}
+
+fn load(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("library");
+    group.sample_size(10);
+    for n in [700, 2000] {
+        let bytes = egp_core::library::encode(&support::spec(Kernel::Rbf, &[0.8], n, 0)).unwrap();
+        group.bench_function(BenchmarkId::new("load one member", n), |bencher| {
+            bencher.iter(|| egp_core::Library::from_bytes(black_box(&bytes)));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, queries, load);
+criterion_main!(benches);

@@ -1,0 +1,122 @@
+//! How members combine.
+#![allow(clippy::unwrap_used)]
+
+mod support;
+
+use std::sync::OnceLock;
+
+use egp_core::{
+    Ensemble, EnsembleError, GpInput, GpJacobian, GpOutput, Kernel, Library, NY, VarianceScratch,
+};
+use proptest::prelude::*;
+use support::{CENTRE, HALF_WIDTH};
+
+const MEMBERS: usize = 3;
+
+fn library() -> &'static Library {
+    static LIBRARY: OnceLock<Library> = OnceLock::new();
+    LIBRARY.get_or_init(|| support::library(Kernel::Matern52, &[0.4, 0.7, 1.1], 60, 5))
+}
+
+fn gp_input() -> impl Strategy<Value = GpInput> {
+    prop::array::uniform6(-2.0..2.0)
+        .prop_map(|unit| GpInput::from_fn(|d, _| CENTRE[d] + HALF_WIDTH[d] * unit[d]))
+}
+
+/// Points of the simplex.
+fn weights() -> impl Strategy<Value = Vec<f64>> {
+    prop::array::uniform3(1e-3..1.0_f64).prop_map(|w| w.map(|x| x / w.iter().sum::<f64>()).to_vec())
+}
+
+/// The variance of member `n` with its noise.
+fn noisy_variance(n: usize, z: &GpInput) -> GpOutput {
+    let member = &library().members()[n];
+    let noise = member.noise_std().map(|std| std * std);
+    member.variance(z, &mut VarianceScratch::default()) + noise
+}
+
+proptest! {
+    #[test]
+    fn one_hot_weights_give_the_member(z in gp_input(), n in 0..MEMBERS) {
+        let mut one_hot = vec![0.0; MEMBERS];
+        one_hot[n] = 1.0;
+        let ensemble = Ensemble::new(library(), &one_hot, 0.0).unwrap();
+        let member = &library().members()[n];
+        let (mut blended, mut own) = (GpJacobian::zeros(), GpJacobian::zeros());
+        prop_assert_eq!(ensemble.mean_jacobian(&z, &mut blended), member.mean_jacobian(&z, &mut own));
+        prop_assert_eq!(blended, own);
+        prop_assert_eq!(ensemble.mean(&z), member.mean(&z));
+        prop_assert_eq!(ensemble.dropped_mass(), 0.0);
+        let variance = ensemble.variance(&z, &mut VarianceScratch::default());
+        prop_assert_eq!(variance.independent, member.variance(&z, &mut VarianceScratch::default()));
+        prop_assert_eq!(variance.mixture, noisy_variance(n, &z));
+    }
+
+    #[test]
+    fn the_mean_stays_between_the_members(z in gp_input(), w in weights()) {
+        let mean = Ensemble::new(library(), &w, 0.0).unwrap().mean(&z);
+        for o in 0..NY {
+            let means = library().members().iter().map(|member| member.mean(&z)[o]);
+            let (min, max) = means.fold((f64::MAX, f64::MIN), |(min, max), m| (min.min(m), max.max(m)));
+            prop_assert!((min - 1e-14..=max + 1e-14).contains(&mean[o]));
+        }
+    }
+
+    #[test]
+    fn the_jacobian_is_the_slope_of_the_mean(z in gp_input(), w in weights()) {
+        let ensemble = Ensemble::new(library(), &w, 0.0).unwrap();
+        let mut jacobian = GpJacobian::zeros();
+        ensemble.mean_jacobian(&z, &mut jacobian);
+        let direction = GpInput::from(HALF_WIDTH) * 1e-5;
+        let slope = (ensemble.mean(&(z + direction)) - ensemble.mean(&(z - direction))) / 2.0;
+        // Of a step of 1e-5 half widths; truncation ~ 1e-15, rounding ~ 1e-15.
+        prop_assert!((slope - jacobian * direction).amax() < 1e-12);
+    }
+
+    #[test]
+    fn the_mixture_contains_disagreement_and_the_independent_form_averages(z in gp_input(), w in weights()) {
+        let ensemble = Ensemble::new(library(), &w, 0.0).unwrap();
+        let variance = ensemble.variance(&z, &mut VarianceScratch::default());
+        let mean = ensemble.mean(&z);
+        for o in 0..NY {
+            let weighted: f64 = (0..MEMBERS).map(|n| w[n] * noisy_variance(n, &z)[o]).sum();
+            let squares = |n: usize| w[n] * (library().members()[n].mean(&z)[o] - mean[o]).powi(2);
+            let disagreement: f64 = (0..MEMBERS).map(squares).sum();
+            prop_assert!(variance.mixture[o] >= weighted * (1.0 - 1e-14));
+            prop_assert!((variance.mixture[o] - weighted - disagreement).abs() < 1e-12 * variance.mixture[o]);
+            prop_assert!((0.0..=weighted).contains(&variance.independent[o]));
+        }
+    }
+
+    #[test]
+    fn dropping_a_member_renormalises_the_others(z in gp_input(), share in 0.0..1.0) {
+        let kept = [0.98 * share, 0.98 * (1.0 - share)];
+        let w = [kept[0], 0.02, kept[1]];
+        let ensemble = Ensemble::new(library(), &w, 0.02).unwrap();
+        let normalised = ensemble.active().map(|(weight, _)| weight).sum::<f64>();
+        prop_assert!((normalised - 1.0).abs() < 1e-15);
+        let small: f64 = kept.iter().filter(|&&weight| weight <= 0.02).sum();
+        prop_assert!((ensemble.dropped_mass() - 0.02 - small).abs() < 1e-15);
+        prop_assert!(ensemble.active().all(|(_, member)| member.label() != "friction 0.7"));
+        prop_assert!(ensemble.mean(&z).iter().all(|mean| mean.is_finite()));
+    }
+}
+
+#[test]
+fn weights_that_make_no_ensemble_are_refused() {
+    let refusal =
+        |weights: &[f64], threshold| Ensemble::new(library(), weights, threshold).err().unwrap();
+    let expected = EnsembleError::WeightCount {
+        expected: MEMBERS,
+        found: 2,
+    };
+    assert_eq!(refusal(&[0.5, 0.5], 0.0), expected);
+    assert_eq!(
+        refusal(&[0.3, 0.3, 0.4], 0.5),
+        EnsembleError::NothingKept { threshold: 0.5 }
+    );
+    assert!(matches!(
+        refusal(&[f64::NAN; MEMBERS], 0.0),
+        EnsembleError::NothingKept { .. }
+    ));
+}

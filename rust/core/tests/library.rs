@@ -1,0 +1,80 @@
+//! The library file as bytes. The refusals of spoiled files are tested from Python, by an independent writer.
+#![allow(clippy::unwrap_used)]
+
+mod support;
+
+use egp_core::library::{LibraryError, MAX_FILE_BYTES, MAX_HEADER_BYTES, encode};
+use egp_core::{Kernel, Library};
+use proptest::prelude::*;
+use sha2::{Digest, Sha256};
+
+fn bytes() -> Vec<u8> {
+    encode(&support::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0)).unwrap()
+}
+
+#[test]
+fn the_same_content_gives_the_same_bytes_and_identity() {
+    let library = Library::from_bytes(&bytes()).unwrap();
+    assert_eq!(bytes(), bytes());
+    assert_eq!(library.id(), <[u8; 32]>::from(Sha256::digest(bytes())));
+    assert_eq!(library.dt(), 0.05);
+    assert_eq!(library.kernel(), Kernel::Rbf);
+    let labels: Vec<_> = library
+        .members()
+        .iter()
+        .map(egp_core::Member::label)
+        .collect();
+    assert_eq!(labels, ["friction 0.5", "friction 1.1"]);
+}
+
+#[test]
+fn sizes_are_refused_before_anything_is_parsed() {
+    // Zeroed pages that are never touched: costs no memory.
+    let huge = vec![0; MAX_FILE_BYTES + 1];
+    assert_eq!(
+        Library::from_bytes(&huge).err(),
+        Some(LibraryError::TooLarge {
+            bytes: MAX_FILE_BYTES + 1,
+            limit: MAX_FILE_BYTES
+        })
+    );
+    let header = [&u64::MAX.to_le_bytes()[..], &[b'{'; 100]].concat();
+    assert_eq!(
+        Library::from_bytes(&header).err(),
+        Some(LibraryError::HeaderTooLarge {
+            bytes: u64::MAX,
+            limit: MAX_HEADER_BYTES
+        })
+    );
+}
+
+#[test]
+fn content_that_would_be_refused_is_not_written() {
+    let mut spec = support::spec(Kernel::Rbf, &[0.5], 20, 0);
+    spec.members[0].alpha[1].pop();
+    assert!(matches!(
+        encode(&spec),
+        Err(LibraryError::Malformed { .. } | LibraryError::Shape { .. })
+    ));
+    let mut spec = support::spec(Kernel::Rbf, &[0.5], 20, 0);
+    spec.members[0].golden_mean[0][2] += 1e-6;
+    assert!(matches!(encode(&spec), Err(LibraryError::Golden { .. })));
+    spec.members.clear();
+    assert!(matches!(encode(&spec), Err(LibraryError::Count { .. })));
+}
+
+proptest! {
+    #[test]
+    fn any_flipped_bit_is_refused(position in 0..bytes().len(), bit in 0..8_u8) {
+        let mut bytes = bytes();
+        bytes[position] ^= 1 << bit;
+        prop_assert!(Library::from_bytes(&bytes).is_err());
+    }
+
+    #[test]
+    fn any_bytes_are_survived(bytes in prop::collection::vec(any::<u8>(), 0..200), length in 0..200_u64) {
+        prop_assert!(Library::from_bytes(&bytes).is_err());
+        let framed = [&length.to_le_bytes()[..], &bytes].concat();
+        prop_assert!(Library::from_bytes(&framed).is_err());
+    }
+}
