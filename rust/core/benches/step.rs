@@ -1,0 +1,163 @@
+//! The control step and its phases: 2 members of 700 points, horizon 20, window 10.
+//!
+//! `cargo bench -p egp-core --bench step`; the whole warm step is meant to take at most 5 ms.
+#![allow(
+    clippy::unwrap_used,
+    clippy::semicolon_if_nothing_returned,
+    missing_docs
+)]
+
+#[path = "../tests/support/mod.rs"]
+mod support;
+
+use std::hint::black_box;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use egp_core::linearisation::Linearisation;
+use egp_core::ocp::{self, Reference, soft_rows};
+use egp_core::solver::{ClarabelSolver, solve_checked};
+use egp_core::trajectory::Guess;
+use egp_core::weights::{WeightEstimator, inverse_noise};
+use egp_core::{
+    Ensemble, Input, Kernel, Library, OcpQp, OcpSolution, QpSolver, Settings, State, StepReply,
+    StepRequest, Workspace, step,
+};
+
+/// A left-hand circle of 60 m radius at 14 m/s.
+fn reference() -> Vec<f64> {
+    let row = |t: u32| {
+        let angle = 14.0 * 0.05 * f64::from(t) / 60.0;
+        [60.0 * angle.sin(), 60.0 * (1.0 - angle.cos()), 14.0, angle]
+    };
+    (0..=20).flat_map(row).collect()
+}
+
+const X: [f64; 7] = [0.1, -0.5, 13.0, 0.05, 0.02, 0.1, 0.03];
+
+fn whole(c: &mut Criterion, library: &Library) {
+    let settings = Settings::default();
+    let mut ws = Workspace::new(library, &settings).unwrap();
+    let mut reply = StepReply::default();
+    let (reference, widths) = (reference(), [3.0; 42]);
+    let (history_z, history_y) = (
+        [14.0, 0.1, 0.2, 0.04, 300.0, 0.02].repeat(10),
+        [0.01, 0.02, 0.005].repeat(10),
+    );
+    let cold = StepRequest {
+        x: &X,
+        u_prev: &[300.0, 0.05],
+        history_z: &history_z,
+        history_y: &history_y,
+        reference: &reference,
+        widths: &widths,
+        ..StepRequest::default()
+    };
+    step(library, &settings, &cold, &mut ws, &mut reply).unwrap();
+    let carried = reply.clone();
+    let warm = StepRequest {
+        weights: &carried.weights,
+        plan_x: &carried.plan_x,
+        plan_u: &carried.plan_u,
+        history_f: &carried.history_f[6..],
+        ..cold
+    };
+    for (name, request) in [
+        ("cold", cold),
+        ("warm", warm),
+        (
+            "warm with sigma",
+            StepRequest {
+                want_sigma: true,
+                ..warm
+            },
+        ),
+    ] {
+        c.bench_function(&format!("step/{name}"), |b| {
+            b.iter(|| step(library, &settings, black_box(&request), &mut ws, &mut reply));
+        });
+    }
+}
+
+fn phases(c: &mut Criterion, library: &Library) {
+    let settings = Settings::default();
+    let weights = [0.4, 0.6];
+    let ensemble = Ensemble::new(library, &weights, 0.0).unwrap();
+    let (x0, u_prev) = (
+        State::from([0.0, 0.0, 13.0, 0.0, 0.02, 0.1, 0.03]),
+        Input::new(300.0, 0.05),
+    );
+    let (guess, mut dynamics) = (Guess::new(20), Linearisation::new(20));
+    let mut linearise = || {
+        dynamics.along(
+            &ensemble,
+            0.05,
+            &x0,
+            &guess,
+            &settings.operating,
+            [60.0, 0.91],
+        )
+    };
+    linearise();
+    c.bench_function("phase/linearise", |b| b.iter(&mut linearise));
+
+    let targets: Vec<State> = reference()
+        .as_chunks::<4>()
+        .0
+        .iter()
+        .map(|r| State::from([r[0], r[1], r[2], r[3], 0.0, 0.0, 0.0]))
+        .collect();
+    let reference = Reference {
+        x: &targets,
+        widths: &[[3.0; 2]; 21],
+    };
+    let mut qp = OcpQp::new(20, soft_rows(&settings.soft));
+    c.bench_function("phase/assemble", |b| {
+        b.iter(|| {
+            ocp::assemble(
+                &settings, 0.05, &x0, &u_prev, &dynamics, &reference, &mut qp,
+            )
+        });
+    });
+
+    let mut solver = ClarabelSolver::new(&qp, &settings.solver).unwrap();
+    let mut solution = OcpSolution::new(20);
+    c.bench_function("phase/solve", |b| {
+        b.iter(|| solver.solve(black_box(&qp), &mut solution))
+    });
+    solve_checked(
+        &mut solver,
+        &qp,
+        settings.solver.kkt_tolerance,
+        &mut solution,
+    );
+    c.bench_function("phase/check", |b| b.iter(|| qp.check(&mut solution)));
+}
+
+fn weights(c: &mut Criterion, library: &Library) {
+    let noise = inverse_noise(library, true);
+    let prior = Settings::default().weights.prior;
+    for n in [2, 8, 64] {
+        let wave = |i: usize| 0.1 * (i as f64 * 0.7).sin();
+        let f: Vec<f64> = (0..10 * n * 3).map(wave).collect();
+        let y: Vec<[f64; 3]> = (0..10)
+            .map(|k| [wave(k), wave(k + 5), wave(k + 9)])
+            .collect();
+        let (mut estimator, mut w) = (WeightEstimator::new(n), vec![0.0; n]);
+        let mut previous = vec![1.0 / n as f64; n];
+        estimator.estimate(&f, &y, &noise, prior, &previous, &mut w);
+        previous.clone_from(&w);
+        c.bench_function(&format!("phase/weights N={n}"), |b| {
+            b.iter(|| estimator.estimate(black_box(&f), &y, &noise, prior, &previous, &mut w));
+        });
+    }
+}
+
+fn all(c: &mut Criterion) {
+    let library = support::library(Kernel::Rbf, &[0.5, 1.1], 700, 3);
+    whole(c, &library);
+    phases(c, &library);
+    weights(c, &library);
+}
+
+criterion_group! { name = benches; config = Criterion::default().sample_size(50); targets = all }
+criterion_main!(benches);
