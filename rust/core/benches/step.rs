@@ -15,7 +15,8 @@ use std::hint::black_box;
 use criterion::{Criterion, criterion_group, criterion_main};
 use egp_core::linearisation::Linearisation;
 use egp_core::ocp::{self, Reference, soft_rows};
-use egp_core::solver::{ClarabelSolver, solve_checked};
+use egp_core::settings::SolverKind;
+use egp_core::solver::{ClarabelSolver, RiccatiSolver, solve_checked};
 use egp_core::trajectory::Guess;
 use egp_core::weights::{WeightEstimator, inverse_noise};
 use egp_core::{
@@ -34,8 +35,9 @@ fn reference() -> Vec<f64> {
 
 const X: [f64; 7] = [0.1, -0.5, 13.0, 0.05, 0.02, 0.1, 0.03];
 
-fn whole(c: &mut Criterion, library: &Library) {
-    let settings = Settings::default();
+fn whole(c: &mut Criterion, library: &Library, kind: SolverKind) {
+    let mut settings = Settings::default();
+    settings.solver.kind = kind;
     let mut ws = Workspace::new(library, &settings).unwrap();
     let mut reply = StepReply::default();
     let (reference, widths) = (reference(), [3.0; 42]);
@@ -72,7 +74,7 @@ fn whole(c: &mut Criterion, library: &Library) {
             },
         ),
     ] {
-        c.bench_function(&format!("step/{name}"), |b| {
+        c.bench_function(&format!("step {kind:?}/{name}"), |b| {
             b.iter(|| step(library, &settings, black_box(&request), &mut ws, &mut reply));
         });
     }
@@ -121,7 +123,11 @@ fn phases(c: &mut Criterion, library: &Library) {
 
     let mut solver = ClarabelSolver::new(&qp, &settings.solver).unwrap();
     let mut solution = OcpSolution::new(20);
-    c.bench_function("phase/solve", |b| {
+    let mut riccati = RiccatiSolver::new(20, &settings.solver);
+    c.bench_function("phase/solve Riccati", |b| {
+        b.iter(|| riccati.solve(black_box(&qp), &mut solution))
+    });
+    c.bench_function("phase/solve Clarabel", |b| {
         b.iter(|| solver.solve(black_box(&qp), &mut solution))
     });
     solve_checked(
@@ -154,7 +160,9 @@ fn weights(c: &mut Criterion, library: &Library) {
 
 fn all(c: &mut Criterion) {
     let library = support::library(Kernel::Rbf, &[0.5, 1.1], 700, 3);
-    whole(c, &library);
+    for kind in [SolverKind::Riccati, SolverKind::Clarabel] {
+        whole(c, &library, kind);
+    }
     phases(c, &library);
     weights(c, &library);
 }
