@@ -1,0 +1,268 @@
+"""From datasets to a library: one member per surface, one exact process per output.
+
+Per surface: split off trajectories for validation, z-score, fit on a random subset to learn the
+lengthscales, choose `max_points` transitions with them (`subset`), fit again on those.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import torch
+
+from egp_service import EgpError
+from egp_service.dataset import INPUTS, OUTPUTS, Dataset, merge
+from egp_service.gaussian_process import (
+    FitStep,
+    Hyperparameters,
+    KernelName,
+    OutputProcess,
+    exact,
+    fit,
+)
+from egp_service.subset import select
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+NX: Final = len(INPUTS)
+NY: Final = len(OUTPUTS)
+_ONE_THREAD: Final = 1000
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingSettings:
+    """How a library is trained. Same data, same settings, same machine: same bytes."""
+
+    kernel: KernelName = "rbf"
+    """Covariance function of every process: "rbf" or "matern52"."""
+    max_points: int = 700
+    """Transitions a member keeps; the control step's time grows with it."""
+    first_points: int = 400
+    """Random transitions of the first fit, whose lengthscales choose the final ones."""
+    restarts: int = 1
+    """Further starts of the final fit from random hyperparameters."""
+    max_iterations: int = 150
+    """L-BFGS iterations per start."""
+    validation_fraction: float = 0.2
+    """Share of each surface's trajectories kept out of training."""
+    seed: int = 0
+    """Seed of the split, the subset and the random starts."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that cannot train."""
+        if self.kernel not in ("rbf", "matern52"):
+            raise EgpError(f"kernel is {self.kernel!r}: expected 'rbf' or 'matern52'")
+        least = 2 * NX
+        for name in ("max_points", "first_points"):
+            if getattr(self, name) < least:
+                raise EgpError(f"{name} is {getattr(self, name)}: expected at least {least}")
+        if self.restarts < 0 or self.max_iterations < 1:
+            raise EgpError("restarts must be 0 or more and max_iterations 1 or more")
+        if not (0.0 < self.validation_fraction < 1.0):
+            raise EgpError(
+                f"validation_fraction is {self.validation_fraction}: expected between 0 and 1"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class FitProgress:
+    """One L-BFGS step of one fit: `done` of `total` iterations budgeted for the whole library."""
+
+    stage: str
+    loss: float
+    done: int
+    total: int
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TrainedMember:
+    """One surface's processes with the scaling around them."""
+
+    dataset: Dataset
+    """The training part of the data (before the subset), whose hash and bounds are exported."""
+    validation: Dataset
+    """The trajectories held out."""
+    inputs: NDArray[np.float64]
+    """The chosen transitions' inputs (M, 6) and targets (M, 3), physical units."""
+    targets: NDArray[np.float64]
+    input_mean: NDArray[np.float64]
+    input_std: NDArray[np.float64]
+    target_mean: NDArray[np.float64]
+    target_std: NDArray[np.float64]
+    processes: tuple[OutputProcess, ...]
+    losses: tuple[float, ...]
+
+    def predict(
+        self, z: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Mean (n, 3), autograd Jacobian (n, 3, 6) and latent variance (n, 3), physical units."""
+        device = self.processes[0].inputs.device
+        query = torch.tensor(z, dtype=torch.float64, device=device, requires_grad=True)
+        scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
+        mean, variance = np.empty((len(z), NY)), np.empty((len(z), NY))
+        jacobian = np.empty((len(z), NY, NX))
+        with exact():
+            for j, process in enumerate(self.processes):
+                posterior = process(scaled)
+                f = posterior.mean * self.target_std[j] + self.target_mean[j]
+                # Row i of the mean depends on row i of the query only, so one backward pass of
+                # the sum gives all rows' gradients.
+                (gradient,) = torch.autograd.grad(f.sum(), query, retain_graph=True)
+                mean[:, j] = f.detach().cpu().numpy()
+                variance[:, j] = posterior.variance.detach().cpu().numpy() * self.target_std[j] ** 2
+                jacobian[:, j] = gradient.cpu().numpy()
+        return mean, jacobian, variance
+
+
+def split(dataset: Dataset, fraction: float, rng: np.random.Generator) -> tuple[Dataset, Dataset]:
+    """Split by trajectory into training and validation; neighbours in time stay together.
+
+    Raises:
+        EgpError: when there are fewer than two trajectories.
+
+    """
+    trajectories = np.unique(dataset.trajectory)
+    if len(trajectories) < 2:  # noqa: PLR2004
+        raise EgpError(
+            f"surface {dataset.provenance.surface} has one trajectory: validation needs at least "
+            "two (collect more seeds, or split the log where it was interrupted)"
+        )
+    count = min(max(1, round(fraction * len(trajectories))), len(trajectories) - 1)
+    held_out = np.isin(dataset.trajectory, rng.choice(trajectories, count, replace=False))
+    return dataset.select(~held_out), dataset.select(held_out)
+
+
+def train(
+    datasets: Sequence[Dataset],
+    settings: TrainingSettings,
+    report: Callable[[FitProgress], None] = lambda _: None,
+) -> list[TrainedMember]:
+    """Train one member per surface label, ordered by friction and label.
+
+    Raises:
+        EgpError: when datasets differ in dt or vehicle, or the fit fails.
+
+    """
+    surfaces: dict[tuple[float, str], list[Dataset]] = {}
+    for dataset in datasets:
+        key = (dataset.provenance.friction, dataset.provenance.surface)
+        surfaces.setdefault(key, []).append(dataset)
+    _check_consistent([parts[0].provenance.surface for parts in surfaces.values()], datasets)
+    budget = len(surfaces) * NY * (settings.restarts + 2) * settings.max_iterations
+    members: list[TrainedMember] = []
+    with _threads(settings.max_points):
+        for number, (_, parts) in enumerate(sorted(surfaces.items())):
+            rng = np.random.default_rng([settings.seed, number])
+            offset = number * budget // len(surfaces)
+            members.append(_train_member(merge(parts), settings, rng, (offset, budget), report))
+    return members
+
+
+@contextlib.contextmanager
+def _threads(points: int) -> Iterator[None]:
+    """Factor small matrices on one thread: the others would only spin, and cost other programs."""
+    before = torch.get_num_threads()
+    if points <= _ONE_THREAD:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _check_consistent(labels: list[str], datasets: Sequence[Dataset]) -> None:
+    if not labels:
+        raise EgpError("no datasets: give at least one Parquet file")
+    if len(set(labels)) < len(labels):
+        raise EgpError("two frictions share a surface label: give each surface its own label")
+    first = datasets[0].provenance
+    for other in (dataset.provenance for dataset in datasets):
+        if (other.dt, other.vehicle) != (first.dt, first.vehicle):
+            raise EgpError(
+                f"surface {other.surface} was recorded at dt {other.dt} with vehicle "
+                f"{other.vehicle}, surface {first.surface} at dt {first.dt} with vehicle "
+                f"{first.vehicle}: one library has one dt and one vehicle"
+            )
+
+
+def _train_member(
+    dataset: Dataset,
+    settings: TrainingSettings,
+    rng: np.random.Generator,
+    progress: tuple[int, int],
+    report: Callable[[FitProgress], None],
+) -> TrainedMember:
+    data, validation = split(dataset, settings.validation_fraction, rng)
+    label = dataset.provenance.surface
+    input_mean, input_std = data.z.mean(axis=0), _spread(data.z, INPUTS, label)
+    target_mean, target_std = data.y.mean(axis=0), _spread(data.y, OUTPUTS, label)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    z = torch.tensor((data.z - input_mean) / input_std, dtype=torch.float64, device=device)
+    y = torch.tensor((data.y - target_mean) / target_std, dtype=torch.float64, device=device)
+    offset, total = progress
+
+    def fit_all(
+        rows: NDArray[np.int64], starts: list[list[Hyperparameters]], done: int, stage: str
+    ) -> tuple[list[OutputProcess], list[float]]:
+        processes, losses = [], []
+        for j, name in enumerate(OUTPUTS):
+            before = done + j * len(starts[j]) * settings.max_iterations
+
+            def on_step(step: FitStep, name: str = name, before: int = before) -> None:
+                at = before + step.start * settings.max_iterations + step.iteration
+                report(FitProgress(f"{label}: {stage} fit of {name}", step.loss, at, total))
+
+            process = OutputProcess(z[rows], y[rows, j].contiguous(), settings.kernel)
+            losses.append(fit(process, starts[j], settings.max_iterations, on_step))
+            processes.append(process)
+        return processes, losses
+
+    first_rows = np.sort(rng.permutation(len(data))[: settings.first_points])
+    first, _ = fit_all(first_rows, [[_START]] * NY, offset, "first")
+    rows = select(z, first, settings.max_points, rng)
+    starts = [
+        [process.hyperparameters, *(_random_start(rng) for _ in range(settings.restarts))]
+        for process in first
+    ]
+    done = offset + NY * settings.max_iterations
+    processes, losses = fit_all(rows, starts, done, "final")
+    return TrainedMember(
+        dataset=data,
+        validation=validation,
+        inputs=data.z[rows],
+        targets=data.y[rows],
+        input_mean=input_mean,
+        input_std=input_std,
+        target_mean=target_mean,
+        target_std=target_std,
+        processes=tuple(processes),
+        losses=tuple(losses),
+    )
+
+
+# The changes over one period are close to linear in z: long lengthscales, little noise.
+_START: Final = Hyperparameters(lengthscales=(3.0,) * NX, outputscale=3.0, noise=1e-2, constant=0.0)
+
+
+def _random_start(rng: np.random.Generator) -> Hyperparameters:
+    return Hyperparameters(
+        lengthscales=tuple(np.exp(rng.uniform(np.log(1.0), np.log(10.0), NX))),
+        outputscale=float(np.exp(rng.uniform(0.0, np.log(10.0)))),
+        noise=float(np.exp(rng.uniform(np.log(1e-4), np.log(1e-1)))),
+        constant=0.0,
+    )
+
+
+def _spread(values: NDArray[np.float64], names: dict[str, str], label: str) -> NDArray[np.float64]:
+    """Return the standard deviation per column; a constant column teaches nothing."""
+    std: NDArray[np.float64] = values.std(axis=0)
+    for name, s in zip(names, std, strict=True):
+        if not s > 1e-9:  # noqa: PLR2004 - rounding noise of a constant
+            raise EgpError(f"surface {label}: {name} never changes; the data must excite it")
+    return std
