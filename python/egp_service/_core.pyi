@@ -17,9 +17,12 @@ __all__ = [
     "Member",
     "MemberData",
     "Plant",
+    "ocp_to_qp",
     "plant_derivative",
     "plant_initial_states",
     "plant_step_batch",
+    "solve_ocp",
+    "solve_weights",
     "write_library",
 ]
 
@@ -297,4 +300,52 @@ def write_library(
 
     `dt` in s, `kernel` "rbf" or "matern52". The same arguments give the same bytes.
     Raises `LibraryError` for content that fails a check, `OSError` when writing fails.
+    """
+
+# ocp.rs
+
+def ocp_to_qp(
+    problem: dict[str, NDArray[np.float64]],
+) -> tuple[
+    tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
+    NDArray[np.float64],
+    tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]:
+    """Write an optimal control problem as `min 1/2 z'Pz + q'z` subject to `l <= Az <= u`.
+
+    Returns P (upper triangle), q, A, l, u; matrices as (values, row indices, column starts). `z`
+    holds, stage by stage, `u_t`, `x_{t+1} - reference_{t+1}` and the slacks. For `problem` see
+    `solve_ocp`.
+    """
+
+def solve_ocp(
+    problem: dict[str, NDArray[np.float64]],
+    solver: Literal["riccati", "clarabel"] = "riccati",
+) -> tuple[str, NDArray[np.float64], NDArray[np.float64], float]:
+    """Solve an optimal control problem, eq. (18), in scaled inputs.
+
+    Stage arrays have T layers or rows: dynamics a (T, 7, 7), b (T, 7, 2), c (T, 7); state cost q
+    (T, 7, 7) and reference (T, 7) of the state after each; bounds u_min, u_max, du_min, du_max
+    (T, 2); soft bounds soft_normal (T, 5, 7), soft_lower, soft_upper (T, 5), of which as many count
+    as penalty (n, 2), [linear, quadratic], has rows. Besides x0 (7,), u_prev, r, r_d (2,).
+
+    Returns the status ("solved", ...), states (T+1, 7), inputs (T, 2), and the largest residual of
+    the optimality conditions.
+    """
+
+def solve_weights(
+    predictions: NDArray[np.float64],
+    measured: NDArray[np.float64],
+    noise_std: NDArray[np.float64],
+    previous: NDArray[np.float64],
+    prior: Literal["quadratic", "l1"],
+    strength: float,
+) -> NDArray[np.float64]:
+    """Solve for the weights (N,), eq. (6).
+
+    Minimises the squared errors of predictions (k, N, 3) against measured (k, 3), divided by
+    noise_std (3,), plus `strength` times the squared or absolute distance from the previous
+    weights (N,), on the simplex.
     """

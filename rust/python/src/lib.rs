@@ -6,6 +6,7 @@ mod array;
 mod error;
 mod gate;
 mod library;
+mod ocp;
 mod plant;
 
 use pyo3::prelude::*;
@@ -16,6 +17,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     error::register(module)?;
     gate::register(module)?;
     library::register(module)?;
+    ocp::register(module)?;
     plant::register(module)?;
     Ok(())
 }

@@ -18,6 +18,10 @@ use crate::settings::SolverSettings;
 
 const NAME: &str = "clarabel 0.11";
 
+/// The duality gap must be this much smaller than the other residuals: where a bound is only just active, the
+/// solution is off by its square root.
+const SHARPNESS: f64 = 1e-3;
+
 /// One row `sign · (a z) <= sign · bound` of Clarabel's one-sided form.
 #[derive(Clone, Copy)]
 struct Row {
@@ -204,8 +208,8 @@ fn options(settings: &SolverSettings) -> DefaultSettings<f64> {
     DefaultSettings {
         verbose: false,
         max_iter: settings.max_iterations,
-        tol_gap_abs: settings.tolerance,
-        tol_gap_rel: settings.tolerance,
+        tol_gap_abs: SHARPNESS * settings.tolerance,
+        tol_gap_rel: SHARPNESS * settings.tolerance,
         tol_feas: settings.tolerance,
         equilibrate_enable: false,
         presolve_enable: false,
