@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "LIVE_KEYS",
+    "Carry",
     "Command",
     "EgpError",
     "FrictionMap",
@@ -17,12 +19,30 @@ __all__ = [
     "Member",
     "MemberData",
     "Plant",
+    "Ready",
+    "Refusal",
+    "Reply",
+    "Request",
+    "decode_error",
+    "decode_ready",
+    "decode_reply",
+    "decode_request",
+    "decode_timing",
+    "encode_plant_truth",
+    "file_descriptor_set",
+    "health_key",
+    "live_key",
+    "metrics_key",
     "ocp_to_qp",
     "plant_derivative",
     "plant_initial_states",
     "plant_step_batch",
+    "rank_replicas",
+    "ready_key",
+    "replica_of_live",
     "solve_ocp",
     "solve_weights",
+    "step_key",
     "write_library",
 ]
 
@@ -349,3 +369,221 @@ def solve_weights(
     noise_std (3,), plus `strength` times the squared or absolute distance from the previous
     weights (N,), on the simplex.
     """
+# wire.rs
+
+LIVE_KEYS: str
+"""Key expression of the liveliness tokens of all replicas."""
+
+@final
+class Carry:
+    """What a client keeps between steps: history, weights, plan and the input being applied.
+
+    Once per control period: `request` with the measured state, `accept` when a reply comes (late
+    ones too), `applied` with what went to the actuators. `library` is the SHA-256 of the library
+    file, `history` the number of transitions to keep.
+    """
+
+    def __new__(cls, library: bytes, history: int = 10) -> Carry: ...
+    def request(
+        self,
+        x: NDArray[np.float64],
+        reference: NDArray[np.float64],
+        widths: NDArray[np.float64] | None = None,
+        *,
+        budget_us: int,
+        want_sigma: bool = False,
+    ) -> bytes:
+        """Open a control period and give the request's bytes; call it exactly once a period.
+
+        `x` is the measured state (7), `reference` has rows [p_x, p_y, v_x, psi] (T+1, 4), `widths`
+        rows [left, right] in m (T+1, 2). Raises `EgpError` naming a field that is refused.
+        """
+    def accept(self, reply: bytes) -> bool:
+        """Take over a reply's weights, predictions and plan; false when it is older than the last."""
+    def applied(self, u: Sequence[float]) -> None:
+        """Note the input [F_x, delta_dot] that goes to the actuators for the period that begins."""
+    def reset(self) -> None:
+        """Forget everything but the sequence number, as after the vehicle was moved."""
+    @property
+    def sequence(self) -> int:
+        """Number of the last request."""
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """Weights of the newest reply (N,); empty before the first."""
+
+@final
+class Request:
+    """A validated request; fields as in the .proto, absent ones have no rows."""
+
+    @property
+    def library(self) -> bytes: ...
+    @property
+    def sequence(self) -> int: ...
+    @property
+    def budget_us(self) -> int: ...
+    @property
+    def x(self) -> NDArray[np.float64]: ...
+    @property
+    def u_prev(self) -> NDArray[np.float64]: ...
+    @property
+    def weights(self) -> NDArray[np.float64]: ...
+    @property
+    def plan_x(self) -> NDArray[np.float64]: ...
+    @property
+    def plan_u(self) -> NDArray[np.float64]: ...
+    @property
+    def plan_shift(self) -> int: ...
+    @property
+    def history_z(self) -> NDArray[np.float64]: ...
+    @property
+    def history_y(self) -> NDArray[np.float64]: ...
+    @property
+    def history_f(self) -> NDArray[np.float64]: ...
+    @property
+    def reference(self) -> NDArray[np.float64]: ...
+    @property
+    def widths(self) -> NDArray[np.float64]: ...
+    @property
+    def want_sigma(self) -> bool: ...
+
+@final
+class Reply:
+    """A validated reply; fields as in the .proto, absent ones have no rows."""
+
+    @property
+    def library(self) -> bytes: ...
+    @property
+    def sequence(self) -> int: ...
+    @property
+    def status(
+        self,
+    ) -> Literal["solved", "iteration_limit", "infeasible", "numerical_error", "check_failed"]:
+        """Only "solved" comes with a plan."""
+    @property
+    def plan_x(self) -> NDArray[np.float64]: ...
+    @property
+    def plan_u(self) -> NDArray[np.float64]: ...
+    @property
+    def weights(self) -> NDArray[np.float64]: ...
+    @property
+    def sigma(self) -> NDArray[np.float64]: ...
+    @property
+    def history_f(self) -> NDArray[np.float64]: ...
+    @property
+    def dropped_mass(self) -> float: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def kkt_residual(self) -> float: ...
+    @property
+    def solver(self) -> str: ...
+
+@final
+class Refusal:
+    """An error reply of the service."""
+
+    @property
+    def code(
+        self,
+    ) -> Literal[
+        "unspecified",
+        "malformed",
+        "version",
+        "invalid_field",
+        "unknown_library",
+        "overloaded",
+        "superseded",
+        "too_late",
+        "draining",
+        "internal",
+    ]:
+        """What kind of error; "unspecified" when this version does not know it."""
+    @property
+    def retryable(self) -> bool:
+        """Whether another attempt, here or at another replica, may succeed."""
+    @property
+    def retry_after_us(self) -> int:
+        """How long to wait before that, microseconds."""
+    @property
+    def field(self) -> str:
+        """The field at fault, or nothing."""
+    @property
+    def detail(self) -> str:
+        """What was expected, what came, what to try."""
+
+@final
+class Ready:
+    """What a replica serves."""
+
+    @property
+    def ready(self) -> bool:
+        """False while it drains."""
+    @property
+    def library(self) -> bytes:
+        """SHA-256 of its library file."""
+    @property
+    def dt(self) -> float:
+        """Control period in s."""
+    @property
+    def horizon(self) -> int:
+        """Inputs in a plan, T."""
+    @property
+    def history(self) -> int:
+        """Transitions worth carrying, K."""
+    @property
+    def members(self) -> list[str]:
+        """Surfaces, in the order of the weights."""
+
+def decode_request(data: bytes) -> Request:
+    """Read and validate a StepRequest; `EgpError` names the field at fault."""
+
+def decode_reply(data: bytes) -> Reply:
+    """Read and validate a StepReply; `EgpError` names the field at fault."""
+
+def decode_error(data: bytes) -> Refusal:
+    """Read an Error."""
+
+def decode_ready(data: bytes) -> Ready:
+    """Read and validate a Ready."""
+
+def decode_timing(data: bytes) -> tuple[int, int]:
+    """Read a Timing: microseconds in the queue and in the step."""
+
+def encode_plant_truth(
+    *,
+    time: float,
+    state: NDArray[np.float64],
+    u: Sequence[float],
+    friction: float,
+    path_s: float,
+    lateral_error: float,
+    heading_error: float,
+    speed_reference: float,
+    mode: str,
+    weights: Sequence[float] | NDArray[np.float64],
+) -> bytes:
+    """Bytes of a PlantTruth for a recording; `state` is [p_x, p_y, v_x, psi, v_y, omega, delta]."""
+
+def file_descriptor_set() -> bytes:
+    """Serialised google.protobuf.FileDescriptorSet of the messages."""
+
+def step_key(replica: str, fleet: str, vehicle: str) -> str:
+    """Where a vehicle asks a replica for a control step."""
+
+def ready_key(replica: str) -> str:
+    """Where a replica answers what it serves."""
+
+def health_key(replica: str) -> str:
+    """Where a replica answers whether it is alive."""
+
+def metrics_key(replica: str) -> str:
+    """Where a replica answers its OpenMetrics text."""
+
+def live_key(replica: str) -> str:
+    """Liveliness token of a replica."""
+
+def replica_of_live(key: str) -> str | None:
+    """Name of the replica a liveliness token belongs to."""
+
+def rank_replicas(fleet: str, vehicle: str, replicas: Sequence[str]) -> list[str]:
+    """Order the replicas as this vehicle tries them (rendezvous hashing)."""

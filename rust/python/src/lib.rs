@@ -8,6 +8,7 @@ mod gate;
 mod library;
 mod ocp;
 mod plant;
+mod wire;
 
 use pyo3::prelude::*;
 
@@ -19,5 +20,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     library::register(module)?;
     ocp::register(module)?;
     plant::register(module)?;
+    wire::register(module)?;
     Ok(())
 }

@@ -1,0 +1,176 @@
+"""The golden messages as Google's protobuf reads and writes them: a second implementation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from numpy.typing import NDArray
+
+from egp_service import _core
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+LIBRARY = b"0123456789abcdef" * 2
+
+
+def golden(name: str) -> bytes:
+    return (GOLDEN / f"wire_{name}.bin").read_bytes()
+
+
+def message(name: str) -> Any:  # noqa: ANN401 - classes made at run time
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(_core.file_descriptor_set()).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"egp.v1.{name}"))
+
+
+def ramp(shape: tuple[int, ...], start: float, step: float) -> NDArray[np.float64]:
+    """Number the values of a field as `rust/wire/tests/fixtures` does."""
+    count = int(np.prod(shape))
+    return (start + step * np.arange(count)).reshape(shape)
+
+
+def tensor(values: NDArray[np.float64]) -> dict[str, Any]:
+    return {"shape": values.shape, "data": values.astype("<f8").tobytes()}
+
+
+def fill(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: tensor(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}
+
+
+COLD = {
+    "version": 1,
+    "library": LIBRARY,
+    "sequence": 1,
+    "budget_us": 40_000,
+    "x": np.array([1.0, 1.125, 1.25, 1.375, 1.5, 1.625, 0.5]),
+    "u_prev": np.array([-2048.5, 0.25]),
+    "reference": ramp((5, 4), 10.0, 0.5),
+}
+FULL = COLD | {
+    "sequence": 7,
+    "weights": np.array([0.75, 0.25]),
+    "plan_x": ramp((5, 7), -1.0, 0.0625),
+    "plan_u": ramp((4, 2), 2.0, 0.125),
+    "plan_shift": 1,
+    "history_z": ramp((3, 6), -0.5, 0.0625),
+    "history_y": ramp((3, 3), -0.25, 0.03125),
+    "history_f": ramp((2, 2, 3), -0.125, 0.015625),
+    "widths": ramp((5, 2), 3.0, 0.25),
+    "want_sigma": True,
+}
+INFEASIBLE = {
+    "version": 1,
+    "library": LIBRARY,
+    "sequence": 7,
+    "status": "STATUS_INFEASIBLE",
+    "weights": np.array([0.625, 0.375]),
+    "history_f": ramp((3, 2, 3), 0.25, 0.015625),
+    "dropped_mass": 2.0**-10,
+    "iterations": 9,
+    "kkt_residual": 2.0**-30,
+    "solver": "clarabel",
+}
+SOLVED = INFEASIBLE | {
+    "status": "STATUS_SOLVED",
+    "plan_x": ramp((5, 7), -1.0, 0.0625),
+    "plan_u": ramp((4, 2), -1.0, 0.125),
+    "sigma": ramp((5, 3), 0.0, 0.0625),
+}
+ERROR = {"code": "CODE_INVALID_FIELD", "field": "x", "detail": "value 3 is not finite"}
+READY = {
+    "version": 1,
+    "ready": True,
+    "library": LIBRARY,
+    "dt": 0.05,
+    "horizon": 20,
+    "history": 10,
+    "members": ["dry", "wet"],
+}
+TIMING = {"queue_us": 120, "step_us": 2400}
+
+
+@pytest.mark.parametrize(
+    ("file", "kind", "values"),
+    [
+        ("request_full", "StepRequest", FULL),
+        ("request_cold", "StepRequest", COLD),
+        ("reply_solved", "StepReply", SOLVED),
+        ("reply_infeasible", "StepReply", INFEASIBLE),
+        ("error", "Error", ERROR),
+        ("ready", "Ready", READY),
+        ("timing", "Timing", TIMING),
+    ],
+)
+def test_google_protobuf_reads_and_writes_the_golden_bytes(
+    file: str, kind: str, values: dict[str, Any]
+) -> None:
+    expected = message(kind)(**fill(values))
+    assert message(kind).FromString(golden(file)) == expected
+    assert expected.SerializeToString(deterministic=True) == golden(file)
+
+
+@pytest.mark.parametrize(("file", "values"), [("request_full", FULL), ("request_cold", COLD)])
+def test_the_extension_reads_requests(file: str, values: dict[str, Any]) -> None:
+    request = _core.decode_request(golden(file))
+    for field, value in values.items():
+        if field != "version":
+            np.testing.assert_array_equal(getattr(request, field), value)
+
+
+def test_the_extension_reads_replies() -> None:
+    reply = _core.decode_reply(golden("reply_solved"))
+    assert reply.status == "solved"
+    for field in SOLVED.keys() - {"version", "status"}:
+        np.testing.assert_array_equal(getattr(reply, field), SOLVED[field])
+    assert _core.decode_reply(golden("reply_infeasible")).plan_u.shape == (0, 2)
+
+
+def test_the_extension_reads_the_small_messages() -> None:
+    refusal = _core.decode_error(golden("error"))
+    assert (refusal.code, refusal.field, refusal.retryable) == ("invalid_field", "x", False)
+    ready = _core.decode_ready(golden("ready"))
+    assert {name: getattr(ready, name) for name in READY if name != "version"} == {
+        name: value for name, value in READY.items() if name != "version"
+    }
+    assert _core.decode_timing(golden("timing")) == (120, 2400)
+
+
+def test_a_client_in_another_language_is_told_which_field_is_wrong() -> None:
+    request = message("StepRequest")(**fill(FULL | {"weights": np.array([0.75, 0.75])}))
+    with pytest.raises(_core.EgpError, match=r"weights: weights sum to 1\.5"):
+        _core.decode_request(request.SerializeToString())
+
+
+def test_the_carry_makes_requests_that_google_protobuf_reads() -> None:
+    carry = _core.Carry(LIBRARY, history=3)
+    reference = ramp((5, 4), 10.0, 0.5)
+    carry.request(np.array([0, 0, 10.0, 0, 0, 0, 0]), reference, budget_us=1000)
+    carry.applied([100.0, 0.5])
+    data = carry.request(np.array([0, 0, 10.5, 0, 0, 0, 0]), reference, budget_us=1000)
+    history = message("StepRequest").FromString(data).history_z
+    assert list(history.shape) == [1, 6]
+    assert np.frombuffer(history.data, "<f8").tolist() == [10.0, 0.0, 0.0, 0.0, 100.0, 0.5]
+    with pytest.raises(_core.EgpError, match="reference"):
+        carry.request(np.zeros(7), reference[:1], budget_us=1000)
+
+
+def test_plant_truth_is_plain_numbers() -> None:
+    data = _core.encode_plant_truth(
+        time=1.5,
+        state=np.arange(7.0),
+        u=[1000.0, 0.25],
+        friction=0.5,
+        path_s=12.0,
+        lateral_error=0.125,
+        heading_error=0.0,
+        speed_reference=15.0,
+        mode="NORMAL",
+        weights=[0.25, 0.75],
+    )
+    truth = message("PlantTruth").FromString(data)
+    assert (truth.p_x, truth.v_x, truth.delta) == (0.0, 2.0, 6.0)
+    assert (truth.force, truth.friction, list(truth.weights)) == (1000.0, 0.5, [0.25, 0.75])
