@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Literal, final
+from typing import Literal, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ __all__ = [
     "Carry",
     "Command",
     "EgpError",
+    "Engine",
     "FrictionMap",
     "Gate",
     "Library",
@@ -23,6 +24,7 @@ __all__ = [
     "Refusal",
     "Reply",
     "Request",
+    "Server",
     "decode_error",
     "decode_ready",
     "decode_reply",
@@ -40,6 +42,7 @@ __all__ = [
     "rank_replicas",
     "ready_key",
     "replica_of_live",
+    "serve",
     "solve_ocp",
     "solve_weights",
     "step_key",
@@ -369,6 +372,53 @@ def solve_weights(
     noise_std (3,), plus `strength` times the squared or absolute distance from the previous
     weights (N,), on the simplex.
     """
+# service.rs
+
+@final
+class Engine:
+    """The control step of the service, in-process: the same bytes in, the same bytes out.
+
+    `settings_toml` holds the settings of the control step; fields left out keep their default.
+    """
+
+    def __new__(cls, library_path: str | PathLike[str], settings_toml: str = "") -> Engine: ...
+    def step(self, request: bytes) -> bytes:
+        """Answer one request, without the GIL; `EgpError` begins with the code of the refusal."""
+    @property
+    def dt(self) -> float:
+        """Control period in s."""
+    @property
+    def horizon(self) -> int:
+        """Inputs in a plan, T."""
+    @property
+    def history(self) -> int:
+        """Transitions worth carrying, K."""
+    @property
+    def library_id(self) -> bytes:
+        """SHA-256 of the library file."""
+    @property
+    def members(self) -> list[str]:
+        """Surfaces, in the order of the weights."""
+    @property
+    def settings_toml(self) -> str:
+        """All settings, defaults included."""
+
+@final
+class Server:
+    """A service that runs in this process until it is stopped; a context manager.
+
+    `config_toml` is what `egp-server --config` reads; relative paths count from the working folder.
+    """
+
+    def __new__(cls, config_toml: str) -> Server: ...
+    def stop(self) -> None:
+        """Withdraw the announcement, answer what waits, close."""
+    def __enter__(self) -> Self: ...
+    def __exit__(self, *_exception: object) -> None: ...
+
+def serve(config_toml: str) -> None:
+    """Serve until SIGTERM or Ctrl-C, then drain; the same as `egp-server --config`."""
+
 # wire.rs
 
 LIVE_KEYS: str

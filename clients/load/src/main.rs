@@ -1,2 +1,131 @@
-//! Load generator.
-fn main() {}
+//! `egp-load`: how many vehicles a service can keep on the road.
+
+mod drive;
+mod report;
+mod tally;
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use clap::Parser;
+use egp_simulator::{Course, Track};
+
+use crate::drive::{Assignment, drive};
+use crate::report::Report;
+use crate::tally::Tally;
+
+/// Loads a running service with simulated vehicles and reports how it fares.
+///
+///     egp-server --library surfaces.safetensors --workers 1
+///     egp-load --vehicles 8 --seconds 20 --json load.json
+///
+/// Each vehicle is a full one: its own zenoh session, the 29-state plant on a track of changing friction, the
+/// gate. Requests go out on a fixed schedule (every control period of the library), whether or not the last
+/// one was answered, and latency counts from when a request was due, so that a slow service cannot slow its
+/// own test down. The vehicles' schedules are spread evenly over the period.
+///
+/// A period is a miss when no solved plan came within the budget. The gate then bridges with the last plan
+/// (tail) and at last stops the vehicle; stopped, spun or lost vehicles are put back on the track and counted.
+///
+/// Look at `generator lag` first: how late requests left, because this program or its machine was busy. Far
+/// above a millisecond, the figures are about the generator; give it cores of its own or fewer vehicles.
+#[derive(Parser)]
+#[command(version, verbatim_doc_comment)]
+struct Arguments {
+    /// Router or replica to connect to; may be given more than once.
+    #[arg(long, default_value = "tcp/127.0.0.1:7447")]
+    connect: Vec<String>,
+    /// Number of vehicles.
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=2000))]
+    vehicles: u32,
+    /// How long to measure, s.
+    #[arg(long, default_value_t = 20.0)]
+    seconds: f64,
+    /// How long to drive before measuring, s.
+    #[arg(long, default_value_t = 2.0)]
+    warm_up: f64,
+    /// Part of the control period that an answer may take, in (0, 1].
+    #[arg(long, default_value_t = 0.8)]
+    budget: f64,
+    /// Track: rectangle or l-shape.
+    #[arg(long, default_value = "rectangle")]
+    track: Track,
+    /// Friction coefficients along the track.
+    #[arg(long, value_delimiter = ',', default_value = "0.5,0.8,1.1")]
+    friction: Vec<f64>,
+    /// Fraction of the grip to drive at, in (0, 1].
+    #[arg(long, default_value_t = 0.7)]
+    grip: f64,
+    /// Write the report as JSON to this file.
+    #[arg(long)]
+    json: Option<std::path::PathBuf>,
+}
+
+type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let course = Arc::new(Course::new(
+        arguments.track,
+        &arguments.friction,
+        arguments.grip,
+    )?);
+    let seconds = |value: f64| {
+        Duration::try_from_secs_f64(value).map_err(|_| format!("{value} is no number of seconds"))
+    };
+    let (warm_up, measured) = (seconds(arguments.warm_up)?, seconds(arguments.seconds)?);
+    let vehicles: Vec<_> = (0..arguments.vehicles)
+        .map(|index| {
+            let part = f64::from(index) / f64::from(arguments.vehicles);
+            drive::connect(
+                &arguments.connect,
+                index,
+                arguments.budget,
+                course.clone(),
+                part,
+            )
+        })
+        .collect::<Result<_, Failure>>()?;
+    // All sessions are open: a schedule that begins now is not disturbed by the next one's opening.
+    let begin = Instant::now() + Duration::from_millis(200);
+    let count = vehicles.len();
+    let threads: Vec<_> = vehicles
+        .into_iter()
+        .enumerate()
+        .map(|(index, vehicle)| {
+            let period = Duration::from_secs_f64(vehicle.dt());
+            let offset = period.mul_f64(index as f64 / count as f64);
+            let first = begin + offset;
+            let assignment = Assignment {
+                first,
+                period,
+                measure: first + warm_up,
+                end: first + warm_up + measured,
+            };
+            let length = course.path.length();
+            let home = length * index as f64 / count as f64;
+            thread::spawn(move || drive(vehicle, &assignment, home))
+        })
+        .collect();
+    let mut total = Tally::default();
+    for thread in threads {
+        total.add(&thread.join().map_err(|_| "a vehicle's thread panicked")??);
+    }
+    let report = Report::new(&total, arguments.vehicles, arguments.seconds);
+    println!("{report}");
+    if let Some(path) = &arguments.json {
+        std::fs::write(path, serde_json::to_vec_pretty(&report)?)?;
+    }
+    Ok(())
+}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("egp-load: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,1 +1,30 @@
-//! egp-vehicle.
+//! The onboard client: keeps the carry, chooses a replica, holds the deadline, and lets nothing but the
+//! gate's commands out. It holds no solver and no library.
+//!
+//! ```no_run
+//! # fn measured() -> ([f64; 7], Vec<[f64; 4]>) { ([0.0; 7], vec![]) }
+//! # fn actuate(_: [f64; 2]) {}
+//! use egp_vehicle::{VehicleClient, VehicleConfig};
+//!
+//! let config = VehicleConfig::new("depot", "car-7", &["tcp/10.0.0.5:7447"])?;
+//! let mut vehicle = VehicleClient::connect(&config)?;
+//! loop { // once every `vehicle.dt()` seconds
+//!     let (x, reference) = measured();
+//!     let step = vehicle.step(x, &reference, &[])?;
+//!     actuate(step.command.u);
+//!     # break;
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod client;
+mod config;
+mod network;
+mod replicas;
+mod step;
+
+pub use client::{ClientError, VehicleClient};
+pub use config::VehicleConfig;
+pub use egp_gate::{Command, Limits as GateLimits, Mode};
+pub use network::NetworkError;
+pub use step::{Outcome, Step};

@@ -8,6 +8,7 @@ mod gate;
 mod library;
 mod ocp;
 mod plant;
+mod service;
 mod wire;
 
 use pyo3::prelude::*;
@@ -20,6 +21,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     library::register(module)?;
     ocp::register(module)?;
     plant::register(module)?;
+    service::register(module)?;
     wire::register(module)?;
     Ok(())
 }

@@ -1,0 +1,76 @@
+//! One vehicle on a fixed schedule.
+
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use egp_simulator::{Course, Period, SimulatedVehicle, SimulationError};
+use egp_vehicle::{Mode, VehicleConfig};
+
+use crate::Failure;
+use crate::tally::Tally;
+
+/// Farther from its path than this, m, a vehicle counts as lost.
+const LOST: f64 = 10.0;
+
+/// When to drive and when to count.
+pub(crate) struct Assignment {
+    pub(crate) first: Instant,
+    pub(crate) period: Duration,
+    pub(crate) measure: Instant,
+    pub(crate) end: Instant,
+}
+
+/// Connects vehicle `index`, placed at this part of the lap.
+pub(crate) fn connect(
+    endpoints: &[String],
+    index: u32,
+    budget: f64,
+    course: Arc<Course>,
+    part: f64,
+) -> Result<SimulatedVehicle, Failure> {
+    let endpoints: Vec<&str> = endpoints.iter().map(String::as_str).collect();
+    let mut config = VehicleConfig::new("load", &format!("car-{index}"), &endpoints)?;
+    config.budget = budget;
+    let s = part * course.path.length();
+    Ok(SimulatedVehicle::connect(&config, course, s)?)
+}
+
+/// Drives to the end of the schedule and counts from `measure` on.
+pub(crate) fn drive(
+    mut vehicle: SimulatedVehicle,
+    assignment: &Assignment,
+    home: f64,
+) -> Result<Tally, Failure> {
+    let mut tally = Tally::default();
+    let mut due = assignment.first;
+    while due < assignment.end {
+        thread::sleep(due.saturating_duration_since(Instant::now()));
+        let lag = due.elapsed();
+        let counted = due >= assignment.measure;
+        match vehicle.period(due) {
+            Ok(period) => {
+                if counted {
+                    tally.count(&period, lag);
+                }
+                if is_over(&period) {
+                    vehicle.place(home)?;
+                    tally.put_back += u64::from(counted);
+                }
+            }
+            Err(SimulationError::Plant(_)) => {
+                vehicle.place(home)?;
+                tally.put_back += u64::from(counted);
+            }
+            Err(error) => return Err(error.into()),
+        }
+        due += assignment.period;
+    }
+    Ok(tally)
+}
+
+/// Whether the vehicle must be put back: it has stopped for good, or is off the road.
+fn is_over(period: &Period) -> bool {
+    let stopped = period.step.command.mode == Mode::Stop && period.v_x < 0.1;
+    stopped || period.projection.lateral.abs() > LOST
+}

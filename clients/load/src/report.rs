@@ -1,0 +1,123 @@
+//! The result, for people and for programs.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::Serialize;
+
+use crate::tally::{Micros, Tally};
+
+/// Quantiles in milliseconds.
+#[derive(Serialize)]
+pub(crate) struct Quantiles {
+    count: u64,
+    p50: f64,
+    p99: f64,
+    p999: f64,
+    max: f64,
+}
+
+impl Quantiles {
+    fn of(times: &Micros) -> Self {
+        Self {
+            count: times.len(),
+            p50: times.quantile(0.5),
+            p99: times.quantile(0.99),
+            p999: times.quantile(0.999),
+            max: times.max(),
+        }
+    }
+}
+
+/// What a load test found; times in milliseconds.
+#[derive(Serialize)]
+pub(crate) struct Report {
+    vehicles: u32,
+    seconds: f64,
+    requests: u64,
+    requests_per_second: f64,
+    misses: u64,
+    miss_fraction: f64,
+    outcomes: BTreeMap<String, u64>,
+    normal_periods: u64,
+    tail_periods: u64,
+    stop_periods: u64,
+    put_back: u64,
+    max_lateral_error_m: f64,
+    latency_ms: Quantiles,
+    service_queue_ms: Quantiles,
+    service_step_ms: Quantiles,
+    generator_lag_ms: Quantiles,
+}
+
+impl Report {
+    pub(crate) fn new(tally: &Tally, vehicles: u32, seconds: f64) -> Self {
+        let misses = tally.periods - tally.outcomes.get("solved").copied().unwrap_or(0);
+        let [normal_periods, tail_periods, stop_periods] = tally.modes;
+        Self {
+            vehicles,
+            seconds,
+            requests: tally.periods,
+            requests_per_second: tally.periods as f64 / seconds,
+            misses,
+            miss_fraction: misses as f64 / tally.periods.max(1) as f64,
+            outcomes: tally.outcomes.clone(),
+            normal_periods,
+            tail_periods,
+            stop_periods,
+            put_back: tally.put_back,
+            max_lateral_error_m: tally.lateral,
+            latency_ms: Quantiles::of(&tally.latency),
+            service_queue_ms: Quantiles::of(&tally.queue),
+            service_step_ms: Quantiles::of(&tally.step),
+            generator_lag_ms: Quantiles::of(&tally.lag),
+        }
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{} vehicles, {} s: {} requests ({:.1} a second), {} misses ({:.2} %)",
+            self.vehicles,
+            self.seconds,
+            self.requests,
+            self.requests_per_second,
+            self.misses,
+            self.miss_fraction * 100.0
+        )?;
+        writeln!(
+            f,
+            "{:24}{:>9}{:>9}{:>9}{:>9}{:>9}",
+            "ms", "p50", "p99", "p99.9", "max", "count"
+        )?;
+        for (name, times) in [
+            ("latency from due time", &self.latency_ms),
+            ("  in the queue", &self.service_queue_ms),
+            ("  in the step", &self.service_step_ms),
+            ("generator lag", &self.generator_lag_ms),
+        ] {
+            writeln!(
+                f,
+                "{name:24}{:9.2}{:9.2}{:9.2}{:9.2}{:9}",
+                times.p50, times.p99, times.p999, times.max, times.count
+            )?;
+        }
+        let outcomes: Vec<String> = self
+            .outcomes
+            .iter()
+            .map(|(outcome, count)| format!("{count} {outcome}"))
+            .collect();
+        writeln!(f, "answers: {}", outcomes.join(", "))?;
+        write!(
+            f,
+            "commands: {} normal, {} tail, {} stop; put back {}; largest lateral error {:.2} m",
+            self.normal_periods,
+            self.tail_periods,
+            self.stop_periods,
+            self.put_back,
+            self.max_lateral_error_m
+        )
+    }
+}

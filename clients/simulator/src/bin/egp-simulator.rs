@@ -1,0 +1,134 @@
+//! `egp-simulator`: one simulated vehicle drives laps through a running service.
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use clap::Parser;
+use egp_simulator::{Course, Period, SimulatedVehicle, Track};
+use egp_vehicle::{Mode, VehicleConfig};
+
+/// Drives a simulated car through a running service, in real time.
+///
+/// Start the service first, then the car; both find each other on this machine without more:
+///
+///     egp-server --library surfaces.safetensors
+///     egp-simulator --friction 0.5,0.8,1.1 --grip 0.8
+///
+/// The track is divided evenly among the friction coefficients. The status line shows where the car is, how
+/// far it is from the reference, where its commands come from (NORMAL: a new plan; TAIL: the rest of the
+/// last one; STOP: braking, because that has run out), and the weights of the library's surfaces. Stop the
+/// service while it drives and see TAIL, then STOP.
+#[derive(Parser)]
+#[command(version, verbatim_doc_comment)]
+struct Arguments {
+    /// Router or replica to connect to; may be given more than once.
+    #[arg(long, default_value = "tcp/127.0.0.1:7447")]
+    connect: Vec<String>,
+    /// Fleet of the car.
+    #[arg(long, default_value = "simulated")]
+    fleet: String,
+    /// Name of the car.
+    #[arg(long, default_value = "car-1")]
+    vehicle: String,
+    /// Track: rectangle or l-shape.
+    #[arg(long, default_value = "rectangle")]
+    track: Track,
+    /// Friction coefficients along the track.
+    #[arg(long, value_delimiter = ',', default_value = "0.5,0.8,1.1")]
+    friction: Vec<f64>,
+    /// Fraction of the grip to drive at, in (0, 1].
+    #[arg(long, default_value_t = 0.8)]
+    grip: f64,
+    /// Laps to drive.
+    #[arg(long, default_value_t = 1)]
+    laps: u32,
+}
+
+/// Worst figures of a drive.
+#[derive(Default)]
+struct Summary {
+    periods: u32,
+    missed: u32,
+    lateral: f64,
+    latency: Duration,
+}
+
+impl Summary {
+    fn add(&mut self, period: &Period) {
+        self.periods += 1;
+        self.missed += u32::from(!period.step.outcome.is_solved());
+        self.lateral = self.lateral.max(period.projection.lateral.abs());
+        self.latency = self.latency.max(period.step.latency.unwrap_or_default());
+    }
+}
+
+fn mode(mode: Mode) -> &'static str {
+    match mode {
+        Mode::Normal => "NORMAL",
+        Mode::Tail => "TAIL",
+        Mode::Stop => "STOP",
+    }
+}
+
+fn show(period: &Period, weights: &[f64]) {
+    let weights: Vec<String> = weights
+        .iter()
+        .map(|weight| format!("{weight:.2}"))
+        .collect();
+    eprint!(
+        "\r s {:6.1} m  v {:4.1} m/s  lateral {:+.2} m  mu {:.2}  {:6}  weights {} ",
+        period.projection.s,
+        period.v_x,
+        period.projection.lateral,
+        period.projection.sample.friction,
+        mode(period.step.command.mode),
+        weights.join(" "),
+    );
+}
+
+fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
+    let course = Arc::new(Course::new(
+        arguments.track,
+        &arguments.friction,
+        arguments.grip,
+    )?);
+    let endpoints: Vec<&str> = arguments.connect.iter().map(String::as_str).collect();
+    let config = VehicleConfig::new(&arguments.fleet, &arguments.vehicle, &endpoints)?;
+    let mut vehicle = SimulatedVehicle::connect(&config, course.clone(), 0.0)?;
+    eprintln!("surfaces: {}", vehicle.client().members().join(", "));
+    let way = course.path.length() * f64::from(arguments.laps);
+    let (begin, period) = (Instant::now(), Duration::from_secs_f64(vehicle.dt()));
+    let mut summary = Summary::default();
+    let mut start = begin;
+    while vehicle.travelled() < way {
+        std::thread::sleep(start.saturating_duration_since(Instant::now()));
+        let driven = vehicle.period(start)?;
+        summary.add(&driven);
+        show(&driven, vehicle.client().weights());
+        if driven.step.command.mode == Mode::Stop && driven.v_x < 0.1 {
+            return Err("the car has stopped: no plan came in time (see --help)".into());
+        }
+        start += period;
+    }
+    eprintln!();
+    println!(
+        "{:.1} s, largest lateral error {:.2} m, {} of {} periods without a new plan, slowest answer {:.1} ms",
+        begin.elapsed().as_secs_f64(),
+        summary.lateral,
+        summary.missed,
+        summary.periods,
+        summary.latency.as_secs_f64() * 1e3,
+    );
+    Ok(())
+}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("\negp-simulator: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! What a simulated vehicle drives on.
+
+use std::cell::Cell;
+use std::str::FromStr;
+
+use egp_path::tracks::{LShape, RoundedRectangle};
+use egp_path::{Path, PathError, SpeedLimits, SpeedProfile, Zone};
+use egp_plant::Friction;
+use thiserror::Error;
+
+/// A built-in closed track.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Track {
+    /// [`RoundedRectangle`].
+    Rectangle,
+    /// [`LShape`].
+    LShape,
+}
+
+impl FromStr for Track {
+    type Err = CourseError;
+
+    fn from_str(text: &str) -> Result<Self, CourseError> {
+        match text {
+            "rectangle" => Ok(Self::Rectangle),
+            "l-shape" => Ok(Self::LShape),
+            _ => Err(CourseError::Track(text.to_owned())),
+        }
+    }
+}
+
+/// Why there is no course.
+#[derive(Debug, Error)]
+pub enum CourseError {
+    /// No built-in track of this name.
+    #[error("no track {0:?}; there are rectangle and l-shape")]
+    Track(String),
+    /// Path, zones or speed refused.
+    #[error(transparent)]
+    Path(#[from] PathError),
+}
+
+/// A closed path with friction zones and the speed to drive it at.
+#[derive(Clone, Debug)]
+pub struct Course {
+    /// Geometry, widths and zones.
+    pub path: Path,
+    /// Speed along it.
+    pub profile: SpeedProfile,
+}
+
+impl Course {
+    /// A track with its length divided evenly among `frictions`, driven at a fraction `grip` of what they allow.
+    ///
+    /// # Errors
+    /// [`CourseError::Path`] for friction or grip out of range.
+    pub fn new(track: Track, frictions: &[f64], grip: f64) -> Result<Self, CourseError> {
+        let path = match track {
+            Track::Rectangle => RoundedRectangle::default().path()?,
+            Track::LShape => LShape::default().path()?,
+        };
+        let zone = |(i, &friction)| Zone {
+            start: i as f64 / frictions.len() as f64,
+            friction,
+        };
+        let zones: Vec<Zone> = frictions.iter().enumerate().map(zone).collect();
+        let path = path.with_friction(&zones)?;
+        let profile = SpeedProfile::new(
+            &path,
+            &SpeedLimits {
+                grip,
+                ..SpeedLimits::default()
+            },
+        )?;
+        Ok(Self { path, profile })
+    }
+
+    /// The road's friction around the arc length `s`.
+    pub(crate) fn road(&self, s: f64) -> Road<'_> {
+        Road {
+            path: &self.path,
+            hint: Cell::new(s),
+        }
+    }
+}
+
+/// Friction at a position, by its projection onto the path.
+pub(crate) struct Road<'a> {
+    path: &'a Path,
+    /// The last wheel's arc length: the next one is near.
+    hint: Cell<f64>,
+}
+
+impl Friction for Road<'_> {
+    fn coefficient(&self, position: [f64; 2]) -> f64 {
+        if !position.iter().all(|value| value.is_finite()) {
+            return f64::NAN; // the plant refuses it by name
+        }
+        let projection = self.path.project(position, Some(self.hint.get()));
+        self.hint.set(projection.s);
+        projection.sample.friction
+    }
+}

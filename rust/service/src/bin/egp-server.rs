@@ -1,0 +1,116 @@
+//! `egp-server`: serves a library until SIGTERM or SIGINT.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Parser;
+use egp_service::{Engine, ServiceConfig, Stepper, serve};
+
+/// Answers the control steps of vehicles over zenoh.
+///
+/// Try it on this machine:
+///
+///     egp-server --library surfaces.safetensors
+///
+/// In production, write a TOML file and pass it as --config; what is given here counts over the file:
+///
+///     library = "surfaces.safetensors"   # made by `egp train`
+///     replica = "garage-1"               # unique among the replicas that vehicles can reach
+///     workers = 4                        # default: one a core
+///     queue = 256                        # vehicles that may wait at a time
+///     log_json = true
+///     [settings.cost]                    # the control step; every field has a default
+///     lateral = 30.0
+///     [zenoh]                            # any zenoh setting: its key path, its JSON5 value
+///     "listen/endpoints" = '["tls/0.0.0.0:7447"]'
+///
+/// Without "listen/endpoints" it listens on tcp/127.0.0.1:7447 only. A service that other machines reach
+/// needs TLS and access control: whoever may declare its keys can answer in its place.
+///
+/// Vehicles ask on egp/v1/r/REPLICA/FLEET/VEHICLE/step. egp/v1/r/REPLICA/health, ready and metrics tell how
+/// it fares; the liveliness token egp/v1/@live/REPLICA tells clients that it is there. SIGTERM drains: the
+/// token goes first, then what waits is answered, then the process ends with status 0.
+#[derive(Parser)]
+#[command(version, verbatim_doc_comment)]
+struct Arguments {
+    /// Configuration file (TOML).
+    #[arg(long, required_unless_present = "library")]
+    config: Option<PathBuf>,
+    /// Library file, made by `egp train`.
+    #[arg(long)]
+    library: Option<PathBuf>,
+    /// Name of this replica.
+    #[arg(long)]
+    replica: Option<String>,
+    /// Threads that run control steps.
+    #[arg(long)]
+    workers: Option<usize>,
+    /// Endpoint to listen on, as tcp/0.0.0.0:7447; may be given more than once.
+    #[arg(long)]
+    listen: Vec<String>,
+    /// Endpoint of a router or peer to connect to; may be given more than once.
+    #[arg(long)]
+    connect: Vec<String>,
+    /// Log one JSON object a line.
+    #[arg(long)]
+    log_json: bool,
+    /// Check configuration and library, say what would be served, and end.
+    #[arg(long)]
+    check: bool,
+}
+
+impl Arguments {
+    fn configuration(self) -> Result<ServiceConfig, Box<dyn std::error::Error>> {
+        let mut config = match (&self.config, &self.library) {
+            (Some(path), _) => ServiceConfig::from_file(path)?,
+            (None, library) => ServiceConfig::new(library.clone().unwrap_or_default()),
+        };
+        if let Some(library) = self.library {
+            config.library = library;
+        }
+        if let Some(replica) = self.replica {
+            config.replica = replica;
+        }
+        config.workers = self.workers.or(config.workers);
+        config.log_json |= self.log_json;
+        for (key, endpoints) in [
+            ("listen/endpoints", self.listen),
+            ("connect/endpoints", self.connect),
+        ] {
+            if !endpoints.is_empty() {
+                // Rust's and JSON5's quoting agree on endpoints, which hold no control characters.
+                config
+                    .zenoh
+                    .insert(key.to_owned(), format!("{endpoints:?}"));
+            }
+        }
+        config.validate()?;
+        Ok(config)
+    }
+}
+
+fn run() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments = Arguments::parse();
+    let check = arguments.check;
+    let config = arguments.configuration()?;
+    if !check {
+        return Ok(serve(&config)?);
+    }
+    let served = Engine::load(&config.library, config.settings)?.describe();
+    println!("surfaces: {}", served.members.join(", "));
+    println!(
+        "period {} s, horizon {}, window {}",
+        served.dt, served.horizon, served.history
+    );
+    Ok(())
+}
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("egp-server: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}

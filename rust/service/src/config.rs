@@ -1,0 +1,220 @@
+//! The service's configuration file.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use egp_core::{Settings, SettingsError};
+use egp_wire::keys::Name;
+use serde::Deserialize;
+use thiserror::Error;
+
+/// Everything a service needs, in TOML. Unknown keys are refused.
+///
+/// ```
+/// let config = egp_service::ServiceConfig::from_toml(r#"
+///     library = "surfaces.safetensors"
+///     replica = "garage-1"
+///     [settings.cost]
+///     lateral = 30.0
+///     [zenoh]
+///     "listen/endpoints" = '["tcp/0.0.0.0:7447"]'
+/// "#)?;
+/// assert_eq!(config.settings.cost.lateral, 30.0);
+/// # Ok::<(), egp_service::ConfigError>(())
+/// ```
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ServiceConfig {
+    /// The library file; a relative path counts from the configuration file.
+    pub library: PathBuf,
+    /// Name of this replica, unique among those the vehicles can reach. Default `main`.
+    #[serde(default = "default_replica")]
+    pub replica: String,
+    /// Threads that run control steps. Default: one a core.
+    #[serde(default)]
+    pub workers: Option<usize>,
+    /// Vehicles that may wait at a time; more are refused as overloaded. Default 256.
+    #[serde(default = "default_queue")]
+    pub queue: usize,
+    /// Time between withdrawing the announcement and refusing queries when draining, ms. Default 50.
+    #[serde(default = "default_drain")]
+    pub drain_ms: u64,
+    /// Time between load reports, ms. Default 500.
+    #[serde(default = "default_load")]
+    pub load_ms: u64,
+    /// What to log: a level, or directives as `egp_service=debug,zenoh=warn`. Default `info,zenoh=warn`.
+    #[serde(default = "default_log")]
+    pub log: String,
+    /// One JSON object a line instead of text. Default false.
+    #[serde(default)]
+    pub log_json: bool,
+    /// Settings of the control step.
+    #[serde(default)]
+    pub settings: Settings,
+    /// A zenoh JSON5 file to start from, instead of our defaults.
+    #[serde(default)]
+    pub zenoh_file: Option<PathBuf>,
+    /// Single zenoh settings, key path to JSON5 value; they come last.
+    #[serde(default)]
+    pub zenoh: BTreeMap<String, String>,
+}
+
+fn default_replica() -> String {
+    "main".to_owned()
+}
+
+fn default_queue() -> usize {
+    256
+}
+
+fn default_drain() -> u64 {
+    50
+}
+
+fn default_load() -> u64 {
+    500
+}
+
+fn default_log() -> String {
+    "info,zenoh=warn".to_owned()
+}
+
+/// Why a configuration was refused.
+#[derive(Debug, Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read the configuration {path}: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Not TOML, an unknown key, or a value of the wrong type.
+    #[error("configuration refused: {0}")]
+    Toml(#[from] toml::de::Error),
+    /// A number out of range under `[settings]`.
+    #[error("[settings] refused: {0}")]
+    Settings(#[from] SettingsError),
+    /// A value out of range.
+    #[error("`{field}` must be {expected}, got {got}")]
+    Range {
+        /// The key.
+        field: &'static str,
+        /// The accepted range in words.
+        expected: &'static str,
+        /// The value that came.
+        got: String,
+    },
+}
+
+impl ServiceConfig {
+    /// A configuration with defaults for everything but the library.
+    pub fn new(library: impl Into<PathBuf>) -> Self {
+        Self {
+            library: library.into(),
+            replica: default_replica(),
+            workers: None,
+            queue: default_queue(),
+            drain_ms: default_drain(),
+            load_ms: default_load(),
+            log: default_log(),
+            log_json: false,
+            settings: Settings::default(),
+            zenoh_file: None,
+            zenoh: BTreeMap::new(),
+        }
+    }
+
+    /// Reads and validates a configuration.
+    ///
+    /// # Errors
+    /// [`ConfigError`] naming the key at fault.
+    pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
+        let config: Self = toml::from_str(text)?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Reads a configuration file; relative paths in it count from its folder.
+    ///
+    /// # Errors
+    /// [`ConfigError`] naming the file or the key at fault.
+    pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
+        let text = fs::read_to_string(path).map_err(|source| ConfigError::Read {
+            path: path.display().to_string(),
+            source,
+        })?;
+        let mut config = Self::from_toml(&text)?;
+        if let Some(folder) = path.parent() {
+            config.library = folder.join(&config.library);
+            config.zenoh_file = config.zenoh_file.map(|file| folder.join(file));
+        }
+        Ok(config)
+    }
+
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`] or [`ConfigError::Settings`] for the first one at fault.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let range = |field, expected, got: &dyn ToString| {
+            Err(ConfigError::Range {
+                field,
+                expected,
+                got: got.to_string(),
+            })
+        };
+        if self.replica.parse::<Name>().is_err() {
+            return range("replica", "1 to 64 of A-Z a-z 0-9 . _ -", &self.replica);
+        }
+        if let Some(workers) = self.workers.filter(|workers| !(1..=1024).contains(workers)) {
+            return range("workers", "in 1..=1024", &workers);
+        }
+        if !(1..=100_000).contains(&self.queue) {
+            return range("queue", "in 1..=100000", &self.queue);
+        }
+        if self.drain_ms > 60_000 {
+            return range("drain_ms", "at most 60000", &self.drain_ms);
+        }
+        if !(10..=3_600_000).contains(&self.load_ms) {
+            return range("load_ms", "in 10..=3600000", &self.load_ms);
+        }
+        Ok(self.settings.validate()?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn only_the_library_is_required() {
+        let config = ServiceConfig::from_toml("library = \"a.safetensors\"").unwrap();
+        assert_eq!((config.replica.as_str(), config.queue), ("main", 256));
+        assert!(
+            ServiceConfig::from_toml("")
+                .unwrap_err()
+                .to_string()
+                .contains("library")
+        );
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        for (text, name) in [
+            ("libary = \"a\"", "libary"),
+            ("library = \"a\"\nreplica = \"a/b\"", "`replica` must be"),
+            ("library = \"a\"\nworkers = 0", "`workers` must be"),
+            ("library = \"a\"\n[settings]\nhorizn = 3", "horizn"),
+            ("library = \"a\"\n[settings]\nmass = -1.0", "mass"),
+        ] {
+            let message = ServiceConfig::from_toml(text).unwrap_err().to_string();
+            assert!(message.contains(name), "{text}: {message}");
+        }
+    }
+}

@@ -1,0 +1,267 @@
+//! The one adapter between the wire and the mathematics.
+
+use std::{fs, io, path::Path};
+
+use egp_core::{
+    Library, LibraryError, Settings, StepError, StepReply, StepRequest, Workspace, library,
+    step::SetupError,
+};
+use egp_wire::{Code, Limits, Ready, Reply, Request, Status, WireError};
+use thiserror::Error;
+
+use crate::stepper::{Answer, Stepper};
+
+/// A library and settings, ready to answer requests.
+#[derive(Debug)]
+pub struct Engine {
+    library: Library,
+    settings: Settings,
+    limits: Limits,
+}
+
+/// Memory for one step at a time.
+pub struct EngineWorkspace {
+    core: Workspace,
+    reply: StepReply,
+    history_f: Vec<f64>,
+}
+
+/// Why an engine could not be made.
+#[derive(Debug, Error)]
+pub enum EngineError {
+    /// The library file cannot be read.
+    #[error("cannot read the library {path}: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The library file was refused.
+    #[error("{path} is refused: {source}")]
+    Library {
+        /// The file.
+        path: String,
+        /// Why.
+        source: LibraryError,
+    },
+    /// The settings were refused.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    /// More than a message can carry.
+    #[error("{what} is {actual}, the wire carries at most {limit}")]
+    Limit {
+        /// Which quantity.
+        what: &'static str,
+        /// Its value.
+        actual: usize,
+        /// The limit of [`Limits`].
+        limit: usize,
+    },
+}
+
+impl Engine {
+    /// An engine, once library, settings and wire are known to fit together.
+    ///
+    /// # Errors
+    /// [`EngineError`] when the settings are out of range, or members, horizon or window beyond the wire.
+    pub fn new(library: Library, settings: Settings) -> Result<Self, EngineError> {
+        let limits = Limits::default();
+        for (what, actual, limit) in [
+            (
+                "the number of members",
+                library.members().len(),
+                limits.members,
+            ),
+            ("settings.horizon", settings.horizon, limits.horizon),
+            (
+                "settings.weights.window",
+                settings.weights.window,
+                limits.history,
+            ),
+        ] {
+            if actual > limit {
+                return Err(EngineError::Limit {
+                    what,
+                    actual,
+                    limit,
+                });
+            }
+        }
+        Workspace::new(&library, &settings)?;
+        Ok(Self {
+            library,
+            settings,
+            limits,
+        })
+    }
+
+    /// Reads a library file and makes an engine of it.
+    ///
+    /// # Errors
+    /// [`EngineError`]; the message names the file.
+    pub fn load(path: &Path, settings: Settings) -> Result<Self, EngineError> {
+        let name = || path.display().to_string();
+        let bytes = fs::read(path).map_err(|source| EngineError::Read {
+            path: name(),
+            source,
+        })?;
+        let library = Library::from_bytes(&bytes).map_err(|source| EngineError::Library {
+            path: name(),
+            source,
+        })?;
+        Self::new(library, settings)
+    }
+
+    /// The library.
+    pub fn library(&self) -> &Library {
+        &self.library
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    fn pinned(&self, request: &Request) -> Result<(), WireError> {
+        if request.library == self.library.id() {
+            return Ok(());
+        }
+        Err(WireError::retryable(
+            Code::UnknownLibrary,
+            0, // another replica may serve it
+            format!(
+                "this replica serves library {}, the request pins {}; ask `ready` what a replica serves",
+                library::hex(&self.library.id()),
+                library::hex(&request.library)
+            ),
+        ))
+    }
+}
+
+impl Stepper for Engine {
+    type Workspace = EngineWorkspace;
+
+    fn describe(&self) -> Ready {
+        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX); // checked against `Limits`
+        Ready {
+            ready: true,
+            library: self.library.id(),
+            dt: self.library.dt(),
+            horizon: count(self.settings.horizon),
+            history: count(self.settings.weights.window),
+            members: self
+                .library
+                .members()
+                .iter()
+                .map(|member| member.label().to_owned())
+                .collect(),
+        }
+    }
+
+    fn workspace(&self) -> Result<EngineWorkspace, WireError> {
+        let core = Workspace::new(&self.library, &self.settings)
+            .map_err(|error| WireError::permanent(Code::Internal, error.to_string()))?;
+        Ok(EngineWorkspace {
+            core,
+            reply: StepReply::default(),
+            history_f: Vec::new(),
+        })
+    }
+
+    /// Decodes, steps and encodes. The answer depends on the request's bytes alone.
+    fn step(&self, workspace: &mut EngineWorkspace, request: &[u8]) -> Result<Answer, WireError> {
+        let request = Request::decode(request, &self.limits)?;
+        self.pinned(&request)?;
+        let EngineWorkspace {
+            core,
+            reply,
+            history_f,
+        } = workspace;
+        history_f.clear();
+        history_f.extend(request.history_f.iter().flatten().flatten());
+        egp_core::step(
+            &self.library,
+            &self.settings,
+            &borrow(&request, history_f),
+            core,
+            reply,
+        )
+        .map_err(|error| refusal(&error))?;
+        let reply = self.reply(&request, reply, core.solver_name());
+        Ok(Answer {
+            status: reply.status,
+            payload: reply.encode(),
+        })
+    }
+}
+
+impl Engine {
+    fn reply(&self, request: &Request, reply: &StepReply, solver: &str) -> Reply {
+        let members = self.library.members().len();
+        Reply {
+            library: self.library.id(),
+            sequence: request.sequence,
+            status: status(reply.status),
+            plan_x: reply.plan_x.as_chunks().0.to_vec(),
+            plan_u: reply.plan_u.as_chunks().0.to_vec(),
+            weights: reply.weights.clone(),
+            sigma: reply.sigma.as_chunks().0.to_vec(),
+            history_f: reply
+                .history_f
+                .as_chunks()
+                .0
+                .chunks(members)
+                .map(<[_]>::to_vec)
+                .collect(),
+            dropped_mass: reply.dropped_mass,
+            iterations: reply.iterations,
+            kkt_residual: reply.kkt_residual,
+            solver: solver.to_owned(),
+        }
+    }
+}
+
+fn borrow<'a>(request: &'a Request, history_f: &'a [f64]) -> StepRequest<'a> {
+    StepRequest {
+        x: &request.x,
+        u_prev: &request.u_prev,
+        weights: &request.weights,
+        plan_x: request.plan_x.as_flattened(),
+        plan_u: request.plan_u.as_flattened(),
+        plan_shift: request.plan_shift,
+        history_z: request.history_z.as_flattened(),
+        history_y: request.history_y.as_flattened(),
+        history_f,
+        reference: request.reference.as_flattened(),
+        widths: request.widths.as_flattened(),
+        want_sigma: request.want_sigma,
+    }
+}
+
+fn status(status: egp_core::Status) -> Status {
+    match status {
+        egp_core::Status::Solved => Status::Solved,
+        egp_core::Status::IterationLimit => Status::IterationLimit,
+        egp_core::Status::Infeasible => Status::Infeasible,
+        egp_core::Status::NumericalError => Status::NumericalError,
+        egp_core::Status::CheckFailed => Status::CheckFailed,
+    }
+}
+
+fn refusal(error: &StepError) -> WireError {
+    let field = match error {
+        StepError::Shape { field, .. }
+        | StepError::Window { field, .. }
+        | StepError::NotFinite { field, .. } => field,
+        StepError::Domain { quantity, .. } => quantity,
+        StepError::Weights { .. } => "weights",
+        StepError::Workspace | StepError::Ensemble(_) => {
+            return WireError::permanent(Code::Internal, error.to_string());
+        }
+    };
+    WireError {
+        field: field.to_owned(),
+        ..WireError::permanent(Code::InvalidField, error.to_string())
+    }
+}

@@ -1,0 +1,140 @@
+//! From a query to the queue. Runs on the network's receive thread, so it decodes headers only.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use egp_wire::keys::{self, Name, Target};
+use egp_wire::{Code, Header, Limits, Load, Ready, WireError};
+
+use crate::metrics::{Metrics, micros};
+use crate::network::Query;
+use crate::queue::{Queue, Refused};
+
+/// A request on its way to a worker.
+pub(crate) struct Job {
+    pub(crate) query: Query,
+    pub(crate) arrived: Instant,
+    pub(crate) deadline: Instant,
+}
+
+/// What intake and workers share.
+pub(crate) struct Shared {
+    pub(crate) replica: Name,
+    pub(crate) description: Ready,
+    pub(crate) workers: usize,
+    pub(crate) queue: Queue<Job>,
+    pub(crate) metrics: Metrics,
+    pub(crate) draining: AtomicBool,
+}
+
+impl Shared {
+    /// Answers, queues or refuses a query.
+    pub(crate) fn take(&self, query: Query) {
+        match keys::parse(query.key()) {
+            Some(Target::Health) => {
+                let key = keys::health(&self.replica);
+                query.answer(&key, b"ok".to_vec(), "text/plain", None);
+            }
+            Some(Target::Ready) => {
+                let ready = !self.draining.load(Ordering::Relaxed);
+                let description = Ready {
+                    ready,
+                    ..self.description.clone()
+                };
+                let encoding = "application/protobuf;egp.v1.Ready";
+                query.answer(
+                    &keys::ready(&self.replica),
+                    description.encode(),
+                    encoding,
+                    None,
+                );
+            }
+            Some(Target::Metrics) => {
+                let text = self.metrics.text(self.queue.len()).into_bytes();
+                let encoding = "application/openmetrics-text;version=1.0.0";
+                query.answer(&keys::metrics(&self.replica), text, encoding, None);
+            }
+            Some(Target::Step { fleet, vehicle }) => self.admit(query, &fleet, &vehicle),
+            None => self.refuse(&query, &no_such_key(query.key())),
+        }
+    }
+
+    fn admit(&self, query: Query, fleet: &Name, vehicle: &Name) {
+        if query.key() != keys::step(&self.replica, fleet, vehicle) {
+            return self.refuse(&query, &no_such_key(query.key()));
+        }
+        let arrived = Instant::now();
+        let header = match Header::decode(&query.payload(), &Limits::default()) {
+            Ok(header) => header,
+            Err(invalid) => return self.refuse(&query, &invalid.into()),
+        };
+        let deadline = arrived + Duration::from_micros(header.budget_us.into());
+        let job = Job {
+            query,
+            arrived,
+            deadline,
+        };
+        let in_time = |ahead| arrived + self.time_to_answer(ahead) <= deadline;
+        let pushed = self
+            .queue
+            .push(format!("{fleet}/{vehicle}"), deadline, job, in_time);
+        if let Some(old) = pushed.superseded {
+            let detail = "a newer request of this vehicle took the place of this one";
+            self.refuse(&old.query, &WireError::permanent(Code::Superseded, detail));
+        }
+        match pushed.queued {
+            Ok(()) => {}
+            Err(Refused::Full(job)) => self.refuse(&job.query, &self.overloaded()),
+            Err(Refused::Late(job)) => self.refuse(&job.query, &self.too_late(header.budget_us)),
+            Err(Refused::Closed(job)) => self.refuse(
+                &job.query,
+                &WireError::retryable(Code::Draining, 0, "this replica is going away, ask another"),
+            ),
+        }
+    }
+
+    /// When an answer may be expected behind `ahead` waiting requests, by the smoothed time of a step.
+    fn time_to_answer(&self, ahead: usize) -> Duration {
+        let rounds = 1 + (ahead + self.metrics.busy_workers()) / self.workers;
+        self.metrics.step_time() * u32::try_from(rounds).unwrap_or(u32::MAX)
+    }
+
+    fn overloaded(&self) -> WireError {
+        let queued = self.queue.len();
+        let wait = micros(self.time_to_answer(queued));
+        let detail = format!("{queued} vehicles are waiting already; ask another replica");
+        WireError::retryable(Code::Overloaded, wait, detail)
+    }
+
+    pub(crate) fn too_late(&self, budget_us: u32) -> WireError {
+        let wait = micros(self.time_to_answer(self.queue.len()));
+        let detail = format!("no answer within {budget_us} us; allow more, or ask another replica");
+        WireError::retryable(Code::TooLate, wait, detail)
+    }
+
+    /// Sends an error and counts it.
+    pub(crate) fn refuse(&self, query: &Query, error: &WireError) {
+        self.metrics.refused(error.code);
+        tracing::debug!(key = query.key(), code = error.code.as_str_name(), %error, "refused");
+        query.refuse(error);
+    }
+
+    /// What is published for those who choose among replicas.
+    pub(crate) fn load(&self) -> Load {
+        let count = |n| u32::try_from(n).unwrap_or(u32::MAX);
+        Load {
+            queued: count(self.queue.len()),
+            busy: count(self.metrics.busy_workers()),
+            workers: count(self.workers),
+            step_us: micros(self.metrics.step_time()),
+        }
+    }
+}
+
+fn no_such_key(key: &str) -> WireError {
+    let detail = format!(
+        "{key} is no key of this replica: expected egp/v1/r/REPLICA/FLEET/VEHICLE/step or \
+         egp/v1/r/REPLICA/health, ready or metrics"
+    );
+    WireError::permanent(Code::Malformed, detail)
+}

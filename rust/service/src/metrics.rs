@@ -1,0 +1,129 @@
+//! What the service counts, as OpenMetrics text.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+use egp_wire::{Code, Status};
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::encoding::text::encode;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
+use prometheus_client::metrics::info::Info;
+use prometheus_client::registry::{Registry, Unit};
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Outcome {
+    outcome: String,
+}
+
+/// Counters, histograms and the running estimate of a step's time.
+pub(crate) struct Metrics {
+    registry: Registry,
+    requests: Family<Outcome, Counter>,
+    panics: Counter,
+    step: Histogram,
+    queue: Histogram,
+    queued: Gauge,
+    pub(crate) busy: Gauge,
+    step_us: AtomicU32,
+}
+
+impl Metrics {
+    pub(crate) fn new(library: &str) -> Self {
+        // 0.1 ms to 0.4 s: from a step of two small members to one that no control period waits for.
+        let seconds = || Histogram::new(exponential_buckets(1e-4, 2.0, 13));
+        let mut metrics = Self {
+            registry: Registry::with_prefix("egp"),
+            requests: Family::default(),
+            panics: Counter::default(),
+            step: seconds(),
+            queue: seconds(),
+            queued: Gauge::default(),
+            busy: Gauge::default(),
+            step_us: AtomicU32::new(0),
+        };
+        let registry = &mut metrics.registry;
+        registry.register(
+            "requests",
+            "Requests by solver status or error code",
+            metrics.requests.clone(),
+        );
+        registry.register(
+            "panics",
+            "Control steps that panicked and were survived",
+            metrics.panics.clone(),
+        );
+        let (help, histogram) = ("Decoding, control step and encoding", metrics.step.clone());
+        registry.register_with_unit("step", help, Unit::Seconds, histogram);
+        let (help, histogram) = ("From arrival to a worker", metrics.queue.clone());
+        registry.register_with_unit("queue", help, Unit::Seconds, histogram);
+        registry.register("queued", "Vehicles waiting", metrics.queued.clone());
+        registry.register("busy", "Workers at work", metrics.busy.clone());
+        registry.register(
+            "library",
+            "The library served",
+            Info::new([("sha256", library.to_owned())]),
+        );
+        metrics
+    }
+
+    pub(crate) fn answered(&self, status: Status) {
+        self.count(status.as_str_name().trim_start_matches("STATUS_"));
+    }
+
+    pub(crate) fn refused(&self, code: Code) {
+        self.count(code.as_str_name().trim_start_matches("CODE_"));
+    }
+
+    fn count(&self, outcome: &str) {
+        let outcome = outcome.to_ascii_lowercase();
+        self.requests.get_or_create(&Outcome { outcome }).inc();
+    }
+
+    pub(crate) fn panicked(&self) {
+        self.panics.inc();
+    }
+
+    pub(crate) fn waited(&self, time: Duration) {
+        self.queue.observe(time.as_secs_f64());
+    }
+
+    /// Notes the time of a step and moves the estimate an eighth of the way towards it.
+    pub(crate) fn stepped(&self, time: Duration) {
+        self.step.observe(time.as_secs_f64());
+        let (new, old) = (micros(time), self.step_us.load(Ordering::Relaxed));
+        let smoothed = if old == 0 {
+            new
+        } else {
+            old - old / 8 + new / 8
+        };
+        // Workers race here; whichever wins, the estimate stays one.
+        self.step_us.store(smoothed, Ordering::Relaxed);
+    }
+
+    /// Smoothed time of a step; zero before the first.
+    pub(crate) fn step_time(&self) -> Duration {
+        Duration::from_micros(self.step_us.load(Ordering::Relaxed).into())
+    }
+
+    pub(crate) fn busy_workers(&self) -> usize {
+        usize::try_from(self.busy.get()).unwrap_or(0)
+    }
+
+    /// The OpenMetrics text.
+    pub(crate) fn text(&self, queued: usize) -> String {
+        self.queued.set(i64::try_from(queued).unwrap_or(i64::MAX));
+        let mut text = String::new();
+        match encode(&mut text, &self.registry) {
+            Ok(()) => text,
+            Err(error) => format!("# {error}\n# EOF\n"),
+        }
+    }
+}
+
+/// Whole microseconds, for the wire.
+pub(crate) fn micros(time: Duration) -> u32 {
+    u32::try_from(time.as_micros()).unwrap_or(u32::MAX)
+}

@@ -1,0 +1,211 @@
+//! The one file that names zenoh.
+
+use std::{borrow::Cow, collections::BTreeMap, path::Path};
+
+use egp_wire::{WireError, keys::Name};
+use thiserror::Error;
+use zenoh::qos::CongestionControl;
+use zenoh::{Config, Wait};
+
+/// zenoh refused something.
+#[derive(Debug, Error)]
+#[error("{doing}: {reason}")]
+pub struct NetworkError {
+    doing: String,
+    reason: String,
+}
+
+impl NetworkError {
+    fn new(doing: impl Into<String>, reason: &dyn std::fmt::Display) -> Self {
+        Self {
+            doing: doing.into(),
+            reason: reason.to_string(),
+        }
+    }
+}
+
+/// What differs from zenoh's own defaults, each as its key and JSON5 value.
+const DEFAULTS: [(&str, &str); 6] = [
+    // Reachable from this machine only, until an operator says otherwise (and adds access control).
+    ("listen/endpoints", r#"["tcp/127.0.0.1:7447"]"#),
+    ("scouting/multicast/enabled", "false"),
+    // Dead links are noticed within two seconds, lost ones come back within a control period or so.
+    ("transport/link/tx/lease", "2000"),
+    (
+        "connect/retry",
+        "{ period_init_ms: 50, period_max_ms: 200, period_increase_factor: 2 }",
+    ),
+    // No request is near this size; a larger one must not fill the memory.
+    ("transport/link/rx/max_message_size", "1048576"),
+    // The first control steps must not wait for a pool of shared memory.
+    ("transport/shared_memory/enabled", "false"),
+];
+
+/// A zenoh configuration: our defaults or a JSON5 file, then single values by their key.
+///
+/// # Errors
+/// [`NetworkError`] naming the file or the key that zenoh refused.
+pub(crate) fn configuration(
+    file: Option<&Path>,
+    values: &BTreeMap<String, String>,
+) -> Result<Config, NetworkError> {
+    let mut config = match file {
+        Some(path) => Config::from_file(path)
+            .map_err(|e| NetworkError::new(format!("zenoh file {}", path.display()), &e))?,
+        None => Config::default(),
+    };
+    let defaults = DEFAULTS.iter().filter(|_| file.is_none()).copied();
+    let given = values
+        .iter()
+        .map(|(key, value)| (key.as_str(), value.as_str()));
+    for (key, value) in defaults.chain(given) {
+        config
+            .insert_json5(key, value)
+            .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))?;
+    }
+    Ok(config)
+}
+
+/// A query as it came in.
+pub(crate) struct Query(zenoh::query::Query);
+
+impl Query {
+    pub(crate) fn key(&self) -> &str {
+        self.0.key_expr().as_str()
+    }
+
+    pub(crate) fn payload(&self) -> Cow<'_, [u8]> {
+        self.0
+            .payload()
+            .map_or(Cow::Borrowed(&[]), |payload| payload.to_bytes())
+    }
+
+    /// Replies on `key`, which must match the query's.
+    pub(crate) fn answer(
+        &self,
+        key: &str,
+        payload: Vec<u8>,
+        encoding: &'static str,
+        attachment: Option<Vec<u8>>,
+    ) {
+        let sent = self
+            .0
+            .reply(key, payload)
+            .encoding(encoding)
+            .attachment(attachment)
+            .wait();
+        if let Err(error) = sent {
+            tracing::warn!(key, %error, "reply not sent");
+        }
+    }
+
+    /// Replies with an error.
+    pub(crate) fn refuse(&self, error: &WireError) {
+        let sent = self
+            .0
+            .reply_err(error.encode())
+            .encoding("application/protobuf;egp.v1.Error")
+            .wait();
+        if let Err(error) = sent {
+            tracing::warn!(key = self.key(), %error, "error reply not sent");
+        }
+    }
+}
+
+/// An open session with a replica's declarations.
+pub(crate) struct Network {
+    session: zenoh::Session,
+    queryable: Option<zenoh::query::Queryable<()>>,
+    token: Option<zenoh::liveliness::LivelinessToken>,
+}
+
+impl Network {
+    /// Opens a session; nothing is declared yet.
+    pub(crate) fn open(config: Config) -> Result<Self, NetworkError> {
+        let session = zenoh::open(config)
+            .wait()
+            .map_err(|e| NetworkError::new("cannot open the zenoh session", &e))?;
+        Ok(Self {
+            session,
+            queryable: None,
+            token: None,
+        })
+    }
+
+    /// Answers queries below the replica's prefix. `intake` runs on zenoh's receive thread.
+    pub(crate) fn declare(
+        &mut self,
+        replica: &Name,
+        intake: impl Fn(Query) + Send + Sync + 'static,
+    ) -> Result<(), NetworkError> {
+        let key = egp_wire::keys::replica(replica);
+        let queryable = self
+            .session
+            .declare_queryable(&key)
+            .complete(true)
+            .callback(move |query| intake(Query(query)))
+            .wait()
+            .map_err(|e| NetworkError::new(format!("cannot declare {key}"), &e))?;
+        self.queryable = Some(queryable);
+        Ok(())
+    }
+
+    /// Tells clients that the replica is there.
+    pub(crate) fn announce(&mut self, replica: &Name) -> Result<(), NetworkError> {
+        let key = egp_wire::keys::live(replica);
+        let token = self
+            .session
+            .liveliness()
+            .declare_token(&key)
+            .wait()
+            .map_err(|e| NetworkError::new(format!("cannot declare {key}"), &e))?;
+        self.token = Some(token);
+        Ok(())
+    }
+
+    /// Withdraws the announcement: clients choose another replica from now on.
+    pub(crate) fn withdraw(&mut self) {
+        if let Some(Err(error)) = self.token.take().map(|token| token.undeclare().wait()) {
+            tracing::warn!(%error, "liveliness token not withdrawn");
+        }
+    }
+
+    /// Takes no more queries; returns when the last intake is done. Never call it from an intake.
+    pub(crate) fn undeclare(&mut self) {
+        let undeclared = self
+            .queryable
+            .take()
+            .map(|queryable| queryable.undeclare().wait_callbacks().wait());
+        if let Some(Err(error)) = undeclared {
+            tracing::warn!(%error, "queryable not undeclared");
+        }
+    }
+
+    /// Closes the session; queries answered before still reach their clients.
+    pub(crate) fn close(&self) {
+        if let Err(error) = self.session.close().wait() {
+            tracing::warn!(%error, "zenoh session not closed cleanly");
+        }
+    }
+
+    /// A publisher of small values that are worth nothing when late.
+    pub(crate) fn publisher(&self, key: &str) -> Result<Publisher, NetworkError> {
+        self.session
+            .declare_publisher(key.to_owned())
+            .congestion_control(CongestionControl::Drop)
+            .wait()
+            .map(Publisher)
+            .map_err(|e| NetworkError::new(format!("cannot declare {key}"), &e))
+    }
+}
+
+/// See [`Network::publisher`].
+pub(crate) struct Publisher(zenoh::pubsub::Publisher<'static>);
+
+impl Publisher {
+    pub(crate) fn publish(&self, payload: Vec<u8>) {
+        if let Err(error) = self.0.put(payload).wait() {
+            tracing::debug!(%error, "load not published");
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! A running service: start and drain.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError, Sender};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use egp_core::library;
+use egp_wire::WireError;
+use egp_wire::keys::{self, Name, NameError};
+use prost::Message as _;
+use thiserror::Error;
+
+use crate::config::{ConfigError, ServiceConfig};
+use crate::engine::{Engine, EngineError};
+use crate::intake::Shared;
+use crate::metrics::Metrics;
+use crate::network::{Network, NetworkError, Publisher, configuration};
+use crate::queue::Queue;
+use crate::stepper::Stepper;
+use crate::worker::work;
+
+/// Why a service did not start.
+#[derive(Debug, Error)]
+pub enum StartError {
+    /// The configuration is out of range.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The replica's name is none.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// The library or the settings were refused.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    /// A worker could not be set up.
+    #[error("cannot set a worker up: {0}")]
+    Worker(#[from] WireError),
+    /// The system gave no thread.
+    #[error("cannot start a thread: {0}")]
+    Thread(#[from] std::io::Error),
+    /// zenoh refused something.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
+}
+
+/// A service that answers queries until it is drained or dropped.
+pub struct Server {
+    shared: Arc<Shared>,
+    network: Network,
+    drain: Duration,
+    workers: Vec<JoinHandle<()>>,
+    reporter: Option<(Sender<()>, JoinHandle<()>)>,
+}
+
+impl Server {
+    /// Loads the library and starts serving it.
+    ///
+    /// # Errors
+    /// [`StartError`]; nothing keeps running then.
+    pub fn start(config: &ServiceConfig) -> Result<Self, StartError> {
+        config.validate()?;
+        let engine = Engine::load(&config.library, config.settings.clone())?;
+        Self::start_with(config, engine)
+    }
+
+    /// Starts serving whatever steps; [`Server::start`] uses an [`Engine`].
+    ///
+    /// # Errors
+    /// [`StartError`]; nothing keeps running then.
+    pub fn start_with<S: Stepper>(config: &ServiceConfig, stepper: S) -> Result<Self, StartError> {
+        config.validate()?;
+        let replica: Name = config.replica.parse()?;
+        let description = stepper.describe();
+        let workers = match config.workers {
+            Some(workers) => workers,
+            None => thread::available_parallelism().map_or(1, usize::from),
+        };
+        let shared = Arc::new(Shared {
+            replica: replica.clone(),
+            metrics: Metrics::new(&library::hex(&description.library)),
+            description,
+            workers,
+            queue: Queue::new(config.queue),
+            draining: AtomicBool::new(false),
+        });
+        let network = Network::open(configuration(config.zenoh_file.as_deref(), &config.zenoh)?)?;
+        let mut server = Self {
+            shared,
+            network,
+            drain: Duration::from_millis(config.drain_ms),
+            workers: Vec::with_capacity(workers),
+            reporter: None,
+        };
+        server.start_workers(&Arc::new(stepper))?;
+        let shared = server.shared.clone();
+        server
+            .network
+            .declare(&replica, move |query| shared.take(query))?;
+        server.start_reporter(Duration::from_millis(config.load_ms))?;
+        // Last, because from now on clients ask.
+        server.network.announce(&replica)?;
+        tracing::info!(
+            replica = %replica,
+            workers,
+            library = library::hex(&server.shared.description.library),
+            "serving"
+        );
+        Ok(server)
+    }
+
+    /// Withdraws the announcement, serves what still comes for a moment, finishes what waits, closes.
+    ///
+    /// A client that asks meanwhile gets an answer or an error, never silence.
+    pub fn drain(mut self) {
+        tracing::info!("draining");
+        self.shared.draining.store(true, Ordering::Relaxed);
+        self.network.withdraw();
+        thread::sleep(self.drain);
+        self.stop();
+        tracing::info!("drained");
+    }
+
+    fn start_workers<S: Stepper>(&mut self, stepper: &Arc<S>) -> Result<(), StartError> {
+        for index in 0..self.shared.workers {
+            let (shared, stepper) = (self.shared.clone(), stepper.clone());
+            let workspace = stepper.workspace()?;
+            let thread = thread::Builder::new().name(format!("egp-step-{index}"));
+            self.workers
+                .push(thread.spawn(move || work(&shared, &*stepper, workspace))?);
+        }
+        Ok(())
+    }
+
+    fn start_reporter(&mut self, period: Duration) -> Result<(), StartError> {
+        let publisher = self.network.publisher(&keys::load(&self.shared.replica))?;
+        let (stop, stopped) = mpsc::channel();
+        let shared = self.shared.clone();
+        let thread = thread::Builder::new().name("egp-load".to_owned());
+        let thread = thread.spawn(move || report(&shared, &publisher, period, &stopped))?;
+        self.reporter = Some((stop, thread));
+        Ok(())
+    }
+
+    /// Ends everything; the second call does nothing.
+    fn stop(&mut self) {
+        self.network.undeclare();
+        self.shared.queue.close();
+        for worker in self.workers.drain(..) {
+            join(worker);
+        }
+        if let Some((stop, reporter)) = self.reporter.take() {
+            drop(stop);
+            join(reporter);
+            self.network.close();
+        }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.network.withdraw();
+        self.stop();
+    }
+}
+
+/// Publishes the load until `stop` is dropped.
+fn report(shared: &Shared, publisher: &Publisher, period: Duration, stop: &mpsc::Receiver<()>) {
+    while stop.recv_timeout(period) == Err(RecvTimeoutError::Timeout) {
+        publisher.publish(shared.load().encode_to_vec());
+    }
+}
+
+fn join(thread: JoinHandle<()>) {
+    if thread.join().is_err() {
+        tracing::error!("a thread of the service ended by a panic");
+    }
+}

@@ -1,0 +1,77 @@
+//! A worker: takes requests from the queue and answers them.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::Instant;
+
+use egp_wire::{Code, Timing, WireError};
+use prost::Message as _;
+
+use crate::intake::{Job, Shared};
+use crate::metrics::micros;
+use crate::stepper::{Answer, Stepper};
+
+/// Runs until the queue is closed and empty.
+pub(crate) fn work<S: Stepper>(shared: &Shared, stepper: &S, workspace: S::Workspace) {
+    let mut workspace = Some(workspace);
+    while let Some(job) = shared.queue.pop() {
+        shared.metrics.busy.inc();
+        serve(shared, stepper, &mut workspace, &job);
+        shared.metrics.busy.dec();
+    }
+}
+
+fn serve<S: Stepper>(
+    shared: &Shared,
+    stepper: &S,
+    workspace: &mut Option<S::Workspace>,
+    job: &Job,
+) {
+    let started = Instant::now();
+    let waited = started - job.arrived;
+    shared.metrics.waited(waited);
+    if started + shared.metrics.step_time() > job.deadline {
+        let budget = micros(job.deadline - job.arrived);
+        return shared.refuse(&job.query, &shared.too_late(budget));
+    }
+    match survive(shared, stepper, workspace, &job.query.payload()) {
+        Ok(answer) => {
+            let took = started.elapsed();
+            shared.metrics.stepped(took);
+            shared.metrics.answered(answer.status);
+            let timing = Timing {
+                queue_us: micros(waited),
+                step_us: micros(took),
+            };
+            let encoding = "application/protobuf;egp.v1.StepReply";
+            let attachment = Some(timing.encode_to_vec());
+            job.query
+                .answer(job.query.key(), answer.payload, encoding, attachment);
+        }
+        Err(error) => shared.refuse(&job.query, &error),
+    }
+}
+
+/// One step; a panic in it becomes an error, and its half-written workspace is never used again.
+fn survive<S: Stepper>(
+    shared: &Shared,
+    stepper: &S,
+    slot: &mut Option<S::Workspace>,
+    request: &[u8],
+) -> Result<Answer, WireError> {
+    let mut workspace = match slot.take() {
+        Some(workspace) => workspace,
+        None => stepper.workspace()?,
+    };
+    let step = AssertUnwindSafe(|| {
+        let answer = stepper.step(&mut workspace, request);
+        (answer, workspace)
+    });
+    if let Ok((answer, workspace)) = catch_unwind(step) {
+        *slot = Some(workspace);
+        return answer;
+    }
+    shared.metrics.panicked();
+    tracing::error!("a control step panicked; its workspace is made anew");
+    let detail = "the control step failed by a defect of the service; please report it";
+    Err(WireError::permanent(Code::Internal, detail))
+}

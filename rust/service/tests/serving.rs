@@ -1,0 +1,80 @@
+//! What a client gets from a replica in order.
+#![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
+
+mod common;
+
+use common::{Client, Outcome, config, engine, free_endpoint, request, step_key};
+use egp_service::{Server, Stepper};
+use egp_wire::{Carry, Limits, Load, Ready, Reply, Status, keys};
+use prost::Message as _;
+use zenoh::Wait;
+
+#[test]
+fn replies_are_the_engines_bits_with_timings_beside_them() {
+    let endpoint = free_endpoint();
+    let server = Server::start_with(&config(&endpoint), engine()).unwrap();
+    let client = Client::connect(&endpoint);
+    let local = engine();
+    let mut workspace = local.workspace().unwrap();
+    let mut carry = Carry::new(local.library().id(), 10);
+    for _ in 0..5 {
+        let mut request = request(&mut carry);
+        request.want_sigma = true;
+        let bytes = request.encode();
+        let Outcome::Answer { payload, timing } = client.ask(&step_key("car"), &bytes) else {
+            panic!("no answer");
+        };
+        assert!(
+            payload == local.step(&mut workspace, &bytes).unwrap().payload,
+            "bits differ"
+        );
+        assert!(timing.unwrap().step_us > 0);
+        let reply = Reply::decode(&payload, &Limits::default()).unwrap();
+        assert_eq!((reply.status, reply.sigma.len()), (Status::Solved, 21));
+        carry.accept(&reply).unwrap();
+    }
+    server.drain();
+}
+
+#[test]
+fn a_replica_tells_what_it_serves_and_how_it_fares() {
+    let endpoint = free_endpoint();
+    let server = Server::start_with(&config(&endpoint), engine()).unwrap();
+    let client = Client::connect(&endpoint);
+    client.ask(&step_key("car"), &common::first_request().encode());
+    let text = |key: String| match client.ask(&key, &[]) {
+        Outcome::Answer { payload, .. } => payload,
+        other => panic!("{key}: {other:?}"),
+    };
+    let main = "main".parse().unwrap();
+    assert_eq!(text(keys::health(&main)), b"ok");
+    let ready = Ready::decode(&text(keys::ready(&main)), &Limits::default()).unwrap();
+    assert_eq!(ready, engine().describe());
+    assert_eq!(
+        Ready::decode(&text("egp/v1/r/*/ready".to_owned()), &Limits::default()).unwrap(),
+        ready
+    );
+    let metrics = String::from_utf8(text(keys::metrics(&main))).unwrap();
+    for line in [
+        "egp_requests_total{outcome=\"solved\"} 1",
+        "egp_step_seconds_count 1",
+        "egp_queue_seconds_count 1",
+        "egp_panics_total 0",
+        "egp_queued 0",
+        "# EOF",
+    ] {
+        assert!(
+            metrics.lines().any(|found| found == line),
+            "{line} not in\n{metrics}"
+        );
+    }
+    let load = client
+        .session
+        .declare_subscriber(keys::load(&main))
+        .wait()
+        .unwrap();
+    let load = Load::decode(&*load.recv().unwrap().payload().to_bytes()).unwrap();
+    assert!(load.workers == 2 && load.queued == 0 && load.step_us > 0);
+    server.drain();
+    client.wait_until_alive(false);
+}
