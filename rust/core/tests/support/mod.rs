@@ -3,6 +3,8 @@
 //! The dense formulas below share nothing with the crate; they fill the golden predictions that loading checks.
 #![allow(clippy::unwrap_used, dead_code)]
 
+pub mod request;
+
 use std::collections::BTreeMap;
 
 use egp_core::library::{LibrarySpec, MemberData, encode};

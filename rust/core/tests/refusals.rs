@@ -1,0 +1,66 @@
+//! What a step refuses, by field.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::semicolon_if_nothing_returned
+)]
+
+mod support;
+
+use egp_core::{Settings, StepError, StepReply, Workspace, step};
+use support::request::{Request, library, warm};
+
+#[test]
+fn malformed_requests_are_refused_by_field() {
+    let settings = Settings::default();
+    let mut ws = Workspace::new(library(), &settings).unwrap();
+    let mut reply = StepReply::default();
+    let mut refuse = |change: fn(&mut Request)| {
+        let mut request = warm();
+        change(&mut request);
+        let error = step(library(), &settings, &request.borrow(), &mut ws, &mut reply).unwrap_err();
+        assert!(reply.plan_u.is_empty() && reply.weights.is_empty());
+        error
+    };
+    let shape = |error: StepError| match error {
+        StepError::Shape { field, .. }
+        | StepError::Window { field, .. }
+        | StepError::NotFinite { field, .. } => field,
+        other => panic!("{other}"),
+    };
+    assert_eq!(shape(refuse(|r| r.reference.truncate(80))), "reference");
+    assert_eq!(shape(refuse(|r| r.widths.truncate(3))), "widths");
+    assert_eq!(shape(refuse(|r| r.weights.push(0.0))), "weights");
+    assert_eq!(shape(refuse(|r| r.plan_u.clear())), "plan_u");
+    assert_eq!(shape(refuse(|r| r.plan_x.clear())), "plan_u");
+    assert_eq!(shape(refuse(|r| r.plan_x.truncate(7))), "plan_x");
+    assert_eq!(shape(refuse(|r| r.history_z.truncate(5))), "history_z");
+    assert_eq!(shape(refuse(|r| r.history_y.truncate(27))), "history_y");
+    assert_eq!(shape(refuse(|r| r.history_f.truncate(5))), "history_f");
+    assert_eq!(shape(refuse(|r| r.history_z.extend([0.0; 6]))), "history_z");
+    assert_eq!(shape(refuse(|r| r.reference[7] = f64::NAN)), "reference");
+    assert_eq!(shape(refuse(|r| r.plan_u[3] = f64::INFINITY)), "plan_u");
+    assert_eq!(shape(refuse(|r| r.history_f[3] = 1e300)), "history_f");
+    assert!(matches!(
+        refuse(|r| r.x[2] = 200.0),
+        StepError::Domain { .. }
+    ));
+    assert!(matches!(
+        refuse(|r| r.reference[0] = 2000.0),
+        StepError::Domain { .. }
+    ));
+    assert!(matches!(
+        refuse(|r| r.weights = vec![0.5, 0.6]),
+        StepError::Weights { .. }
+    ));
+    assert!(matches!(
+        refuse(|r| r.weights = vec![-0.1, 1.1]),
+        StepError::Weights { .. }
+    ));
+    let other = Settings {
+        horizon: 10,
+        ..Settings::default()
+    };
+    let error = step(library(), &other, &warm().borrow(), &mut ws, &mut reply).unwrap_err();
+    assert_eq!(error, StepError::Workspace);
+}

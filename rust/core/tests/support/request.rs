@@ -1,0 +1,126 @@
+//! Requests that own their numbers.
+#![allow(clippy::unwrap_used, dead_code)]
+
+use std::sync::OnceLock;
+
+use egp_core::{Kernel, Library, Settings, StepReply, StepRequest, Workspace, step};
+
+/// Two surfaces, small.
+pub fn library() -> &'static Library {
+    static LIBRARY: OnceLock<Library> = OnceLock::new();
+    LIBRARY.get_or_init(|| super::library(Kernel::Rbf, &[0.5, 1.1], 250, 3))
+}
+
+/// A request that owns its numbers: driving a left-hand circle of 60 m radius at 14 m/s, half a metre beside it.
+#[derive(Clone)]
+pub struct Request {
+    pub x: [f64; 7],
+    pub u_prev: [f64; 2],
+    pub weights: Vec<f64>,
+    pub plan_x: Vec<f64>,
+    pub plan_u: Vec<f64>,
+    pub plan_shift: u32,
+    pub history_z: Vec<f64>,
+    pub history_y: Vec<f64>,
+    pub history_f: Vec<f64>,
+    pub reference: Vec<f64>,
+    pub widths: Vec<f64>,
+}
+
+impl Request {
+    pub fn circle() -> Self {
+        let (radius, speed, dt) = (60.0, 14.0, 0.05);
+        let reference = (0..=20).flat_map(|t| {
+            let angle = speed * dt * f64::from(t) / radius;
+            [
+                radius * angle.sin(),
+                radius * (1.0 - angle.cos()),
+                speed,
+                angle,
+            ]
+        });
+        let history = |i: u32| {
+            [
+                13.5 + 0.1 * f64::from(i),
+                0.05,
+                0.2,
+                0.04,
+                500.0 - 90.0 * f64::from(i),
+                0.01,
+            ]
+        };
+        Self {
+            x: [0.1, -0.5, 13.0, 0.05, 0.02, 0.1, 0.03],
+            u_prev: [300.0, 0.05],
+            weights: vec![],
+            plan_x: vec![],
+            plan_u: vec![],
+            plan_shift: 1,
+            history_z: (0..10).flat_map(history).collect(),
+            history_y: (0..10)
+                .flat_map(|i| [0.01, 0.02 - 0.001 * f64::from(i), 0.005])
+                .collect(),
+            history_f: vec![],
+            reference: reference.collect(),
+            widths: [3.0, 3.0].repeat(21),
+        }
+    }
+
+    pub fn borrow(&self) -> StepRequest<'_> {
+        StepRequest {
+            x: &self.x,
+            u_prev: &self.u_prev,
+            weights: &self.weights,
+            plan_x: &self.plan_x,
+            plan_u: &self.plan_u,
+            plan_shift: self.plan_shift,
+            history_z: &self.history_z,
+            history_y: &self.history_y,
+            history_f: &self.history_f,
+            reference: &self.reference,
+            widths: &self.widths,
+            want_sigma: false,
+        }
+    }
+
+    /// The same situation turned by `angle` about the origin and moved by `by`.
+    pub fn moved(&self, angle: f64, by: [f64; 2]) -> Self {
+        let (sin, cos) = angle.sin_cos();
+        let mut moved = self.clone();
+        let place = |p: &mut [f64], psi: usize| {
+            (p[0], p[1]) = (
+                cos * p[0] - sin * p[1] + by[0],
+                sin * p[0] + cos * p[1] + by[1],
+            );
+            p[psi] += angle;
+        };
+        place(&mut moved.x, 3);
+        moved.reference.chunks_mut(4).for_each(|row| place(row, 3));
+        moved.plan_x.chunks_mut(7).for_each(|row| place(row, 3));
+        moved
+    }
+
+    /// Takes over what a client carries.
+    pub fn carry(&mut self, reply: &StepReply) {
+        self.plan_x.clone_from(&reply.plan_x);
+        self.plan_u.clone_from(&reply.plan_u);
+        self.weights.clone_from(&reply.weights);
+        self.history_f.clone_from(&reply.history_f);
+    }
+}
+
+/// One step with a fresh workspace.
+pub fn solve(request: &Request, settings: &Settings) -> StepReply {
+    let mut reply = StepReply::default();
+    let mut ws = Workspace::new(library(), settings).unwrap();
+    step(library(), settings, &request.borrow(), &mut ws, &mut reply).unwrap();
+    reply
+}
+
+/// A warm request: the circle with the plan of a cold start.
+pub fn warm() -> Request {
+    let mut request = Request::circle();
+    request.carry(&solve(&request, &Settings::default()));
+    request.plan_shift = 0;
+    request
+}
