@@ -19,6 +19,7 @@ __all__ = [
     "LibraryError",
     "Member",
     "MemberData",
+    "Path",
     "Plant",
     "Ready",
     "Refusal",
@@ -36,6 +37,9 @@ __all__ = [
     "live_key",
     "metrics_key",
     "ocp_to_qp",
+    "Projection",
+    "SpeedProfile",
+    "horizon_reference",
     "plant_derivative",
     "plant_initial_states",
     "plant_step_batch",
@@ -86,6 +90,196 @@ class Gate:
     @property
     def mode(self) -> Literal["normal", "tail", "stop"]:
         """Where the last command came from."""
+
+# path.rs
+
+@final
+class Path:
+    """A curve by arc length `s` in m, with distances to the track's edges and zones of friction.
+
+    Closed paths wrap at their length; open ones go straight on beyond their ends. SI units, yaw
+    counter-clockwise from +x, lateral errors positive to the left.
+    """
+
+    @staticmethod
+    def from_points(
+        points: NDArray[np.float64], closed: bool, widths: NDArray[np.float64] | None = None
+    ) -> Path:
+        """Make a smooth path through points (n, 2), with `[left, right]` widths (n, 2) at them."""
+
+    @staticmethod
+    def rounded_rectangle(
+        length: float = 120.0,
+        width: float = 60.0,
+        radius: float = 15.0,
+        transition: float = 10.0,
+        track_width: float = 7.0,
+    ) -> Path:
+        """Make a counter-clockwise lap from the middle of the lower side, which starts along +x.
+
+        Corners are arcs between clothoids of length `transition`.
+        """
+
+    @staticmethod
+    def l_shape(
+        length: float = 130.0,
+        width: float = 110.0,
+        arm: float = 50.0,
+        radius: float = 15.0,
+        transition: float = 10.0,
+        track_width: float = 7.0,
+    ) -> Path:
+        """Make a closed L with arms of width `arm`: five left turns and a right one."""
+
+    @staticmethod
+    def iso_3888_2(
+        vehicle_width: float = 1.674, margin: float = 0.1, lead_in: float = 40.0, lead_out: float = 40.0
+    ) -> Path:
+        """Make the severe double lane change of ISO 3888-2, with a drivable path inside the cones.
+
+        Widths reach to the cones, which start after `lead_in`; `margin` is what the path keeps between
+        them and the vehicle's sides.
+        """
+
+    @staticmethod
+    def lane_changes(
+        length: float = 500.0,
+        offset: float = 2.5,
+        transition: float = 30.0,
+        hold: float = 20.0,
+        track_width: float = 7.0,
+    ) -> Path:
+        """Make a straight road on which one changes lanes to the left and back, over and over."""
+
+    @staticmethod
+    def random(
+        seed: int, length: float = 500.0, min_radius: float = 15.0, track_width: float = 7.0
+    ) -> Path:
+        """Make a closed track from a seed: no crossing, no turn tighter than `min_radius`."""
+
+    @staticmethod
+    def from_csv(file: str | PathLike[str]) -> Path:
+        """Read a closed track: a raceline (columns by `;`) or a centre line (columns by `,`).
+
+        `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2` has no widths and its psi must fit the
+        positions, from +x or from +y; `x_m,y_m,w_tr_right_m,w_tr_left_m` has.
+        """
+
+    def with_friction(self, zones: list[tuple[float, float]]) -> Path:
+        """Give the same path zones (start as a fraction of the length, friction), from 0 on."""
+
+    @property
+    def length(self) -> float:
+        """In m, of one lap when closed."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether the end joins the start."""
+
+    def project(self, position: NDArray[np.float64], hint: float | None = None) -> Projection:
+        """Where a position `[x, y]` stands: nearest of all, or nearest downhill from `hint`.
+
+        With the last `s` as hint it stays on its branch where the path nears itself.
+        """
+
+    def sample(
+        self, s: NDArray[np.float64]
+    ) -> tuple[
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+    ]:
+        """x, y, yaw, curvature, left, right, friction at arc lengths (n,), each (n,).
+
+        Yaw lies in (-pi, pi]; left and right are infinite on a path without widths.
+        """
+
+@final
+class Projection:
+    """Where a position stands relative to a path, and the path at its nearest point."""
+
+    @property
+    def s(self) -> float:
+        """Arc length of the nearest point; beyond an open path's ends on its extensions."""
+    @property
+    def lateral(self) -> float:
+        """Signed distance from the path, positive to its left."""
+    @property
+    def x(self) -> float:
+        """The path's nearest point."""
+    @property
+    def y(self) -> float:
+        """The path's nearest point."""
+    @property
+    def yaw(self) -> float:
+        """The path's direction, in (-pi, pi]."""
+    @property
+    def curvature(self) -> float:
+        """In 1/m, positive in left turns."""
+    @property
+    def left(self) -> float:
+        """Distance from the path to the left edge; infinite without widths."""
+    @property
+    def right(self) -> float:
+        """Distance from the path to the right edge; infinite without widths."""
+    @property
+    def friction(self) -> float:
+        """Friction coefficient."""
+
+@final
+class SpeedProfile:
+    """The fastest speed along a path within `grip` (a fraction) of the friction ellipse.
+
+    `lateral`, `braking` and `driving` are the fractions of mu g that the vehicle reaches; `a_brake`
+    and `a_drive` (m/s²) and `power` (W/kg) its own limits. Start and end speed of an open path
+    default to the fastest.
+    """
+
+    def __new__(
+        cls,
+        path: Path,
+        grip: float = 0.8,
+        v_max: float = 30.0,
+        *,
+        lateral: float = 0.88,
+        braking: float = 0.45,
+        driving: float = 0.22,
+        a_brake: float = 8.0,
+        a_drive: float = 6.0,
+        power: float = 54.7,
+        start_speed: float | None = None,
+        end_speed: float | None = None,
+    ) -> SpeedProfile: ...
+    @staticmethod
+    def constant(path: Path, speed: float) -> SpeedProfile:
+        """One speed everywhere."""
+
+    @property
+    def lap_time(self) -> float:
+        """Seconds for the lap, or from start to end."""
+
+    def speed(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Speed at arc lengths (n,)."""
+
+def horizon_reference(
+    path: Path,
+    profile: SpeedProfile,
+    x: NDArray[np.float64],
+    dt: float,
+    horizon: int,
+    hint: float | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, Projection]:
+    """Give reference rows `[p_x, p_y, v_x, psi]` (horizon + 1, 4), widths and projection.
+
+    `x` is the vehicle's state (7,). Rows follow the profile by time from the vehicle's projection;
+    yaw is unwrapped relative to the vehicle's. Widths `[left, right]` (horizon + 1, 2) are None for
+    a path without.
+    Pass the last projection's `s` as `hint`.
+    """
 
 # plant.rs
 

@@ -85,7 +85,7 @@ pub enum PathError {
     #[error("line {line}: {problem}")]
     Format {
         /// Line number, from 1.
-        line: u64,
+        line: usize,
         /// What is wrong there.
         problem: String,
     },

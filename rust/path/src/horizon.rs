@@ -17,7 +17,7 @@ use crate::speed::SpeedProfile;
 /// Allocates nothing.
 ///
 /// # Errors
-/// A position or yaw that isn't finite, a period that isn't positive, a profile of another path, or
+/// A position, yaw or hint that isn't finite, a period that isn't positive, a profile of another path, or
 /// slices of different length.
 #[allow(clippy::too_many_arguments)] // each is a quantity of its own
 pub fn horizon_reference(
@@ -33,6 +33,12 @@ pub fn horizon_reference(
     for (name, value) in [("p_x", position[0]), ("p_y", position[1]), ("psi", psi)] {
         check(name, value, "a finite number", |_| true)?;
     }
+    check(
+        "hint",
+        hint.unwrap_or_default(),
+        "a finite arc length",
+        |_| true,
+    )?;
     check("dt", dt, "a positive number of seconds", |dt| dt > 0.0)?;
     if profile.length() != path.length() {
         return Err(PathError::ForeignProfile {

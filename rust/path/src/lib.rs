@@ -3,7 +3,7 @@
 //! A [`Path`] is a curve parametrised by its arc length `s`, with distances to the track's edges and
 //! zones of friction. A [`SpeedProfile`] says how fast each point of it can be driven, and
 //! [`horizon_reference`] samples both by time from where the vehicle is. [`tracks`] computes the
-//! built-in ones from their definition.
+//! built-in ones from their definition, [`formats`] reads those of other projects.
 //!
 //! SI units and radians; yaw counter-clockwise from +x, lateral errors positive to the left. On an
 //! open path `s` may lie before the start or past the end: the path goes on straight there.
@@ -12,6 +12,7 @@
 
 mod arc_length;
 mod error;
+pub mod formats;
 mod friction;
 mod horizon;
 mod path;

@@ -7,6 +7,7 @@ mod error;
 mod gate;
 mod library;
 mod ocp;
+mod path;
 mod plant;
 mod service;
 mod wire;
@@ -20,6 +21,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     gate::register(module)?;
     library::register(module)?;
     ocp::register(module)?;
+    path::register(module)?;
     plant::register(module)?;
     service::register(module)?;
     wire::register(module)?;

@@ -1,5 +1,23 @@
-//! Built-in tracks, computed from their definition. Closed ones start at the origin along +x.
+//! Built-in tracks, computed from their definition. All start at the origin along +x.
 
+mod double_lane_change;
+mod lane_changes;
 mod outline;
+mod random;
 
+pub use double_lane_change::{DoubleLaneChange, Section};
+pub use lane_changes::LaneChanges;
 pub use outline::{Corner, LShape, RoundedRectangle};
+pub use random::RandomTrack;
+
+use crate::error::{PathError, check};
+
+/// Distance between waypoints in m.
+const SPACING: f64 = 0.5;
+
+/// Refuses a length that isn't positive or would need millions of waypoints.
+fn check_length(name: &'static str, value: f64) -> Result<(), PathError> {
+    check(name, value, "a length in (0, 50000] m", |x| {
+        x > 0.0 && x <= 50_000.0
+    })
+}

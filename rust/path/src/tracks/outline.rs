@@ -2,6 +2,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
+use super::{SPACING, check_length};
 use crate::error::{PathError, check};
 use crate::path::Path;
 
@@ -115,7 +116,10 @@ impl LShape {
 /// middle of the first side.
 fn outline(sides: &[(f64, f64)], corner: Corner, track_width: f64) -> Result<Path, PathError> {
     corner.check()?;
-    check("track_width", track_width, "a positive number", |w| w > 0.0)?;
+    check_length("track_width", track_width)?;
+    sides
+        .iter()
+        .try_for_each(|&(side, _)| check_length("each side", side))?;
     let turn = corner.sample();
     let reach = corner.reach();
     let mut points = vec![[0.0, 0.0]];
@@ -161,12 +165,9 @@ fn outline(sides: &[(f64, f64)], corner: Corner, track_width: f64) -> Result<Pat
     Path::from_points(&points, true, Some(&widths))
 }
 
-/// Distance between waypoints in m.
-const SPACING: f64 = 0.5;
-
 impl Corner {
     fn check(&self) -> Result<(), PathError> {
-        check("radius", self.radius, "a positive number", |r| r > 0.0)?;
+        check_length("radius", self.radius)?;
         check(
             "transition",
             self.transition,

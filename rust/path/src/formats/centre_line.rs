@@ -1,0 +1,20 @@
+//! Centre lines with the widths of the track: `x_m,y_m,w_tr_right_m,w_tr_left_m`.
+
+use super::{Row, close, table};
+use crate::error::PathError;
+use crate::path::Path;
+
+pub(super) fn read(text: &str) -> Result<Path, PathError> {
+    let mut rows = table(text, ',', ["x_m", "y_m", "w_tr_right_m", "w_tr_left_m"])?;
+    close(&mut rows, |&[x, y, ..]| [x, y])?;
+    let (points, widths): (Vec<_>, Vec<_>) = rows
+        .iter()
+        .map(
+            |Row {
+                 values: [x, y, right, left],
+                 ..
+             }| ([*x, *y], [*left, *right]),
+        )
+        .unzip();
+    Path::from_points(&points, true, Some(&widths))
+}

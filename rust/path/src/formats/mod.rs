@@ -1,0 +1,117 @@
+//! Readers for the track files of other projects, from their text.
+
+mod centre_line;
+mod raceline;
+
+use crate::error::PathError;
+use crate::path::Path;
+
+/// Reads a closed track in either format: columns separated by `;` make a raceline, by `,` a centre
+/// line. Lines that start with `#` are comments.
+///
+/// * Raceline (TUM, F1TENTH): `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`. The path goes
+///   through the positions and has no widths; psi must fit them, measured from +x or from +y.
+/// * Centre line: `x_m,y_m,w_tr_right_m,w_tr_left_m`.
+///
+/// # Errors
+/// The line and what is wrong there: a missing or additional column, something that isn't a finite
+/// number, an end far from the start, psi that fits neither convention; or what
+/// [`Path::from_points`] refuses.
+pub fn read_track(text: &str) -> Result<Path, PathError> {
+    let first = text.lines().find(|line| is_row(line));
+    match first {
+        Some(line) if line.contains(';') => raceline::read(text),
+        Some(_) => centre_line::read(text),
+        None => Err(PathError::TooFewPoints(0)),
+    }
+}
+
+/// One row of a table, and its line in the file.
+struct Row<const N: usize> {
+    line: usize,
+    values: [f64; N],
+}
+
+/// The rows of a table with these columns. Its cells are bare numbers, so they are split by hand: a
+/// CSV reader would lose count of the lines at comments.
+fn table<const N: usize>(
+    text: &str,
+    delimiter: char,
+    columns: [&str; N],
+) -> Result<Vec<Row<N>>, PathError> {
+    (1..)
+        .zip(text.lines())
+        .filter(|(_, content)| is_row(content))
+        .map(|(line, content)| {
+            numbers(content, delimiter, columns)
+                .map(|values| Row { line, values })
+                .map_err(|problem| PathError::Format { line, problem })
+        })
+        .collect()
+}
+
+/// Neither blank nor a comment.
+fn is_row(line: &str) -> bool {
+    !line.trim().is_empty() && !line.trim_start().starts_with('#')
+}
+
+fn numbers<const N: usize>(
+    content: &str,
+    delimiter: char,
+    columns: [&str; N],
+) -> Result<[f64; N], String> {
+    let found = content.split(delimiter).count();
+    if found != N {
+        return Err(format!(
+            "expected {N} columns {}, got {found}",
+            columns.join(", ")
+        ));
+    }
+    let mut values = [0.0; N];
+    for ((value, cell), column) in values.iter_mut().zip(content.split(delimiter)).zip(columns) {
+        let number = cell
+            .trim()
+            .parse()
+            .ok()
+            .filter(|number: &f64| number.is_finite());
+        *value = number.ok_or_else(|| {
+            format!(
+                "expected a finite number for {column}, got {:?}",
+                cell.trim()
+            )
+        })?;
+    }
+    Ok(values)
+}
+
+/// Drops a last row that repeats the first, and refuses a lap whose end lies far from its start.
+fn close<const N: usize>(
+    rows: &mut Vec<Row<N>>,
+    position: fn(&[f64; N]) -> [f64; 2],
+) -> Result<(), PathError> {
+    let apart = |a: &Row<N>, b: &Row<N>| {
+        let (a, b) = (position(&a.values), position(&b.values));
+        (b[0] - a[0]).hypot(b[1] - a[1])
+    };
+    let longest = rows
+        .windows(2)
+        .map(|pair| apart(&pair[0], &pair[1]))
+        .fold(0.0, f64::max);
+    let [first, .., last] = rows.as_slice() else {
+        return Ok(());
+    };
+    let gap = apart(first, last);
+    // Files repeat the first point with the rounding of their decimals.
+    if gap < 1e-3 * longest {
+        rows.pop();
+    } else if gap > 5.0 * longest {
+        return Err(PathError::Format {
+            line: last.line,
+            problem: format!(
+                "the last point lies {gap:.2} m from the first, but neighbours at most {longest:.2} m; \
+                 these formats describe closed tracks"
+            ),
+        });
+    }
+    Ok(())
+}

@@ -1,0 +1,69 @@
+//! Racelines: `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use super::{Row, close, table};
+use crate::error::PathError;
+use crate::path::Path;
+
+/// Largest mean error in rad between psi and the direction of travel; the wrong convention is off by
+/// a quarter turn.
+const FITS: f64 = 0.2;
+
+pub(super) fn read(text: &str) -> Result<Path, PathError> {
+    let columns = [
+        "s_m",
+        "x_m",
+        "y_m",
+        "psi_rad",
+        "kappa_radpm",
+        "vx_mps",
+        "ax_mps2",
+    ];
+    let mut rows = table(text, ';', columns)?;
+    close(&mut rows, |&[_, x, y, ..]| [x, y])?;
+    if let Some(pair) = rows
+        .windows(2)
+        .find(|pair| pair[1].values[0] <= pair[0].values[0])
+    {
+        return Err(PathError::Format {
+            line: pair[1].line,
+            problem: format!(
+                "s_m doesn't rise: {} after {}",
+                pair[1].values[0], pair[0].values[0]
+            ),
+        });
+    }
+    let points: Vec<_> = rows
+        .iter()
+        .map(|row| [row.values[1], row.values[2]])
+        .collect();
+    let path = Path::from_points(&points, true, None)?;
+    check_heading(&rows)?;
+    Ok(path)
+}
+
+/// Compares psi with the direction between each point's neighbours, measured from +x (as here) and
+/// from +y (as the trajectory tools of TUM do). Only the positions make the path; headings that fit
+/// neither show that the columns or the order of the points are not what they seem.
+fn check_heading(rows: &[Row<7>]) -> Result<(), PathError> {
+    let count = rows.len();
+    let mean_error = |quarter: f64| {
+        let errors = (0..count).map(|i| {
+            let (before, after) = (
+                &rows[(i + count - 1) % count].values,
+                &rows[(i + 1) % count].values,
+            );
+            let travel = (after[2] - before[2]).atan2(after[1] - before[1]);
+            let error = rows[i].values[3] + quarter - travel;
+            (error - TAU * (error / TAU).round()).abs()
+        });
+        errors.sum::<f64>() / count as f64
+    };
+    let (from_x, from_y) = (mean_error(0.0), mean_error(FRAC_PI_2));
+    if from_x.min(from_y) <= FITS {
+        Ok(())
+    } else {
+        Err(PathError::Heading { from_x, from_y })
+    }
+}

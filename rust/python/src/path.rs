@@ -1,0 +1,347 @@
+//! `Path`, `Projection`, `SpeedProfile` and `horizon_reference`.
+
+use std::fmt::Display;
+use std::fs;
+use std::path::PathBuf;
+
+use egp_path::formats::read_track;
+use egp_path::tracks::{
+    Corner, DoubleLaneChange, LShape, LaneChanges, RandomTrack, RoundedRectangle,
+};
+use egp_path::{SpeedLimits, Zone};
+use pyo3::prelude::*;
+
+use crate::array::{Matrix, NewMatrix, NewVector, Vector, array, fixed, rows, vector};
+use crate::error::{EgpError, raise};
+
+/// x, y, yaw, curvature, left, right, friction.
+type Samples<'py> = (
+    NewVector<'py>,
+    NewVector<'py>,
+    NewVector<'py>,
+    NewVector<'py>,
+    NewVector<'py>,
+    NewVector<'py>,
+    NewVector<'py>,
+);
+/// Rows of the reference, of the widths where the path has any, and the projection.
+type Reference<'py> = (NewMatrix<'py>, Option<NewMatrix<'py>>, Projection);
+
+/// A reference path.
+#[pyclass(module = "egp_service._core", frozen)]
+struct Path(egp_path::Path);
+
+#[pymethods]
+impl Path {
+    #[staticmethod]
+    #[pyo3(signature = (points, closed, widths = None))]
+    fn from_points(points: Matrix<'_>, closed: bool, widths: Option<Matrix<'_>>) -> PyResult<Self> {
+        let points = rows("points", &points)?;
+        let widths = widths.map(|widths| rows("widths", &widths)).transpose()?;
+        egp_path::Path::from_points(&points, closed, widths.as_deref())
+            .map(Self)
+            .map_err(raise)
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (length = 120.0, width = 60.0, radius = 15.0, transition = 10.0, track_width = 7.0))]
+    fn rounded_rectangle(
+        length: f64,
+        width: f64,
+        radius: f64,
+        transition: f64,
+        track_width: f64,
+    ) -> PyResult<Self> {
+        let corner = Corner { radius, transition };
+        RoundedRectangle {
+            length,
+            width,
+            corner,
+            track_width,
+        }
+        .path()
+        .map(Self)
+        .map_err(raise)
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (
+        length = 130.0, width = 110.0, arm = 50.0, radius = 15.0, transition = 10.0, track_width = 7.0
+    ))]
+    fn l_shape(
+        length: f64,
+        width: f64,
+        arm: f64,
+        radius: f64,
+        transition: f64,
+        track_width: f64,
+    ) -> PyResult<Self> {
+        let corner = Corner { radius, transition };
+        LShape {
+            length,
+            width,
+            arm,
+            corner,
+            track_width,
+        }
+        .path()
+        .map(Self)
+        .map_err(raise)
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (vehicle_width = 1.674, margin = 0.1, lead_in = 40.0, lead_out = 40.0))]
+    fn iso_3888_2(vehicle_width: f64, margin: f64, lead_in: f64, lead_out: f64) -> PyResult<Self> {
+        DoubleLaneChange {
+            vehicle_width,
+            margin,
+            lead_in,
+            lead_out,
+        }
+        .path()
+        .map(Self)
+        .map_err(raise)
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (length = 500.0, offset = 2.5, transition = 30.0, hold = 20.0, track_width = 7.0))]
+    fn lane_changes(
+        length: f64,
+        offset: f64,
+        transition: f64,
+        hold: f64,
+        track_width: f64,
+    ) -> PyResult<Self> {
+        LaneChanges {
+            length,
+            offset,
+            transition,
+            hold,
+            track_width,
+        }
+        .path()
+        .map(Self)
+        .map_err(raise)
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (seed, length = 500.0, min_radius = 15.0, track_width = 7.0))]
+    fn random(seed: u64, length: f64, min_radius: f64, track_width: f64) -> PyResult<Self> {
+        RandomTrack {
+            seed,
+            length,
+            min_radius,
+            track_width,
+        }
+        .path()
+        .map(Self)
+        .map_err(raise)
+    }
+
+    #[staticmethod]
+    fn from_csv(file: PathBuf) -> PyResult<Self> {
+        let refuse = |error: &dyn Display| raise(format!("{}: {error}", file.display()));
+        let text = fs::read_to_string(&file).map_err(|error| refuse(&error))?;
+        read_track(&text).map(Self).map_err(|error| refuse(&error))
+    }
+
+    fn with_friction(&self, zones: Vec<(f64, f64)>) -> PyResult<Self> {
+        let zones: Vec<_> = zones
+            .into_iter()
+            .map(|(start, friction)| Zone { start, friction })
+            .collect();
+        self.0
+            .clone()
+            .with_friction(&zones)
+            .map(Self)
+            .map_err(raise)
+    }
+
+    #[getter]
+    fn length(&self) -> f64 {
+        self.0.length()
+    }
+
+    #[getter]
+    fn closed(&self) -> bool {
+        self.0.closed()
+    }
+
+    #[pyo3(signature = (position, hint = None))]
+    fn project(&self, position: Vector<'_>, hint: Option<f64>) -> PyResult<Projection> {
+        let position = fixed("position", &position)?;
+        if !position.into_iter().chain(hint).all(f64::is_finite) {
+            return Err(EgpError::new_err(format!(
+                "expected a finite position and hint, got {position:?} and {hint:?}"
+            )));
+        }
+        Ok(self.0.project(position, hint).into())
+    }
+
+    fn sample<'py>(&self, py: Python<'py>, s: Vector<'py>) -> Samples<'py> {
+        let samples: Vec<_> = s.as_array().iter().map(|&s| self.0.sample(s)).collect();
+        let column = |value: fn(&egp_path::Sample) -> f64| vector(py, samples.iter().map(value));
+        (
+            column(|at| at.x),
+            column(|at| at.y),
+            column(|at| at.yaw),
+            column(|at| at.curvature),
+            column(|at| at.left),
+            column(|at| at.right),
+            column(|at| at.friction),
+        )
+    }
+}
+
+/// Where a position stands relative to a path.
+#[pyclass(module = "egp_service._core", frozen, get_all)]
+struct Projection {
+    s: f64,
+    lateral: f64,
+    x: f64,
+    y: f64,
+    yaw: f64,
+    curvature: f64,
+    left: f64,
+    right: f64,
+    friction: f64,
+}
+
+impl From<egp_path::Projection> for Projection {
+    fn from(projection: egp_path::Projection) -> Self {
+        let egp_path::Projection { s, lateral, sample } = projection;
+        let egp_path::Sample {
+            x,
+            y,
+            yaw,
+            curvature,
+            left,
+            right,
+            friction,
+        } = sample;
+        Self {
+            s,
+            lateral,
+            x,
+            y,
+            yaw,
+            curvature,
+            left,
+            right,
+            friction,
+        }
+    }
+}
+
+#[pymethods]
+impl Projection {
+    fn __repr__(&self) -> String {
+        let Self {
+            s, lateral, yaw, ..
+        } = self;
+        format!("Projection(s={s:.3}, lateral={lateral:.3}, yaw={yaw:.4})")
+    }
+}
+
+/// Speed over the arc length of a path.
+#[pyclass(module = "egp_service._core", frozen)]
+struct SpeedProfile(egp_path::SpeedProfile);
+
+#[pymethods]
+impl SpeedProfile {
+    #[new]
+    #[pyo3(signature = (
+        path, grip = 0.8, v_max = 30.0, *, lateral = 0.88, braking = 0.45, driving = 0.22,
+        a_brake = 8.0, a_drive = 6.0, power = 54.7, start_speed = None, end_speed = None
+    ))]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        path: &Path,
+        grip: f64,
+        v_max: f64,
+        lateral: f64,
+        braking: f64,
+        driving: f64,
+        a_brake: f64,
+        a_drive: f64,
+        power: f64,
+        start_speed: Option<f64>,
+        end_speed: Option<f64>,
+    ) -> PyResult<Self> {
+        let limits = SpeedLimits {
+            grip,
+            lateral,
+            braking,
+            driving,
+            v_max,
+            a_brake,
+            a_drive,
+            power,
+            start_speed,
+            end_speed,
+        };
+        egp_path::SpeedProfile::new(&path.0, &limits)
+            .map(Self)
+            .map_err(raise)
+    }
+
+    #[staticmethod]
+    fn constant(path: &Path, speed: f64) -> PyResult<Self> {
+        egp_path::SpeedProfile::constant(&path.0, speed)
+            .map(Self)
+            .map_err(raise)
+    }
+
+    #[getter]
+    fn lap_time(&self) -> f64 {
+        self.0.lap_time()
+    }
+
+    fn speed<'py>(&self, py: Python<'py>, s: Vector<'py>) -> NewVector<'py> {
+        vector(py, s.as_array().iter().map(|&s| self.0.speed(s)))
+    }
+}
+
+#[pyfunction]
+#[pyo3(signature = (path, profile, x, dt, horizon, hint = None))]
+fn horizon_reference<'py>(
+    py: Python<'py>,
+    path: &Path,
+    profile: &SpeedProfile,
+    x: Vector<'py>,
+    dt: f64,
+    horizon: u16,
+    hint: Option<f64>,
+) -> PyResult<Reference<'py>> {
+    let [p_x, p_y, _, psi, ..] = fixed::<7>("x", &x)?;
+    let stages = usize::from(horizon) + 1;
+    let mut reference = vec![[0.0; 4]; stages];
+    let mut widths = vec![[0.0; 2]; stages];
+    let projection = egp_path::horizon_reference(
+        &path.0,
+        &profile.0,
+        [p_x, p_y],
+        psi,
+        dt,
+        hint,
+        &mut reference,
+        &mut widths,
+    )
+    .map_err(raise)?;
+    let widths = (path.0.has_widths())
+        .then(|| array(py, widths.into_flattened(), [stages, 2]))
+        .transpose()?;
+    let reference = array(py, reference.into_flattened(), [stages, 4])?;
+    Ok((reference, widths, projection.into()))
+}
+
+/// Adds this file's classes and functions to the module.
+///
+/// # Errors
+/// When Python refuses one.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<Path>()?;
+    module.add_class::<Projection>()?;
+    module.add_class::<SpeedProfile>()?;
+    module.add_function(wrap_pyfunction!(horizon_reference, module)?)
+}
