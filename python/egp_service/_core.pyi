@@ -21,11 +21,13 @@ __all__ = [
     "MemberData",
     "Path",
     "Plant",
+    "Projection",
     "Ready",
     "Refusal",
     "Reply",
     "Request",
     "Server",
+    "SpeedProfile",
     "decode_error",
     "decode_ready",
     "decode_reply",
@@ -34,12 +36,10 @@ __all__ = [
     "encode_plant_truth",
     "file_descriptor_set",
     "health_key",
+    "horizon_reference",
     "live_key",
     "metrics_key",
     "ocp_to_qp",
-    "Projection",
-    "SpeedProfile",
-    "horizon_reference",
     "plant_derivative",
     "plant_initial_states",
     "plant_step_batch",
@@ -133,12 +133,15 @@ class Path:
 
     @staticmethod
     def iso_3888_2(
-        vehicle_width: float = 1.674, margin: float = 0.1, lead_in: float = 40.0, lead_out: float = 40.0
+        vehicle_width: float = 1.674,
+        margin: float = 0.1,
+        lead_in: float = 40.0,
+        lead_out: float = 40.0,
     ) -> Path:
         """Make the severe double lane change of ISO 3888-2, with a drivable path inside the cones.
 
-        Widths reach to the cones, which start after `lead_in`; `margin` is what the path keeps between
-        them and the vehicle's sides.
+        Widths reach to the cones, which start after `lead_in`; `margin` is what the path keeps
+        between them and the vehicle's sides.
         """
 
     @staticmethod
@@ -161,8 +164,8 @@ class Path:
     def from_csv(file: str | PathLike[str]) -> Path:
         """Read a closed track: a raceline (columns by `;`) or a centre line (columns by `,`).
 
-        `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2` has no widths and its psi must fit the
-        positions, from +x or from +y; `x_m,y_m,w_tr_right_m,w_tr_left_m` has.
+        `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2` has no widths, and its psi must fit
+        the positions, from +x or from +y; `x_m,y_m,w_tr_right_m,w_tr_left_m` has widths.
         """
 
     def with_friction(self, zones: list[tuple[float, float]]) -> Path:
@@ -566,6 +569,7 @@ def solve_weights(
     noise_std (3,), plus `strength` times the squared or absolute distance from the previous
     weights (N,), on the simplex.
     """
+
 # service.rs
 
 @final

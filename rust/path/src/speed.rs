@@ -1,54 +1,11 @@
 //! How fast a path can be driven.
 
 use crate::error::{PathError, check};
+use crate::limits::SpeedLimits;
 use crate::path::Path;
 
 /// Standard gravity in m/s².
 const GRAVITY: f64 = 9.806_65;
-
-/// What bounds the speed. The friction circle of `mu g` is scaled in each direction, because a
-/// vehicle with one driven axle and weight transfer reaches far less of it by driving than by turning.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SpeedLimits {
-    /// Fraction of the reachable accelerations to use, in `(0, 1]`; how hard the lap is.
-    pub grip: f64,
-    /// Reachable lateral acceleration as a fraction of `mu g`.
-    pub lateral: f64,
-    /// Reachable deceleration as a fraction of `mu g`.
-    pub braking: f64,
-    /// Reachable acceleration as a fraction of `mu g`.
-    pub driving: f64,
-    /// Highest speed in m/s.
-    pub v_max: f64,
-    /// The vehicle's largest deceleration in m/s².
-    pub a_brake: f64,
-    /// The vehicle's largest acceleration in m/s².
-    pub a_drive: f64,
-    /// The vehicle's power per mass in W/kg: it accelerates by `power / v` at most.
-    pub power: f64,
-    /// Speed in m/s at the start of an open path; none: as fast as the rest allows.
-    pub start_speed: Option<f64>,
-    /// Speed in m/s at the end of an open path; none: as fast as the rest allows.
-    pub end_speed: Option<f64>,
-}
-
-impl Default for SpeedLimits {
-    /// CommonRoad vehicle 1 (a Ford Escort, front driven) at 80 % of its grip.
-    fn default() -> Self {
-        Self {
-            grip: 0.8,
-            lateral: 0.88,
-            braking: 0.45,
-            driving: 0.22,
-            v_max: 30.0,
-            a_brake: 8.0,
-            a_drive: 6.0,
-            power: 54.7,
-            start_speed: None,
-            end_speed: None,
-        }
-    }
-}
 
 /// Speed over the arc length of one path: constant acceleration between its knots, so that time
 /// along the path has a closed form.
@@ -291,40 +248,4 @@ fn reach(
         }
     }
     low
-}
-
-impl SpeedLimits {
-    fn check(&self, closed: bool) -> Result<(), PathError> {
-        check("grip", self.grip, "a fraction in (0, 1]", |g| {
-            g > 0.0 && g <= 1.0
-        })?;
-        for (name, value) in [
-            ("lateral", self.lateral),
-            ("braking", self.braking),
-            ("driving", self.driving),
-            ("v_max", self.v_max),
-            ("a_brake", self.a_brake),
-            ("a_drive", self.a_drive),
-            ("power", self.power),
-        ] {
-            check(name, value, "a positive number", |x| x > 0.0)?;
-        }
-        for (name, speed) in [
-            ("start_speed", self.start_speed),
-            ("end_speed", self.end_speed),
-        ] {
-            match speed {
-                Some(value) if closed => {
-                    return Err(PathError::Parameter {
-                        name,
-                        expected: "nothing on a closed path",
-                        value,
-                    });
-                }
-                Some(value) => check(name, value, "a number of at least 0", |v| v >= 0.0)?,
-                None => {}
-            }
-        }
-        Ok(())
-    }
 }

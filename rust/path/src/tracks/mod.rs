@@ -1,13 +1,15 @@
 //! Built-in tracks, computed from their definition. All start at the origin along +x.
 
+mod corner;
 mod double_lane_change;
 mod lane_changes;
 mod outline;
 mod random;
 
+pub use corner::Corner;
 pub use double_lane_change::{DoubleLaneChange, Section};
 pub use lane_changes::LaneChanges;
-pub use outline::{Corner, LShape, RoundedRectangle};
+pub use outline::{LShape, RoundedRectangle};
 pub use random::RandomTrack;
 
 use crate::error::{PathError, check};
