@@ -647,7 +647,7 @@ class Carry:
         rows [left, right] in m (T+1, 2). Raises `EgpError` naming a field that is refused.
         """
     def accept(self, reply: bytes) -> bool:
-        """Take over a reply's weights, predictions and plan; false when it is older than the last."""
+        """Take over what a reply brings; false when it is older than the last one."""
     def applied(self, u: Sequence[float]) -> None:
         """Note the input [F_x, delta_dot] that goes to the actuators for the period that begins."""
     def reset(self) -> None:
@@ -813,7 +813,7 @@ def encode_plant_truth(
     """Bytes of a PlantTruth for a recording; `state` is [p_x, p_y, v_x, psi, v_y, omega, delta]."""
 
 def file_descriptor_set() -> bytes:
-    """Serialised google.protobuf.FileDescriptorSet of the messages."""
+    """Give the serialised google.protobuf.FileDescriptorSet of the messages."""
 
 def step_key(replica: str, fleet: str, vehicle: str) -> str:
     """Where a vehicle asks a replica for a control step."""

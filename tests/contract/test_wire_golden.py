@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from numpy.typing import NDArray
 
 from egp_service import _core
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 LIBRARY = b"0123456789abcdef" * 2
@@ -20,6 +23,7 @@ def golden(name: str) -> bytes:
     return (GOLDEN / f"wire_{name}.bin").read_bytes()
 
 
+@cache
 def message(name: str) -> Any:  # noqa: ANN401 - classes made at run time
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(_core.file_descriptor_set()).file:
@@ -28,9 +32,9 @@ def message(name: str) -> Any:  # noqa: ANN401 - classes made at run time
 
 
 def ramp(shape: tuple[int, ...], start: float, step: float) -> NDArray[np.float64]:
-    """Number the values of a field as `rust/wire/tests/fixtures` does."""
+    """Give the values `rust/wire/tests/fixtures` numbers a field with."""
     count = int(np.prod(shape))
-    return (start + step * np.arange(count)).reshape(shape)
+    return start + step * np.arange(count, dtype=np.float64).reshape(shape)
 
 
 def tensor(values: NDArray[np.float64]) -> dict[str, Any]:

@@ -6,7 +6,7 @@
 //! # fn actuate(_: [f64; 2]) {}
 //! use egp_vehicle::{VehicleClient, VehicleConfig};
 //!
-//! let config = VehicleConfig::new("depot", "car-7", &["tcp/10.0.0.5:7447"])?;
+//! let config = VehicleConfig::new("depot", "car-7", &["tcp/control.example:7447"])?;
 //! let mut vehicle = VehicleClient::connect(&config)?;
 //! loop { // once every `vehicle.dt()` seconds
 //!     let (x, reference) = measured();

@@ -1,0 +1,70 @@
+//! A short load test of a real service: the counts must add up.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use std::net::TcpListener;
+use std::process::Command;
+
+use egp_service::{Server, ServiceConfig};
+use serde_json::Value;
+
+const LIBRARY: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../../python/egp_service/data/demo-library.safetensors"
+);
+
+#[test]
+fn every_due_request_is_accounted_for() {
+    let port = TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap()
+        .port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let mut config = ServiceConfig::new(LIBRARY);
+    config
+        .zenoh
+        .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
+    let server = Server::start(&config).unwrap();
+    let json = concat!(env!("CARGO_TARGET_TMPDIR"), "/load.json");
+    let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
+        .args([
+            "--connect",
+            &endpoint,
+            "--vehicles",
+            "2",
+            "--seconds",
+            "2",
+            "--warm-up",
+            "0.5",
+        ])
+        .args(["--json", json])
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(table.contains("latency from due time"), "{table}");
+    let report: Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    let number = |name: &str| report[name].as_f64().unwrap();
+    // Two vehicles, 20 requests a second each, for two seconds, on a schedule that nothing delays.
+    assert_eq!(number("requests"), 80.0, "{table}");
+    let outcomes: f64 = report["outcomes"]
+        .as_object()
+        .unwrap()
+        .values()
+        .map(|n| n.as_f64().unwrap())
+        .sum();
+    assert_eq!(outcomes, 80.0, "{table}");
+    let solved = report["outcomes"]["solved"].as_f64().unwrap_or(0.0);
+    assert_eq!(number("misses"), 80.0 - solved, "{table}");
+    let commands: f64 = ["normal_periods", "tail_periods", "stop_periods"]
+        .map(number)
+        .iter()
+        .sum();
+    assert_eq!(commands, 80.0, "{table}");
+    assert!(solved > 0.0, "{table}");
+    server.drain();
+}

@@ -1,0 +1,164 @@
+//! A vehicle and its service, when the service goes away and comes back.
+#![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
+
+use std::net::TcpListener;
+use std::time::{Duration, Instant};
+
+use egp_service::{Server, ServiceConfig};
+use egp_vehicle::{GateLimits, Mode, Outcome, Step, VehicleClient, VehicleConfig};
+
+const LIBRARY: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../../python/egp_service/data/demo-library.safetensors"
+);
+
+fn free_endpoint() -> String {
+    let port = TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap()
+        .port();
+    format!("tcp/127.0.0.1:{port}")
+}
+
+fn serve(replica: &str, endpoint: &str) -> Server {
+    let mut config = ServiceConfig::new(LIBRARY);
+    replica.clone_into(&mut config.replica);
+    config.workers = Some(1);
+    config
+        .zenoh
+        .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
+    Server::start(&config).unwrap()
+}
+
+/// A vehicle at 12 m/s on a straight road, which it holds: only the answers matter here.
+struct Vehicle {
+    client: VehicleClient,
+    p_x: f64,
+    u: [f64; 2],
+}
+
+impl Vehicle {
+    fn connect(endpoints: &[&str]) -> Self {
+        let mut config = VehicleConfig::new("test", "car", endpoints).unwrap();
+        config.max_tail_ticks = 5;
+        // A machine busy with other tests must not make answers late.
+        config.budget = 1.0;
+        Self {
+            client: VehicleClient::connect(&config).unwrap(),
+            p_x: 0.0,
+            u: [0.0; 2],
+        }
+    }
+
+    fn step(&mut self) -> Step {
+        let (dt, v_x) = (self.client.dt(), 12.0);
+        let row = |t: usize| [self.p_x + v_x * dt * t as f64, 0.0, v_x, 0.0];
+        let reference: Vec<_> = (0..=self.client.horizon()).map(row).collect();
+        let step = self
+            .client
+            .step([self.p_x, 0.2, v_x, 0.0, 0.0, 0.0, 0.0], &reference, &[])
+            .unwrap();
+        self.p_x += v_x * dt;
+        self.check_limits(&step);
+        step
+    }
+
+    /// Value and slew of everything that leaves.
+    fn check_limits(&mut self, step: &Step) {
+        let (limits, dt, [force, rate]) = (GateLimits::default(), self.client.dt(), step.command.u);
+        assert!((limits.force_min..=limits.force_max).contains(&force));
+        assert!(rate.abs() <= limits.steering_rate);
+        assert!((force - self.u[0]).abs() <= limits.force_slew * dt * (1.0 + 1e-12));
+        assert!((rate - self.u[1]).abs() <= limits.steering_slew * dt * (1.0 + 1e-12));
+        self.u = step.command.u;
+    }
+
+    /// Steps until one has a new plan in time.
+    fn step_until_solved(&mut self) -> Step {
+        let deadline = Instant::now() + Duration::from_secs(20);
+        loop {
+            let step = self.step();
+            if step.outcome.is_solved() {
+                return step;
+            }
+            assert!(Instant::now() < deadline, "{:?}", step.outcome);
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+#[test]
+fn a_lost_service_means_tail_then_stop_and_a_new_one_is_picked_up() {
+    let endpoint = free_endpoint();
+    let server = serve("main", &endpoint);
+    let mut vehicle = Vehicle::connect(&[&endpoint]);
+    assert_eq!(vehicle.step_until_solved().command.mode, Mode::Normal);
+    vehicle.step_until_solved();
+    drop(server);
+    for tick in 0..5 {
+        let step = vehicle.step();
+        assert_eq!(
+            step.command.mode,
+            Mode::Tail,
+            "tick {tick}, {:?}",
+            step.outcome
+        );
+        assert_eq!(step.outcome, Outcome::Unreachable);
+    }
+    let stop = vehicle.step();
+    assert_eq!(stop.command.mode, Mode::Stop);
+    assert!(
+        stop.command.u[0] <= vehicle.u[0] && stop.command.u[0] < 0.0,
+        "it brakes"
+    );
+    let server = serve("main", &endpoint);
+    let solved = vehicle.step_until_solved();
+    assert_eq!(solved.command.mode, Mode::Stop, "a stop is latched");
+    vehicle.client.reset();
+    assert_eq!(vehicle.step_until_solved().command.mode, Mode::Normal);
+    server.drain();
+}
+
+#[test]
+fn another_replica_takes_over_without_a_missed_plan() {
+    let endpoints = [free_endpoint(), free_endpoint()];
+    let mut servers =
+        ["a", "b"].map(|name| Some(serve(name, &endpoints[usize::from(name == "b")])));
+    let mut vehicle = Vehicle::connect(&[&endpoints[0], &endpoints[1]]);
+    vehicle.step_until_solved();
+    // Whichever it uses, the other one answers in the very next period.
+    servers[0] = None;
+    assert!(vehicle.step().outcome.is_solved());
+    servers[0] = Some(serve("a", &endpoints[0]));
+    vehicle.step_until_solved();
+    std::thread::sleep(Duration::from_millis(500)); // until "a" is seen again
+    servers[1] = None;
+    assert!(vehicle.step().outcome.is_solved());
+}
+
+#[test]
+fn connecting_to_nobody_says_where_it_looked() {
+    let endpoint = free_endpoint();
+    let mut config = VehicleConfig::new("test", "car", &[&endpoint]).unwrap();
+    config.patience = Duration::from_millis(200);
+    let Err(error) = VehicleClient::connect(&config) else {
+        panic!("there is nobody")
+    };
+    assert!(error.to_string().contains(&endpoint), "{error}");
+}
+
+#[test]
+fn a_measurement_that_cannot_be_meant_is_refused_and_stops() {
+    let endpoint = free_endpoint();
+    let server = serve("main", &endpoint);
+    let mut vehicle = Vehicle::connect(&[&endpoint]);
+    vehicle.step_until_solved();
+    let reference = vec![[0.0; 4]; vehicle.client.horizon() + 1];
+    let mut x = [0.0; 7];
+    x[2] = f64::NAN;
+    let error = vehicle.client.step(x, &reference, &[]).unwrap_err();
+    assert!(error.to_string().contains("x: row 0: v_x"), "{error}");
+    assert_eq!(vehicle.client.stop().mode, Mode::Stop);
+    server.drain();
+}
