@@ -16,23 +16,26 @@ use crate::drive::{Assignment, drive};
 use crate::report::Report;
 use crate::tally::Tally;
 
+/// What `--help` teaches.
+const HELP: &str = r"Loads a running service with simulated vehicles and reports how it fares.
+
+    egp-server --library surfaces.safetensors --workers 1
+    egp-load --vehicles 8 --seconds 20 --json load.json
+
+Each vehicle is a full one: its own zenoh session, the 29-state plant on a track of changing friction, the
+gate. Requests go out on a fixed schedule (every control period of the library), whether or not the last
+one was answered, and latency counts from when a request was due, so that a slow service cannot slow its
+own test down. The vehicles' schedules are spread evenly over the period.
+
+A period is a miss when no solved plan came within the budget. The gate then bridges with the last plan
+(tail) and at last stops the vehicle; stopped, spun or lost vehicles are put back on the track and counted.
+
+Look at `generator lag` first: how late requests left, because this program or its machine was busy. Far
+above a millisecond, the figures are about the generator; give it cores of its own or fewer vehicles.";
+
 /// Loads a running service with simulated vehicles and reports how it fares.
-///
-///     egp-server --library surfaces.safetensors --workers 1
-///     egp-load --vehicles 8 --seconds 20 --json load.json
-///
-/// Each vehicle is a full one: its own zenoh session, the 29-state plant on a track of changing friction, the
-/// gate. Requests go out on a fixed schedule (every control period of the library), whether or not the last
-/// one was answered, and latency counts from when a request was due, so that a slow service cannot slow its
-/// own test down. The vehicles' schedules are spread evenly over the period.
-///
-/// A period is a miss when no solved plan came within the budget. The gate then bridges with the last plan
-/// (tail) and at last stops the vehicle; stopped, spun or lost vehicles are put back on the track and counted.
-///
-/// Look at `generator lag` first: how late requests left, because this program or its machine was busy. Far
-/// above a millisecond, the figures are about the generator; give it cores of its own or fewer vehicles.
 #[derive(Parser)]
-#[command(version, verbatim_doc_comment)]
+#[command(version, long_about = HELP)]
 struct Arguments {
     /// Router or replica to connect to; may be given more than once.
     #[arg(long, default_value = "tcp/127.0.0.1:7447")]

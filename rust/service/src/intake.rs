@@ -74,7 +74,9 @@ impl Shared {
             arrived,
             deadline,
         };
-        let in_time = |ahead| arrived + self.time_to_answer(ahead) <= deadline;
+        // An idle worker tries in any case: the estimate learns only from steps that are made.
+        let idle = |ahead| ahead + self.metrics.busy_workers() < self.workers;
+        let in_time = |ahead| idle(ahead) || arrived + self.time_to_answer(ahead) <= deadline;
         let pushed = self
             .queue
             .push(format!("{fleet}/{vehicle}"), deadline, job, in_time);

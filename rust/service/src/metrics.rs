@@ -90,17 +90,16 @@ impl Metrics {
         self.queue.observe(time.as_secs_f64());
     }
 
-    /// Notes the time of a step and moves the estimate an eighth of the way towards it.
+    /// Notes the time of a step and moves the estimate towards it, by an eighth at most: one step that the
+    /// machine held up must not make the next requests look hopeless.
     pub(crate) fn stepped(&self, time: Duration) {
         self.step.observe(time.as_secs_f64());
         let (new, old) = (micros(time), self.step_us.load(Ordering::Relaxed));
-        let smoothed = if old == 0 {
-            new
-        } else {
-            old - old / 8 + new / 8
-        };
+        let reach = (old / 8).max(1);
+        let moved = new.clamp(old.saturating_sub(reach), old.saturating_add(reach));
         // Workers race here; whichever wins, the estimate stays one.
-        self.step_us.store(smoothed, Ordering::Relaxed);
+        self.step_us
+            .store(if old == 0 { new } else { moved }, Ordering::Relaxed);
     }
 
     /// Smoothed time of a step; zero before the first.
@@ -126,4 +125,21 @@ impl Metrics {
 /// Whole microseconds, for the wire.
 pub(crate) fn micros(time: Duration) -> u32 {
     u32::try_from(time.as_micros()).unwrap_or(u32::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_estimate_follows_steps_but_not_one_outlier() {
+        let metrics = Metrics::new("");
+        metrics.stepped(Duration::from_millis(2));
+        metrics.stepped(Duration::from_secs(5));
+        assert_eq!(metrics.step_time(), Duration::from_micros(2250));
+        for _ in 0..50 {
+            metrics.stepped(Duration::from_millis(10));
+        }
+        assert_eq!(metrics.step_time(), Duration::from_millis(10));
+    }
 }

@@ -170,3 +170,19 @@ fn a_full_queue_is_overloaded_and_a_spent_budget_too_late() {
     assert_eq!(code(&waiting()), Code::TooLate);
     setup.server.drain();
 }
+
+#[test]
+fn a_service_that_was_slow_once_does_not_refuse_for_ever() {
+    let setup = setup(|_| {});
+    let slow = setup.send("a", 1, 9000);
+    assert_eq!(setup.begun.recv().unwrap(), 1);
+    std::thread::sleep(Duration::from_millis(300));
+    setup.leave.send(()).unwrap();
+    assert_eq!(sequence(&slow()), 1);
+    // Shorter than the 300 ms that a step is now thought to take.
+    let wait = setup.send("a", 2, 200);
+    assert_eq!(setup.begun.recv().unwrap(), 2);
+    setup.leave.send(()).unwrap();
+    assert_eq!(sequence(&wait()), 2);
+    setup.server.drain();
+}

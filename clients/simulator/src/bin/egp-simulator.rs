@@ -8,19 +8,22 @@ use clap::Parser;
 use egp_simulator::{Course, Period, SimulatedVehicle, Track};
 use egp_vehicle::{Mode, VehicleConfig};
 
+/// What `--help` teaches.
+const HELP: &str = r"Drives a simulated car through a running service, in real time.
+
+Start the service first, then the car; both find each other on this machine without more:
+
+    egp-server --library surfaces.safetensors
+    egp-simulator --friction 0.5,0.8,1.1 --grip 0.8
+
+The track is divided evenly among the friction coefficients. The status line shows where the car is, how
+far it is from the reference, where its commands come from (NORMAL: a new plan; TAIL: the rest of the
+last one; STOP: braking, because that has run out), and the weights of the library's surfaces. Stop the
+service while it drives and see TAIL, then STOP.";
+
 /// Drives a simulated car through a running service, in real time.
-///
-/// Start the service first, then the car; both find each other on this machine without more:
-///
-///     egp-server --library surfaces.safetensors
-///     egp-simulator --friction 0.5,0.8,1.1 --grip 0.8
-///
-/// The track is divided evenly among the friction coefficients. The status line shows where the car is, how
-/// far it is from the reference, where its commands come from (NORMAL: a new plan; TAIL: the rest of the
-/// last one; STOP: braking, because that has run out), and the weights of the library's surfaces. Stop the
-/// service while it drives and see TAIL, then STOP.
 #[derive(Parser)]
-#[command(version, verbatim_doc_comment)]
+#[command(version, long_about = HELP)]
 struct Arguments {
     /// Router or replica to connect to; may be given more than once.
     #[arg(long, default_value = "tcp/127.0.0.1:7447")]
