@@ -51,6 +51,7 @@ __all__ = [
     "solve_weights",
     "step_key",
     "write_library",
+    "write_library_subset",
 ]
 
 # error.rs
@@ -520,6 +521,14 @@ def write_library(
 
     `dt` in s, `kernel` "rbf" or "matern52". The same arguments give the same bytes.
     Raises `LibraryError` for content that fails a check, `OSError` when writing fails.
+    """
+
+def write_library_subset(
+    source: str | PathLike[str], path: str | PathLike[str], members: Sequence[int]
+) -> None:
+    """Write a library of some of another one's members (by index), bit for bit the same GPs.
+
+    Raises `LibraryError` when there is no such member, `OSError` when reading or writing fails.
     """
 
 # ocp.rs

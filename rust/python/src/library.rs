@@ -298,6 +298,21 @@ fn write_library(
     .map_err(|failure| failure.raise(py))
 }
 
+#[pyfunction]
+fn write_library_subset(
+    py: Python<'_>,
+    source: PathBuf,
+    path: PathBuf,
+    members: Vec<usize>,
+) -> PyResult<()> {
+    py.detach(|| {
+        let bytes = read(&source).map_err(|error| os_error(&error, &source))?;
+        let bytes = library::subset(&bytes, &members).map_err(Failure::Refused)?;
+        replace(&path, &bytes).map_err(|error| os_error(&error, &path))
+    })
+    .map_err(|failure| failure.raise(py))
+}
+
 /// The bytes of a file, no more than a library may have (and one, so that the excess shows).
 fn read(path: &Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
@@ -376,5 +391,6 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Library>()?;
     module.add_class::<Member>()?;
     module.add_class::<MemberData>()?;
-    module.add_function(wrap_pyfunction!(write_library, module)?)
+    module.add_function(wrap_pyfunction!(write_library, module)?)?;
+    module.add_function(wrap_pyfunction!(write_library_subset, module)?)
 }

@@ -222,6 +222,14 @@ pub enum LibraryError {
         /// Accepted difference.
         tolerance: f64,
     },
+    /// A member that the library does not have.
+    #[error("there is no member {index}: the library has {count}, counted from 0")]
+    NoMember {
+        /// Index asked for.
+        index: usize,
+        /// Members of the library.
+        count: usize,
+    },
 }
 
 impl LibraryError {
@@ -251,6 +259,7 @@ impl LibraryError {
             Self::NotPositiveDefinite { .. } => "not_positive_definite",
             Self::Alpha { .. } => "alpha",
             Self::Golden { .. } => "golden",
+            Self::NoMember { .. } => "no_member",
         }
     }
 }

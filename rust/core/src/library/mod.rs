@@ -9,6 +9,7 @@ mod format;
 mod limits;
 mod member;
 mod metadata;
+mod subset;
 mod verify;
 
 pub use data::{LibrarySpec, MemberData};
@@ -18,6 +19,7 @@ pub use limits::*;
 pub use member::Member;
 pub use metadata::{MemberMetadata, Metadata, Signal};
 use sha2::{Digest, Sha256};
+pub use subset::subset;
 
 use crate::Kernel;
 

@@ -1,0 +1,31 @@
+//! A library of some of another one's members.
+
+use super::{LibraryError, LibrarySpec, encode, format, hex};
+use sha2::{Digest, Sha256};
+
+/// The bytes of a library file with the given members of the library in `bytes`, in the given order.
+///
+/// Their GPs are taken over bit for bit; the provenance gains `subset_of`, the other library's SHA-256.
+///
+/// # Errors
+/// [`LibraryError::NoMember`] for a member that isn't there, otherwise as
+/// [`Library::from_bytes`](super::Library::from_bytes).
+pub fn subset(bytes: &[u8], members: &[usize]) -> Result<Vec<u8>, LibraryError> {
+    let (metadata, data) = format::read(bytes)?;
+    let kernel = metadata.validate()?;
+    let pick = |&index: &usize| {
+        let count = data.len();
+        data.get(index)
+            .cloned()
+            .ok_or(LibraryError::NoMember { index, count })
+    };
+    let mut provenance = metadata.provenance.clone();
+    provenance.insert("subset_of".to_owned(), hex(&Sha256::digest(bytes)));
+    encode(&LibrarySpec {
+        dt: metadata.dt,
+        kernel,
+        vehicle: metadata.vehicle.clone(),
+        provenance,
+        members: members.iter().map(pick).collect::<Result<_, _>>()?,
+    })
+}
