@@ -1,5 +1,8 @@
 """Ensemble Gaussian-process model predictive control for roads of unknown friction."""
 
 from egp_service._core import EgpError
+from egp_service.client import VehicleClient
+from egp_service.controller import Controller
+from egp_service.stepper import Step
 
-__all__ = ["EgpError"]
+__all__ = ["Controller", "EgpError", "Step", "VehicleClient"]

@@ -1,0 +1,65 @@
+"""TOML text of plain values, for configurations that are written to be read again.
+
+The standard library reads TOML but does not write it; what is written here is the subset that
+configurations use: tables, arrays of tables, and arrays of scalars.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def dumps(table: Mapping[str, object]) -> str:
+    """TOML document of `table`; `tomllib.loads` gives the same values back."""
+    return "\n".join(_lines(table, ())).strip() + "\n"
+
+
+def _lines(table: Mapping[str, object], path: tuple[str, ...]) -> list[str]:
+    tables = {key: value for key, value in table.items() if isinstance(value, Mapping)}
+    arrays = {key: rows for key, value in table.items() if (rows := _table_rows(value))}
+    lines = [
+        f"{_key(key)} = {_inline(value)}"
+        for key, value in table.items()
+        if key not in tables and key not in arrays
+    ]
+    for key, value in tables.items():
+        child = (*path, key)
+        lines += ["", f"[{'.'.join(map(_key, child))}]", *_lines(value, child)]
+    for key, rows in arrays.items():
+        child = (*path, key)
+        for row in rows:
+            lines += ["", f"[[{'.'.join(map(_key, child))}]]", *_lines(row, child)]
+    return lines
+
+
+def _table_rows(value: object) -> list[Mapping[str, object]]:
+    """Give the tables of an array of tables; nothing for anything else."""
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        return []
+    rows = [item for item in value if isinstance(item, Mapping)]
+    return rows if len(rows) == len(value) else []
+
+
+def _key(key: str) -> str:
+    return key if _BARE_KEY.fullmatch(key) else json.dumps(key)
+
+
+def _inline(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError(f"a configuration holds finite numbers, got {value}")
+        return repr(value)
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, Sequence):
+        return f"[{', '.join(map(_inline, value))}]"
+    raise TypeError(f"no TOML form for {type(value).__name__}")
