@@ -1,0 +1,87 @@
+"""Dataclasses from TOML tables and back.
+
+Unknown fields, missing fields and wrong types are refused by their full name, so that a typing
+error in a configuration is found before anything runs.
+"""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from types import UnionType
+from typing import TypeVar, get_args, get_origin, get_type_hints
+
+from egp_service._core import EgpError
+
+
+class ConfigurationError(EgpError):
+    """A configuration that says something unknown, or lacks something."""
+
+
+_T = TypeVar("_T")
+
+
+def build(cls: type[_T], table: Mapping[str, object], where: str) -> _T:
+    """Make a dataclass from a TOML table; unknown fields and wrong types are refused."""
+    if not isinstance(table, Mapping):
+        raise ConfigurationError(f"{where} must be a table, got {table!r}")
+    known = {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
+    if unknown := sorted(set(table) - set(known)):
+        raise ConfigurationError(
+            f"{where}: unknown field {unknown[0]!r}; known: {', '.join(known)}"
+        )
+    missing = [
+        name
+        for name, item in known.items()
+        if item.default is MISSING and item.default_factory is MISSING and name not in table
+    ]
+    if missing:
+        raise ConfigurationError(f"{where}: field {missing[0]!r} is missing")
+    hints = get_type_hints(cls)
+    values = {name: _value(hints[name], value, f"{where}: {name}") for name, value in table.items()}
+    return cls(**values)
+
+
+def _value(kind: object, value: object, where: str) -> object:  # noqa: PLR0911
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin in (UnionType, typing.Union):  # the only unions are "or none", and TOML has no none
+        return _value(arguments[0], value, where)
+    if origin is tuple:
+        if not isinstance(value, list):
+            raise ConfigurationError(f"{where} must be an array of tables")
+        return tuple(
+            _value(arguments[0], item, f"{where}[{index}]") for index, item in enumerate(value)
+        )
+    if origin is dict:
+        if not isinstance(value, dict):
+            raise ConfigurationError(f"{where} must be a table")
+        if arguments[1] is float:
+            return {key: _value(float, item, f"{where}.{key}") for key, item in value.items()}
+        return value
+    if is_dataclass(kind):
+        return build(
+            typing.cast("type[object]", kind), typing.cast("dict[str, object]", value), where
+        )
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, typing.cast("type", kind)) or (
+        kind is int and isinstance(value, bool)
+    ):
+        raise ConfigurationError(
+            f"{where} must be {getattr(kind, '__name__', kind)}, got {value!r}"
+        )
+    return value
+
+
+def without_none(value: object) -> dict[str, object]:
+    """Leave out optional fields that are not set: TOML has no null."""
+
+    def strip(item: object) -> object:
+        if isinstance(item, dict):
+            return {key: strip(child) for key, child in item.items() if child is not None}
+        if isinstance(item, list | tuple):
+            return [strip(child) for child in item]
+        return item
+
+    return typing.cast("dict[str, object]", strip(value))
