@@ -1,0 +1,155 @@
+"""The client against the real service: same bytes as in-process, and what happens when it dies."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from egp_service import Controller, VehicleClient
+from egp_service.client import ServiceUnreachableError
+from egp_service.closed_loop import drive
+from egp_service.scenario import library_path, load_scenario
+from egp_service.service_process import ServiceProcess, ServiceStartError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from egp_service.closed_loop import Run
+    from egp_service.stepper import Step, Stepper
+    from egp_service.trace import Period
+
+SCENARIO = load_scenario("rounded-rectangle")
+LIBRARY = library_path(SCENARIO)
+MASS = 1225.887
+
+
+@pytest.fixture
+def service() -> Iterator[ServiceProcess]:
+    with ServiceProcess(LIBRARY, {}) as running:
+        yield running
+
+
+class Standstill:
+    """Steps of a vehicle that always measures the same state on a straight road."""
+
+    def __init__(self, stepper: Stepper) -> None:
+        """Use this stepper."""
+        self.stepper = stepper
+        s = 15.0 * stepper.dt * np.arange(stepper.horizon + 1)
+        zero = np.zeros_like(s)
+        self.reference = np.column_stack([s, zero, zero + 15.0, zero])
+
+    def step(self, deadline: float | None = None) -> Step:
+        """Take the next step."""
+        x = np.array([0.0, 0.3, 15.0, 0.0, 0.0, 0.0, 0.0])
+        return self.stepper.step(x, self.reference, deadline=deadline)
+
+
+def run_with(stepper: Stepper, count: int) -> list[Step]:
+    vehicle = Standstill(stepper)
+    return [vehicle.step(deadline=5.0) for _ in range(count)]
+
+
+def test_service_and_controller_give_the_same_bytes(service: ServiceProcess) -> None:
+    with Controller(LIBRARY) as controller, VehicleClient.connect([service.endpoint]) as client:
+        here, there = run_with(controller, 30), run_with(client, 30)
+    assert [step.reply for step in there] == [step.reply for step in here]
+    assert [step.request for step in there] == [step.request for step in here]
+    assert [step.u.tolist() for step in there] == [step.u.tolist() for step in here]
+    assert all(step.mode == "normal" for step in there)
+
+
+def test_a_lap_through_the_service_is_the_lap_in_process(service: ServiceProcess) -> None:
+    """Up to deadline misses, which a busy machine may have and the tail bridges."""
+    with Controller(LIBRARY) as controller, VehicleClient.connect([service.endpoint]) as client:
+        here = drive(SCENARIO, controller, lambda _: None)
+        there = drive(SCENARIO, client, lambda _: None)
+    assert there.summary.ending.completed
+    if there.summary.deadline_misses == 0:
+        np.testing.assert_array_equal(there.trace.x, here.trace.x)
+
+
+def test_a_service_killed_mid_lap_leads_to_tail_then_stop_within_limits(
+    service: ServiceProcess,
+) -> None:
+    modes: list[str] = []
+    inputs: list[list[float]] = []
+
+    def kill_after_three_seconds(period: Period) -> None:
+        modes.append(period.step.mode)
+        inputs.append(period.step.u.tolist())
+        if len(modes) == 60:
+            service.kill()
+
+    with VehicleClient.connect([service.endpoint]) as client:
+        run: Run = drive(SCENARIO, client, kill_after_three_seconds)
+        dt = client.dt
+    assert "stopped by the gate" in run.summary.ending.reason
+    assert run.trace.x[-1, 2] < 1.0
+    after = modes[60:]
+    assert after == ["tail"] * after.count("tail") + ["stop"] * after.count("stop")
+    assert after.count("tail") > 0
+    u = np.array([[0.0, 0.0], *inputs])
+    assert np.all(np.abs(np.diff(u[:, 0])) <= 60.0 * MASS * dt * (1 + 1e-9))
+    assert np.all(np.abs(np.diff(u[:, 1])) <= 8.0 * dt * (1 + 1e-9))
+    assert np.all((u[:, 0] >= -8.0 * MASS) & (u[:, 0] <= 6.0 * MASS))
+    assert np.all(np.abs(u[:, 1]) <= 0.4)
+
+
+def test_a_restarted_service_is_picked_up_after_a_reset(service: ServiceProcess) -> None:
+    with VehicleClient.connect([service.endpoint]) as client:
+        vehicle = Standstill(client)
+        assert vehicle.step(deadline=5.0).mode == "normal"
+        service.kill()
+        steps = [vehicle.step() for _ in range(30)]
+        assert steps[-1].mode == "stop"
+        assert steps[-1].status == "no_reply"
+        service.start()
+        end = time.monotonic() + 10.0
+        while (step := vehicle.step(deadline=1.0)).status != "solved" and time.monotonic() < end:
+            time.sleep(client.dt)
+        assert step.status == "solved"
+        assert step.mode == "stop", "STOP is latched"
+        client.reset()
+        assert vehicle.step(deadline=5.0).mode == "normal"
+
+
+def test_without_a_service_a_step_costs_no_time(service: ServiceProcess) -> None:
+    with VehicleClient.connect([service.endpoint]) as client:
+        vehicle = Standstill(client)
+        vehicle.step(deadline=5.0)
+        service.kill()
+        time.sleep(0.2)
+        step = vehicle.step()
+    assert step.mode == "tail"
+    assert "no replica" in step.detail
+    assert step.timings.total < client.dt
+
+
+def test_a_measurement_that_is_not_finite_stops_the_vehicle() -> None:
+    with Controller(LIBRARY) as controller:
+        vehicle = Standstill(controller)
+        vehicle.step()
+        step = controller.step(np.full(7, np.nan), vehicle.reference)
+        assert (step.mode, step.status, step.request) == ("stop", "not_finite", b"")
+        assert np.all(np.isfinite(step.u))
+        assert vehicle.step().mode == "stop"
+
+
+def test_connecting_to_nobody_says_what_to_do() -> None:
+    with pytest.raises(ServiceUnreachableError, match="egp serve"):
+        VehicleClient.connect(["tcp/127.0.0.1:9"], timeout=0.5)
+
+
+def test_a_service_that_cannot_start_says_why(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.safetensors"
+    broken.write_bytes(b"no library")
+    with (
+        pytest.raises(ServiceStartError, match=r"broken\.safetensors"),
+        ServiceProcess(broken, {}),
+    ):
+        pass
