@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
+from typing import NoReturn
 
-import click
 import typer
 from rich.console import Console
+from rich.text import Text
 
 from egp_service._core import EgpError
 from egp_service.commands.demo import demo
@@ -38,7 +39,7 @@ EXTRAS = {
     "polars": "train",
     "matplotlib": "viz",
 }
-REFUSED, INTERRUPTED = 1, 130
+REFUSED = 1
 
 app = typer.Typer(
     name="egp",
@@ -52,24 +53,21 @@ for command in (inspect, serve, drive, demo):
 
 
 def main() -> None:
-    """Run the command line; what goes wrong is one line and an exit code."""
+    """Run the command line; what goes wrong is one line on stderr and an exit code."""
     try:
-        code = app(standalone_mode=False)
-    except click.ClickException as error:
-        error.show()
-        code = error.exit_code
-    except (click.Abort, KeyboardInterrupt):
-        code = INTERRUPTED
+        app()
     except ModuleNotFoundError as error:
         extra = EXTRAS.get((error.name or "").partition(".")[0])
         if extra is None:
             raise
-        code = _fail(f"{error.name} is not installed. Try: pip install 'egp-service[{extra}]'")
-    except (EgpError, OSError) as error:
-        code = _fail(str(error))
-    sys.exit(code)
+        _fail(f"{error.name} is not installed; try `pip install 'egp-service[{extra}]'`")
+    except EgpError as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
 
 
-def _fail(message: str) -> int:
-    Console(stderr=True, soft_wrap=True).print(f"[bold red]egp:[/] {message}", highlight=False)
-    return REFUSED
+def _fail(message: str) -> NoReturn:
+    console = Console(stderr=True, soft_wrap=True)
+    console.print(Text.assemble(("egp: ", "bold red"), message))
+    sys.exit(REFUSED)

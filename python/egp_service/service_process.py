@@ -58,7 +58,8 @@ class ServiceProcess:
             if self._process.poll() is not None or time.monotonic() > deadline:
                 self.kill()
                 said = log_file.read_text(encoding="utf-8", errors="replace").strip()
-                raise ServiceStartError(f"the service did not start: {said[-2000:]}")
+                last = said[-2000:].removeprefix("egp: ")
+                raise ServiceStartError(f"the service did not start: {last}")
             time.sleep(0.02)
 
     def stop(self) -> None:
