@@ -157,8 +157,8 @@ class Dataset:
             frame = pl.read_parquet(path)
             _check_columns(frame)
             return Dataset(
-                z=frame.select(INPUTS).to_numpy().astype(np.float64),
-                y=frame.select(OUTPUTS).to_numpy().astype(np.float64),
+                z=frame.select(*INPUTS).to_numpy().astype(np.float64),
+                y=frame.select(*OUTPUTS).to_numpy().astype(np.float64),
                 trajectory=frame["trajectory"].to_numpy().astype(np.uint32),
                 step=frame["step"].to_numpy().astype(np.uint32),
                 provenance=provenance,

@@ -99,9 +99,9 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
         """The present values, constraints applied."""
         return Hyperparameters(
             lengthscales=tuple(self.covar_module.base_kernel.lengthscale.flatten().tolist()),
-            outputscale=float(self.covar_module.outputscale),
-            noise=float(self.likelihood.noise),
-            constant=float(self.mean_module.constant),
+            outputscale=self.covar_module.outputscale.item(),
+            noise=self.likelihood.noise.item(),
+            constant=self.mean_module.constant.item(),
         )
 
     def assign(self, values: Hyperparameters) -> None:

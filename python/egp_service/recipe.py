@@ -1,0 +1,97 @@
+"""A library's recipe: everything from collection to training, in one TOML file.
+
+The shipped demo library is made by `data/demo-recipe.toml`; `egp train --recipe` makes it again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import platform
+import tomllib
+from importlib import resources
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from egp_service import EgpError
+from egp_service.collect import CollectionSettings, collect
+from egp_service.experiment import Experiment, tool
+from egp_service.exploration import ExplorationSettings
+from egp_service.sampling import SamplingBounds
+from egp_service.training import TrainingSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from egp_service.dataset import Dataset
+
+DEMO_RECIPE: Final = Path(str(resources.files("egp_service"))) / "data" / "demo-recipe.toml"
+
+
+@dataclasses.dataclass(frozen=True)
+class Recipe:
+    """What is collected where, and how it is trained."""
+
+    experiments: tuple[Experiment, ...]
+    collection: CollectionSettings
+    training: TrainingSettings
+
+    @staticmethod
+    def read(path: Path) -> Recipe:
+        """Read a recipe; unknown fields are refused.
+
+        Raises:
+            EgpError: naming the file and the field.
+
+        """
+        try:
+            content = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, tomllib.TOMLDecodeError) as error:
+            raise EgpError(f"{path}: {error}") from error
+        try:
+            collection = content.pop("collection", {})
+            training = TrainingSettings(**content.pop("training", {}))
+            exploration = ExplorationSettings(**_tuples(collection.pop("exploration", {})))
+            sampling = SamplingBounds(**_tuples(collection.pop("sampling", {})))
+            settings = CollectionSettings(
+                **_tuples(collection), exploration=exploration, sampling=sampling
+            )
+            surfaces = content.pop("surface")
+            experiments = tuple(Experiment(**content, **surface) for surface in surfaces)
+        except (TypeError, KeyError) as error:
+            raise EgpError(f"{path}: not a recipe, {error}") from error
+        return Recipe(experiments, settings, training)
+
+
+def collect_all(
+    recipe: Recipe, *, jobs: int | None = None, report: Callable[[str, int, int], None]
+) -> list[Dataset]:
+    """Collect every surface of the recipe; `report(label, done, total)` follows the runs."""
+    datasets = []
+    for experiment in recipe.experiments:
+
+        def on_run(done: int, total: int, label: str = experiment.label) -> None:
+            report(label, done, total)
+
+        datasets.append(collect(experiment, recipe.collection, jobs=jobs, report=on_run))
+    return datasets
+
+
+def training_provenance(settings: TrainingSettings) -> dict[str, str]:
+    """Describe how a library was trained: versions and settings, no clock and no machine."""
+    return {
+        "tool": tool(),
+        "python": platform.python_version(),
+        "torch": version("torch"),
+        "gpytorch": version("gpytorch"),
+        "botorch": version("botorch"),
+        "training": json.dumps(dataclasses.asdict(settings), sort_keys=True),
+    }
+
+
+def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Turn TOML's lists into the tuples of the frozen settings."""
+    return {
+        name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
+    }

@@ -1,0 +1,112 @@
+"""Collecting on the plant: reproducible, consistent in time, and wide enough."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from egp_service import EgpError
+from egp_service._core import Plant
+from egp_service.collect import CollectionSettings, collect
+from egp_service.experiment import A_SLEW, DELTA_DOT_SLEW, MAX_DELTA_DOT, MIN_A, Experiment
+from egp_service.exploration import ExplorationSettings, explore
+from egp_service.exploration_track import ExplorationTrack
+from egp_service.sampling import sample
+
+if TYPE_CHECKING:
+    from egp_service.dataset import Dataset
+
+WET = Experiment(friction=0.5, label="wet", seed=3)
+SHORT = CollectionSettings(runs=2, samples=20, exploration=ExplorationSettings(episodes=4))
+
+
+@pytest.fixture(scope="module")
+def run() -> Dataset:
+    """One run with arrivals only, so that sliding is in it."""
+    settings = ExplorationSettings(episodes=8, arrivals=1.0, grip=(0.5, 1.0))
+    return explore(WET, ExplorationTrack("rounded-rectangle"), settings)
+
+
+def test_same_seed_same_data_in_any_number_of_processes() -> None:
+    alone, together = collect(WET, SHORT, jobs=1), collect(WET, SHORT, jobs=2)
+    assert alone.digest() == together.digest()
+    other = collect(Experiment(friction=0.5, label="wet", seed=4), SHORT, jobs=1)
+    assert alone.digest() != other.digest()
+
+
+def test_progress_counts_runs() -> None:
+    seen: list[tuple[int, int]] = []
+    collect(WET, SHORT, jobs=1, report=lambda done, total: seen.append((done, total)))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_rows_follow_each_other_in_time(run: Dataset) -> None:
+    same = run.trajectory[1:] == run.trajectory[:-1]
+    np.testing.assert_array_equal(run.step[1:][same], run.step[:-1][same] + 1)
+    end = run.z[:-1, :3] + run.y[:-1]
+    np.testing.assert_allclose(end[same], run.z[1:, :3][same], atol=1e-12)
+    steered = run.z[:-1, 3] + 0.05 * run.z[:-1, 5]
+    np.testing.assert_allclose(steered[same], run.z[1:, 3][same], atol=1e-9)
+
+
+def test_inputs_stay_within_the_controllers_limits(run: Dataset) -> None:
+    a, delta_dot = run.z[:, 4] / WET.mass, run.z[:, 5]
+    assert a.min() >= MIN_A
+    assert np.all(a * run.z[:, 0] <= 54.7 + 1e-9)
+    assert np.abs(delta_dot).max() <= MAX_DELTA_DOT
+    same = run.trajectory[1:] == run.trajectory[:-1]
+    assert np.abs(np.diff(delta_dot))[same].max() <= DELTA_DOT_SLEW * WET.dt + 1e-9
+    # The engine's limit shrinks with speed, which may take more than a step of slew.
+    free = same & (a[1:] * run.z[1:, 0] < 54.0)
+    assert np.abs(np.diff(a))[free].max() <= A_SLEW * WET.dt + 1e-9
+
+
+def test_arrivals_are_faster_than_the_surface_allows(run: Dataset) -> None:
+    track = ExplorationTrack("rounded-rectangle")
+    own = max(track.start(s, 0.5, 1.0)[2] for s in np.linspace(0.0, track.length, 200))
+    assert run.z[:, 0].max() > own
+    lateral = np.abs(run.z[:, 0] * run.z[:, 2])
+    assert lateral.max() > 0.95 * 0.5 * 9.81
+
+
+def test_transitions_are_the_plants() -> None:
+    """The dataset against the single plant, driven by hand."""
+    one = sample(WET, 1, settle=0, keep=2)
+    plant = Plant(1)
+    v_x, v_y, omega, delta = one.z[0, :4]
+    plant.reset(0.0, 0.0, 0.0, v_x, omega, v_y, delta)
+    for k in range(2):
+        before = plant.vehicle_state
+        plant.step(one.z[k, 4:], 0.05, 0.5)
+        change = (plant.vehicle_state - before)[[2, 4, 5]]
+        np.testing.assert_allclose(one.y[k], change, atol=1e-12)
+
+
+def test_samples_fill_their_bounds() -> None:
+    many = sample(WET, 300)
+    assert many.provenance.method == "random sampling"
+    assert many.provenance.vehicle == "commonroad-1"
+    assert many.z[:, 0].min() < 4.0
+    assert many.z[:, 0].max() > 24.0
+    assert np.abs(many.z[:, 1] / many.z[:, 0]).max() > 0.1
+    assert np.ptp(many.z[:, 5]) > 1.5 * MAX_DELTA_DOT
+
+
+def test_both_directions_turn() -> None:
+    left, right = (
+        explore(WET, ExplorationTrack("rounded-rectangle", reverse=reverse), SHORT.exploration)
+        for reverse in (False, True)
+    )
+    assert left.z[:, 2].mean() > 0.05
+    assert right.z[:, 2].mean() < -0.05
+
+
+def test_refuses_what_is_not_there() -> None:
+    with pytest.raises(EgpError, match="no track 'moon'"):
+        collect(WET, CollectionSettings(tracks=("moon",), runs=1), jobs=1)
+    with pytest.raises(EgpError, match="nothing to collect"):
+        CollectionSettings(runs=0, samples=0)
+    with pytest.raises(EgpError):
+        collect(Experiment(friction=0.5, label="wet", vehicle=9), SHORT, jobs=1)

@@ -1,0 +1,158 @@
+"""Importing logs: units, periods, and the mistakes people make with them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+import pytest
+from surfaces import provenance
+
+from egp_service import EgpError
+from egp_service.csv_import import Column, import_csv
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from egp_service.dataset import Dataset
+
+MASS = 1400.0
+COLUMNS = {
+    "time": "t:ms",
+    "v_x": "speed:km/h",
+    "v_y": "drift:m/s",
+    "omega": "yaw_rate:deg/s",
+    "delta": "wheel:deg",
+    "a_x": "accel:g",
+}
+
+
+def _log(period: float = 0.01, seconds: float = 30.0) -> dict[str, NDArray[np.float64]]:
+    """Return SI signals of a smooth drive."""
+    t = np.arange(round(seconds / period)) * period
+    return {
+        "t": t,
+        "v_x": 15.0 + 3.0 * np.sin(0.3 * t),
+        "v_y": 0.2 * np.sin(0.8 * t),
+        "omega": 0.3 * np.sin(0.8 * t),
+        "delta": 0.1 * np.sin(0.8 * t),
+        "a_x": 0.9 * np.cos(0.3 * t),
+    }
+
+
+def _write(path: Path, si: dict[str, NDArray[np.float64]]) -> None:
+    pl.DataFrame(
+        {
+            "t": 1e3 * si["t"],
+            "speed": 3.6 * si["v_x"],
+            "drift": si["v_y"],
+            "yaw_rate": np.rad2deg(si["omega"]),
+            "wheel": np.rad2deg(si["delta"]),
+            "accel": si["a_x"] / 9.80665,
+        }
+    ).write_csv(path)
+
+
+def _import(path: Path, **changes: str) -> Dataset:
+    columns = {name: Column.parse(text) for name, text in (COLUMNS | changes).items()}
+    return import_csv(path, columns, provenance(), mass=MASS)
+
+
+def test_converts_units_and_thins_to_the_period(tmp_path: Path) -> None:
+    si = _log()
+    _write(tmp_path / "drive.csv", si)
+    dataset = _import(tmp_path / "drive.csv")
+    # 10 ms rows, dt 50 ms: state at every fifth row, force averaged over the period.
+    np.testing.assert_allclose(dataset.z[0, 0], si["v_x"][0], rtol=1e-12)
+    np.testing.assert_allclose(
+        dataset.z[1, :4], [si[q][5] for q in ("v_x", "v_y", "omega", "delta")]
+    )
+    np.testing.assert_allclose(dataset.z[0, 4], MASS * si["a_x"][:5].mean(), rtol=1e-12)
+    np.testing.assert_allclose(dataset.z[0, 5], (si["delta"][5] - si["delta"][0]) / 0.05)
+    np.testing.assert_allclose(dataset.y[0, 0], si["v_x"][5] - si["v_x"][0])
+    # Ten-second trajectories, in which each row begins where the last one ended.
+    assert len(np.unique(dataset.trajectory)) == 3
+    same = dataset.trajectory[1:] == dataset.trajectory[:-1]
+    np.testing.assert_allclose((dataset.z[:-1, :3] + dataset.y[:-1])[same], dataset.z[1:, :3][same])
+
+
+def test_a_gap_starts_a_trajectory(tmp_path: Path) -> None:
+    si = _log(seconds=8.0)
+    si["t"][300:] += 2.0
+    _write(tmp_path / "drive.csv", si)
+    dataset = _import(tmp_path / "drive.csv")
+    assert np.unique(dataset.trajectory).tolist() == [0, 1]
+    assert np.abs(dataset.y[:, 0]).max() < 0.1  # nothing across the gap
+
+
+def test_doubts_units(tmp_path: Path) -> None:
+    _write(tmp_path / "drive.csv", _log())
+    with pytest.raises(EgpError, match=r"delta reaches 5\.73 rad .* check the unit"):
+        _import(tmp_path / "drive.csv", delta="wheel:rad")
+    with pytest.raises(EgpError, match="v_x from 'speed' in rad: not a unit of it"):
+        _import(tmp_path / "drive.csv", v_x="speed:rad")
+    with pytest.raises(EgpError, match="unknown unit 'kmh'"):
+        Column.parse("speed:kmh")
+    with pytest.raises(EgpError, match="expected COLUMN:UNIT"):
+        Column.parse("speed")
+
+
+def test_compares_a_logged_steering_rate(tmp_path: Path) -> None:
+    si = _log()
+    _write(tmp_path / "drive.csv", si)
+    rate = np.gradient(np.rad2deg(si["delta"]), si["t"])
+    frame = pl.read_csv(tmp_path / "drive.csv").with_columns(rate=rate)
+    frame.write_csv(tmp_path / "drive.csv")
+    _import(tmp_path / "drive.csv", delta_dot="rate:deg/s")
+    with pytest.raises(EgpError, match="check both units"):
+        _import(tmp_path / "drive.csv", delta_dot="rate:rad/s")
+
+
+def test_doubts_time(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    _write(path, _log(period=0.03))
+    with pytest.raises(EgpError, match=r"period is 0\.03 s: dt 0\.05 s is no multiple"):
+        _import(path)
+    si = _log()
+    si["t"][100] = si["t"][99]
+    _write(path, si)
+    with pytest.raises(EgpError, match="does not increase"):
+        _import(path)
+    si = _log()
+    si["t"] += np.cumsum(np.random.default_rng(0).uniform(0.0, 0.01, len(si["t"])))
+    _write(path, si)
+    with pytest.raises(EgpError, match="resample the log"):
+        _import(path)
+    _write(path, _log(seconds=0.05))
+    with pytest.raises(EgpError, match="unbroken stretch"):
+        _import(path)
+
+
+def test_names_what_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    si = _log()
+    si["omega"][7] = np.nan
+    _write(path, si)
+    with pytest.raises(EgpError, match="column 'yaw_rate', row 7"):
+        _import(path)
+    _write(path, _log())
+    with pytest.raises(EgpError, match="no column 'velocity', found t, speed"):
+        _import(path, v_x="velocity:m/s")
+    with pytest.raises(EgpError, match="exactly one of F_x and a_x"):
+        _import(path, F_x="accel:N")
+    columns = {name: Column.parse(text) for name, text in COLUMNS.items()}
+    with pytest.raises(EgpError, match="mass in kg"):
+        import_csv(path, columns, provenance())
+    path.write_text("t,speed\n1,fast\n")
+    with pytest.raises(EgpError, match="holds text"):
+        import_csv(
+            path,
+            {
+                name: Column.parse("speed:m/s" if name == "v_x" else text)
+                for name, text in COLUMNS.items()
+            },
+            provenance(),
+        )

@@ -1,0 +1,127 @@
+"""The dataset file: what is written comes back, what is wrong is named."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+import pytest
+from surfaces import provenance, surface
+
+from egp_service import EgpError
+from egp_service.dataset import METADATA_KEY, Dataset, Provenance, merge
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+def test_comes_back_bit_for_bit(tmp_path: Path) -> None:
+    written = surface()
+    written.write(tmp_path / "wet.parquet")
+    read = Dataset.read(tmp_path / "wet.parquet")
+    assert read.provenance == written.provenance
+    assert read.digest() == written.digest()
+    assert [path.name for path in tmp_path.iterdir()] == ["wet.parquet"]
+
+
+def test_metadata_name_units_and_origin(tmp_path: Path) -> None:
+    surface().write(tmp_path / "wet.parquet")
+    metadata = json.loads(pl.read_parquet_metadata(tmp_path / "wet.parquet")[METADATA_KEY])
+    assert metadata["units"]["F_x"] == "N"
+    assert metadata["units"]["d_omega"] == "rad/s"
+    assert metadata["surface"] == "mu 0.5"
+    assert metadata["dt"] == 0.05
+    assert metadata["schema"] == 1
+
+
+def test_digest_sees_a_single_bit() -> None:
+    dataset = surface()
+    z = dataset.z.copy()
+    z[3, 2] = np.nextafter(z[3, 2], 1.0)
+    assert dataclasses.replace(dataset, z=z).digest() != dataset.digest()
+
+
+def test_merging_keeps_trajectories_apart() -> None:
+    first, second = surface(seed=1, trajectories=3), surface(seed=2, trajectories=4)
+    merged = merge([first, second])
+    assert len(merged) == len(first) + len(second)
+    assert len(np.unique(merged.trajectory)) == 7
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        provenance(dt=0.1),
+        provenance(vehicle="other"),
+        provenance(surface="other"),
+        provenance(0.6, surface="mu 0.5"),
+    ],
+)
+def test_merging_refuses_what_differs(other: Provenance) -> None:
+    with pytest.raises(EgpError, match=r"cannot merge: (dt|vehicle|surface|friction)"):
+        merge([surface(), dataclasses.replace(surface(), provenance=other)])
+
+
+def _rewrite(
+    path: Path, change: Callable[[pl.DataFrame], pl.DataFrame], **metadata: object
+) -> None:
+    """Write a valid file with changed columns and metadata."""
+    surface().write(path)
+    fields = json.loads(pl.read_parquet_metadata(path)[METADATA_KEY]) | metadata
+    frame = change(pl.read_parquet(path))
+    frame.write_parquet(path, metadata={METADATA_KEY: json.dumps(fields)})
+
+
+def test_refuses_bad_columns_and_values(tmp_path: Path) -> None:
+    path = tmp_path / "wet.parquet"
+    changes: dict[str, Callable[[pl.DataFrame], pl.DataFrame]] = {
+        "column omega is missing": lambda frame: frame.drop("omega"),
+        "column step is missing": lambda frame: frame.drop("step"),
+        "column v_x is String": lambda frame: frame.cast({"v_x": pl.String}),
+        "column step is Float64": lambda frame: frame.cast({"step": pl.Float64}),
+        "column F_x has 1 empty": lambda frame: frame.with_columns(
+            pl.when(pl.int_range(pl.len()) == 5).then(None).otherwise("F_x").alias("F_x")
+        ),
+        "column d_v_y, row 5 is nan": lambda frame: frame.with_columns(
+            pl.when(pl.int_range(pl.len()) == 5)
+            .then(float("nan"))
+            .otherwise("d_v_y")
+            .alias("d_v_y")
+        ),
+        "empty": lambda frame: frame.head(0),
+    }
+    for message, change in changes.items():
+        _rewrite(path, change)
+        with pytest.raises(EgpError, match=message) as refusal:
+            Dataset.read(path)
+        assert str(path) in str(refusal.value)
+
+
+def test_refuses_bad_metadata(tmp_path: Path) -> None:
+    path = tmp_path / "wet.parquet"
+    metadata: dict[str, dict[str, object]] = {
+        "dataset schema 2": {"schema": 2},
+        "units are": {"units": {"v_x": "km/h"}},
+        "metadata keys": {"colour": "red"},
+        "dt is 50": {"dt": 50.0},
+        "friction is -1": {"friction": -1.0},
+    }
+    for message, fields in metadata.items():
+        _rewrite(path, lambda frame: frame, **fields)
+        with pytest.raises(EgpError, match=message):
+            Dataset.read(path)
+
+
+def test_refuses_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(EgpError, match="no such file"):
+        Dataset.read(tmp_path / "none.parquet")
+    (tmp_path / "text.parquet").write_text("v_x,v_y")
+    with pytest.raises(EgpError, match="not a readable Parquet"):
+        Dataset.read(tmp_path / "text.parquet")
+    pl.DataFrame({"v_x": [1.0]}).write_parquet(tmp_path / "bare.parquet")
+    with pytest.raises(EgpError, match="--from-csv"):
+        Dataset.read(tmp_path / "bare.parquet")

@@ -1,0 +1,66 @@
+"""The shipped demo library is what its recipe makes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from egp_service import EgpError
+from egp_service._core import Library
+from egp_service.export import export
+from egp_service.recipe import DEMO_RECIPE, Recipe, collect_all, training_provenance
+from egp_service.training import train
+from egp_service.validation import validate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SHIPPED = DEMO_RECIPE.with_name("demo-library.safetensors")
+
+# Another BLAS rounds differently, L-BFGS then stops elsewhere and the subset is drawn from slightly
+# different variances. What must agree is what the car does: predictions, to within a fraction of
+# what the members' own noise makes uncertain, RMS over the training range.
+TOLERANCE_IN_NOISE = 0.5
+
+
+def test_rebuilds_from_its_recipe(tmp_path: Path) -> None:
+    recipe = Recipe.read(DEMO_RECIPE)
+    members = train(collect_all(recipe, report=lambda _label, _done, _total: None), recipe.training)
+    path = tmp_path / "rebuilt.safetensors"
+    export(path, members, recipe.training, training_provenance(recipe.training))
+    rebuilt, shipped = Library.load(path), Library.load(SHIPPED)
+    assert rebuilt.dt == shipped.dt
+    assert rebuilt.vehicle == shipped.vehicle
+    assert rebuilt.kernel == shipped.kernel
+    for index, (member, ours, theirs) in enumerate(
+        zip(members, rebuilt.members, shipped.members, strict=True)
+    ):
+        assert (ours.label, ours.friction) == (theirs.label, theirs.friction)
+        assert ours.n_points == theirs.n_points
+        z = member.validation.z
+        difference = rebuilt.predict(z, index)[0] - shipped.predict(z, index)[0]
+        rms = np.sqrt(np.mean(difference**2, axis=0))
+        assert np.all(rms < TOLERANCE_IN_NOISE * theirs.noise_std), (member.dataset, rms)
+    held_out = {member.dataset.provenance.surface: member.validation for member in members}
+    for i, row in enumerate(validate(shipped, held_out)):
+        own, other = row[i], row[1 - i]
+        # Half a metre per second and 0.2 rad/s after a second of the hardest driving there is.
+        assert np.all(own.rollout < [0.5, 0.5, 0.2])
+        assert np.all(own.rmse < 0.7 * other.rmse)
+        assert np.all(own.coverage > 0.85)
+
+
+def test_is_small() -> None:
+    assert SHIPPED.stat().st_size < 1_000_000
+
+
+def test_recipe_refuses_unknown_fields(tmp_path: Path) -> None:
+    text = DEMO_RECIPE.read_text(encoding="utf-8")
+    (tmp_path / "recipe.toml").write_text(text.replace("max_points", "max_point"))
+    with pytest.raises(EgpError, match="max_point"):
+        Recipe.read(tmp_path / "recipe.toml")
+    (tmp_path / "recipe.toml").write_text("dt = [")
+    with pytest.raises(EgpError, match=r"recipe\.toml"):
+        Recipe.read(tmp_path / "recipe.toml")

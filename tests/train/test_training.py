@@ -1,0 +1,174 @@
+"""Training on a known law: accuracy, determinism, subset, split, refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from surfaces import NOISE, provenance, surface
+
+from egp_service import EgpError
+from egp_service._core import Library
+from egp_service.export import export
+from egp_service.training import FitProgress, TrainedMember, TrainingSettings, split, train
+from egp_service.validation import rollout_error, validate
+from egp_service.validation_report import draw_validation
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from egp_service.dataset import Dataset
+    from egp_service.gaussian_process import KernelName
+
+SETTINGS = TrainingSettings(
+    kernel="rbf", max_points=80, first_points=60, restarts=0, max_iterations=40
+)
+
+
+@pytest.fixture(scope="module")
+def members() -> list[TrainedMember]:
+    return train([surface(1.1), surface(0.5)], SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def library_path(members: list[TrainedMember], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("library") / "toy.safetensors"
+    export(path, members, SETTINGS, {"source": "test"})
+    return path
+
+
+def test_beats_a_linear_fit_on_unseen_data(members: list[TrainedMember]) -> None:
+    # Members come ordered by friction.
+    for friction, member in zip((0.5, 1.1), members, strict=True):
+        unseen = surface(friction, seed=7)
+        mean, _, _ = member.predict(unseen.z)
+        ones = np.ones((len(member.dataset), 1))
+        line = np.linalg.lstsq(np.hstack([member.dataset.z, ones]), member.dataset.y, rcond=None)[0]
+        linear = np.hstack([unseen.z, np.ones((len(unseen), 1))]) @ line
+        ours = np.sqrt(np.mean((mean - unseen.y) ** 2, axis=0))
+        theirs = np.sqrt(np.mean((linear - unseen.y) ** 2, axis=0))
+        assert np.all(ours < 0.6 * theirs)
+
+
+@pytest.mark.parametrize("kernel", ["rbf", "matern52"])
+def test_same_seed_same_bytes(tmp_path: Path, kernel: KernelName) -> None:
+    settings = dataclasses.replace(SETTINGS, kernel=kernel, max_iterations=10, restarts=1)
+    for name in ("first", "second"):
+        export(tmp_path / name, train([surface()], settings), settings, {})
+    assert (tmp_path / "first").read_bytes() == (tmp_path / "second").read_bytes()
+    other = dataclasses.replace(settings, seed=1)
+    export(tmp_path / "other", train([surface()], other), other, {})
+    assert (tmp_path / "first").read_bytes() != (tmp_path / "other").read_bytes()
+
+
+def test_library_predicts_what_gpytorch_does(
+    members: list[TrainedMember], library_path: Path
+) -> None:
+    library = Library.load(library_path)
+    z = surface(0.8, seed=9).z
+    for index, member in enumerate(members):
+        for ours, theirs in zip(library.predict(z, index), member.predict(z), strict=True):
+            # Rounding in GPyTorch's distances, relative to the largest value; measured 3e-13.
+            np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
+
+
+def test_library_says_where_it_comes_from(members: list[TrainedMember], library_path: Path) -> None:
+    library = Library.load(library_path)
+    assert library.dt == 0.05
+    assert library.vehicle == "toy"
+    assert [member.label for member in library.members] == ["mu 0.5", "mu 1.1"]
+    for ours, member in zip(library.members, members, strict=True):
+        assert ours.dataset == member.dataset.digest()
+        assert ours.n_points == SETTINGS.max_points
+        np.testing.assert_array_equal(ours.envelope[0], member.dataset.z.min(axis=0))
+
+
+def test_matrix_is_best_on_the_diagonal(
+    members: list[TrainedMember], library_path: Path, tmp_path: Path
+) -> None:
+    held_out = {member.dataset.provenance.surface: member.validation for member in members}
+    matrix = validate(Library.load(library_path), held_out)
+    for i in range(2):
+        own, other = matrix[i][i], matrix[i][1 - i]
+        assert (own.member, own.surface) == (own.surface, own.member)
+        assert np.all(own.nlpd[:2] < other.nlpd[:2])
+        assert np.all(own.rmse[:2] < other.rmse[:2])
+        assert np.all(own.rmse > 0.9 * NOISE)
+        assert np.all(own.coverage > 0.85)
+    draw_validation(matrix, tmp_path / "matrix.png")
+    assert (tmp_path / "matrix.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_matrix_refuses_another_period(library_path: Path) -> None:
+    other = dataclasses.replace(surface(), provenance=provenance(dt=0.1))
+    with pytest.raises(EgpError, match=r"dt 0\.1 s, the library 0\.05 s"):
+        validate(Library.load(library_path), {"other": other})
+
+
+def test_rollout_needs_unbroken_trajectories(library_path: Path) -> None:
+    library = Library.load(library_path)
+    broken = dataclasses.replace(surface(), step=(2 * surface().step).astype(np.uint32))
+    assert np.isnan(rollout_error(library, 0, broken, 5)).all()
+    # One period is what the RMSE measures, up to the choice of rows.
+    once = rollout_error(library, 0, surface(), 1)
+    mean, _, _ = library.predict(surface().z[::5], 0)
+    expected = np.sqrt(np.mean((mean - surface().y[::5]) ** 2, axis=0))
+    np.testing.assert_allclose(once, expected)
+
+
+def test_split_keeps_trajectories_whole() -> None:
+    training, validation = split(surface(), 0.2, np.random.default_rng(0))
+    assert len(np.unique(validation.trajectory)) == 6
+    assert not set(training.trajectory) & set(validation.trajectory)
+    assert len(training) + len(validation) == len(surface())
+    one = surface().select(surface().trajectory == 0)
+    with pytest.raises(EgpError, match="has one trajectory"):
+        split(one, 0.2, np.random.default_rng(0))
+
+
+def test_members_hold_the_subset_without_validation_data(members: list[TrainedMember]) -> None:
+    for member in members:
+        assert len(np.unique(member.inputs, axis=0)) == SETTINGS.max_points
+        kept = {row.tobytes() for row in member.inputs}
+        assert kept <= {row.tobytes() for row in member.dataset.z}
+        assert not kept & {row.tobytes() for row in member.validation.z}
+
+
+def test_progress_reaches_every_fit() -> None:
+    seen: list[FitProgress] = []
+    train([surface()], dataclasses.replace(SETTINGS, max_iterations=5), seen.append)
+    assert len({step.stage for step in seen}) == 6  # two fits of three outputs
+    assert all(0 < step.done <= step.total for step in seen)
+    assert [step.done for step in seen] == sorted(step.done for step in seen)
+    assert all(np.isfinite(step.loss) for step in seen)
+
+
+def test_refuses_what_cannot_be_one_library() -> None:
+    wet = surface()
+    slow = dataclasses.replace(surface(1.1), provenance=provenance(1.1, dt=0.1))
+    with pytest.raises(EgpError, match="one library has one dt and one vehicle"):
+        train([wet, slow], SETTINGS)
+    namesake = dataclasses.replace(surface(1.1), provenance=provenance(1.1, surface="mu 0.5"))
+    with pytest.raises(EgpError, match="share a surface label"):
+        train([wet, namesake], SETTINGS)
+    with pytest.raises(EgpError, match="no datasets"):
+        train([], SETTINGS)
+
+
+def test_refuses_data_that_teach_nothing() -> None:
+    z = surface().z.copy()
+    z[:, 3] = 0.1
+    straight: Dataset = dataclasses.replace(surface(), z=z)
+    with pytest.raises(EgpError, match="delta never changes"):
+        train([straight], SETTINGS)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"kernel": "cosine"}, {"max_points": 3}, {"restarts": -1}, {"validation_fraction": 1.0}],
+)
+def test_refuses_bad_settings(changes: dict[str, object]) -> None:
+    with pytest.raises(EgpError, match=next(iter(changes))):
+        TrainingSettings(**changes)  # type: ignore[arg-type]
