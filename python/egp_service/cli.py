@@ -10,10 +10,12 @@ from rich.console import Console
 from rich.text import Text
 
 from egp_service._core import EgpError
+from egp_service.commands.collect import collect
 from egp_service.commands.demo import demo
 from egp_service.commands.drive import drive
 from egp_service.commands.inspect import inspect
 from egp_service.commands.serve import serve
+from egp_service.commands.train import train
 
 HELP = """
 Drive on roads of unknown friction: an ensemble of Gaussian processes inside an MPC.
@@ -48,7 +50,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (inspect, serve, drive, demo):
+for command in (collect, train, inspect, serve, drive, demo):
     app.command(no_args_is_help=False)(command)
 
 

@@ -13,6 +13,14 @@ if TYPE_CHECKING:
 
 def demo(
     *,
+    train: Annotated[
+        bool,
+        typer.Option(
+            "--train",
+            help="Collect data and train a library first, instead of using the "
+            "shipped one. Takes minutes and needs the [train] extra.",
+        ),
+    ] = False,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
         "runs"
     ),
@@ -31,8 +39,9 @@ def demo(
     console = Console()
     start = time.perf_counter()
     folder = new_folder(output, "demo")
+    library = _trained(folder) if train else None
     with StatusLine(console) as line:
-        laps = drive_laps(None, folder, line.show)
+        laps = drive_laps(library, folder, line.show)
     console.print(summary_table([(lap.label, lap.run.summary) for lap in laps]))
     with console.status("Drawing ..."):
         overview = draw_comparison([(lap.label, lap.run) for lap in laps], folder / "laps.png")
@@ -42,6 +51,15 @@ def demo(
     console.print(f"Took {time.perf_counter() - start:.0f} s. Look at:", highlight=False)
     for path in (overview, laps[0].folder / "weights.png", folder):
         console.print(f"  {path}", highlight=False)
+
+
+def _trained(folder: Path) -> Path:
+    from egp_service.commands import train
+    from egp_service.recipe import DEMO_RECIPE
+
+    library = folder / "library.safetensors"
+    train.train(library, recipe=DEMO_RECIPE)
+    return library
 
 
 def _explain(console: Console, laps: "list[Lap]") -> None:

@@ -28,13 +28,12 @@ def train(
         Path | None, typer.Option(help="Draw the validation matrix into this file.")
     ] = None,
 ) -> None:
-    r"""Train a library: one member for each surface in the datasets.
+    """Train a library: one member for each surface in the datasets.
 
     Prints the validation matrix, every member on every surface's held-out trajectories. Data beyond
     --max-points are thinned: half uniformly, half where the first fit knows least.
 
-    \b
-    Examples:
+    For example:
       egp train data/*.parquet -o library.safetensors
       egp train --recipe recipe.toml -o library.safetensors
     """
