@@ -307,8 +307,11 @@ class Plant:
     ) -> None:
         """Put the vehicle somewhere at forward speed `v >= 0`, its suspension at rest."""
 
-    def step(self, u: NDArray[np.float64], dt: float, friction: float | FrictionMap) -> None:
+    def step(self, u: NDArray[np.float64], dt: float, friction: float | FrictionMap | Path) -> None:
         """Drive `dt` seconds under the constant input `u = [F_x, delta_dot]` (N, rad/s).
+
+        Friction is the same everywhere, or that of the map's cell or of the path's zone under each
+        wheel.
 
         Raises `EgpError` for refused input and when the vehicle has spun, and keeps the state then.
         """
@@ -330,18 +333,6 @@ class Plant:
     @property
     def lateral_acceleration(self) -> float:
         """Lateral acceleration of the body in m/s²."""
-
-@final
-class FrictionMap:
-    """Friction coefficients `values` (rows along +y, columns along +x) in square cells.
-
-    `origin` is the lower left corner of the grid, `cell` a cell's side in m. The border
-    continues outside.
-    """
-
-    def __new__(
-        cls, values: NDArray[np.float64], origin: tuple[float, float], cell: float
-    ) -> FrictionMap: ...
 
 def plant_derivative(
     state: NDArray[np.float64],
@@ -371,6 +362,20 @@ def plant_step_batch(
     States (n, 29), inputs (n, 2), friction (n,). Returns the new states and which
     vehicles completed the period; one that spun keeps its state.
     """
+
+# surface.rs
+
+@final
+class FrictionMap:
+    """Friction coefficients `values` (rows along +y, columns along +x) in square cells.
+
+    `origin` is the lower left corner of the grid, `cell` a cell's side in m. The border
+    continues outside.
+    """
+
+    def __new__(
+        cls, values: NDArray[np.float64], origin: tuple[float, float], cell: float
+    ) -> FrictionMap: ...
 
 # library.rs
 

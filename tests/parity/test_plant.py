@@ -16,6 +16,7 @@ from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 from egp_service import EgpError
 from egp_service._core import (
     FrictionMap,
+    Path,
     Plant,
     plant_derivative,
     plant_initial_states,
@@ -223,6 +224,25 @@ def test_split_friction_enters_by_wheel() -> None:
     uneven = plant_derivative(slip, brake, np.array([1.0, 0.2, 1.0, 0.2]))
     np.testing.assert_array_equal(even, same)
     assert uneven[5] < even[5] - 1.0
+
+
+def test_friction_of_a_path_is_that_of_its_zones() -> None:
+    """Dry before the line, ice behind it: the front wheels get there first."""
+    points = np.column_stack([np.linspace(-100.0, 100.0, 41), np.zeros(41)])
+    line = Path.from_points(points, closed=False).with_friction([(0.0, 1.0), (0.5, 0.2)])
+    brake = np.array([-6000.0, 0.0])
+
+    def braked(start: float, friction: float | Path) -> Vector:
+        plant = Plant()
+        plant.reset(start, 0.3, 0.0, 20.0)
+        plant.step(brake, 0.05, friction)
+        return plant.state
+
+    np.testing.assert_array_equal(braked(-50.0, line), braked(-50.0, 1.0))
+    np.testing.assert_array_equal(braked(50.0, line), braked(50.0, 0.2))
+    front_on_ice = braked(0.0, line)
+    # The front wheels lock, the rear ones don't.
+    assert np.all(front_on_ice[23:25] < 0.9 * front_on_ice[25:27])
 
 
 def test_refusals_keep_the_state() -> None:

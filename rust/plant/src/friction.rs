@@ -10,6 +10,12 @@ pub trait Friction {
     fn coefficient(&self, position: [f64; 2]) -> f64;
 }
 
+impl<F: Friction + ?Sized> Friction for &F {
+    fn coefficient(&self, position: [f64; 2]) -> f64 {
+        (**self).coefficient(position)
+    }
+}
+
 /// The same friction everywhere.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Uniform(f64);

@@ -81,7 +81,7 @@ impl Plant {
         &mut self,
         input: [f64; 2],
         dt: f64,
-        friction: &impl Friction,
+        friction: &(impl Friction + ?Sized),
     ) -> Result<(), PlantError> {
         check_step(input, dt)?;
         let mut state = self.state;
@@ -102,7 +102,7 @@ impl Plant {
         state: &StateVector,
         [force, steering_rate]: [f64; 2],
         h: f64,
-        friction: &impl Friction,
+        friction: &(impl Friction + ?Sized),
     ) -> Result<StateVector, PlantError> {
         let mu = self.friction_under_wheels(state, friction)?;
         let v_x = state[3];
@@ -133,7 +133,7 @@ impl Plant {
     fn friction_under_wheels(
         &self,
         state: &StateVector,
-        friction: &impl Friction,
+        friction: &(impl Friction + ?Sized),
     ) -> Result<[f64; 4], PlantError> {
         let [front, rear] = self.parameters.axles();
         let [a, b] = wheel_offsets(front);

@@ -10,6 +10,7 @@ mod ocp;
 mod path;
 mod plant;
 mod service;
+mod surface;
 mod wire;
 
 use pyo3::prelude::*;
@@ -24,6 +25,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     path::register(module)?;
     plant::register(module)?;
     service::register(module)?;
+    surface::register(module)?;
     wire::register(module)?;
     Ok(())
 }

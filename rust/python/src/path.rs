@@ -29,7 +29,7 @@ type Reference<'py> = (NewMatrix<'py>, Option<NewMatrix<'py>>, Projection);
 
 /// A reference path.
 #[pyclass(module = "egp_service._core", frozen)]
-struct Path(egp_path::Path);
+pub struct Path(pub egp_path::Path);
 
 #[pymethods]
 impl Path {

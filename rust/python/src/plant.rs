@@ -1,10 +1,11 @@
-//! `Plant`, `FrictionMap` and the functions on many states at once.
+//! `Plant` and the functions on many states at once.
 
-use egp_plant::{BatchItem, Map, NX, Parameters, StateVector, Uniform, VehicleId, VehicleState};
+use egp_plant::{BatchItem, NX, Parameters, StateVector, Uniform, VehicleId, VehicleState};
 use pyo3::prelude::*;
 
 use crate::array::{Matrix, NewMatrix, NewVector, Vector, array, fixed, rows, vector};
 use crate::error::{EgpError, raise};
+use crate::surface::Surface;
 
 /// A batch after one period: the states, and which plants made it.
 type Stepped<'py> = (NewMatrix<'py>, NewVector<'py, bool>);
@@ -47,14 +48,8 @@ impl Plant {
 
     fn step(&mut self, u: Vector<'_>, dt: f64, friction: Surface<'_>) -> PyResult<()> {
         let input = fixed("u", &u)?;
-        match friction {
-            Surface::Uniform(mu) => {
-                let surface = Uniform::new(mu).map_err(raise)?;
-                self.0.step(input, dt, &surface)
-            }
-            Surface::Map(map) => self.0.step(input, dt, &map.get().0),
-        }
-        .map_err(raise)
+        let friction = friction.friction()?;
+        self.0.step(input, dt, friction.as_ref()).map_err(raise)
     }
 
     #[getter]
@@ -81,34 +76,6 @@ impl Plant {
     fn lateral_acceleration(&self) -> f64 {
         self.0.lateral_acceleration()
     }
-}
-
-/// Friction on a grid.
-#[pyclass(module = "egp_service._core", frozen)]
-struct FrictionMap(Map);
-
-#[pymethods]
-impl FrictionMap {
-    #[new]
-    fn new(values: Matrix<'_>, origin: (f64, f64), cell: f64) -> PyResult<Self> {
-        let values = values.as_array();
-        let (rows, columns) = values.dim();
-        Map::new(
-            [origin.0, origin.1],
-            cell,
-            [rows, columns],
-            values.iter().copied().collect(),
-        )
-        .map(Self)
-        .map_err(raise)
-    }
-}
-
-/// What a plant can drive on.
-#[derive(FromPyObject)]
-enum Surface<'py> {
-    Uniform(f64),
-    Map(Bound<'py, FrictionMap>),
 }
 
 /// One coefficient, or one for each wheel.
@@ -219,7 +186,6 @@ fn matrix(py: Python<'_>, states: Vec<StateVector>) -> PyResult<NewMatrix<'_>> {
 /// When Python refuses one.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Plant>()?;
-    module.add_class::<FrictionMap>()?;
     module.add_function(wrap_pyfunction!(plant_derivative, module)?)?;
     module.add_function(wrap_pyfunction!(plant_initial_states, module)?)?;
     module.add_function(wrap_pyfunction!(plant_step_batch, module)?)

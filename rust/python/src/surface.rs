@@ -1,0 +1,75 @@
+//! What a plant can drive on: a coefficient, a map, or a path with friction zones.
+
+use std::cell::Cell;
+
+use egp_plant::{Friction, Map, Uniform};
+use pyo3::prelude::*;
+
+use crate::array::Matrix;
+use crate::error::raise;
+use crate::path::Path;
+
+/// Friction on a grid.
+#[pyclass(module = "egp_service._core", frozen)]
+pub struct FrictionMap(Map);
+
+#[pymethods]
+impl FrictionMap {
+    #[new]
+    fn new(values: Matrix<'_>, origin: (f64, f64), cell: f64) -> PyResult<Self> {
+        let values = values.as_array();
+        let (rows, columns) = values.dim();
+        let values = values.iter().copied().collect();
+        Map::new([origin.0, origin.1], cell, [rows, columns], values)
+            .map(Self)
+            .map_err(raise)
+    }
+}
+
+/// The `friction` argument of a step.
+#[derive(FromPyObject)]
+pub enum Surface<'py> {
+    Uniform(f64),
+    Map(Bound<'py, FrictionMap>),
+    Path(Bound<'py, Path>),
+}
+
+impl Surface<'_> {
+    /// As the plant sees it.
+    ///
+    /// # Errors
+    /// A coefficient that is not positive.
+    pub fn friction(&self) -> PyResult<Box<dyn Friction + '_>> {
+        Ok(match self {
+            Self::Uniform(mu) => Box::new(Uniform::new(*mu).map_err(raise)?),
+            Self::Map(map) => Box::new(&map.get().0),
+            Self::Path(path) => Box::new(OnPath {
+                path: &path.get().0,
+                last: Cell::new(None),
+            }),
+        })
+    }
+}
+
+/// The friction of a path beside the nearest point on it.
+struct OnPath<'a> {
+    path: &'a egp_path::Path,
+    /// Arc length under the wheel asked for last, where the search for the next one starts.
+    last: Cell<Option<f64>>,
+}
+
+impl Friction for OnPath<'_> {
+    fn coefficient(&self, position: [f64; 2]) -> f64 {
+        let projection = self.path.project(position, self.last.get());
+        self.last.set(Some(projection.s));
+        projection.sample.friction
+    }
+}
+
+/// Adds this file's class to the module.
+///
+/// # Errors
+/// When Python refuses it.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<FrictionMap>()
+}
