@@ -1,0 +1,256 @@
+"""The paper's control step: GPyTorch autograd for the members, CVXPY with OSQP for both QPs.
+
+Built from the same library file and the same request as our step, and written with care: all
+queries of a member go through GPyTorch as one batch, Jacobians take one backward pass an output,
+both problems are DPP-parametrised so that CVXPY canonicalises them once, OSQP starts from its last
+solution, and prediction rows the client carries are not computed again.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import cvxpy as cp
+import gpytorch
+import numpy as np
+import torch
+from mpc import Mpc
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from egp_service._core import Request
+
+    Array = NDArray[np.float64]
+
+NX, NU, NY = 7, 2, 3
+P_X, P_Y, V_X, PSI, V_Y, OMEGA, DELTA = range(NX)
+
+
+def read_tensors(path: Path) -> dict[str, Array]:
+    """Tensors of a library file (safetensors: header length, JSON header, data)."""
+    raw = path.read_bytes()
+    (length,) = struct.unpack("<Q", raw[:8])
+    header = json.loads(raw[8 : 8 + length])
+    data = memoryview(raw)[8 + length :]
+    return {
+        name: np.frombuffer(data[slice(*entry["data_offsets"])], "<f8").reshape(entry["shape"])
+        for name, entry in header.items()
+        if name != "__metadata__"
+    }
+
+
+class ExactGP(gpytorch.models.ExactGP):  # type: ignore[misc]
+    """One output of one member, RBF-ARD with a constant mean."""
+
+    def __init__(self, x: torch.Tensor, y: torch.Tensor, likelihood: Any) -> None:  # noqa: ANN401
+        super().__init__(x, y, likelihood)
+        self.mean_module = gpytorch.means.ConstantMean()
+        self.covar_module = gpytorch.kernels.ScaleKernel(
+            gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[-1])
+        )
+
+    def forward(self, x: torch.Tensor) -> Any:  # noqa: ANN401
+        """Prior at ``x``."""
+        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
+
+
+class Member:
+    """One surface's three GPs, its scalers, and mean with Jacobian by autograd."""
+
+    def __init__(self, tensors: dict[str, Array], index: int) -> None:
+        def tensor(name: str) -> torch.Tensor:
+            return torch.from_numpy(tensors[f"members.{index}.{name}"].copy())
+
+        self.input_mean, self.input_std = tensor("input_mean"), tensor("input_std")
+        self.target_mean, self.target_std = tensor("target_mean"), tensor("target_std")
+        x = (tensor("inputs") - self.input_mean) / self.input_std
+        y = (tensor("targets") - self.target_mean) / self.target_std
+        lengthscales, outputscale = tensor("lengthscales"), tensor("outputscale")
+        noise, constant = tensor("noise"), tensor("constant")
+        self.noise_std = (torch.sqrt(noise) * self.target_std).numpy()
+        self.outputs = []
+        for o in range(NY):
+            likelihood = gpytorch.likelihoods.GaussianLikelihood().double()
+            likelihood.noise = noise[o]
+            gp = ExactGP(x, y[:, o], likelihood).double()
+            gp.covar_module.base_kernel.lengthscale = lengthscales[o]
+            gp.covar_module.outputscale = outputscale[o]
+            gp.mean_module.constant.data = constant[o]
+            gp.eval()
+            for parameter in gp.parameters():
+                parameter.requires_grad_(requires_grad=False)
+            self.outputs.append(gp)
+
+    def mean(self, z: Array) -> Array:
+        """Mean at ``z`` (n, 6): (n, 3)."""
+        with torch.no_grad(), gpytorch.settings.skip_posterior_variances():
+            query = (torch.from_numpy(z) - self.input_mean) / self.input_std
+            mean = torch.stack([gp(query).mean for gp in self.outputs], dim=-1)
+            return np.asarray(mean * self.target_std + self.target_mean)
+
+    def mean_jacobian(self, z: Array) -> tuple[Array, Array]:
+        """Mean (n, 3) and Jacobian (n, 3, 6); queries are independent, so one sum serves all."""
+        query = torch.from_numpy(z).requires_grad_()
+        scaled = (query - self.input_mean) / self.input_std
+        means, gradients = [], []
+        with gpytorch.settings.skip_posterior_variances():
+            for o, gp in enumerate(self.outputs):
+                mean = gp(scaled).mean * self.target_std[o] + self.target_mean[o]
+                (gradient,) = torch.autograd.grad(mean.sum(), query, retain_graph=True)
+                means.append(mean.detach())
+                gradients.append(gradient)
+        return torch.stack(means, -1).numpy(), torch.stack(gradients, 1).numpy()
+
+
+@dataclass
+class Phases:
+    """Seconds spent in each part of one step."""
+
+    weights: float = 0.0
+    linearise: float = 0.0
+    mpc: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """The whole step."""
+        return self.weights + self.linearise + self.mpc
+
+
+@dataclass
+class PaperStep:
+    """What one step returned."""
+
+    plan_x: Array
+    plan_u: Array
+    weights: Array
+    phases: Phases = field(default_factory=Phases)
+
+
+class Clock:
+    """Laps of ``time.perf_counter``."""
+
+    def __init__(self) -> None:
+        self._last = time.perf_counter()
+
+    def lap(self) -> float:
+        """Seconds since the last lap."""
+        now = time.perf_counter()
+        self._last, elapsed = now, now - self._last
+        return elapsed
+
+
+class Weights:
+    """Eq. (6) with a quadratic prior, DPP-parametrised."""
+
+    def __init__(self, members: int, window: int, strength: float) -> None:
+        self.f, self.y = cp.Parameter((window * NY, members)), cp.Parameter(window * NY)
+        self.previous, self.w = cp.Parameter(members), cp.Variable(members)
+        objective = cp.sum_squares(self.y - self.f @ self.w)
+        objective += strength * cp.sum_squares(self.w - self.previous)
+        self.problem = cp.Problem(cp.Minimize(objective), [self.w >= 0, cp.sum(self.w) == 1])
+
+    def solve(self, f: Array, y: Array, previous: Array) -> Array:
+        """Return the weights for predictions ``f (K*3, N)`` and measurements ``y (K*3,)``."""
+        self.f.value, self.y.value, self.previous.value = f, y, previous
+        self.problem.solve(solver=cp.OSQP, warm_start=True)
+        return np.asarray(self.w.value)
+
+
+class PaperStack:
+    """The paper's step for one library and the settings of our step."""
+
+    def __init__(self, library: Path, dt: float, settings: dict[str, Any]) -> None:
+        tensors = read_tensors(library)
+        count = len({name.split(".")[1] for name in tensors if name.startswith("members.")})
+        self.members = [Member(tensors, n) for n in range(count)]
+        self.dt, self.mass = dt, settings["mass"]
+        self.window, self.horizon = settings["weights"]["window"], settings["horizon"]
+        self.whiten = 1.0 / np.sqrt(np.mean([m.noise_std**2 for m in self.members], axis=0))
+        self.weights = Weights(count, self.window, settings["weights"]["prior"]["lambda"])
+        self.mpc = Mpc(self.horizon, dt, settings)
+        self.margin = settings["soft"]["edge_margin"]
+
+    def step(self, request: Request) -> PaperStep:
+        """Compute one step from a request whose window is full and which carries a plan."""
+        phases, clock = Phases(), Clock()
+        new = len(request.history_z) - len(request.history_f)
+        rows = np.stack([member.mean(request.history_z[:new]) for member in self.members], axis=1)
+        f = np.concatenate([rows, request.history_f])
+        w = self.weights.solve(
+            (f * self.whiten).transpose(0, 2, 1).reshape(self.window * NY, -1),
+            (request.history_y * self.whiten).ravel(),
+            request.weights,
+        )
+        w = np.maximum(w, 0.0) / np.maximum(w, 0.0).sum()
+        phases.weights = clock.lap()
+        x, u = self._operating(request)
+        dynamics = self._linearise(x, u, w)
+        phases.linearise = clock.lap()
+        reference = request.reference.copy()
+        reference[:, 3] = np.unwrap(np.concatenate([[request.x[3]], reference[:, 3]]))[1:]
+        edges = np.maximum(request.widths[1:] - self.margin, 0.0)
+        scaled = request.u_prev / [self.mass, 1.0]
+        plan_x, plan_u = self.mpc.solve(
+            dynamics,
+            x0=request.x,
+            u_prev=scaled,
+            reference=reference,
+            edges=edges,
+            operating_v=x[:-1, V_X],
+        )
+        phases.mpc = clock.lap()
+        return PaperStep(plan_x, plan_u * [self.mass, 1.0], w, phases)
+
+    def _operating(self, request: Request) -> tuple[Array, Array]:
+        """Shift the previous plan to now; its last force and the steering angle are held."""
+        shift = request.plan_shift
+        held = np.array([[request.plan_u[-1, 0], 0.0]])
+        u = np.concatenate([request.plan_u[shift:], np.repeat(held, shift, axis=0)])
+        x = np.concatenate([request.x[None], request.plan_x[shift + 1 :]])
+        last = x[-1]
+        for _ in range(shift):
+            last = last.copy()
+            last[[P_X, P_Y]] += (
+                self.dt * last[V_X] * np.array([np.cos(last[PSI]), np.sin(last[PSI])])
+            )
+            last[PSI] += self.dt * last[OMEGA]
+            x = np.concatenate([x, last[None]])
+        return x, u
+
+    def _linearise(self, x: Array, u: Array, w: Array) -> tuple[Array, Array, Array]:
+        """Blend the members' tangents, eqs. (15)-(17); inputs of ``B`` are scaled."""
+        z = np.concatenate([x[:-1, [V_X, V_Y, OMEGA, DELTA]], u], axis=1)
+        parts = [member.mean_jacobian(z) for member in self.members]
+        mean = sum(wn * m for wn, (m, _) in zip(w, parts, strict=True))
+        jacobian = sum(wn * j for wn, (_, j) in zip(w, parts, strict=True))
+        dt, states = self.dt, x[:-1]
+        sin, cos = np.sin(states[:, PSI]), np.cos(states[:, PSI])
+        v_x, v_y = states[:, V_X], states[:, V_Y]
+        a = np.tile(np.eye(NX), (len(z), 1, 1))
+        a[:, P_X, V_X], a[:, P_X, V_Y] = dt * cos, -dt * sin
+        a[:, P_X, PSI] = -dt * (v_x * sin + v_y * cos)
+        a[:, P_Y, V_X], a[:, P_Y, V_Y] = dt * sin, dt * cos
+        a[:, P_Y, PSI] = dt * (v_x * cos - v_y * sin)
+        a[:, PSI, OMEGA] = dt
+        b = np.zeros((len(z), NX, NU))
+        b[:, DELTA, 1] = dt
+        for o, row in enumerate((V_X, V_Y, OMEGA)):
+            for d, column in enumerate((V_X, V_Y, OMEGA, DELTA)):
+                a[:, row, column] += jacobian[:, o, d]
+            b[:, row] = jacobian[:, o, 4:]
+        following = states.copy()
+        following[:, P_X] += dt * (v_x * cos - v_y * sin)
+        following[:, P_Y] += dt * (v_x * sin + v_y * cos)
+        following[:, PSI] += dt * states[:, OMEGA]
+        following[:, DELTA] += dt * u[:, 1]
+        following[:, [V_X, V_Y, OMEGA]] += mean
+        c = following - np.einsum("tij,tj->ti", a, states) - np.einsum("tij,tj->ti", b, u)
+        b[:, :, 0] *= self.mass
+        return a, b, c
