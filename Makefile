@@ -42,6 +42,9 @@ python-test: .venv/built-dev ## Run the Python tests
 clean: ## Remove what these commands built
 	rm -rf .venv target
 
+EXTRAS_viz := viz
+EXTRAS_dev := train,viz,dev
+
 # One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension.
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -52,5 +55,5 @@ clean: ## Remove what these commands built
 
 .venv/built-%: .venv/bin/python pyproject.toml constraints.txt $(RUST)
 	VIRTUAL_ENV=$(CURDIR)/.venv PIP_CONSTRAINT=$(CURDIR)/constraints.txt \
-		$(BIN)/maturin develop --release --locked --extras $*
+		$(BIN)/maturin develop --release --locked --extras $(EXTRAS_$*)
 	@touch $@

@@ -68,7 +68,7 @@ def main() -> None:
             engine.step(request)
             seconds[name].append(time.perf_counter() - start)
 
-    settings = tomllib.loads(engines["riccati"].settings)
+    settings = tomllib.loads(engines["riccati"].settings_toml)
     stack = PaperStack(path, library.dt, settings)
     phases: list[tuple[float, float, float]] = []
     difference: list[float] = []
