@@ -17,16 +17,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from egp_service.closed_loop import drive
-from egp_service.controller import Controller
-from egp_service.scenario import library_path, load_scenario
 from paper_stack import PaperStack
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from egp_service import Library
-from egp_service._core import Engine, decode_reply, decode_request
+from egp_service._core import Engine, Library, decode_reply, decode_request
+from egp_service.closed_loop import drive
+from egp_service.controller import Controller
+from egp_service.scenario import library_path, load_scenario
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
