@@ -68,7 +68,7 @@ def main() -> None:
             seconds[name].append(time.perf_counter() - start)
 
     settings = tomllib.loads(engines["riccati"].settings_toml)
-    stack = PaperStack(path, library.dt, settings)
+    stack = PaperStack(path, library, settings)
     phases: list[tuple[float, float, float]] = []
     difference: list[float] = []
     sample = requests[:: max(1, len(requests) // options.requests)]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from egp_service._core import Request
+    from egp_service._core import Library, Request
 
     Array = NDArray[np.float64]
 
@@ -47,13 +47,15 @@ def read_tensors(path: Path) -> dict[str, Array]:
 
 
 class ExactGP(gpytorch.models.ExactGP):  # type: ignore[misc]
-    """One output of one member, RBF-ARD with a constant mean."""
+    """One output of one member, with the library's ARD kernel and a constant mean."""
 
-    def __init__(self, x: torch.Tensor, y: torch.Tensor, likelihood: Any) -> None:  # noqa: ANN401
+    def __init__(self, kernel: str, x: torch.Tensor, y: torch.Tensor, likelihood: Any) -> None:  # noqa: ANN401
         super().__init__(x, y, likelihood)
         self.mean_module = gpytorch.means.ConstantMean()
         self.covar_module = gpytorch.kernels.ScaleKernel(
             gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[-1])
+            if kernel == "rbf"
+            else gpytorch.kernels.MaternKernel(nu=2.5, ard_num_dims=x.shape[-1])
         )
 
     def forward(self, x: torch.Tensor) -> Any:  # noqa: ANN401
@@ -64,7 +66,7 @@ class ExactGP(gpytorch.models.ExactGP):  # type: ignore[misc]
 class Member:
     """One surface's three GPs, its scalers, and mean with Jacobian by autograd."""
 
-    def __init__(self, tensors: dict[str, Array], index: int) -> None:
+    def __init__(self, kernel: str, tensors: dict[str, Array], index: int) -> None:
         def tensor(name: str) -> torch.Tensor:
             return torch.from_numpy(tensors[f"members.{index}.{name}"].copy())
 
@@ -77,9 +79,11 @@ class Member:
         self.noise_std = (torch.sqrt(noise) * self.target_std).numpy()
         self.outputs = []
         for o in range(NY):
-            likelihood = gpytorch.likelihoods.GaussianLikelihood().double()
+            likelihood = gpytorch.likelihoods.GaussianLikelihood(
+                noise_constraint=gpytorch.constraints.Positive()
+            ).double()
             likelihood.noise = noise[o]
-            gp = ExactGP(x, y[:, o], likelihood).double()
+            gp = ExactGP(kernel, x, y[:, o], likelihood).double()
             gp.covar_module.base_kernel.lengthscale = lengthscales[o]
             gp.covar_module.outputscale = outputscale[o]
             gp.mean_module.constant.data = constant[o]
@@ -166,10 +170,10 @@ class Weights:
 class PaperStack:
     """The paper's step for one library and the settings of our step."""
 
-    def __init__(self, library: Path, dt: float, settings: dict[str, Any]) -> None:
-        tensors = read_tensors(library)
-        count = len({name.split(".")[1] for name in tensors if name.startswith("members.")})
-        self.members = [Member(tensors, n) for n in range(count)]
+    def __init__(self, path: Path, library: Library, settings: dict[str, Any]) -> None:
+        tensors, dt = read_tensors(path), library.dt
+        count = len(library.members)
+        self.members = [Member(library.kernel, tensors, n) for n in range(count)]
         self.dt, self.mass = dt, settings["mass"]
         self.window, self.horizon = settings["weights"]["window"], settings["horizon"]
         self.whiten = 1.0 / np.sqrt(np.mean([m.noise_std**2 for m in self.members], axis=0))
