@@ -116,8 +116,10 @@ impl Limits {
     /// `dt (r + (r - step) + ...) = dt ((n + 1) r - step n (n + 1) / 2)` with `n = floor(r / step)`.
     /// Solved for `r`; the `n` that fits follows from `room = dt step (n + 1)(n + 2) / 2` at the
     /// border between two `n`. Beyond the limit (negative room): the rate that leads back.
+    ///
+    /// More room than a turn counts as a turn: whatever angle was measured, nothing here overflows.
     fn approach_rate(&self, room: f64, step: f64, dt: f64) -> f64 {
-        let turns = room / dt;
+        let turns = room.min(std::f64::consts::TAU) / dt;
         let rate = if turns > 0.0 {
             let n = (0.5 * ((1.0 + 8.0 * turns / step).sqrt() - 1.0)).floor();
             (turns + 0.5 * step * n * (n + 1.0)) / (n + 1.0)

@@ -126,6 +126,15 @@ fn a_stop_brings_a_point_mass_to_rest_and_holds_it() {
 }
 
 #[test]
+fn an_absurd_steering_angle_gets_a_finite_command() {
+    for delta in [-1.2e308, 1.2e308, f64::MIN, f64::MAX] {
+        let mut gate = Gate::new(limits(0.05), DT, 3, 3.0).unwrap();
+        gate.accept(0, &[[0.0, 0.1]]).unwrap();
+        assert!(gate.command(0, 10.0, delta).u[1].abs() <= 0.05 * DT);
+    }
+}
+
+#[test]
 fn an_unknown_speed_is_braked() {
     let mut gate = Gate::new(Limits::default(), DT, 0, 3.0).unwrap();
     for tick in 0..10 {
