@@ -671,7 +671,12 @@ class Carry:
         """Number of the last request."""
     @property
     def weights(self) -> NDArray[np.float64]:
-        """Weights of the newest reply (N,); empty before the first."""
+        """Weights of the newest reply (N,); empty before the first.
+
+        Set them to start from others; without history (K = 0) they then stay as they are.
+        """
+    @weights.setter
+    def weights(self, weights: NDArray[np.float64]) -> None: ...
 
 @final
 class Request:

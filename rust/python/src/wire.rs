@@ -71,6 +71,12 @@ impl Carry {
     fn weights<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.0.weights().iter().copied())
     }
+
+    #[setter]
+    fn set_weights(&mut self, weights: Vector<'_>) {
+        self.0
+            .set_weights(weights.as_array().iter().copied().collect());
+    }
 }
 
 /// A validated request.

@@ -76,6 +76,13 @@ impl Carry {
         &self.weights
     }
 
+    /// Lets the next request start from other weights, for one who knows the surface; the service checks them.
+    ///
+    /// Without history (K = 0) they stay as they are.
+    pub fn set_weights(&mut self, weights: Vec<f64>) {
+        self.weights = weights;
+    }
+
     /// The input [`applied`](Self::applied) last.
     pub fn last_input(&self) -> Input {
         self.u
