@@ -1,7 +1,7 @@
 """Collecting a dataset of one surface on the plant: many runs in parallel, one result.
 
-Half of what a member must know is where vehicles usually are (runs on tracks), half is what they
-should never do but might (random states). The result does not depend on the number of processes.
+Runs on tracks show where vehicles usually are, random states what they should never do but might.
+The result does not depend on the number of processes.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class CollectionSettings:
     one each time."""
     runs: int = 6
     """Runs on tracks."""
-    samples: int = 300
+    samples: int = 100
     """Vehicles put into random states."""
     exploration: ExplorationSettings = dataclasses.field(default_factory=ExplorationSettings)
     sampling: SamplingBounds = dataclasses.field(default_factory=SamplingBounds)

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 SHIPPED = DEMO_RECIPE.with_name("demo-library.safetensors")
 
-# Another BLAS rounds differently, L-BFGS then stops elsewhere and the subset is drawn from slightly
-# different variances. What must agree is what the car does: predictions, to within a fraction of
-# what the members' own noise makes uncertain, RMS over the training range.
-TOLERANCE_IN_NOISE = 0.5
+# RMS difference of the means, in standard deviations of the members' noise. The same machine gives
+# the same bytes. Another BLAS rounds differently and L-BFGS follows: 4e-7 with MKL's and torch's
+# vector paths switched off.
+TOLERANCE_IN_NOISE = 0.1
 
 
 def test_rebuilds_from_its_recipe(tmp_path: Path) -> None:
@@ -46,7 +46,7 @@ def test_rebuilds_from_its_recipe(tmp_path: Path) -> None:
     held_out = {member.dataset.provenance.surface: member.validation for member in members}
     for i, row in enumerate(validate(shipped, held_out)):
         own, other = row[i], row[1 - i]
-        # Half a metre per second and 0.2 rad/s after a second of the hardest driving there is.
+        # After a second of driving at and beyond the limit; measured .22, .25 m/s, .06 rad/s.
         assert np.all(own.rollout < [0.5, 0.5, 0.2])
         assert np.all(own.rmse < 0.7 * other.rmse)
         assert np.all(own.coverage > 0.85)

@@ -21,7 +21,7 @@ def collect(
         str, typer.Option(help="CommonRoad number of the simulated car; for a log, its name.")
     ] = "1",
     runs: Annotated[int, typer.Option(help="Runs on tracks, at rising speed.")] = 6,
-    samples: Annotated[int, typer.Option(help="Cars put into random states.")] = 300,
+    samples: Annotated[int, typer.Option(help="Cars put into random states.")] = 100,
     track: Annotated[
         list[str] | None, typer.Option(help="Track of the runs; repeat for more, taken in turn.")
     ] = None,
