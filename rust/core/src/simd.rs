@@ -1,9 +1,14 @@
-//! Wider vector instructions where the machine has them: the only file of this crate with `unsafe`.
+//! Vector instructions: the only file of this crate with `unsafe`.
 //!
-//! Code marked `#[inline(always)]` is compiled once for the baseline and once with AVX2 and FMA. The features are
-//! looked up when the program runs, so one binary serves every machine and gives the same bits on machines that have
-//! the same features.
+//! The features are looked up when the program runs, so one binary serves every machine and gives the same bits on
+//! machines that have the same features. Two ways in:
+//! - [`Vectorised`]: plain code, marked `#[inline(always)]`, that the compiler vectorises for the baseline and for
+//!   AVX2 with FMA.
+//! - [`Wide`]: code over explicit vectors of eight numbers, for loops with more running sums than the compiler keeps
+//!   in vector registers by itself.
 #![allow(unsafe_code)]
+
+use crate::kernel::{LANES, Lanes};
 
 /// A computation that is compiled for several instruction sets.
 pub(crate) trait Vectorised {
@@ -13,19 +18,259 @@ pub(crate) trait Vectorised {
     fn compute(self) -> Self::Output;
 }
 
-/// Runs a computation with the best instruction set this machine has.
-pub(crate) fn vectorised<V: Vectorised>(computation: V) -> V::Output {
+/// A computation over vectors of eight numbers.
+pub(crate) trait Wide {
+    /// What it returns.
+    type Output;
+    /// Does it. Implementations are `#[inline(always)]`, and so are the functions they call with `simd`.
+    fn compute<S: Simd>(self, simd: S) -> Self::Output;
+}
+
+/// Arithmetic on vectors of eight numbers, lane by lane. A value of this type is the permission to use an instruction
+/// set: it is made only where the machine was found to have it.
+pub(crate) trait Simd: Copy {
+    /// Eight numbers.
+    type V: Copy;
+    /// One number in all lanes.
+    fn splat(self, x: f64) -> Self::V;
+    fn load(self, x: &Lanes) -> Self::V;
+    fn store(self, x: Self::V) -> Lanes;
+    fn add(self, a: Self::V, b: Self::V) -> Self::V;
+    fn sub(self, a: Self::V, b: Self::V) -> Self::V;
+    fn mul(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a b + c`, rounded once.
+    fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    fn sqrt(self, a: Self::V) -> Self::V;
+    /// The larger of `a` and `b`; `b` where that is NaN.
+    fn max(self, a: Self::V, b: Self::V) -> Self::V;
+    /// The number with the low twelve bits of `a` plus 1023 as sign and exponent.
+    fn power_of_two(self, a: Self::V) -> Self::V;
+}
+
+/// Runs a computation with the best instruction set this machine has, 512-bit vectors excepted: they slow the small
+/// matrices of the QP solver down.
+pub(crate) fn vectorised<C: Vectorised>(computation: C) -> C::Output {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2,fma")]
-        fn avx2<V: Vectorised>(computation: V) -> V::Output {
+        fn avx2<C: Vectorised>(computation: C) -> C::Output {
             computation.compute()
         }
-        if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma")
-        {
+        if x86::Avx2::detect().is_some() {
             // SAFETY: both features were found on this machine.
             return unsafe { avx2(computation) };
         }
     }
     computation.compute()
+}
+
+/// Runs a computation with the widest vectors this machine has.
+pub(crate) fn wide<C: Wide>(computation: C) -> C::Output {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx512f,avx2,fma")]
+        fn avx512<C: Wide>(computation: C, simd: x86::Avx512) -> C::Output {
+            computation.compute(simd)
+        }
+        #[target_feature(enable = "avx2,fma")]
+        fn avx2<C: Wide>(computation: C, simd: x86::Avx2) -> C::Output {
+            computation.compute(simd)
+        }
+        if let Some(simd) = x86::Avx512::detect() {
+            // SAFETY: the three features were found on this machine.
+            return unsafe { avx512(computation, simd) };
+        }
+        if let Some(simd) = x86::Avx2::detect() {
+            // SAFETY: both features were found on this machine.
+            return unsafe { avx2(computation, simd) };
+        }
+    }
+    computation.compute(Portable)
+}
+
+/// Any machine.
+#[derive(Clone, Copy)]
+struct Portable;
+
+impl Simd for Portable {
+    type V = Lanes;
+
+    #[inline(always)]
+    fn splat(self, x: f64) -> Lanes {
+        [x; LANES]
+    }
+    #[inline(always)]
+    fn load(self, x: &Lanes) -> Lanes {
+        *x
+    }
+    #[inline(always)]
+    fn store(self, x: Lanes) -> Lanes {
+        x
+    }
+    #[inline(always)]
+    fn add(self, a: Lanes, b: Lanes) -> Lanes {
+        std::array::from_fn(|l| a[l] + b[l])
+    }
+    #[inline(always)]
+    fn sub(self, a: Lanes, b: Lanes) -> Lanes {
+        std::array::from_fn(|l| a[l] - b[l])
+    }
+    #[inline(always)]
+    fn mul(self, a: Lanes, b: Lanes) -> Lanes {
+        std::array::from_fn(|l| a[l] * b[l])
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Lanes, b: Lanes, c: Lanes) -> Lanes {
+        std::array::from_fn(|l| a[l].mul_add(b[l], c[l]))
+    }
+    #[inline(always)]
+    fn sqrt(self, a: Lanes) -> Lanes {
+        a.map(f64::sqrt)
+    }
+    #[inline(always)]
+    fn max(self, a: Lanes, b: Lanes) -> Lanes {
+        std::array::from_fn(|l| if a[l] > b[l] { a[l] } else { b[l] })
+    }
+    #[inline(always)]
+    fn power_of_two(self, a: Lanes) -> Lanes {
+        a.map(|a| f64::from_bits((a.to_bits() << 52).wrapping_add(1.0_f64.to_bits())))
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use std::arch::is_x86_feature_detected as has;
+    #[allow(clippy::wildcard_imports)] // two dozen intrinsics
+    use std::arch::x86_64::*;
+
+    use super::{LANES, Lanes, Simd};
+
+    /// AVX-512, its foundation, with AVX2 and FMA.
+    #[derive(Clone, Copy)]
+    pub(super) struct Avx512(());
+
+    /// AVX2 with FMA.
+    #[derive(Clone, Copy)]
+    pub(super) struct Avx2(());
+
+    impl Avx512 {
+        pub fn detect() -> Option<Self> {
+            (has!("avx512f") && Avx2::detect().is_some()).then_some(Self(()))
+        }
+    }
+
+    impl Avx2 {
+        pub fn detect() -> Option<Self> {
+            (has!("avx2") && has!("fma")).then_some(Self(()))
+        }
+    }
+
+    /// Methods of one expression each, which use intrinsics.
+    macro_rules! intrinsics {
+        ($($name:ident($($x:ident: $t:ty),*) -> $out:ty = $body:expr;)*) => {$(
+            #[inline(always)]
+            fn $name(self, $($x: $t),*) -> $out {
+                // SAFETY: `self` is made only by `detect`, on machines that have these instructions; loads and
+                // stores are unaligned and stay inside an array of eight numbers.
+                unsafe { $body }
+            }
+        )*};
+    }
+
+    impl Simd for Avx512 {
+        type V = __m512d;
+
+        intrinsics! {
+            splat(x: f64) -> __m512d = _mm512_set1_pd(x);
+            load(x: &Lanes) -> __m512d = _mm512_loadu_pd(x.as_ptr());
+            store(x: __m512d) -> Lanes = {
+                let mut out = [0.0; LANES];
+                _mm512_storeu_pd(out.as_mut_ptr(), x);
+                out
+            };
+            add(a: __m512d, b: __m512d) -> __m512d = _mm512_add_pd(a, b);
+            sub(a: __m512d, b: __m512d) -> __m512d = _mm512_sub_pd(a, b);
+            mul(a: __m512d, b: __m512d) -> __m512d = _mm512_mul_pd(a, b);
+            mul_add(a: __m512d, b: __m512d, c: __m512d) -> __m512d = _mm512_fmadd_pd(a, b, c);
+            sqrt(a: __m512d) -> __m512d = _mm512_sqrt_pd(a);
+            max(a: __m512d, b: __m512d) -> __m512d = _mm512_max_pd(a, b);
+            power_of_two(a: __m512d) -> __m512d = {
+                let exponent = _mm512_slli_epi64::<52>(_mm512_castpd_si512(a));
+                let one = _mm512_castpd_si512(_mm512_set1_pd(1.0));
+                _mm512_castsi512_pd(_mm512_add_epi64(exponent, one))
+            };
+        }
+    }
+
+    /// Both halves.
+    #[derive(Clone, Copy)]
+    pub(super) struct Pair(__m256d, __m256d);
+
+    impl Simd for Avx2 {
+        type V = Pair;
+
+        intrinsics! {
+            splat(x: f64) -> Pair = Pair(_mm256_set1_pd(x), _mm256_set1_pd(x));
+            load(x: &Lanes) -> Pair = Pair(_mm256_loadu_pd(x.as_ptr()), _mm256_loadu_pd(x.as_ptr().add(4)));
+            store(x: Pair) -> Lanes = {
+                let mut out = [0.0; LANES];
+                _mm256_storeu_pd(out.as_mut_ptr(), x.0);
+                _mm256_storeu_pd(out.as_mut_ptr().add(4), x.1);
+                out
+            };
+            add(a: Pair, b: Pair) -> Pair = Pair(_mm256_add_pd(a.0, b.0), _mm256_add_pd(a.1, b.1));
+            sub(a: Pair, b: Pair) -> Pair = Pair(_mm256_sub_pd(a.0, b.0), _mm256_sub_pd(a.1, b.1));
+            mul(a: Pair, b: Pair) -> Pair = Pair(_mm256_mul_pd(a.0, b.0), _mm256_mul_pd(a.1, b.1));
+            mul_add(a: Pair, b: Pair, c: Pair) -> Pair =
+                Pair(_mm256_fmadd_pd(a.0, b.0, c.0), _mm256_fmadd_pd(a.1, b.1, c.1));
+            sqrt(a: Pair) -> Pair = Pair(_mm256_sqrt_pd(a.0), _mm256_sqrt_pd(a.1));
+            max(a: Pair, b: Pair) -> Pair = Pair(_mm256_max_pd(a.0, b.0), _mm256_max_pd(a.1, b.1));
+            power_of_two(a: Pair) -> Pair = {
+                let one = _mm256_castpd_si256(_mm256_set1_pd(1.0));
+                let half = |a| {
+                    let exponent = _mm256_slli_epi64::<52>(_mm256_castpd_si256(a));
+                    _mm256_castsi256_pd(_mm256_add_epi64(exponent, one))
+                };
+                Pair(half(a.0), half(a.1))
+            };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every method once, on numbers that tell the lanes and the operands apart.
+    fn all<S: Simd>(simd: S) -> [Lanes; 8] {
+        let a = simd.load(&[1.5, -2.0, 3.25, 0.0, 1e300, 7.0, -1e-3, 9.0]);
+        let b = simd.load(&[0.1, 4.0, f64::NAN, 2.0, 5.0, -6.0, 7e3, 0.3]);
+        let shifted = simd.add(a, simd.splat(6_755_399_441_055_744.0));
+        [
+            simd.store(simd.add(a, b)),
+            simd.store(simd.sub(a, b)),
+            simd.store(simd.mul(a, b)),
+            simd.store(simd.mul_add(a, b, simd.splat(0.7))),
+            simd.store(simd.sqrt(simd.max(simd.splat(0.0), a))),
+            simd.store(simd.max(a, b)),
+            simd.store(simd.max(b, a)),
+            simd.store(simd.power_of_two(shifted)),
+        ]
+    }
+
+    #[test]
+    fn instruction_sets_agree_bit_by_bit() {
+        let bits = |x: [Lanes; 8]| x.map(|x| x.map(|x| if x.is_nan() { 0 } else { x.to_bits() }));
+        let expected = bits(all(Portable));
+        #[cfg(target_arch = "x86_64")]
+        {
+            if let Some(simd) = x86::Avx2::detect() {
+                assert_eq!(bits(all(simd)), expected);
+            }
+            if let Some(simd) = x86::Avx512::detect() {
+                assert_eq!(bits(all(simd)), expected);
+            }
+        }
+        assert_eq!(all(Portable)[7][..4], [4.0, 0.25, 8.0, 1.0]);
+    }
 }

@@ -1,66 +1,87 @@
-//! The exponential of a block of numbers that are not positive.
+//! Powers of two of a block of numbers that are not positive.
 
-use super::{LANES, Lanes};
+use crate::simd::Simd;
 
-/// `exp(x)` for `x <= 0`, to 2 units in the last place; below -708, where it is less than 4e-308, it is 0.
+/// `2^x` for `x <= 0` (and for the rounding errors above it), to 5e-16; below -1022.5 it is 0, and NaN stays NaN.
 ///
-/// Range reduction `x = n ln 2 + r`, `|r| <= ln 2 / 2` (Cody & Waite, 1980), and the Taylor polynomial of degree 13,
-/// whose remainder is 4e-18. No branch and no table: the compiler turns it into vector instructions.
+/// `x = n + f`, `|f| <= 1/2`: exact, unlike the range reduction of `exp`, which is why kernels scale their exponents
+/// to base 2. `2^f` by its polynomial of degree 10 through the Chebyshev nodes, relative error 3.2e-16. No branch and
+/// no table.
 #[inline(always)]
-pub fn exp(x: &Lanes) -> Lanes {
+pub(super) fn exp2<S: Simd>(simd: S, x: S::V) -> S::V {
     /// Adding this rounds to an integer and leaves it in the low bits.
     const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 · 2⁵²
-    const LN_2_HIGH: f64 = 6.931_471_803_691_238e-1; // the upper 32 bits: n · LN_2_HIGH is exact
-    const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
-    const LOWEST: f64 = -708.0;
-    let mut out = [0.0; LANES];
-    for (out, x) in out.iter_mut().zip(x) {
-        let clamped = x.max(LOWEST);
-        let shifted = clamped.mul_add(std::f64::consts::LOG2_E, ROUND);
-        let n = shifted - ROUND;
-        let r = n.mul_add(-LN_2_LOW, n.mul_add(-LN_2_HIGH, clamped));
-        let mut p = COEFFICIENTS[0];
-        for c in &COEFFICIENTS[1..] {
-            p = p.mul_add(r, *c);
-        }
-        let scale = f64::from_bits((shifted.to_bits() << 52).wrapping_add(1.0_f64.to_bits()));
-        *out = if *x < LOWEST { 0.0 } else { p * scale };
+    /// The exponent bits of `2^n` are then zero, and with them the number.
+    const LOWEST: f64 = -1023.0;
+    let clamped = simd.max(simd.splat(LOWEST), x);
+    let shifted = simd.add(clamped, simd.splat(ROUND));
+    let f = simd.sub(clamped, simd.sub(shifted, simd.splat(ROUND)));
+    let mut p = simd.splat(COEFFICIENTS[0]);
+    for c in &COEFFICIENTS[1..] {
+        p = simd.mul_add(p, f, simd.splat(*c));
     }
-    out
+    simd.mul(p, simd.power_of_two(shifted))
 }
 
-/// `1/k!` for `k` = 13 down to 0.
-const COEFFICIENTS: [f64; 14] = {
-    let mut c = [1.0; 14];
-    let mut k = 1;
-    while k < 14 {
-        c[13 - k] = c[14 - k] / k as f64;
-        k += 1;
-    }
-    c
-};
+/// Of `2^f`, highest power first: interpolation at the 11 Chebyshev nodes of [-1/2, 1/2] in 60 digits.
+const COEFFICIENTS: [f64; 11] = [
+    7.072_585_949_269_223e-9,
+    1.020_869_029_995_830_6e-7,
+    1.321_544_258_792_169e-6,
+    1.525_265_726_020_083_7e-5,
+    1.540_353_044_173_605e-4,
+    1.333_355_823_016_497_4e-3,
+    9.618_129_107_606_888e-3,
+    5.550_410_866_444_772e-2,
+    2.402_265_069_591_009_7e-1,
+    6.931_471_805_599_5e-1,
+    1.0,
+];
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simd::{Wide, wide};
 
-    #[test]
-    fn agrees_with_the_standard_library() {
-        for i in 0..200_000 {
-            let x = -708.0 * (f64::from(i) / 200_000.0).powi(3);
-            let [got, ..] = exp(&[x; LANES]);
-            let want = x.exp();
-            assert!(
-                (got / want - 1.0).abs() < 5e-16,
-                "exp({x}) = {got:e}, not {want:e}"
-            );
+    struct All<'a>(&'a [f64]);
+
+    impl Wide for All<'_> {
+        type Output = Vec<f64>;
+
+        #[inline(always)]
+        fn compute<S: Simd>(self, simd: S) -> Vec<f64> {
+            let (blocks, _) = self.0.as_chunks();
+            let exp2 = |x| simd.store(exp2(simd, simd.load(x)));
+            blocks.iter().flat_map(exp2).collect()
         }
     }
 
     #[test]
-    fn far_below_it_is_zero() {
-        for x in [-709.0, -1e6, f64::NEG_INFINITY] {
-            assert_eq!(exp(&[x; LANES]), [0.0; LANES]);
+    fn agrees_with_the_standard_library() {
+        let x: Vec<f64> = (0..200_000)
+            .map(|i| 1e-12 - 1022.0 * (f64::from(i) / 200_000.0).powi(3))
+            .collect();
+        for (x, got) in x.iter().zip(wide(All(&x))) {
+            let want = x.exp2();
+            let error = (got / want - 1.0).abs();
+            assert!(error < 1e-15, "exp2({x}) = {got:e}, not {want:e}");
         }
+    }
+
+    #[test]
+    fn at_the_ends() {
+        let x = [
+            0.0,
+            -1.0,
+            -1023.0,
+            -1e6,
+            f64::NEG_INFINITY,
+            -1022.6,
+            -2.0,
+            f64::NAN,
+        ];
+        let got = wide(All(&x));
+        assert_eq!(got[..7], [1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.25]);
+        assert!(got[7].is_nan());
     }
 }

@@ -1,26 +1,34 @@
 //! Matérn kernel with ν = 5/2.
 
-use super::exp::exp;
-use super::{Lanes, Profile};
+use std::f64::consts::LOG2_E;
 
-/// `φ(r²) = (1 + a + a²/3) exp(-a)`, `a = √5 r`; Rasmussen & Williams (2006), eq. (4.17).
+use super::Profile;
+use super::exp::exp2;
+use crate::simd::Simd;
+
+/// `φ(r²) = (1 + a + a²/3) exp(-a)`, `a = √t`, `t = 5 r²`; Rasmussen & Williams (2006), eq. (4.17).
 ///
 /// Its slope `dφ/d(r²) = -5/6 (1 + a) exp(-a)` has no division by `r`.
 #[derive(Debug)]
-pub struct Matern52;
+pub(crate) struct Matern52;
 
 impl Profile for Matern52 {
+    const SCALE: f64 = 5.0;
+    const SLOPE: f64 = -5.0 / 6.0;
+
     #[inline(always)]
-    fn value(r2: &Lanes) -> Lanes {
-        Self::value_slope(r2).0
+    fn value<S: Simd>(simd: S, t: S::V) -> S::V {
+        Self::value_slope(simd, t).0
     }
 
     #[inline(always)]
-    fn value_slope(r2: &Lanes) -> (Lanes, Lanes) {
-        let a = r2.map(|r2| (5.0 * r2).sqrt());
-        let decay = exp(&a.map(|a| -a));
-        let value = std::array::from_fn(|l| (1.0 + a[l] + a[l] * a[l] / 3.0) * decay[l]);
-        let slope = std::array::from_fn(|l| -5.0 / 6.0 * (1.0 + a[l]) * decay[l]);
-        (value, slope)
+    fn value_slope<S: Simd>(simd: S, t: S::V) -> (S::V, S::V) {
+        // Rounding may leave a tiny negative number where the points coincide.
+        let t = simd.max(simd.splat(0.0), t);
+        let a = simd.sqrt(t);
+        let decay = exp2(simd, simd.mul(simd.splat(-LOG2_E), a));
+        let slope = simd.mul_add(decay, a, decay);
+        let third = simd.mul(simd.splat(1.0 / 3.0), t);
+        (simd.mul_add(third, decay, slope), slope)
     }
 }

@@ -10,23 +10,30 @@ mod matern52;
 mod points;
 mod rbf;
 
-pub use matern52::Matern52;
-pub use points::{Points, in_blocks, squared_distance};
-pub use rbf::Rbf;
+pub(crate) use matern52::Matern52;
+pub(crate) use points::{Metric, Points, Query, in_blocks};
+pub(crate) use rbf::Rbf;
+
+use crate::simd::Simd;
 
 /// Training points handled together, so that the compiler vectorises the arithmetic over them.
-pub const LANES: usize = 8;
+pub(crate) const LANES: usize = 8;
 /// One number for each point of a block.
-pub type Lanes = [f64; LANES];
+pub(crate) type Lanes = [f64; LANES];
 
 /// The radial profile `φ` of a kernel, `φ(0) = 1`, as a function of the squared scaled distance.
 ///
-/// The argument is `r²` and not `r`, because then value and slope are smooth where the points coincide.
-pub trait Profile {
-    /// `φ(r²)` for a block of points.
-    fn value(r2: &Lanes) -> Lanes;
-    /// `φ(r²)` and `dφ/d(r²)` for a block of points; they share the exponential.
-    fn value_slope(r2: &Lanes) -> (Lanes, Lanes);
+/// The argument is `t = SCALE · r²` and not `r`, because then value and slope are smooth where the points coincide,
+/// and constant factors go into the metric and out of the loop over points.
+pub(crate) trait Profile {
+    /// `t / r²`.
+    const SCALE: f64;
+    /// The constant in front of the slope.
+    const SLOPE: f64;
+    /// `φ` for a block of points.
+    fn value<S: Simd>(simd: S, t: S::V) -> S::V;
+    /// `φ` and `dφ/d(r²) / SLOPE` for a block of points; they share the exponential.
+    fn value_slope<S: Simd>(simd: S, t: S::V) -> (S::V, S::V);
 }
 
 /// The kernels a library may use.
@@ -55,21 +62,11 @@ impl Kernel {
         Self::ALL.into_iter().find(|kernel| kernel.name() == name)
     }
 
-    /// [`Profile::value`] of this kernel.
-    #[inline(always)]
-    pub fn value(self, r2: &Lanes) -> Lanes {
+    /// [`Profile::SCALE`] of this kernel.
+    pub(crate) const fn scale(self) -> f64 {
         match self {
-            Self::Rbf => Rbf::value(r2),
-            Self::Matern52 => Matern52::value(r2),
-        }
-    }
-
-    /// [`Profile::value_slope`] of this kernel.
-    #[inline(always)]
-    pub fn value_slope(self, r2: &Lanes) -> (Lanes, Lanes) {
-        match self {
-            Self::Rbf => Rbf::value_slope(r2),
-            Self::Matern52 => Matern52::value_slope(r2),
+            Self::Rbf => Rbf::SCALE,
+            Self::Matern52 => Matern52::SCALE,
         }
     }
 }

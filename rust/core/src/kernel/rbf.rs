@@ -1,21 +1,27 @@
 //! Squared-exponential kernel.
 
-use super::exp::exp;
-use super::{Lanes, Profile};
+use std::f64::consts::LOG2_E;
 
-/// `φ(r²) = exp(-r²/2)`; Rasmussen & Williams (2006), eq. (4.9).
+use super::Profile;
+use super::exp::exp2;
+use crate::simd::Simd;
+
+/// `φ(r²) = exp(-r²/2) = 2^t`, `t = -log₂(e)/2 r²`; Rasmussen & Williams (2006), eq. (4.9).
 #[derive(Debug)]
-pub struct Rbf;
+pub(crate) struct Rbf;
 
 impl Profile for Rbf {
+    const SCALE: f64 = -0.5 * LOG2_E;
+    const SLOPE: f64 = -0.5;
+
     #[inline(always)]
-    fn value(r2: &Lanes) -> Lanes {
-        exp(&r2.map(|r2| -0.5 * r2))
+    fn value<S: Simd>(simd: S, t: S::V) -> S::V {
+        exp2(simd, t)
     }
 
     #[inline(always)]
-    fn value_slope(r2: &Lanes) -> (Lanes, Lanes) {
-        let value = Self::value(r2);
-        (value, value.map(|value| -0.5 * value))
+    fn value_slope<S: Simd>(simd: S, t: S::V) -> (S::V, S::V) {
+        let value = exp2(simd, t);
+        (value, value)
     }
 }

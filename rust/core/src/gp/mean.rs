@@ -1,0 +1,167 @@
+//! The loops over training points: mean, Jacobian and covariances.
+
+use super::Gp;
+use crate::kernel::{Kernel, Lanes, Matern52, Metric, Points, Profile, Query, Rbf};
+use crate::simd::{Simd, Wide};
+use crate::{GpInput, GpJacobian, GpOutput, NZ};
+
+/// [`Gp::mean`].
+pub(super) struct Mean<'a> {
+    pub gp: &'a Gp,
+    pub z: &'a GpInput,
+}
+
+impl Mean<'_> {
+    #[inline(always)]
+    fn with<P: Profile, S: Simd>(self, simd: S) -> GpOutput {
+        let mut mean = GpOutput::zeros();
+        for (mean, output) in mean.iter_mut().zip(&self.gp.outputs) {
+            let query = output.metric.query(self.z);
+            let mut sum = simd.splat(0.0);
+            let points = self.gp.points.blocks().iter().zip(output.metric.norms());
+            for ((block, norms), weights) in points.zip(&output.weights) {
+                let value = P::value(simd, query.distances(simd, block, norms));
+                sum = simd.mul_add(value, simd.load(weights), sum);
+            }
+            *mean = output.constant + total(simd, sum);
+        }
+        mean
+    }
+}
+
+impl Wide for Mean<'_> {
+    type Output = GpOutput;
+
+    #[inline(always)]
+    fn compute<S: Simd>(self, simd: S) -> GpOutput {
+        match self.gp.kernel {
+            Kernel::Rbf => self.with::<Rbf, S>(simd),
+            Kernel::Matern52 => self.with::<Matern52, S>(simd),
+        }
+    }
+}
+
+/// [`Gp::mean_jacobian`].
+pub(super) struct MeanJacobian<'a> {
+    pub gp: &'a Gp,
+    pub z: &'a GpInput,
+    pub jacobian: &'a mut GpJacobian,
+}
+
+/// The sums over training points of one output.
+struct Sums<V> {
+    /// `Σ w φ`.
+    value: V,
+    /// `Σ w φ'`.
+    slope: V,
+    /// `Σ w φ' x`.
+    moment: [V; NZ],
+}
+
+impl<V: Copy> Sums<V> {
+    #[inline(always)]
+    fn zero<S: Simd<V = V>>(simd: S) -> Self {
+        let zero = simd.splat(0.0);
+        Self {
+            value: zero,
+            slope: zero,
+            moment: [zero; NZ],
+        }
+    }
+
+    #[inline(always)]
+    fn add<P: Profile, S: Simd<V = V>>(
+        &mut self,
+        simd: S,
+        query: &Query,
+        (block, norms, weights): (&[Lanes; NZ], &Lanes, &Lanes),
+    ) {
+        let (value, slope) = P::value_slope(simd, query.distances(simd, block, norms));
+        let weights = simd.load(weights);
+        let slope = simd.mul(slope, weights);
+        self.value = simd.add(self.value, simd.mul(value, weights));
+        self.slope = simd.add(self.slope, slope);
+        for (moment, x) in self.moment.iter_mut().zip(block) {
+            *moment = simd.mul_add(slope, simd.load(x), *moment);
+        }
+    }
+}
+
+impl MeanJacobian<'_> {
+    /// One output after the other: the eight sums stay in registers.
+    #[inline(always)]
+    fn with<P: Profile, S: Simd>(self, simd: S) -> GpOutput {
+        let Self { gp, z, jacobian } = self;
+        let mut mean = GpOutput::zeros();
+        for (o, output) in gp.outputs.iter().enumerate() {
+            let query = output.metric.query(z);
+            let mut sums = Sums::zero(simd);
+            let points = gp.points.blocks().iter().zip(output.metric.norms());
+            for ((block, norms), weights) in points.zip(&output.weights) {
+                sums.add::<P, S>(simd, &query, (block, norms, weights));
+            }
+            mean[o] = output.constant + total(simd, sums.value);
+            let slope = total(simd, sums.slope);
+            let scales = output.metric.inverse_squared_lengthscales();
+            for d in 0..NZ {
+                let difference = z[d] * slope - total(simd, sums.moment[d]);
+                jacobian[(o, d)] = 2.0 * P::SLOPE * scales[d] * difference;
+            }
+        }
+        mean
+    }
+}
+
+impl Wide for MeanJacobian<'_> {
+    type Output = GpOutput;
+
+    #[inline(always)]
+    fn compute<S: Simd>(self, simd: S) -> GpOutput {
+        match self.gp.kernel {
+            Kernel::Rbf => self.with::<Rbf, S>(simd),
+            Kernel::Matern52 => self.with::<Matern52, S>(simd),
+        }
+    }
+}
+
+/// `k(z, X)` of one output into `row`, whose length becomes the number of points.
+pub(super) struct CovarianceRow<'a> {
+    pub kernel: Kernel,
+    pub points: &'a Points,
+    pub metric: &'a Metric,
+    pub outputscale: f64,
+    pub z: &'a GpInput,
+    pub row: &'a mut Vec<f64>,
+}
+
+impl CovarianceRow<'_> {
+    #[inline(always)]
+    fn with<P: Profile, S: Simd>(self, simd: S) {
+        let query = self.metric.query(self.z);
+        self.row.clear();
+        for (block, norms) in self.points.blocks().iter().zip(self.metric.norms()) {
+            let value = P::value(simd, query.distances(simd, block, norms));
+            let scaled = simd.mul(simd.splat(self.outputscale), value);
+            self.row.extend_from_slice(&simd.store(scaled));
+        }
+        self.row.truncate(self.points.len());
+    }
+}
+
+impl Wide for CovarianceRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn compute<S: Simd>(self, simd: S) {
+        match self.kernel {
+            Kernel::Rbf => self.with::<Rbf, S>(simd),
+            Kernel::Matern52 => self.with::<Matern52, S>(simd),
+        }
+    }
+}
+
+/// The sum over the lanes, always in the same order.
+#[inline(always)]
+fn total<S: Simd>(simd: S, sum: S::V) -> f64 {
+    simd.store(sum).iter().sum()
+}
