@@ -19,6 +19,7 @@ __all__ = [
     "LibraryError",
     "Member",
     "MemberData",
+    "OcpResult",
     "Path",
     "Plant",
     "Projection",
@@ -554,10 +555,38 @@ def ocp_to_qp(
     `solve_ocp`.
     """
 
+@final
+class OcpResult:
+    """What became of an optimal control problem."""
+
+    @property
+    def status(self) -> str:
+        """ "solved", "iteration limit", "infeasible", "numerical error" or "check failed"."""
+    @property
+    def x(self) -> NDArray[np.float64]:
+        """States (T+1, 7)."""
+    @property
+    def u(self) -> NDArray[np.float64]:
+        """Scaled inputs (T, 2)."""
+    @property
+    def iterations(self) -> int:
+        """Iterations of the solver that had the last word."""
+    @property
+    def kkt_residual(self) -> float:
+        """Largest residual of the optimality conditions."""
+    @property
+    def solver(self) -> str:
+        """The solver that had the last word."""
+    @property
+    def seconds(self) -> float:
+        """Shortest time of all repetitions, our check included, Python excluded."""
+
 def solve_ocp(
     problem: dict[str, NDArray[np.float64]],
     solver: Literal["riccati", "clarabel"] = "riccati",
-) -> tuple[str, NDArray[np.float64], NDArray[np.float64], float]:
+    guess: NDArray[np.float64] | None = None,
+    repeat: int = 1,
+) -> OcpResult:
     """Solve an optimal control problem, eq. (18), in scaled inputs.
 
     Stage arrays have T layers or rows: dynamics a (T, 7, 7), b (T, 7, 2), c (T, 7); state cost q
@@ -565,8 +594,8 @@ def solve_ocp(
     (T, 2); soft bounds soft_normal (T, 5, 7), soft_lower, soft_upper (T, 5), of which as many count
     as penalty (n, 2), [linear, quadratic], has rows. Besides x0 (7,), u_prev, r, r_d (2,).
 
-    Returns the status ("solved", ...), states (T+1, 7), inputs (T, 2), and the largest residual of
-    the optimality conditions.
+    `guess` (T, 2) holds inputs to start from, such as those of the last plan, shifted. `repeat`
+    solves so many times, to measure `seconds`; each solve starts from nothing but the arguments.
     """
 
 def solve_weights(

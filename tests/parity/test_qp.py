@@ -187,9 +187,10 @@ def test_solutions_agree_with_osqp_and_piqp(horizon: int, n_soft: int) -> None:
         p = problem(seed, horizon, n_soft)
         others = [by_osqp(p), by_piqp(p)]
         for solver in SOLVERS:
-            status, x, u, residual = solve_ocp(p, solver)
-            assert status == "solved"
-            assert residual < TOLERANCE
+            result = solve_ocp(p, solver)
+            assert (result.status, result.solver.split()[0]) == ("solved", solver)
+            assert result.kkt_residual < TOLERANCE
+            x, u = result.x, result.u
             np.testing.assert_array_equal(x[0], p["x0"])
             for other_x, other_u in others:
                 np.testing.assert_allclose(x[1:], other_x, rtol=0, atol=TOLERANCE)

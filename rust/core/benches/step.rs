@@ -125,14 +125,15 @@ fn phases(c: &mut Criterion, library: &Library) {
     let mut solution = OcpSolution::new(20);
     let mut riccati = RiccatiSolver::new(20, &settings.solver);
     c.bench_function("phase/solve Riccati", |b| {
-        b.iter(|| riccati.solve(black_box(&qp), &mut solution))
+        b.iter(|| riccati.solve(black_box(&qp), &[], &mut solution))
     });
     c.bench_function("phase/solve Clarabel", |b| {
-        b.iter(|| solver.solve(black_box(&qp), &mut solution))
+        b.iter(|| solver.solve(black_box(&qp), &[], &mut solution))
     });
     solve_checked(
         &mut solver,
         &qp,
+        &[],
         settings.solver.kkt_tolerance,
         &mut solution,
     );

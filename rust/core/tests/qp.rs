@@ -54,7 +54,7 @@ fn solve(qp: &OcpQp) -> OcpSolution {
     let settings = SolverSettings::default();
     let mut solution = OcpSolution::new(qp.horizon());
     let mut solver = ClarabelSolver::new(qp, &settings).unwrap();
-    solve_checked(&mut solver, qp, settings.kkt_tolerance, &mut solution);
+    solve_checked(&mut solver, qp, &[], settings.kkt_tolerance, &mut solution);
     solution
 }
 
@@ -158,7 +158,7 @@ fn the_check_notices_what_is_wrong() {
 struct Liar;
 
 impl QpSolver for Liar {
-    fn solve(&mut self, _: &OcpQp, out: &mut OcpSolution) -> Status {
+    fn solve(&mut self, _: &OcpQp, _: &[Input], out: &mut OcpSolution) -> Status {
         out.u.fill(Input::zeros());
         Status::Solved
     }
@@ -172,12 +172,12 @@ fn a_wrong_solution_is_not_called_solved() {
     let mut qp = random(&mut ChaCha8Rng::seed_from_u64(3), 10, 3);
     let mut solution = OcpSolution::new(10);
     assert_eq!(
-        solve_checked(&mut Liar, &qp, 1e-5, &mut solution),
+        solve_checked(&mut Liar, &qp, &[], 1e-5, &mut solution),
         Status::CheckFailed
     );
     qp.stages_mut()[4].c[2] = f64::NAN;
     assert_eq!(
-        solve_checked(&mut Liar, &qp, 1e-5, &mut solution),
+        solve_checked(&mut Liar, &qp, &[], 1e-5, &mut solution),
         Status::NumericalError
     );
     let settings = SolverSettings {
@@ -187,7 +187,7 @@ fn a_wrong_solution_is_not_called_solved() {
     let qp = random(&mut ChaCha8Rng::seed_from_u64(3), 10, 3);
     let mut solver = ClarabelSolver::new(&qp, &settings).unwrap();
     assert_eq!(
-        solve_checked(&mut solver, &qp, 1e-5, &mut solution),
+        solve_checked(&mut solver, &qp, &[], 1e-5, &mut solution),
         Status::IterationLimit
     );
 }
@@ -208,10 +208,10 @@ fn updated_in_place_or_fresh_is_the_same_to_the_bit() {
     let mut used = ClarabelSolver::new(&problems[0], &settings).unwrap();
     let mut solution = OcpSolution::new(12);
     for qp in problems.iter().chain(&problems) {
-        solve_checked(&mut used, qp, settings.kkt_tolerance, &mut solution);
+        solve_checked(&mut used, qp, &[], settings.kkt_tolerance, &mut solution);
         let mut fresh = ClarabelSolver::new(&OcpQp::new(12, 5), &settings).unwrap();
         let mut other = OcpSolution::new(12);
-        solve_checked(&mut fresh, qp, settings.kkt_tolerance, &mut other);
+        solve_checked(&mut fresh, qp, &[], settings.kkt_tolerance, &mut other);
         assert_eq!(solution, other);
     }
 }

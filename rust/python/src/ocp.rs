@@ -1,14 +1,17 @@
 //! The QP of a step and the weights' QP by themselves, for comparison with other solvers.
 
+use std::time::Instant;
+
 use egp_core::qp::{Csc, MAX_SOFT, SparseQp};
-use egp_core::settings::{Penalty, Prior, SolverSettings};
-use egp_core::solver::{ClarabelSolver, RiccatiSolver, solve_checked};
+use egp_core::settings::{Penalty, Prior, SolverKind, SolverSettings};
+use egp_core::solver::{rungs, solve_first};
 use egp_core::weights::WeightEstimator;
-use egp_core::{GpOutput, NU, NX, NY, OcpQp, OcpSolution, QpSolver, Status};
+use egp_core::{GpOutput, Input, NU, NX, NY, OcpQp, OcpSolution, Status};
+use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::array::{Cube, Matrix, NewMatrix, NewVector, Vector};
+use crate::array::{Cube, Matrix, NewVector, Vector};
 use crate::array::{array, fixed, layers, rows, vector, wrong_shape};
 use crate::error::{EgpError, raise};
 
@@ -144,35 +147,88 @@ fn ocp_to_qp<'py>(py: Python<'py>, problem: &Bound<'py, PyDict>) -> PyResult<Spa
     ))
 }
 
+/// What became of an optimal control problem.
+#[pyclass(frozen, get_all, module = "egp_service._core")]
+struct OcpResult {
+    /// "solved", "iteration limit", "infeasible", "numerical error" or "check failed".
+    status: &'static str,
+    /// States, `(T+1, 7)`.
+    x: Py<PyArray2<f64>>,
+    /// Scaled inputs, `(T, 2)`.
+    u: Py<PyArray2<f64>>,
+    /// Iterations of the solver that had the last word.
+    iterations: u32,
+    /// Largest residual of the optimality conditions.
+    kkt_residual: f64,
+    /// The solver that had the last word.
+    solver: &'static str,
+    /// Shortest time of all repetitions in s, check included, Python excluded.
+    seconds: f64,
+}
+
 #[pyfunction]
-#[pyo3(signature = (problem, solver = "riccati"))]
+#[pyo3(signature = (problem, solver = "riccati", guess = None, repeat = 1))]
 fn solve_ocp<'py>(
     py: Python<'py>,
     problem: &Bound<'py, PyDict>,
     solver: &str,
-) -> PyResult<(&'static str, NewMatrix<'py>, NewMatrix<'py>, f64)> {
+    guess: Option<Matrix<'py>>,
+    repeat: u32,
+) -> PyResult<OcpResult> {
     let qp = read(problem)?;
-    let settings = SolverSettings::default();
-    let mut solver: Box<dyn QpSolver + Send> = match solver {
-        "riccati" => Box::new(RiccatiSolver::new(qp.horizon(), &settings)),
-        "clarabel" => Box::new(ClarabelSolver::new(&qp, &settings).map_err(raise)?),
+    let kind = match solver {
+        "riccati" => SolverKind::Riccati,
+        "clarabel" => SolverKind::Clarabel,
         other => {
             return Err(EgpError::new_err(format!(
                 "solver must be \"riccati\" or \"clarabel\", got {other:?}"
             )));
         }
     };
+    let settings = SolverSettings {
+        kind,
+        ..SolverSettings::default()
+    };
+    let guess: Vec<Input> = match guess {
+        None => Vec::new(),
+        Some(guess) => rows::<NU>("guess", &guess)?
+            .into_iter()
+            .map(Input::from)
+            .collect(),
+    };
+    if !guess.is_empty() && guess.len() != qp.horizon() {
+        let expected = format!("({}, {NU})", qp.horizon());
+        return Err(wrong_shape("guess", &expected, &[guess.len(), NU]));
+    }
+    let mut rungs = rungs(&qp, &settings).map_err(raise)?;
     let mut solution = OcpSolution::new(qp.horizon());
-    py.detach(|| solve_checked(solver.as_mut(), &qp, settings.kkt_tolerance, &mut solution));
+    let (solver, seconds) = py.detach(|| {
+        let (mut solver, mut seconds) = ("", f64::INFINITY);
+        for _ in 0..repeat.max(1) {
+            let start = Instant::now();
+            solver = solve_first(
+                &mut rungs,
+                &qp,
+                &guess,
+                settings.kkt_tolerance,
+                &mut solution,
+            );
+            seconds = seconds.min(start.elapsed().as_secs_f64());
+        }
+        (solver, seconds)
+    });
     let flat = |rows: &mut dyn Iterator<Item = f64>| rows.collect::<Vec<_>>();
     let x = flat(&mut solution.x.iter().flat_map(|x| x.iter().copied()));
     let u = flat(&mut solution.u.iter().flat_map(|u| u.iter().copied()));
-    Ok((
-        name(solution.status),
-        array(py, x, [qp.horizon() + 1, NX])?,
-        array(py, u, [qp.horizon(), NU])?,
-        solution.kkt.worst(),
-    ))
+    Ok(OcpResult {
+        status: name(solution.status),
+        x: array(py, x, [qp.horizon() + 1, NX])?.unbind(),
+        u: array(py, u, [qp.horizon(), NU])?.unbind(),
+        iterations: solution.iterations,
+        kkt_residual: solution.kkt.worst(),
+        solver,
+        seconds,
+    })
 }
 
 fn name(status: Status) -> &'static str {
@@ -249,6 +305,7 @@ fn solve_weights<'py>(
 /// # Errors
 /// When Python refuses an attribute.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<OcpResult>()?;
     module.add_function(wrap_pyfunction!(ocp_to_qp, module)?)?;
     module.add_function(wrap_pyfunction!(solve_ocp, module)?)?;
     module.add_function(wrap_pyfunction!(solve_weights, module)?)

@@ -12,9 +12,9 @@ use clarabel::solver::{
 };
 
 use super::{QpSolver, SolverSetupError, Status};
-use crate::NU;
 use crate::qp::{Csc, OcpQp, OcpSolution, SparseQp};
 use crate::settings::SolverSettings;
+use crate::{Input, NU};
 
 const NAME: &str = "clarabel 0.11";
 
@@ -125,7 +125,7 @@ impl ClarabelSolver {
 }
 
 impl QpSolver for ClarabelSolver {
-    fn solve(&mut self, qp: &OcpQp, out: &mut OcpSolution) -> Status {
+    fn solve(&mut self, qp: &OcpQp, _guess: &[Input], out: &mut OcpSolution) -> Status {
         self.sparse.update(qp);
         if !self.update() {
             return Status::NumericalError;

@@ -6,6 +6,7 @@ mod riccati;
 pub use self::clarabel::ClarabelSolver;
 pub use self::riccati::RiccatiSolver;
 
+use crate::Input;
 use crate::qp::{KktResidual, OcpQp, OcpSolution};
 use crate::settings::{SolverKind, SolverSettings};
 
@@ -27,8 +28,9 @@ pub enum Status {
 /// A solver for [`OcpQp`] problems of the pattern it was constructed with.
 pub trait QpSolver {
     /// Writes inputs, multipliers and iterations of the proposed solution to `out` and returns the solver's own
-    /// opinion. The result depends on `qp` alone, never on problems solved before.
-    fn solve(&mut self, qp: &OcpQp, out: &mut OcpSolution) -> Status;
+    /// opinion. `guess` holds inputs that may be near the solution, one a stage, or nothing. The result depends on
+    /// `qp` and `guess` alone, never on problems solved before.
+    fn solve(&mut self, qp: &OcpQp, guess: &[Input], out: &mut OcpSolution) -> Status;
 
     /// Name and version, for replies and reports.
     fn name(&self) -> &'static str;
@@ -64,13 +66,14 @@ pub fn rungs(
 pub fn solve_first(
     rungs: &mut [Box<dyn QpSolver + Send>],
     qp: &OcpQp,
+    guess: &[Input],
     kkt_tolerance: f64,
     out: &mut OcpSolution,
 ) -> &'static str {
     let mut asked = "";
     for solver in rungs {
         asked = solver.name();
-        if solve_checked(solver.as_mut(), qp, kkt_tolerance, out) == Status::Solved {
+        if solve_checked(solver.as_mut(), qp, guess, kkt_tolerance, out) == Status::Solved {
             break;
         }
     }
@@ -82,6 +85,7 @@ pub fn solve_first(
 pub fn solve_checked(
     solver: &mut dyn QpSolver,
     qp: &OcpQp,
+    guess: &[Input],
     kkt_tolerance: f64,
     out: &mut OcpSolution,
 ) -> Status {
@@ -91,7 +95,7 @@ pub fn solve_checked(
     if !qp.is_well_posed() {
         return out.status;
     }
-    out.status = solver.solve(qp, out);
+    out.status = solver.solve(qp, guess, out);
     if out.status == Status::Infeasible {
         return out.status;
     }

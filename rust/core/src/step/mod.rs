@@ -76,9 +76,15 @@ pub fn step(
         &mut ws.qp,
     );
 
+    ws.warm.clear();
+    if !ws.guess.x.is_empty() {
+        let scaled = |u: &Input| Input::new(u[FORCE] / settings.mass, u[DELTA_DOT]);
+        ws.warm.extend(ws.guess.u.iter().map(scaled));
+    }
     ws.asked = solve_first(
         &mut ws.solvers,
         &ws.qp,
+        &ws.warm,
         settings.solver.kkt_tolerance,
         &mut ws.solution,
     );

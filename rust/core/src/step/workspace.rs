@@ -8,7 +8,7 @@ use crate::settings::SettingsError;
 use crate::solver::{self, QpSolver, SolverSetupError};
 use crate::trajectory::Guess;
 use crate::weights::{WeightEstimator, inverse_noise};
-use crate::{GpOutput, Library, Settings, State, VarianceScratch};
+use crate::{GpOutput, Input, Library, Settings, State, VarianceScratch};
 
 /// Why a workspace could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -34,6 +34,8 @@ pub struct Workspace {
     pub(super) dynamics: Linearisation,
     pub(super) qp: OcpQp,
     pub(super) solvers: Vec<Box<dyn QpSolver + Send>>,
+    /// Inputs of the last plan, scaled and shifted to now; empty without one.
+    pub(super) warm: Vec<Input>,
     pub(super) asked: &'static str,
     pub(super) solution: OcpSolution,
     pub(super) scratch: VarianceScratch,
@@ -61,6 +63,7 @@ impl Workspace {
             dynamics: Linearisation::new(horizon),
             qp,
             solvers,
+            warm: Vec::with_capacity(horizon),
             asked: "",
             solution: OcpSolution::new(horizon),
             scratch: VarianceScratch::default(),

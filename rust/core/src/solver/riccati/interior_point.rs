@@ -4,15 +4,17 @@
 //! States are always rolled out from the controls, so the dynamics hold at every iterate and the
 //! only stationarity left is that of the controls, taken through the adjoint.
 
+use super::active_set::ActiveSet;
+use super::crossover::hand_over;
 use super::recursion::{Aug, Factor, Symmetric, backward, factorise, forward};
-use super::rows::{Iterate, Push, ROWS, Residual, Rows, Scaling, Targets, signed_values};
-use super::stage::{Point, Stage, roll_out};
+use super::rows::{Bounds, Iterate, Push, ROWS, Residual, Rows, Scaling, Targets, signed_values};
+use super::stage::Stage;
 use crate::NU;
-use crate::simd::Vectorised;
 
 /// What an iteration keeps of a stage between its passes.
 #[derive(Clone, Copy, Debug)]
 struct Pass {
+    bounds: Bounds,
     y: Rows,
     residual: Residual,
     scaling: Scaling,
@@ -25,9 +27,30 @@ struct Pass {
     step: Iterate,
 }
 
+/// Primal-dual point of a stage.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Point {
+    pub v: [f64; NU],
+    /// `s⁺`.
+    pub s: Aug,
+    pub rows: Iterate,
+}
+
+/// `s⁺ = Ā s + B̄ v + c` along the horizon.
+#[inline(always)]
+fn roll_out(initial: &Aug, stages: &[Stage], points: &mut [Point]) {
+    let mut s = *initial;
+    for (stage, point) in stages.iter().zip(points) {
+        s = stage.successor(&s, &point.v);
+        point.s = s;
+    }
+}
+
 /// How an attempt ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Outcome {
+    /// The active set ended it.
+    Ended,
     /// Residuals and complementarity are below the tolerance.
     Converged,
     /// The iteration limit came first.
@@ -47,31 +70,6 @@ struct Optimality {
     mu: f64,
 }
 
-/// One attempt at a problem.
-pub(super) struct Attempt<'a> {
-    pub method: &'a mut InteriorPoint,
-    pub initial: &'a Aug,
-    pub stages: &'a [Stage],
-    pub points: &'a mut [Point],
-    pub tolerance: f64,
-    pub limit: u32,
-}
-
-impl Vectorised for Attempt<'_> {
-    type Output = (Outcome, u32);
-
-    #[inline(always)]
-    fn compute(self) -> Self::Output {
-        self.method.run(
-            self.initial,
-            self.stages,
-            self.points,
-            self.tolerance,
-            self.limit,
-        )
-    }
-}
-
 /// Memory and method of the interior point.
 #[derive(Clone, Debug)]
 pub(super) struct InteriorPoint {
@@ -79,7 +77,7 @@ pub(super) struct InteriorPoint {
 }
 
 /// Complementarity of the start: large, so that a start far from the solution has room to move.
-const START: f64 = 100.0;
+const START: f64 = 1e4;
 
 /// Complementarity must be this much smaller than the other residuals: where a bound is only just
 /// active, the solution is off by its square root.
@@ -87,6 +85,13 @@ const SHARPNESS: f64 = 1e-4;
 
 /// Share of the way to the boundary that a step may go.
 const FRACTION_TO_BOUNDARY: f64 = 0.995;
+
+/// Complementarity at which the rows that press are told apart for the first time, and the factor to each next time.
+const END: f64 = 1e-3;
+const END_AGAIN: f64 = 0.03;
+
+/// Violation of the rows at which it is worth while.
+const END_PRIMAL: f64 = 1e-2;
 
 impl InteriorPoint {
     pub fn new(horizon: usize) -> Self {
@@ -98,6 +103,7 @@ impl InteriorPoint {
             gamma: rows,
         };
         let pass = Pass {
+            bounds: Bounds::default(),
             y: rows,
             residual: Residual {
                 primal: rows,
@@ -124,14 +130,19 @@ impl InteriorPoint {
 
     /// Improves `points` until `tolerance` or `limit`; returns the outcome and the iterations spent.
     #[inline(always)]
-    fn run(
+    pub fn run(
         &mut self,
         initial: &Aug,
         stages: &[Stage],
         points: &mut [Point],
+        end: &mut ActiveSet,
         tolerance: f64,
         limit: u32,
     ) -> (Outcome, u32) {
+        for (stage, pass) in stages.iter().zip(&mut self.passes) {
+            pass.bounds = Bounds::of(&stage.band);
+        }
+        let mut next_end = END;
         if !self.start(initial, stages, points) {
             return (Outcome::Breakdown, 0);
         }
@@ -148,6 +159,13 @@ impl InteriorPoint {
             }
             if worst <= tolerance {
                 return (Outcome::Converged, iteration);
+            }
+            if mu < next_end && primal < END_PRIMAL {
+                next_end = mu * END_AGAIN;
+                hand_over(stages, points, end);
+                if end.finish(stages, tolerance) {
+                    return (Outcome::Ended, iteration);
+                }
             }
             if iteration < limit {
                 if !self.factorise(stages, points) {
@@ -171,7 +189,7 @@ impl InteriorPoint {
         let mut p = Symmetric::default();
         let mut gradient = Aug::default();
         for ((stage, point), pass) in stages.iter().zip(points.iter()).zip(&mut self.passes).rev() {
-            p.add(&stage.hessian);
+            p.add(&stage.cost);
             gradient.add(&stage.cost_gradient(&point.s));
             let Some((factor, previous)) = factorise(&stage.dynamics, &stage.rate, &p) else {
                 return false;
@@ -184,7 +202,7 @@ impl InteriorPoint {
         let mut ds = Aug::default();
         for ((stage, point), pass) in stages.iter().zip(points.iter_mut()).zip(&self.passes) {
             let (v, _) = forward(&stage.dynamics, &pass.factor, &pass.lead, &ds);
-            point.v = stage.bounds.inside(&v, &s.u);
+            point.v = pass.bounds.inside(&v, &s.u);
             let free = point.s;
             s = stage.successor(&s, &point.v);
             point.s = s;
@@ -195,9 +213,9 @@ impl InteriorPoint {
                 *d = a - b;
             }
         }
-        for (stage, point) in stages.iter().zip(points.iter_mut()) {
-            let y = signed_values(&point.v, &point.s, &stage.bounds.normal);
-            point.rows = stage.bounds.centred(&y, START);
+        for ((stage, point), pass) in stages.iter().zip(points.iter_mut()).zip(&self.passes) {
+            let y = signed_values(&point.v, &point.s, &stage.band.normal);
+            point.rows = pass.bounds.centred(&y, START);
         }
         true
     }
@@ -210,7 +228,7 @@ impl InteriorPoint {
         let (mut stationarity, mut primal, mut complementarity, mut count) =
             (0.0_f64, 0.0_f64, 0.0, 0.0);
         for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes).rev() {
-            let bounds = &stage.bounds;
+            let bounds = pass.bounds;
             pass.y = signed_values(&point.v, &point.s, &bounds.normal);
             pass.residual = bounds.residual(&pass.y, &point.rows);
             let largest = |r: &Rows| r.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
@@ -222,7 +240,8 @@ impl InteriorPoint {
 
             let mut next = stage.cost_gradient(&point.s);
             next.add(&adjoint);
-            let rate = bounds.add_gradient(&point.rows.lambda, &mut next);
+            let (own, rate) = bounds.gradient(&point.rows.lambda);
+            next.add(&own);
             adjoint = stage.dynamics.apply_transposed(&next);
             for i in 0..NU {
                 let own = stage.rate[i] * point.v[i];
@@ -255,9 +274,10 @@ impl InteriorPoint {
     fn factorise(&mut self, stages: &[Stage], points: &[Point]) -> bool {
         let mut p = Symmetric::default();
         for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes).rev() {
-            pass.scaling = stage.bounds.scale(&point.rows);
-            p.add(&stage.hessian);
-            let mut rate = stage.bounds.add_curvature(&pass.scaling.weight, &mut p);
+            pass.scaling = pass.bounds.scale(&point.rows);
+            p.add(&stage.cost);
+            let (curvature, mut rate) = pass.bounds.curvature(&pass.scaling.weight);
+            p.add(&curvature);
             for (rate, weight) in rate.iter_mut().zip(&stage.rate) {
                 *rate += weight;
             }
@@ -276,11 +296,11 @@ impl InteriorPoint {
     #[inline(always)]
     fn improve(&mut self, stages: &[Stage], points: &mut [Point], mu: f64, floor: f64) {
         self.newton(stages, points, |rows, _| Targets::affine(rows));
-        let affine = self.longest(stages, points);
+        let affine = self.longest(points);
         let mut product = 0.0;
         let mut count = 0.0;
-        for ((stage, point), pass) in stages.iter().zip(points.iter()).zip(&self.passes) {
-            let (sum, rows) = stage
+        for (point, pass) in points.iter().zip(&self.passes) {
+            let (sum, rows) = pass
                 .bounds
                 .complementarity(&point.rows.moved(affine, &pass.step));
             product += sum;
@@ -294,7 +314,7 @@ impl InteriorPoint {
             });
         }
         let step = if count > 0.0 {
-            let longest = self.longest(stages, points);
+            let longest = self.longest(points);
             if longest < 1.0 {
                 FRACTION_TO_BOUNDARY * longest
             } else {
@@ -335,7 +355,8 @@ impl InteriorPoint {
             }
             let mut next = stage.cost_gradient(&point.s);
             next.add(&p);
-            let mut g_v = stage.bounds.add_gradient(&force, &mut next);
+            let (own, mut g_v) = pass.bounds.gradient(&force);
+            next.add(&own);
             for i in 0..NU {
                 g_v[i] = stage.rate[i].mul_add(point.v[i], g_v[i]);
             }
@@ -344,8 +365,8 @@ impl InteriorPoint {
         let mut ds = Aug::default();
         for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes) {
             (pass.dv, ds) = forward(&stage.dynamics, &pass.factor, &pass.lead, &ds);
-            let dy = signed_values(&pass.dv, &ds, &stage.bounds.normal);
-            pass.step = stage.bounds.recover(
+            let dy = signed_values(&pass.dv, &ds, &stage.band.normal);
+            pass.step = pass.bounds.recover(
                 &pass.scaling,
                 &pass.push,
                 &point.rows,
@@ -358,10 +379,10 @@ impl InteriorPoint {
 
     /// Longest step that keeps slacks and multipliers positive.
     #[inline(always)]
-    fn longest(&self, stages: &[Stage], points: &[Point]) -> f64 {
+    fn longest(&self, points: &[Point]) -> f64 {
         let mut worst = 1.0_f64;
-        for ((stage, point), pass) in stages.iter().zip(points).zip(&self.passes) {
-            worst = worst.max(stage.bounds.fastest_decrease(&point.rows, &pass.step));
+        for (point, pass) in points.iter().zip(&self.passes) {
+            worst = worst.max(pass.bounds.fastest_decrease(&point.rows, &pass.step));
         }
         1.0 / worst
     }

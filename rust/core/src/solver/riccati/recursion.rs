@@ -41,7 +41,18 @@ pub(super) fn dot(a: &Row, b: &Row) -> f64 {
     ((p[0] + p[4]) + (p[2] + p[6])) + ((p[1] + p[5]) + (p[3] + p[7]))
 }
 
-/// `[A B]` of one stage, by columns for products and by rows for transposed products.
+/// `Σ values[i] · rows[i]` over the given `i`.
+#[inline(always)]
+fn combine<const N: usize, const M: usize>(rows: &[Row; M], values: &Row, over: [usize; N]) -> Row {
+    let mut out = [0.0; LANES];
+    for i in over {
+        axpy(&mut out, values[i], &rows[i]);
+    }
+    out
+}
+
+/// `[A B]` of one stage, by columns for products and by rows for transposed products. Both have the zeros of
+/// [`crate::qp::A_PATTERN`] and [`crate::qp::B_PATTERN`], which halves the work of a factorisation.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Dynamics {
     /// Columns of `[A B]`.
@@ -68,11 +79,38 @@ impl Dynamics {
         for (row, value) in self.a_rows.iter().zip(&q.x) {
             axpy(&mut x, *value, row);
         }
-        let mut u = q.u;
-        for (u, column) in u.iter_mut().zip(&self.columns[NX..]) {
-            *u += dot(column, &q.x);
+        let b = self.input_products(&q.x);
+        Aug {
+            x,
+            u: [q.u[0] + b[0], q.u[1] + b[1]],
         }
-        Aug { x, u }
+    }
+
+    /// `Bᵀ q`.
+    #[inline(always)]
+    fn input_products(&self, q: &Row) -> [f64; NU] {
+        let [.., force, rate] = &self.columns;
+        [
+            force[2].mul_add(q[2], force[4].mul_add(q[4], force[5] * q[5])),
+            rate[2].mul_add(q[2], rate[4] * q[4]) + rate[5].mul_add(q[5], rate[6] * q[6]),
+        ]
+    }
+
+    /// `M [A B]` for a symmetric `M`, by columns.
+    #[inline(always)]
+    fn times(&self, m: &[Row; NX]) -> [Row; NS] {
+        let c = &self.columns;
+        [
+            combine(m, &c[0], [0]),
+            combine(m, &c[1], [1]),
+            combine(m, &c[2], [0, 1, 2, 4, 5]),
+            combine(m, &c[3], [0, 1, 3]),
+            combine(m, &c[4], [0, 1, 2, 4, 5]),
+            combine(m, &c[5], [2, 3, 4, 5]),
+            combine(m, &c[6], [2, 4, 5, 6]),
+            combine(m, &c[7], [2, 4, 5]),
+            combine(m, &c[8], [2, 4, 5, 6]),
+        ]
     }
 }
 
@@ -92,6 +130,19 @@ impl Aug {
             *m += o;
         }
     }
+
+    /// `self − other`.
+    #[inline(always)]
+    pub fn minus(&self, other: &Self) -> Self {
+        let mut out = *self;
+        for i in 0..LANES {
+            out.x[i] -= other.x[i];
+        }
+        for i in 0..NU {
+            out.u[i] -= other.u[i];
+        }
+        out
+    }
 }
 
 /// A symmetric matrix over the augmented state: `[xx, xu; xuᵀ, uu]`.
@@ -105,41 +156,42 @@ pub(super) struct Symmetric {
 }
 
 impl Symmetric {
-    /// `self += other`.
+    /// Adds a cost's curvature.
     #[inline(always)]
-    pub fn add(&mut self, other: &Self) {
-        let mine = self.xx.iter_mut().chain(&mut self.xu);
-        for (m, o) in mine.zip(other.xx.iter().chain(&other.xu)) {
-            for (m, o) in m.iter_mut().zip(o) {
-                *m += o;
-            }
+    pub fn add(&mut self, cost: &Curvature) {
+        for (i, column) in self.xx.iter_mut().enumerate() {
+            column[i] += cost.x[i];
         }
-        for (m, o) in self
-            .uu
-            .as_flattened_mut()
-            .iter_mut()
-            .zip(other.uu.as_flattened())
-        {
-            *m += o;
+        self.xx[0][1] += cost.cross;
+        self.xx[1][0] += cost.cross;
+        for i in 0..NU {
+            self.uu[i][i] += cost.u[i];
         }
     }
+}
 
+/// Curvature that a stage can have, of cost and rows alike: a diagonal and the cross term of the position.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Curvature {
+    pub x: Row,
+    pub cross: f64,
+    pub u: [f64; NU],
+}
+
+impl Curvature {
     /// Product with an augmented vector.
     #[inline(always)]
     pub fn apply(&self, s: &Aug) -> Aug {
         let mut x = [0.0; LANES];
-        for (column, value) in self.xx.iter().zip(&s.x) {
-            axpy(&mut x, *value, column);
+        for i in 0..LANES {
+            x[i] = self.x[i] * s.x[i];
         }
-        let mut u = [0.0; NU];
-        for (i, column) in self.xu.iter().enumerate() {
-            axpy(&mut x, s.u[i], column);
-            u[i] = dot(column, &s.x);
-            for j in 0..NU {
-                u[i] = self.uu[i][j].mul_add(s.u[j], u[i]);
-            }
+        x[0] = self.cross.mul_add(s.x[1], x[0]);
+        x[1] = self.cross.mul_add(s.x[0], x[1]);
+        Aug {
+            x,
+            u: [self.u[0] * s.u[0], self.u[1] * s.u[1]],
         }
-        Aug { x, u }
     }
 }
 
@@ -179,12 +231,7 @@ pub(super) fn factorise(
     p: &Symmetric,
 ) -> Option<(Factor, Symmetric)> {
     // G = P Ā restricted to its state rows: [Pxx A, Pxx B + Pxu].
-    let mut g = [[0.0; LANES]; NS];
-    for (g, column) in g.iter_mut().zip(&dynamics.columns) {
-        for (value, p_column) in column.iter().zip(&p.xx) {
-            axpy(g, *value, p_column);
-        }
-    }
+    let mut g = dynamics.times(&p.xx);
     for (g, p_column) in g[NX..].iter_mut().zip(&p.xu) {
         for (g, p) in g.iter_mut().zip(p_column) {
             *g += p;
@@ -198,10 +245,14 @@ pub(super) fn factorise(
         }
     }
     for i in 0..NU {
+        // Bᵀ G + (Bᵀ Pxu)ᵀ + Puu, one column at a time.
+        let (down, across) = (
+            dynamics.input_products(&g[NX + i]),
+            dynamics.input_products(&p.xu[i]),
+        );
         for j in 0..NU {
-            m.uu[i][j] = dot(&dynamics.columns[NX + i], &g[NX + j])
-                + dot(&p.xu[i], &dynamics.columns[NX + j])
-                + p.uu[i][j];
+            m.uu[i][j] += down[j] + p.uu[i][j];
+            m.uu[j][i] += across[j];
         }
     }
     let cross = 0.5 * (m.uu[0][1] + m.uu[1][0]);

@@ -12,24 +12,14 @@
 //! gradient. Written without a division by `λ` or by `1/ε`, so that rows far from their bound and
 //! rows exactly on it need no special case.
 
-use super::recursion::{Aug, Symmetric};
+use super::band::Band;
+use super::recursion::{Aug, Curvature};
+use super::stage::{INPUT, PAIRS, row_curvature, row_gradient, row_values};
 use crate::NU;
-use crate::settings::Penalty;
 
-/// Two-sided rows of a stage: rate (2), input (2), v_x, delta, v_y, omega, track, padding (3).
-pub(super) const PAIRS: usize = 12;
 /// One-sided rows: all upper sides, then all lower sides.
 pub(super) const ROWS: usize = 2 * PAIRS;
 pub(super) type Rows = [f64; ROWS];
-
-/// First input row; rate rows come before it.
-pub(super) const INPUT: usize = NU;
-/// First box row on a state.
-pub(super) const STATE: usize = 2 * NU;
-/// The states that may be boxed, in the order of their rows: v_x, delta, v_y, omega.
-pub(super) const BOXED: [usize; 4] = [2, 6, 4, 5];
-/// The track row.
-pub(super) const TRACK: usize = STATE + BOXED.len();
 
 /// Slack a hard row starts with when its bounds leave no room inside.
 const SMALLEST_SLACK: f64 = 0.01;
@@ -129,15 +119,11 @@ pub(super) struct Targets {
 /// `a·w` of all pairs, repeated with the opposite sign for the lower sides.
 #[inline(always)]
 pub(super) fn signed_values(v: &[f64; NU], s: &Aug, normal: &[f64; 2]) -> Rows {
+    let values = row_values(v, s, normal);
     let mut y = [0.0; ROWS];
-    y[..NU].copy_from_slice(v);
-    y[INPUT..STATE].copy_from_slice(&s.u);
-    for (row, state) in BOXED.iter().enumerate() {
-        y[STATE + row] = s.x[*state];
-    }
-    y[TRACK] = normal[0].mul_add(s.x[0], normal[1] * s.x[1]);
     for k in 0..PAIRS {
-        y[PAIRS + k] = -y[k];
+        y[k] = values[k];
+        y[PAIRS + k] = -values[k];
     }
     y
 }
@@ -169,22 +155,24 @@ impl Default for Iterate {
 }
 
 impl Bounds {
-    /// Row `k` must lie within `lower..=upper`.
-    pub fn hard(&mut self, k: usize, lower: f64, upper: f64) {
-        for (side, bound) in [(k, upper), (PAIRS + k, -lower)] {
-            self.b[side] = bound;
-            self.on[side] = 1.0;
+    /// The one-sided form of a stage's rows.
+    pub fn of(band: &Band) -> Self {
+        let mut out = Self {
+            normal: band.normal,
+            ..Self::default()
+        };
+        for k in 0..PAIRS {
+            for (side, bound) in [(k, band.upper[k]), (PAIRS + k, -band.lower[k])] {
+                if bound.is_finite() {
+                    (out.b[side], out.on[side]) = (bound, 1.0);
+                    if band.limit[k].is_finite() {
+                        out.soft[side] = 1.0;
+                        (out.linear[side], out.quadratic[side]) = (band.limit[k], band.beyond[k]);
+                    }
+                }
+            }
         }
-    }
-
-    /// Row `k` should lie within `lower..=upper`, at that price.
-    pub fn soft(&mut self, k: usize, lower: f64, upper: f64, penalty: Penalty) {
-        self.hard(k, lower, upper);
-        for side in [k, PAIRS + k] {
-            self.soft[side] = 1.0;
-            self.linear[side] = penalty.linear;
-            self.quadratic[side] = penalty.quadratic;
-        }
+        out
     }
 
     /// Slacks, prices and multipliers on the central path for row values `y` and complementarity `mu`. For a soft row
@@ -290,39 +278,24 @@ impl Bounds {
         d
     }
 
-    /// Adds `Σ W a aᵀ` to the Hessian of the next augmented state and returns the rate part.
+    /// Curvature `Σ W a aᵀ` on the next augmented state, and the rate part.
     #[inline(always)]
-    pub fn add_curvature(&self, weight: &Rows, h: &mut Symmetric) -> [f64; NU] {
-        let pair = |k: usize| weight[k] + weight[PAIRS + k];
-        for i in 0..NU {
-            h.uu[i][i] += pair(INPUT + i);
+    pub fn curvature(&self, weight: &Rows) -> (Curvature, [f64; NU]) {
+        let mut pair = [0.0; PAIRS];
+        for k in 0..PAIRS {
+            pair[k] = weight[k] + weight[PAIRS + k];
         }
-        for (row, state) in BOXED.iter().enumerate() {
-            h.xx[*state][*state] += pair(STATE + row);
-        }
-        let track = pair(TRACK);
-        for i in 0..2 {
-            for j in 0..2 {
-                h.xx[i][j] += track * self.normal[i] * self.normal[j];
-            }
-        }
-        [pair(0), pair(1)]
+        (row_curvature(&pair, &self.normal), [pair[0], pair[1]])
     }
 
-    /// Adds `Σ σ a f` to the gradient of the next augmented state and returns the rate part.
+    /// Gradient `Σ σ a f` in the next augmented state, and the rate part.
     #[inline(always)]
-    pub fn add_gradient(&self, force: &Rows, g: &mut Aug) -> [f64; NU] {
-        let pair = |k: usize| force[k] - force[PAIRS + k];
-        for i in 0..NU {
-            g.u[i] += pair(INPUT + i);
+    pub fn gradient(&self, force: &Rows) -> (Aug, [f64; NU]) {
+        let mut pair = [0.0; PAIRS];
+        for k in 0..PAIRS {
+            pair[k] = force[k] - force[PAIRS + k];
         }
-        for (row, state) in BOXED.iter().enumerate() {
-            g.x[*state] += pair(STATE + row);
-        }
-        let track = pair(TRACK);
-        g.x[0] += track * self.normal[0];
-        g.x[1] += track * self.normal[1];
-        [pair(0), pair(1)]
+        (row_gradient(&pair, &self.normal), [pair[0], pair[1]])
     }
 
     /// `Σ s λ + Σ ε γ` and the number of products in it.

@@ -1,8 +1,8 @@
-//! One stage of the problem and of the iterate.
+//! One stage of the problem.
 
-use super::recursion::{Aug, Dynamics, Row, Symmetric};
-use super::rows::{Bounds, Iterate};
-use crate::NU;
+use super::band::Band;
+use super::recursion::{Aug, Curvature, Dynamics, Row};
+use crate::{NU, NX};
 
 /// One stage of the problem: from `s` at its start to `s⁺` at its end.
 #[derive(Clone, Copy, Debug, Default)]
@@ -10,31 +10,72 @@ pub(super) struct Stage {
     pub dynamics: Dynamics,
     /// Affine term of the dynamics.
     pub offset: Row,
-    /// Hessian of the cost of `s⁺`.
-    pub hessian: Symmetric,
-    /// Gradient of the cost of `s⁺` at zero.
-    pub gradient: Aug,
+    /// Curvature of the cost of `s⁺`.
+    pub cost: Curvature,
+    /// Gradient of the cost of `s⁺` at zero; none in the input.
+    pub gradient: Row,
     /// Diagonal weight of `v`.
     pub rate: [f64; NU],
-    pub bounds: Bounds,
+    pub band: Band,
 }
 
-/// Primal-dual point of a stage.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Point {
-    pub v: [f64; NU],
-    /// `s⁺`.
-    pub s: Aug,
-    pub rows: Iterate,
-}
+/// Two-sided rows of a stage: rate (2), input (2), v_x, delta, v_y, omega, track, padding (3).
+pub(super) const PAIRS: usize = 12;
+/// First input row; rate rows come before it.
+pub(super) const INPUT: usize = NU;
+/// First box row on a state.
+pub(super) const STATE: usize = 2 * NU;
+/// The states that may be boxed, in the order of their rows: v_x, delta, v_y, omega.
+pub(super) const BOXED: [usize; 4] = [2, 6, 4, 5];
+/// The track row.
+pub(super) const TRACK: usize = STATE + BOXED.len();
 
-/// `s⁺ = Ā s + B̄ v + c` along the horizon.
+/// `a·w` of all pairs.
 #[inline(always)]
-pub(super) fn roll_out(initial: &Aug, stages: &[Stage], points: &mut [Point]) {
-    let mut s = *initial;
-    for (stage, point) in stages.iter().zip(points) {
-        s = stage.successor(&s, &point.v);
-        point.s = s;
+pub(super) fn row_values(v: &[f64; NU], s: &Aug, normal: &[f64; 2]) -> [f64; PAIRS] {
+    let track = normal[0].mul_add(s.x[0], normal[1] * s.x[1]);
+    [
+        v[0], v[1], s.u[0], s.u[1], s.x[2], s.x[6], s.x[4], s.x[5], track, 0.0, 0.0, 0.0,
+    ]
+}
+
+/// The curvature `Σ weight a aᵀ` of the rows on `s⁺`; that of the rate rows is their weight itself.
+#[inline(always)]
+pub(super) fn row_curvature(weight: &[f64; PAIRS], normal: &[f64; 2]) -> Curvature {
+    let (track, w) = (weight[TRACK], weight);
+    let (nx, ny) = (track * normal[0], track * normal[1]);
+    Curvature {
+        x: [
+            nx * normal[0],
+            ny * normal[1],
+            w[4],
+            0.0,
+            w[6],
+            w[7],
+            w[5],
+            0.0,
+        ],
+        cross: nx * normal[1],
+        u: [w[INPUT], w[INPUT + 1]],
+    }
+}
+
+/// The gradient `Σ force a` of the rows on `s⁺`; that of the rate rows is their force itself.
+#[inline(always)]
+pub(super) fn row_gradient(force: &[f64; PAIRS], normal: &[f64; 2]) -> Aug {
+    let (track, f) = (force[TRACK], force);
+    Aug {
+        x: [
+            track * normal[0],
+            track * normal[1],
+            f[4],
+            0.0,
+            f[6],
+            f[7],
+            f[5],
+            0.0,
+        ],
+        u: [f[INPUT], f[INPUT + 1]],
     }
 }
 
@@ -42,8 +83,10 @@ impl Stage {
     /// Gradient of the stage's own cost at `s⁺`.
     #[inline(always)]
     pub fn cost_gradient(&self, s: &Aug) -> Aug {
-        let mut g = self.hessian.apply(s);
-        g.add(&self.gradient);
+        let mut g = self.cost.apply(s);
+        for i in 0..NX {
+            g.x[i] += self.gradient[i];
+        }
         g
     }
 
