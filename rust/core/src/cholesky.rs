@@ -1,14 +1,19 @@
-//! Cholesky factor of a symmetric positive definite matrix, lower triangle packed row by row.
+//! Inverse Cholesky factor of a symmetric positive definite matrix.
 //!
-//! Rows are contiguous, so that factoring and solving are dot products over memory in order; half the memory of a
-//! full matrix, which matters with dozens of members of a thousand points.
+//! The inverse and not the factor, because a product needs no result of an earlier row: it runs at the speed of the
+//! multipliers, and several right-hand sides share one pass over the memory.
 
-use crate::simd::{Vectorised, vectorised};
+use crate::kernel::{LANES, Lanes};
+use crate::simd::{Simd, Vectorised, Wide, vectorised, wide};
 
-/// `L` with `L Lᵀ = A`.
+/// `L⁻¹` with `L Lᵀ = A`.
+///
+/// Panels of eight rows, column by column up to the diagonal: half the memory of a full matrix, in the order of its
+/// use. Rows and columns beyond the matrix are zero.
 #[derive(Clone, Debug)]
-pub(crate) struct Cholesky {
-    rows: Vec<f64>,
+pub(crate) struct InverseFactor {
+    panels: Vec<[Lanes; LANES]>,
+    rows: usize,
 }
 
 /// The matrix is not positive definite; found at this row.
@@ -23,26 +28,45 @@ const fn row_start(i: usize) -> usize {
     i * (i + 1) / 2
 }
 
-impl Cholesky {
-    /// Factors the `n × n` matrix with the given packed lower triangle (row `i` has `i + 1` entries) in place.
-    pub fn factor(n: usize, mut lower: Vec<f64>) -> Result<Self, NotPositiveDefinite> {
+impl InverseFactor {
+    /// Factors the `n × n` matrix with the given packed lower triangle (row `i` has `i + 1` entries) and inverts the
+    /// factor.
+    pub fn new(n: usize, mut lower: Vec<f64>) -> Result<Self, NotPositiveDefinite> {
         vectorised(Factor {
             n,
             lower: &mut lower,
         })?;
-        Ok(Self { rows: lower })
+        vectorised(Invert {
+            n,
+            lower: &mut lower,
+        });
+        let mut panels = Vec::with_capacity(row_start(n.div_ceil(LANES)));
+        for start in (0..n).step_by(LANES) {
+            let entry = |i: usize, j: usize| {
+                let inside = i < n && j <= i;
+                if inside { lower[row_start(i) + j] } else { 0.0 }
+            };
+            let column = |j| std::array::from_fn(|l| entry(start + l, j));
+            let blocks = (0..=start).step_by(LANES);
+            panels
+                .extend(blocks.map(|j| std::array::from_fn::<Lanes, LANES, _>(|l| column(j + l))));
+        }
+        Ok(Self { panels, rows: n })
     }
 
-    /// Replaces `b` by `L⁻¹ b`.
-    pub fn half_solve(&self, b: &mut [f64]) {
-        vectorised(HalfSolve {
-            rows: &self.rows,
+    /// `L⁻¹ B` for the `Q` columns of `B`, one pass over the factor. Lengths are the number of rows in blocks; what
+    /// stands in the padding of `B` does not count, as long as it is finite.
+    pub fn products<const Q: usize>(&self, b: [&[Lanes]; Q], out: [&mut [Lanes]; Q]) {
+        debug_assert!(b.iter().all(|b| b.len() == self.rows.div_ceil(LANES)));
+        wide(Products {
+            panels: &self.panels,
             b,
+            out,
         });
     }
 }
 
-/// [`Cholesky::factor`].
+/// The Cholesky factor in place.
 struct Factor<'a> {
     n: usize,
     lower: &'a mut [f64],
@@ -61,14 +85,14 @@ impl Vectorised for Factor<'_> {
                 for i in start.max(j)..end {
                     let (above, row) = self.lower.split_at_mut(row_start(i));
                     if i == j {
-                        let pivot = row[j] - dot(&row[..j], &row[..j]);
+                        let pivot = row[j] - sum_of_products(&row[..j], &row[..j]);
                         if pivot.is_nan() || pivot <= 0.0 {
                             return Err(NotPositiveDefinite(j));
                         }
                         row[j] = pivot.sqrt();
                     } else {
                         let row_j = &above[row_start(j)..=row_start(j) + j];
-                        row[j] = (row[j] - dot(&row[..j], &row_j[..j])) / row_j[j];
+                        row[j] = (row[j] - sum_of_products(&row[..j], &row_j[..j])) / row_j[j];
                     }
                 }
             }
@@ -77,29 +101,99 @@ impl Vectorised for Factor<'_> {
     }
 }
 
-/// [`Cholesky::half_solve`].
-struct HalfSolve<'a> {
-    rows: &'a [f64],
-    b: &'a mut [f64],
+/// The inverse of a lower triangle in place.
+struct Invert<'a> {
+    n: usize,
+    lower: &'a mut [f64],
 }
 
-impl Vectorised for HalfSolve<'_> {
+impl Vectorised for Invert<'_> {
     type Output = ();
 
     #[inline(always)]
     fn compute(self) {
-        let Self { rows, b } = self;
-        for i in 0..b.len() {
-            let row = &rows[row_start(i)..=row_start(i) + i];
-            b[i] = (b[i] - dot(&row[..i], &b[..i])) / row[i];
+        // Row i of the inverse is -1/L_ii times the sum of L_ik times row k of the inverse, k < i. Each earlier row
+        // serves a panel of rows while it is in the cache.
+        let mut factor = vec![0.0; PANEL * self.n];
+        for start in (0..self.n).step_by(PANEL) {
+            let end = self.n.min(start + PANEL);
+            for (i, copy) in (start..end).zip(factor.chunks_mut(self.n)) {
+                let row = &mut self.lower[row_start(i)..=row_start(i) + i];
+                copy[..=i].copy_from_slice(row);
+                row.fill(0.0);
+            }
+            for k in 0..end {
+                for i in start.max(k)..end {
+                    let l = &factor[(i - start) * self.n..];
+                    let (above, row) = self.lower.split_at_mut(row_start(i));
+                    if i == k {
+                        let inverse = 1.0 / l[i];
+                        row[..i].iter_mut().for_each(|entry| *entry *= -inverse);
+                        row[i] = inverse;
+                    } else {
+                        let earlier = &above[row_start(k)..=row_start(k) + k];
+                        for (entry, earlier) in row[..=k].iter_mut().zip(earlier) {
+                            *entry = l[k].mul_add(*earlier, *entry);
+                        }
+                    }
+                }
+            }
         }
     }
 }
 
+/// [`InverseFactor::products`].
+struct Products<'a, const Q: usize> {
+    panels: &'a [[Lanes; LANES]],
+    b: [&'a [Lanes]; Q],
+    out: [&'a mut [Lanes]; Q],
+}
+
+impl<const Q: usize> Wide for Products<'_, Q> {
+    type Output = ();
+
+    #[inline(always)]
+    fn compute<S: Simd>(mut self, simd: S) {
+        let mut panels = self.panels;
+        for p in 0..self.b[0].len() {
+            let (panel, rest) = panels.split_at(p + 1);
+            panels = rest;
+            // Two sums for each column, or with few columns each addition would wait for the one before.
+            let mut sums = [[simd.splat(0.0); Q]; 2];
+            for (j, block) in panel.iter().enumerate() {
+                let b: [&Lanes; Q] = std::array::from_fn(|q| &self.b[q][j]);
+                for (l, column) in block.iter().enumerate() {
+                    let column = simd.load(column);
+                    for (sum, b) in sums[l % 2].iter_mut().zip(&b) {
+                        *sum = simd.mul_add(column, simd.splat(b[l]), *sum);
+                    }
+                }
+            }
+            let [even, odd] = sums;
+            for ((out, even), odd) in self.out.iter_mut().zip(even).zip(odd) {
+                out[p] = simd.store(simd.add(even, odd));
+            }
+        }
+    }
+}
+
+/// Dot product of vectors in blocks.
+pub(crate) fn dot(a: &[Lanes], b: &[Lanes]) -> f64 {
+    struct Dot<'a>(&'a [Lanes], &'a [Lanes]);
+    impl Vectorised for Dot<'_> {
+        type Output = f64;
+
+        #[inline(always)]
+        fn compute(self) -> f64 {
+            sum_of_products(self.0.as_flattened(), self.1.as_flattened())
+        }
+    }
+    vectorised(Dot(a, b))
+}
+
 /// Dot product in a fixed order of lanes: vectorised, and the same bits every time.
 #[inline(always)]
-pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    const LANES: usize = 8;
+fn sum_of_products(a: &[f64], b: &[f64]) -> f64 {
     let (a_blocks, a_rest) = a.as_chunks::<LANES>();
     let (b_blocks, b_rest) = b.as_chunks::<LANES>();
     let mut lanes = [0.0; LANES];
@@ -110,4 +204,21 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     }
     let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
     lanes.iter().sum::<f64>() + rest
+}
+
+/// `a += scale · b`.
+pub(crate) fn add_scaled(a: &mut [Lanes], scale: f64, b: &[Lanes]) {
+    struct AddScaled<'a>(&'a mut [Lanes], f64, &'a [Lanes]);
+    impl Vectorised for AddScaled<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn compute(self) {
+            let (a, b) = (self.0.as_flattened_mut(), self.2.as_flattened());
+            for (a, b) in a.iter_mut().zip(b) {
+                *a = self.1.mul_add(*b, *a);
+            }
+        }
+    }
+    vectorised(AddScaled(a, scale, b));
 }

@@ -1,5 +1,6 @@
 //! How members combine: the ensemble's mean, Jacobian and variance.
 
+use crate::gp::Horizon;
 use crate::library::{Library, Member};
 use crate::{GpInput, GpJacobian, GpOutput, VarianceScratch};
 
@@ -112,21 +113,80 @@ impl<'a> Ensemble<'a> {
     pub fn variance(&self, z: &GpInput, scratch: &mut VarianceScratch) -> EnsembleVariance {
         let mut independent = GpOutput::zeros();
         let mut mixture = GpOutput::zeros();
-        // West's weighted update of mean and disagreement: no second pass, no cancellation.
         let (mut sum, mut mean) = (0.0, GpOutput::zeros());
         for (weight, member) in self.active() {
             let variance = member.variance(z, scratch);
             independent += weight * weight * variance;
             mixture += weight * (variance + member.noise_std().map(|std| std * std));
             sum += weight;
-            let member_mean = member.mean(z);
-            let before = member_mean - mean;
-            mean += before * (weight / sum);
-            mixture += weight * before.component_mul(&(member_mean - mean));
+            disagree(weight, sum, &member.mean(z), &mut mean, &mut mixture);
         }
         EnsembleVariance {
             independent,
             mixture,
         }
     }
+
+    /// Upper bounds of [`EnsembleVariance::mixture`] at all stages of a horizon, at most 10 % above the exact ones
+    /// (5 % in standard deviation), at a fraction of their cost.
+    ///
+    /// Each member's bound holds relative to its own variance, its noise and the disagreement of the members, whose
+    /// weighted sum is the mixture's variance.
+    pub fn mixture_bounds(
+        &self,
+        z: &[GpInput],
+        scratch: &mut MixtureScratch,
+        out: &mut [GpOutput],
+    ) {
+        let MixtureScratch {
+            horizon,
+            means,
+            disagreement,
+            floor,
+            bounds,
+        } = scratch;
+        for buffer in [&mut *means, &mut *disagreement, &mut *bounds] {
+            buffer.clear();
+            buffer.resize(z.len(), GpOutput::zeros());
+        }
+        let mut sum = 0.0;
+        for (weight, member) in self.active() {
+            sum += weight;
+            for ((z, mean), disagreement) in z.iter().zip(&mut *means).zip(&mut *disagreement) {
+                disagree(weight, sum, &member.mean(z), mean, disagreement);
+            }
+        }
+        out.copy_from_slice(disagreement);
+        for (weight, member) in self.active() {
+            member.variance_bounds(z, disagreement, horizon, floor, bounds);
+            let noise = member.noise_std().map(|std| std * std);
+            for (out, bound) in out.iter_mut().zip(&*bounds) {
+                *out += weight * (bound + noise);
+            }
+        }
+    }
+}
+
+/// Memory for [`Ensemble::mixture_bounds`]; grows at its first use and is then reused.
+#[derive(Clone, Debug, Default)]
+pub struct MixtureScratch {
+    horizon: Horizon,
+    means: Vec<GpOutput>,
+    disagreement: Vec<GpOutput>,
+    floor: Vec<GpOutput>,
+    bounds: Vec<GpOutput>,
+}
+
+/// West's weighted update of the members' mean and disagreement: no second pass, no cancellation. `sum` is the weight
+/// so far, this member's included.
+fn disagree(
+    weight: f64,
+    sum: f64,
+    member_mean: &GpOutput,
+    mean: &mut GpOutput,
+    disagreement: &mut GpOutput,
+) {
+    let before = member_mean - *mean;
+    *mean += before * (weight / sum);
+    *disagreement += weight * before.component_mul(&(member_mean - *mean));
 }

@@ -23,7 +23,7 @@ mod simd;
 
 use nalgebra::{SMatrix, SVector};
 
-pub use ensemble::{Ensemble, EnsembleError, EnsembleVariance};
+pub use ensemble::{Ensemble, EnsembleError, EnsembleVariance, MixtureScratch};
 pub use gp::VarianceScratch;
 pub use kernel::Kernel;
 pub use library::{Library, LibraryError, Member};

@@ -1,7 +1,7 @@
 //! The loops over training points: mean, Jacobian and covariances.
 
 use super::Gp;
-use crate::kernel::{Kernel, Lanes, Matern52, Metric, Points, Profile, Query, Rbf};
+use crate::kernel::{Kernel, Lanes, Matern52, Points, Profile, Query, Rbf};
 use crate::simd::{Simd, Wide};
 use crate::{GpInput, GpJacobian, GpOutput, NZ};
 
@@ -124,27 +124,25 @@ impl Wide for MeanJacobian<'_> {
     }
 }
 
-/// `k(z, X)` of one output into `row`, whose length becomes the number of points.
+/// `k(z, X)` of one output, block by block.
 pub(super) struct CovarianceRow<'a> {
     pub kernel: Kernel,
-    pub points: &'a Points,
-    pub metric: &'a Metric,
     pub outputscale: f64,
-    pub z: &'a GpInput,
-    pub row: &'a mut Vec<f64>,
+    pub points: &'a Points,
+    /// Of the points.
+    pub norms: &'a [Lanes],
+    pub query: &'a Query,
+    pub row: &'a mut [Lanes],
 }
 
 impl CovarianceRow<'_> {
     #[inline(always)]
     fn with<P: Profile, S: Simd>(self, simd: S) {
-        let query = self.metric.query(self.z);
-        self.row.clear();
-        for (block, norms) in self.points.blocks().iter().zip(self.metric.norms()) {
-            let value = P::value(simd, query.distances(simd, block, norms));
-            let scaled = simd.mul(simd.splat(self.outputscale), value);
-            self.row.extend_from_slice(&simd.store(scaled));
+        let points = self.points.blocks().iter().zip(self.norms);
+        for ((block, norms), covariances) in points.zip(self.row) {
+            let value = P::value(simd, self.query.distances(simd, block, norms));
+            *covariances = simd.store(simd.mul(simd.splat(self.outputscale), value));
         }
-        self.row.truncate(self.points.len());
     }
 }
 

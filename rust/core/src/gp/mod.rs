@@ -2,18 +2,20 @@
 //!
 //! Rasmussen & Williams (2006), eqs. (2.25), (2.26); for each output with its own hyperparameters
 //! ```text
-//! mean      μ(z)  = m + k(z, X) α,                    α = (K + s² I)⁻¹ (y - m)
+//! mean      μ(z)  = m + k(z, X) α,                          α = (K + s² I)⁻¹ (y - m)
 //! gradient  ∂μ/∂z_d = 2/ℓ_d² (z_d Σ_j s_j - Σ_j s_j x_jd),   s_j = α_j outputscale φ'(r_j²)
-//! variance  σ²(z) = k(z, z) - |L⁻¹ k(X, z)|²,         L Lᵀ = K + s² I
+//! variance  σ²(z) = k(z, z) - |L⁻¹ k(X, z)|²,               L Lᵀ = K + s² I
 //! ```
 //! The variance is that of the latent function: measurement noise is not included.
 
+mod horizon;
 mod mean;
 
+pub(crate) use horizon::Horizon;
 use mean::{CovarianceRow, Mean, MeanJacobian};
 
-use crate::cholesky::{Cholesky, NotPositiveDefinite, dot};
-use crate::kernel::{Kernel, Lanes, Metric, Points, in_blocks};
+use crate::cholesky::{InverseFactor, NotPositiveDefinite, dot};
+use crate::kernel::{Kernel, LANES, Lanes, Metric, Points, in_blocks};
 use crate::simd::wide;
 use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
 
@@ -30,10 +32,11 @@ pub struct Hyperparameters {
     pub constant: f64,
 }
 
-/// Memory for [`Gp::variance`]; grows at its first use and is then reused.
+/// Memory for variances; grows at its first use and is then reused.
 #[derive(Clone, Debug, Default)]
 pub struct VarianceScratch {
-    covariances: Vec<f64>,
+    /// `k(X, z)` and `L⁻¹ k(X, z)`.
+    covariances: [Vec<Lanes>; 2],
 }
 
 /// Three independent exact GPs, one for each output, over the same training inputs.
@@ -51,7 +54,7 @@ struct Output {
     constant: f64,
     /// `outputscale · α`.
     weights: Vec<Lanes>,
-    factor: Cholesky,
+    inverse: InverseFactor,
 }
 
 /// `K + s² I` of one output is not positive definite: its factorisation failed at a training point.
@@ -66,7 +69,7 @@ pub struct SingularCovariance {
 impl Gp {
     /// Lays out the training inputs (z-scored) and factors the covariances; `alpha` is taken as it is.
     ///
-    /// Cost: `n³/6` multiplications and `n²/2` numbers of memory for each output.
+    /// Cost: `n³/3` multiplications and `n²/2` numbers of memory for each output.
     ///
     /// # Errors
     /// [`SingularCovariance`].
@@ -80,14 +83,19 @@ impl Gp {
         let output = |output: usize| {
             let hyper = &hyperparameters[output];
             let metric = Metric::new(kernel.scale(), &hyper.lengthscales, inputs);
-            let factor = factor(kernel, &points, inputs, hyper, &metric)
+            let inverse = inverse_factor(kernel, &points, inputs, hyper, &metric)
                 .map_err(|NotPositiveDefinite(point)| SingularCovariance { output, point })?;
+            let mut weights = Vec::new();
+            in_blocks(
+                alpha[output].iter().map(|alpha| hyper.outputscale * alpha),
+                &mut weights,
+            );
             Ok(Output {
                 metric,
                 outputscale: hyper.outputscale,
                 constant: hyper.constant,
-                weights: in_blocks(alpha[output].iter().map(|alpha| hyper.outputscale * alpha)),
-                factor,
+                weights,
+                inverse,
             })
         };
         let outputs = [output(0)?, output(1)?, output(2)?];
@@ -119,45 +127,48 @@ impl Gp {
 
     /// The variance of the latent function at a z-scored input; between 0 and the outputscale.
     pub fn variance(&self, z: &GpInput, scratch: &mut VarianceScratch) -> GpOutput {
-        let covariances = &mut scratch.covariances;
+        let [covariances, product] = &mut scratch.covariances;
+        covariances.resize(self.points.blocks().len(), [0.0; LANES]);
+        product.resize(covariances.len(), [0.0; LANES]);
         GpOutput::from_fn(|o, _| {
             let output = &self.outputs[o];
             wide(CovarianceRow {
                 kernel: self.kernel,
-                points: &self.points,
-                metric: &output.metric,
                 outputscale: output.outputscale,
-                z,
+                points: &self.points,
+                norms: output.metric.norms(),
+                query: &output.metric.query(z),
                 row: covariances,
             });
-            output.factor.half_solve(covariances);
+            output.inverse.products([covariances], [product]);
+            let explained = dot(product, product);
             // Rounding may leave a tiny negative number next to a training point.
-            (output.outputscale - dot(covariances, covariances)).max(0.0)
+            (output.outputscale - explained).max(0.0)
         })
     }
 }
 
-/// Factors `K + s² I` of one output.
-fn factor(
+/// `L⁻¹`, `L Lᵀ = K + s² I`, of one output.
+fn inverse_factor(
     kernel: Kernel,
     points: &Points,
     inputs: &[GpInput],
     hyper: &Hyperparameters,
     metric: &Metric,
-) -> Result<Cholesky, NotPositiveDefinite> {
+) -> Result<InverseFactor, NotPositiveDefinite> {
     let mut lower = Vec::with_capacity(inputs.len() * (inputs.len() + 1) / 2);
-    let mut row = Vec::new();
+    let mut row = vec![[0.0; LANES]; points.blocks().len()];
     for (i, input) in inputs.iter().enumerate() {
         wide(CovarianceRow {
             kernel,
-            points,
-            metric,
             outputscale: hyper.outputscale,
-            z: input,
+            points,
+            norms: metric.norms(),
+            query: &metric.query(input),
             row: &mut row,
         });
-        lower.extend_from_slice(&row[..i]);
+        lower.extend_from_slice(&row.as_flattened()[..i]);
         lower.push(hyper.outputscale + hyper.noise);
     }
-    Cholesky::factor(inputs.len(), lower)
+    InverseFactor::new(inputs.len(), lower)
 }

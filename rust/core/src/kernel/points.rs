@@ -8,7 +8,7 @@ use crate::{GpInput, NZ};
 ///
 /// One copy serves all outputs of a GP. The last block is filled up with zeros; whoever sums over points gives those
 /// lanes the weight zero.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Points {
     len: usize,
     blocks: Vec<[Lanes; NZ]>,
@@ -17,15 +17,21 @@ pub(crate) struct Points {
 impl Points {
     /// Lays out training inputs.
     pub fn new(inputs: &[GpInput]) -> Self {
+        let mut points = Self::default();
+        points.assign(inputs);
+        points
+    }
+
+    /// Lays out other inputs in the same memory.
+    pub fn assign(&mut self, inputs: &[GpInput]) {
         let block = |chunk: &[GpInput]| {
             std::array::from_fn(|d| {
                 std::array::from_fn(|l| chunk.get(l).map_or(0.0, |point| point[d]))
             })
         };
-        Self {
-            len: inputs.len(),
-            blocks: inputs.chunks(LANES).map(block).collect(),
-        }
+        self.len = inputs.len();
+        self.blocks.clear();
+        self.blocks.extend(inputs.chunks(LANES).map(block));
     }
 
     /// Number of points, padding not counted.
@@ -39,13 +45,13 @@ impl Points {
     }
 }
 
-/// Numbers, one for each training point, in blocks of [`LANES`]; padding is zero.
-pub(crate) fn in_blocks(values: impl ExactSizeIterator<Item = f64>) -> Vec<Lanes> {
-    let mut blocks = vec![[0.0; LANES]; values.len().div_ceil(LANES)];
+/// Numbers, one for each point, in blocks of [`LANES`]; padding is zero.
+pub(crate) fn in_blocks(values: impl ExactSizeIterator<Item = f64>, blocks: &mut Vec<Lanes>) {
+    blocks.clear();
+    blocks.resize(values.len().div_ceil(LANES), [0.0; LANES]);
     for (slot, value) in blocks.as_flattened_mut().iter_mut().zip(values) {
         *slot = value;
     }
-    blocks
 }
 
 /// Squared scaled distances `t = scale · Σ_d (z_d - x_d)² / ℓ_d²` from training points to a query, where `scale` is
@@ -77,8 +83,15 @@ impl Metric {
             inverse_squared_lengthscales: lengthscales.map(|l| 1.0 / (l * l)),
             norms: Vec::new(),
         };
-        metric.norms = in_blocks(inputs.iter().map(|x| metric.norm(x)));
+        let mut norms = Vec::new();
+        metric.norms_of(inputs, &mut norms);
+        metric.norms = norms;
         metric
+    }
+
+    /// `norm(x)` of other points, in blocks.
+    pub fn norms_of(&self, inputs: &[GpInput], norms: &mut Vec<Lanes>) {
+        in_blocks(inputs.iter().map(|x| self.norm(x)), norms);
     }
 
     fn norm(&self, v: &GpInput) -> f64 {

@@ -1,7 +1,7 @@
 //! One surface's GPs, in physical units.
 
 use super::data::MemberData;
-use crate::gp::{Gp, Hyperparameters, SingularCovariance};
+use crate::gp::{Gp, Horizon, Hyperparameters, SingularCovariance};
 use crate::scaler::Scaler;
 use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
 
@@ -116,5 +116,34 @@ impl Member {
         self.gp
             .variance(&self.input_scaler.scale(z), scratch)
             .component_mul(&std.component_mul(std))
+    }
+
+    /// Upper bounds of the variances of the latent function at `z`, in squared output units, for reports that add
+    /// at least `floor` and the noise to them; see [`Gp::variance_bounds`].
+    pub(crate) fn variance_bounds(
+        &self,
+        z: &[GpInput],
+        floor: &[GpOutput],
+        scratch: &mut Horizon,
+        scaled_floor: &mut Vec<GpOutput>,
+        out: &mut [GpOutput],
+    ) {
+        let std = self.target_scaler.std();
+        let square = std.component_mul(std);
+        let noise = GpOutput::from_fn(|o, _| self.hyperparameters[o].noise);
+        scratch.z.clear();
+        scratch
+            .z
+            .extend(z.iter().map(|z| self.input_scaler.scale(z)));
+        scaled_floor.clear();
+        scaled_floor.extend(
+            floor
+                .iter()
+                .map(|floor| floor.component_div(&square) + noise),
+        );
+        self.gp.variance_bounds(scaled_floor, scratch, out);
+        for out in out {
+            out.component_mul_assign(&square);
+        }
     }
 }

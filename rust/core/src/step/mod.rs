@@ -12,12 +12,13 @@ pub use validate::StepError;
 pub use workspace::{SetupError, Workspace};
 
 use validate::Rows;
+use workspace::SigmaMemory;
 
 use crate::ocp::{self, Reference};
 use crate::solver::{Status, solve_first};
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, gp_input, wrap};
 use crate::weights::select_active;
-use crate::{Ensemble, GpInput, Input, Library, NY, Settings, State, VarianceScratch};
+use crate::{Ensemble, GpInput, Input, Library, NY, Settings, State};
 
 /// One control step: weights, eq. (6); linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
 ///
@@ -94,7 +95,7 @@ pub fn step(
     if reply.status == Status::Solved {
         write_plan(settings, &frame, &rows, ws, reply);
         if request.want_sigma {
-            write_sigma(&ensemble, &mut ws.scratch, reply);
+            write_sigma(&ensemble, &mut ws.sigma, reply);
         }
     }
     Ok(())
@@ -170,16 +171,23 @@ fn write_plan(
     }
 }
 
-/// Standard deviations of `[v_x, v_y, omega]` one step ahead of each plan stage; row 0, the measurement, is zero.
-fn write_sigma(ensemble: &Ensemble, scratch: &mut VarianceScratch, reply: &mut StepReply) {
+/// Standard deviations of `[v_x, v_y, omega]` one step ahead of each plan stage, at most 5 % too large; row 0, the
+/// measurement, is zero.
+fn write_sigma(ensemble: &Ensemble, memory: &mut SigmaMemory, reply: &mut StepReply) {
     reply.sigma.extend([0.0; NY]);
     let (states, inputs) = (
         reply.plan_x.as_chunks::<7>().0,
         reply.plan_u.as_chunks::<2>().0,
     );
-    for (x, u) in states.iter().zip(inputs) {
-        let z = gp_input(&State::from(*x), &Input::from(*u));
-        let variance = ensemble.variance(&z, scratch).mixture;
-        reply.sigma.extend(variance.iter().map(|v| v.sqrt()));
-    }
+    let stages = states.iter().zip(inputs);
+    memory.queries.clear();
+    memory
+        .queries
+        .extend(stages.map(|(x, u)| gp_input(&State::from(*x), &Input::from(*u))));
+    ensemble.mixture_bounds(&memory.queries, &mut memory.scratch, &mut memory.variances);
+    let sigma = memory
+        .variances
+        .iter()
+        .flat_map(|v| <[f64; NY]>::from(v.map(f64::sqrt)));
+    reply.sigma.extend(sigma);
 }

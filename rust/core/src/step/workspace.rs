@@ -8,7 +8,7 @@ use crate::settings::SettingsError;
 use crate::solver::{self, QpSolver, SolverSetupError};
 use crate::trajectory::Guess;
 use crate::weights::{WeightEstimator, inverse_noise};
-use crate::{GpOutput, Input, Library, Settings, State, VarianceScratch};
+use crate::{GpInput, GpOutput, Input, Library, MixtureScratch, Settings, State};
 
 /// Why a workspace could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -38,7 +38,14 @@ pub struct Workspace {
     pub(super) warm: Vec<Input>,
     pub(super) asked: &'static str,
     pub(super) solution: OcpSolution,
-    pub(super) scratch: VarianceScratch,
+    pub(super) sigma: SigmaMemory,
+}
+
+/// Memory for the standard deviations along the plan.
+pub(super) struct SigmaMemory {
+    pub queries: Vec<GpInput>,
+    pub variances: Vec<GpOutput>,
+    pub scratch: MixtureScratch,
 }
 
 impl Workspace {
@@ -66,7 +73,11 @@ impl Workspace {
             warm: Vec::with_capacity(horizon),
             asked: "",
             solution: OcpSolution::new(horizon),
-            scratch: VarianceScratch::default(),
+            sigma: SigmaMemory {
+                queries: Vec::with_capacity(horizon),
+                variances: vec![GpOutput::zeros(); horizon],
+                scratch: MixtureScratch::default(),
+            },
         })
     }
 

@@ -1,0 +1,204 @@
+//! The variance at all stages of a horizon, from few stages.
+
+use super::mean::CovarianceRow;
+use super::{Gp, Output};
+use crate::cholesky::{add_scaled, dot};
+use crate::kernel::{LANES, Lanes, Points};
+use crate::simd::wide;
+use crate::{GpInput, GpOutput, NY};
+
+/// By how much a variance may exceed the exact one, relative to what it is reported with (see
+/// [`Gp::variance_bounds`]). A standard deviation is then at most 5 % too large.
+pub(crate) const TOLERANCE: f64 = 0.1;
+/// Nodes that share a pass over the inverse factor; fewer would wait for the memory.
+const PASS: usize = 4;
+/// A node of less prior variance than this times the outputscale would add nothing but rounding errors.
+const SMALLEST_PIVOT: f64 = 1e-12;
+
+/// Memory for [`Gp::variance_bounds`], and its state for one output.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Horizon {
+    /// Queries, z-scored; filled by the caller.
+    pub z: Vec<GpInput>,
+    queries: Points,
+    norms: Vec<Lanes>,
+    /// Stages taken as nodes, in their order.
+    nodes: Vec<usize>,
+    /// `l(z)` of each stage, a row of as many places as there are stages.
+    factor: Vec<f64>,
+    /// `rho(z)` of each stage.
+    residual: Vec<f64>,
+    /// `q(z)` of each stage.
+    variance: Vec<f64>,
+    /// Covariances of a node with the stages.
+    row: Vec<Lanes>,
+    /// `k(X, z)` of the nodes of a pass.
+    covariances: [Vec<Lanes>; PASS],
+    /// `w` of all nodes, one after the other.
+    directions: Vec<Lanes>,
+    /// `H`, rows of as many places as there are stages.
+    gram: Vec<f64>,
+}
+
+impl Gp {
+    /// Upper bounds of the variances at the z-scored inputs `scratch.z`, in z-scored units, each at most
+    /// `TOLERANCE · (σ² + floor)` above the exact `σ²`: `floor` is the variance that the caller adds anyway.
+    ///
+    /// Stages lie on a curve, so the latent function at a few of them, the nodes `N`, nearly determines it at the
+    /// others. Given noise-free values `f_N`, at any stage `f(z) = k(z, N) K_NN⁻¹ f_N + e`, where `e` has the prior
+    /// variance `ρ(z) = k(z, z) - k(z, N) K_NN⁻¹ k(N, z)`. The data can only lower that, and by Cauchy-Schwarz
+    /// ```text
+    /// √q - √ρ <= σ(z) <= √q + √ρ,     q = l(z)ᵀ (I - H) l(z),
+    /// R Rᵀ = K_NN,   l(z) = R⁻¹ k(N, z),   w = L⁻¹ k(X, N) R⁻ᵀ,   H = wᵀ w
+    /// ```
+    /// `q` is the posterior variance of the first term, `ρ = k(z, z) - |l(z)|²`. Nodes are taken where `ρ` is
+    /// largest, four at a time, until `2 √(q ρ) + ρ` is below the tolerance everywhere; with all stages as nodes the
+    /// result is exact.
+    pub(crate) fn variance_bounds(
+        &self,
+        floor: &[GpOutput],
+        scratch: &mut Horizon,
+        out: &mut [GpOutput],
+    ) {
+        scratch.queries.assign(&scratch.z);
+        for o in 0..NY {
+            let output = &self.outputs[o];
+            scratch.start(output, self.points.blocks().len());
+            let floor = |t: usize| floor[t][o];
+            while scratch.exceeds(floor) {
+                let before = scratch.nodes.len();
+                for slot in 0..PASS {
+                    match scratch.next_node(output.outputscale, floor) {
+                        Some(node) => self.take_node(output, node, slot, scratch),
+                        None => scratch.covariances[slot].fill([0.0; LANES]),
+                    }
+                }
+                if scratch.nodes.len() == before {
+                    break;
+                }
+                scratch.learn(output, before);
+            }
+            for (t, out) in out.iter_mut().enumerate() {
+                let bound = scratch.variance[t] + scratch.excess(t);
+                out[o] = bound.min(output.outputscale);
+            }
+        }
+    }
+
+    /// Conditions the prior at the stages on a node, and computes the node's covariances with the training points.
+    fn take_node(&self, output: &Output, node: usize, slot: usize, scratch: &mut Horizon) {
+        let query = output.metric.query(&scratch.z[node]);
+        let row = CovarianceRow {
+            kernel: self.kernel,
+            outputscale: output.outputscale,
+            points: &scratch.queries,
+            norms: &scratch.norms,
+            query: &query,
+            row: &mut scratch.row,
+        };
+        wide(row);
+        scratch.condition(node);
+        wide(CovarianceRow {
+            kernel: self.kernel,
+            outputscale: output.outputscale,
+            points: &self.points,
+            norms: output.metric.norms(),
+            query: &query,
+            row: &mut scratch.covariances[slot],
+        });
+    }
+}
+
+impl Horizon {
+    /// The prior of an output at the stages; no nodes.
+    fn start(&mut self, output: &Output, blocks: usize) {
+        let stages = self.z.len();
+        output.metric.norms_of(&self.z, &mut self.norms);
+        self.row.resize(self.norms.len(), [0.0; LANES]);
+        for covariances in &mut self.covariances {
+            covariances.resize(blocks, [0.0; LANES]);
+        }
+        self.directions
+            .resize((stages + PASS) * blocks, [0.0; LANES]);
+        for square in [&mut self.factor, &mut self.gram] {
+            square.resize(stages * stages, 0.0);
+        }
+        for (values, start) in [
+            (&mut self.residual, output.outputscale),
+            (&mut self.variance, 0.0),
+        ] {
+            values.clear();
+            values.resize(stages, start);
+        }
+        self.nodes.clear();
+    }
+
+    /// What the bound adds to `q` at a stage.
+    fn excess(&self, t: usize) -> f64 {
+        2.0 * (self.variance[t] * self.residual[t]).sqrt() + self.residual[t]
+    }
+
+    fn exceeds(&self, floor: impl Fn(usize) -> f64) -> bool {
+        (0..self.z.len()).any(|t| self.excess(t) > TOLERANCE * (self.variance[t] + floor(t)))
+    }
+
+    /// The stage that the nodes say least about, relative to what is known of its variance.
+    fn next_node(&self, outputscale: f64, floor: impl Fn(usize) -> f64) -> Option<usize> {
+        let score = |t: usize| self.residual[t] / (self.variance[t] + floor(t));
+        (0..self.z.len())
+            .filter(|&t| self.residual[t] > SMALLEST_PIVOT * outputscale)
+            .max_by(|&a, &b| score(a).total_cmp(&score(b)))
+    }
+
+    /// One more column of `l`, and `ρ` without it.
+    fn condition(&mut self, node: usize) {
+        let (stages, j) = (self.z.len(), self.nodes.len());
+        let pivot = self.residual[node].sqrt();
+        for t in 0..stages {
+            let earlier =
+                (0..j).map(|i| self.factor[t * stages + i] * self.factor[node * stages + i]);
+            let entry = (self.row.as_flattened()[t] - earlier.sum::<f64>()) / pivot;
+            self.factor[t * stages + j] = entry;
+            self.residual[t] = (self.residual[t] - entry * entry).max(0.0);
+        }
+        self.factor[node * stages + j] = pivot;
+        self.residual[node] = 0.0;
+        self.nodes.push(node);
+    }
+
+    /// What the data say about the nodes from `first` on: their columns of `w`, rows of `H`, and `q` at all stages.
+    fn learn(&mut self, output: &Output, first: usize) {
+        let (stages, blocks) = (self.z.len(), self.covariances[0].len());
+        let new = &mut self.directions[first * blocks..];
+        let (ab, cd) = new[..PASS * blocks].split_at_mut(2 * blocks);
+        let ((a, b), (c, d)) = (ab.split_at_mut(blocks), cd.split_at_mut(blocks));
+        let covariances = self.covariances.each_ref().map(Vec::as_slice);
+        output.inverse.products(covariances, [a, b, c, d]);
+        for j in first..self.nodes.len() {
+            let (known, new) = self.directions.split_at_mut(j * blocks);
+            let direction = &mut new[..blocks];
+            let row = &self.factor[self.nodes[j] * stages..][..=j];
+            for (known, factor) in known.chunks_exact(blocks).zip(row) {
+                add_scaled(direction, -factor, known);
+            }
+            direction
+                .as_flattened_mut()
+                .iter_mut()
+                .for_each(|x| *x /= row[j]);
+            for (i, known) in known.chunks_exact(blocks).enumerate() {
+                let entry = dot(known, direction);
+                (self.gram[i * stages + j], self.gram[j * stages + i]) = (entry, entry);
+            }
+            self.gram[j * stages + j] = dot(direction, direction);
+        }
+        let nodes = self.nodes.len();
+        for t in 0..stages {
+            let l = &self.factor[t * stages..][..nodes];
+            let unexplained = |(i, l_i): (usize, &f64)| {
+                let explained = l.iter().zip(&self.gram[i * stages..]);
+                l_i * (l_i - explained.map(|(l, h)| l * h).sum::<f64>())
+            };
+            self.variance[t] = l.iter().enumerate().map(unexplained).sum::<f64>().max(0.0);
+        }
+    }
+}
