@@ -80,6 +80,69 @@ fn whole(c: &mut Criterion, library: &Library, kind: SolverKind) {
     }
 }
 
+/// A warm step for 1 to 64 members of 700 points, at most three of which have a weight that counts: the measured
+/// transitions are exactly their blend.
+fn members(c: &mut Criterion) {
+    const SHARES: [f64; 3] = [0.5, 0.3, 0.2];
+    let settings = Settings::default();
+    let reference = reference();
+    let spec = support::spec(Kernel::Rbf, &[0.4, 0.6, 0.8, 1.0], 700, 3);
+    for n in [1, 2, 4, 8, 16, 32, 64] {
+        let mut spec = spec.clone();
+        let member = |i: usize| egp_core::library::MemberData {
+            label: i.to_string(),
+            ..spec.members[i % 4].clone()
+        };
+        spec.members = (0..n).map(member).collect();
+        let library = Library::from_bytes(&egp_core::library::encode(&spec).unwrap()).unwrap();
+        let mut weights = vec![0.0; n];
+        for (i, share) in SHARES.iter().enumerate() {
+            weights[i.min(n - 1)] += share;
+        }
+        let (mut history_z, mut history_y, mut history_f) = (vec![], vec![], vec![]);
+        for k in 0..10 {
+            let z = [14.0 - 0.1 * f64::from(k), 0.1, 0.2, 0.04, 300.0, 0.02];
+            let f: Vec<_> = library
+                .members()
+                .iter()
+                .map(|m| m.mean(&z.into()))
+                .collect();
+            let y: egp_core::GpOutput = weights.iter().zip(&f).map(|(w, f)| *w * f).sum();
+            history_z.extend(z);
+            history_y.extend_from_slice(y.as_slice());
+            history_f.extend(f.iter().flatten());
+        }
+        let mut request = StepRequest {
+            x: &X,
+            u_prev: &[300.0, 0.05],
+            weights: &weights,
+            history_z: &history_z,
+            history_y: &history_y,
+            history_f: &history_f[n * 3..], // the newest transition is new
+            reference: &reference,
+            ..StepRequest::default()
+        };
+        let mut ws = Workspace::new(&library, &settings).unwrap();
+        let mut reply = StepReply::default();
+        step(&library, &settings, &request, &mut ws, &mut reply).unwrap();
+        let carried = reply.clone();
+        let active = carried.weights.iter().filter(|&&w| w > 1e-3).count();
+        assert_eq!(active, n.min(3), "{:?}", carried.weights);
+        (request.plan_x, request.plan_u) = (&carried.plan_x, &carried.plan_u);
+        c.bench_function(&format!("members/{n}"), |b| {
+            b.iter(|| {
+                step(
+                    &library,
+                    &settings,
+                    black_box(&request),
+                    &mut ws,
+                    &mut reply,
+                )
+            });
+        });
+    }
+}
+
 fn phases(c: &mut Criterion, library: &Library) {
     let settings = Settings::default();
     let weights = [0.4, 0.6];
@@ -166,6 +229,7 @@ fn all(c: &mut Criterion) {
     }
     phases(c, &library);
     weights(c, &library);
+    members(c);
 }
 
 criterion_group! { name = benches; config = Criterion::default().sample_size(50); targets = all }

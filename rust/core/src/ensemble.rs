@@ -150,7 +150,8 @@ impl<'a> Ensemble<'a> {
             buffer.resize(z.len(), GpOutput::zeros());
         }
         let mut sum = 0.0;
-        for (weight, member) in self.active() {
+        let several = self.active().nth(1).is_some(); // one alone disagrees with nobody
+        for (weight, member) in self.active().filter(|_| several) {
             sum += weight;
             for ((z, mean), disagreement) in z.iter().zip(&mut *means).zip(&mut *disagreement) {
                 disagree(weight, sum, &member.mean(z), mean, disagreement);
