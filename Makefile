@@ -14,9 +14,10 @@ demo: .venv/built-viz ## Set up, then drive a lap over three surfaces and draw i
 
 test: lint rust-test python-test ## Set up and pass every check: format, lint, types, Rust and Python tests
 
-bench: .venv/built-dev ## Run the benchmarks
+bench: .venv/built-bench ## Run the benchmarks
 	cargo bench --workspace
 	$(BIN)/python tests/bench/compare.py
+	$(BIN)/python tests/bench/qp.py
 
 fmt: .venv/built-dev ## Format Rust and Python
 	cargo fmt --all
@@ -44,6 +45,7 @@ clean: ## Remove what these commands built
 
 EXTRAS_viz := viz
 EXTRAS_dev := train,viz,dev
+EXTRAS_bench := train,viz,dev,bench
 
 # One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension.
 .venv/bin/python:

@@ -561,7 +561,7 @@ class OcpResult:
 
     @property
     def status(self) -> str:
-        """ "solved", "iteration limit", "infeasible", "numerical error" or "check failed"."""
+        """One of "solved", "iteration limit", "infeasible", "numerical error", "check failed"."""
     @property
     def x(self) -> NDArray[np.float64]:
         """States (T+1, 7)."""
