@@ -207,15 +207,14 @@ fn sum_of_products(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// `a += scale · b`.
-pub(crate) fn add_scaled(a: &mut [Lanes], scale: f64, b: &[Lanes]) {
-    struct AddScaled<'a>(&'a mut [Lanes], f64, &'a [Lanes]);
+pub(crate) fn add_scaled(a: &mut [f64], scale: f64, b: &[f64]) {
+    struct AddScaled<'a>(&'a mut [f64], f64, &'a [f64]);
     impl Vectorised for AddScaled<'_> {
         type Output = ();
 
         #[inline(always)]
         fn compute(self) {
-            let (a, b) = (self.0.as_flattened_mut(), self.2.as_flattened());
-            for (a, b) in a.iter_mut().zip(b) {
+            for (a, b) in self.0.iter_mut().zip(self.2) {
                 *a = self.1.mul_add(*b, *a);
             }
         }

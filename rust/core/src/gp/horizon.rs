@@ -24,7 +24,7 @@ pub(crate) struct Horizon {
     norms: Vec<Lanes>,
     /// Stages taken as nodes, in their order.
     nodes: Vec<usize>,
-    /// `l(z)` of each stage, a row of as many places as there are stages.
+    /// `l(z)`: for each node a row over the stages.
     factor: Vec<f64>,
     /// `rho(z)` of each stage.
     residual: Vec<f64>,
@@ -38,6 +38,8 @@ pub(crate) struct Horizon {
     directions: Vec<Lanes>,
     /// `H`, rows of as many places as there are stages.
     gram: Vec<f64>,
+    /// One component of `(I - H) l` at all stages.
+    unexplained: Vec<f64>,
 }
 
 impl Gp {
@@ -150,18 +152,21 @@ impl Horizon {
             .max_by(|&a, &b| score(a).total_cmp(&score(b)))
     }
 
-    /// One more column of `l`, and `ρ` without it.
+    /// One more row of `l`, and `ρ` with it.
     fn condition(&mut self, node: usize) {
-        let (stages, j) = (self.z.len(), self.nodes.len());
-        let pivot = self.residual[node].sqrt();
-        for t in 0..stages {
-            let earlier =
-                (0..j).map(|i| self.factor[t * stages + i] * self.factor[node * stages + i]);
-            let entry = (self.row.as_flattened()[t] - earlier.sum::<f64>()) / pivot;
-            self.factor[t * stages + j] = entry;
-            self.residual[t] = (self.residual[t] - entry * entry).max(0.0);
+        let stages = self.z.len();
+        let (earlier, new) = self.factor.split_at_mut(self.nodes.len() * stages);
+        let row = &mut new[..stages];
+        row.copy_from_slice(&self.row.as_flattened()[..stages]);
+        for earlier in earlier.chunks_exact(stages) {
+            add_scaled(row, -earlier[node], earlier);
         }
-        self.factor[node * stages + j] = pivot;
+        let pivot = self.residual[node].sqrt();
+        for (entry, residual) in row.iter_mut().zip(&mut self.residual) {
+            *entry /= pivot;
+            *residual = (*residual - *entry * *entry).max(0.0);
+        }
+        row[node] = pivot;
         self.residual[node] = 0.0;
         self.nodes.push(node);
     }
@@ -177,14 +182,15 @@ impl Horizon {
         for j in first..self.nodes.len() {
             let (known, new) = self.directions.split_at_mut(j * blocks);
             let direction = &mut new[..blocks];
-            let row = &self.factor[self.nodes[j] * stages..][..=j];
-            for (known, factor) in known.chunks_exact(blocks).zip(row) {
-                add_scaled(direction, -factor, known);
+            let r = |i: usize| self.factor[i * stages + self.nodes[j]];
+            for (i, known) in known.chunks_exact(blocks).enumerate() {
+                add_scaled(direction.as_flattened_mut(), -r(i), known.as_flattened());
             }
+            let inverse = 1.0 / r(j);
             direction
                 .as_flattened_mut()
                 .iter_mut()
-                .for_each(|x| *x /= row[j]);
+                .for_each(|x| *x *= inverse);
             for (i, known) in known.chunks_exact(blocks).enumerate() {
                 let entry = dot(known, direction);
                 (self.gram[i * stages + j], self.gram[j * stages + i]) = (entry, entry);
@@ -192,13 +198,20 @@ impl Horizon {
             self.gram[j * stages + j] = dot(direction, direction);
         }
         let nodes = self.nodes.len();
-        for t in 0..stages {
-            let l = &self.factor[t * stages..][..nodes];
-            let unexplained = |(i, l_i): (usize, &f64)| {
-                let explained = l.iter().zip(&self.gram[i * stages..]);
-                l_i * (l_i - explained.map(|(l, h)| l * h).sum::<f64>())
-            };
-            self.variance[t] = l.iter().enumerate().map(unexplained).sum::<f64>().max(0.0);
+        let rows = || self.factor.chunks_exact(stages).take(nodes);
+        self.variance.fill(0.0);
+        for (i, l) in rows().enumerate() {
+            self.unexplained.clear();
+            self.unexplained.extend_from_slice(l);
+            for (h, l) in self.gram[i * stages..].iter().zip(rows()) {
+                add_scaled(&mut self.unexplained, -h, l);
+            }
+            for ((variance, l), unexplained) in
+                self.variance.iter_mut().zip(l).zip(&self.unexplained)
+            {
+                *variance += l * unexplained;
+            }
         }
+        self.variance.iter_mut().for_each(|q| *q = q.max(0.0));
     }
 }
