@@ -133,6 +133,7 @@ impl Horizon {
             values.resize(stages, start);
         }
         self.nodes.clear();
+        self.nodes.reserve(stages); // a later horizon may need more nodes than the first
     }
 
     /// What the bound adds to `q` at a stage.
