@@ -94,7 +94,7 @@ fn inputs_agree_with_clarabel() {
                 apart += 1;
                 let gap = theirs.kkt.complementarity.max(theirs.kkt.stationarity);
                 assert!(
-                    gap > 1e-12 && worst < 1e3 * gap.sqrt(),
+                    worst < 1e3 * gap.sqrt(),
                     "horizon {horizon}, problem {n}: {worst:e} at a gap of {gap:e}"
                 );
             }

@@ -21,7 +21,7 @@ const NEAR: f64 = 1e-3;
 const REFINEMENTS: u32 = 15;
 
 /// Steps that may fail to lower the number of rows that change.
-const SETBACKS: u32 = 2;
+const SETBACKS: u32 = 1;
 
 /// What the method keeps of a stage.
 #[derive(Clone, Copy, Debug, Default)]

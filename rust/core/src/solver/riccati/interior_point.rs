@@ -7,7 +7,9 @@
 use super::active_set::ActiveSet;
 use super::crossover::hand_over;
 use super::recursion::{Aug, Factor, Symmetric, backward, factorise, forward};
-use super::rows::{Bounds, Iterate, Push, ROWS, Residual, Rows, Scaling, Targets, signed_values};
+use super::rows::{
+    Bounds, Iterate, Push, ROWS, Residual, Rows, Scaling, Targets, larger, largest, signed_values,
+};
 use super::stage::Stage;
 use crate::NU;
 
@@ -74,6 +76,8 @@ struct Optimality {
 #[derive(Clone, Debug)]
 pub(super) struct InteriorPoint {
     passes: Vec<Pass>,
+    /// Products of slack and multiplier; every stage has hard rows.
+    products: f64,
 }
 
 /// Complementarity of the start: large, so that a start far from the solution has room to move.
@@ -125,6 +129,7 @@ impl InteriorPoint {
         };
         Self {
             passes: vec![pass; horizon],
+            products: 1.0,
         }
     }
 
@@ -142,6 +147,7 @@ impl InteriorPoint {
         for (stage, pass) in stages.iter().zip(&mut self.passes) {
             pass.bounds = Bounds::of(&stage.band);
         }
+        self.products = self.passes.iter().map(|pass| pass.bounds.products()).sum();
         let mut next_end = END;
         if !self.start(initial, stages, points) {
             return (Outcome::Breakdown, 0);
@@ -225,18 +231,17 @@ impl InteriorPoint {
     fn residuals(&mut self, stages: &[Stage], points: &[Point]) -> Optimality {
         let mut adjoint = Aug::default();
         let mut scale = 1.0_f64;
-        let (mut stationarity, mut primal, mut complementarity, mut count) =
-            (0.0_f64, 0.0_f64, 0.0, 0.0);
+        let mut stationarity = 0.0_f64;
+        let (mut primal, mut price, mut products) = ([0.0; ROWS], [0.0; ROWS], [0.0; ROWS]);
         for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes).rev() {
-            let bounds = pass.bounds;
+            let bounds = &pass.bounds;
             pass.y = signed_values(&point.v, &point.s, &bounds.normal);
-            pass.residual = bounds.residual(&pass.y, &point.rows);
-            let largest = |r: &Rows| r.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
-            primal = primal.max(largest(&pass.residual.primal));
-            stationarity = stationarity.max(largest(&pass.residual.price));
-            let (sum, rows) = bounds.complementarity(&point.rows);
-            complementarity += sum;
-            count += rows;
+            bounds.residual(&pass.y, &point.rows, &mut pass.residual);
+            for k in 0..ROWS {
+                primal[k] = larger(primal[k], pass.residual.primal[k].abs());
+                price[k] = larger(price[k], pass.residual.price[k].abs());
+            }
+            bounds.add_products(&point.rows, 0.0, &point.rows, &mut products);
 
             let mut next = stage.cost_gradient(&point.s);
             next.add(&adjoint);
@@ -259,13 +264,9 @@ impl InteriorPoint {
             }
         }
         Optimality {
-            stationarity: stationarity / scale,
-            primal,
-            mu: if count > 0.0 {
-                complementarity / count
-            } else {
-                0.0
-            },
+            stationarity: larger(largest(&price), stationarity) / scale,
+            primal: largest(&primal),
+            mu: products.iter().sum::<f64>() / self.products,
         }
     }
 
@@ -274,7 +275,7 @@ impl InteriorPoint {
     fn factorise(&mut self, stages: &[Stage], points: &[Point]) -> bool {
         let mut p = Symmetric::default();
         for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes).rev() {
-            pass.scaling = pass.bounds.scale(&point.rows);
+            pass.bounds.scale(&point.rows, &mut pass.scaling);
             p.add(&stage.cost);
             let (curvature, mut rate) = pass.bounds.curvature(&pass.scaling.weight);
             p.add(&curvature);
@@ -297,29 +298,20 @@ impl InteriorPoint {
     fn improve(&mut self, stages: &[Stage], points: &mut [Point], mu: f64, floor: f64) {
         self.newton(stages, points, |rows, _| Targets::affine(rows));
         let affine = self.longest(points);
-        let mut product = 0.0;
-        let mut count = 0.0;
+        let mut products = [0.0; ROWS];
         for (point, pass) in points.iter().zip(&self.passes) {
-            let (sum, rows) = pass
-                .bounds
-                .complementarity(&point.rows.moved(affine, &pass.step));
-            product += sum;
-            count += rows;
+            pass.bounds
+                .add_products(&point.rows, affine, &pass.step, &mut products);
         }
-        if count > 0.0 {
-            let ratio = (product / count / mu).clamp(0.0, 1.0);
-            let target = (ratio * ratio * ratio * mu).max(floor);
-            self.newton(stages, points, |rows, step| {
-                Targets::corrected(rows, step, target)
-            });
-        }
-        let step = if count > 0.0 {
-            let longest = self.longest(points);
-            if longest < 1.0 {
-                FRACTION_TO_BOUNDARY * longest
-            } else {
-                1.0
-            }
+        let after = products.iter().sum::<f64>() / self.products;
+        let ratio = (after / mu).clamp(0.0, 1.0);
+        let target = (ratio * ratio * ratio * mu).max(floor);
+        self.newton(stages, points, |rows, step| {
+            Targets::corrected(rows, step, target)
+        });
+        let longest = self.longest(points);
+        let step = if longest < 1.0 {
+            FRACTION_TO_BOUNDARY * longest
         } else {
             1.0
         };
@@ -327,7 +319,7 @@ impl InteriorPoint {
             for (v, dv) in point.v.iter_mut().zip(&pass.dv) {
                 *v = step.mul_add(*dv, *v);
             }
-            point.rows = point.rows.moved(step, &pass.step);
+            point.rows.advance(step, &pass.step);
         }
     }
 
@@ -342,14 +334,13 @@ impl InteriorPoint {
     ) {
         let mut p = Aug::default();
         for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes).rev() {
-            let targets = aim(&point.rows, &pass.step);
-            let push = pass.scaling.push(&point.rows, &pass.residual, &targets);
-            pass.push = push;
-            pass.targets = targets;
+            pass.targets = aim(&point.rows, &pass.step);
+            pass.scaling
+                .push(&point.rows, &pass.residual, &pass.targets, &mut pass.push);
             let mut force = [0.0; ROWS];
             for (f, (lambda, shift)) in force
                 .iter_mut()
-                .zip(point.rows.lambda.iter().zip(&push.shift))
+                .zip(point.rows.lambda.iter().zip(&pass.push.shift))
             {
                 *f = lambda + shift;
             }
@@ -366,13 +357,14 @@ impl InteriorPoint {
         for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes) {
             (pass.dv, ds) = forward(&stage.dynamics, &pass.factor, &pass.lead, &ds);
             let dy = signed_values(&pass.dv, &ds, &stage.band.normal);
-            pass.step = pass.bounds.recover(
+            pass.bounds.recover(
                 &pass.scaling,
                 &pass.push,
                 &point.rows,
                 &pass.residual,
                 &pass.targets,
                 &dy,
+                &mut pass.step,
             );
         }
     }
@@ -380,10 +372,11 @@ impl InteriorPoint {
     /// Longest step that keeps slacks and multipliers positive.
     #[inline(always)]
     fn longest(&self, points: &[Point]) -> f64 {
-        let mut worst = 1.0_f64;
+        let mut worst = [1.0; ROWS];
         for (point, pass) in points.iter().zip(&self.passes) {
-            worst = worst.max(pass.bounds.fastest_decrease(&point.rows, &pass.step));
+            pass.bounds
+                .raise_decrease(&point.rows, &pass.step, &mut worst);
         }
-        1.0 / worst
+        1.0 / largest(&worst)
     }
 }

@@ -238,12 +238,21 @@ pub(super) fn factorise(
         }
     }
     // M = Āᵀ P Ā.
-    let mut m = Symmetric::default();
-    for (m, g) in m.xx.iter_mut().chain(&mut m.xu).zip(&g) {
-        for (row, value) in dynamics.a_rows.iter().zip(g) {
-            axpy(m, *value, row);
-        }
-    }
+    let column = |g: &Row| combine(&dynamics.a_rows, g, [0, 1, 2, 3, 4, 5, 6]);
+    let [x0, x1, x2, x3, x4, x5, x6, u0, u1] = &g;
+    let mut m = Symmetric {
+        xx: [
+            column(x0),
+            column(x1),
+            column(x2),
+            column(x3),
+            column(x4),
+            column(x5),
+            column(x6),
+        ],
+        xu: [column(u0), column(u1)],
+        uu: [[0.0; NU]; NU],
+    };
     for i in 0..NU {
         // Bᵀ G + (Bᵀ Pxu)ᵀ + Puu, one column at a time.
         let (down, across) = (

@@ -78,18 +78,13 @@ impl Default for Scaling {
 impl Scaling {
     /// The part of the elimination that depends on the targets.
     #[inline(always)]
-    pub fn push(&self, it: &Iterate, r: &Residual, targets: &Targets) -> Push {
-        let mut p = Push {
-            shift: [0.0; ROWS],
-            drive: [0.0; ROWS],
-        };
+    pub fn push(&self, it: &Iterate, r: &Residual, targets: &Targets, p: &mut Push) {
         for k in 0..ROWS {
             let drive = targets.second[k].mul_add(self.inverse_epsilon[k], -r.price[k]);
             let gap = self.compliance[k].mul_add(drive, r.primal[k]);
             p.shift[k] = self.stiffness[k] * it.lambda[k].mul_add(-gap, targets.first[k]);
             p.drive[k] = drive;
         }
-        p
     }
 }
 
@@ -216,29 +211,18 @@ impl Bounds {
 
     /// Residuals of the rows and of the prices at row values `y`; zero where there is none.
     #[inline(always)]
-    pub fn residual(&self, y: &Rows, it: &Iterate) -> Residual {
-        let mut r = Residual {
-            primal: [0.0; ROWS],
-            price: [0.0; ROWS],
-        };
+    pub fn residual(&self, y: &Rows, it: &Iterate, r: &mut Residual) {
         for k in 0..ROWS {
             let epsilon = self.soft[k] * it.epsilon[k];
             r.primal[k] = self.on[k] * (self.b[k] - y[k] + epsilon - it.slack[k]);
             let price = self.quadratic[k].mul_add(it.epsilon[k], self.linear[k]);
             r.price[k] = self.soft[k] * (price - it.lambda[k] - it.gamma[k]);
         }
-        r
     }
 
     /// Eliminates `Δs, Δε, Δγ`: the part that does not depend on the targets.
     #[inline(always)]
-    pub fn scale(&self, it: &Iterate) -> Scaling {
-        let mut c = Scaling {
-            weight: [0.0; ROWS],
-            stiffness: [0.0; ROWS],
-            compliance: [0.0; ROWS],
-            inverse_epsilon: [0.0; ROWS],
-        };
+    pub fn scale(&self, it: &Iterate, c: &mut Scaling) {
         for k in 0..ROWS {
             c.inverse_epsilon[k] = 1.0 / it.epsilon[k];
             c.compliance[k] =
@@ -246,10 +230,10 @@ impl Bounds {
             c.stiffness[k] = self.on[k] / it.lambda[k].mul_add(c.compliance[k], it.slack[k]);
             c.weight[k] = it.lambda[k] * c.stiffness[k];
         }
-        c
     }
 
     /// The steps of all four quantities from the step of the row values.
+    #[allow(clippy::too_many_arguments)] // a Newton step has as many parts
     #[inline(always)]
     pub fn recover(
         &self,
@@ -259,13 +243,8 @@ impl Bounds {
         r: &Residual,
         targets: &Targets,
         dy: &Rows,
-    ) -> Iterate {
-        let mut d = Iterate {
-            slack: [0.0; ROWS],
-            lambda: [0.0; ROWS],
-            epsilon: [0.0; ROWS],
-            gamma: [0.0; ROWS],
-        };
+        d: &mut Iterate,
+    ) {
         for k in 0..ROWS {
             let lambda = c.weight[k].mul_add(dy[k], p.shift[k]);
             let epsilon = c.compliance[k] * (lambda + p.drive[k]);
@@ -275,7 +254,6 @@ impl Bounds {
             d.gamma[k] =
                 self.soft[k] * ((targets.second[k] - it.gamma[k] * epsilon) * c.inverse_epsilon[k]);
         }
-        d
     }
 
     /// Curvature `Σ W a aᵀ` on the next augmented state, and the rate part.
@@ -298,44 +276,65 @@ impl Bounds {
         (row_gradient(&pair, &self.normal), [pair[0], pair[1]])
     }
 
-    /// `Σ s λ + Σ ε γ` and the number of products in it.
+    /// Adds `s λ + ε γ` of each row to `sums`, after a step of that length.
     #[inline(always)]
-    pub fn complementarity(&self, it: &Iterate) -> (f64, f64) {
-        let mut product = [0.0; ROWS];
-        let mut count = [0.0; ROWS];
+    pub fn add_products(&self, it: &Iterate, length: f64, step: &Iterate, sums: &mut Rows) {
         for k in 0..ROWS {
-            product[k] = self.on[k] * it.slack[k] * it.lambda[k]
-                + self.soft[k] * it.epsilon[k] * it.gamma[k];
-            count[k] = self.on[k] + self.soft[k];
+            let slack = length.mul_add(step.slack[k], it.slack[k]);
+            let lambda = length.mul_add(step.lambda[k], it.lambda[k]);
+            let epsilon = length.mul_add(step.epsilon[k], it.epsilon[k]);
+            let gamma = length.mul_add(step.gamma[k], it.gamma[k]);
+            sums[k] += self.on[k] * slack * lambda + self.soft[k] * epsilon * gamma;
         }
-        (product.iter().sum(), count.iter().sum())
     }
 
-    /// The largest relative rate of decrease among slacks and multipliers, `max −Δ/value`.
+    /// The number of products in these sums.
+    pub fn products(&self) -> f64 {
+        self.on.iter().sum::<f64>() + self.soft.iter().sum::<f64>()
+    }
+
+    /// Raises `worst` to the relative rate of decrease of each row's slacks and multipliers, `max −Δ/value`.
     #[inline(always)]
-    pub fn fastest_decrease(&self, it: &Iterate, step: &Iterate) -> f64 {
-        let mut worst = [0.0_f64; ROWS];
+    pub fn raise_decrease(&self, it: &Iterate, step: &Iterate, worst: &mut Rows) {
         for k in 0..ROWS {
-            let hard = (-step.slack[k] / it.slack[k]).max(-step.lambda[k] / it.lambda[k]);
-            let soft = (-step.epsilon[k] / it.epsilon[k]).max(-step.gamma[k] / it.gamma[k]);
-            worst[k] = (self.on[k] * hard).max(self.soft[k] * soft);
+            // One division for two; rows that do not exist have multipliers, and steps, of zero.
+            let hard = 1.0 / (it.slack[k] * it.lambda[k] + (1.0 - self.on[k]));
+            let soft = 1.0 / (it.epsilon[k] * it.gamma[k] + (1.0 - self.soft[k]));
+            let ratios = [
+                -step.slack[k] * it.lambda[k] * hard,
+                -step.lambda[k] * it.slack[k] * hard,
+                -step.epsilon[k] * it.gamma[k] * soft,
+                -step.gamma[k] * it.epsilon[k] * soft,
+            ];
+            let hard = self.on[k] * larger(ratios[0], ratios[1]);
+            let soft = self.soft[k] * larger(ratios[2], ratios[3]);
+            worst[k] = larger(worst[k], larger(hard, soft));
         }
-        worst.iter().fold(0.0, |a, b| a.max(*b))
     }
 }
 
+/// The larger of two numbers in one instruction; `b` where one is NaN.
+#[inline(always)]
+pub(super) fn larger(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+/// The largest of all rows, zero at least.
+#[inline(always)]
+pub(super) fn largest(rows: &Rows) -> f64 {
+    rows.iter().fold(0.0, |a, b| larger(a, *b))
+}
+
 impl Iterate {
-    /// The iterate after a step of that length.
+    /// Takes a step of that length.
     #[inline(always)]
-    pub fn moved(&self, length: f64, step: &Self) -> Self {
-        let mut next = *self;
+    pub fn advance(&mut self, length: f64, step: &Self) {
         for k in 0..ROWS {
-            next.slack[k] = length.mul_add(step.slack[k], self.slack[k]);
-            next.lambda[k] = length.mul_add(step.lambda[k], self.lambda[k]);
-            next.epsilon[k] = length.mul_add(step.epsilon[k], self.epsilon[k]);
-            next.gamma[k] = length.mul_add(step.gamma[k], self.gamma[k]);
+            self.slack[k] = length.mul_add(step.slack[k], self.slack[k]);
+            self.lambda[k] = length.mul_add(step.lambda[k], self.lambda[k]);
+            self.epsilon[k] = length.mul_add(step.epsilon[k], self.epsilon[k]);
+            self.gamma[k] = length.mul_add(step.gamma[k], self.gamma[k]);
         }
-        next
     }
 }
 
