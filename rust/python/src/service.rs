@@ -45,15 +45,16 @@ impl Controller {
     }
 
     fn step(&self, py: Python<'_>, request: &[u8]) -> PyResult<Cow<'static, [u8]>> {
+        let mut reply = Vec::new();
         py.detach(|| {
             // A step that panicked left numbers behind that the next one overwrites before use.
             let mut workspace = self
                 .workspace
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner);
-            self.engine.step(&mut workspace, request)
+            self.engine.step(&mut workspace, request, &mut reply)
         })
-        .map(|answer| answer.payload.into())
+        .map(|_| reply.into())
         .map_err(|error| refused(&error))
     }
 

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use egp_wire::{Limits, State, keys};
+use egp_wire::{Limits, Predictions, State, keys};
 use prost::Message as _;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -14,9 +14,9 @@ fn matrix<'py, const W: usize>(py: Python<'py>, rows: &[[f64; W]]) -> PyResult<N
     array(py, rows.as_flattened().to_vec(), [rows.len(), W])
 }
 
-fn cube<'py>(py: Python<'py>, blocks: &[Vec<[f64; 3]>], members: usize) -> PyResult<NewCube<'py>> {
-    let values = blocks.iter().flatten().flatten().copied().collect();
-    array(py, values, [blocks.len(), members, 3])
+fn cube<'py>(py: Python<'py>, rows: &Predictions, members: usize) -> PyResult<NewCube<'py>> {
+    let values = rows.values.as_flattened().to_vec();
+    array(py, values, [rows.len(), members, 3])
 }
 
 /// What a client keeps between steps: history, weights, plan, last input.
@@ -142,8 +142,7 @@ impl Request {
 
     #[getter]
     fn history_f<'py>(&self, py: Python<'py>) -> PyResult<NewCube<'py>> {
-        let members = self.0.history_f.first().map_or(0, Vec::len);
-        cube(py, &self.0.history_f, members)
+        cube(py, &self.0.history_f, self.0.history_f.members)
     }
 
     #[getter]

@@ -9,7 +9,7 @@ use egp_core::{
 use egp_wire::{Code, Limits, Ready, Reply, Request, Status, WireError};
 use thiserror::Error;
 
-use crate::stepper::{Answer, Stepper};
+use crate::stepper::Stepper;
 
 /// A library and settings, ready to answer requests.
 #[derive(Debug)]
@@ -22,8 +22,9 @@ pub struct Engine {
 /// Memory for one step at a time.
 pub struct EngineWorkspace {
     core: Workspace,
-    reply: StepReply,
-    history_f: Vec<f64>,
+    step: StepReply,
+    request: Request,
+    reply: Reply,
 }
 
 /// Why an engine could not be made.
@@ -164,65 +165,83 @@ impl Stepper for Engine {
             .map_err(|error| WireError::permanent(Code::Internal, error.to_string()))?;
         Ok(EngineWorkspace {
             core,
-            reply: StepReply::default(),
-            history_f: Vec::new(),
+            step: StepReply::default(),
+            request: Request::default(),
+            reply: Reply::default(),
         })
     }
 
-    /// Decodes, steps and encodes. The answer depends on the request's bytes alone.
-    fn step(&self, workspace: &mut EngineWorkspace, request: &[u8]) -> Result<Answer, WireError> {
-        let request = Request::decode(request, &self.limits)?;
-        self.pinned(&request)?;
-        let EngineWorkspace {
-            core,
-            reply,
-            history_f,
-        } = workspace;
-        history_f.clear();
-        history_f.extend(request.history_f.iter().flatten().flatten());
+    /// Decodes, steps and encodes. The answer depends on the request's bytes alone; after a few requests of one shape
+    /// nothing is allocated.
+    fn step(
+        &self,
+        workspace: &mut EngineWorkspace,
+        request: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Result<Status, WireError> {
+        let memory = workspace;
+        memory.request.decode_from(request, &self.limits)?;
+        self.pinned(&memory.request)?;
         egp_core::step(
             &self.library,
             &self.settings,
-            &borrow(&request, history_f),
-            core,
-            reply,
+            &borrow(&memory.request),
+            &mut memory.core,
+            &mut memory.step,
         )
         .map_err(|error| refusal(&error))?;
-        let reply = self.reply(&request, reply, core.solver_name());
-        Ok(Answer {
-            status: reply.status,
-            payload: reply.encode(),
-        })
+        let solver = memory.core.solver_name();
+        self.fill(
+            &mut memory.reply,
+            memory.request.sequence,
+            &memory.step,
+            solver,
+        );
+        memory.reply.encode_to(reply);
+        Ok(memory.reply.status)
     }
 }
 
 impl Engine {
-    fn reply(&self, request: &Request, reply: &StepReply, solver: &str) -> Reply {
-        let members = self.library.members().len();
-        Reply {
-            library: self.library.id(),
-            sequence: request.sequence,
-            status: status(reply.status),
-            plan_x: reply.plan_x.as_chunks().0.to_vec(),
-            plan_u: reply.plan_u.as_chunks().0.to_vec(),
-            weights: reply.weights.clone(),
-            sigma: reply.sigma.as_chunks().0.to_vec(),
-            history_f: reply
-                .history_f
-                .as_chunks()
-                .0
-                .chunks(members)
-                .map(<[_]>::to_vec)
-                .collect(),
-            dropped_mass: reply.dropped_mass,
-            iterations: reply.iterations,
-            kkt_residual: reply.kkt_residual,
-            solver: solver.to_owned(),
-        }
+    /// Takes over every field of a reply, in its memory.
+    fn fill(&self, reply: &mut Reply, sequence: u64, step: &StepReply, solver: &str) {
+        let Reply {
+            library,
+            sequence: answered,
+            status: ended,
+            plan_x,
+            plan_u,
+            weights,
+            sigma,
+            history_f,
+            dropped_mass,
+            iterations,
+            kkt_residual,
+            solver: name,
+        } = reply;
+        *library = self.library.id();
+        *answered = sequence;
+        *ended = status(step.status);
+        replace(plan_x, step.plan_x.as_chunks().0);
+        replace(plan_u, step.plan_u.as_chunks().0);
+        replace(weights, &step.weights);
+        replace(sigma, step.sigma.as_chunks().0);
+        history_f.members = self.library.members().len();
+        replace(&mut history_f.values, step.history_f.as_chunks().0);
+        *dropped_mass = step.dropped_mass;
+        *iterations = step.iterations;
+        *kkt_residual = step.kkt_residual;
+        name.clear();
+        name.push_str(solver);
     }
 }
 
-fn borrow<'a>(request: &'a Request, history_f: &'a [f64]) -> StepRequest<'a> {
+fn replace<T: Copy>(out: &mut Vec<T>, values: &[T]) {
+    out.clear();
+    out.extend_from_slice(values);
+}
+
+fn borrow(request: &Request) -> StepRequest<'_> {
     StepRequest {
         x: &request.x,
         u_prev: &request.u_prev,
@@ -232,7 +251,7 @@ fn borrow<'a>(request: &'a Request, history_f: &'a [f64]) -> StepRequest<'a> {
         plan_shift: request.plan_shift,
         history_z: request.history_z.as_flattened(),
         history_y: request.history_y.as_flattened(),
-        history_f,
+        history_f: request.history_f.values.as_flattened(),
         reference: request.reference.as_flattened(),
         widths: request.widths.as_flattened(),
         want_sigma: request.want_sigma,

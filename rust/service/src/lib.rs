@@ -27,4 +27,4 @@ pub use logging::init_logging;
 pub use network::NetworkError;
 pub use serve::{ServeError, serve};
 pub use server::{Server, StartError};
-pub use stepper::{Answer, Stepper};
+pub use stepper::Stepper;

@@ -4,6 +4,7 @@ use std::{borrow::Cow, collections::BTreeMap, path::Path};
 
 use egp_wire::{WireError, keys::Name};
 use thiserror::Error;
+use zenoh::bytes::ZBytes;
 use zenoh::qos::CongestionControl;
 use zenoh::{Config, Wait};
 
@@ -84,7 +85,7 @@ impl Query {
     pub(crate) fn answer(
         &self,
         key: &str,
-        payload: Vec<u8>,
+        payload: impl Into<ZBytes>,
         encoding: &'static str,
         attachment: Option<Vec<u8>>,
     ) {

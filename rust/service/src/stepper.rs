@@ -2,15 +2,6 @@
 
 use egp_wire::{Ready, Status, WireError};
 
-/// The reply to a request, encoded.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Answer {
-    /// How the solver ended, for the metrics.
-    pub status: Status,
-    /// Bytes of an `egp.v1.StepReply`.
-    pub payload: Vec<u8>,
-}
-
 /// Turns requests into replies; in production an [`crate::Engine`].
 pub trait Stepper: Send + Sync + 'static {
     /// Memory of one worker.
@@ -25,9 +16,15 @@ pub trait Stepper: Send + Sync + 'static {
     /// [`WireError`] when it cannot be made.
     fn workspace(&self) -> Result<Self::Workspace, WireError>;
 
-    /// Answers one request.
+    /// Answers one request: `reply` becomes the bytes of an `egp.v1.StepReply`. Returns how the solver ended, for the
+    /// metrics.
     ///
     /// # Errors
-    /// [`WireError`] as it is told to the client.
-    fn step(&self, workspace: &mut Self::Workspace, request: &[u8]) -> Result<Answer, WireError>;
+    /// [`WireError`] as it is told to the client; `reply` then means nothing.
+    fn step(
+        &self,
+        workspace: &mut Self::Workspace,
+        request: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Result<Status, WireError>;
 }

@@ -3,19 +3,19 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Instant;
 
-use egp_wire::{Code, Timing, WireError};
+use egp_wire::{Code, Status, Timing, WireError};
 use prost::Message as _;
 
 use crate::intake::{Job, Shared};
 use crate::metrics::micros;
-use crate::stepper::{Answer, Stepper};
+use crate::stepper::Stepper;
 
 /// Runs until the queue is closed and empty.
 pub(crate) fn work<S: Stepper>(shared: &Shared, stepper: &S, workspace: S::Workspace) {
-    let mut workspace = Some(workspace);
+    let (mut workspace, mut reply) = (Some(workspace), Vec::new());
     while let Some(job) = shared.queue.pop() {
         shared.metrics.busy.inc();
-        serve(shared, stepper, &mut workspace, &job);
+        serve(shared, stepper, &mut workspace, &mut reply, &job);
         shared.metrics.busy.dec();
     }
 }
@@ -24,6 +24,7 @@ fn serve<S: Stepper>(
     shared: &Shared,
     stepper: &S,
     workspace: &mut Option<S::Workspace>,
+    reply: &mut Vec<u8>,
     job: &Job,
 ) {
     let started = Instant::now();
@@ -35,11 +36,11 @@ fn serve<S: Stepper>(
         let budget = micros(job.deadline - job.arrived);
         return shared.refuse(&job.query, &shared.too_late(budget));
     }
-    match survive(shared, stepper, workspace, &job.query.payload()) {
-        Ok(answer) => {
+    match survive(shared, stepper, workspace, &job.query.payload(), reply) {
+        Ok(status) => {
             let took = started.elapsed();
             shared.metrics.stepped(took);
-            shared.metrics.answered(answer.status);
+            shared.metrics.answered(status);
             let timing = Timing {
                 queue_us: micros(waited),
                 step_us: micros(took),
@@ -47,7 +48,7 @@ fn serve<S: Stepper>(
             let encoding = "application/protobuf;egp.v1.StepReply";
             let attachment = Some(timing.encode_to_vec());
             job.query
-                .answer(job.query.key(), answer.payload, encoding, attachment);
+                .answer(job.query.key(), reply.as_slice(), encoding, attachment);
         }
         Err(error) => shared.refuse(&job.query, &error),
     }
@@ -59,18 +60,19 @@ fn survive<S: Stepper>(
     stepper: &S,
     slot: &mut Option<S::Workspace>,
     request: &[u8],
-) -> Result<Answer, WireError> {
+    reply: &mut Vec<u8>,
+) -> Result<Status, WireError> {
     let mut workspace = match slot.take() {
         Some(workspace) => workspace,
         None => stepper.workspace()?,
     };
     let step = AssertUnwindSafe(|| {
-        let answer = stepper.step(&mut workspace, request);
-        (answer, workspace)
+        let ended = stepper.step(&mut workspace, request, reply);
+        (ended, workspace)
     });
-    if let Ok((answer, workspace)) = catch_unwind(step) {
+    if let Ok((ended, workspace)) = catch_unwind(step) {
         *slot = Some(workspace);
-        return answer;
+        return ended;
     }
     shared.metrics.panicked();
     tracing::error!("a control step panicked; its workspace is made anew");

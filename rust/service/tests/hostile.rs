@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
-use egp_service::{Answer, Engine, EngineWorkspace, Server, Stepper};
-use egp_wire::{Code, Header, Limits, Ready, Request, WireError};
+use egp_service::{Engine, EngineWorkspace, Server, Stepper};
+use egp_wire::{Code, Header, Limits, Ready, Request, Status, WireError};
 
 /// An engine that panics on one sequence number.
 struct Fragile(Engine);
@@ -26,10 +26,15 @@ impl Stepper for Fragile {
         self.0.workspace()
     }
 
-    fn step(&self, workspace: &mut EngineWorkspace, request: &[u8]) -> Result<Answer, WireError> {
+    fn step(
+        &self,
+        workspace: &mut EngineWorkspace,
+        request: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Result<Status, WireError> {
         let header = Header::decode(request, &Limits::default())?;
         assert!(header.sequence != POISON, "this panic is part of a test");
-        self.0.step(workspace, request)
+        self.0.step(workspace, request, reply)
     }
 }
 

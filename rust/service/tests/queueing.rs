@@ -8,8 +8,8 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 use common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
-use egp_service::{Answer, Engine, EngineWorkspace, Server, ServiceConfig, Stepper};
-use egp_wire::{Code, Header, Limits, Ready, Reply, WireError};
+use egp_service::{Engine, EngineWorkspace, Server, ServiceConfig, Stepper};
+use egp_wire::{Code, Header, Limits, Ready, Reply, Status, WireError};
 
 /// An engine that tells when it begins a step and then waits for leave.
 struct Held {
@@ -29,12 +29,17 @@ impl Stepper for Held {
         self.engine.workspace()
     }
 
-    fn step(&self, workspace: &mut EngineWorkspace, request: &[u8]) -> Result<Answer, WireError> {
+    fn step(
+        &self,
+        workspace: &mut EngineWorkspace,
+        request: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Result<Status, WireError> {
         self.begun
             .send(Header::decode(request, &Limits::default())?.sequence)
             .unwrap();
         self.leave.lock().unwrap().recv().unwrap();
-        self.engine.step(workspace, request)
+        self.engine.step(workspace, request, reply)
     }
 }
 

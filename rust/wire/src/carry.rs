@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use crate::{
-    GpInput, GpOutput, Input, Invalid, LibraryId, ReferenceRow, Reply, Request, State, Status,
-    WidthRow,
+    GpInput, GpOutput, Input, Invalid, LibraryId, Predictions, ReferenceRow, Reply, Request, State,
+    Status, WidthRow,
 };
 
 /// One measured transition and, once a reply brought them, the members' predictions of it.
@@ -168,8 +168,8 @@ impl Carry {
             .history
             .iter_mut()
             .filter(|transition| transition.born <= reply.sequence);
-        for (transition, f) in known.zip(&reply.history_f) {
-            transition.f = Some(f.clone());
+        for (transition, f) in known.zip(reply.history_f.rows()) {
+            transition.f = Some(f.to_vec());
         }
         if reply.status == Status::Solved {
             self.plan = Some(Plan {
@@ -203,15 +203,19 @@ impl Carry {
     }
 
     /// Predictions of the oldest rows, newest of them first, as far as they are known without a gap.
-    fn predictions(&self) -> Vec<Vec<GpOutput>> {
-        let mut rows: Vec<_> = self
-            .history
-            .iter()
+    fn predictions(&self) -> Predictions {
+        let rows = || {
+            self.history
+                .iter()
+                .map(|transition| transition.f.as_deref())
+        };
+        let members = rows().next_back().flatten().map_or(0, <[_]>::len);
+        let known = rows()
             .rev()
-            .map_while(|transition| transition.f.clone())
-            .collect();
-        rows.reverse();
-        rows
+            .take_while(|row| row.is_some_and(|row| row.len() == members));
+        let unknown = rows().len() - known.count();
+        let values = rows().skip(unknown).flatten().flatten().copied();
+        Predictions::new(members, values.collect())
     }
 
     fn age(&self, born: u64) -> u32 {

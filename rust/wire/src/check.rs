@@ -1,6 +1,6 @@
 //! The declared domain of every quantity, and checks that name the field and the component at fault.
 
-use crate::{GpOutput, Invalid, LibraryId, VERSION};
+use crate::{Invalid, LibraryId, Predictions, VERSION};
 
 /// A component's name and the largest magnitude accepted.
 type Domain<const W: usize> = [(&'static str, f64); W];
@@ -165,7 +165,7 @@ pub(crate) fn at_most(
 ///
 /// Predictions have no domain beyond being finite: a member may extrapolate wildly outside its data.
 pub(crate) fn predictions(
-    history_f: &[Vec<GpOutput>],
+    history_f: &Predictions,
     history_rows: usize,
     weights: &[f64],
 ) -> Result<(), Invalid> {
@@ -179,29 +179,24 @@ pub(crate) fn predictions(
             ),
         ));
     }
-    let Some(first) = history_f.first() else {
-        return Ok(());
-    };
-    let members = if weights.is_empty() {
-        first.len()
-    } else {
-        weights.len()
-    };
-    if let Some(row) = history_f.iter().find(|row| row.len() != members) {
+    let found = history_f.members;
+    if !history_f.is_empty() && !weights.is_empty() && found != weights.len() {
         return Err(Invalid::field(
             FIELD,
             format!(
-                "expected {members} members (as many as in weights), got {}",
-                row.len()
+                "expected {} members (as many as in weights), got {found}",
+                weights.len()
             ),
         ));
     }
-    if history_f
-        .iter()
-        .flatten()
-        .flatten()
-        .all(|value| value.is_finite())
-    {
+    if !history_f.values.len().is_multiple_of(found.max(1)) {
+        return Err(Invalid::field(
+            FIELD,
+            format!("its last row has fewer than {found} members"),
+        ));
+    }
+    let finite = |value: &f64| value.is_finite();
+    if history_f.values.as_flattened().iter().all(finite) {
         Ok(())
     } else {
         Err(Invalid::field(FIELD, "a prediction is not finite"))

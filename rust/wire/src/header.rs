@@ -1,21 +1,7 @@
 //! The fields of a request that a server needs before it queues it, read without its tensors.
 
-use prost::Message;
-
+use crate::fields::Fields;
 use crate::{Invalid, LibraryId, Limits, check};
-
-/// The first fields of `egp.v1.StepRequest`; protobuf skips the others.
-#[derive(Clone, PartialEq, Message)]
-struct Fields {
-    #[prost(uint32, tag = "1")]
-    version: u32,
-    #[prost(bytes = "vec", tag = "2")]
-    library: Vec<u8>,
-    #[prost(uint64, tag = "3")]
-    sequence: u64,
-    #[prost(uint32, tag = "4")]
-    budget_us: u32,
-}
 
 /// What admission decides on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,13 +22,23 @@ impl Header {
     /// malformed. The other fields are left to [`crate::Request::decode`].
     pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Self, Invalid> {
         check::size(bytes, limits.message_bytes)?;
-        let fields = Fields::decode(bytes)?;
-        check::version(fields.version)?;
-        check::budget(fields.budget_us)?;
+        let (mut version, mut library, mut sequence, mut budget_us) = (0, [].as_slice(), 0, 0);
+        for field in Fields::of(bytes) {
+            let (tag, value) = field?;
+            match tag {
+                1 => version = value.uint32("version")?,
+                2 => library = value.bytes("library")?,
+                3 => sequence = value.uint64("sequence")?,
+                4 => budget_us = value.uint32("budget_us")?,
+                _ => {}
+            }
+        }
+        check::version(version)?;
+        check::budget(budget_us)?;
         Ok(Self {
-            library: check::library(&fields.library)?,
-            sequence: fields.sequence,
-            budget_us: fields.budget_us,
+            library: check::library(library)?,
+            sequence,
+            budget_us,
         })
     }
 }

@@ -19,19 +19,23 @@
 mod carry;
 mod check;
 mod error;
+mod fields;
 mod header;
 pub mod keys;
 mod limits;
+mod predictions;
 mod rank;
 mod ready;
 mod reply;
 mod request;
 mod tensor;
+mod writer;
 
 pub use carry::Carry;
 pub use error::{Code, Invalid, WireError};
 pub use header::Header;
 pub use limits::Limits;
+pub use predictions::Predictions;
 pub use proto::{Load, PlantTruth, Status, Timing};
 pub use rank::rank;
 pub use ready::Ready;

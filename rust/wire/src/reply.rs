@@ -1,13 +1,14 @@
 //! The reply to one control step.
 
-use prost::Message as _;
-
+use crate::fields::Fields;
+use crate::tensor::{Tensor, read_predictions, read_rows, read_vector};
+use crate::writer::Writer;
 use crate::{
-    GpOutput, Input, Invalid, LibraryId, Limits, State, Status, VERSION, check, proto, tensor,
+    GpOutput, Input, Invalid, LibraryId, Limits, Predictions, State, Status, VERSION, check,
 };
 
 /// The outcome of a control step. Only [`Status::Solved`] carries a plan.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reply {
     /// Library that answered.
     pub library: LibraryId,
@@ -23,8 +24,8 @@ pub struct Reply {
     pub weights: Vec<f64>,
     /// Standard deviation of `[v_x, v_y, omega]`, `[T+1]` when asked for.
     pub sigma: Vec<GpOutput>,
-    /// The members' predictions of the request's history, `[K][N]`, newest first.
-    pub history_f: Vec<Vec<GpOutput>>,
+    /// The members' predictions of the request's history, `[K, N]`, newest first.
+    pub history_f: Predictions,
     /// Weight of the members too light to be linearised.
     pub dropped_mass: f64,
     /// Iterations of the QP solver.
@@ -38,22 +39,27 @@ pub struct Reply {
 impl Reply {
     /// Bytes of an `egp.v1.StepReply`; equal replies give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
-        proto::StepReply {
-            version: VERSION,
-            library: self.library.to_vec(),
-            sequence: self.sequence,
-            status: self.status.into(),
-            plan_x: tensor::rows(&self.plan_x),
-            plan_u: tensor::rows(&self.plan_u),
-            weights: tensor::vector(&self.weights),
-            sigma: tensor::rows(&self.sigma),
-            history_f: tensor::blocks(&self.history_f),
-            dropped_mass: self.dropped_mass,
-            iterations: self.iterations,
-            kkt_residual: self.kkt_residual,
-            solver: self.solver.clone(),
-        }
-        .encode_to_vec()
+        let mut out = Vec::new();
+        self.encode_to(&mut out);
+        out
+    }
+
+    /// Like [`encode`](Self::encode), in place of what `out` held; allocates only to grow.
+    pub fn encode_to(&self, out: &mut Vec<u8>) {
+        let mut message = Writer::start(out);
+        message.number(1, VERSION.into());
+        message.bytes(2, &self.library);
+        message.number(3, self.sequence);
+        message.number(4, self.status as u64);
+        message.rows(5, &self.plan_x);
+        message.rows(6, &self.plan_u);
+        message.tensor(7, &[self.weights.len()], &self.weights);
+        message.rows(8, &self.sigma);
+        message.predictions(9, &self.history_f);
+        message.double(10, self.dropped_mass);
+        message.number(11, self.iterations.into());
+        message.double(12, self.kkt_residual);
+        message.bytes(13, self.solver.as_bytes());
     }
 
     /// Reads and validates an `egp.v1.StepReply`: a vehicle trusts no service to send sane numbers.
@@ -62,28 +68,30 @@ impl Reply {
     /// [`Invalid`], which names the first field at fault.
     pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Self, Invalid> {
         check::size(bytes, limits.message_bytes)?;
-        let raw = proto::StepReply::decode(bytes)?;
+        let raw = Raw::read(bytes)?;
         check::version(raw.version)?;
         let stages = limits.horizon + 1;
-        let reply = Self {
-            library: check::library(&raw.library)?,
+        let mut reply = Self {
+            library: check::library(raw.library)?,
             sequence: raw.sequence,
-            status: raw.status(),
-            plan_x: tensor::read_rows("plan_x", raw.plan_x.as_ref(), stages)?,
-            plan_u: tensor::read_rows("plan_u", raw.plan_u.as_ref(), limits.horizon)?,
-            weights: tensor::read_vector("weights", raw.weights.as_ref(), limits.members)?,
-            sigma: tensor::read_rows("sigma", raw.sigma.as_ref(), stages)?,
-            history_f: tensor::read_blocks(
-                "history_f",
-                raw.history_f.as_ref(),
-                limits.history,
-                limits.members,
-            )?,
+            status: Status::try_from(raw.status.cast_signed()).unwrap_or_default(),
             dropped_mass: raw.dropped_mass,
             iterations: raw.iterations,
             kkt_residual: raw.kkt_residual,
-            solver: raw.solver,
+            solver: raw.solver.to_owned(),
+            ..Self::default()
         };
+        read_rows("plan_x", raw.plan_x, stages, &mut reply.plan_x)?;
+        read_rows("plan_u", raw.plan_u, limits.horizon, &mut reply.plan_u)?;
+        read_vector("weights", raw.weights, limits.members, &mut reply.weights)?;
+        read_rows("sigma", raw.sigma, stages, &mut reply.sigma)?;
+        read_predictions(
+            "history_f",
+            raw.history_f,
+            limits.history,
+            limits.members,
+            &mut reply.history_f,
+        )?;
         reply.validate()?;
         Ok(reply)
     }
@@ -126,5 +134,49 @@ impl Reply {
         }
         check::simplex("weights", &self.weights)?;
         check::predictions(&self.history_f, self.history_f.len(), &self.weights)
+    }
+}
+
+/// The fields as they came.
+#[derive(Default)]
+struct Raw<'a> {
+    version: u32,
+    library: &'a [u8],
+    sequence: u64,
+    status: u32,
+    plan_x: Option<Tensor<'a>>,
+    plan_u: Option<Tensor<'a>>,
+    weights: Option<Tensor<'a>>,
+    sigma: Option<Tensor<'a>>,
+    history_f: Option<Tensor<'a>>,
+    dropped_mass: f64,
+    iterations: u32,
+    kkt_residual: f64,
+    solver: &'a str,
+}
+
+impl<'a> Raw<'a> {
+    fn read(message: &'a [u8]) -> Result<Self, Invalid> {
+        let mut raw = Self::default();
+        for field in Fields::of(message) {
+            let (tag, value) = field?;
+            match tag {
+                1 => raw.version = value.uint32("version")?,
+                2 => raw.library = value.bytes("library")?,
+                3 => raw.sequence = value.uint64("sequence")?,
+                4 => raw.status = value.uint32("status")?,
+                5 => value.tensor("plan_x", &mut raw.plan_x)?,
+                6 => value.tensor("plan_u", &mut raw.plan_u)?,
+                7 => value.tensor("weights", &mut raw.weights)?,
+                8 => value.tensor("sigma", &mut raw.sigma)?,
+                9 => value.tensor("history_f", &mut raw.history_f)?,
+                10 => raw.dropped_mass = value.double("dropped_mass")?,
+                11 => raw.iterations = value.uint32("iterations")?,
+                12 => raw.kkt_residual = value.double("kkt_residual")?,
+                13 => raw.solver = value.text("solver")?,
+                _ => {}
+            }
+        }
+        Ok(raw)
     }
 }

@@ -1,14 +1,15 @@
 //! The request of one control step.
 
-use prost::Message as _;
-
+use crate::fields::Fields;
+use crate::tensor::{Tensor, read_array, read_predictions, read_rows, read_vector};
+use crate::writer::Writer;
 use crate::{
-    GpInput, GpOutput, Input, Invalid, LibraryId, Limits, ReferenceRow, State, VERSION, WidthRow,
-    check, proto, tensor,
+    GpInput, GpOutput, Input, Invalid, LibraryId, Limits, Predictions, ReferenceRow, State,
+    VERSION, WidthRow, check,
 };
 
 /// One control step asked for. T is `reference.len() - 1`, N the number of members.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Request {
     /// Library the vehicle expects.
     pub library: LibraryId,
@@ -32,8 +33,8 @@ pub struct Request {
     pub history_z: Vec<GpInput>,
     /// What followed each of them.
     pub history_y: Vec<GpOutput>,
-    /// The members' predictions of the oldest rows of the history, `[K'][N]`, newest of them first.
-    pub history_f: Vec<Vec<GpOutput>>,
+    /// The members' predictions of the oldest rows of the history, `[K', N]`, newest of them first.
+    pub history_f: Predictions,
     /// `[p_x, p_y, v_x, psi]` for the stages 0..=T, row 0 = now.
     pub reference: Vec<ReferenceRow>,
     /// `[left, right]` for the same stages; empty means no edges.
@@ -50,25 +51,25 @@ impl Request {
 
     /// Bytes of an `egp.v1.StepRequest`; equal requests give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
-        proto::StepRequest {
-            version: VERSION,
-            library: self.library.to_vec(),
-            sequence: self.sequence,
-            budget_us: self.budget_us,
-            x: tensor::vector(&self.x),
-            u_prev: tensor::vector(&self.u_prev),
-            weights: tensor::vector(&self.weights),
-            plan_x: tensor::rows(&self.plan_x),
-            plan_u: tensor::rows(&self.plan_u),
-            plan_shift: self.plan_shift,
-            history_z: tensor::rows(&self.history_z),
-            history_y: tensor::rows(&self.history_y),
-            history_f: tensor::blocks(&self.history_f),
-            reference: tensor::rows(&self.reference),
-            widths: tensor::rows(&self.widths),
-            want_sigma: self.want_sigma,
-        }
-        .encode_to_vec()
+        let mut out = Vec::new();
+        let mut message = Writer::start(&mut out);
+        message.number(1, VERSION.into());
+        message.bytes(2, &self.library);
+        message.number(3, self.sequence);
+        message.number(4, self.budget_us.into());
+        message.tensor(5, &[self.x.len()], &self.x);
+        message.tensor(6, &[self.u_prev.len()], &self.u_prev);
+        message.tensor(7, &[self.weights.len()], &self.weights);
+        message.rows(8, &self.plan_x);
+        message.rows(9, &self.plan_u);
+        message.number(10, self.plan_shift.into());
+        message.rows(11, &self.history_z);
+        message.rows(12, &self.history_y);
+        message.predictions(13, &self.history_f);
+        message.rows(14, &self.reference);
+        message.rows(15, &self.widths);
+        message.number(16, self.want_sigma.into());
+        out
     }
 
     /// Reads and validates an `egp.v1.StepRequest`.
@@ -76,34 +77,42 @@ impl Request {
     /// # Errors
     /// [`Invalid`], which names the first field at fault.
     pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Self, Invalid> {
-        check::size(bytes, limits.message_bytes)?;
-        let raw = proto::StepRequest::decode(bytes)?;
-        check::version(raw.version)?;
-        let stages = limits.horizon + 1;
-        let request = Self {
-            library: check::library(&raw.library)?,
-            sequence: raw.sequence,
-            budget_us: raw.budget_us,
-            x: tensor::read_array("x", raw.x.as_ref())?,
-            u_prev: tensor::read_array("u_prev", raw.u_prev.as_ref())?,
-            weights: tensor::read_vector("weights", raw.weights.as_ref(), limits.members)?,
-            plan_x: tensor::read_rows("plan_x", raw.plan_x.as_ref(), stages)?,
-            plan_u: tensor::read_rows("plan_u", raw.plan_u.as_ref(), limits.horizon)?,
-            plan_shift: raw.plan_shift,
-            history_z: tensor::read_rows("history_z", raw.history_z.as_ref(), limits.history)?,
-            history_y: tensor::read_rows("history_y", raw.history_y.as_ref(), limits.history)?,
-            history_f: tensor::read_blocks(
-                "history_f",
-                raw.history_f.as_ref(),
-                limits.history,
-                limits.members,
-            )?,
-            reference: tensor::read_rows("reference", raw.reference.as_ref(), stages)?,
-            widths: tensor::read_rows("widths", raw.widths.as_ref(), stages)?,
-            want_sigma: raw.want_sigma,
-        };
-        request.validate(limits)?;
+        let mut request = Self::default();
+        request.decode_from(bytes, limits)?;
         Ok(request)
+    }
+
+    /// Like [`decode`](Self::decode), in the memory of a former request; allocates only to grow.
+    ///
+    /// # Errors
+    /// [`Invalid`], which names the first field at fault. What the request then holds means nothing.
+    pub fn decode_from(&mut self, bytes: &[u8], limits: &Limits) -> Result<(), Invalid> {
+        check::size(bytes, limits.message_bytes)?;
+        let raw = Raw::read(bytes)?;
+        check::version(raw.version)?;
+        let (stages, history) = (limits.horizon + 1, limits.history);
+        self.library = check::library(raw.library)?;
+        self.sequence = raw.sequence;
+        self.budget_us = raw.budget_us;
+        self.x = read_array("x", raw.x)?;
+        self.u_prev = read_array("u_prev", raw.u_prev)?;
+        read_vector("weights", raw.weights, limits.members, &mut self.weights)?;
+        read_rows("plan_x", raw.plan_x, stages, &mut self.plan_x)?;
+        read_rows("plan_u", raw.plan_u, limits.horizon, &mut self.plan_u)?;
+        self.plan_shift = raw.plan_shift;
+        read_rows("history_z", raw.history_z, history, &mut self.history_z)?;
+        read_rows("history_y", raw.history_y, history, &mut self.history_y)?;
+        read_predictions(
+            "history_f",
+            raw.history_f,
+            history,
+            limits.members,
+            &mut self.history_f,
+        )?;
+        read_rows("reference", raw.reference, stages, &mut self.reference)?;
+        read_rows("widths", raw.widths, stages, &mut self.widths)?;
+        self.want_sigma = raw.want_sigma;
+        self.validate(limits)
     }
 
     /// Checks the values and how the fields fit together; `decode` has done so already.
@@ -203,5 +212,55 @@ impl Request {
             )),
             None => Ok(()),
         }
+    }
+}
+
+/// The fields as they came.
+#[derive(Default)]
+struct Raw<'a> {
+    version: u32,
+    library: &'a [u8],
+    sequence: u64,
+    budget_us: u32,
+    x: Option<Tensor<'a>>,
+    u_prev: Option<Tensor<'a>>,
+    weights: Option<Tensor<'a>>,
+    plan_x: Option<Tensor<'a>>,
+    plan_u: Option<Tensor<'a>>,
+    plan_shift: u32,
+    history_z: Option<Tensor<'a>>,
+    history_y: Option<Tensor<'a>>,
+    history_f: Option<Tensor<'a>>,
+    reference: Option<Tensor<'a>>,
+    widths: Option<Tensor<'a>>,
+    want_sigma: bool,
+}
+
+impl<'a> Raw<'a> {
+    fn read(message: &'a [u8]) -> Result<Self, Invalid> {
+        let mut raw = Self::default();
+        for field in Fields::of(message) {
+            let (tag, value) = field?;
+            match tag {
+                1 => raw.version = value.uint32("version")?,
+                2 => raw.library = value.bytes("library")?,
+                3 => raw.sequence = value.uint64("sequence")?,
+                4 => raw.budget_us = value.uint32("budget_us")?,
+                5 => value.tensor("x", &mut raw.x)?,
+                6 => value.tensor("u_prev", &mut raw.u_prev)?,
+                7 => value.tensor("weights", &mut raw.weights)?,
+                8 => value.tensor("plan_x", &mut raw.plan_x)?,
+                9 => value.tensor("plan_u", &mut raw.plan_u)?,
+                10 => raw.plan_shift = value.uint32("plan_shift")?,
+                11 => value.tensor("history_z", &mut raw.history_z)?,
+                12 => value.tensor("history_y", &mut raw.history_y)?,
+                13 => value.tensor("history_f", &mut raw.history_f)?,
+                14 => value.tensor("reference", &mut raw.reference)?,
+                15 => value.tensor("widths", &mut raw.widths)?,
+                16 => raw.want_sigma = value.bool("want_sigma")?,
+                _ => {}
+            }
+        }
+        Ok(raw)
     }
 }

@@ -1,7 +1,7 @@
 //! The carry through lost, late and repeated replies.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use egp_wire::{Carry, Limits, Reply, Request, Status};
+use egp_wire::{Carry, Limits, Predictions, Reply, Request, Status};
 
 const LIBRARY: [u8; 32] = [3; 32];
 const HORIZON: usize = 4;
@@ -37,7 +37,7 @@ fn answer(request: &Request, status: Status, mark: f64) -> Reply {
         },
         weights: vec![0.5, 0.5],
         sigma: vec![],
-        history_f: vec![vec![[mark; 3]; 2]; request.history_z.len()],
+        history_f: Predictions::new(2, vec![[mark; 3]; 2 * request.history_z.len()]),
         dropped_mass: 0.0,
         iterations: 1,
         kkt_residual: 0.0,
@@ -79,7 +79,7 @@ fn predictions_stay_with_their_transition_when_replies_are_lost_or_late() {
     assert!(!carry.accept(&answer(&third, Status::Solved, 3.0)).unwrap());
     let fifth = period(&mut carry, 14.0, 0.0);
     assert_eq!((fifth.history_z.len(), fifth.history_f.len()), (4, 3));
-    assert_eq!(fifth.history_f[0][0], [4.0; 3]);
+    assert_eq!(fifth.history_f.values[0], [4.0; 3]);
     assert_eq!(fifth.plan_shift, 1);
 }
 

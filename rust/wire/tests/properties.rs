@@ -3,8 +3,9 @@
 
 mod fixtures;
 
-use egp_wire::{Header, Limits, Ready, Reply, Request, WireError};
+use egp_wire::{Header, Limits, Predictions, Ready, Reply, Request, WireError, proto};
 use proptest::{collection::vec, prelude::*};
+use prost::Message as _;
 
 fn row<const W: usize>(limit: f64) -> impl Strategy<Value = [f64; W]> {
     [(); W].map(|()| -limit..limit)
@@ -16,7 +17,7 @@ prop_compose! {
         plan_x in vec(row(1.5), horizon + 1), plan_u in vec(row(10.0), horizon),
         plan_shift in 0..=u32::try_from(horizon).unwrap(),
         history_z in vec(row(1.0), history), history_y in vec(row(1.0), history),
-        mut history_f in vec(vec(row(1e12), members), history), predicted in 0..=history,
+        mut history_f in vec(row(1e12), members * history), predicted in 0..=history,
         reference in vec(row(1e4), horizon + 1).prop_map(|rows| rows.iter().map(|r: &[f64; 4]| [r[0], r[1], r[2] / 1e3, r[3]]).collect()),
         widths in vec([0.0..50.0, 0.0..50.0], horizon + 1),
         sequence in any::<u64>(), budget_us in 1u32..10_000_000, want_sigma in any::<bool>(),
@@ -24,7 +25,8 @@ prop_compose! {
     ) -> Request {
         let sum: f64 = raw_weights.iter().sum();
         let weights = raw_weights.iter().map(|w| w / sum).collect();
-        history_f.truncate(predicted);
+        history_f.truncate(predicted * raw_weights.len());
+        let history_f = Predictions::new(raw_weights.len(), history_f);
         Request {
             library, sequence, budget_us, x, u_prev, weights, plan_x, plan_u, plan_shift,
             history_z, history_y, history_f, reference, widths, want_sigma,
@@ -39,6 +41,21 @@ proptest! {
         prop_assert_eq!(&decoded, &request);
         let header = Header::decode(&request.encode(), &Limits::default()).unwrap();
         prop_assert_eq!(header.sequence, request.sequence);
+    }
+
+    #[test]
+    fn requests_are_written_as_prost_writes_them(request in request()) {
+        let bytes = request.encode();
+        let raw = proto::StepRequest::decode(&*bytes).unwrap();
+        prop_assert_eq!(raw.encode_to_vec(), bytes);
+    }
+
+    #[test]
+    fn memory_of_a_former_request_leaves_no_trace(first in request(), second in request()) {
+        let limits = Limits::default();
+        let mut memory = Request::decode(&first.encode(), &limits).unwrap();
+        memory.decode_from(&second.encode(), &limits).unwrap();
+        prop_assert_eq!(memory, second);
     }
 
     #[test]
@@ -59,8 +76,14 @@ proptest! {
             let limits = Limits::default();
             if let Ok(request) = Request::decode(&bytes, &limits) {
                 prop_assert!(request.validate(&limits).is_ok());
+                // Another reader of the same bytes finds the same message.
+                let raw = proto::StepRequest::decode(&*bytes).unwrap().encode_to_vec();
+                prop_assert_eq!(Request::decode(&raw, &limits).unwrap(), request);
             }
-            let _ = Reply::decode(&bytes, &limits);
+            if let Ok(reply) = Reply::decode(&bytes, &limits) {
+                let raw = proto::StepReply::decode(&*bytes).unwrap().encode_to_vec();
+                prop_assert_eq!(format!("{:?}", Reply::decode(&raw, &limits).unwrap()), format!("{reply:?}"));
+            }
         }
     }
 }

@@ -33,7 +33,7 @@ fn values_outside_the_domain_are_named() {
     assert!(refused(|r| r.x[2] = 1e3).starts_with("x: row 0: v_x = 1000 is outside"));
     assert!(refused(|r| r.u_prev[0] = f64::INFINITY).starts_with("u_prev"));
     assert!(refused(|r| r.plan_x[3][4] = -1e9).starts_with("plan_x: row 3: v_y"));
-    assert!(refused(|r| r.history_f[1][0][2] = f64::NAN).starts_with("history_f"));
+    assert!(refused(|r| r.history_f.values[2][2] = f64::NAN).starts_with("history_f"));
     assert!(refused(|r| r.budget_us = 0).starts_with("budget_us"));
     assert!(refused(|r| r.widths[1] = [-3.0, 1.0]).starts_with("widths: row 1: the edges cross"));
 }
@@ -51,6 +51,7 @@ fn fields_that_do_not_fit_together_are_refused() {
     assert!(refused(|r| r.plan_shift = 5).starts_with("plan_shift: expected at most 4"));
     assert!(refused(|r| r.history_y.truncate(2)).starts_with("history_y: expected 3 rows"));
     assert!(refused(|r| r.weights = vec![1.0]).starts_with("history_f: expected 1 members"));
+    assert!(refused(|r| _ = r.history_f.values.pop()).starts_with("history_f"));
     assert!(refused(|r| r.widths.truncate(2)).starts_with("widths: expected 5 rows"));
     assert!(refused(|r| r.reference.clear()).starts_with("reference"));
     assert!(refused(|r| r.reference = vec![[0.0; 4]; 200]).contains("n in 1..=129"));
@@ -68,6 +69,8 @@ fn shapes_and_data_must_agree() {
     assert!(
         message(refused_raw(|r| r.library.truncate(31))).contains("32 bytes of a SHA-256, got 31")
     );
+    let rank = refused_raw(|r| r.x.as_mut().unwrap().shape = vec![7, 1, 1, 1, 1]);
+    assert!(message(rank).starts_with("x: expected shape [7], got [7, 1, 1, 1]"));
     assert_eq!(
         refused_raw(|r| r.version = 2),
         Invalid::Version { actual: 2 }
@@ -91,6 +94,25 @@ fn truncated_and_oversized_messages_are_refused() {
     let error = Request::decode(&bytes, &tight).unwrap_err();
     assert!(matches!(error, Invalid::TooLarge { .. }));
     assert_eq!(WireError::from(error).code, Code::Malformed);
+}
+
+#[test]
+fn a_tensor_that_comes_twice_is_refused() {
+    let bytes = fixtures::full_request().encode();
+    let twice = [bytes.as_slice(), bytes.as_slice()].concat();
+    let error = Request::decode(&twice, &limits()).unwrap_err();
+    assert_eq!(error.to_string(), "x: comes twice; send it once");
+}
+
+#[test]
+fn a_field_of_another_type_is_refused() {
+    // Field 5, `x`, as a number instead of a tensor.
+    let bytes = [fixtures::cold_request().encode().as_slice(), &[5 << 3, 7]].concat();
+    let error = Request::decode(&bytes, &limits()).unwrap_err();
+    assert!(
+        error.to_string().starts_with("x: has another type"),
+        "{error}"
+    );
 }
 
 #[test]

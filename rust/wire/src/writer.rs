@@ -1,0 +1,73 @@
+//! Writing a message straight into a buffer. What holds its default value is left out, as proto3 has it.
+
+use prost::encoding::{WireType, encode_key, encode_varint, encoded_len_varint};
+
+use crate::Predictions;
+
+/// Appends the fields of one message; call it in the order of their tags, so that equal messages give equal bytes.
+pub(crate) struct Writer<'a>(&'a mut Vec<u8>);
+
+impl<'a> Writer<'a> {
+    /// Starts a message in `out`, whose former content goes and whose memory stays.
+    pub(crate) fn start(out: &'a mut Vec<u8>) -> Self {
+        out.clear();
+        Self(out)
+    }
+
+    pub(crate) fn number(&mut self, tag: u32, value: u64) {
+        if value != 0 {
+            encode_key(tag, WireType::Varint, self.0);
+            encode_varint(value, self.0);
+        }
+    }
+
+    pub(crate) fn double(&mut self, tag: u32, value: f64) {
+        if value != 0.0 {
+            encode_key(tag, WireType::SixtyFourBit, self.0);
+            self.0.extend(value.to_le_bytes());
+        }
+    }
+
+    pub(crate) fn bytes(&mut self, tag: u32, value: &[u8]) {
+        if !value.is_empty() {
+            self.length(tag, value.len());
+            self.0.extend_from_slice(value);
+        }
+    }
+
+    /// A `Tensor` of `shape`; nothing when there are no values.
+    pub(crate) fn tensor(&mut self, tag: u32, shape: &[usize], values: &[f64]) {
+        const KEY: usize = 1; // tags below 16 take one byte
+        if values.is_empty() {
+            return;
+        }
+        let delimited = |length: usize| KEY + encoded_len_varint(length as u64) + length;
+        let extents = shape.iter().map(|&n| encoded_len_varint(n as u64)).sum();
+        let data = size_of_val(values);
+        self.length(tag, delimited(extents) + delimited(data));
+        self.length(1, extents);
+        for &n in shape {
+            encode_varint(n as u64, self.0);
+        }
+        self.length(2, data);
+        self.0.reserve(data);
+        self.0
+            .extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    }
+
+    /// `[rows, W]`.
+    pub(crate) fn rows<const W: usize>(&mut self, tag: u32, rows: &[[f64; W]]) {
+        self.tensor(tag, &[rows.len(), W], rows.as_flattened());
+    }
+
+    /// `[rows, members, 3]`.
+    pub(crate) fn predictions(&mut self, tag: u32, predictions: &Predictions) {
+        let shape = [predictions.len(), predictions.members, 3];
+        self.tensor(tag, &shape, predictions.values.as_flattened());
+    }
+
+    fn length(&mut self, tag: u32, length: usize) {
+        encode_key(tag, WireType::LengthDelimited, self.0);
+        encode_varint(length as u64, self.0);
+    }
+}
