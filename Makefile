@@ -4,7 +4,7 @@ BIN    := .venv/bin
 RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name '*.proto' -o -name Cargo.toml 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench fmt lint rust-test python-test clean
+.PHONY: help demo test bench fmt lint rust-test python-test instructions clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -12,7 +12,7 @@ help: ## List these commands
 demo: .venv/built-viz ## Set up, then drive a lap over three surfaces and draw it
 	$(BIN)/egp demo
 
-test: lint rust-test python-test ## Set up and pass every check: format, lint, types, Rust and Python tests
+test: lint rust-test python-test instructions ## Set up and pass every check: format, lint, types, Rust and Python tests
 
 bench: .venv/built-bench ## Run the benchmarks
 	cargo bench --workspace
@@ -39,6 +39,9 @@ rust-test: ## Run the Rust tests
 
 python-test: .venv/built-dev ## Run the Python tests
 	$(BIN)/pytest
+
+instructions: .venv/bin/python ## Check the instructions of a control step against their budget, with valgrind
+	$(BIN)/python tests/bench/instructions.py
 
 clean: ## Remove what these commands built
 	rm -rf .venv target

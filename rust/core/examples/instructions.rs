@@ -1,11 +1,13 @@
 //! One warm control step for instruction counters: 2 members of 700 points, horizon 20, window 10.
 //!
-//! `tests/bench/instructions.py` runs it under callgrind, which collects only inside [`counted_step`]: making the
-//! library and warming up do not count.
+//! `instructions write FILE` makes the library, `instructions FILE` does the step with it. `tests/bench/instructions.py`
+//! runs the latter under callgrind, which collects only inside `counted_step`: loading and warming up do not count.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../tests/support/mod.rs"]
 mod support;
+
+use std::{env, fs};
 
 use egp_core::{Kernel, Library, Settings, Status, StepReply, StepRequest, Workspace, step};
 
@@ -22,17 +24,44 @@ fn counted_step(
 }
 
 fn main() {
-    let (library, settings) = (
-        support::library(Kernel::Rbf, &[0.5, 1.1], 700, 3),
-        Settings::default(),
-    );
-    let mut ws = Workspace::new(&library, &settings).unwrap();
+    let arguments: Vec<String> = env::args().skip(1).collect();
+    match arguments
+        .iter()
+        .map(String::as_str)
+        .collect::<Vec<_>>()
+        .as_slice()
+    {
+        ["write", path] => {
+            let spec = support::spec(Kernel::Rbf, &[0.5, 1.1], 700, 3);
+            fs::write(path, egp_core::library::encode(&spec).unwrap()).unwrap();
+        }
+        [path] => warm_step(&Library::from_bytes(&fs::read(path).unwrap()).unwrap()),
+        _ => eprintln!("usage: instructions [write] FILE; try `instructions write /tmp/library`"),
+    }
+}
+
+fn warm_step(library: &Library) {
+    let settings = Settings::default();
+    let mut ws = Workspace::new(library, &settings).unwrap();
     let mut reply = StepReply::default();
     let mut request = support::request::Request::circle();
-    step(&library, &settings, &request.borrow(), &mut ws, &mut reply).unwrap();
+    step(library, &settings, &request.borrow(), &mut ws, &mut reply).unwrap();
     request.carry(&reply);
     request.history_f.drain(..6); // the newest transition is new
-    counted_step(&library, &settings, &request.borrow(), &mut ws, &mut reply);
+    counted_step(library, &settings, &request.borrow(), &mut ws, &mut reply);
     assert_eq!(reply.status, Status::Solved);
-    println!("{} iterations", reply.iterations);
+    println!("tier {}", tier());
+}
+
+/// The instruction set of the GPs on this machine, or under this simulator; the QP's is the baseline.
+fn tier() -> &'static str {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+        return if is_x86_feature_detected!("avx512f") {
+            "avx512"
+        } else {
+            "avx2"
+        };
+    }
+    "portable"
 }

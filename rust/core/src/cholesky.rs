@@ -4,7 +4,7 @@
 //! multipliers, and several right-hand sides share one pass over the memory.
 
 use crate::kernel::{LANES, Lanes};
-use crate::simd::{Simd, Vectorised, Wide, vectorised, wide};
+use crate::simd::{Simd, Vectorised, Wide, vectorised_loops, wide};
 
 /// `L⁻¹` with `L Lᵀ = A`.
 ///
@@ -32,11 +32,11 @@ impl InverseFactor {
     /// Factors the `n × n` matrix with the given packed lower triangle (row `i` has `i + 1` entries) and inverts the
     /// factor.
     pub fn new(n: usize, mut lower: Vec<f64>) -> Result<Self, NotPositiveDefinite> {
-        vectorised(Factor {
+        vectorised_loops(Factor {
             n,
             lower: &mut lower,
         })?;
-        vectorised(Invert {
+        vectorised_loops(Invert {
             n,
             lower: &mut lower,
         });
@@ -188,7 +188,7 @@ pub(crate) fn dot(a: &[Lanes], b: &[Lanes]) -> f64 {
             sum_of_products(self.0.as_flattened(), self.1.as_flattened())
         }
     }
-    vectorised(Dot(a, b))
+    vectorised_loops(Dot(a, b))
 }
 
 /// Dot product in a fixed order of lanes: vectorised, and the same bits every time.
@@ -219,5 +219,5 @@ pub(crate) fn add_scaled(a: &mut [f64], scale: f64, b: &[f64]) {
             }
         }
     }
-    vectorised(AddScaled(a, scale, b));
+    vectorised_loops(AddScaled(a, scale, b));
 }

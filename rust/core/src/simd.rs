@@ -49,7 +49,17 @@ pub(crate) trait Simd: Copy {
 
 /// Runs a computation with the best instruction set this machine has, 512-bit vectors excepted: they slow the small
 /// matrices of the QP solver down.
+///
+/// With the feature `baseline-qp` it is the instruction set of the build.
 pub(crate) fn vectorised<C: Vectorised>(computation: C) -> C::Output {
+    if cfg!(feature = "baseline-qp") {
+        return computation.compute();
+    }
+    vectorised_loops(computation)
+}
+
+/// The same for plain loops over long arrays, whatever the features of the build.
+pub(crate) fn vectorised_loops<C: Vectorised>(computation: C) -> C::Output {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2,fma")]
