@@ -16,7 +16,7 @@ pub(crate) struct InverseFactor {
     rows: usize,
 }
 
-/// The matrix is not positive definite; found at this row.
+/// The matrix is not positive definite to working precision; found at this row.
 #[derive(Debug)]
 pub(crate) struct NotPositiveDefinite(pub usize);
 
@@ -86,7 +86,8 @@ impl Vectorised for Factor<'_> {
                     let (above, row) = self.lower.split_at_mut(row_start(i));
                     if i == j {
                         let pivot = row[j] - sum_of_products(&row[..j], &row[..j]);
-                        if pivot.is_nan() || pivot <= 0.0 {
+                        // Less than rounding leaves of the diagonal is zero.
+                        if pivot.is_nan() || pivot <= self.n as f64 * f64::EPSILON * row[j] {
                             return Err(NotPositiveDefinite(j));
                         }
                         row[j] = pivot.sqrt();
