@@ -65,6 +65,9 @@ pub fn layers<const R: usize, const C: usize>(
     Ok((0..array.shape()[0]).map(layer).collect())
 }
 
+/// A numpy matrix that a Python object keeps.
+pub type KeptMatrix = Py<PyArray2<f64>>;
+
 /// A numpy vector of these numbers.
 pub fn vector<T: Element>(py: Python<'_>, values: impl IntoIterator<Item = T>) -> NewVector<'_, T> {
     PyArray1::from_iter(py, values)

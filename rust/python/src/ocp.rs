@@ -7,11 +7,10 @@ use egp_core::settings::{Penalty, Prior, SolverKind, SolverSettings};
 use egp_core::solver::{rungs, solve_first};
 use egp_core::weights::WeightEstimator;
 use egp_core::{GpOutput, Input, NU, NX, NY, OcpQp, OcpSolution, Status};
-use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::array::{Cube, Matrix, NewVector, Vector};
+use crate::array::{Cube, KeptMatrix, Matrix, NewVector, Vector};
 use crate::array::{array, fixed, layers, rows, vector, wrong_shape};
 use crate::error::{EgpError, raise};
 
@@ -153,9 +152,9 @@ struct OcpResult {
     /// "solved", "iteration limit", "infeasible", "numerical error" or "check failed".
     status: &'static str,
     /// States, `(T+1, 7)`.
-    x: Py<PyArray2<f64>>,
+    x: KeptMatrix,
     /// Scaled inputs, `(T, 2)`.
-    u: Py<PyArray2<f64>>,
+    u: KeptMatrix,
     /// Iterations of the solver that had the last word.
     iterations: u32,
     /// Largest residual of the optimality conditions.
