@@ -97,7 +97,7 @@ def test_any_protobuf_reader_can_decode_the_recording(lap: Lap) -> None:
     replies = [message for topic, message in decoded if topic == "/reply"]
     assert [truth.v_x for truth in truths] == lap.run.trace.x[:, 2].tolist()
     assert [truth.friction for truth in truths] == lap.run.trace.friction.tolist()
-    assert list(replies[-1].plan_u.shape) == [20, 2]
+    assert list(replies[-1].plan_u.shape) == [40, 2]
 
 
 def test_replaying_the_recorded_requests_gives_the_recorded_replies(lap: Lap) -> None:

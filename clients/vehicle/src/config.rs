@@ -21,7 +21,7 @@ pub struct VehicleConfig {
     pub patience: Duration,
     /// Limits of the actuators.
     pub limits: Limits,
-    /// Control periods that the rest of a plan may bridge. Default 10.
+    /// Control periods that the rest of a plan may bridge. Default 25, half a second at 50 Hz.
     pub max_tail_ticks: u64,
     /// How hard to brake when it has run out, m/s². Default 3.
     pub stop_deceleration: f64,
@@ -42,7 +42,7 @@ impl VehicleConfig {
             budget: 0.8,
             patience: Duration::from_secs(10),
             limits: Limits::default(),
-            max_tail_ticks: 10,
+            max_tail_ticks: 25,
             stop_deceleration: 3.0,
             zenoh: BTreeMap::new(),
         })

@@ -33,10 +33,20 @@ fn reference() -> Vec<f64> {
     (0..=20).flat_map(row).collect()
 }
 
+/// The defaults over the horizon and window of the goals.
+fn settings() -> Settings {
+    let mut settings = Settings {
+        horizon: 20,
+        ..Settings::default()
+    };
+    settings.weights.window = 10;
+    settings
+}
+
 const X: [f64; 7] = [0.1, -0.5, 13.0, 0.05, 0.02, 0.1, 0.03];
 
 fn whole(c: &mut Criterion, library: &Library, kind: SolverKind) {
-    let mut settings = Settings::default();
+    let mut settings = settings();
     settings.solver.kind = kind;
     let mut ws = Workspace::new(library, &settings).unwrap();
     let mut reply = StepReply::default();
@@ -84,7 +94,7 @@ fn whole(c: &mut Criterion, library: &Library, kind: SolverKind) {
 /// transitions are exactly their blend.
 fn members(c: &mut Criterion) {
     const SHARES: [f64; 3] = [0.5, 0.3, 0.2];
-    let settings = Settings::default();
+    let settings = settings();
     let reference = reference();
     let spec = support::spec(Kernel::Rbf, &[0.4, 0.6, 0.8, 1.0], 700, 3);
     for n in [1, 2, 4, 8, 16, 32, 64] {
@@ -144,7 +154,7 @@ fn members(c: &mut Criterion) {
 }
 
 fn phases(c: &mut Criterion, library: &Library) {
-    let settings = Settings::default();
+    let settings = settings();
     let weights = [0.4, 0.6];
     let ensemble = Ensemble::new(library, &weights, 0.0).unwrap();
     let (x0, u_prev) = (
@@ -205,7 +215,7 @@ fn phases(c: &mut Criterion, library: &Library) {
 
 fn weights(c: &mut Criterion, library: &Library) {
     let noise = inverse_noise(library, true);
-    let prior = Settings::default().weights.prior;
+    let prior = settings().weights.prior;
     for n in [2, 8, 64] {
         let wave = |i: usize| 0.1 * (i as f64 * 0.7).sin();
         let f: Vec<f64> = (0..10 * n * 3).map(wave).collect();

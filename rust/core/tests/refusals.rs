@@ -8,11 +8,11 @@
 mod support;
 
 use egp_core::{Settings, StepError, StepReply, Workspace, step};
-use support::request::{Request, library, warm};
+use support::request::{Request, library, settings, warm};
 
 #[test]
 fn malformed_requests_are_refused_by_field() {
-    let settings = Settings::default();
+    let settings = settings();
     let mut ws = Workspace::new(library(), &settings).unwrap();
     let mut reply = StepReply::default();
     let mut refuse = |change: fn(&mut Request)| {

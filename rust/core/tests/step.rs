@@ -6,8 +6,8 @@ mod support;
 use std::f64::consts::{PI, TAU};
 
 use egp_core::settings::Operating;
-use egp_core::{Settings, Status, StepReply, Workspace, step};
-use support::request::{Request, library, solve, warm};
+use egp_core::{Status, StepReply, Workspace, step};
+use support::request::{Request, library, settings, solve, warm};
 
 fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len());
@@ -19,7 +19,7 @@ fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
 
 #[test]
 fn a_plan_keeps_the_bounds_and_approaches_the_reference() {
-    let settings = Settings::default();
+    let settings = settings();
     for request in [Request::circle(), warm()] {
         let reply = solve(&request, &settings);
         assert_eq!(reply.status, Status::Solved);
@@ -48,10 +48,10 @@ fn a_plan_keeps_the_bounds_and_approaches_the_reference() {
 fn both_operating_trajectories_agree_where_the_plan_is_good() {
     let mut request = warm();
     for _ in 0..4 {
-        request.carry(&solve(&request, &Settings::default()));
+        request.carry(&solve(&request, &settings()));
     }
-    let shift = solve(&request, &Settings::default());
-    let mut settings = Settings::default();
+    let shift = solve(&request, &settings());
+    let mut settings = settings();
     settings.operating.kind = Operating::Rollout;
     let rollout = solve(&request, &settings);
     assert!(largest_difference(&shift.plan_x, &rollout.plan_x) < 1e-2);
@@ -60,7 +60,7 @@ fn both_operating_trajectories_agree_where_the_plan_is_good() {
 #[test]
 fn the_plan_moves_with_the_vehicle() {
     let request = warm();
-    let settings = Settings::default();
+    let settings = settings();
     let plan = solve(&request, &settings);
     for (angle, by) in [
         (2.0, [0.0, 0.0]),
@@ -86,7 +86,7 @@ fn the_plan_moves_with_the_vehicle() {
 #[test]
 fn whole_turns_change_nothing() {
     let request = warm();
-    let plan = solve(&request, &Settings::default());
+    let plan = solve(&request, &settings());
     for (own, reference, old) in [
         (TAU, 0.0, 0.0),
         (0.0, -TAU, 0.0),
@@ -100,7 +100,7 @@ fn whole_turns_change_nothing() {
             .chunks_mut(4)
             .for_each(|row| row[3] += reference);
         turned.plan_x.chunks_mut(7).for_each(|row| row[3] += old);
-        let reply = solve(&turned, &Settings::default());
+        let reply = solve(&turned, &settings());
         assert!(
             largest_difference(&reply.plan_u, &plan.plan_u) < 1e-3,
             "newtons"
@@ -118,16 +118,13 @@ fn whole_turns_change_nothing() {
         row[3] = row[3].sin().atan2(row[3].cos());
     }
     assert!(wrapped.reference.chunks(4).any(|row| row[3] < 0.0));
-    let (a, b) = (
-        solve(&straight, &Settings::default()),
-        solve(&wrapped, &Settings::default()),
-    );
+    let (a, b) = (solve(&straight, &settings()), solve(&wrapped, &settings()));
     assert!(largest_difference(&a.plan_x, &b.plan_x) < 1e-8);
 }
 
 #[test]
 fn the_same_request_gives_the_same_bits_whatever_came_before() {
-    let settings = Settings::default();
+    let settings = settings();
     let request = warm();
     let expected = solve(&request, &settings);
     let mut ws = Workspace::new(library(), &settings).unwrap();
@@ -144,7 +141,7 @@ fn the_same_request_gives_the_same_bits_whatever_came_before() {
 
 #[test]
 fn carried_predictions_are_those_that_would_be_computed() {
-    let settings = Settings::default();
+    let settings = settings();
     let request = Request::circle();
     let fresh = solve(&request, &settings);
     assert_eq!(fresh.history_f.len(), 10 * 2 * 3);
@@ -161,7 +158,7 @@ fn carried_predictions_are_those_that_would_be_computed() {
 
 #[test]
 fn weights_find_the_surface_and_stay_without_history() {
-    let settings = Settings::default();
+    let settings = settings();
     for (member, expected) in library().members().iter().zip([[1.0, 0.0], [0.0, 1.0]]) {
         let mut request = Request::circle();
         request.history_z = (0..10)
@@ -192,7 +189,7 @@ fn weights_find_the_surface_and_stay_without_history() {
 
 #[test]
 fn any_measured_state_gets_a_plan() {
-    let settings = Settings::default();
+    let settings = settings();
     let base = Request::circle();
     for (name, change) in [
         (
@@ -234,7 +231,7 @@ fn any_measured_state_gets_a_plan() {
 
 #[test]
 fn track_edges_hold_the_plan_back() {
-    let settings = Settings::default();
+    let settings = settings();
     let mut request = Request::circle();
     let reference = request.reference.clone();
     let lateral = |reply: &StepReply| {
@@ -260,7 +257,7 @@ fn track_edges_hold_the_plan_back() {
 
 #[test]
 fn sigma_covers_noise_and_disagreement() {
-    let settings = Settings::default();
+    let settings = settings();
     let request = warm();
     let mut ws = Workspace::new(library(), &settings).unwrap();
     let mut reply = StepReply::default();
@@ -289,10 +286,6 @@ fn missed_periods_shift_the_plan_further() {
     for shift in [1, 3, 19, 20, 21, u32::MAX] {
         let mut late = request.clone();
         late.plan_shift = shift;
-        assert_eq!(
-            solve(&late, &Settings::default()).status,
-            Status::Solved,
-            "{shift}"
-        );
+        assert_eq!(solve(&late, &settings()).status, Status::Solved, "{shift}");
     }
 }

@@ -26,7 +26,7 @@ struct Gate(egp_gate::Gate);
 /// `settings` over the defaults; unknown names are refused.
 fn configure(settings: &BTreeMap<String, f64>) -> PyResult<(Limits, u64, f64)> {
     let mut limits = Limits::default();
-    let (mut max_tail_ticks, mut stop_deceleration) = (10.0, 3.0);
+    let (mut max_tail_ticks, mut stop_deceleration) = (25.0, 3.0);
     for (name, value) in settings {
         *match name.as_str() {
             "mass" => &mut limits.mass,

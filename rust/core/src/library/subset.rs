@@ -5,7 +5,8 @@ use sha2::{Digest, Sha256};
 
 /// The bytes of a library file with the given members of the library in `bytes`, in the given order.
 ///
-/// Their GPs are taken over bit for bit; the provenance gains `subset_of`, the other library's SHA-256.
+/// A member taken more than once, to measure how time grows, gets a number behind its label. GPs are taken over
+/// bit for bit; the provenance gains `subset_of`, the other library's SHA-256.
 ///
 /// # Errors
 /// [`LibraryError::NoMember`] for a member that isn't there, otherwise as
@@ -13,11 +14,17 @@ use sha2::{Digest, Sha256};
 pub fn subset(bytes: &[u8], members: &[usize]) -> Result<Vec<u8>, LibraryError> {
     let (metadata, data) = format::read(bytes)?;
     let kernel = metadata.validate()?;
-    let pick = |&index: &usize| {
+    let pick = |(place, &index): (usize, &usize)| {
         let count = data.len();
-        data.get(index)
+        let mut member = data
+            .get(index)
             .cloned()
-            .ok_or(LibraryError::NoMember { index, count })
+            .ok_or(LibraryError::NoMember { index, count })?;
+        let before = members[..place].iter().filter(|&&m| m == index).count();
+        if before > 0 {
+            member.label = format!("{} ({})", member.label, before + 1);
+        }
+        Ok(member)
     };
     let mut provenance = metadata.provenance.clone();
     provenance.insert("subset_of".to_owned(), hex(&Sha256::digest(bytes)));
@@ -26,6 +33,10 @@ pub fn subset(bytes: &[u8], members: &[usize]) -> Result<Vec<u8>, LibraryError> 
         kernel,
         vehicle: metadata.vehicle.clone(),
         provenance,
-        members: members.iter().map(pick).collect::<Result<_, _>>()?,
+        members: members
+            .iter()
+            .enumerate()
+            .map(pick)
+            .collect::<Result<_, _>>()?,
     })
 }

@@ -8,12 +8,12 @@ use super::{SettingsError, check, not_negative};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WeightSettings {
-    /// Window `K`: number of past transitions that count. Default 10.
+    /// Window `K`: number of past transitions that count. Default 25.
     pub window: usize,
     /// Divide each output's error by its noise (`S` = 1/std), so that m/s and rad/s may be added. Default true;
     /// false is the paper's `S = I`.
     pub whiten: bool,
-    /// What holds the weights when the window carries no information. Default quadratic with lambda 20.
+    /// What holds the weights when the window carries no information. Default quadratic with lambda 50.
     pub prior: Prior,
     /// Members with a weight at or below this are not evaluated in the control model; the rest is renormalised and
     /// the dropped mass reported. Weights never become zero by themselves. Default 1e-3.
@@ -41,9 +41,9 @@ pub enum Prior {
 impl Default for WeightSettings {
     fn default() -> Self {
         Self {
-            window: 10,
+            window: 25,
             whiten: true,
-            prior: Prior::Quadratic { lambda: 20.0 },
+            prior: Prior::Quadratic { lambda: 50.0 },
             threshold: 1e-3,
             max_active: 8,
         }

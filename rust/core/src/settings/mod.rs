@@ -20,11 +20,14 @@ pub use control::{
 };
 pub use estimation::{Prior, WeightSettings};
 
-/// Settings of the control step. Defaults drive vehicle 1 of CommonRoad at `dt` = 0.05 s.
+/// Settings of the control step. Defaults drive vehicle 1 of CommonRoad at `dt` = 0.02 s.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// Horizon `T`: number of inputs in a plan. Default 20.
+    /// Horizon `T`: number of inputs in a plan. Default 40, 0.8 s at `dt` = 0.02 s.
+    ///
+    /// Chosen by experiment, near the limit and with measurement noise: a period of 0.02 s halved the lateral error
+    /// of 0.05 s with the same data; 30 inputs lost the car more often than 40, and 50 brought nothing more.
     pub horizon: usize,
     /// Vehicle mass in kg, which turns force into the scaled input `a = F_x/m`. Default 1225.887.
     pub mass: f64,
@@ -45,7 +48,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            horizon: 20,
+            horizon: 40,
             mass: 1225.887,
             weights: WeightSettings::default(),
             operating: OperatingSettings::default(),

@@ -11,6 +11,16 @@ pub fn library() -> &'static Library {
     LIBRARY.get_or_init(|| super::library(Kernel::Rbf, &[0.5, 1.1], 250, 3))
 }
 
+/// The defaults over a horizon of 20 and a window of 10: enough to show everything, and quick.
+pub fn settings() -> Settings {
+    let mut settings = Settings {
+        horizon: 20,
+        ..Settings::default()
+    };
+    settings.weights.window = 10;
+    settings
+}
+
 /// A request that owns its numbers: driving a left-hand circle of 60 m radius at 14 m/s, half a metre beside it.
 #[derive(Clone)]
 pub struct Request {
@@ -120,7 +130,7 @@ pub fn solve(request: &Request, settings: &Settings) -> StepReply {
 /// A warm request: the circle with the plan of a cold start.
 pub fn warm() -> Request {
     let mut request = Request::circle();
-    request.carry(&solve(&request, &Settings::default()));
+    request.carry(&solve(&request, &settings()));
     request.plan_shift = 0;
     request
 }

@@ -35,7 +35,11 @@ pub fn library_file(name: &str) -> PathBuf {
 
 pub fn engine() -> Engine {
     let library = Library::from_bytes(library_bytes()).unwrap();
-    Engine::new(library, Settings::default()).unwrap()
+    let settings = Settings {
+        horizon: 20,
+        ..Settings::default()
+    };
+    Engine::new(library, settings).unwrap()
 }
 
 pub fn library_id() -> LibraryId {
