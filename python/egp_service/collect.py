@@ -33,7 +33,7 @@ class CollectionSettings:
     one each time."""
     runs: int = 6
     """Runs on tracks."""
-    samples: int = 100
+    samples: int = 300
     """Vehicles put into random states."""
     exploration: ExplorationSettings = dataclasses.field(default_factory=ExplorationSettings)
     sampling: SamplingBounds = dataclasses.field(default_factory=SamplingBounds)

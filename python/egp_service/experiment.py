@@ -47,7 +47,7 @@ class Experiment:
     """The surface's name; files of the same name become one member."""
     seed: int = 0
     """Seed of everything random."""
-    dt: float = 0.05
+    dt: float = 0.02
     """Control period, s."""
     vehicle: int = 1
     """CommonRoad's number: 1 Ford Escort, 2 BMW 320i."""

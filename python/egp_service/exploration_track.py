@@ -24,7 +24,7 @@ TRACKS: Final[dict[str, Callable[[int], Path]]] = {
 }
 # Farther out than any track's edge: sliding wide is worth recording, driving on a meadow is not.
 _LEAVE: Final = 6.0
-_PREVIEW: Final = 12  # periods of reference the driver sees
+_PREVIEW: Final = 0.6  # s of reference the driver sees
 _GRIP_STEP: Final = 0.05  # speed profiles are made for multiples of it
 
 
@@ -56,7 +56,8 @@ class ExplorationTrack:
     ) -> tuple[NDArray[np.float64], bool]:
         """Return reference rows `[p_x, p_y, v_x, psi]` ahead, and whether x is near the track."""
         profile = self._profile(friction, grip)
-        reference, _, projection = horizon_reference(self._path, profile, x, dt, _PREVIEW)
+        preview = math.ceil(_PREVIEW / dt)
+        reference, _, projection = horizon_reference(self._path, profile, x, dt, preview)
         return reference, abs(projection.lateral) < _LEAVE
 
     def _profile(self, friction: float, grip: float) -> SpeedProfile:

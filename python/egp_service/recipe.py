@@ -5,9 +5,11 @@ The shipped demo library is made by `data/demo-recipe.toml`; `egp train --recipe
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import platform
+import tempfile
 import tomllib
 from importlib import resources
 from importlib.metadata import version
@@ -18,13 +20,17 @@ from egp_service import EgpError
 from egp_service.collect import CollectionSettings, collect
 from egp_service.experiment import Experiment, tool
 from egp_service.exploration import ExplorationSettings
+from egp_service.export import export
+from egp_service.on_policy import OnPolicySettings, drive_laps
 from egp_service.sampling import SamplingBounds
-from egp_service.training import TrainingSettings
+from egp_service.training import TrainingSettings, train
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from contextlib import AbstractContextManager
 
     from egp_service.dataset import Dataset
+    from egp_service.training import FitProgress, TrainedMember
 
 DEMO_RECIPE: Final = Path(str(resources.files("egp_service"))) / "data" / "demo-recipe.toml"
 
@@ -36,6 +42,7 @@ class Recipe:
     experiments: tuple[Experiment, ...]
     collection: CollectionSettings
     training: TrainingSettings
+    on_policy: OnPolicySettings = dataclasses.field(default_factory=OnPolicySettings)
 
     @staticmethod
     def read(path: Path) -> Recipe:
@@ -52,6 +59,7 @@ class Recipe:
         try:
             collection = content.pop("collection", {})
             training = TrainingSettings(**content.pop("training", {}))
+            on_policy = OnPolicySettings(**_tuples(content.pop("on_policy", {})))
             exploration = ExplorationSettings(**_tuples(collection.pop("exploration", {})))
             sampling = SamplingBounds(**_tuples(collection.pop("sampling", {})))
             settings = CollectionSettings(
@@ -61,7 +69,7 @@ class Recipe:
             experiments = tuple(Experiment(**content, **surface) for surface in surfaces)
         except (TypeError, KeyError) as error:
             raise EgpError(f"{path}: not a recipe, {error}") from error
-        return Recipe(experiments, settings, training)
+        return Recipe(experiments, settings, training, on_policy)
 
 
 def collect_all(
@@ -76,6 +84,49 @@ def collect_all(
 
         datasets.append(collect(experiment, recipe.collection, jobs=jobs, report=on_run))
     return datasets
+
+
+@dataclasses.dataclass(frozen=True)
+class Displays:
+    """Where each stage reports its progress; nowhere by default."""
+
+    collecting: Callable[[], AbstractContextManager[Callable[[str, int, int], None]]] = lambda: (
+        contextlib.nullcontext(lambda _label, _done, _total: None)
+    )
+    fitting: Callable[[], AbstractContextManager[Callable[[FitProgress], None]]] = lambda: (
+        contextlib.nullcontext(lambda _step: None)
+    )
+
+
+def follow(
+    recipe: Recipe, *, jobs: int | None = None, displays: Displays | None = None
+) -> tuple[list[Dataset], list[TrainedMember]]:
+    """Collect and train as the recipe says: all data, and the members trained on them.
+
+    After the first training the ensemble itself drives laps, whose data are added before the next
+    one, `on_policy.rounds` times.
+    """
+    show = displays or Displays()
+    with show.collecting() as report:
+        datasets = collect_all(recipe, jobs=jobs, report=report)
+    with show.fitting() as report_fit:
+        members = train(datasets, recipe.training, report_fit)
+    for number in range(recipe.on_policy.rounds):
+        with tempfile.TemporaryDirectory() as folder, show.collecting() as report:
+            library = Path(folder) / "library.safetensors"
+            export(library, members, recipe.training, training_provenance(recipe.training))
+
+            def on_lap(
+                done: int, total: int, report: Callable[[str, int, int], None] = report
+            ) -> None:
+                report("by driving itself", done, total)
+
+            datasets += drive_laps(
+                library, recipe.experiments, recipe.on_policy, number, jobs=jobs, report=on_lap
+            )
+        with show.fitting() as report_fit:
+            members = train(datasets, recipe.training, report_fit)
+    return datasets, members
 
 
 def training_provenance(settings: TrainingSettings) -> dict[str, str]:

@@ -109,25 +109,34 @@ def rollout_error(
 
 
 def validation_table(matrix: list[list[Cell]]) -> Table:
-    """Return the matrix for the terminal, one row for each member on each surface."""
+    """Return the matrix for the terminal, a row for each member, surface and output."""
     table = Table(
         "member",
         "on surface",
-        *(f"{metric}\n{name}" for metric in ("RMSE", "NLPD", "95 %") for name in OUTPUTS),
-        *(f"after {ROLLOUT:g} s\n{name}" for name in ("v_x", "v_y", "omega")),
+        "output",
+        "RMSE",
+        "NLPD",
+        "in 95 %",
+        f"after {ROLLOUT:g} s",
         title="Validation on held-out trajectories (m/s, rad/s)",
         box=box.SIMPLE_HEAD,
     )
     for row in matrix:
         for cell in row:
-            table.add_row(
-                cell.member,
-                cell.surface,
-                *(f"{value:.4f}" for value in cell.rmse),
-                *(f"{value:.2f}" for value in cell.nlpd),
-                *(f"{value:.2f}" for value in cell.coverage),
-                *(f"{value:.3f}" for value in cell.rollout),
-                style="bold" if cell.member == cell.surface else "",
-            )
+            names = (cell.member, cell.surface)
+            for output, *values in zip(
+                OUTPUTS, cell.rmse, cell.nlpd, cell.coverage, cell.rollout, strict=True
+            ):
+                rmse, nlpd, coverage, rollout = values
+                table.add_row(
+                    *names,
+                    output,
+                    f"{rmse:.4f}",
+                    f"{nlpd:.2f}",
+                    f"{coverage:.2f}",
+                    f"{rollout:.3f}",
+                    style="bold" if cell.member == cell.surface else "",
+                )
+                names = ("", "")
         table.add_section()
     return table

@@ -47,7 +47,7 @@ def test_rows_follow_each_other_in_time(run: Dataset) -> None:
     np.testing.assert_array_equal(run.step[1:][same], run.step[:-1][same] + 1)
     end = run.z[:-1, :3] + run.y[:-1]
     np.testing.assert_allclose(end[same], run.z[1:, :3][same], atol=1e-12)
-    steered = run.z[:-1, 3] + 0.05 * run.z[:-1, 5]
+    steered = run.z[:-1, 3] + 0.02 * run.z[:-1, 5]
     np.testing.assert_allclose(steered[same], run.z[1:, 3][same], atol=1e-9)
 
 
@@ -79,7 +79,7 @@ def test_transitions_are_the_plants() -> None:
     plant.reset(0.0, 0.0, 0.0, v_x, omega, v_y, delta)
     for k in range(2):
         before = plant.vehicle_state
-        plant.step(one.z[k, 4:], 0.05, 0.5)
+        plant.step(one.z[k, 4:], 0.02, 0.5)
         change = (plant.vehicle_state - before)[[2, 4, 5]]
         np.testing.assert_allclose(one.y[k], change, atol=1e-12)
 

@@ -10,8 +10,7 @@ import pytest
 from egp_service import EgpError
 from egp_service._core import Library
 from egp_service.export import export
-from egp_service.recipe import DEMO_RECIPE, Recipe, collect_all, training_provenance
-from egp_service.training import train
+from egp_service.recipe import DEMO_RECIPE, Recipe, follow, training_provenance
 from egp_service.validation import validate
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ TOLERANCE_IN_NOISE = 0.1
 
 def test_rebuilds_from_its_recipe(tmp_path: Path) -> None:
     recipe = Recipe.read(DEMO_RECIPE)
-    members = train(collect_all(recipe, report=lambda _label, _done, _total: None), recipe.training)
+    _, members = follow(recipe)
     path = tmp_path / "rebuilt.safetensors"
     export(path, members, recipe.training, training_provenance(recipe.training))
     rebuilt, shipped = Library.load(path), Library.load(SHIPPED)

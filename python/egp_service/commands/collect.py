@@ -15,13 +15,13 @@ def collect(
     surface: Annotated[
         str | None, typer.Option(help="Name of the surface; files of one name make one member.")
     ] = None,
-    dt: Annotated[float, typer.Option(help="Control period, s.")] = 0.05,
+    dt: Annotated[float, typer.Option(help="Control period, s.")] = 0.02,
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     vehicle: Annotated[
         str, typer.Option(help="CommonRoad number of the simulated car; for a log, its name.")
     ] = "1",
     runs: Annotated[int, typer.Option(help="Runs on tracks, at rising speed.")] = 6,
-    samples: Annotated[int, typer.Option(help="Cars put into random states.")] = 100,
+    samples: Annotated[int, typer.Option(help="Cars put into random states.")] = 300,
     track: Annotated[
         list[str] | None, typer.Option(help="Track of the runs; repeat for more, taken in turn.")
     ] = None,

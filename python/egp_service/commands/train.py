@@ -41,7 +41,7 @@ def train(
     from egp_service._core import Library
     from egp_service.dataset import Dataset
     from egp_service.export import export
-    from egp_service.recipe import Recipe, collect_all, training_provenance
+    from egp_service.recipe import Displays, Recipe, follow, training_provenance
     from egp_service.training import TrainingSettings
     from egp_service.training import train as train_members
     from egp_service.training_progress import collecting, fitting
@@ -53,8 +53,8 @@ def train(
     if recipe is not None:
         plan = Recipe.read(recipe)
         settings = plan.training
-        with collecting(console) as report_collection:
-            datasets = collect_all(plan, report=report_collection)
+        displays = Displays(lambda: collecting(console), lambda: fitting(console))
+        _, members = follow(plan, displays=displays)
     else:
         settings = TrainingSettings(
             kernel=kernel,
@@ -64,8 +64,8 @@ def train(
             seed=seed,
         )
         datasets = [Dataset.read(path) for path in data or []]
-    with fitting(console) as report:
-        members = train_members(datasets, settings, report)
+        with fitting(console) as report:
+            members = train_members(datasets, settings, report)
     export(output, members, settings, training_provenance(settings))
     library = Library.load(output)
     held_out = {member.dataset.provenance.surface: member.validation for member in members}

@@ -1,0 +1,45 @@
+"""Laps driven by the ensemble itself become data of the surfaces they were driven on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from egp_service import EgpError
+from egp_service.experiment import Experiment
+from egp_service.on_policy import OnPolicySettings, drive_laps
+from egp_service.scenario import library_path, load_scenario
+
+LIBRARY = library_path(load_scenario("rounded-rectangle"))
+SURFACES = [
+    Experiment(friction=mu, label=f"mu {mu}", dt=0.02, seed=seed)
+    for seed, mu in enumerate((0.5, 1.1))
+]
+TWO_LAPS = OnPolicySettings(rounds=1, laps=2, grip=(0.7, 0.8))
+
+
+def test_each_surface_gets_its_own_transitions() -> None:
+    done: list[tuple[int, int]] = []
+    datasets = drive_laps(
+        LIBRARY, SURFACES, TWO_LAPS, jobs=2, report=lambda d, t: done.append((d, t))
+    )
+    assert done == [(1, 2), (2, 2)]
+    wet, dry = datasets
+    assert (wet.provenance.surface, dry.provenance.surface) == ("mu 0.5", "mu 1.1")
+    for dataset, mu in ((wet, 0.5), (dry, 1.1)):
+        assert len(dataset) > 200
+        lateral = np.abs(dataset.z[:, 0] * dataset.z[:, 2])
+        assert np.max(lateral) < 1.1 * mu * 9.81
+        # A trajectory is one piece of one lap: its rows follow each other.
+        same = np.diff(dataset.trajectory.astype(int)) == 0
+        assert np.all(np.diff(dataset.step.astype(int))[same] == 1)
+        ends = dataset.z[:-1, :3] + dataset.y[:-1]
+        assert np.allclose(ends[same], dataset.z[1:, :3][same], atol=1e-12)
+    assert np.max(dry.z[:, 0]) > np.max(wet.z[:, 0])
+    again = drive_laps(LIBRARY, SURFACES, TWO_LAPS, jobs=1)
+    assert [dataset.digest() for dataset in again] == [dataset.digest() for dataset in datasets]
+
+
+def test_without_surfaces_there_is_nothing_to_drive_on() -> None:
+    with pytest.raises(EgpError, match="no surfaces"):
+        drive_laps(LIBRARY, [], TWO_LAPS)
