@@ -534,7 +534,8 @@ def write_library_subset(
 ) -> None:
     """Write a library of some of another one's members (by index), bit for bit the same GPs.
 
-    Raises `LibraryError` when there is no such member, `OSError` when reading or writing fails.
+    A member taken more than once gets a number behind its label. Raises `LibraryError` when there
+    is no such member, `OSError` when reading or writing fails.
     """
 
 # ocp.rs

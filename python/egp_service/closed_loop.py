@@ -7,8 +7,9 @@ missed deadline means what it means on a vehicle: the tail of the last plan.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -19,13 +20,13 @@ from egp_service.summary import Ending, Summary, summarise
 from egp_service.trace import Period, Trace, Truth
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from egp_service._core import Path, Projection
     from egp_service.scenario import Measurement, Scenario
-    from egp_service.stepper import Stepper
+    from egp_service.stepper import Step
 
 # The friction under the vehicle is looked up this often within a control period.
 FRICTION_UPDATES = 10
@@ -36,13 +37,38 @@ PATIENCE = 2.0
 STANDSTILL = 0.3
 
 
+class Drives(Protocol):
+    """What can drive: every `Stepper`, and whatever else turns states into commands."""
+
+    dt: float
+    horizon: int
+
+    @property
+    def library(self) -> bytes:
+        """SHA-256 of the library, empty without one."""
+
+    @property
+    def members(self) -> Sequence[str]:
+        """Surfaces behind the weights."""
+
+    def step(
+        self,
+        x: ArrayLike,
+        reference: ArrayLike,
+        widths: ArrayLike | None = None,
+        *,
+        deadline: float | None = None,
+    ) -> Step:
+        """Give the command for a measured state and a reference; see `Stepper.step`."""
+
+
 @dataclass(frozen=True, slots=True)
 class Run:
     """A finished run."""
 
     scenario: Scenario
     path: Path
-    members: list[str]
+    members: Sequence[str]
     frictions: NDArray[np.float64]
     """(N,) friction coefficients of the members' surfaces."""
     dt: float
@@ -50,7 +76,7 @@ class Run:
     summary: Summary
 
 
-def drive(scenario: Scenario, stepper: Stepper, observe: Callable[[Period], None]) -> Run:
+def drive(scenario: Scenario, stepper: Drives, observe: Callable[[Period], None]) -> Run:
     """Drive the scenario with `stepper`, showing each period to `observe`.
 
     The scenario's library file is read for the members' friction coefficients, which the pictures
@@ -84,7 +110,7 @@ def drive(scenario: Scenario, stepper: Stepper, observe: Callable[[Period], None
 class _Loop:
     """The vehicle on its course, between periods."""
 
-    def __init__(self, scenario: Scenario, stepper: Stepper) -> None:
+    def __init__(self, scenario: Scenario, stepper: Drives) -> None:
         self._scenario = scenario
         self._stepper = stepper
         self.path = build_path(scenario)
@@ -92,6 +118,8 @@ class _Loop:
         self._noise = _noise(scenario.measurement)
         self._random = np.random.default_rng(scenario.seed)
         self._plant = Plant(scenario.vehicle)
+        # What was commanded and has not yet reached the wheels.
+        self._pending = deque([np.zeros(2)] * scenario.actuator_delay)
         self._s = 0.0
         self._distance = 0.0
         self._ticks = 0
@@ -132,10 +160,12 @@ class _Loop:
     def advance(self, period: Period) -> Ending | None:
         """Drive one period on; gives the ending when there is one."""
         dt = self._stepper.dt
+        self._pending.append(period.step.u)
+        u = self._pending.popleft()
         for _ in range(FRICTION_UPDATES):
             friction = self._project(self._plant.vehicle_state).friction
             try:
-                self._plant.step(period.step.u, dt / FRICTION_UPDATES, friction)
+                self._plant.step(u, dt / FRICTION_UPDATES, friction)
             except EgpError as error:
                 return self._ending(f"lost control: {error}")
         self._ticks += 1

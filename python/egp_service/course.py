@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from egp_service._core import Path, SpeedProfile
 from egp_service.scenario import Scenario, ScenarioError
@@ -10,7 +13,20 @@ from egp_service.scenario import Scenario, ScenarioError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+# A long lap with fast and slow corners of both directions.
+_CIRCUIT_SEED = 11
+
+
+def _circle(radius: float = 50.0, track_width: float = 7.0) -> Path:
+    """Make a counter-clockwise circle that starts along +x."""
+    angle = np.linspace(-0.5 * np.pi, 1.5 * np.pi, 72, endpoint=False)
+    points = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    return Path.from_points(points, closed=True, widths=np.full((72, 2), 0.5 * track_width))
+
+
 TRACKS: dict[str, Callable[..., Path]] = {
+    "circle": _circle,
+    "circuit": partial(Path.random, _CIRCUIT_SEED),
     "rounded-rectangle": Path.rounded_rectangle,
     "l-shape": Path.l_shape,
     "lane-change": Path.lane_changes,
@@ -44,4 +60,6 @@ def build_path(scenario: Scenario) -> Path:
 
 def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:
     """Plan the reference speed: `speed.grip` of what each zone holds, at most `speed.v_max`."""
+    if scenario.speed.constant:
+        return SpeedProfile.constant(path, scenario.speed.v_max)
     return SpeedProfile(path, scenario.speed.grip, scenario.speed.v_max)

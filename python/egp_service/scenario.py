@@ -17,6 +17,7 @@ from egp_service.toml_text import dumps
 
 BUILT_IN = resources.files("egp_service") / "scenarios"
 DEMO_LIBRARY = "demo"
+MAX_DELAY = 100
 
 
 class ScenarioError(ConfigurationError):
@@ -38,7 +39,8 @@ class Track:
     """Where to drive: a built-in kind with its measures, or a CSV file."""
 
     kind: str
-    """`rounded-rectangle`, `l-shape`, `lane-change`, `iso-3888-2`, `random`, or `csv`."""
+    """`rounded-rectangle`, `l-shape`, `circle`, `circuit`, `lane-change`, `iso-3888-2`, `random`,
+    or `csv`."""
     file: str | None = None
     """Raceline or centre line, for kind `csv`; relative to the scenario file."""
     parameters: dict[str, float] = field(default_factory=dict)
@@ -54,6 +56,8 @@ class Speed:
     controller does not."""
     v_max: float = 20.0
     """m/s."""
+    constant: bool = False
+    """Drive at `v_max` throughout, whatever the surface holds."""
     v_start: float | None = None
     """Speed at the start, m/s; by default the profile's."""
 
@@ -88,6 +92,8 @@ class Scenario:
     """How often to drive round a closed track."""
     leave_distance: float = 3.0
     """The run ends when the vehicle is farther than this from the reference, m."""
+    actuator_delay: int = 0
+    """Control periods from the command to the wheels, beyond the plant's own."""
     speed: Speed = field(default_factory=Speed)
     measurement: Measurement = field(default_factory=Measurement)
     control: dict[str, object] = field(default_factory=dict)
@@ -153,6 +159,10 @@ def _check(scenario: Scenario, origin: str) -> None:
     starts = [zone.start for zone in scenario.zones]
     if any(later <= earlier for earlier, later in pairwise(starts)):
         raise ScenarioError(f"{origin}: zones must be in order of start")
+    if not 0 <= scenario.actuator_delay <= MAX_DELAY:
+        raise ScenarioError(
+            f"{origin}: actuator_delay must be in 0..={MAX_DELAY}, got {scenario.actuator_delay}"
+        )
     positive = {
         "speed.grip": scenario.speed.grip,
         "speed.v_max": scenario.speed.v_max,

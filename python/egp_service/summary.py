@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from egp_service.trace import Trace
@@ -69,7 +71,7 @@ class Summary:
 
 
 def summarise(
-    trace: Trace, ending: Ending, *, scenario: str, library: str, members: list[str], dt: float
+    trace: Trace, ending: Ending, *, scenario: str, library: str, members: Sequence[str], dt: float
 ) -> Summary:
     """Summary of a run of at least one period."""
     milliseconds = 1e3 * trace.step_time

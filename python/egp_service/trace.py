@@ -79,7 +79,7 @@ class Trace:
             "speed_error": [truth.x[2] - truth.speed_reference for truth in truths],
             "weights": np.array(
                 [step.weights if step.weights.size else unknown for step in steps]
-            ).reshape(-1, members),
+            ).reshape(len(steps), members),
             "step_time": [step.timings.total for step in steps],
             "mode": [step.mode for step in steps],
             "status": [step.status for step in steps],
