@@ -41,7 +41,7 @@ fn main() {
 }
 
 fn warm_step(library: &Library) {
-    let settings = Settings::default();
+    let settings = support::request::settings();
     let mut ws = Workspace::new(library, &settings).unwrap();
     let mut reply = StepReply::default();
     let mut request = support::request::Request::circle();

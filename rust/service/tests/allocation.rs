@@ -8,7 +8,7 @@ use std::cell::Cell;
 
 use common::{engine, library, request};
 use counting::allocations;
-use egp_core::{Settings, StepReply, StepRequest, Workspace, step};
+use egp_core::{StepReply, StepRequest, Workspace, step};
 use egp_service::Stepper;
 use egp_wire::{Carry, Limits, Reply, Status};
 
@@ -88,7 +88,7 @@ fn from_bytes_to_bytes_a_warm_step_allocates_nothing() {
 
 #[test]
 fn the_mathematics_alone_allocates_nothing() {
-    let (library, settings) = (library::request::library(), Settings::default());
+    let (library, settings) = (library::request::library(), library::request::settings());
     let mut workspace = Workspace::new(library, &settings).unwrap();
     let mut reply = StepReply::default();
     let (cold, warm) = (
