@@ -21,6 +21,7 @@ import torch
 from mpc import Mpc
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -99,14 +100,14 @@ class Member:
             mean = torch.stack([gp(query).mean for gp in self.outputs], dim=-1)
             return np.asarray(mean * self.target_std + self.target_mean)
 
-    def mean_jacobian(self, z: Array) -> tuple[Array, Array]:
+    def mean_jacobian(self, z: Array, outputs: Sequence[int] = range(NY)) -> tuple[Array, Array]:
         """Mean (n, 3) and Jacobian (n, 3, 6); queries are independent, so one sum serves all."""
         query = torch.from_numpy(z).requires_grad_()
         scaled = (query - self.input_mean) / self.input_std
         means, gradients = [], []
         with gpytorch.settings.skip_posterior_variances():
-            for o, gp in enumerate(self.outputs):
-                mean = gp(scaled).mean * self.target_std[o] + self.target_mean[o]
+            for o in outputs:
+                mean = self.outputs[o](scaled).mean * self.target_std[o] + self.target_mean[o]
                 (gradient,) = torch.autograd.grad(mean.sum(), query, retain_graph=True)
                 means.append(mean.detach())
                 gradients.append(gradient)

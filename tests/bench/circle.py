@@ -1,0 +1,99 @@
+"""Requests of a car on a circle that moves exactly as a blend of at most three members says.
+
+So the library may have any number of members, of which at most three have a weight that counts.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egp_service._core import Carry, Engine, Library, MemberData, decode_reply, write_library
+
+sys.path.append(str(Path(__file__).parents[1]))
+from library_example import member_arrays
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+POINTS, HORIZON, WINDOW = 700, 20, 10
+SETTINGS = f"horizon = {HORIZON}\n[weights]\nwindow = {WINDOW}"
+SHARES = (0.5, 0.3, 0.2)
+RADIUS, SPEED = 60.0, 14.0
+
+
+def make_members(count: int, advance: Callable[[], object]) -> list[MemberData]:
+    """Fit `count` members of 700 points, calling `advance` after each."""
+    members = []
+    for seed in range(count):
+        arrays = member_arrays(0.4 + 0.8 * seed / max(1, count - 1), POINTS, seed)
+        members.append(MemberData(**arrays))
+        advance()
+    return members
+
+
+def write(path: Path, members: list[MemberData]) -> None:
+    """Write the members as a library."""
+    write_library(
+        path,
+        dt=0.05,
+        kernel="rbf",
+        vehicle="commonroad-1",
+        members=members,
+        provenance={"source": "benchmark"},
+    )
+
+
+def blend(count: int) -> Array:
+    """Weights of the true blend; what members there are not goes to the last."""
+    weights = np.zeros(count)
+    for n, share in enumerate(SHARES):
+        weights[min(n, count - 1)] += share
+    return weights
+
+
+def drive(path: Path, periods: int, *, want_sigma: bool) -> list[bytes]:
+    """Drive with the library at `path`; return the requests once the window is full."""
+    library, engine = Library.load(path), Engine(str(path), SETTINGS)
+    weights = blend(len(library.members))
+    carry = Carry(bytes.fromhex(library.id), WINDOW)
+    carry.weights = weights
+    x = np.array([0.0, -0.5, 13.0, 0.0, 0.0, 0.2, 0.03])
+    stages = np.arange(HORIZON + 1)
+    requests = []
+    for period in range(periods + WINDOW + 1):
+        ahead = np.arctan2(x[0], RADIUS - x[1]) + SPEED * library.dt * stages / RADIUS
+        place = RADIUS * np.stack([np.sin(ahead), 1.0 - np.cos(ahead)])
+        reference = np.stack([*place, np.full(HORIZON + 1, SPEED), ahead], axis=1)
+        request = carry.request(
+            x, reference, np.full((HORIZON + 1, 2), 3.0), budget_us=1_000_000, want_sigma=want_sigma
+        )
+        reply = engine.step(request)
+        carry.accept(reply)
+        if period > WINDOW:
+            requests.append(request)
+        u = decode_reply(reply).plan_u[0]
+        carry.applied((float(u[0]), float(u[1])))
+        x = follow(library, weights, x, u)
+    return requests
+
+
+def follow(library: Library, weights: Array, x: Array, u: Array) -> Array:
+    """Move as eqs. (3), (10) and (11) say, with the members' blend."""
+    z = np.array([[x[2], x[4], x[5], x[6], *u]])
+    change = sum(w * library.predict(z, n)[0][0] for n, w in enumerate(weights) if w > 0.0)
+    v_x, psi, v_y, omega = x[2:6]
+    turned = [v_x * np.cos(psi) - v_y * np.sin(psi), v_x * np.sin(psi) + v_y * np.cos(psi)]
+    following = x.copy()
+    following[:2] += library.dt * np.array(turned)
+    following[3] += library.dt * omega
+    following[6] += library.dt * u[1]
+    following[[2, 4, 5]] += change
+    return following
