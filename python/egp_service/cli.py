@@ -13,6 +13,7 @@ from egp_service._core import EgpError
 from egp_service.commands.collect import collect
 from egp_service.commands.demo import demo
 from egp_service.commands.drive import drive
+from egp_service.commands.evaluate import evaluate
 from egp_service.commands.inspect import inspect
 from egp_service.commands.serve import serve
 from egp_service.commands.train import train
@@ -29,6 +30,9 @@ The chain, step by step:
   egp train data/*.parquet -o library.safetensors
   egp inspect library.safetensors
   egp drive --library library.safetensors
+
+The paper's experiments, with baselines:
+  egp evaluate --quick
 
 As a service for vehicles:
   egp serve library.safetensors --listen tcp/0.0.0.0:7447
@@ -50,7 +54,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (collect, train, inspect, serve, drive, demo):
+for command in (collect, train, inspect, serve, drive, demo, evaluate):
     app.command(no_args_is_help=False)(command)
 
 

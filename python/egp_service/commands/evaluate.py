@@ -1,0 +1,184 @@
+"""`egp evaluate`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+    from egp_service.evaluation.campaign import Campaign, Outcome
+    from egp_service.evaluation.experiments import Experiment
+    from egp_service.evaluation.prediction import PredictionOutcome
+
+_SHOWN = ("varying-speed", "unseen-track", "lane-change", "four-members")
+_QUICK_TRANSITIONS = 200
+_QUICK_ITERATIONS = 20
+
+
+def evaluate(
+    *,
+    full: Annotated[
+        bool, typer.Option("--full/--quick", help="All seeds, or a few: minutes instead of hours.")
+    ] = False,
+    experiment: Annotated[
+        list[str] | None, typer.Option("--experiment", "-e", help="Only this one; repeat for more.")
+    ] = None,
+    library: Annotated[
+        Path | None, typer.Option(help="Library instead of the shipped one, with the same members.")
+    ] = None,
+    train: Annotated[
+        bool, typer.Option("--train", help="Train the library first, as the shipped one was.")
+    ] = False,
+    jobs: Annotated[int | None, typer.Option(help="Processes; one per core by default.")] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder; what is there already is not run again.")
+    ] = Path("runs/evaluation"),
+) -> None:
+    """Rerun the paper's experiments, with baselines, and write report.html.
+
+    An interrupted evaluation goes on where it stopped when it is called again. Needs the [train]
+    and [viz] extras.
+
+    For example:
+      egp evaluate --quick
+      egp evaluate --full -o runs/full
+      egp evaluate --full -e varying-speed -e random-roads
+    """
+    import shlex
+    import sys
+
+    from egp_service.evaluation import scaling
+    from egp_service.evaluation.campaign import SHIPPED, Campaign
+    from egp_service.evaluation.experiments import CUSTOM_TRACK, EXPERIMENTS
+    from egp_service.evaluation.summary_report import headline, write_report
+    from egp_service.scenario import Scenario, Zone
+
+    console = Console()
+    names = [e.name for e in EXPERIMENTS]
+    chosen = _chosen(experiment, ["prediction", *names, "step-times"])
+    source = _train(console, output) if train else library or SHIPPED
+    campaign = Campaign(output, source)
+    driven = [e for e in EXPERIMENTS if e.name in chosen]
+    predictions = _predict(console, output, full=full, jobs=jobs) if "prediction" in chosen else []
+    outcomes = _drive(console, campaign, driven, full=full, jobs=jobs)
+    scenario = Scenario("step-times", CUSTOM_TRACK, (Zone(0.0, 0.8),))
+    times = []
+    if "step-times" in chosen:
+        with console.status("Timing the control step ..."):
+            times = scaling.measure(source, scenario, periods=200 if full else 60)
+    with console.status("Drawing ..."):
+        shown = {e.name: campaign.drives(e) for e in driven if e.name in _SHOWN}
+        command = shlex.join(["egp", *sys.argv[1:]])
+        report = write_report(
+            output,
+            command,
+            outcomes=outcomes,
+            predictions=predictions,
+            times=times,
+            drives=shown,
+        )
+    _print(console, headline(outcomes))
+    console.print(f"Look at {report}", highlight=False)
+
+
+def _chosen(experiment: list[str] | None, known: list[str]) -> list[str]:
+    from egp_service import EgpError
+
+    for name in experiment or []:
+        if name not in known:
+            raise EgpError(f"no experiment {name!r}; known: {', '.join(known)}")
+    return experiment or known
+
+
+def _train(console: Console, output: Path) -> Path:
+    from egp_service.evaluation.library import make, write
+    from egp_service.recipe import Displays
+    from egp_service.training_progress import collecting, fitting
+
+    path = output / "library.safetensors"
+    if not path.exists():
+        output.mkdir(parents=True, exist_ok=True)
+        displays = Displays(lambda: collecting(console), lambda: fitting(console))
+        write(path, make(displays))
+    return path
+
+
+def _predict(
+    console: Console, output: Path, *, full: bool, jobs: int | None
+) -> "list[PredictionOutcome]":
+    from egp_service.evaluation.prediction import PredictionSettings, run
+
+    settings = (
+        PredictionSettings()
+        if full
+        else PredictionSettings(1, _QUICK_TRANSITIONS, _QUICK_ITERATIONS)
+    )
+    with _progress(console) as progress:
+        task = progress.add_task("prediction: training and testing seeds", total=settings.seeds)
+
+        def report(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        return run(settings, output / "prediction.json", jobs=jobs, report=report)
+
+
+def _drive(
+    console: Console,
+    campaign: "Campaign",
+    experiments: "list[Experiment]",
+    *,
+    full: bool,
+    jobs: int | None,
+) -> "list[Outcome]":
+    outcomes: list[Outcome] = []
+    with _progress(console) as progress:
+        for experiment in experiments:
+            task = progress.add_task(experiment.name, total=None)
+            lost = 0
+
+            def report(outcome: "Outcome", done: int, total: int, task: "TaskID" = task) -> None:
+                nonlocal lost
+                lost += not outcome.completed
+                text = f"{outcome.experiment}: {lost} not completed"
+                progress.update(task, completed=done, total=total, description=text)
+
+            seeds = range(experiment.seeds if full else experiment.quick_seeds)
+            own = campaign.run(experiment.trials(seeds), jobs=jobs, report=report)
+            progress.update(task, completed=len(own), total=len(own))
+            outcomes += own
+    return outcomes
+
+
+def _progress(console: Console) -> "Progress":
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+def _print(console: Console, rows: list[tuple[str, ...]]) -> None:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for head in ("experiment", "condition", "ensemble", "best baseline", "oracle"):
+        table.add_column(head)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)

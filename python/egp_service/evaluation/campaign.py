@@ -1,0 +1,190 @@
+"""Many trials in parallel; every finished one is a line in `runs.jsonl`, to go on from later."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egp_service._core import EgpError, Library, write_library_subset
+from egp_service.closed_loop import drive
+from egp_service.course import build_path
+from egp_service.evaluation.contenders import ENSEMBLE, make
+from egp_service.evaluation.settling import settling_times
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from egp_service.closed_loop import Run
+    from egp_service.evaluation.experiments import Experiment, Trial
+    from egp_service.scenario import Scenario
+
+SHIPPED = Path(str(resources.files("egp_service"))) / "data" / "evaluation-library.safetensors"
+SHOWN_CONTENDERS = (ENSEMBLE, "pooled GP", "single-track")
+_HALF_WIDTH = 0.85  # of the vehicle, m
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A finished trial. Errors of a run that did not come through count up to where it ended."""
+
+    experiment: str
+    condition: str
+    contender: str
+    seed: int
+    completed: bool
+    reason: str
+    time: float
+    """s."""
+    distance: float
+    """m."""
+    lateral_max: float
+    """m."""
+    lateral_rms: float
+    speed_rms: float
+    """m/s."""
+    off_track: float
+    """Time in which a side of the vehicle was beyond the track's edge, s."""
+    settling: tuple[float, ...]
+    """Time from each friction change under excitation until the weights stay, s."""
+    misses: int
+    """Periods without a usable plan."""
+    step_ms: float
+    """Median time of a step, on machines as busy as this one was."""
+
+
+class Campaign:
+    """Trials in a folder: libraries of the contenders, outcomes so far."""
+
+    def __init__(self, folder: Path, library: Path) -> None:
+        """Take up the campaign in `folder`, or begin one with the members of `library`.
+
+        Raises `EgpError` when the folder belongs to another library.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        self._source = library
+        self._id = Library.load(library).id
+        self._log = folder / "runs.jsonl"
+        mark = folder / "library.sha256"
+        if mark.exists() and mark.read_text(encoding="utf-8") != self._id:
+            raise EgpError(f"{folder} holds runs of another library: choose another --output")
+        mark.write_text(self._id, encoding="utf-8")
+
+    def outcomes(self) -> dict[str, Outcome]:
+        """Outcomes so far by their trial's fingerprint."""
+        if not self._log.exists():
+            return {}
+        found = {}
+        for line in self._log.read_text(encoding="utf-8").splitlines():
+            try:
+                entry = json.loads(line)
+            except json.JSONDecodeError:  # the line an interrupted campaign was writing
+                continue
+            settling = tuple(entry["outcome"].pop("settling"))
+            found[entry["trial"]] = Outcome(**entry["outcome"], settling=settling)
+        return found
+
+    def run(
+        self,
+        trials: Iterable[Trial],
+        *,
+        jobs: int | None = None,
+        report: Callable[[Outcome, int, int], None],
+    ) -> list[Outcome]:
+        """Run what has no outcome yet; gives the outcomes of all `trials`, in their order."""
+        wanted = [self._with_library(trial) for trial in trials]
+        names = [fingerprint(trial, self._id) for trial in wanted]
+        known = self.outcomes()
+        missing = [
+            (name, trial) for name, trial in zip(names, wanted, strict=True) if name not in known
+        ]
+        # Spawned, not forked: a fork would copy thread pools half.
+        spawn = multiprocessing.get_context("spawn")
+        with (
+            ProcessPoolExecutor(jobs or os.cpu_count(), spawn) as pool,
+            self._log.open("a", encoding="utf-8") as log,
+        ):
+            pending = {pool.submit(run_trial, trial): name for name, trial in missing}
+            for future in as_completed(pending):
+                outcome, name = future.result(), pending[future]
+                known[name] = outcome
+                log.write(json.dumps({"trial": name, "outcome": asdict(outcome)}) + "\n")
+                log.flush()
+                report(outcome, len(wanted) - len(missing) + 1, len(wanted))
+        return [known[name] for name in names]
+
+    def drives(self, experiment: Experiment) -> list[tuple[str, Run]]:
+        """Drive the first seed of the second condition, or the only one, again, to show it."""
+        condition, _ = experiment.conditions[min(1, len(experiment.conditions) - 1)]
+        trials = [t for t in experiment.trials([0]) if t.condition == condition]
+        shown = [t for t in trials if t.contender.name in SHOWN_CONTENDERS]
+        return [(t.contender.name, drive_trial(self._with_library(t))) for t in shown]
+
+    def _with_library(self, trial: Trial) -> Trial:
+        """Give the trial the library of its contender's members, made when it is first needed."""
+        members = trial.contender.members
+        path = self._folder / "libraries" / f"{'-'.join(map(str, members))}.safetensors"
+        if not path.exists():
+            path.parent.mkdir(exist_ok=True)
+            write_library_subset(self._source, path, list(members))
+        control = {**trial.scenario.control, **(trial.contender.control or {})}
+        return replace(trial, scenario=replace(trial.scenario, library=str(path), control=control))
+
+
+def fingerprint(trial: Trial, library: str) -> str:
+    """Identify a trial by everything that its outcome depends on."""
+    scenario = replace(trial.scenario, library=library).toml()
+    text = json.dumps([*trial.key, trial.contender.kind, trial.contender.members, scenario])
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def run_trial(trial: Trial) -> Outcome:
+    """Drive one trial in this process."""
+    return _outcome(trial, drive_trial(trial))
+
+
+def drive_trial(trial: Trial) -> Run:
+    """Drive one trial and keep its trace; its scenario names its library."""
+    return drive(trial.scenario, make(trial.contender, trial.scenario), lambda _: None)
+
+
+def _outcome(trial: Trial, run: Run) -> Outcome:
+    summary = run.summary
+    experiment, condition, contender, seed = trial.key
+    return Outcome(
+        experiment=experiment,
+        condition=condition,
+        contender=contender,
+        seed=seed,
+        completed=summary.ending.completed,
+        reason=summary.ending.reason,
+        time=summary.ending.time,
+        distance=summary.ending.distance,
+        lateral_max=summary.lateral_error.max,
+        lateral_rms=summary.lateral_error.rms,
+        speed_rms=summary.speed_error.rms,
+        off_track=_off_track(trial.scenario, run),
+        settling=tuple(settling_times(run)),
+        misses=summary.periods - summary.solver_statuses.get("solved", 0),
+        step_ms=summary.step_time_ms["p50"],
+    )
+
+
+def _off_track(scenario: Scenario, run: Run) -> float:
+    """Seconds with a side of the vehicle beyond the track's edge."""
+    path = build_path(scenario)
+    distance = run.trace.distance
+    s = np.mod(distance, path.length) if path.closed else np.clip(distance, 0.0, path.length)
+    _, _, _, _, left, right, _ = path.sample(s)
+    lateral = run.trace.lateral_error
+    beyond = (lateral > left - _HALF_WIDTH) | (-lateral > right - _HALF_WIDTH)
+    return float(np.sum(beyond) * run.dt)

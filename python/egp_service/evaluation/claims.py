@@ -1,0 +1,191 @@
+"""What the controller is meant to do, checked against the outcomes; failures stay failures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
+from egp_service.evaluation.statistics import grouped
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from egp_service.evaluation.campaign import Outcome
+    from egp_service.evaluation.prediction import PredictionOutcome
+
+POOLED: Final = "A∪D"  # noqa: RUF001 - the union
+COMPLETES: Final = (
+    ("varying-speed", ("80% of grip", "90% of grip")),
+    ("unseen-track", None),
+    ("lane-change", None),
+    ("four-members", None),
+)
+BEYOND: Final = ("random-roads", "hard-roads")
+MIXED: Final = ("varying-speed", "unseen-track", "lane-change", "four-members", "random-roads")
+_SHARE: Final = 0.95
+_REGRET: Final = 1.2
+_SETTLED: Final = 0.5  # s
+_EXCITED: Final = ("2 m/s² lateral", "3 m/s² lateral", "4 m/s² lateral")
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A claim and whether the outcomes bear it out."""
+
+    text: str
+    holds: bool
+    evidence: str
+
+
+def check(outcomes: Sequence[Outcome], predictions: Sequence[PredictionOutcome]) -> list[Claim]:
+    """Check every claim for which there are outcomes."""
+    claims = [
+        *_completions(outcomes),
+        *_beyond(outcomes),
+        *_regret(outcomes),
+        *_best(outcomes),
+        *_settling(outcomes),
+    ]
+    if predictions:
+        claims.append(_ordering(predictions))
+    return claims
+
+
+def _completions(outcomes: Sequence[Outcome]) -> list[Claim]:
+    claims = []
+    for experiment, conditions in COMPLETES:
+        runs = [
+            o
+            for o in outcomes
+            if o.experiment == experiment
+            and o.contender == ENSEMBLE
+            and (conditions is None or o.condition in conditions)
+        ]
+        if runs:
+            where = f" ({', '.join(conditions)})" if conditions else ""
+            through = sum(o.completed for o in runs)
+            claims.append(
+                Claim(
+                    f"The ensemble completes {experiment}{where} in all runs",
+                    through == len(runs),
+                    f"{through} of {len(runs)}",
+                )
+            )
+    return claims
+
+
+def _beyond(outcomes: Sequence[Outcome]) -> list[Claim]:
+    runs = [o for o in outcomes if o.experiment in BEYOND]
+    oracle = {
+        (o.experiment, o.condition, o.seed) for o in runs if o.contender == ORACLE and o.completed
+    }
+    own = [
+        o for o in runs if o.contender == ENSEMBLE and (o.experiment, o.condition, o.seed) in oracle
+    ]
+    if not own:
+        return []
+    through = sum(o.completed for o in own)
+    return [
+        Claim(
+            f"It completes at least {_SHARE:.0%} of the runs beyond the paper that the oracle does",
+            through >= _SHARE * len(own),
+            f"{through} of {len(own)}",
+        )
+    ]
+
+
+def _regret(outcomes: Sequence[Outcome]) -> list[Claim]:
+    ratios = {
+        f"{g.experiment}, {g.condition}": g.regret.value
+        for g in grouped(outcomes)
+        if g.contender == ENSEMBLE and g.experiment in MIXED and np.isfinite(g.regret.value)
+    }
+    if not ratios:
+        return []
+    worst = max(ratios, key=lambda name: ratios[name])
+    return [
+        Claim(
+            f"Its lateral RMS error is at most {_REGRET} times the oracle's on mixed friction",
+            ratios[worst] <= _REGRET,
+            f"worst median ratio {ratios[worst]:.2f} ({worst})",
+        )
+    ]
+
+
+def _best(outcomes: Sequence[Outcome]) -> list[Claim]:
+    """Completion first, then the error: a run that ends early has no error worth comparing."""
+    groups = [g for g in grouped(outcomes) if g.experiment in MIXED and g.contender != ORACLE]
+    lost = []
+    for own in (g for g in groups if g.contender == ENSEMBLE):
+        for other in groups:
+            same = (other.experiment, other.condition) == (own.experiment, own.condition)
+            if not same or other is own:
+                continue
+            more = other.completed > own.completed
+            # Better beyond doubt: the intervals of the medians do not touch.
+            closer = other.completed == own.completed and (
+                other.lateral_rms.high < own.lateral_rms.low
+            )
+            if more or closer:
+                lost.append(f"{own.experiment}, {own.condition}: {other.contender}")
+    if not groups:
+        return []
+    return [
+        Claim(
+            "No baseline but the oracle completes more runs or drives closer on mixed friction",
+            not lost,
+            "; ".join(lost) or "in none",
+        )
+    ]
+
+
+def _settling(outcomes: Sequence[Outcome]) -> list[Claim]:
+    times = [
+        t
+        for o in outcomes
+        if o.experiment == "friction-step" and o.contender == ENSEMBLE and o.condition in _EXCITED
+        for t in o.settling
+    ]
+    if not times:
+        return []
+    steps = sum(
+        o.experiment == "friction-step" and o.contender == ENSEMBLE and o.condition in _EXCITED
+        for o in outcomes
+    )
+    median, late = float(np.median(times)), float(np.percentile(times, 90))
+    return [
+        Claim(
+            f"Weights settle within {_SETTLED} s of a friction step under at least 2 m/s²",
+            late <= _SETTLED,
+            f"median {median:.2f} s, 90 % within {late:.2f} s; {len(times)} of {steps} steps moved "
+            "the weights at all, the others stayed where tyres do not tell surfaces apart",
+        )
+    ]
+
+
+def _ordering(predictions: Sequence[PredictionOutcome]) -> Claim:
+    """Compare as the paper's figure does: ensemble, pooled, wrong surface; two to four members."""
+
+    def error(predictor: str, on: str, window: int) -> NDArray[np.float64]:
+        rows = [
+            p.rmse
+            for p in sorted(predictions, key=lambda p: p.seed)
+            if (p.predictor, p.tested_on, p.window) == (predictor, on, window)
+        ]
+        return np.array(rows)
+
+    ensemble, pooled = error("E(AD)", POOLED, 1), error(POOLED, POOLED, 0)
+    other = np.maximum(error("A", "D", 0), error("D", "A", 0))
+    two, three, four = (error(f"E({m})", "T", 1) for m in ("AD", "ABD", "ABCD"))
+    steps = ((ensemble, pooled), (pooled, other), (three, two), (four, three))
+    share = np.all([less < more for less, more in steps], axis=(0, 2)).astype(np.bool_).ravel()
+    return Claim(
+        "The ordering of the paper's prediction figure holds in every seed and output",
+        bool(share.all()),
+        f"{int(share.sum())} of {len(share)} seeds",
+    )

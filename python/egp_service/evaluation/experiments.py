@@ -1,0 +1,301 @@
+"""The closed-loop experiments: which scenarios, at which conditions, driven by whom.
+
+Numbers of the paper's experiments in section "Multi-surface driving and generalization"; those
+beyond it say so. Every run is one `Trial`, reproducible from itself and the libraries.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, PAPER_WEIGHTS, Contender
+from egp_service.scenario import Measurement, Scenario, Speed, Track, Zone
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+# Members of the evaluation library, by friction.
+M05, M06, M09, M11, POOLED = 0, 1, 2, 3, 4
+TWO: Final = (M05, M11)
+FOUR: Final = (M05, M06, M09, M11)
+# A survey-grade satellite receiver with a good inertial unit and a steering encoder.
+NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
+FASTEST: Final = 25.0
+CUSTOM_TRACK: Final = Track(
+    "rounded-rectangle",
+    parameters={"length": 140.0, "width": 80.0, "radius": 20.0, "transition": 12.0},
+)
+_ZONE_JITTER: Final = 0.02  # of the path's length
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One run: who drives what."""
+
+    experiment: str
+    condition: str
+    contender: Contender
+    scenario: Scenario
+    """Its library is filled in when the run starts; its seed is the run's."""
+
+    @property
+    def key(self) -> tuple[str, str, str, int]:
+        """What tells it from all others."""
+        return self.experiment, self.condition, self.contender.name, self.scenario.seed
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One experiment: its trials for any seeds."""
+
+    name: str
+    title: str
+    question: str
+    conditions: tuple[tuple[str, Scenario], ...]
+    contenders: tuple[Contender, ...]
+    seeds: int
+    quick_seeds: int
+
+    def trials(self, seeds: Iterable[int]) -> Iterator[Trial]:
+        """Every contender at every condition, seed by seed."""
+        for seed in seeds:
+            for condition, scenario in self.conditions:
+                # The same seed gives every contender the same road and the same noise.
+                driven = _jittered(replace(scenario, seed=seed), seed)
+                for contender in self.contenders:
+                    yield Trial(self.name, condition, contender, driven)
+
+
+def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender, ...]:
+    """Give the ensemble of `members` and everyone it is compared with."""
+    return (
+        Contender(ENSEMBLE, "ensemble", tuple(members)),
+        Contender("paper's weights", "ensemble", tuple(members), {"weights": PAPER_WEIGHTS}),
+        Contender("selection", "selection", tuple(members)),
+        *(Contender(f"only {labels[m]}", "ensemble", (m,)) for m in members),
+        Contender("pooled GP", "ensemble", (POOLED,)),
+        Contender("single-track", "single-track", tuple(members)),
+        Contender("kinematic", "kinematic", tuple(members)),
+        Contender(ORACLE, "oracle", tuple(members)),
+    )
+
+
+LABELS: Final = ("μ 0.5", "μ 0.6", "μ 0.9", "μ 1.1", "pooled")
+_ALL_OF_TWO: Final = contenders(TWO, LABELS)
+_ALL_OF_FOUR: Final = contenders(FOUR, LABELS)
+_FEW: Final = tuple(
+    contender
+    for contender in _ALL_OF_TWO
+    if contender.name in {ENSEMBLE, "pooled GP", "single-track", ORACLE}
+)
+
+
+def _scenario(
+    track: Track, zones: Sequence[tuple[float, float]], grip: float, v_max: float = FASTEST
+) -> Scenario:
+    """Drive as fast as `grip` of the friction allows."""
+    return Scenario(
+        name="evaluation",
+        track=track,
+        zones=tuple(Zone(start, friction) for start, friction in zones),
+        speed=Speed(grip=grip, v_max=v_max),
+        measurement=NOISE,
+    )
+
+
+def _steady(track: Track, zones: Sequence[tuple[float, float]], speed: float) -> Scenario:
+    """Drive at a constant speed, whatever the surface."""
+    return replace(_scenario(track, zones, 1.0), speed=Speed(v_max=speed, constant=True))
+
+
+def _varying_speed() -> Experiment:
+    zones = ((0.0, 0.5), (0.33, 1.1), (0.65, 0.8))
+    return Experiment(
+        "varying-speed",
+        "Track with varying speed (paper, experiment 2)",
+        "At which fraction of the grip does each controller begin to fail?",
+        tuple(
+            (f"{grip:.0%} of grip", _scenario(CUSTOM_TRACK, zones, grip))
+            for grip in (0.80, 0.90, 0.95, 1.00)
+        ),
+        _ALL_OF_TWO,
+        seeds=20,
+        quick_seeds=2,
+    )
+
+
+def _unseen_track() -> Experiment:
+    zones = ((0.0, 1.1), (0.15, 0.6), (0.32, 0.9), (0.5, 0.5), (0.68, 1.1), (0.84, 0.75))
+    circuit = Track("circuit", parameters={"length": 1200.0, "min_radius": 24.0})
+    return Experiment(
+        "unseen-track",
+        "Unseen long circuit at 14 m/s (paper, experiment 3)",
+        "Does the library carry over to a track nobody trained on?",
+        (("14 m/s", _scenario(circuit, zones, 0.9, 14.0)),),
+        _ALL_OF_TWO,
+        seeds=20,
+        quick_seeds=1,
+    )
+
+
+def _lane_change() -> Experiment:
+    repeated = Track("lane-change", parameters={"length": 500.0, "offset": 2.75})
+    zones = ((0.0, 1.1), (0.25, 0.7), (0.5, 0.5), (0.75, 1.1))
+    return Experiment(
+        "lane-change",
+        "Repeated lane changes at 15 m/s (paper, experiment 4)",
+        "Changing lanes of 2.75 m over 500 m while the surface changes.",
+        (("15 m/s", _steady(repeated, zones, 15.0)),),
+        _ALL_OF_TWO,
+        seeds=20,
+        quick_seeds=2,
+    )
+
+
+def _obstacle_avoidance() -> Experiment:
+    surfaces: dict[str, tuple[tuple[float, float], ...]] = {
+        "μ 1.1": ((0.0, 1.1),),
+        "μ 0.8": ((0.0, 0.8),),
+        "μ 0.5": ((0.0, 0.5),),
+        "μ 1.1 to 0.5": ((0.0, 1.1), (0.5, 0.5)),
+    }
+    conditions = [
+        (
+            f"{surface}, {speed:g} m/s",
+            replace(
+                _steady(Track("iso-3888-2"), zones, speed),
+                leave_distance=1.5,
+            ),
+        )
+        for surface, zones in surfaces.items()
+        for speed in (9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0)
+    ]
+    return Experiment(
+        "iso-3888-2",
+        "Obstacle avoidance of ISO 3888-2",
+        "The highest entry speed at which the centre of mass stays within 1.5 m of the path.",
+        tuple(conditions),
+        _FEW,
+        seeds=3,
+        quick_seeds=1,
+    )
+
+
+def _four_members() -> Experiment:
+    frictions = (1.1, 0.5, 0.8, 0.6, 1.0)
+    # Of the lap: middles of corners, and middles of straights.
+    corners = (0.0, 0.20, 0.30, 0.70, 0.80)
+    straights = (0.0, 0.245, 0.44, 0.56, 0.745)
+    return Experiment(
+        "four-members",
+        "Four members, five zones (paper, experiment 5)",
+        "How fast do the weights follow, with and without excitation?",
+        tuple(
+            (
+                f"changes {where}",
+                _scenario(CUSTOM_TRACK, tuple(zip(starts, frictions, strict=True)), 0.9),
+            )
+            for where, starts in (("in corners", corners), ("on straights", straights))
+        ),
+        _ALL_OF_FOUR,
+        seeds=20,
+        quick_seeds=1,
+    )
+
+
+def _random_roads() -> Experiment:
+    return Experiment(
+        "random-roads",
+        "Random tracks with random frictions (beyond the paper)",
+        "A new track and a new friction map for every seed.",
+        (("90% of grip", _scenario(Track("random"), ((0.0, 1.0),), 0.9)),),
+        _ALL_OF_TWO,
+        seeds=30,
+        quick_seeds=2,
+    )
+
+
+def _hard_roads() -> Experiment:
+    base = ((0.0, 1.1), (0.33, 0.6), (0.65, 0.9))
+    icy: list[tuple[float, float]] = []
+    length = 399.0  # of the custom track, about
+    for start, patch, around in (
+        (0.05, 2.0, 1.1),
+        (0.19, 5.0, 1.1),
+        (0.45, 10.0, 1.1),
+        (0.70, 5.0, 1.1),
+    ):
+        icy += [(start, 0.25), (start + patch / length, around)]
+    plain = _scenario(CUSTOM_TRACK, base, 0.85)
+    loud = Measurement(position=0.06, v_x=0.09, psi=0.006, v_y=0.09, omega=0.015, delta=0.003)
+    # A profile that knew the patches would brake for each.
+    dry = _steady(CUSTOM_TRACK, ((0.0, 1.1), *icy), 11.0)
+    return Experiment(
+        "hard-roads",
+        "What the library was not made for (beyond the paper)",
+        "Noise, delay, another car, ice, and frictions outside the library's range.",
+        (
+            ("as the rest", plain),
+            ("three times the noise", replace(plain, measurement=loud)),
+            ("20 ms actuator delay", replace(plain, actuator_delay=1)),
+            ("40 ms actuator delay", replace(plain, actuator_delay=2)),
+            ("vehicle 2", replace(plain, vehicle=2)),
+            ("patches of ice, 2-10 m", dry),
+            ("μ 0.35", _scenario(CUSTOM_TRACK, ((0.0, 0.35),), 0.85)),
+            ("μ 1.3", _scenario(CUSTOM_TRACK, ((0.0, 1.3),), 0.85)),
+        ),
+        _ALL_OF_TWO,
+        seeds=5,
+        quick_seeds=1,
+    )
+
+
+def _friction_step() -> Experiment:
+    circle = Track("circle", parameters={"radius": 50.0})
+    zones = ((0.0, 1.1), (0.5, 0.5))
+    return Experiment(
+        "friction-step",
+        "Friction step under steady lateral acceleration (beyond the paper)",
+        "On a circle of 50 m radius: how long until the weights have settled?",
+        tuple(
+            (
+                f"{acceleration:g} m/s² lateral",
+                _steady(circle, zones, float(np.sqrt(50.0 * acceleration))),
+            )
+            for acceleration in (1.0, 2.0, 3.0, 4.0)
+        ),
+        tuple(c for c in _ALL_OF_TWO if c.name in {ENSEMBLE, "paper's weights"}),
+        seeds=20,
+        quick_seeds=2,
+    )
+
+
+def _jittered(scenario: Scenario, seed: int) -> Scenario:
+    """Move zone borders a little, or draw zones anew on a random track."""
+    rng = np.random.default_rng([seed, 7])
+    if scenario.track.kind == "random":
+        count = int(rng.integers(3, 7))
+        borders = np.sort(rng.uniform(0.05, 0.95, count - 1))
+        starts = (0.0, *(float(border) for border in borders))
+        frictions = rng.uniform(0.5, 1.1, count)
+        zones = tuple(Zone(s, float(mu)) for s, mu in zip(starts, frictions, strict=True))
+        return replace(scenario, zones=zones)
+    shift = float(rng.uniform(-_ZONE_JITTER, _ZONE_JITTER))
+    first, *others = scenario.zones
+    moved = (Zone(zone.start + shift, zone.friction) for zone in others)
+    return replace(scenario, zones=(first, *moved))
+
+
+EXPERIMENTS: Final = (
+    _varying_speed(),
+    _lane_change(),
+    _four_members(),
+    _random_roads(),
+    _friction_step(),
+    _unseen_track(),
+    _hard_roads(),
+    _obstacle_avoidance(),
+)

@@ -1,0 +1,157 @@
+"""The evaluation's figures, with the `[viz]` extra."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from matplotlib import pyplot as plt
+
+from egp_service.evaluation.claims import POOLED
+from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
+from egp_service.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
+
+    from egp_service.evaluation.campaign import Outcome
+    from egp_service.evaluation.prediction import PredictionOutcome
+    from egp_service.evaluation.scaling import StepTime
+    from egp_service.evaluation.statistics import Group
+
+_OUTPUTS: Final = ("Δv_x, m/s", "Δv_y, m/s", "Δω, rad/s")
+_BARS: Final = (
+    ("A", "A", 0),
+    ("D", "D", 0),
+    ("A", "D", 0),
+    ("D", "A", 0),
+    (POOLED, POOLED, 0),
+    ("E(AD)", POOLED, 1),
+    ("E(AD)", "T", 1),
+    ("E(ABD)", "T", 1),
+    ("E(ABCD)", "T", 1),
+)
+
+
+def colour(contender: str) -> str:
+    """Ink for the ensemble, a muted tone for the oracle, one colour for each of the others."""
+    if contender in {ENSEMBLE, ORACLE}:
+        return INK if contender == ENSEMBLE else MUTED
+    return MEMBER_COLOURS[sum(map(ord, contender)) % len(MEMBER_COLOURS)]
+
+
+def draw_prediction(outcomes: Sequence[PredictionOutcome], path: Path) -> Path:
+    """RMS errors as in the paper's bar chart, and coverage of both variances below."""
+    with plt.style.context(STYLE):
+        figure, axes = plt.subplots(2, 3, figsize=(11.0, 6.0), sharex=True)
+        labels = [f"{predictor}\non {on}" for predictor, on, _ in _BARS]
+        for bar, name in enumerate(_BARS):
+            rows = [o for o in outcomes if (o.predictor, o.tested_on, o.window) == name]
+            shade = INK if name[0].startswith("E") else MEMBER_COLOURS[0]
+            for column in range(3):
+                rmse = np.array([o.rmse[column] for o in rows])
+                axes[0, column].bar(bar, rmse.mean(), color=shade, width=0.7)
+                axes[0, column].plot([bar, bar], [rmse.min(), rmse.max()], color=ALARM, lw=1.2)
+                for offset, values, marker in (
+                    (-0.12, [o.coverage[column] for o in rows], "o"),
+                    (0.12, [o.coverage_mixture[column] for o in rows], "s"),
+                ):
+                    axes[1, column].plot(
+                        bar + offset,
+                        np.mean(values),
+                        marker,
+                        color=shade,
+                        ms=4,
+                        mfc="none" if marker == "s" else shade,
+                    )
+        for column, output in enumerate(_OUTPUTS):
+            axes[0, column].set_title(output)
+            axes[1, column].axhline(0.95, color=MUTED, lw=0.8)
+            axes[1, column].set_xticks(range(len(labels)), labels, fontsize=6.5, rotation=60)
+        axes[0, 0].set_ylabel("RMS error (line: seeds)")
+        axes[1, 0].set_ylabel("inside 95 % interval\n● eq. (3)  □ mixture")
+        return _save(figure, path)
+
+
+def draw_completion(groups: Sequence[Group], path: Path) -> Path:
+    """Completed runs and lateral errors: a row for each contender, a column for each condition."""
+    conditions = list(dict.fromkeys(g.condition for g in groups))
+    names = list(dict.fromkeys(g.contender for g in groups))
+    with plt.style.context(STYLE):
+        figure, axes = plt.subplots(1, 2, figsize=(11.0, 1.2 + 0.32 * len(names)), sharey=True)
+        for group in groups:
+            row, column = names.index(group.contender), conditions.index(group.condition)
+            y = row + 0.7 * (column / max(1, len(conditions) - 1) - 0.5)
+            tone = plt.get_cmap("viridis")(0.85 * column / max(1, len(conditions) - 1))
+            for ax, interval in zip(axes, (group.share, group.lateral_rms), strict=True):
+                ax.plot([interval.low, interval.high], [y, y], color=tone, lw=1.2)
+                ax.plot(
+                    interval.value,
+                    y,
+                    "o",
+                    ms=4,
+                    color=tone,
+                    label=group.condition if row == 0 else None,
+                )
+        axes[0].set_yticks(range(len(names)), names)
+        axes[0].invert_yaxis()
+        axes[0].set_title("completed runs (95 % interval)")
+        axes[0].set_xlim(-0.03, 1.03)
+        axes[1].set_title("lateral RMS error, m (median, 95 % interval)")
+        axes[1].set_xscale("log")
+        axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        return _save(figure, path)
+
+
+def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
+    """Distribution of settling times by lateral acceleration."""
+    runs = [o for o in outcomes if o.experiment == "friction-step"]
+    conditions = list(dict.fromkeys(o.condition for o in runs))
+    names = list(dict.fromkeys(o.contender for o in runs))
+    with plt.style.context(STYLE):
+        figure, ax = plt.subplots(figsize=(7.0, 3.2))
+        for number, name in enumerate(names):
+            for place, condition in enumerate(conditions):
+                times = [
+                    t
+                    for o in runs
+                    if (o.contender, o.condition) == (name, condition)
+                    for t in o.settling
+                ]
+                x = place + 0.25 * (number - 0.5 * (len(names) - 1))
+                ax.plot(np.full(len(times), x), times, ".", color=colour(name), alpha=0.5)
+                if times:
+                    ax.plot(x, np.median(times), "_", ms=18, color=colour(name))
+        for name in names:
+            ax.plot([], [], "o", color=colour(name), label=name)
+        ax.axhline(0.5, color=ALARM, lw=0.8)
+        ax.set_xticks(range(len(conditions)), conditions)
+        ax.set_ylabel("settling time, s")
+        ax.legend()
+        return _save(figure, path)
+
+
+def draw_scaling(times: Sequence[StepTime], path: Path) -> Path:
+    """Step time over the number of members."""
+    with plt.style.context(STYLE):
+        figure, ax = plt.subplots(figsize=(6.0, 3.4))
+        for name in dict.fromkeys(t.program for t in times):
+            rows = [t for t in times if t.program == name]
+            members = [t.members for t in rows]
+            ax.plot(members, [t.p50_ms for t in rows], "o-", label=name)
+            ax.fill_between(members, [t.p50_ms for t in rows], [t.p95_ms for t in rows], alpha=0.2)
+        ax.set_xscale("log", base=2)
+        ax.set_yscale("log")
+        ax.set_xlabel("members")
+        ax.set_ylabel("time of a control step, ms")
+        ax.legend()
+        return _save(figure, path)
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    figure.savefig(path)
+    plt.close(figure)
+    return path

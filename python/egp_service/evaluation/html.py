@@ -1,0 +1,122 @@
+"""The evaluation as one HTML file that stands alone."""
+
+from __future__ import annotations
+
+import base64
+import html
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from egp_service.evaluation.claims import Claim
+    from egp_service.evaluation.statistics import Group, Interval
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #1f2937; max-width: 76rem; margin: 2rem auto;
+       padding: 0 1rem; }
+h1, h2 { line-height: 1.2; } h2 { margin-top: 2.5rem; }
+table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }
+th, td { text-align: right; padding: .2rem .7rem; border-bottom: 1px solid #e5e7eb; }
+th:first-child, td:first-child, td.text { text-align: left; }
+th { font-weight: 600; color: #5a606b; } img { max-width: 100%; } code { background: #f3f4f6; }
+.no { color: #c2410c; font-weight: 600; } .yes { color: #3f6f3a; font-weight: 600; }
+p.note { color: #5a606b; }
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A chapter: figures and tables below a question."""
+
+    title: str
+    text: str
+    figures: tuple[Path, ...] = ()
+    tables: tuple[str, ...] = ()
+
+
+def page(title: str, introduction: str, sections: Sequence[Section]) -> str:
+    """Put the page together; pictures are embedded."""
+    body = [f"<h1>{html.escape(title)}</h1>", f"<p>{introduction}</p>"]
+    for section in sections:
+        body += [f"<h2>{html.escape(section.title)}</h2>", f"<p>{section.text}</p>"]
+        body += [_picture(path) for path in section.figures]
+        body += section.tables
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        f"<style>{_STYLE}</style><body>{''.join(body)}</body></html>\n"
+    )
+
+
+def claim_table(claims: Iterable[Claim]) -> str:
+    """One row a claim: whether it holds, and the evidence."""
+    rows = [
+        f"<tr><td class=text>{html.escape(c.text)}</td>"
+        f"<td class={'yes' if c.holds else 'no'}>{'holds' if c.holds else 'fails'}</td>"
+        f"<td class=text>{html.escape(c.evidence)}</td></tr>"
+        for c in claims
+    ]
+    return f"<table><tr><th>claim</th><th></th><th>evidence</th></tr>{''.join(rows)}</table>"
+
+
+def group_table(groups: Iterable[Group]) -> str:
+    """One row for each contender and condition."""
+    heads = (
+        "contender", "condition", "completed", "95 % interval", "lateral RMS, m", "lateral max, m",
+        "speed RMS, m/s", "time, s", "off track, s", "RMS / oracle's", "no plan", "step, ms",
+    )  # fmt: skip
+    rows = [
+        "<tr>"
+        + "".join(
+            f"<td class=text>{html.escape(text)}</td>"
+            for text in (group.contender, group.condition)
+        )
+        + f"<td class={'yes' if group.completed == group.runs else 'no'}>"
+        f"{group.completed}/{group.runs}</td>"
+        + "".join(
+            f"<td>{text}</td>"
+            for text in (
+                f"{group.share.low:.2f}-{group.share.high:.2f}",
+                _interval(group.lateral_rms),
+                _interval(group.lateral_max),
+                _interval(group.speed_rms),
+                _number(group.lap_time, 1),
+                f"{group.off_track:.2f}",
+                _interval(group.regret, 2),
+                str(group.misses),
+                f"{group.step_ms:.2f}",
+            )
+        )
+        + "</tr>"
+        for group in groups
+    ]
+    header = "".join(f"<th>{head}</th>" for head in heads)
+    return f"<table><tr>{header}</tr>{''.join(rows)}</table>"
+
+
+def plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Any table of texts."""
+    header = "".join(f"<th>{html.escape(head)}</th>" for head in heads)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    return f"<table><tr>{header}</tr>{body}</table>"
+
+
+def _interval(interval: Interval, digits: int = 3) -> str:
+    if math.isnan(interval.value):
+        return "-"
+    low, high = f"{interval.low:.{digits}f}", f"{interval.high:.{digits}f}"
+    return f"{interval.value:.{digits}f} <small>({low}-{high})</small>"
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def _picture(path: Path) -> str:
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    return f'<img alt="{html.escape(path.stem)}" src="data:image/png;base64,{data}">'

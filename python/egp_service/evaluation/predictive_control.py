@@ -1,0 +1,291 @@
+"""The control step's optimal control problem around any prediction.
+
+The cost, bounds, solver, warm start and gate of `Controller`; only where the dynamics come from
+differs. The tests hold it to that: with a member as its prediction it plans what the service plans.
+"""
+
+from __future__ import annotations
+
+import time
+import tomllib
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from egp_service._core import Gate, solve_ocp
+from egp_service.stepper import Step, Timings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+# How far inside the actuators' reach a bound is moved at least, as in `ocp/bounds.rs`.
+_INTERIOR: Final = 0.01
+# Columns of the state.
+_V_X, _PSI, _DELTA = 2, 3, 6
+_MOTION: Final = (2, 4, 5)  # v_x, v_y, omega
+_PREDICTED_FROM: Final = (2, 4, 5, 6)  # of the state; the inputs follow
+
+
+class PredictiveController:
+    """Drives with `linearise(z) -> (change (n, 3), Jacobian (n, 3, 6))` as its dynamics.
+
+    `settings` is the full TOML of a control step (`Engine.settings_toml`).
+    """
+
+    library = b""
+    members: Sequence[str] = ()
+
+    def __init__(
+        self,
+        linearise: Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]],
+        settings: str,
+        dt: float,
+        *,
+        mass: float,
+        gate: Mapping[str, float] | None = None,
+    ) -> None:
+        """Start without a plan."""
+        self._linearise = linearise
+        self._settings: dict[str, Any] = tomllib.loads(settings)
+        self._settings["mass"] = mass
+        self.dt = dt
+        self.horizon = int(self._settings["horizon"])
+        self._gate = Gate(dt, dict(gate or {}))
+        self._tick = 0
+        self._u = np.zeros(2)
+        self._plan: tuple[NDArray[np.float64], NDArray[np.float64], int] | None = None
+
+    def step(
+        self,
+        x: ArrayLike,
+        reference: ArrayLike,
+        widths: ArrayLike | None = None,
+        *,
+        deadline: float | None = None,
+    ) -> Step:
+        """Give the command for a measured state (7,), a reference (T+1, 4) and widths (T+1, 2)."""
+        del deadline  # in process: the answer comes when it is ready
+        start = time.perf_counter()
+        state = np.asarray(x, dtype=np.float64)
+        rows = np.asarray(reference, dtype=np.float64)
+        self._tick += 1
+        problem, guess = self._problem(state, rows, None if widths is None else np.asarray(widths))
+        solution = solve_ocp(problem, guess=guess)
+        status = solution.status.replace(" ", "_")
+        solved = status == "solved"
+        plan_x, plan_u = solution.x, solution.u * (self._settings["mass"], 1.0)
+        if solved:
+            plan_x[:, :2] += state[:2]
+            self._plan = (plan_x, plan_u, self._tick)
+            if self._gate.mode != "stop":
+                self._gate.accept(self._tick, plan_u)
+        command = self._gate.command(self._tick, float(state[_V_X]), float(state[_DELTA]))
+        self._u = np.array(command.u)
+        return Step(
+            u=self._u,
+            mode=command.mode,
+            limited=command.limited,
+            status=status,
+            detail="",
+            weights=np.empty(0),
+            plan_x=plan_x if solved else None,
+            plan_u=plan_u if solved else None,
+            sigma=None,
+            timings=Timings(time.perf_counter() - start),
+            replica="in-process",
+            request=b"",
+            reply=None,
+            late=(),
+        )
+
+    def _guess(self, x0: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Give states (at most T+1) and inputs (T, 2) of the last plan from now on."""
+        u = np.zeros((self.horizon, 2))
+        shift = self.horizon if self._plan is None else self._tick - self._plan[2]
+        if self._plan is None or shift >= self.horizon:
+            return x0[None], u
+        plan_x, plan_u, _ = self._plan
+        u[: self.horizon - shift] = plan_u[shift:]
+        u[self.horizon - shift :, 0] = plan_u[-1, 0]
+        return plan_x[shift:], u
+
+    def _dynamics(
+        self, x0: NDArray[np.float64], origin: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], ...]:
+        """Operating states (T+1, 7), inputs (T, 2), and `A`, `B`, `c` along them, in SI units."""
+        guess_x, u = self._guess(x0 + np.concatenate([origin, np.zeros(5)]))
+        guess_x = guess_x - np.concatenate([origin, np.zeros(5)])
+        x = np.empty((self.horizon + 1, 7))
+        x[0] = self._inside(x0)
+        known = min(len(guess_x), self.horizon + 1)
+        x[1:known] = self._inside(guess_x[1:known])
+        change = np.empty((self.horizon, 3))
+        jacobian = np.empty((self.horizon, 3, 6))
+        together = min(known, self.horizon)
+        change[:together], jacobian[:together] = self._predict(x[:together], u[:together])
+        for t in range(known - 1, self.horizon):
+            change[t : t + 1], jacobian[t : t + 1] = self._predict(x[t : t + 1], u[t : t + 1])
+            x[t + 1] = self._inside(_successor(x[t : t + 1], u[t : t + 1], change[t], self.dt)[0])
+        A, B = _jacobians(x[:-1], jacobian, self.dt)
+        following = _successor(x[:-1], u, change, self.dt)
+        c = following - np.einsum("tij,tj->ti", A, x[:-1]) - np.einsum("tij,tj->ti", B, u)
+        return x, u, A, B, c
+
+    def _predict(
+        self, x: NDArray[np.float64], u: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return self._linearise(np.ascontiguousarray(np.hstack([x[:, _PREDICTED_FROM], u])))
+
+    def _inside(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Clamp to the operating box; positions and yaw are free."""
+        box = self._settings["operating"]
+        high = np.full(7, np.inf)
+        high[2:] = (
+            max(self._settings["soft"]["v_x_max"], box["v_x_min"]),
+            np.inf,
+            box["v_y"],
+            box["omega"],
+            self._settings["soft"]["delta"],
+        )
+        low = -high
+        low[_V_X] = box["v_x_min"]
+        return np.clip(x, low, high)
+
+    def _problem(
+        self,
+        state: NDArray[np.float64],
+        reference: NDArray[np.float64],
+        widths: NDArray[np.float64] | None,
+    ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.float64]]:
+        """Assemble the problem around the vehicle's position, inputs scaled to `[a, delta_dot]`.
+
+        Gives the inputs to start from as well.
+        """
+        cost, mass = self._settings["cost"], self._settings["mass"]
+        x0 = state.copy()
+        x0[:2] = 0.0
+        x, u, A, B, c = self._dynamics(x0, state[:2])
+        B = B * np.array([mass, 1.0])
+        target = np.zeros((self.horizon + 1, 7))
+        target[:, :4] = reference
+        target[:, :2] -= state[:2]
+        target[:, _PSI] = np.unwrap(np.concatenate([state[3:4], reference[:, 3]]))[1:]
+        target = target[1:]
+        u_prev = self._u / (mass, 1.0)
+        u_min, u_max, slew = self._bounds(x, u_prev)
+        normal, lower, upper = self._soft(target, widths)
+        soft = self._settings["soft"]
+        names = ("speed", "steering", "track", "lateral_motion", "lateral_motion")
+        count = 5 if "envelope" in soft else 3
+        problem = {
+            "x0": x0,
+            "u_prev": u_prev,
+            "a": A,
+            "b": B,
+            "c": c,
+            "q": self._state_cost(target),
+            "reference": target,
+            "r": np.array(cost["input"]),
+            "r_d": np.array(cost["rate"]),
+            "u_min": u_min,
+            "u_max": u_max,
+            "du_min": np.tile(-slew, (self.horizon, 1)),
+            "du_max": np.tile(slew, (self.horizon, 1)),
+            "soft_normal": normal,
+            "soft_lower": lower,
+            "soft_upper": upper,
+            "penalty": np.array(
+                [[soft[name]["linear"], soft[name]["quadratic"]] for name in names[:count]]
+            ),
+        }
+        return problem, u / (mass, 1.0)
+
+    def _state_cost(self, target: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Q (T, 7, 7) in the path's frame, the last one times `terminal`."""
+        cost = self._settings["cost"]
+        cos, sin = np.cos(target[:, _PSI]), np.sin(target[:, _PSI])
+        along, across = cost["longitudinal"], cost["lateral"]
+        q = np.zeros((self.horizon, 7, 7))
+        q[:, 0, 0] = along * cos**2 + across * sin**2
+        q[:, 1, 1] = along * sin**2 + across * cos**2
+        q[:, 0, 1] = q[:, 1, 0] = (along - across) * sin * cos
+        q[:, _V_X, _V_X] = cost["v_x"]
+        q[:, _PSI, _PSI] = cost["psi"]
+        q[-1] *= cost["terminal"]
+        return q
+
+    def _bounds(
+        self, x: NDArray[np.float64], u_prev: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Hard input bounds (T, 2) each and the largest change, led back from where `u_prev` is."""
+        limits = self._settings["limits"]
+        slew = np.array([limits["a_slew"], limits["delta_dot_slew"]]) * self.dt
+        drive = np.minimum(limits["a_max"], limits["power"] / x[:-1, _V_X])
+        u_max = np.column_stack([drive, np.full(self.horizon, limits["delta_dot"])])
+        u_min = np.tile([limits["a_min"], -limits["delta_dot"]], (self.horizon, 1))
+        if np.all((u_prev >= u_min.max(axis=0)) & (u_prev <= u_max.min(axis=0))):
+            return u_min, u_max, slew  # inside all of them: nothing to lead back from
+        low = high = u_prev
+        for t in range(self.horizon):
+            u_max[t] = np.maximum(u_max[t], low - slew + _INTERIOR * slew)
+            u_min[t] = np.minimum(u_min[t], high + slew - _INTERIOR * slew)
+            low = np.maximum(u_min[t], low - slew)
+            high = np.minimum(u_max[t], high + slew)
+        return u_min, u_max, slew
+
+    def _soft(
+        self, target: NDArray[np.float64], widths: NDArray[np.float64] | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Rows of speed, steering, track, v_y and omega: normals (T, 5, 7) and bounds (T, 5)."""
+        soft = self._settings["soft"]
+        v_y, omega = soft.get("envelope", (1.0, 1.0))
+        normal = np.zeros((self.horizon, 5, 7))
+        for row, state in ((0, _V_X), (1, _DELTA), (3, 4), (4, 5)):
+            normal[:, row, state] = 1.0
+        upper = np.tile([soft["v_x_max"], soft["delta"], 1.0, v_y, omega], (self.horizon, 1))
+        lower = -upper
+        lower[:, 0] = 0.0
+        if widths is not None:
+            normal[:, 2, 0] = -np.sin(target[:, _PSI])
+            normal[:, 2, 1] = np.cos(target[:, _PSI])
+            centre = np.sum(normal[:, 2] * target, axis=1)
+            left = centre + widths[1:, 0] - soft["edge_margin"]
+            right = centre - widths[1:, 1] + soft["edge_margin"]
+            middle = 0.5 * (left + right)
+            upper[:, 2], lower[:, 2] = np.maximum(left, middle), np.minimum(right, middle)
+        return normal, lower, upper
+
+
+def _successor(
+    x: NDArray[np.float64], u: NDArray[np.float64], change: NDArray[np.float64], dt: float
+) -> NDArray[np.float64]:
+    """Next states (n, 7), eqs. (10)-(11)."""
+    cos, sin = np.cos(x[:, _PSI]), np.sin(x[:, _PSI])
+    following = x.copy()
+    following[:, 0] += (x[:, 2] * cos - x[:, 4] * sin) * dt
+    following[:, 1] += (x[:, 2] * sin + x[:, 4] * cos) * dt
+    following[:, 3] += x[:, 5] * dt
+    following[:, 6] += u[:, 1] * dt
+    following[:, _MOTION] += change
+    return following
+
+
+def _jacobians(
+    x: NDArray[np.float64], jacobian: NDArray[np.float64], dt: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Give `A` (n, 7, 7) and `B` (n, 7, 2), eqs. (15)-(17)."""
+    cos, sin = np.cos(x[:, _PSI]), np.sin(x[:, _PSI])
+    A = np.tile(np.eye(7), (len(x), 1, 1))
+    B = np.zeros((len(x), 7, 2))
+    A[:, 0, 2], A[:, 0, 4] = cos * dt, -sin * dt
+    A[:, 0, 3] = (-x[:, 2] * sin - x[:, 4] * cos) * dt
+    A[:, 1, 2], A[:, 1, 4] = sin * dt, cos * dt
+    A[:, 1, 3] = (x[:, 2] * cos - x[:, 4] * sin) * dt
+    A[:, 3, 5] = dt
+    B[:, 6, 1] = dt
+    for row, output in enumerate(_MOTION):
+        A[:, output, _PREDICTED_FROM] += jacobian[:, row, :4]
+        B[:, output] = jacobian[:, row, 4:]
+    return A, B

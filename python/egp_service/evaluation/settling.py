@@ -1,0 +1,47 @@
+"""How long the weights take to settle after the friction under the vehicle changed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from egp_service.closed_loop import Run
+
+EXCITATION: Final = 1.8  # m/s² of lateral acceleration; without it measurements say nothing
+_LOOK: Final = 2.0  # s after the change
+_SETTLED_FROM: Final = 1.0  # s after the change: from here on the mean is the settled value
+_BAND: Final = 0.25  # of the way from the value before to the settled one
+# Of the friction's own step. Tyres far from their limit hardly tell surfaces apart: weights that
+# move by less than this have not seen the step, and there is nothing to settle from.
+_SMALLEST_WAY: Final = 0.25
+_MIN_MEMBERS: Final = 2
+
+
+def settling_times(run: Run) -> list[float]:
+    """Seconds from each friction change until `sum w mu` stays near its later mean.
+
+    Near means within a quarter of the way that it goes. Changes without lateral acceleration,
+    without `_LOOK` seconds behind them, or that hardly move the weights do not count.
+    """
+    trace = run.trace
+    if trace.weights.shape[1] < _MIN_MEMBERS:
+        return []
+    apparent = trace.weights @ run.frictions
+    acceleration = np.abs(trace.x[:, 2] * trace.x[:, 5])
+    look, settled = round(_LOOK / run.dt), round(_SETTLED_FROM / run.dt)
+    times = []
+    for change in np.flatnonzero(np.diff(trace.friction) != 0.0) + 1:
+        after = slice(change, change + look)
+        constant = np.all(trace.friction[after] == trace.friction[change])
+        if change + look > len(trace) or not constant or acceleration[after].min() < EXCITATION:
+            continue
+        value = float(np.mean(apparent[change + settled : change + look]))
+        way = abs(value - apparent[change - 1])
+        step = abs(trace.friction[change] - trace.friction[change - 1])
+        if not way > _SMALLEST_WAY * step:  # NaN before the first reply
+            continue
+        outside = np.flatnonzero(np.abs(apparent[after] - value) > _BAND * way)
+        times.append(float((outside[-1] + 1) * run.dt) if len(outside) else 0.0)
+    return times

@@ -1,0 +1,115 @@
+"""Outcomes put together: completion, errors, regret, each with a 95 % confidence interval."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service.evaluation.contenders import ORACLE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from egp_service.evaluation.campaign import Outcome
+
+_NOMINAL: Final = 1.959964
+_RESAMPLES: Final = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A value with the ends of its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """All seeds of one contender at one condition."""
+
+    experiment: str
+    condition: str
+    contender: str
+    runs: int
+    completed: int
+    share: Interval
+    """Share of completed runs (Wilson's interval)."""
+    lateral_rms: Interval
+    """Median over all runs, m (bootstrap)."""
+    lateral_max: Interval
+    speed_rms: Interval
+    lap_time: float
+    """Median of the completed runs, s; NaN without one."""
+    off_track: float
+    """Mean, s."""
+    regret: Interval
+    """Median ratio of lateral RMS errors to the oracle's with the same seed, where both came
+    through; NaN where there is none."""
+    misses: int
+    step_ms: float
+
+
+def grouped(outcomes: Iterable[Outcome]) -> list[Group]:
+    """Group outcomes, in the order in which contenders and conditions first appear."""
+    groups: dict[tuple[str, str, str], list[Outcome]] = {}
+    for outcome in outcomes:
+        key = (outcome.experiment, outcome.condition, outcome.contender)
+        groups.setdefault(key, []).append(outcome)
+    return [_group(key, runs, groups) for key, runs in groups.items()]
+
+
+def wilson(successes: int, runs: int) -> Interval:
+    """Wilson's interval of a share (Wilson, 1927)."""
+    share, z2 = successes / runs, _NOMINAL**2
+    centre = (share + z2 / (2 * runs)) / (1 + z2 / runs)
+    half = _NOMINAL / (1 + z2 / runs) * math.sqrt(share * (1 - share) / runs + z2 / (4 * runs**2))
+    return Interval(share, max(0.0, centre - half), min(1.0, centre + half))
+
+
+def median(values: Sequence[float] | NDArray[np.float64]) -> Interval:
+    """Median with its percentile bootstrap interval; the same numbers every time."""
+    data = np.asarray(values, dtype=np.float64)
+    if len(data) == 0:
+        return Interval(math.nan, math.nan, math.nan)
+    rng = np.random.default_rng(0)
+    resampled = np.median(rng.choice(data, (_RESAMPLES, len(data))), axis=1)
+    low, high = np.percentile(resampled, [2.5, 97.5])
+    return Interval(float(np.median(data)), float(low), float(high))
+
+
+def _group(
+    key: tuple[str, str, str],
+    runs: list[Outcome],
+    groups: dict[tuple[str, str, str], list[Outcome]],
+) -> Group:
+    experiment, condition, contender = key
+    through = [run for run in runs if run.completed]
+    oracle = {
+        run.seed: run for run in groups.get((experiment, condition, ORACLE), []) if run.completed
+    }
+    ratios = [
+        run.lateral_rms / oracle[run.seed].lateral_rms for run in through if run.seed in oracle
+    ]
+    return Group(
+        experiment=experiment,
+        condition=condition,
+        contender=contender,
+        runs=len(runs),
+        completed=len(through),
+        share=wilson(len(through), len(runs)),
+        lateral_rms=median([run.lateral_rms for run in runs]),
+        lateral_max=median([run.lateral_max for run in runs]),
+        speed_rms=median([run.speed_rms for run in runs]),
+        lap_time=float(np.median([run.time for run in through])) if through else math.nan,
+        off_track=float(np.mean([run.off_track for run in runs])),
+        regret=median(ratios),
+        misses=sum(run.misses for run in runs),
+        step_ms=float(np.median([run.step_ms for run in runs])),
+    )

@@ -1,0 +1,217 @@
+"""From outcomes to `report.html`, PNG and CSV."""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egp_service.evaluation import figures
+from egp_service.evaluation.claims import check
+from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
+from egp_service.evaluation.experiments import EXPERIMENTS
+from egp_service.evaluation.html import Section, claim_table, group_table, page, plain_table
+from egp_service.evaluation.statistics import grouped
+from egp_service.files import write_text
+from egp_service.report import draw_comparison
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from egp_service.closed_loop import Run
+    from egp_service.evaluation.campaign import Outcome
+    from egp_service.evaluation.prediction import PredictionOutcome
+    from egp_service.evaluation.scaling import StepTime
+    from egp_service.evaluation.statistics import Group
+
+_ABOUT = """Everything below was driven on the 29-state multi-body vehicle of CommonRoad, with
+measurement noise, by controllers that share one optimal control problem, solver, tuning and gate
+and differ only in what predicts the vehicle. Errors are of the true state. Runs that ended early
+count with the error they had until then: read errors and completions together.
+Command: <code>{command}</code>"""
+
+_DIFFERENCES = """The paper drives at 30 Hz with OSQP and about zero inputs; this system at 50 Hz
+about the last plan. Its weights add m/s to rad/s and have no memory, as <i>paper's weights</i>
+here. Its reference moves at the present speed, ours along a speed profile, so braking is not
+fought. Tracks here are computed from their definition or drawn from a seed; frictions are those
+of the text."""
+
+
+def write_report(
+    folder: Path,
+    command: str,
+    *,
+    outcomes: Sequence[Outcome],
+    predictions: Sequence[PredictionOutcome],
+    times: Sequence[StepTime],
+    drives: dict[str, list[tuple[str, Run]]],
+) -> Path:
+    """Write report, figures and tables into `folder`; `drives` are runs to show, by experiment."""
+    _write_csv(folder / "runs.csv", [asdict(o) for o in outcomes])
+    _write_csv(folder / "prediction.csv", [asdict(p) for p in predictions])
+    _write_csv(folder / "step-times.csv", [asdict(t) for t in times])
+    groups = grouped(outcomes)
+    sections = [
+        Section("What was claimed", "", tables=(claim_table(check(outcomes, predictions)),)),
+        Section("Where this differs from the paper", _DIFFERENCES),
+    ]
+    if predictions:
+        sections.append(_prediction_section(folder, predictions))
+    for experiment in EXPERIMENTS:
+        own = [g for g in groups if g.experiment == experiment.name]
+        if own:
+            shown = drives.get(experiment.name, [])
+            sections.append(_section(folder, experiment.name, own, outcomes, shown))
+    if times:
+        rows = [(t.program, str(t.members), f"{t.p50_ms:.3f}", f"{t.p95_ms:.3f}") for t in times]
+        sections.append(
+            Section(
+                "Computation time over the number of members (paper, experiment 6)",
+                "The same recorded requests, libraries of copies of the same members. The paper's "
+                "stack on the same problem: <code>make bench</code>.",
+                (figures.draw_scaling(times, folder / "step-times.png"),),
+                (plain_table(("program", "members", "p50, ms", "p95, ms"), rows),),
+            )
+        )
+    report = folder / "report.html"
+    about = _ABOUT.format(command=html.escape(command))
+    write_text(report, page("Ensemble GP-MPC: evaluation", about, sections))
+    return report
+
+
+def headline(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
+    """Rows `experiment, condition, ensemble, best baseline, oracle`, for terminal and README."""
+    groups = grouped(outcomes)
+    rows: list[tuple[str, ...]] = []
+    for name, condition in dict.fromkeys((g.experiment, g.condition) for g in groups):
+        here = [g for g in groups if (g.experiment, g.condition) == (name, condition)]
+        named = {g.contender: g for g in here}
+        others = [g for g in here if g.contender not in {ENSEMBLE, "paper's weights", ORACLE}]
+        best = max(others, key=lambda g: (g.completed, -g.lateral_rms.value), default=None)
+        rows.append(
+            (
+                name,
+                condition,
+                _cell(named.get(ENSEMBLE)),
+                f"{_cell(best)} {best.contender}" if best else "-",
+                _cell(named.get(ORACLE)),
+            )
+        )
+    return rows
+
+
+def _cell(group: Group | None) -> str:
+    if group is None:
+        return "-"
+    return f"{group.completed}/{group.runs}, {group.lateral_rms.value:.3f} m"
+
+
+def _section(
+    folder: Path,
+    name: str,
+    groups: Sequence[Group],
+    outcomes: Sequence[Outcome],
+    shown: Sequence[tuple[str, Run]],
+) -> Section:
+    experiment = next(e for e in EXPERIMENTS if e.name == name)
+    pictures = [figures.draw_completion(groups, folder / f"{name}.png")]
+    tables = [group_table(groups)]
+    if name == "friction-step":
+        pictures.append(figures.draw_settling(outcomes, folder / "settling.png"))
+    if name == "iso-3888-2":
+        tables.insert(0, _highest_speeds(groups))
+    if shown:
+        pictures.append(draw_comparison(shown, folder / f"{name}-drives.png"))
+    settling = [
+        t for o in outcomes if o.experiment == name and o.contender == ENSEMBLE for t in o.settling
+    ]
+    text = experiment.question
+    if settling:
+        text += (
+            f" The ensemble's weights settled after {np.median(settling):.2f} s (median of "
+            f"{len(settling)} friction changes under excitation; 90 % within "
+            f"{np.percentile(settling, 90):.2f} s)."
+        )
+    return Section(experiment.title, text, tuple(pictures), tuple(tables))
+
+
+def _highest_speeds(groups: Sequence[Group]) -> str:
+    """Per surface the highest speed up to which a contender survives every run."""
+    speeds: dict[tuple[str, str], list[tuple[float, bool]]] = {}
+    for group in groups:
+        surface, _, speed = group.condition.rpartition(", ")
+        entry = (float(speed.removesuffix(" m/s")), group.completed == group.runs)
+        speeds.setdefault((group.contender, surface), []).append(entry)
+    surfaces = list(dict.fromkeys(surface for _, surface in speeds))
+    rows: list[tuple[str, ...]] = []
+    for contender in dict.fromkeys(contender for contender, _ in speeds):
+        cells: list[str] = []
+        for surface in surfaces:
+            survived = [0.0]
+            for tried, good in sorted(speeds[contender, surface]):
+                if not good:
+                    break
+                survived.append(tried)
+            cells.append(f"{survived[-1]:g}" if survived[-1] else "none")
+        rows.append((contender, *cells))
+    return plain_table(("highest entry speed survived, m/s", *surfaces), rows)
+
+
+def _prediction_section(folder: Path, predictions: Sequence[PredictionOutcome]) -> Section:
+    names = list(dict.fromkeys((p.predictor, p.tested_on, p.window) for p in predictions))
+    rows = []
+    for predictor, on, window in names:
+        own = [
+            p
+            for p in predictions
+            if (p.predictor, p.tested_on, p.window) == (predictor, on, window)
+        ]
+        columns = [
+            np.array([getattr(p, name) for p in own])
+            for name in ("rmse", "coverage", "coverage_mixture", "nlpd", "nlpd_mixture")
+        ]
+        rmse = " / ".join(
+            f"{m:.4f}±{s:.4f}" for m, s in zip(columns[0].mean(0), columns[0].std(0), strict=True)
+        )
+        rest = [" / ".join(f"{v:.2f}" for v in column.mean(0)) for column in columns[1:]]
+        rows.append((predictor, on, str(window or "-"), rmse, *rest))
+    return Section(
+        "Prediction error (paper, comparison with standard GP)",
+        "RMS errors of the changes of v_x, v_y (m/s) and ω (rad/s) over 20 ms, mean and standard "
+        "deviation over seeds; share inside the 95 % interval and negative log predictive density "
+        "for the variance of eq. (3) and for the mixture variance.",
+        (figures.draw_prediction(predictions, folder / "prediction.png"),),
+        (
+            plain_table(
+                (
+                    "predictor",
+                    "on",
+                    "K",
+                    "RMS error",
+                    "coverage (3)",
+                    "coverage, mixture",
+                    "NLPD (3)",
+                    "NLPD, mixture",
+                ),
+                rows,
+            ),
+        ),
+    )
+
+
+def _write_csv(path: Path, rows: Sequence[dict[str, object]]) -> None:
+    if not rows:
+        return
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(
+        {k: " ".join(map(str, v)) if isinstance(v, (tuple, list)) else v for k, v in row.items()}
+        for row in rows
+    )
+    write_text(path, text.getvalue())

@@ -1,0 +1,144 @@
+"""Campaigns: outcomes are kept, gone on from, and put together honestly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from egp_service import EgpError
+from egp_service._core import write_library_subset
+from egp_service.evaluation.campaign import SHIPPED, Campaign, Outcome, drive_trial
+from egp_service.evaluation.claims import check
+from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, interpolated_weights
+from egp_service.evaluation.experiments import EXPERIMENTS, NOISE, Trial
+from egp_service.evaluation.settling import settling_times
+from egp_service.evaluation.statistics import grouped, median, wilson
+from egp_service.scenario import Scenario, Speed, Track, Zone
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+BEND = Scenario(
+    name="bend",
+    track=Track("circle", parameters={"radius": 30.0}),
+    zones=(Zone(0.0, 1.1), Zone(0.4, 0.5)),
+    speed=Speed(v_max=9.5, constant=True),
+    measurement=NOISE,
+    laps=0.8,
+)
+KINDS = {
+    ENSEMBLE: Contender(ENSEMBLE, "ensemble", (0, 3)),
+    "kinematic": Contender("kinematic", "kinematic", (0, 3)),
+    "single-track": Contender("single-track", "single-track", (0, 3)),
+    "selection": Contender("selection", "selection", (0, 3)),
+    ORACLE: Contender(ORACLE, "oracle", (0, 3)),
+}
+
+
+def outcome(contender: str, seed: int, *, completed: bool = True, rms: float = 0.1) -> Outcome:
+    return Outcome(
+        experiment="varying-speed",
+        condition="90% of grip",
+        contender=contender,
+        seed=seed,
+        completed=completed,
+        reason="completed" if completed else "left the road",
+        time=30.0,
+        distance=400.0,
+        lateral_max=3 * rms,
+        lateral_rms=rms,
+        speed_rms=0.1,
+        off_track=0.0,
+        settling=(0.2,),
+        misses=0,
+        step_ms=0.3,
+    )
+
+
+def test_every_contender_drives_and_is_not_run_twice(tmp_path: Path) -> None:
+    trials = [Trial("bend", "9.5 m/s", contender, BEND) for contender in KINDS.values()]
+    finished: list[str] = []
+    campaign = Campaign(tmp_path, SHIPPED)
+    first = campaign.run(trials, jobs=2, report=lambda o, _d, _t: finished.append(o.contender))
+    assert sorted(finished) == sorted(KINDS)
+    assert [o.contender for o in first] == list(KINDS)
+    assert all(o.completed and o.lateral_max < 1.0 for o in first), first
+    # A torn last line is what an interrupted campaign leaves; its trial is run again.
+    log = tmp_path / "runs.jsonl"
+    log.write_text(log.read_text(encoding="utf-8")[:-40], encoding="utf-8")
+    again: list[str] = []
+    second = Campaign(tmp_path, SHIPPED).run(
+        trials, jobs=1, report=lambda o, _d, _t: again.append(o.contender)
+    )
+    assert len(again) == 1
+    untimed = [replace(o, step_ms=0.0) for o in second]
+    assert untimed == [replace(o, step_ms=0.0) for o in first]
+
+
+def test_a_folder_belongs_to_one_library(tmp_path: Path) -> None:
+    Campaign(tmp_path, SHIPPED)
+    other = tmp_path / "other.safetensors"
+    write_library_subset(SHIPPED, other, [0, 1])
+    with pytest.raises(EgpError, match="another library"):
+        Campaign(tmp_path, other)
+
+
+def test_weights_settle_after_a_friction_step(tmp_path: Path) -> None:
+    path = tmp_path / "two.safetensors"
+    write_library_subset(SHIPPED, path, [0, 3])
+    run = drive_trial(Trial("bend", "", KINDS[ENSEMBLE], replace(BEND, library=str(path))))
+    times = settling_times(run)
+    assert len(times) == 1
+    assert times[0] < 1.0
+    before = run.trace.weights[run.trace.friction == 1.1]
+    assert np.median(before[:, 1]) > 0.8
+    assert np.median(run.trace.weights[-50:, 0]) > 0.8
+
+
+def test_every_trial_has_its_own_key_and_roads_do_not_depend_on_the_contender() -> None:
+    for experiment in EXPERIMENTS:
+        trials = list(experiment.trials(range(2)))
+        assert len({trial.key for trial in trials}) == len(trials)
+        roads: dict[tuple[str, int], Scenario] = {}
+        for trial in trials:
+            road = roads.setdefault((trial.condition, trial.scenario.seed), trial.scenario)
+            assert road == trial.scenario
+
+
+def test_groups_compare_with_the_oracle_seed_by_seed() -> None:
+    outcomes = [outcome(ENSEMBLE, s, rms=0.11 + 0.01 * s) for s in range(4)]
+    outcomes += [outcome(ORACLE, s, rms=0.1 + 0.01 * s, completed=s != 3) for s in range(4)]
+    ensemble, oracle = grouped(outcomes)
+    assert (ensemble.completed, oracle.completed) == (4, 3)
+    assert ensemble.regret.value == pytest.approx(0.12 / 0.11)
+    assert oracle.regret.value == 1.0
+
+
+def test_a_failed_run_breaks_the_claim() -> None:
+    good = [outcome(ENSEMBLE, s) for s in range(20)]
+    bad = [*good[:-1], outcome(ENSEMBLE, 19, completed=False)]
+    assert all(claim.holds for claim in check(good, []))
+    assert not check(bad, [])[0].holds
+
+
+def test_intervals() -> None:
+    share = wilson(10, 10)  # (n / (n + z²), 1), closed form at the end
+    assert share.low == pytest.approx(10 / (10 + 1.959964**2))
+    assert share.high == 1.0
+    assert math.isnan(median([]).value)
+    interval = median(np.arange(101.0))
+    assert interval.low < interval.value == 50.0 < interval.high
+
+
+@pytest.mark.parametrize(
+    ("friction", "expected"), [(0.4, [1, 0]), (0.8, [0.5, 0.5]), (1.1, [0, 1]), (1.3, [0, 1])]
+)
+def test_the_oracle_interpolates(friction: float, expected: list[float]) -> None:
+    assert interpolated_weights(np.array([0.5, 1.1]), friction) == pytest.approx(expected)
+    swapped = interpolated_weights(np.array([1.1, 0.5]), friction)
+    assert swapped == pytest.approx(expected[::-1])
+    assert interpolated_weights(np.array([0.7]), friction) == pytest.approx([1.0])

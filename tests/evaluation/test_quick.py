@@ -1,0 +1,102 @@
+"""The quick evaluation runs from end to end, and bears out what the README says."""
+
+from __future__ import annotations
+
+import csv
+import re
+from typing import TYPE_CHECKING
+
+import pytest
+from typer.testing import CliRunner
+
+from egp_service.cli import app
+from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Rows = list[dict[str, str]]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    output = tmp_path_factory.mktemp("evaluation")
+    result = CliRunner().invoke(app, ["evaluate", "--quick", "-o", str(output)])
+    assert result.exit_code == 0, result.output
+    return output
+
+
+@pytest.fixture(scope="module")
+def runs(folder: Path) -> Rows:
+    return list(csv.DictReader((folder / "runs.csv").read_text(encoding="utf-8").splitlines()))
+
+
+def test_the_report_stands_alone(folder: Path) -> None:
+    report = (folder / "report.html").read_text(encoding="utf-8")
+    sources = re.findall(r'src="([^"]{0,30})', report)
+    assert len(sources) > 10
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert "What was claimed" in report
+
+
+def test_the_ensemble_completes_the_papers_scenarios_up_to_nine_tenths_of_the_grip(
+    runs: Rows,
+) -> None:
+    papers = {"varying-speed", "unseen-track", "lane-change", "four-members"}
+    own = [
+        row
+        for row in runs
+        if row["contender"] == ENSEMBLE
+        and row["experiment"] in papers
+        and row["condition"] not in {"95% of grip", "100% of grip"}
+    ]
+    assert {row["experiment"] for row in own} == papers
+    lost = [row for row in own if row["completed"] != "True"]
+    assert not lost, lost
+
+
+def test_the_weights_settle_within_half_a_second(runs: Rows) -> None:
+    times = [
+        float(time)
+        for row in runs
+        if row["experiment"] == "friction-step"
+        and row["contender"] == ENSEMBLE
+        and row["condition"] != "1 m/s² lateral"
+        for time in row["settling"].split()
+    ]
+    assert times
+    assert max(times) <= 0.5
+
+
+def test_the_ensemble_is_about_as_close_as_the_oracle(runs: Rows) -> None:
+    errors = {
+        who: {
+            (row["condition"], row["seed"]): float(row["lateral_rms"])
+            for row in runs
+            if row["experiment"] == "varying-speed" and row["contender"] == who
+        }
+        for who in (ENSEMBLE, ORACLE)
+    }
+    gentle = [key for key in errors[ENSEMBLE] if key[0] in {"80% of grip", "90% of grip"}]
+    assert gentle
+    assert all(errors[ENSEMBLE][key] <= 1.2 * errors[ORACLE][key] for key in gentle), errors
+
+
+def test_predictions_are_ordered_as_in_the_paper(folder: Path) -> None:
+    rows = list(csv.DictReader((folder / "prediction.csv").read_text("utf-8").splitlines()))
+
+    def error(predictor: str, on: str) -> list[float]:
+        found = [
+            row["rmse"]
+            for row in rows
+            if (row["predictor"], row["tested_on"]) == (predictor, on) and row["window"] in "01"
+        ]
+        assert len(found) == 1
+        return [float(value) for value in found[0].split()]
+
+    union = "A∪D"  # noqa: RUF001
+    for output in range(3):
+        assert error("A", "A")[output] < error("D", "A")[output]
+        assert error("E(AD)", union)[output] < error(union, union)[output]
+        two, four = error("E(AD)", "T")[output], error("E(ABCD)", "T")[output]
+        assert four < two
