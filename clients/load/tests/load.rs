@@ -49,22 +49,22 @@ fn every_due_request_is_accounted_for() {
     assert!(table.contains("latency from due time"), "{table}");
     let report: Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
     let number = |name: &str| report[name].as_f64().unwrap();
-    // Two vehicles, 20 requests a second each, for two seconds, on a schedule that nothing delays.
-    assert_eq!(number("requests"), 80.0, "{table}");
+    // Two vehicles, 50 requests a second each, for two seconds, on a schedule that nothing delays.
+    assert_eq!(number("requests"), 200.0, "{table}");
     let outcomes: f64 = report["outcomes"]
         .as_object()
         .unwrap()
         .values()
         .map(|n| n.as_f64().unwrap())
         .sum();
-    assert_eq!(outcomes, 80.0, "{table}");
+    assert_eq!(outcomes, 200.0, "{table}");
     let solved = report["outcomes"]["solved"].as_f64().unwrap_or(0.0);
-    assert_eq!(number("misses"), 80.0 - solved, "{table}");
+    assert_eq!(number("misses"), 200.0 - solved, "{table}");
     let commands: f64 = ["normal_periods", "tail_periods", "stop_periods"]
         .map(number)
         .iter()
         .sum();
-    assert_eq!(commands, 80.0, "{table}");
+    assert_eq!(commands, 200.0, "{table}");
     assert!(solved > 0.0, "{table}");
     server.drain();
 }
