@@ -26,7 +26,7 @@ BEND = Scenario(
     name="bend",
     track=Track("circle", parameters={"radius": 30.0}),
     zones=(Zone(0.0, 1.1), Zone(0.4, 0.5)),
-    speed=Speed(v_max=9.5, constant=True),
+    speed=Speed(v_max=10.8, constant=True),
     measurement=NOISE,
     laps=0.8,
 )
@@ -60,7 +60,7 @@ def outcome(contender: str, seed: int, *, completed: bool = True, rms: float = 0
 
 
 def test_every_contender_drives_and_is_not_run_twice(tmp_path: Path) -> None:
-    trials = [Trial("bend", "9.5 m/s", contender, BEND) for contender in KINDS.values()]
+    trials = [Trial("bend", "10.8 m/s", contender, BEND) for contender in KINDS.values()]
     finished: list[str] = []
     campaign = Campaign(tmp_path, SHIPPED)
     first = campaign.run(trials, jobs=2, report=lambda o, _d, _t: finished.append(o.contender))
@@ -93,7 +93,10 @@ def test_weights_settle_after_a_friction_step(tmp_path: Path) -> None:
     run = drive_trial(Trial("bend", "", KINDS[ENSEMBLE], replace(BEND, library=str(path))))
     times = settling_times(run)
     assert len(times) == 1
-    assert times[0] < 1.0
+    assert 0.0 < times[0] <= 2.0  # noise may throw them out again; 2 s is as far as it looks
+    step = int(np.argmax(run.trace.friction == 0.5))
+    arrived = np.argmax(run.trace.weights[step:, 0] > 0.75)
+    assert 0 < arrived * run.dt < 0.6
     before = run.trace.weights[run.trace.friction == 1.1]
     assert np.median(before[:, 1]) > 0.8
     assert np.median(run.trace.weights[-50:, 0]) > 0.8
@@ -128,7 +131,7 @@ def test_a_failed_run_breaks_the_claim() -> None:
 def test_intervals() -> None:
     share = wilson(10, 10)  # (n / (n + z²), 1), closed form at the end
     assert share.low == pytest.approx(10 / (10 + 1.959964**2))
-    assert share.high == 1.0
+    assert share.high == pytest.approx(1.0)
     assert math.isnan(median([]).value)
     interval = median(np.arange(101.0))
     assert interval.low < interval.value == 50.0 < interval.high

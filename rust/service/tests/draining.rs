@@ -61,6 +61,9 @@ fn no_query_sent_while_the_replica_is_announced_stays_unanswered() {
 fn the_process_serves_and_drains_on_sigterm() {
     let endpoint = free_endpoint();
     let library = library_file("draining.safetensors");
+    let config = library.with_extension("toml");
+    let text = format!("library = {library:?}\n[settings]\nhorizon = 20\n");
+    std::fs::write(&config, text).unwrap();
     let mut process = Command::new(env!("CARGO_BIN_EXE_egp-server"))
         .args([
             "--log-json",
@@ -68,9 +71,9 @@ fn the_process_serves_and_drains_on_sigterm() {
             "1",
             "--listen",
             &endpoint,
-            "--library",
+            "--config",
         ])
-        .arg(&library)
+        .arg(&config)
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
