@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from egp_service import EgpError
+from egp_service import Controller, EgpError
 from egp_service._core import Library
+from egp_service.closed_loop import drive
 from egp_service.export import export
 from egp_service.recipe import DEMO_RECIPE, Recipe, follow, training_provenance
+from egp_service.scenario import load_scenario
 from egp_service.validation import validate
 
 if TYPE_CHECKING:
@@ -18,10 +21,10 @@ if TYPE_CHECKING:
 
 SHIPPED = DEMO_RECIPE.with_name("demo-library.safetensors")
 
-# RMS difference of the means, in standard deviations of the members' noise. The same machine gives
-# the same bytes. Another BLAS rounds differently and L-BFGS follows: 4e-7 with MKL's and torch's
-# vector paths switched off.
-TOLERANCE_IN_NOISE = 0.1
+# The recipe drives in closed loop, where rounding grows until laps differ; another compiler or CPU
+# makes another library of the same quality. RMS errors on held-out data, at most so many times the
+# shipped one's.
+WORSE = 1.5
 
 
 def test_rebuilds_from_its_recipe(tmp_path: Path) -> None:
@@ -33,22 +36,25 @@ def test_rebuilds_from_its_recipe(tmp_path: Path) -> None:
     assert rebuilt.dt == shipped.dt
     assert rebuilt.vehicle == shipped.vehicle
     assert rebuilt.kernel == shipped.kernel
-    for index, (member, ours, theirs) in enumerate(
-        zip(members, rebuilt.members, shipped.members, strict=True)
-    ):
+    for ours, theirs in zip(rebuilt.members, shipped.members, strict=True):
         assert (ours.label, ours.friction) == (theirs.label, theirs.friction)
         assert ours.n_points == theirs.n_points
-        z = member.validation.z
-        difference = rebuilt.predict(z, index)[0] - shipped.predict(z, index)[0]
-        rms = np.sqrt(np.mean(difference**2, axis=0))
-        assert np.all(rms < TOLERANCE_IN_NOISE * theirs.noise_std), (member.dataset, rms)
     held_out = {member.dataset.provenance.surface: member.validation for member in members}
-    for i, row in enumerate(validate(shipped, held_out)):
-        own, other = row[i], row[1 - i]
-        # After a second of driving at and beyond the limit; measured .22, .25 m/s, .06 rad/s.
-        assert np.all(own.rollout < [0.5, 0.5, 0.2])
-        assert np.all(own.rmse < 0.7 * other.rmse)
-        assert np.all(own.coverage > 0.85)
+    again, before = validate(rebuilt, held_out), validate(shipped, held_out)
+    for i in range(len(members)):
+        own, other, was = again[i][i], again[i][1 - i], before[i][i]
+        assert np.all(own.rmse < WORSE * was.rmse), (own, was)
+        assert np.all(own.rollout < WORSE * was.rollout), (own, was)
+        # After a second of driving at and beyond the limit.
+        assert np.all(own.rollout < [0.5, 0.5, 0.2]), own
+        assert np.all(own.coverage > 0.85), own
+        assert np.all(own.rmse < other.rmse), (own, other)
+    lap = replace(load_scenario("rounded-rectangle"), library=str(path))
+    lap = replace(lap, speed=replace(lap.speed, grip=0.9))
+    with Controller(path) as controller:
+        summary = drive(lap, controller, lambda _: None).summary
+    assert summary.ending.completed
+    assert summary.lateral_error.max < 0.3
 
 
 def test_is_small() -> None:

@@ -3,7 +3,7 @@
 //! `k(z, x) = outputscale · φ(r²)` with `r² = Σ_d (z_d - x_d)² / ℓ_d²`. A kernel is its profile `φ`; everything
 //! around it (distances, sums over training points, gradients by the chain rule) is shared.
 //!
-//! Adding a kernel: one file that implements [`Profile`], one variant and its name in [`Kernel`].
+//! Adding a kernel: one file that implements `Profile`, one variant and its name in [`Kernel`].
 
 mod exp;
 mod matern52;
