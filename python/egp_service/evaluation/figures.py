@@ -81,7 +81,7 @@ def draw_completion(groups: Sequence[Group], path: Path) -> Path:
     conditions = list(dict.fromkeys(g.condition for g in groups))
     names = list(dict.fromkeys(g.contender for g in groups))
     with plt.style.context(STYLE):
-        figure, axes = plt.subplots(1, 2, figsize=(11.0, 1.2 + 0.32 * len(names)), sharey=True)
+        figure, axes = plt.subplots(1, 2, figsize=(11.0, 2.0 + 0.32 * len(names)), sharey=True)
         for group in groups:
             row, column = names.index(group.contender), conditions.index(group.condition)
             y = row + 0.7 * (column / max(1, len(conditions) - 1) - 0.5)

@@ -41,6 +41,8 @@ here. Its reference moves at the present speed, ours along a speed profile, so b
 fought. Tracks here are computed from their definition or drawn from a seed; frictions are those
 of the text."""
 
+_DRAWABLE = 10  # conditions in one figure; more are a table
+
 
 def write_report(
     folder: Path,
@@ -119,7 +121,9 @@ def _section(
     shown: Sequence[tuple[str, Run]],
 ) -> Section:
     experiment = next(e for e in EXPERIMENTS if e.name == name)
-    pictures = [figures.draw_completion(groups, folder / f"{name}.png")]
+    pictures = []
+    if len(experiment.conditions) <= _DRAWABLE:
+        pictures.append(figures.draw_completion(groups, folder / f"{name}.png"))
     tables = [group_table(groups)]
     if name == "friction-step":
         pictures.append(figures.draw_settling(outcomes, folder / "settling.png"))
