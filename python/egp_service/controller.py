@@ -14,11 +14,7 @@ if TYPE_CHECKING:
 
 
 class Controller(Stepper):
-    """Drive with a library file, computed here.
-
-    >>> controller = Controller("library.safetensors")  # doctest: +SKIP
-    >>> command = controller.step(x, reference, widths).u  # doctest: +SKIP
-    """
+    """Drive with a library file, computed here; the README shows a lap with it."""
 
     def __init__(
         self,
