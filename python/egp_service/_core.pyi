@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 __all__ = [
     "LIVE_KEYS",
+    "AffineOcp",
     "Carry",
     "Command",
     "EgpError",
@@ -599,6 +600,34 @@ def solve_ocp(
     solves so many times, to measure `seconds`; each solve starts from nothing but the arguments.
     """
 
+@final
+class AffineOcp:
+    """The control step's optimal control problem, eq. (18), around dynamics of any origin.
+
+    `settings_toml` holds the settings of a control step, `dt` is the period in s. Cost, bounds and
+    solvers are those of the step.
+    """
+
+    def __new__(cls, settings_toml: str, dt: float) -> AffineOcp: ...
+    def solve(
+        self,
+        x0: NDArray[np.float64],
+        u_prev: NDArray[np.float64],
+        operating_x: NDArray[np.float64],
+        operating_u: NDArray[np.float64],
+        a: NDArray[np.float64],
+        b: NDArray[np.float64],
+        c: NDArray[np.float64],
+        reference: NDArray[np.float64],
+        widths: NDArray[np.float64] | None = None,
+    ) -> OcpResult:
+        """Solve for x_{t+1} = A x_t + B u_t + c, positions and yaw relative to the vehicle's place.
+
+        Measured state x0 (7,), input now applied u_prev (2,), operating trajectory (T+1, 7) and
+        (T, 2), a (T, 7, 7), b (T, 7, 2), c (T, 7), reference rows [p_x, p_y, v_x, psi] (T+1, 4) and
+        widths [left, right] (T+1, 2); forces in N. The result's inputs are scaled to accelerations.
+        """
+
 def solve_weights(
     predictions: NDArray[np.float64],
     measured: NDArray[np.float64],
@@ -675,7 +704,7 @@ class Carry:
     file, `history` the number of transitions to keep.
     """
 
-    def __new__(cls, library: bytes, history: int = 10) -> Carry: ...
+    def __new__(cls, library: bytes, history: int = 25) -> Carry: ...
     def request(
         self,
         x: NDArray[np.float64],

@@ -12,16 +12,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from egp_service._core import Gate, solve_ocp
+from egp_service._core import AffineOcp, Gate
 from egp_service.stepper import Step, Timings
+from egp_service.toml_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-# How far inside the actuators' reach a bound is moved at least, as in `ocp/bounds.rs`.
-_INTERIOR: Final = 0.01
 # Columns of the state.
 _V_X, _PSI, _DELTA = 2, 3, 6
 _MOTION: Final = (2, 4, 5)  # v_x, v_y, omega
@@ -50,6 +49,7 @@ class PredictiveController:
         self._linearise = linearise
         self._settings: dict[str, Any] = tomllib.loads(settings)
         self._settings["mass"] = mass
+        self._ocp = AffineOcp(dumps(self._settings), dt)
         self.dt = dt
         self.horizon = int(self._settings["horizon"])
         self._gate = Gate(dt, dict(gate or {}))
@@ -71,8 +71,13 @@ class PredictiveController:
         state = np.asarray(x, dtype=np.float64)
         rows = np.asarray(reference, dtype=np.float64)
         self._tick += 1
-        problem, guess = self._problem(state, rows, None if widths is None else np.asarray(widths))
-        solution = solve_ocp(problem, guess=guess)
+        x0, local = state.copy(), rows.copy()
+        x0[:2] = 0.0
+        local[:, :2] -= state[:2]
+        local[:, 3] = np.unwrap(np.concatenate([state[3:4], rows[:, 3]]))[1:]
+        edges = None if widths is None else np.ascontiguousarray(widths, dtype=np.float64)
+        operating = self._dynamics(x0, state[:2])
+        solution = self._ocp.solve(x0, self._u, *operating, local, edges)
         status = solution.status.replace(" ", "_")
         solved = status == "solved"
         plan_x, plan_u = solution.x, solution.u * (self._settings["mass"], 1.0)
@@ -113,7 +118,13 @@ class PredictiveController:
 
     def _dynamics(
         self, x0: NDArray[np.float64], origin: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], ...]:
+    ) -> tuple[
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+    ]:
         """Operating states (T+1, 7), inputs (T, 2), and `A`, `B`, `c` along them, in SI units."""
         guess_x, u = self._guess(x0 + np.concatenate([origin, np.zeros(5)]))
         guess_x = guess_x - np.concatenate([origin, np.zeros(5)])
@@ -152,110 +163,6 @@ class PredictiveController:
         low = -high
         low[_V_X] = box["v_x_min"]
         return np.clip(x, low, high)
-
-    def _problem(
-        self,
-        state: NDArray[np.float64],
-        reference: NDArray[np.float64],
-        widths: NDArray[np.float64] | None,
-    ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.float64]]:
-        """Assemble the problem around the vehicle's position, inputs scaled to `[a, delta_dot]`.
-
-        Gives the inputs to start from as well.
-        """
-        cost, mass = self._settings["cost"], self._settings["mass"]
-        x0 = state.copy()
-        x0[:2] = 0.0
-        x, u, A, B, c = self._dynamics(x0, state[:2])
-        B = B * np.array([mass, 1.0])
-        target = np.zeros((self.horizon + 1, 7))
-        target[:, :4] = reference
-        target[:, :2] -= state[:2]
-        target[:, _PSI] = np.unwrap(np.concatenate([state[3:4], reference[:, 3]]))[1:]
-        target = target[1:]
-        u_prev = self._u / (mass, 1.0)
-        u_min, u_max, slew = self._bounds(x, u_prev)
-        normal, lower, upper = self._soft(target, widths)
-        soft = self._settings["soft"]
-        names = ("speed", "steering", "track", "lateral_motion", "lateral_motion")
-        count = 5 if "envelope" in soft else 3
-        problem = {
-            "x0": x0,
-            "u_prev": u_prev,
-            "a": A,
-            "b": B,
-            "c": c,
-            "q": self._state_cost(target),
-            "reference": target,
-            "r": np.array(cost["input"]),
-            "r_d": np.array(cost["rate"]),
-            "u_min": u_min,
-            "u_max": u_max,
-            "du_min": np.tile(-slew, (self.horizon, 1)),
-            "du_max": np.tile(slew, (self.horizon, 1)),
-            "soft_normal": normal,
-            "soft_lower": lower,
-            "soft_upper": upper,
-            "penalty": np.array(
-                [[soft[name]["linear"], soft[name]["quadratic"]] for name in names[:count]]
-            ),
-        }
-        return problem, u / (mass, 1.0)
-
-    def _state_cost(self, target: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Q (T, 7, 7) in the path's frame, the last one times `terminal`."""
-        cost = self._settings["cost"]
-        cos, sin = np.cos(target[:, _PSI]), np.sin(target[:, _PSI])
-        along, across = cost["longitudinal"], cost["lateral"]
-        q = np.zeros((self.horizon, 7, 7))
-        q[:, 0, 0] = along * cos**2 + across * sin**2
-        q[:, 1, 1] = along * sin**2 + across * cos**2
-        q[:, 0, 1] = q[:, 1, 0] = (along - across) * sin * cos
-        q[:, _V_X, _V_X] = cost["v_x"]
-        q[:, _PSI, _PSI] = cost["psi"]
-        q[-1] *= cost["terminal"]
-        return q
-
-    def _bounds(
-        self, x: NDArray[np.float64], u_prev: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Hard input bounds (T, 2) each and the largest change, led back from where `u_prev` is."""
-        limits = self._settings["limits"]
-        slew = np.array([limits["a_slew"], limits["delta_dot_slew"]]) * self.dt
-        drive = np.minimum(limits["a_max"], limits["power"] / x[:-1, _V_X])
-        u_max = np.column_stack([drive, np.full(self.horizon, limits["delta_dot"])])
-        u_min = np.tile([limits["a_min"], -limits["delta_dot"]], (self.horizon, 1))
-        if np.all((u_prev >= u_min.max(axis=0)) & (u_prev <= u_max.min(axis=0))):
-            return u_min, u_max, slew  # inside all of them: nothing to lead back from
-        low = high = u_prev
-        for t in range(self.horizon):
-            u_max[t] = np.maximum(u_max[t], low - slew + _INTERIOR * slew)
-            u_min[t] = np.minimum(u_min[t], high + slew - _INTERIOR * slew)
-            low = np.maximum(u_min[t], low - slew)
-            high = np.minimum(u_max[t], high + slew)
-        return u_min, u_max, slew
-
-    def _soft(
-        self, target: NDArray[np.float64], widths: NDArray[np.float64] | None
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Rows of speed, steering, track, v_y and omega: normals (T, 5, 7) and bounds (T, 5)."""
-        soft = self._settings["soft"]
-        v_y, omega = soft.get("envelope", (1.0, 1.0))
-        normal = np.zeros((self.horizon, 5, 7))
-        for row, state in ((0, _V_X), (1, _DELTA), (3, 4), (4, 5)):
-            normal[:, row, state] = 1.0
-        upper = np.tile([soft["v_x_max"], soft["delta"], 1.0, v_y, omega], (self.horizon, 1))
-        lower = -upper
-        lower[:, 0] = 0.0
-        if widths is not None:
-            normal[:, 2, 0] = -np.sin(target[:, _PSI])
-            normal[:, 2, 1] = np.cos(target[:, _PSI])
-            centre = np.sum(normal[:, 2] * target, axis=1)
-            left = centre + widths[1:, 0] - soft["edge_margin"]
-            right = centre - widths[1:, 1] + soft["edge_margin"]
-            middle = 0.5 * (left + right)
-            upper[:, 2], lower[:, 2] = np.maximum(left, middle), np.minimum(right, middle)
-        return normal, lower, upper
 
 
 def _successor(

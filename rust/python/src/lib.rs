@@ -2,7 +2,9 @@
 
 #![allow(clippy::needless_pass_by_value)] // pyo3 hands arguments over by value
 
+mod affine;
 mod array;
+mod carry;
 mod error;
 mod gate;
 mod library;
@@ -18,6 +20,8 @@ use pyo3::prelude::*;
 /// The private extension module behind `egp_service`.
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    affine::register(module)?;
+    carry::register(module)?;
     error::register(module)?;
     gate::register(module)?;
     library::register(module)?;

@@ -148,7 +148,7 @@ fn ocp_to_qp<'py>(py: Python<'py>, problem: &Bound<'py, PyDict>) -> PyResult<Spa
 
 /// What became of an optimal control problem.
 #[pyclass(frozen, get_all, module = "egp_service._core")]
-struct OcpResult {
+pub struct OcpResult {
     /// "solved", "iteration limit", "infeasible", "numerical error" or "check failed".
     status: &'static str,
     /// States, `(T+1, 7)`.
@@ -216,13 +216,23 @@ fn solve_ocp<'py>(
         }
         (solver, seconds)
     });
+    result(py, &solution, solver, seconds)
+}
+
+/// A solution as Python sees it.
+pub fn result(
+    py: Python<'_>,
+    solution: &OcpSolution,
+    solver: &'static str,
+    seconds: f64,
+) -> PyResult<OcpResult> {
     let flat = |rows: &mut dyn Iterator<Item = f64>| rows.collect::<Vec<_>>();
     let x = flat(&mut solution.x.iter().flat_map(|x| x.iter().copied()));
     let u = flat(&mut solution.u.iter().flat_map(|u| u.iter().copied()));
     Ok(OcpResult {
         status: name(solution.status),
-        x: array(py, x, [qp.horizon() + 1, NX])?.unbind(),
-        u: array(py, u, [qp.horizon(), NU])?.unbind(),
+        x: array(py, x, [solution.x.len(), NX])?.unbind(),
+        u: array(py, u, [solution.u.len(), NU])?.unbind(),
         iterations: solution.iterations,
         kkt_residual: solution.kkt.worst(),
         solver,

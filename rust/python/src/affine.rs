@@ -1,0 +1,149 @@
+//! The control step's optimal control problem around dynamics that come from Python.
+
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use egp_core::linearisation::Linearisation;
+use egp_core::ocp::{self, Reference, soft_rows};
+use egp_core::solver::{rungs, solve_first};
+use egp_core::{Input, NU, NX, OcpQp, OcpSolution, QpSolver, Settings, State};
+use pyo3::prelude::*;
+
+use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};
+use crate::error::raise;
+use crate::ocp::{OcpResult, result};
+
+/// Assembles and solves the problems of one set of settings.
+#[pyclass(module = "egp_service._core", frozen)]
+struct AffineOcp {
+    settings: Settings,
+    dt: f64,
+    memory: Mutex<Memory>,
+}
+
+struct Memory {
+    dynamics: Linearisation,
+    qp: OcpQp,
+    solvers: Vec<Box<dyn QpSolver + Send>>,
+    solution: OcpSolution,
+}
+
+#[pymethods]
+impl AffineOcp {
+    #[new]
+    fn new(settings_toml: &str, dt: f64) -> PyResult<Self> {
+        let settings = Settings::from_toml(settings_toml).map_err(raise)?;
+        let qp = OcpQp::new(settings.horizon, soft_rows(&settings.soft));
+        let memory = Memory {
+            dynamics: Linearisation::new(settings.horizon),
+            solvers: rungs(&qp, &settings.solver).map_err(raise)?,
+            solution: OcpSolution::new(settings.horizon),
+            qp,
+        };
+        Ok(Self {
+            settings,
+            dt,
+            memory: Mutex::new(memory),
+        })
+    }
+
+    /// Everything in one frame near the vehicle, forces in N; the result's inputs are scaled.
+    #[pyo3(signature = (x0, u_prev, operating_x, operating_u, a, b, c, reference, widths = None))]
+    #[allow(clippy::too_many_arguments)]
+    fn solve(
+        &self,
+        py: Python<'_>,
+        x0: Vector<'_>,
+        u_prev: Vector<'_>,
+        operating_x: Matrix<'_>,
+        operating_u: Matrix<'_>,
+        a: Cube<'_>,
+        b: Cube<'_>,
+        c: Matrix<'_>,
+        reference: Matrix<'_>,
+        widths: Option<Matrix<'_>>,
+    ) -> PyResult<OcpResult> {
+        let horizon = self.settings.horizon;
+        let x0 = State::from(fixed::<NX>("x0", &x0)?);
+        let u_prev = Input::from(fixed::<NU>("u_prev", &u_prev)?);
+        let operating = stages::<NX>("operating_x", &operating_x, horizon + 1)?;
+        let guess: Vec<Input> = stages::<NU>("operating_u", &operating_u, horizon)?
+            .into_iter()
+            .map(|[force, rate]| Input::new(force / self.settings.mass, rate))
+            .collect();
+        let (a, b) = (layers::<NX, NX>("a", &a)?, layers::<NX, NU>("b", &b)?);
+        let c = stages::<NX>("c", &c, horizon)?;
+        if (a.len(), b.len()) != (horizon, horizon) {
+            let expected = format!("({horizon}, {NX}, ...)");
+            return Err(wrong_shape("a and b", &expected, &[a.len(), NX, NX]));
+        }
+        let reference: Vec<State> = stages::<4>("reference", &reference, horizon + 1)?
+            .into_iter()
+            .map(|[p_x, p_y, v_x, psi]| State::from([p_x, p_y, v_x, psi, 0.0, 0.0, 0.0]))
+            .collect();
+        let widths = match widths {
+            None => Vec::new(),
+            Some(widths) => stages::<2>("widths", &widths, horizon + 1)?,
+        };
+        // Whatever a panic left behind is overwritten: nothing in here outlives a call.
+        let mut memory = self.memory.lock().unwrap_or_else(PoisonError::into_inner);
+        let Memory {
+            dynamics,
+            qp,
+            solvers,
+            solution,
+        } = &mut *memory;
+        for (to, from) in dynamics.x.iter_mut().zip(operating) {
+            *to = from.into();
+        }
+        for (t, stage) in dynamics.stages.iter_mut().enumerate() {
+            for i in 0..NX {
+                for (j, &value) in a[t][i].iter().enumerate() {
+                    stage.a[(i, j)] = value;
+                }
+                for (j, &value) in b[t][i].iter().enumerate() {
+                    stage.b[(i, j)] = value;
+                }
+            }
+            stage.c = c[t].into();
+        }
+        let reference = Reference {
+            x: &reference,
+            widths: &widths,
+        };
+        ocp::assemble(
+            &self.settings,
+            self.dt,
+            &x0,
+            &u_prev,
+            dynamics,
+            &reference,
+            qp,
+        );
+        let start = Instant::now();
+        let tolerance = self.settings.solver.kkt_tolerance;
+        let solver = solve_first(solvers, qp, &guess, tolerance, solution);
+        result(py, solution, solver, start.elapsed().as_secs_f64())
+    }
+}
+
+/// Rows of an array that must have `count` of them.
+fn stages<const N: usize>(name: &str, array: &Matrix<'_>, count: usize) -> PyResult<Vec<[f64; N]>> {
+    let rows = rows::<N>(name, array)?;
+    if rows.len() == count {
+        return Ok(rows);
+    }
+    Err(wrong_shape(
+        name,
+        &format!("({count}, {N})"),
+        &[rows.len(), N],
+    ))
+}
+
+/// Adds the class to the module.
+///
+/// # Errors
+/// When Python refuses it.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<AffineOcp>()
+}
