@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
@@ -84,7 +85,8 @@ def draw_completion(groups: Sequence[Group], path: Path) -> Path:
         figure, axes = plt.subplots(1, 2, figsize=(11.0, 2.0 + 0.32 * len(names)), sharey=True)
         for group in groups:
             row, column = names.index(group.contender), conditions.index(group.condition)
-            y = row + 0.7 * (column / max(1, len(conditions) - 1) - 0.5)
+            spread = 0.0 if len(conditions) == 1 else 0.7
+            y = row + spread * (column / max(1, len(conditions) - 1) - 0.5)
             tone = plt.get_cmap("viridis")(0.85 * column / max(1, len(conditions) - 1))
             for ax, interval in zip(axes, (group.share, group.lateral_rms), strict=True):
                 ax.plot([interval.low, interval.high], [y, y], color=tone, lw=1.2)
@@ -102,6 +104,9 @@ def draw_completion(groups: Sequence[Group], path: Path) -> Path:
         axes[0].set_xlim(-0.03, 1.03)
         axes[1].set_title("lateral RMS error, m (median, 95 % interval)")
         axes[1].set_xscale("log")
+        axes[1].xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes[1].xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes[1].xaxis.set_minor_formatter(NullFormatter())
         axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         return _save(figure, path)
 
@@ -125,12 +130,17 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
                 ax.plot(np.full(len(times), x), times, ".", color=colour(name), alpha=0.5)
                 if times:
                     ax.plot(x, np.median(times), "_", ms=18, color=colour(name))
+                steps = sum((o.contender, o.condition) == (name, condition) for o in runs)
+                ax.text(x, -0.12, f"{len(times)}/{steps}", ha="center", color=colour(name))
         for name in names:
             ax.plot([], [], "o", color=colour(name), label=name)
         ax.axhline(0.5, color=ALARM, lw=0.8)
         ax.set_xticks(range(len(conditions)), conditions)
+        ax.set_xlim(-0.5, len(conditions) - 0.5)
+        ax.set_ylim(-0.25, 2.1)
+        ax.set_title("Below: steps that moved the weights, of all. At 2 s: not settled within 2 s")
         ax.set_ylabel("settling time, s")
-        ax.legend()
+        ax.legend(loc="center left")
         return _save(figure, path)
 
 

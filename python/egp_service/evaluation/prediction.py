@@ -38,8 +38,10 @@ _DT: Final = 0.02
 _KEEP: Final = 6  # transitions of a trajectory: five for the weights, one to predict
 _TEST_TRAJECTORIES: Final = 300
 _NOMINAL: Final = 1.959964  # standard deviations around 95 %
-# Of eq. (6) on single transitions; small against one whitened squared error.
+# Of the quadratic prior over a window; small against one whitened squared error.
 _PULL: Final = 1e-3
+# Of the paper's prior, with which the previous transition alone gives the weights.
+_PAPER_ALPHA: Final = 1e-5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,7 +106,10 @@ def run_seed(settings: PredictionSettings, seed: int) -> list[PredictionOutcome]
     """Sample, train and test one seed."""
     library = _train(settings, seed)
     names = {member.label: number for number, member in enumerate(library.members)}
-    tests = {name: _test_set(mu, seed, name) for name, mu in SURFACES.items()}
+    tests = {
+        name: _test_set(mu, 1000 * seed + 500 + number, name)
+        for number, (name, mu) in enumerate(SURFACES.items())
+    }
     tests[POOLED] = tuple(
         np.concatenate(parts) for parts in zip(tests["A"], tests["D"], strict=True)
     )  # type: ignore[assignment]
@@ -164,7 +169,7 @@ def _test_set(
     friction: float, seed: int, label: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Whole trajectories: inputs (n, _KEEP, 6) and changes (n, _KEEP, 3)."""
-    data = _sampled(friction, 1000 * seed + 500 + len(label), _TEST_TRAJECTORIES, label)
+    data = _sampled(friction, seed, _TEST_TRAJECTORIES, label)
     return data.z.reshape(-1, _KEEP, 6), data.y.reshape(-1, _KEEP, 3)
 
 
@@ -211,12 +216,17 @@ def _weights(
     z: NDArray[np.float64],
     y: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Weights (n, N) from the window before each prediction, starting from uniform."""
+    """Weights (n, N) from the window before each prediction, starting from uniform.
+
+    From one transition as the paper does, S = I and its L1 prior; from more as the controller does.
+    """
     n, window = z.shape[:2]
     flat = np.ascontiguousarray(z.reshape(-1, 6))
     predicted = np.stack([library.predict(flat, m)[0] for m in members], axis=1)
     predicted = predicted.reshape(n, window, len(members), 3)
-    noise = np.mean([library.members[m].noise_std for m in members], axis=0)
+    paper = window == 1
+    whitened = np.mean([library.members[m].noise_std for m in members], axis=0)
+    noise = np.ones(3) if paper else whitened
     uniform = np.full(len(members), 1.0 / len(members))
     return np.array(
         [
@@ -225,8 +235,8 @@ def _weights(
                 np.ascontiguousarray(y[i]),
                 noise,
                 uniform,
-                "quadratic",
-                _PULL,
+                "l1" if paper else "quadratic",
+                _PAPER_ALPHA if paper else _PULL,
             )
             for i in range(n)
         ]
