@@ -8,12 +8,12 @@ measured with noise. The check knows nothing of any solver: it judges the inputs
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from egp_service._core import solve_ocp
+from egp_service._core import OcpBounds, OcpWeights, solve_ocp
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -145,6 +145,17 @@ def assemble(
     }
 
 
+def arguments(p: Problem) -> tuple[Any, ...]:
+    """Return the arguments of `solve_ocp`."""
+    weights = OcpWeights(**{name: p[name] for name in ("q", "r", "r_d")})
+    n_soft = len(p["penalty"])
+    bounds = OcpBounds(
+        **{name: p[name] for name in ("u_min", "u_max", "du_min", "du_max", "penalty")},
+        **{name: p[name][:, :n_soft] for name in ("soft_normal", "soft_lower", "soft_upper")},
+    )
+    return p["a"], p["b"], p["c"], p["x0"], p["u_prev"], p["reference"], weights, bounds
+
+
 def drive(seed: int, horizon: int, steps: int) -> Iterator[Step]:
     """Yield the problems of consecutive steps; their solutions drive the car."""
     rng = np.random.default_rng(seed)
@@ -160,7 +171,7 @@ def drive(seed: int, horizon: int, steps: int) -> Iterator[Step]:
         ahead = to_local(way[step + 1 : step + horizon + 1], x)
         problem = assemble(ahead, local, u, guess, v=v, grip=grip)
         yield Step(problem, first=step == 0)
-        plan = solve_ocp(problem).u
+        plan = solve_ocp(*arguments(problem)).u
         u = plan[0]
         guess = np.vstack([plan[1:], plan[-1:]])
         x = advance(x[None], u[None], true_grip)[0]

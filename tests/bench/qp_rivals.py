@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from qp_problems import Condensed
+from qp_problems import Condensed, arguments
 from scipy import sparse
 
 from egp_service._core import ocp_to_qp, solve_ocp
@@ -65,7 +65,7 @@ class Ours:
         if warm and self.last is not None:
             guess = np.vstack([self.last[1:], self.last[-1:]])
         kind: Any = self.kind
-        result = solve_ocp(step.problem, kind, guess, self.repeats)
+        result = solve_ocp(*arguments(step.problem), solver=kind, guess=guess, repeat=self.repeats)
         u = result.u if result.status == "solved" else np.full_like(result.u, np.nan)
         self.last = u
         return Answer(result.seconds, result.iterations, u)
@@ -73,7 +73,7 @@ class Ours:
 
 def scipy_form(p: Problem) -> tuple[Any, Array, Any, Array, Array]:
     """Return P (upper), q, A, l, u."""
-    (pv, pi, ps), q, (av, ai, as_), lower, upper = ocp_to_qp(p)
+    (pv, pi, ps), q, (av, ai, as_), lower, upper = ocp_to_qp(*arguments(p))
     hessian = sparse.csc_matrix((pv, pi, ps), shape=(len(q), len(q)))
     return hessian, q, sparse.csc_matrix((av, ai, as_), shape=(len(lower), len(q))), lower, upper
 

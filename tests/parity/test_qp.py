@@ -6,7 +6,7 @@ the formula alone: states instead of errors, other order, other code.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import osqp
@@ -14,7 +14,7 @@ import piqp
 import pytest
 from scipy import sparse
 
-from egp_service._core import EgpError, ocp_to_qp, solve_ocp
+from egp_service._core import EgpError, OcpBounds, OcpWeights, ocp_to_qp, solve_ocp
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -99,9 +99,20 @@ def problem(seed: int, horizon: int, n_soft: int) -> Problem:
     }
 
 
+def arguments(p: Problem) -> tuple[Any, ...]:
+    """Return the arguments of `solve_ocp`."""
+    weights = OcpWeights(**{name: p[name] for name in ("q", "r", "r_d")})
+    n_soft = len(p["penalty"])
+    bounds = OcpBounds(
+        **{name: p[name] for name in ("u_min", "u_max", "du_min", "du_max", "penalty")},
+        **{name: p[name][:, :n_soft] for name in ("soft_normal", "soft_lower", "soft_upper")},
+    )
+    return p["a"], p["b"], p["c"], p["x0"], p["u_prev"], p["reference"], weights, bounds
+
+
 def by_osqp(p: Problem) -> tuple[Array, Array]:
     """Solve the exported sparse form."""
-    (pv, pi, ps), q, (av, ai, as_), lower, upper = ocp_to_qp(p)
+    (pv, pi, ps), q, (av, ai, as_), lower, upper = ocp_to_qp(*arguments(p))
     n, m = len(q), len(lower)
     solver = osqp.OSQP()
     solver.setup(
@@ -187,7 +198,7 @@ def test_solutions_agree_with_osqp_and_piqp(horizon: int, n_soft: int) -> None:
         p = problem(seed, horizon, n_soft)
         others = [by_osqp(p), by_piqp(p)]
         for solver in SOLVERS:
-            result = solve_ocp(p, solver)
+            result = solve_ocp(*arguments(p), solver=solver)
             assert (result.status, result.solver.split()[0]) == ("solved", solver)
             assert result.kkt_residual < TOLERANCE
             x, u = result.x, result.u
@@ -202,17 +213,30 @@ def test_solutions_agree_with_osqp_and_piqp(horizon: int, n_soft: int) -> None:
     assert active >= 4, "the problems must be hard"
 
 
-def test_a_problem_that_does_not_fit_is_refused() -> None:
+def test_arrays_without_stages_hold_for_all() -> None:
     p = problem(0, 10, 3)
-    for name, value in [
-        ("b", p["b"][1:]),
-        ("u_min", p["u_max"] + 1),
-        ("x0", np.full(7, np.nan)),
-        ("a", np.ones((10, 7, 7))),
-        ("penalty", np.ones((6, 2))),
-    ]:
-        with pytest.raises(EgpError):
-            solve_ocp(p | {name: value})
-    del p["q"]
-    with pytest.raises(EgpError, match="q"):
-        ocp_to_qp(p)
+    constant = p | {"u_min": p["u_min"][0], "c": p["c"][0], "penalty": p["penalty"][:0]}
+    repeated = constant | {"u_min": p["u_min"], "c": np.tile(p["c"][0], (10, 1))}
+    results = [solve_ocp(*arguments(each)) for each in (constant, repeated)]
+    np.testing.assert_array_equal(results[0].u, results[1].u)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("a", np.eye(7), r"A of shape \(T, 7, 7\), got \(7, 7\)"),
+        ("b", np.ones((9, 7, 2)), r"B of shape \(10, 7, 2\) or \(7, 2\), got \(9, 7, 2\)"),
+        ("x0", np.ones(6), r"x0 of shape \(7,\), got \(6,\)"),
+        ("r", np.zeros(2), "r > 0"),
+        ("penalty", np.ones((6, 2)), "n <= 5"),
+        ("penalty", np.ones((3, 1)), r"\(n, 2\)"),
+        ("penalty", np.zeros((3, 2)), "penalty > 0"),
+        ("soft_lower", np.zeros((10, 2)), r"soft_lower of shape \(10, 3\) or \(3,\)"),
+        ("u_min", np.full(2, 100.0), "not above"),
+        ("c", np.full(7, np.nan), "finite"),
+        ("a", np.ones((10, 7, 7)), "entries of A"),
+    ],
+)
+def test_a_problem_that_does_not_fit_is_refused(name: str, value: Array, message: str) -> None:
+    with pytest.raises(EgpError, match=message):
+        solve_ocp(*arguments(problem(0, 10, 3) | {name: value}))

@@ -87,9 +87,14 @@ pub fn array<S: IntoDimension>(
 
 /// The refusal of an array by its shape, shown as Python shows shapes.
 pub fn wrong_shape(name: &str, expected: &str, found: &[usize]) -> PyErr {
-    let found = match found {
-        [count] => format!("({count},)"),
-        _ => format!("{found:?}").replace('[', "(").replace(']', ")"),
-    };
+    let found = shown(found);
     EgpError::new_err(format!("expected {name} of shape {expected}, got {found}"))
+}
+
+/// A shape as Python shows it.
+pub fn shown(shape: &[usize]) -> String {
+    match shape {
+        [count] => format!("({count},)"),
+        _ => format!("{shape:?}").replace('[', "(").replace(']', ")"),
+    }
 }

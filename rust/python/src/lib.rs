@@ -11,6 +11,7 @@ mod library;
 mod ocp;
 mod path;
 mod plant;
+mod problem;
 mod service;
 mod surface;
 mod wire;
@@ -28,6 +29,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     ocp::register(module)?;
     path::register(module)?;
     plant::register(module)?;
+    problem::register(module)?;
     service::register(module)?;
     surface::register(module)?;
     wire::register(module)?;

@@ -2,17 +2,17 @@
 
 use std::time::Instant;
 
-use egp_core::qp::{Csc, MAX_SOFT, SparseQp};
-use egp_core::settings::{Penalty, Prior, SolverKind, SolverSettings};
+use egp_core::qp::{Csc, SparseQp};
+use egp_core::settings::{Prior, SolverKind, SolverSettings};
 use egp_core::solver::{rungs, solve_first};
 use egp_core::weights::WeightEstimator;
-use egp_core::{GpOutput, Input, NU, NX, NY, OcpQp, OcpSolution, Status};
+use egp_core::{GpOutput, Input, NU, NX, NY, OcpSolution, Status};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
 
 use crate::array::{Cube, KeptMatrix, Matrix, NewVector, Vector};
-use crate::array::{array, fixed, layers, rows, vector, wrong_shape};
+use crate::array::{array, fixed, rows, vector, wrong_shape};
 use crate::error::{EgpError, raise};
+use crate::problem::{ArrayLike, Arrays, MatrixLike, OcpBounds, OcpWeights, VectorLike};
 
 /// Values, row indices and column starts of a sparse matrix.
 type Sparse<'py> = (NewVector<'py>, NewVector<'py, i64>, NewVector<'py, i64>);
@@ -24,104 +24,6 @@ type SparseProblem<'py> = (
     NewVector<'py>,
     NewVector<'py>,
 );
-
-/// The arrays of a problem by name.
-struct Fields<'a, 'py>(&'a Bound<'py, PyDict>);
-
-impl<'py> Fields<'_, 'py> {
-    fn get<T: for<'a> FromPyObject<'a, 'py>>(&self, name: &str) -> PyResult<T> {
-        let Some(value) = self.0.get_item(name)? else {
-            return Err(EgpError::new_err(format!("problem lacks {name:?}")));
-        };
-        value.extract().map_err(|_| {
-            EgpError::new_err(format!("{name:?} must be a float64 array of its dimension"))
-        })
-    }
-
-    fn vector<const N: usize>(&self, name: &str) -> PyResult<[f64; N]> {
-        fixed(name, &self.get::<Vector<'py>>(name)?)
-    }
-
-    fn rows<const N: usize>(&self, name: &str, count: usize) -> PyResult<Vec<[f64; N]>> {
-        let rows = rows(name, &self.get::<Matrix<'py>>(name)?)?;
-        if rows.len() == count {
-            return Ok(rows);
-        }
-        Err(wrong_shape(
-            name,
-            &format!("({count}, {N})"),
-            &[rows.len(), N],
-        ))
-    }
-
-    fn layers<const R: usize, const C: usize>(
-        &self,
-        name: &str,
-        count: usize,
-    ) -> PyResult<Vec<[[f64; C]; R]>> {
-        let layers = layers(name, &self.get::<Cube<'py>>(name)?)?;
-        if layers.len() == count {
-            return Ok(layers);
-        }
-        Err(wrong_shape(
-            name,
-            &format!("({count}, {R}, {C})"),
-            &[layers.len(), R, C],
-        ))
-    }
-}
-
-/// The problem that the arrays describe.
-fn read(problem: &Bound<'_, PyDict>) -> PyResult<OcpQp> {
-    let fields = Fields(problem);
-    let horizon = fields.get::<Matrix<'_>>("c")?.as_array().nrows();
-    let soft_rows = fields.get::<Matrix<'_>>("penalty")?.as_array().nrows();
-    let mut qp = OcpQp::new(horizon, soft_rows);
-    qp.x0 = fields.vector::<NX>("x0")?.into();
-    qp.u_prev = fields.vector::<NU>("u_prev")?.into();
-    qp.r = fields.vector::<NU>("r")?.into();
-    qp.r_d = fields.vector::<NU>("r_d")?.into();
-    let penalty = fields.rows::<2>("penalty", soft_rows.min(MAX_SOFT))?;
-    for (to, [linear, quadratic]) in qp.penalty.iter_mut().zip(penalty) {
-        *to = Penalty { linear, quadratic };
-    }
-    let a = fields.layers::<NX, NX>("a", horizon)?;
-    let b = fields.layers::<NX, NU>("b", horizon)?;
-    let q = fields.layers::<NX, NX>("q", horizon)?;
-    let c = fields.rows::<NX>("c", horizon)?;
-    let reference = fields.rows::<NX>("reference", horizon)?;
-    let u_min = fields.rows::<NU>("u_min", horizon)?;
-    let u_max = fields.rows::<NU>("u_max", horizon)?;
-    let du_min = fields.rows::<NU>("du_min", horizon)?;
-    let du_max = fields.rows::<NU>("du_max", horizon)?;
-    let normal = fields.layers::<MAX_SOFT, NX>("soft_normal", horizon)?;
-    let lower = fields.rows::<MAX_SOFT>("soft_lower", horizon)?;
-    let upper = fields.rows::<MAX_SOFT>("soft_upper", horizon)?;
-    for (t, stage) in qp.stages_mut().iter_mut().enumerate() {
-        for i in 0..NX {
-            for j in 0..NX {
-                (stage.a[(i, j)], stage.q[(i, j)]) = (a[t][i][j], q[t][i][j]);
-            }
-            for (j, &value) in b[t][i].iter().enumerate() {
-                stage.b[(i, j)] = value;
-            }
-        }
-        (stage.c, stage.reference) = (c[t].into(), reference[t].into());
-        (stage.u_min, stage.u_max) = (u_min[t].into(), u_max[t].into());
-        (stage.du_min, stage.du_max) = (du_min[t].into(), du_max[t].into());
-        for (j, row) in stage.soft.iter_mut().enumerate() {
-            row.normal = normal[t][j].into();
-            (row.lower, row.upper) = (lower[t][j], upper[t][j]);
-        }
-    }
-    if horizon > 0 && qp.is_well_posed() && qp.keeps_pattern() {
-        return Ok(qp);
-    }
-    Err(EgpError::new_err(
-        "expected at least one stage, finite numbers, lower <= upper, symmetric q, and entries only \
-         where the vehicle's equations have them",
-    ))
-}
 
 fn sparse<'py>(py: Python<'py>, matrix: &Csc) -> Sparse<'py> {
     // Indices of matrices that fit into memory fit into i64.
@@ -135,8 +37,30 @@ fn sparse<'py>(py: Python<'py>, matrix: &Csc) -> Sparse<'py> {
 }
 
 #[pyfunction]
-fn ocp_to_qp<'py>(py: Python<'py>, problem: &Bound<'py, PyDict>) -> PyResult<SparseProblem<'py>> {
-    let qp = SparseQp::new(&read(problem)?);
+#[pyo3(signature = (A, B, c, x0, u_prev, reference, weights, bounds))]
+#[allow(non_snake_case, clippy::too_many_arguments)] // the paper's symbols
+fn ocp_to_qp<'py>(
+    py: Python<'py>,
+    A: ArrayLike<'py>,
+    B: ArrayLike<'py>,
+    c: ArrayLike<'py>,
+    x0: VectorLike<'py>,
+    u_prev: VectorLike<'py>,
+    reference: ArrayLike<'py>,
+    weights: &OcpWeights,
+    bounds: &OcpBounds,
+) -> PyResult<SparseProblem<'py>> {
+    let arrays = Arrays {
+        a: &A,
+        b: &B,
+        c: &c,
+        x0: &x0,
+        u_prev: &u_prev,
+        reference: &reference,
+        weights,
+        bounds,
+    };
+    let qp = SparseQp::new(&arrays.problem()?);
     Ok((
         sparse(py, &qp.p),
         vector(py, qp.q.iter().copied()),
@@ -166,15 +90,34 @@ pub struct OcpResult {
 }
 
 #[pyfunction]
-#[pyo3(signature = (problem, solver = "riccati", guess = None, repeat = 1))]
+#[pyo3(signature = (A, B, c, x0, u_prev, reference, weights, bounds, *, solver = "riccati", guess = None,
+    repeat = 1))]
+#[allow(non_snake_case, clippy::too_many_arguments)] // the paper's symbols
 fn solve_ocp<'py>(
     py: Python<'py>,
-    problem: &Bound<'py, PyDict>,
+    A: ArrayLike<'py>,
+    B: ArrayLike<'py>,
+    c: ArrayLike<'py>,
+    x0: VectorLike<'py>,
+    u_prev: VectorLike<'py>,
+    reference: ArrayLike<'py>,
+    weights: &OcpWeights,
+    bounds: &OcpBounds,
     solver: &str,
-    guess: Option<Matrix<'py>>,
+    guess: Option<MatrixLike<'py>>,
     repeat: u32,
 ) -> PyResult<OcpResult> {
-    let qp = read(problem)?;
+    let arrays = Arrays {
+        a: &A,
+        b: &B,
+        c: &c,
+        x0: &x0,
+        u_prev: &u_prev,
+        reference: &reference,
+        weights,
+        bounds,
+    };
+    let qp = arrays.problem()?;
     let kind = match solver {
         "riccati" => SolverKind::Riccati,
         "clarabel" => SolverKind::Clarabel,
