@@ -1,8 +1,9 @@
 //! numpy arrays of known shape as Rust arrays, and back.
 
-use numpy::ndarray::IntoDimension;
-use numpy::{Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
+use numpy::ndarray::{ArrayD, ArrayViewD, IntoDimension};
+use numpy::{AllowTypeChange, Element, PyArrayLike1, PyArrayLike2, PyArrayLikeDyn};
 use numpy::{IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
+use numpy::{PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 
 use crate::error::EgpError;
@@ -13,6 +14,16 @@ pub type Vector<'py> = PyReadonlyArray1<'py, f64>;
 pub type Matrix<'py> = PyReadonlyArray2<'py, f64>;
 /// A three-dimensional array from Python.
 pub type Cube<'py> = PyReadonlyArray3<'py, f64>;
+/// What numpy makes a vector of.
+pub type VectorLike<'py> = PyArrayLike1<'py, f64, AllowTypeChange>;
+/// What numpy makes a matrix of.
+pub type MatrixLike<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
+/// What numpy makes an array of.
+pub type ArrayLike<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+/// An array of any dimension.
+pub type OwnedArray = ArrayD<f64>;
+/// A look at one.
+pub type ArrayView<'a> = ArrayViewD<'a, f64>;
 /// A vector for Python.
 pub type NewVector<'py, T = f64> = Bound<'py, PyArray1<T>>;
 /// A matrix for Python.

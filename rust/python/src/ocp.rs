@@ -9,10 +9,10 @@ use egp_core::weights::WeightEstimator;
 use egp_core::{GpOutput, Input, NU, NX, NY, OcpSolution, Status};
 use pyo3::prelude::*;
 
+use crate::array::{ArrayLike, MatrixLike, VectorLike, array, fixed, rows, vector, wrong_shape};
 use crate::array::{Cube, KeptMatrix, Matrix, NewVector, Vector};
-use crate::array::{array, fixed, rows, vector, wrong_shape};
 use crate::error::{EgpError, raise};
-use crate::problem::{ArrayLike, Arrays, MatrixLike, OcpBounds, OcpWeights, VectorLike};
+use crate::problem::{Arrays, OcpBounds, OcpWeights};
 
 /// Values, row indices and column starts of a sparse matrix.
 type Sparse<'py> = (NewVector<'py>, NewVector<'py, i64>, NewVector<'py, i64>);

@@ -5,24 +5,17 @@
 use egp_core::qp::MAX_SOFT;
 use egp_core::settings::Penalty;
 use egp_core::{Input, NU, NX, OcpQp, State};
-use numpy::ndarray::{ArrayD, ArrayViewD};
-use numpy::{AllowTypeChange, PyArrayLike1, PyArrayLike2, PyArrayLikeDyn};
 use pyo3::prelude::*;
 
-use crate::array::{fixed, rows, shown, wrong_shape};
+use crate::array::{
+    ArrayLike, ArrayView, MatrixLike, OwnedArray, VectorLike, fixed, rows, shown, wrong_shape,
+};
 use crate::error::EgpError;
-
-/// What numpy makes an array of.
-pub type ArrayLike<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
-/// What numpy makes a vector of.
-pub type VectorLike<'py> = PyArrayLike1<'py, f64, AllowTypeChange>;
-/// What numpy makes a matrix of.
-pub type MatrixLike<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
 
 /// Quadratic cost.
 #[pyclass(frozen, module = "egp_service._core")]
 pub struct OcpWeights {
-    q: ArrayD<f64>,
+    q: OwnedArray,
     r: [f64; NU],
     r_d: [f64; NU],
 }
@@ -50,13 +43,13 @@ impl OcpWeights {
 /// Hard bounds on inputs and their changes, soft bounds on states.
 #[pyclass(frozen, module = "egp_service._core")]
 pub struct OcpBounds {
-    u_min: ArrayD<f64>,
-    u_max: ArrayD<f64>,
-    du_min: ArrayD<f64>,
-    du_max: ArrayD<f64>,
-    soft_normal: ArrayD<f64>,
-    soft_lower: ArrayD<f64>,
-    soft_upper: ArrayD<f64>,
+    u_min: OwnedArray,
+    u_max: OwnedArray,
+    du_min: OwnedArray,
+    du_max: OwnedArray,
+    soft_normal: OwnedArray,
+    soft_lower: OwnedArray,
+    soft_upper: OwnedArray,
     penalty: Vec<[f64; 2]>,
 }
 
@@ -88,7 +81,7 @@ impl OcpBounds {
             )));
         }
         let rows_of = |array: Option<ArrayLike<'_>>, none: &[usize]| {
-            array.map_or_else(|| ArrayD::zeros(none), |array| owned(&array))
+            array.map_or_else(|| OwnedArray::zeros(none), |array| owned(&array))
         };
         Ok(Self {
             u_min: owned(&u_min),
@@ -183,17 +176,12 @@ impl Arrays<'_, '_> {
     }
 }
 
-fn owned(array: &ArrayLike<'_>) -> ArrayD<f64> {
+fn owned(array: &ArrayLike<'_>) -> OwnedArray {
     array.as_array().to_owned()
 }
 
 /// The numbers of all stages, in row-major order, of an array of that shape a stage.
-fn stages(
-    name: &str,
-    array: ArrayViewD<'_, f64>,
-    horizon: usize,
-    shape: &[usize],
-) -> PyResult<Vec<f64>> {
+fn stages(name: &str, array: ArrayView<'_>, horizon: usize, shape: &[usize]) -> PyResult<Vec<f64>> {
     let full = [&[horizon], shape].concat();
     let repeats = match array.shape() {
         found if found == full => 1,
