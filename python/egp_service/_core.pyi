@@ -173,8 +173,13 @@ class Path:
         the positions, from +x or from +y; `x_m,y_m,w_tr_right_m,w_tr_left_m` has widths.
         """
 
-    def with_friction(self, zones: list[tuple[float, float]]) -> Path:
-        """Give the same path zones (start as a fraction of the length, friction), from 0 on."""
+    def with_friction(
+        self, zones: Sequence[tuple[float, float] | tuple[float, float, float]]
+    ) -> Path:
+        """Give the same path zones, from 0 on: start as a fraction of the length, friction.
+
+        A third number is the friction right of the path; `friction` is then the left side's alone.
+        """
 
     @property
     def length(self) -> float:

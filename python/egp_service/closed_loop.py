@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from egp_service.scenario import Measurement, Scenario
     from egp_service.stepper import Step
 
-# The friction under the vehicle is looked up this often within a control period.
+# The friction under the wheels is looked up this often within a control period.
 FRICTION_UPDATES = 10
 # Before the vehicle is released the first answer may take longer: connections and caches are cold.
 FIRST_DEADLINE = 2.0
@@ -163,9 +163,8 @@ class _Loop:
         self._pending.append(period.step.u)
         u = self._pending.popleft()
         for _ in range(FRICTION_UPDATES):
-            friction = self._project(self._plant.vehicle_state).friction
             try:
-                self._plant.step(u, dt / FRICTION_UPDATES, friction)
+                self._plant.step(u, dt / FRICTION_UPDATES, self.path)
             except EgpError as error:
                 return self._ending(f"lost control: {error}")
         self._ticks += 1

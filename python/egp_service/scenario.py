@@ -32,6 +32,8 @@ class Zone:
     """Where it begins, as a fraction of the path's length; it ends where the next one begins."""
     friction: float
     """Friction coefficient mu."""
+    right: float | None = None
+    """Friction right of the path, where the road is split; `friction` is then the left side's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +54,8 @@ class Speed:
     """The reference speed: as fast as `grip` of what the surface holds, up to `v_max`."""
 
     grip: float = 0.85
-    """Fraction of the friction that the speed profile uses. The profile knows the zones, the
-    controller does not."""
+    """Fraction of the friction that the speed profile uses; on a split road, of the mean of both
+    sides. The profile knows the zones, the controller does not."""
     v_max: float = 20.0
     """m/s."""
     constant: bool = False
@@ -169,6 +171,11 @@ def _check(scenario: Scenario, origin: str) -> None:
         "laps": scenario.laps,
         "leave_distance": scenario.leave_distance,
         **{f"zones[{i}].friction": zone.friction for i, zone in enumerate(scenario.zones)},
+        **{
+            f"zones[{i}].right": zone.right
+            for i, zone in enumerate(scenario.zones)
+            if zone.right is not None
+        },
     }
     for name, value in positive.items():
         if not 0.0 < value < float("inf"):

@@ -22,7 +22,7 @@ class Truth:
     x: NDArray[np.float64]
     """`[p_x, p_y, v_x, psi, v_y, omega, delta]`."""
     friction: float
-    """mu under the vehicle."""
+    """mu under the vehicle; on a split road the mean of both sides."""
     distance: float
     """Distance driven along the path since the start, m."""
     path_s: float

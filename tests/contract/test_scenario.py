@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from egp_service.configuration import ConfigurationError
 from egp_service.course import build_path, build_profile
-from egp_service.scenario import ScenarioError, built_in_names, load_scenario, parse_scenario
+from egp_service.scenario import (
+    Scenario,
+    ScenarioError,
+    built_in_names,
+    load_scenario,
+    parse_scenario,
+)
 
 MINIMAL = """
 name = "mine"
@@ -20,8 +27,8 @@ friction = 0.8
 """
 
 
-def parse(text: str) -> None:
-    parse_scenario(text, Path(), "mine.toml")
+def parse(text: str) -> Scenario:
+    return parse_scenario(text, Path(), "mine.toml")
 
 
 @pytest.mark.parametrize("name", built_in_names())
@@ -48,6 +55,7 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         (("start = 0.0", "start = 0.1"), "begin with one at start = 0.0"),
         (("friction = 0.8", "friction = -1.0"), r"zones\[0\].friction must be positive"),
         (("friction = 0.8", 'friction = "wet"'), r"zones\[0\]: friction must be float"),
+        (("friction = 0.8", "friction = 0.8\nright = 0"), r"zones\[0\].right must be positive"),
         (("[track]", "[speed]\ngirp = 0.9\n[track]"), "speed: unknown field 'girp'"),
         (("[track]", "laps = true\n[track]"), "laps must be float"),
         (("[[zones]]", "[[zones"), "not TOML"),
@@ -56,6 +64,13 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
 def test_what_is_wrong_is_named(change: tuple[str, str], complaint: str) -> None:
     with pytest.raises(ConfigurationError, match=complaint):
         parse(MINIMAL.replace(*change, 1))
+
+
+def test_a_split_road_has_its_own_friction_on_the_right() -> None:
+    scenario = parse(MINIMAL.replace("friction = 0.8", "friction = 0.8\nright = 0.4"))
+    assert scenario.zones[0].right == 0.4
+    assert parse(scenario.toml()) == scenario
+    assert build_path(scenario).sample(np.zeros(1))[6] == pytest.approx(0.6)
 
 
 def test_an_unknown_scenario_names_the_known_ones() -> None:

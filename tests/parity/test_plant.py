@@ -245,6 +245,22 @@ def test_friction_of_a_path_is_that_of_its_zones() -> None:
     assert np.all(front_on_ice[23:25] < 0.9 * front_on_ice[25:27])
 
 
+def test_braking_on_a_split_road_turns_to_the_side_that_grips() -> None:
+    points = np.column_stack([np.linspace(-100.0, 100.0, 41), np.zeros(41)])
+    line = Path.from_points(points, closed=False)
+    brake = np.array([-6000.0, 0.0])
+
+    def yaw_rate(left: float, right: float) -> float:
+        plant = Plant()
+        plant.reset(0.0, 0.0, 0.0, 20.0)
+        plant.step(brake, 0.2, line.with_friction([(0.0, left, right)]))
+        return float(plant.vehicle_state[5])
+
+    assert yaw_rate(1.0, 0.2) > 0.05
+    assert yaw_rate(0.2, 1.0) < -0.05
+    assert abs(yaw_rate(0.6, 0.6)) < 0.005  # the tyres are not quite symmetric
+
+
 def test_refusals_keep_the_state() -> None:
     plant = Plant()
     plant.reset(0.0, 0.0, 0.0, 10.0)

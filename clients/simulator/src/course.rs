@@ -59,10 +59,7 @@ impl Course {
             Track::Rectangle => RoundedRectangle::default().path()?,
             Track::LShape => LShape::default().path()?,
         };
-        let zone = |(i, &friction)| Zone {
-            start: i as f64 / frictions.len() as f64,
-            friction,
-        };
+        let zone = |(i, &friction)| Zone::new(i as f64 / frictions.len() as f64, friction);
         let zones: Vec<Zone> = frictions.iter().enumerate().map(zone).collect();
         let path = path.with_friction(&zones)?;
         let profile = SpeedProfile::new(
@@ -98,6 +95,6 @@ impl Friction for Road<'_> {
         }
         let projection = self.path.project(position, Some(self.hint.get()));
         self.hint.set(projection.s);
-        projection.sample.friction
+        self.path.friction_beside(projection.s, projection.lateral)
     }
 }

@@ -233,10 +233,14 @@ def _hard_roads() -> Experiment:
     loud = Measurement(position=0.06, v_x=0.09, psi=0.006, v_y=0.09, omega=0.015, delta=0.003)
     # A profile that knew the patches would brake for each.
     dry = _steady(CUSTOM_TRACK, ((0.0, 1.1), *icy), 11.0)
+    # The lap turns left, so the slippery right side carries most of the load.
+    split = (Zone(0.0, 1.1, right=0.5),)
+    partly = (Zone(0.0, 1.1), Zone(0.33, 1.1, right=0.5), Zone(0.65, 0.8))
     return Experiment(
         "hard-roads",
         "What the library was not made for (beyond the paper)",
-        "Noise, delay, another car, ice, and frictions outside the library's range.",
+        "Noise, delay, another car, ice, roads whose sides differ, and frictions outside the "
+        "library's range.",
         (
             ("as the rest", plain),
             ("three times the noise", replace(plain, measurement=loud)),
@@ -244,6 +248,11 @@ def _hard_roads() -> Experiment:
             ("40 ms actuator delay", replace(plain, actuator_delay=2)),
             ("vehicle 2", replace(plain, vehicle=2)),
             ("patches of ice, 2-10 m", dry),
+            ("split 1.1 | 0.5 for a third", replace(plain, zones=partly)),
+            (
+                "split 1.1 | 0.5, 75% of grip",
+                replace(_scenario(CUSTOM_TRACK, base, 0.75), zones=split),
+            ),
             ("μ 0.35", _scenario(CUSTOM_TRACK, ((0.0, 0.35),), 0.85)),
             ("μ 1.3", _scenario(CUSTOM_TRACK, ((0.0, 1.3),), 0.85)),
         ),
@@ -285,7 +294,7 @@ def _jittered(scenario: Scenario, seed: int) -> Scenario:
         return replace(scenario, zones=zones)
     shift = float(rng.uniform(-_ZONE_JITTER, _ZONE_JITTER))
     first, *others = scenario.zones
-    moved = (Zone(zone.start + shift, zone.friction) for zone in others)
+    moved = (replace(zone, start=zone.start + shift) for zone in others)
     return replace(scenario, zones=(first, *moved))
 
 

@@ -2,7 +2,7 @@
 
 use crate::arc_length::{ArcLengthSpline, parametrise};
 use crate::error::PathError;
-use crate::friction::{Zone, check_zones, friction_at};
+use crate::friction::{Zone, check_zones, sides_at};
 use crate::spline::{Jet, Piece};
 
 /// Distance in m below which a closed path's last point repeats its first.
@@ -34,7 +34,7 @@ pub struct Sample {
     pub left: f64,
     /// Distance to the right edge in m; infinite for a path without widths.
     pub right: f64,
-    /// Friction coefficient.
+    /// Friction coefficient; see [`Path::friction`].
     pub friction: f64,
 }
 
@@ -136,9 +136,21 @@ impl Path {
     }
 
     /// Friction coefficient at arc length `s`; 1 on a path without zones.
+    ///
+    /// On a split road the mean of both sides: what an axle holds whose wheels are loaded alike.
     pub fn friction(&self, s: f64) -> f64 {
-        let s = self.wrap(s);
-        friction_at(&self.zones, s.max(0.0) / self.length())
+        let [left, right] = self.sides(s);
+        f64::midpoint(left, right)
+    }
+
+    /// Friction coefficient at a position that projects to `s` with a signed distance from the path.
+    pub fn friction_beside(&self, s: f64, lateral: f64) -> f64 {
+        self.sides(s)[usize::from(lateral < 0.0)]
+    }
+
+    /// Friction coefficients `[left, right]` of the path.
+    fn sides(&self, s: f64) -> [f64; 2] {
+        sides_at(&self.zones, self.wrap(s).max(0.0) / self.length())
     }
 
     /// `s` within `[0, length)` on a closed path, unchanged on an open one.

@@ -169,7 +169,7 @@ fn widths_and_friction_follow_the_arc_length() {
     let points: Vec<_> = (0..20).map(|i| [f64::from(i) * 5.0, 0.0]).collect();
     let widths: Vec<_> = (0..20).map(|i| [3.0 + 0.1 * f64::from(i), 2.0]).collect();
     let zones =
-        [(0.0, 0.5), (0.4, 0.8), (0.9, 1.1)].map(|(start, friction)| Zone { start, friction });
+        [(0.0, 0.5), (0.4, 0.8), (0.9, 1.1)].map(|(start, friction)| Zone::new(start, friction));
     let path = Path::from_points(&points, false, Some(&widths))
         .unwrap()
         .with_friction(&zones)
@@ -179,6 +179,28 @@ fn widths_and_friction_follow_the_arc_length() {
     assert!((path.sample(200.0).left - 4.9).abs() < 1e-9);
     let friction = [-1.0, 0.0, 37.9, 38.1, 85.4, 85.6, 95.0, 99.0].map(|s| path.friction(s));
     assert_eq!(friction, [0.5, 0.5, 0.5, 0.8, 0.8, 1.1, 1.1, 1.1]);
+}
+
+#[test]
+fn a_split_road_has_two_sides() {
+    let points: Vec<_> = (0..20).map(|i| [f64::from(i) * 5.0, 0.0]).collect();
+    let split = Zone {
+        right: Some(0.5),
+        ..Zone::new(0.5, 1.1)
+    };
+    let path = Path::from_points(&points, false, None)
+        .unwrap()
+        .with_friction(&[Zone::new(0.0, 0.8), split])
+        .unwrap();
+    let beside = [(10.0, 1.0), (10.0, -1.0), (60.0, 1.0), (60.0, -1.0)]
+        .map(|(s, lateral)| path.friction_beside(s, lateral));
+    assert_eq!(beside, [0.8, 0.8, 1.1, 0.5]);
+    assert_eq!(path.sample(60.0).friction, 0.8);
+    let icy = Zone {
+        right: Some(0.0),
+        ..split
+    };
+    assert!(path.with_friction(&[Zone::new(0.0, 0.8), icy]).is_err());
 }
 
 #[test]
@@ -219,10 +241,7 @@ fn refused_points_are_named() {
             got: 4
         }
     );
-    let zone = Zone {
-        start: 0.1,
-        friction: 1.0,
-    };
+    let zone = Zone::new(0.1, 1.0);
     let refused = wave().with_friction(&[zone]).unwrap_err();
     assert_eq!(
         refused,

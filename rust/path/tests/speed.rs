@@ -19,7 +19,7 @@ fn straight(length: f64) -> Path {
 
 fn demo() -> Path {
     let zones =
-        [(0.0, 0.5), (0.35, 0.8), (0.7, 1.1)].map(|(start, friction)| Zone { start, friction });
+        [(0.0, 0.5), (0.35, 0.8), (0.7, 1.1)].map(|(start, friction)| Zone::new(start, friction));
     RoundedRectangle::default()
         .path()
         .unwrap()
@@ -74,10 +74,7 @@ fn a_circle_is_driven_at_its_lateral_limit() {
 #[test]
 fn a_drag_race_has_the_closed_form_of_constant_acceleration() {
     let path = straight(100.0)
-        .with_friction(&[Zone {
-            start: 0.0,
-            friction: 0.5,
-        }])
+        .with_friction(&[Zone::new(0.0, 0.5)])
         .unwrap();
     let limits = SpeedLimits {
         start_speed: Some(0.0),
@@ -139,7 +136,7 @@ fn it_brakes_before_the_slippery_zone_and_not_inside() {
         .map(|i| [4.0 * f64::from(i), 12.0 * (f64::from(i) / 8.0).sin()])
         .collect();
     let path = Path::from_points(&points, false, None).unwrap();
-    let zones = [(0.0, 1.1), (0.5, 0.4)].map(|(start, friction)| Zone { start, friction });
+    let zones = [(0.0, 1.1), (0.5, 0.4)].map(|(start, friction)| Zone::new(start, friction));
     assert!(
         violation(
             &path.with_friction(&zones).unwrap(),
@@ -217,8 +214,8 @@ proptest! {
     #[test]
     fn limits_hold_whatever_they_are(grip in 0.1..1.0_f64, v_max in 2.0..40.0_f64, drop in 0.1..1.2_f64) {
         let path = demo().with_friction(&[
-            Zone { start: 0.0, friction: 1.0 },
-            Zone { start: 0.55, friction: drop },
+            Zone::new(0.0, 1.0),
+            Zone::new(0.55, drop),
         ]).unwrap();
         let worst = violation(&path, &SpeedLimits { grip, v_max, ..SpeedLimits::default() });
         prop_assert!(worst < 5e-3, "{}", worst);

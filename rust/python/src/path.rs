@@ -27,6 +27,13 @@ type Samples<'py> = (
 /// Rows of the reference, of the widths where the path has any, and the projection.
 type Reference<'py> = (NewMatrix<'py>, Option<NewMatrix<'py>>, Projection);
 
+/// Start and friction of a zone, of both sides or left and right.
+#[derive(FromPyObject)]
+enum ZoneTuple {
+    Even(f64, f64),
+    Split(f64, f64, f64),
+}
+
 /// A reference path.
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct Path(pub egp_path::Path);
@@ -145,10 +152,17 @@ impl Path {
         read_track(&text).map(Self).map_err(|error| refuse(&error))
     }
 
-    fn with_friction(&self, zones: Vec<(f64, f64)>) -> PyResult<Self> {
+    fn with_friction(&self, zones: Vec<ZoneTuple>) -> PyResult<Self> {
         let zones: Vec<_> = zones
             .into_iter()
-            .map(|(start, friction)| Zone { start, friction })
+            .map(|zone| match zone {
+                ZoneTuple::Even(start, friction) => Zone::new(start, friction),
+                ZoneTuple::Split(start, friction, right) => Zone {
+                    start,
+                    friction,
+                    right: Some(right),
+                },
+            })
             .collect();
         self.0
             .clone()

@@ -62,7 +62,7 @@ impl Friction for OnPath<'_> {
     fn coefficient(&self, position: [f64; 2]) -> f64 {
         let projection = self.path.project(position, self.last.get());
         self.last.set(Some(projection.s));
-        projection.sample.friction
+        self.path.friction_beside(projection.s, projection.lateral)
     }
 }
 
