@@ -11,10 +11,11 @@ import pytest
 
 from egp_service import EgpError
 from egp_service._core import write_library_subset
-from egp_service.evaluation.campaign import SHIPPED, Campaign, Outcome, drive_trial
+from egp_service.evaluation.campaign import SHIPPED, Campaign, Outcome, drive_trial, off_track
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, interpolated_weights
-from egp_service.evaluation.experiments import EXPERIMENTS, NOISE, Trial
+from egp_service.evaluation.entry_speed import RESOLUTION, SLOWEST, highest
+from egp_service.evaluation.experiments import EXPERIMENTS, NOISE, OBSTACLE_AVOIDANCE, Trial
 from egp_service.evaluation.settling import settling_times
 from egp_service.evaluation.statistics import grouped, median, wilson
 from egp_service.scenario import Scenario, Speed, Track, Zone
@@ -119,6 +120,32 @@ def test_groups_compare_with_the_oracle_seed_by_seed() -> None:
     assert (ensemble.completed, oracle.completed) == (4, 3)
     assert ensemble.regret.value == pytest.approx(0.12 / 0.11)
     assert oracle.regret.value == 1.0
+
+
+@pytest.mark.parametrize("limit", [6.9, 7.0, 12.3, 22.6])
+def test_the_highest_speed_is_bisected(limit: float) -> None:
+    tried: list[float] = []
+
+    def survives(speed: float) -> bool:
+        tried.append(speed)
+        return speed <= limit
+
+    found = highest(survives)
+    assert found == (0.0 if limit < SLOWEST else min(22.5, RESOLUTION * (limit // RESOLUTION)))
+    assert len(tried) == 6
+
+
+def test_a_faster_car_touches_the_cones(tmp_path: Path) -> None:
+    trial = next(OBSTACLE_AVOIDANCE.trials([0]))
+    path = tmp_path / "two.safetensors"
+    write_library_subset(SHIPPED, path, [0, 3])
+    outside = {}
+    for speed in (9.0, 20.0):
+        scenario = replace(
+            trial.scenario, library=str(path), speed=Speed(v_max=speed, constant=True)
+        )
+        outside[speed] = off_track(scenario, drive_trial(replace(trial, scenario=scenario)))
+    assert outside[9.0] == 0.0 < outside[20.0]
 
 
 def test_a_failed_run_breaks_the_claim() -> None:

@@ -82,6 +82,12 @@ def test_the_ensemble_is_about_as_close_as_the_oracle(runs: Rows) -> None:
     assert all(errors[ENSEMBLE][key] <= 1.2 * errors[ORACLE][key] for key in gentle), errors
 
 
+def test_everyone_enters_the_lane_change_at_some_speed(folder: Path) -> None:
+    rows = list(csv.DictReader((folder / "entry-speeds.csv").read_text("utf-8").splitlines()))
+    assert {row["contender"] for row in rows} >= {ENSEMBLE, ORACLE, "kinematic"}
+    assert all(float(row["speed"]) >= 10.0 for row in rows), rows
+
+
 def test_predictions_are_ordered_as_in_the_paper(folder: Path) -> None:
     rows = list(csv.DictReader((folder / "prediction.csv").read_text("utf-8").splitlines()))
 

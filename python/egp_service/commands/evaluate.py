@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from egp_service.evaluation.campaign import Campaign, Outcome
+    from egp_service.evaluation.entry_speed import EntrySpeed
     from egp_service.evaluation.experiments import Experiment
     from egp_service.evaluation.prediction import PredictionOutcome
 
@@ -52,18 +53,20 @@ def evaluate(
 
     from egp_service.evaluation import scaling
     from egp_service.evaluation.campaign import SHIPPED, Campaign
-    from egp_service.evaluation.experiments import CUSTOM_TRACK, EXPERIMENTS
+    from egp_service.evaluation.experiments import CUSTOM_TRACK, EXPERIMENTS, OBSTACLE_AVOIDANCE
     from egp_service.evaluation.summary_report import headline, write_report
     from egp_service.scenario import Scenario, Zone
 
     console = Console()
     names = [e.name for e in EXPERIMENTS]
-    chosen = _chosen(experiment, ["prediction", *names, "step-times"])
+    avoidance = OBSTACLE_AVOIDANCE.name
+    chosen = _chosen(experiment, ["prediction", *names, avoidance, "step-times"])
     source = _train(console, output) if train else library or SHIPPED
     campaign = Campaign(output, source)
     driven = [e for e in EXPERIMENTS if e.name in chosen]
     predictions = _predict(console, output, full=full, jobs=jobs) if "prediction" in chosen else []
     outcomes = _drive(console, campaign, driven, full=full, jobs=jobs)
+    speeds = _entry_speeds(console, campaign, full=full, jobs=jobs) if avoidance in chosen else []
     scenario = Scenario("step-times", CUSTOM_TRACK, (Zone(0.0, 0.8),))
     times = []
     if "step-times" in chosen:
@@ -77,10 +80,12 @@ def evaluate(
             command,
             outcomes=outcomes,
             predictions=predictions,
+            speeds=speeds,
             times=times,
             drives=shown,
         )
-    _print(console, headline(outcomes))
+    if outcomes:
+        _print(console, headline(outcomes))
     console.print(f"Look at {report}", highlight=False)
 
 
@@ -150,6 +155,27 @@ def _drive(
             progress.update(task, completed=len(own), total=len(own))
             outcomes += own
     return outcomes
+
+
+def _entry_speeds(
+    console: Console, campaign: "Campaign", *, full: bool, jobs: int | None
+) -> "list[EntrySpeed]":
+    from egp_service.evaluation.entry_speed import EntrySpeed, find
+    from egp_service.evaluation.experiments import OBSTACLE_AVOIDANCE
+
+    last = OBSTACLE_AVOIDANCE.conditions[-1][0]
+    seeds = range(OBSTACLE_AVOIDANCE.seeds if full else OBSTACLE_AVOIDANCE.quick_seeds)
+    trials = [t for t in OBSTACLE_AVOIDANCE.trials(seeds) if full or t.condition == last]
+    with _progress(console) as progress:
+        name = f"{OBSTACLE_AVOIDANCE.name}: bisecting entry speeds"
+        task = progress.add_task(name, total=len(trials))
+
+        def report(_: EntrySpeed, done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        found = campaign.each(trials, find, EntrySpeed, "entry-speeds", jobs=jobs, report=report)
+        progress.update(task, completed=len(found))
+        return found
 
 
 def _progress(console: Console) -> "Progress":

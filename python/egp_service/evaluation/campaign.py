@@ -1,4 +1,4 @@
-"""Many trials in parallel; every finished one is a line in `runs.jsonl`, to go on from later."""
+"""Many trials in parallel; every finished one is a line in a file, to go on from later."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -18,10 +18,13 @@ from egp_service._core import EgpError, Library, write_library_subset
 from egp_service.closed_loop import drive
 from egp_service.course import build_path
 from egp_service.evaluation.contenders import ENSEMBLE, make
+from egp_service.evaluation.experiments import HALF_WIDTH
 from egp_service.evaluation.settling import settling_times
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
+    from _typeshed import DataclassInstance
 
     from egp_service.closed_loop import Run
     from egp_service.evaluation.experiments import Experiment, Trial
@@ -29,7 +32,8 @@ if TYPE_CHECKING:
 
 SHIPPED = Path(str(resources.files("egp_service"))) / "data" / "evaluation-library.safetensors"
 SHOWN_CONTENDERS = (ENSEMBLE, "pooled GP", "single-track")
-_HALF_WIDTH = 0.85  # of the vehicle, m
+
+Result = TypeVar("Result", bound="DataclassInstance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,25 +77,10 @@ class Campaign:
         self._folder = folder
         self._source = library
         self._id = Library.load(library).id
-        self._log = folder / "runs.jsonl"
         mark = folder / "library.sha256"
         if mark.exists() and mark.read_text(encoding="utf-8") != self._id:
             raise EgpError(f"{folder} holds runs of another library: choose another --output")
         mark.write_text(self._id, encoding="utf-8")
-
-    def outcomes(self) -> dict[str, Outcome]:
-        """Outcomes so far by their trial's fingerprint."""
-        if not self._log.exists():
-            return {}
-        found = {}
-        for line in self._log.read_text(encoding="utf-8").splitlines():
-            try:
-                entry = json.loads(line)
-            except json.JSONDecodeError:  # the line an interrupted campaign was writing
-                continue
-            settling = tuple(entry["outcome"].pop("settling"))
-            found[entry["trial"]] = Outcome(**entry["outcome"], settling=settling)
-        return found
 
     def run(
         self,
@@ -100,27 +89,41 @@ class Campaign:
         jobs: int | None = None,
         report: Callable[[Outcome, int, int], None],
     ) -> list[Outcome]:
-        """Run what has no outcome yet; gives the outcomes of all `trials`, in their order."""
+        """Drive every trial once; see `each`."""
+        return self.each(trials, run_trial, Outcome, "runs", jobs=jobs, report=report)
+
+    def each(
+        self,
+        trials: Iterable[Trial],
+        work: Callable[[Trial], Result],
+        kind: type[Result],
+        name: str,
+        *,
+        jobs: int | None = None,
+        report: Callable[[Result, int, int], None],
+    ) -> list[Result]:
+        """Do `work` where `{name}.jsonl` has no result yet; gives all results, in trials' order."""
+        log_file = self._folder / f"{name}.jsonl"
         wanted = [self._with_library(trial) for trial in trials]
-        names = [fingerprint(trial, self._id) for trial in wanted]
-        known = self.outcomes()
+        prints = [fingerprint(trial, self._id) for trial in wanted]
+        known = _results(log_file, kind)
         missing = [
-            (name, trial) for name, trial in zip(names, wanted, strict=True) if name not in known
+            (mark, trial) for mark, trial in zip(prints, wanted, strict=True) if mark not in known
         ]
         # Spawned, not forked: a fork would copy thread pools half.
         spawn = multiprocessing.get_context("spawn")
         with (
             ProcessPoolExecutor(jobs or os.cpu_count(), spawn) as pool,
-            self._log.open("a", encoding="utf-8") as log,
+            log_file.open("a", encoding="utf-8") as log,
         ):
-            pending = {pool.submit(run_trial, trial): name for name, trial in missing}
+            pending = {pool.submit(work, trial): mark for mark, trial in missing}
             for future in as_completed(pending):
-                outcome, name = future.result(), pending[future]
-                known[name] = outcome
-                log.write(json.dumps({"trial": name, "outcome": asdict(outcome)}) + "\n")
+                result, mark = future.result(), pending[future]
+                known[mark] = result
+                log.write(json.dumps({"trial": mark, "outcome": asdict(result)}) + "\n")
                 log.flush()
-                report(outcome, len(wanted) - len(missing) + 1, len(wanted))
-        return [known[name] for name in names]
+                report(result, len(wanted) - len(missing) + 1, len(wanted))
+        return [known[mark] for mark in prints]
 
     def drives(self, experiment: Experiment) -> list[tuple[str, Run]]:
         """Drive the first seed of the second condition, or the only one, again, to show it."""
@@ -145,6 +148,21 @@ def fingerprint(trial: Trial, library: str) -> str:
     scenario = replace(trial.scenario, library=library).toml()
     text = json.dumps([*trial.key, trial.contender.kind, trial.contender.members, scenario])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _results(log: Path, kind: type[Result]) -> dict[str, Result]:
+    """Results so far by their trial's fingerprint."""
+    if not log.exists():
+        return {}
+    found = {}
+    for line in log.read_text(encoding="utf-8").splitlines():
+        try:
+            entry = json.loads(line)
+        except json.JSONDecodeError:  # the line an interrupted campaign was writing
+            continue
+        fields = {k: tuple(v) if isinstance(v, list) else v for k, v in entry["outcome"].items()}
+        found[entry["trial"]] = kind(**fields)
+    return found
 
 
 def run_trial(trial: Trial) -> Outcome:
@@ -172,19 +190,19 @@ def _outcome(trial: Trial, run: Run) -> Outcome:
         lateral_max=summary.lateral_error.max,
         lateral_rms=summary.lateral_error.rms,
         speed_rms=summary.speed_error.rms,
-        off_track=_off_track(trial.scenario, run),
+        off_track=off_track(trial.scenario, run),
         settling=tuple(settling_times(run)),
         misses=summary.periods - summary.solver_statuses.get("solved", 0),
         step_ms=summary.step_time_ms["p50"],
     )
 
 
-def _off_track(scenario: Scenario, run: Run) -> float:
+def off_track(scenario: Scenario, run: Run) -> float:
     """Seconds with a side of the vehicle beyond the track's edge."""
     path = build_path(scenario)
     distance = run.trace.distance
     s = np.mod(distance, path.length) if path.closed else np.clip(distance, 0.0, path.length)
     _, _, _, _, left, right, _ = path.sample(s)
     lateral = run.trace.lateral_error
-    beyond = (lateral > left - _HALF_WIDTH) | (-lateral > right - _HALF_WIDTH)
+    beyond = (lateral > left - HALF_WIDTH) | (-lateral > right - HALF_WIDTH)
     return float(np.sum(beyond) * run.dt)

@@ -13,7 +13,7 @@ from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from matplotlib.figure import Figure
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from egp_service.evaluation.campaign import Outcome
     from egp_service.evaluation.prediction import PredictionOutcome
     from egp_service.evaluation.scaling import StepTime
-    from egp_service.evaluation.statistics import Group
+    from egp_service.evaluation.statistics import Group, Interval
 
 _OUTPUTS: Final = ("Δv_x, m/s", "Δv_y, m/s", "Δω, rad/s")
 _BARS: Final = (
@@ -108,6 +108,25 @@ def draw_completion(groups: Sequence[Group], path: Path) -> Path:
         axes[1].xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axes[1].xaxis.set_minor_formatter(NullFormatter())
         axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        return _save(figure, path)
+
+
+def draw_entry_speeds(medians: Mapping[tuple[str, str], Interval], path: Path) -> Path:
+    """Highest entry speeds with their intervals, by `(contender, surface)`."""
+    surfaces = list(dict.fromkeys(surface for _, surface in medians))
+    names = list(dict.fromkeys(contender for contender, _ in medians))
+    with plt.style.context(STYLE):
+        figure, ax = plt.subplots(figsize=(8.0, 1.2 + 0.7 * len(surfaces)))
+        for (name, surface), found in medians.items():
+            spread = 0.7 * (names.index(name) / max(1, len(names) - 1) - 0.5)
+            y = surfaces.index(surface) + spread
+            ax.plot([found.low, found.high], [y, y], color=colour(name), lw=1.2)
+            label = name if surface == surfaces[0] else None
+            ax.plot(found.value, y, "o", ms=4, color=colour(name), label=label)
+        ax.set_yticks(range(len(surfaces)), surfaces)
+        ax.invert_yaxis()
+        ax.set_xlabel("highest entry speed, m/s")
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         return _save(figure, path)
 
 

@@ -13,9 +13,10 @@ import numpy as np
 from egp_service.evaluation import figures
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.evaluation.experiments import EXPERIMENTS
+from egp_service.evaluation.entry_speed import SLOWEST
+from egp_service.evaluation.experiments import EXPERIMENTS, OBSTACLE_AVOIDANCE
 from egp_service.evaluation.html import Section, claim_table, group_table, page, plain_table
-from egp_service.evaluation.statistics import grouped
+from egp_service.evaluation.statistics import grouped, median
 from egp_service.files import write_text
 from egp_service.report import draw_comparison
 
@@ -25,9 +26,10 @@ if TYPE_CHECKING:
 
     from egp_service.closed_loop import Run
     from egp_service.evaluation.campaign import Outcome
+    from egp_service.evaluation.entry_speed import EntrySpeed
     from egp_service.evaluation.prediction import PredictionOutcome
     from egp_service.evaluation.scaling import StepTime
-    from egp_service.evaluation.statistics import Group
+    from egp_service.evaluation.statistics import Group, Interval
 
 _ABOUT = """Everything below was driven on the 29-state multi-body vehicle of CommonRoad, with
 measurement noise, by controllers that share one optimal control problem, solver, tuning and gate
@@ -41,8 +43,6 @@ here. Its reference moves at the present speed, ours along a speed profile, so b
 fought. Tracks here are computed from their definition or drawn from a seed; frictions are those
 of the text."""
 
-_DRAWABLE = 10  # conditions in one figure; more are a table
-
 
 def write_report(
     folder: Path,
@@ -50,12 +50,14 @@ def write_report(
     *,
     outcomes: Sequence[Outcome],
     predictions: Sequence[PredictionOutcome],
+    speeds: Sequence[EntrySpeed],
     times: Sequence[StepTime],
     drives: dict[str, list[tuple[str, Run]]],
 ) -> Path:
     """Write report, figures and tables into `folder`; `drives` are runs to show, by experiment."""
     _write_csv(folder / "runs.csv", [asdict(o) for o in outcomes])
     _write_csv(folder / "prediction.csv", [asdict(p) for p in predictions])
+    _write_csv(folder / "entry-speeds.csv", [asdict(s) for s in speeds])
     _write_csv(folder / "step-times.csv", [asdict(t) for t in times])
     groups = grouped(outcomes)
     sections = [
@@ -69,6 +71,8 @@ def write_report(
         if own:
             shown = drives.get(experiment.name, [])
             sections.append(_section(folder, experiment.name, own, outcomes, shown))
+    if speeds:
+        sections.append(_entry_speed_section(folder, speeds))
     if times:
         rows = [(t.program, str(t.members), f"{t.p50_ms:.3f}", f"{t.p95_ms:.3f}") for t in times]
         sections.append(
@@ -121,14 +125,10 @@ def _section(
     shown: Sequence[tuple[str, Run]],
 ) -> Section:
     experiment = next(e for e in EXPERIMENTS if e.name == name)
-    pictures = []
-    if len(experiment.conditions) <= _DRAWABLE:
-        pictures.append(figures.draw_completion(groups, folder / f"{name}.png"))
+    pictures = [figures.draw_completion(groups, folder / f"{name}.png")]
     tables = [group_table(groups)]
     if name == "friction-step":
         pictures.append(figures.draw_settling(outcomes, folder / "settling.png"))
-    if name == "iso-3888-2":
-        tables.insert(0, _highest_speeds(groups))
     if shown:
         pictures.append(draw_comparison(shown, folder / f"{name}-drives.png"))
     settling = [
@@ -144,26 +144,31 @@ def _section(
     return Section(experiment.title, text, tuple(pictures), tuple(tables))
 
 
-def _highest_speeds(groups: Sequence[Group]) -> str:
-    """Per surface the highest speed up to which a contender survives every run."""
-    speeds: dict[tuple[str, str], list[tuple[float, bool]]] = {}
-    for group in groups:
-        surface, _, speed = group.condition.rpartition(", ")
-        entry = (float(speed.removesuffix(" m/s")), group.completed == group.runs)
-        speeds.setdefault((group.contender, surface), []).append(entry)
-    surfaces = list(dict.fromkeys(surface for _, surface in speeds))
-    rows: list[tuple[str, ...]] = []
-    for contender in dict.fromkeys(contender for contender, _ in speeds):
-        cells: list[str] = []
-        for surface in surfaces:
-            survived = [0.0]
-            for tried, good in sorted(speeds[contender, surface]):
-                if not good:
-                    break
-                survived.append(tried)
-            cells.append(f"{survived[-1]:g}" if survived[-1] else "none")
-        rows.append((contender, *cells))
-    return plain_table(("highest entry speed survived, m/s", *surfaces), rows)
+def _entry_speed_section(folder: Path, speeds: Sequence[EntrySpeed]) -> Section:
+    surfaces = list(dict.fromkeys(s.condition for s in speeds))
+    medians = {
+        (contender, surface): median(
+            [s.speed for s in speeds if (s.contender, s.condition) == (contender, surface)]
+        )
+        for contender in dict.fromkeys(s.contender for s in speeds)
+        for surface in surfaces
+    }
+
+    def cell(found: Interval) -> str:
+        if found.value < SLOWEST:
+            return f"below {SLOWEST:g}"
+        return f"{found.value:.2f} ({found.low:.2f}-{found.high:.2f})"
+
+    rows = [
+        (contender, *(cell(medians[contender, surface]) for surface in surfaces))
+        for contender in dict.fromkeys(contender for contender, _ in medians)
+    ]
+    return Section(
+        OBSTACLE_AVOIDANCE.title,
+        OBSTACLE_AVOIDANCE.question,
+        (figures.draw_entry_speeds(medians, folder / f"{OBSTACLE_AVOIDANCE.name}.png"),),
+        (plain_table(("highest entry speed, m/s", *surfaces), rows),),
+    )
 
 
 def _prediction_section(folder: Path, predictions: Sequence[PredictionOutcome]) -> Section:
