@@ -44,6 +44,8 @@ EXTRAS = {
     "botorch": "train",
     "polars": "train",
     "matplotlib": "viz",
+    "cvxpy": "paper",
+    "osqp": "paper",
 }
 REFUSED = 1
 

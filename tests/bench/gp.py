@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from circle import POINTS, make_members, write
 from gp_numba import compiled
-from paper_stack import Member, read_tensors
 from phases import median
 from rich.table import Table
 from timing import clock, microseconds, percentiles
 
 from egp_service._core import Library
+from egp_service.evaluation.paper_stack import Member, read_tensors
 from library_example import CENTRE, HALF_WIDTH
 
 if TYPE_CHECKING:

@@ -10,13 +10,13 @@ import tomllib
 from typing import TYPE_CHECKING
 
 import numpy as np
-from paper_stack import PaperStack
 from rich.table import Table
 from timing import microseconds, percentiles
 
 from egp_service._core import Engine, Library, decode_reply, decode_request
 from egp_service.closed_loop import drive
 from egp_service.controller import Controller
+from egp_service.evaluation.paper_stack import PaperStack
 from egp_service.scenario import library_path, load_scenario
 
 if TYPE_CHECKING:

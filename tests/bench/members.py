@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from circle import HORIZON, SETTINGS, drive, make_members, write
-from paper_stack import PaperStack
 from rich.table import Table
 from timing import microseconds, percentiles
 
 from egp_service._core import Engine, Library, decode_reply, decode_request
+from egp_service.evaluation.paper_stack import PaperStack
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from egp_service.cli import app
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
+from egp_service.evaluation.scaling import OURS, PAPER
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -86,6 +87,13 @@ def test_everyone_enters_the_lane_change_at_some_speed(folder: Path) -> None:
     rows = list(csv.DictReader((folder / "entry-speeds.csv").read_text("utf-8").splitlines()))
     assert {row["contender"] for row in rows} >= {ENSEMBLE, ORACLE, "kinematic"}
     assert all(float(row["speed"]) >= 10.0 for row in rows), rows
+
+
+def test_a_step_takes_less_time_than_the_papers(folder: Path) -> None:
+    rows = list(csv.DictReader((folder / "step-times.csv").read_text("utf-8").splitlines()))
+    times = {(row["program"], int(row["members"])): float(row["p50_ms"]) for row in rows}
+    for members in (1, 2, 4, 8):
+        assert 10.0 * times[OURS, members] < times[PAPER, members]
 
 
 def test_predictions_are_ordered_as_in_the_paper(folder: Path) -> None:

@@ -1,17 +1,19 @@
-"""Time of a control step over the number of members (the paper, experiment 6)."""
+"""Time of a control step over the number of members (the paper, experiment 6), ours and theirs."""
 
 from __future__ import annotations
 
 import contextlib
 import tempfile
 import time
+import tomllib
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import Engine, Library, write_library_subset
+from egp_service._core import Engine, Library, decode_request, write_library_subset
 from egp_service.closed_loop import drive
 from egp_service.controller import Controller
 from egp_service.toml_text import dumps
@@ -23,6 +25,11 @@ if TYPE_CHECKING:
     from egp_service.trace import Period
 
 MEMBERS: Final = (1, 2, 4, 8, 16, 32, 64)
+OURS: Final = "this system"
+PAPER: Final = "the paper's stack"
+_PAPER_UP_TO: Final = 8  # members; 0.1 s a step
+_PAPER_REQUESTS: Final = 20
+_PAPER_WARM_UP: Final = 3  # CVXPY canonicalises on the first solve
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +48,8 @@ def measure(
     """Time our step on requests of a recorded drive, for libraries of copies of the same members.
 
     Copies share their weight, so the number of members that count is bounded by the settings; that
-    is what keeps the time flat, and the reply says what was left out.
+    is what keeps the time flat, and the reply says what was left out. The paper's stack, up to 8
+    members, is timed from the decoded request to its plan, where CVXPY and OSQP are installed.
     """
     source = Library.load(library)
     times = []
@@ -51,14 +59,42 @@ def measure(
             write_library_subset(library, path, [i % len(source.members) for i in range(count)])
             requests = _record(path, scenario, periods)
             engine = Engine(str(path), dumps(scenario.control))
-            taken = []
-            for request in requests:
-                start = time.perf_counter()
-                engine.step(request)
-                taken.append(time.perf_counter() - start)
-            p50, p95 = 1e3 * np.percentile(taken[len(taken) // 10 :], [50, 95])
-            times.append(StepTime("this system", count, float(p50), float(p95)))
+            times.append(_step_time(OURS, count, _ours(engine, requests)))
+            if count <= _PAPER_UP_TO and paper_installed():
+                times.append(_step_time(PAPER, count, _paper(path, engine, requests)))
     return times
+
+
+def paper_installed() -> bool:
+    """Whether the extras that the paper's stack needs are there."""
+    return all(find_spec(package) for package in ("gpytorch", "cvxpy", "osqp"))
+
+
+def _ours(engine: Engine, requests: Sequence[bytes]) -> list[float]:
+    """Seconds of each step, bytes to bytes, after the first ones."""
+    taken = []
+    for request in requests:
+        start = time.perf_counter()
+        engine.step(request)
+        taken.append(time.perf_counter() - start)
+    return taken[len(taken) // 10 :]
+
+
+def _paper(path: Path, engine: Engine, requests: Sequence[bytes]) -> list[float]:
+    """Seconds of each step of the paper's stack, which needs a full window."""
+    import torch  # noqa: PLC0415
+
+    from egp_service.evaluation.paper_stack import PaperStack  # noqa: PLC0415
+
+    torch.set_num_threads(1)  # as ours; for matrices of this size more gain nothing
+    stack = PaperStack(path, Library.load(path), tomllib.loads(engine.settings_toml))
+    full = requests[stack.window + 1 :][:_PAPER_REQUESTS]
+    return [stack.step(decode_request(r)).phases.total for r in full][_PAPER_WARM_UP:]
+
+
+def _step_time(program: str, members: int, seconds: Sequence[float]) -> StepTime:
+    p50, p95 = 1e3 * np.percentile(seconds, [50, 95])
+    return StepTime(program, members, float(p50), float(p95))
 
 
 def _record(library: Path, scenario: Scenario, periods: int) -> list[bytes]:

@@ -4,6 +4,7 @@ Built from the same library file and the same request as our step, and written w
 queries of a member go through GPyTorch as one batch, Jacobians take one backward pass an output,
 both problems are DPP-parametrised so that CVXPY canonicalises them once, OSQP starts from its last
 solution, and prediction rows the client carries are not computed again.
+Needs the [train] and [paper] extras.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ import cvxpy as cp
 import gpytorch
 import numpy as np
 import torch
-from mpc import Mpc
+
+from egp_service.evaluation.paper_mpc import Mpc
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,6 +53,7 @@ class ExactGP(gpytorch.models.ExactGP):  # type: ignore[misc]
     """One output of one member, with the library's ARD kernel and a constant mean."""
 
     def __init__(self, kernel: str, x: torch.Tensor, y: torch.Tensor, likelihood: Any) -> None:  # noqa: ANN401
+        """Take scaled inputs (n, 6) and one scaled output (n,)."""
         super().__init__(x, y, likelihood)
         self.mean_module = gpytorch.means.ConstantMean()
         self.covar_module = gpytorch.kernels.ScaleKernel(
@@ -68,6 +71,8 @@ class Member:
     """One surface's three GPs, its scalers, and mean with Jacobian by autograd."""
 
     def __init__(self, kernel: str, tensors: dict[str, Array], index: int) -> None:
+        """Take member `index` from a library file's tensors."""
+
         def tensor(name: str) -> torch.Tensor:
             return torch.from_numpy(tensors[f"members.{index}.{name}"].copy())
 
@@ -142,6 +147,7 @@ class Clock:
     """Laps of ``time.perf_counter``."""
 
     def __init__(self) -> None:
+        """Start the first lap."""
         self._last = time.perf_counter()
 
     def lap(self) -> float:
@@ -155,6 +161,7 @@ class Weights:
     """Eq. (6) with a quadratic prior, DPP-parametrised."""
 
     def __init__(self, members: int, window: int, strength: float) -> None:
+        """Build the problem for (K, 3, N) predictions."""
         self.f, self.y = cp.Parameter((window * NY, members)), cp.Parameter(window * NY)
         self.previous, self.w = cp.Parameter(members), cp.Variable(members)
         objective = cp.sum_squares(self.y - self.f @ self.w)
@@ -172,6 +179,7 @@ class PaperStack:
     """The paper's step for one library and the settings of our step."""
 
     def __init__(self, path: Path, library: Library, settings: dict[str, Any]) -> None:
+        """Build the stack for the library at `path`."""
         tensors, dt = read_tensors(path), library.dt
         count = len(library.members)
         self.members = [Member(library.kernel, tensors, n) for n in range(count)]

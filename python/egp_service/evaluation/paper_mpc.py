@@ -24,6 +24,7 @@ class Mpc:
     """Built once for a horizon, solved again and again with new parameter values."""
 
     def __init__(self, horizon: int, dt: float, settings: dict[str, Any]) -> None:
+        """Build the problem; `settings` are those of our step."""
         self.horizon, self.settings = horizon, settings
         cost, limits, soft = settings["cost"], settings["limits"], settings["soft"]
         self.a = [cp.Parameter((NX, NX)) for _ in range(horizon)]
