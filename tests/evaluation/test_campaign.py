@@ -17,7 +17,7 @@ from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, inter
 from egp_service.evaluation.entry_speed import RESOLUTION, SLOWEST, highest
 from egp_service.evaluation.experiments import EXPERIMENTS, NOISE, OBSTACLE_AVOIDANCE, Trial
 from egp_service.evaluation.settling import settling_times
-from egp_service.evaluation.statistics import grouped, median, wilson
+from egp_service.evaluation.statistics import Interval, grouped, mean, median, wilson
 from egp_service.scenario import Scenario, Speed, Track, Zone
 
 if TYPE_CHECKING:
@@ -40,7 +40,9 @@ KINDS = {
 }
 
 
-def outcome(contender: str, seed: int, *, completed: bool = True, rms: float = 0.1) -> Outcome:
+def outcome(
+    contender: str, seed: int, *, completed: bool = True, rms: float = 0.1, time: float = 30.0
+) -> Outcome:
     return Outcome(
         experiment="varying-speed",
         condition="90% of grip",
@@ -48,7 +50,7 @@ def outcome(contender: str, seed: int, *, completed: bool = True, rms: float = 0
         seed=seed,
         completed=completed,
         reason="completed" if completed else "left the road",
-        time=30.0,
+        time=time,
         distance=400.0,
         lateral_max=3 * rms,
         lateral_rms=rms,
@@ -56,6 +58,7 @@ def outcome(contender: str, seed: int, *, completed: bool = True, rms: float = 0
         off_track=0.0,
         settling=(0.2,),
         misses=0,
+        late=0,
         step_ms=0.3,
     )
 
@@ -114,12 +117,14 @@ def test_every_trial_has_its_own_key_and_roads_do_not_depend_on_the_contender() 
 
 
 def test_groups_compare_with_the_oracle_seed_by_seed() -> None:
-    outcomes = [outcome(ENSEMBLE, s, rms=0.11 + 0.01 * s) for s in range(4)]
+    outcomes = [outcome(ENSEMBLE, s, rms=0.11 + 0.01 * s, time=30.6) for s in range(4)]
     outcomes += [outcome(ORACLE, s, rms=0.1 + 0.01 * s, completed=s != 3) for s in range(4)]
     ensemble, oracle = grouped(outcomes)
     assert (ensemble.completed, oracle.completed) == (4, 3)
     assert ensemble.regret.value == pytest.approx(0.12 / 0.11)
-    assert oracle.regret.value == 1.0
+    assert ensemble.time_regret.value == pytest.approx(1.02)
+    assert ensemble.lap_time == Interval(30.6, 30.6, 30.6)
+    assert oracle.regret.value == oracle.time_regret.value == 1.0
 
 
 @pytest.mark.parametrize("limit", [6.9, 7.0, 12.3, 22.6])
@@ -160,6 +165,7 @@ def test_intervals() -> None:
     assert share.low == pytest.approx(10 / (10 + 1.959964**2))
     assert share.high == pytest.approx(1.0)
     assert math.isnan(median([]).value)
+    assert mean([0.0, 0.0, 0.0, 4.0]).value == 1.0
     interval = median(np.arange(101.0))
     assert interval.low < interval.value == 50.0 < interval.high
 

@@ -61,8 +61,10 @@ class Outcome:
     """Time from each friction change under excitation until the weights stay, s."""
     misses: int
     """Periods without a usable plan."""
+    late: int
+    """Periods whose step took longer than the period, on a machine as busy as this one was."""
     step_ms: float
-    """Median time of a step, on machines as busy as this one was."""
+    """Median time of a step, likewise."""
 
 
 class Campaign:
@@ -193,6 +195,7 @@ def _outcome(trial: Trial, run: Run) -> Outcome:
         off_track=off_track(trial.scenario, run),
         settling=tuple(settling_times(run)),
         misses=summary.periods - summary.solver_statuses.get("solved", 0),
+        late=int(np.sum(run.trace.step_time > run.dt)),
         step_ms=summary.step_time_ms["p50"],
     )
 

@@ -19,8 +19,9 @@ _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1f2937; max-width: 76rem; margin: 2rem auto;
        padding: 0 1rem; }
 h1, h2 { line-height: 1.2; } h2 { margin-top: 2.5rem; }
-table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }
-th, td { text-align: right; padding: .2rem .7rem; border-bottom: 1px solid #e5e7eb; }
+table { border-collapse: collapse; margin: 1rem 0; font-size: 12.5px;
+        font-variant-numeric: tabular-nums; }
+th, td { text-align: right; padding: .2rem .5rem; border-bottom: 1px solid #e5e7eb; }
 th:first-child, td:first-child, td.text { text-align: left; }
 th { font-weight: 600; color: #5a606b; } img { max-width: 100%; } code { background: #f3f4f6; }
 .no { color: #c2410c; font-weight: 600; } .yes { color: #3f6f3a; font-weight: 600; }
@@ -65,8 +66,9 @@ def claim_table(claims: Iterable[Claim]) -> str:
 def group_table(groups: Iterable[Group]) -> str:
     """One row for each contender and condition."""
     heads = (
-        "contender", "condition", "completed", "95 % interval", "lateral RMS, m", "lateral max, m",
-        "speed RMS, m/s", "time, s", "off track, s", "RMS / oracle's", "no plan", "step, ms",
+        "contender", "condition", "completed", "lateral RMS, m", "lateral max, m",
+        "speed RMS, m/s", "lap time, s", "off track, s", "settling, s", "RMS / oracle's",
+        "time / oracle's", "no plan", "late", "step, ms",
     )  # fmt: skip
     rows = [
         "<tr>"
@@ -75,18 +77,20 @@ def group_table(groups: Iterable[Group]) -> str:
             for text in (group.contender, group.condition)
         )
         + f"<td class={'yes' if group.completed == group.runs else 'no'}>"
-        f"{group.completed}/{group.runs}</td>"
+        f"{group.completed}/{group.runs} ({group.share.low:.2f}-{group.share.high:.2f})</td>"
         + "".join(
             f"<td>{text}</td>"
             for text in (
-                f"{group.share.low:.2f}-{group.share.high:.2f}",
-                _interval(group.lateral_rms),
-                _interval(group.lateral_max),
-                _interval(group.speed_rms),
-                _number(group.lap_time, 1),
-                f"{group.off_track:.2f}",
-                _interval(group.regret, 2),
+                interval(group.lateral_rms),
+                interval(group.lateral_max),
+                interval(group.speed_rms),
+                interval(group.lap_time, 2),
+                interval(group.off_track, 2),
+                interval(group.settling, 2),
+                interval(group.regret, 2),
+                interval(group.time_regret),
                 str(group.misses),
+                str(group.late),
                 f"{group.step_ms:.2f}",
             )
         )
@@ -106,15 +110,12 @@ def plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return f"<table><tr>{header}</tr>{body}</table>"
 
 
-def _interval(interval: Interval, digits: int = 3) -> str:
-    if math.isnan(interval.value):
+def interval(found: Interval, digits: int = 3) -> str:
+    """Write a value and its interval."""
+    if math.isnan(found.value):
         return "-"
-    low, high = f"{interval.low:.{digits}f}", f"{interval.high:.{digits}f}"
-    return f"{interval.value:.{digits}f} <small>({low}-{high})</small>"
-
-
-def _number(value: float, digits: int) -> str:
-    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+    low, high = f"{found.low:.{digits}f}", f"{found.high:.{digits}f}"
+    return f"{found.value:.{digits}f} ({low}-{high})"
 
 
 def _picture(path: Path) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from egp_service.evaluation.contenders import ORACLE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -45,14 +45,19 @@ class Group:
     """Median over all runs, m (bootstrap)."""
     lateral_max: Interval
     speed_rms: Interval
-    lap_time: float
+    lap_time: Interval
     """Median of the completed runs, s; NaN without one."""
-    off_track: float
+    off_track: Interval
     """Mean, s."""
+    settling: Interval
+    """Median over the friction changes under excitation, s; NaN without one."""
     regret: Interval
     """Median ratio of lateral RMS errors to the oracle's with the same seed, where both came
     through; NaN where there is none."""
+    time_regret: Interval
+    """The same of lap times."""
     misses: int
+    late: int
     step_ms: float
 
 
@@ -75,13 +80,25 @@ def wilson(successes: int, runs: int) -> Interval:
 
 def median(values: Sequence[float] | NDArray[np.float64]) -> Interval:
     """Median with its percentile bootstrap interval; the same numbers every time."""
+    return _bootstrap(values, np.median)
+
+
+def mean(values: Sequence[float] | NDArray[np.float64]) -> Interval:
+    """Mean with its percentile bootstrap interval; for what is zero in most runs."""
+    return _bootstrap(values, np.mean)
+
+
+def _bootstrap(
+    values: Sequence[float] | NDArray[np.float64],
+    statistic: Callable[..., NDArray[np.float64] | np.floating],
+) -> Interval:
     data = np.asarray(values, dtype=np.float64)
     if len(data) == 0:
         return Interval(math.nan, math.nan, math.nan)
     rng = np.random.default_rng(0)
-    resampled = np.median(rng.choice(data, (_RESAMPLES, len(data))), axis=1)
+    resampled = statistic(rng.choice(data, (_RESAMPLES, len(data))), axis=1)
     low, high = np.percentile(resampled, [2.5, 97.5])
-    return Interval(float(np.median(data)), float(low), float(high))
+    return Interval(float(statistic(data)), float(low), float(high))
 
 
 def _group(
@@ -94,9 +111,7 @@ def _group(
     oracle = {
         run.seed: run for run in groups.get((experiment, condition, ORACLE), []) if run.completed
     }
-    ratios = [
-        run.lateral_rms / oracle[run.seed].lateral_rms for run in through if run.seed in oracle
-    ]
+    pairs = [(run, oracle[run.seed]) for run in through if run.seed in oracle]
     return Group(
         experiment=experiment,
         condition=condition,
@@ -107,9 +122,12 @@ def _group(
         lateral_rms=median([run.lateral_rms for run in runs]),
         lateral_max=median([run.lateral_max for run in runs]),
         speed_rms=median([run.speed_rms for run in runs]),
-        lap_time=float(np.median([run.time for run in through])) if through else math.nan,
-        off_track=float(np.mean([run.off_track for run in runs])),
-        regret=median(ratios),
+        lap_time=median([run.time for run in through]),
+        off_track=mean([run.off_track for run in runs]),
+        settling=median([time for run in runs for time in run.settling]),
+        regret=median([own.lateral_rms / best.lateral_rms for own, best in pairs]),
+        time_regret=median([own.time / best.time for own, best in pairs]),
         misses=sum(run.misses for run in runs),
+        late=sum(run.late for run in runs),
         step_ms=float(np.median([run.step_ms for run in runs])),
     )

@@ -15,7 +15,14 @@ from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.entry_speed import SLOWEST
 from egp_service.evaluation.experiments import EXPERIMENTS, OBSTACLE_AVOIDANCE
-from egp_service.evaluation.html import Section, claim_table, group_table, page, plain_table
+from egp_service.evaluation.html import (
+    Section,
+    claim_table,
+    group_table,
+    interval,
+    page,
+    plain_table,
+)
 from egp_service.evaluation.scaling import PAPER
 from egp_service.evaluation.statistics import grouped, median
 from egp_service.files import write_text
@@ -35,7 +42,10 @@ if TYPE_CHECKING:
 _ABOUT = """Everything below was driven on the 29-state multi-body vehicle of CommonRoad, with
 measurement noise, by controllers that share one optimal control problem, solver, tuning and gate
 and differ only in what predicts the vehicle. Errors are of the true state. Runs that ended early
-count with the error they had until then: read errors and completions together.
+count with the error they had until then: read errors and completions together. Brackets are 95 %
+intervals over the seeds: Wilson's for shares, bootstrap for medians (off track: for the mean).
+<i>No plan</i> counts control periods without a usable plan, <i>late</i> those whose step took
+longer than the period while other runs shared the machine.
 Command: <code>{command}</code>"""
 
 _DIFFERENCES = """The paper drives at 30 Hz with OSQP and about zero inputs; this system at 50 Hz
@@ -65,6 +75,8 @@ def write_report(
         Section("What was claimed", "", tables=(claim_table(check(outcomes, predictions)),)),
         Section("Where this differs from the paper", _DIFFERENCES),
     ]
+    if regret := _regret_section(groups):
+        sections.append(regret)
     if predictions:
         sections.append(_prediction_section(folder, predictions))
     for experiment in EXPERIMENTS:
@@ -134,6 +146,33 @@ def _section(
             f"{np.percentile(settling, 90):.2f} s)."
         )
     return Section(experiment.title, text, tuple(pictures), tuple(tables))
+
+
+def _regret_section(groups: Sequence[Group]) -> Section | None:
+    """Put the ensemble beside the oracle, a row for each condition that both drove."""
+    oracle = {(g.experiment, g.condition): g for g in groups if g.contender == ORACLE}
+    rows = [
+        (
+            f"{g.experiment}, {g.condition}",
+            f"{g.completed}/{g.runs}",
+            f"{best.completed}/{best.runs}",
+            interval(g.regret, 2),
+            interval(g.time_regret),
+        )
+        for g in groups
+        if g.contender == ENSEMBLE and (best := oracle.get((g.experiment, g.condition)))
+    ]
+    if not rows:
+        return None
+    heads = ("condition", "completed", "oracle completed", "lateral RMS / oracle's")
+    return Section(
+        "Regret against the oracle",
+        "What not knowing the friction costs the ensemble: median ratios to the oracle, which "
+        "interpolates the members at the true friction, over the seeds that both completed. Below "
+        "1 the estimated weights drive better than that interpolation. The tables below have them "
+        "for every controller.",
+        tables=(plain_table((*heads, "lap time / oracle's"), rows),),
+    )
 
 
 def _entry_speed_section(folder: Path, speeds: Sequence[EntrySpeed]) -> Section:
