@@ -166,11 +166,12 @@ class Path:
         """Make a closed track from a seed: no crossing, no turn tighter than `min_radius`."""
 
     @staticmethod
-    def from_csv(file: str | PathLike[str]) -> Path:
+    def from_csv(file: str | PathLike[str], scale: float = 1.0) -> Path:
         """Read a closed track: a raceline (columns by `;`) or a centre line (columns by `,`).
 
         `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2` has no widths, and its psi must fit
-        the positions, from +x or from +y; `x_m,y_m,w_tr_right_m,w_tr_left_m` has widths.
+        the positions, from +x or from +y; `x_m,y_m,w_tr_right_m,w_tr_left_m` has widths. Lengths
+        are multiplied by `scale`, 10 for a track of 1:10 cars.
         """
 
     def with_friction(

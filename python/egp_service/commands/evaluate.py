@@ -33,6 +33,17 @@ def evaluate(
     train: Annotated[
         bool, typer.Option("--train", help="Train the library first, as the shipped one was.")
     ] = False,
+    track: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True,
+            dir_okay=False,
+            help="Your circuit for unseen-track: a raceline or centre line of F1TENTH or TUM.",
+        ),
+    ] = None,
+    scale: Annotated[
+        float, typer.Option(help="Of the track's lengths; 10 for tracks of 1:10 cars.")
+    ] = 1.0,
     jobs: Annotated[int | None, typer.Option(help="Processes; one per core by default.")] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder; what is there already is not run again.")
@@ -40,20 +51,30 @@ def evaluate(
 ) -> None:
     """Rerun the paper's experiments, with baselines, and write report.html.
 
-    An interrupted evaluation goes on where it stopped when it is called again. Needs the [train]
-    and [viz] extras.
+    Experiments: prediction, varying-speed, lane-change, four-members, random-roads, friction-step,
+    unseen-track, hard-roads, iso-3888-2, step-times.
+
+    An interrupted evaluation goes on where it stopped when it is called again. Needs the extras
+    train and viz; with the extra paper, step-times has the paper's own stack too.
 
     For example:
       egp evaluate --quick
       egp evaluate --full -o runs/full
       egp evaluate --full -e varying-speed -e random-roads
+      egp evaluate -e unseen-track --track Interlagos_centerline.csv --scale 10
     """
     import shlex
     import sys
 
+    from egp_service import EgpError
     from egp_service.evaluation import scaling
     from egp_service.evaluation.campaign import SHIPPED, Campaign
-    from egp_service.evaluation.experiments import CUSTOM_TRACK, EXPERIMENTS, OBSTACLE_AVOIDANCE
+    from egp_service.evaluation.experiments import (
+        CUSTOM_TRACK,
+        EXPERIMENTS,
+        OBSTACLE_AVOIDANCE,
+        on_track,
+    )
     from egp_service.evaluation.summary_report import headline, write_report
     from egp_service.scenario import Scenario, Zone
 
@@ -61,9 +82,15 @@ def evaluate(
     names = [e.name for e in EXPERIMENTS]
     avoidance = OBSTACLE_AVOIDANCE.name
     chosen = _chosen(experiment, ["prediction", *names, avoidance, "step-times"])
+    if track and "unseen-track" not in chosen:
+        raise EgpError("--track is driven in unseen-track: choose that too")
     source = _train(console, output) if train else library or SHIPPED
     campaign = Campaign(output, source)
-    driven = [e for e in EXPERIMENTS if e.name in chosen]
+    driven = [
+        on_track(e, track, scale) if track and e.name == "unseen-track" else e
+        for e in EXPERIMENTS
+        if e.name in chosen
+    ]
     predictions = _predict(console, output, full=full, jobs=jobs) if "prediction" in chosen else []
     outcomes = _drive(console, campaign, driven, full=full, jobs=jobs)
     speeds = _entry_speeds(console, campaign, full=full, jobs=jobs) if avoidance in chosen else []

@@ -147,7 +147,10 @@ class Campaign:
 
 def fingerprint(trial: Trial, library: str) -> str:
     """Identify a trial by everything that its outcome depends on."""
-    scenario = replace(trial.scenario, library=library).toml()
+    track = trial.scenario.track
+    if track.file is not None:
+        track = replace(track, file=hashlib.sha256(Path(track.file).read_bytes()).hexdigest())
+    scenario = replace(trial.scenario, library=library, track=track).toml()
     text = json.dumps([*trial.key, trial.contender.kind, trial.contender.members, scenario])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from egp_service.course import build_path
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, PAPER_WEIGHTS, Contender
 from egp_service.scenario import Measurement, Scenario, Speed, Track, Zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
 
 # Members of the evaluation library, by friction.
 M05, M06, M09, M11, POOLED = 0, 1, 2, 3, 4
@@ -273,6 +275,21 @@ def _friction_step() -> Experiment:
         seeds=20,
         quick_seeds=2,
     )
+
+
+def on_track(experiment: Experiment, file: Path, scale: float) -> Experiment:
+    """Put an experiment on a track from a CSV file, whose lengths are multiplied by `scale`.
+
+    Raises `EgpError` for a file that is no track.
+    """
+    track = Track("csv", str(file.resolve()), {"scale": scale})
+    conditions = tuple(
+        (f"{condition} on {file.stem}", replace(scenario, track=track))
+        for condition, scenario in experiment.conditions
+    )
+    for _, scenario in conditions:
+        build_path(scenario)  # refused now, not after hours
+    return replace(experiment, conditions=conditions)
 
 
 def _jittered(scenario: Scenario, seed: int) -> Scenario:

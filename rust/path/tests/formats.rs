@@ -41,7 +41,7 @@ fn centre_line() -> String {
 }
 
 fn problem(text: &str) -> (usize, String) {
-    match read_track(text).unwrap_err() {
+    match read_track(text, 1.0).unwrap_err() {
         PathError::Format { line, problem } => (line, problem),
         other => (0, other.to_string()),
     }
@@ -50,7 +50,7 @@ fn problem(text: &str) -> (usize, String) {
 #[test]
 fn racelines_are_read_with_either_heading() {
     for psi in [|yaw| yaw, |yaw| yaw - FRAC_PI_2, |yaw| yaw - TAU] {
-        let path = read_track(&raceline(psi)).unwrap();
+        let path = read_track(&raceline(psi), 1.0).unwrap();
         assert!((path.length() - TAU * 20.0).abs() < 1e-3);
         assert!(path.closed() && !path.has_widths());
         assert!((path.sample(5.0).yaw - (5.0 / 20.0 + FRAC_PI_2)).abs() < 1e-4);
@@ -65,17 +65,21 @@ fn headings_of_neither_convention_are_refused() {
         |yaw: f64| yaw.to_degrees(),
         |_| 0.0,
     ] {
-        let refused = read_track(&raceline(psi)).unwrap_err();
+        let refused = read_track(&raceline(psi), 1.0).unwrap_err();
         assert!(matches!(refused, PathError::Heading { .. }), "{refused}");
     }
 }
 
 #[test]
 fn centre_lines_have_left_and_right_widths() {
-    let path = read_track(&centre_line()).unwrap();
+    let path = read_track(&centre_line(), 1.0).unwrap();
     let at = path.sample(30.0);
     assert!((at.left - 3.5).abs() < 1e-9 && (at.right - 2.0).abs() < 1e-9);
     assert!((path.length() - TAU * 20.0).abs() < 1e-2);
+    let path = read_track(&centre_line(), 10.0).unwrap();
+    assert!((path.sample(30.0).left - 35.0).abs() < 1e-9);
+    assert!((path.length() - TAU * 200.0).abs() < 1e-1);
+    assert!(read_track(&centre_line(), 0.0).is_err());
 }
 
 #[test]

@@ -146,10 +146,13 @@ impl Path {
     }
 
     #[staticmethod]
-    fn from_csv(file: PathBuf) -> PyResult<Self> {
+    #[pyo3(signature = (file, scale = 1.0))]
+    fn from_csv(file: PathBuf, scale: f64) -> PyResult<Self> {
         let refuse = |error: &dyn Display| raise(format!("{}: {error}", file.display()));
         let text = fs::read_to_string(&file).map_err(|error| refuse(&error))?;
-        read_track(&text).map(Self).map_err(|error| refuse(&error))
+        read_track(&text, scale)
+            .map(Self)
+            .map_err(|error| refuse(&error))
     }
 
     fn with_friction(&self, zones: Vec<ZoneTuple>) -> PyResult<Self> {

@@ -4,7 +4,7 @@ use super::{Row, close, table};
 use crate::error::PathError;
 use crate::path::Path;
 
-pub(super) fn read(text: &str) -> Result<Path, PathError> {
+pub(super) fn read(text: &str, scale: f64) -> Result<Path, PathError> {
     let mut rows = table(text, ',', ["x_m", "y_m", "w_tr_right_m", "w_tr_left_m"])?;
     close(&mut rows, |&[x, y, ..]| [x, y])?;
     let (points, widths): (Vec<_>, Vec<_>) = rows
@@ -13,7 +13,7 @@ pub(super) fn read(text: &str) -> Result<Path, PathError> {
             |Row {
                  values: [x, y, right, left],
                  ..
-             }| ([*x, *y], [*left, *right]),
+             }| ([scale * x, scale * y], [scale * left, scale * right]),
         )
         .unzip();
     Path::from_points(&points, true, Some(&widths))

@@ -3,7 +3,7 @@
 mod centre_line;
 mod raceline;
 
-use crate::error::PathError;
+use crate::error::{PathError, check};
 use crate::path::Path;
 
 /// Reads a closed track in either format: columns separated by `;` make a raceline, by `,` a centre
@@ -13,15 +13,19 @@ use crate::path::Path;
 ///   through the positions and has no widths; psi must fit them, measured from +x or from +y.
 /// * Centre line: `x_m,y_m,w_tr_right_m,w_tr_left_m`.
 ///
+/// Lengths are multiplied by `scale`: 10 drives a track of 1:10 cars with a real one.
+///
 /// # Errors
+/// A scale that is not positive;
 /// The line and what is wrong there: a missing or additional column, something that isn't a finite
 /// number, an end far from the start, psi that fits neither convention; or what
 /// [`Path::from_points`] refuses.
-pub fn read_track(text: &str) -> Result<Path, PathError> {
+pub fn read_track(text: &str, scale: f64) -> Result<Path, PathError> {
+    check("scale", scale, "a positive number", |scale| scale > 0.0)?;
     let first = text.lines().find(|line| is_row(line));
     match first {
-        Some(line) if line.contains(';') => raceline::read(text),
-        Some(_) => centre_line::read(text),
+        Some(line) if line.contains(';') => raceline::read(text, scale),
+        Some(_) => centre_line::read(text, scale),
         None => Err(PathError::TooFewPoints(0)),
     }
 }

@@ -10,7 +10,7 @@ use crate::path::Path;
 /// a quarter turn.
 const FITS: f64 = 0.2;
 
-pub(super) fn read(text: &str) -> Result<Path, PathError> {
+pub(super) fn read(text: &str, scale: f64) -> Result<Path, PathError> {
     let columns = [
         "s_m",
         "x_m",
@@ -36,7 +36,7 @@ pub(super) fn read(text: &str) -> Result<Path, PathError> {
     }
     let points: Vec<_> = rows
         .iter()
-        .map(|row| [row.values[1], row.values[2]])
+        .map(|row| [scale * row.values[1], scale * row.values[2]])
         .collect();
     let path = Path::from_points(&points, true, None)?;
     check_heading(&rows)?;

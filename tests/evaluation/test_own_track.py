@@ -1,0 +1,66 @@
+"""A circuit from the user's file takes the place of the generated one, by one command."""
+
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from egp_service import EgpError
+from egp_service.cli import app
+from egp_service.evaluation.campaign import fingerprint
+from egp_service.evaluation.contenders import ENSEMBLE
+from egp_service.evaluation.experiments import EXPERIMENTS, on_track
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+UNSEEN = next(experiment for experiment in EXPERIMENTS if experiment.name == "unseen-track")
+
+
+def write_centre_line(file: Path, radius: float) -> None:
+    """Write a bent oval, as the track database of TUM has them, for 1:10 cars."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    r = radius * (1.0 + 0.1 * np.cos(3.0 * angle))
+    rows = np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full((60, 2), 0.4)])
+    np.savetxt(file, rows, fmt="%.6f", delimiter=",", header="x_m,y_m,w_tr_right_m,w_tr_left_m")
+
+
+def test_one_command_drives_a_circuit_of_ones_own(tmp_path: Path) -> None:
+    file = tmp_path / "oval.csv"
+    write_centre_line(file, 3.2)
+    arguments = ["evaluate", "-e", "unseen-track", "--track", str(file), "--scale", "10"]
+    result = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    text = (tmp_path / "out" / "runs.csv").read_text(encoding="utf-8")
+    runs = list(csv.DictReader(text.splitlines()))
+    assert {row["condition"] for row in runs} == {"14 m/s on oval"}
+    assert len(runs) == len(UNSEEN.contenders)
+    (own,) = (row for row in runs if row["contender"] == ENSEMBLE)
+    assert own["completed"] == "True"
+    assert 190.0 < float(own["distance"]) < 230.0
+
+
+def test_runs_belong_to_what_the_file_says(tmp_path: Path) -> None:
+    file = tmp_path / "oval.csv"
+    prints = []
+    for radius in (3.0, 3.2):
+        write_centre_line(file, radius)
+        trial = next(on_track(UNSEEN, file, 10.0).trials([0]))
+        prints.append(fingerprint(trial, "any"))
+    assert prints[0] != prints[1]
+
+
+def test_what_cannot_be_driven_is_refused_first(tmp_path: Path) -> None:
+    file = tmp_path / "notes.csv"
+    file.write_text("not,a,track\n", encoding="utf-8")
+    with pytest.raises(EgpError, match=r"notes\.csv: line 1: expected 4 columns"):
+        on_track(UNSEEN, file, 1.0)
+    write_centre_line(file, 3.0)
+    with pytest.raises(EgpError, match="scale"):
+        on_track(UNSEEN, file, 0.0)
+    result = CliRunner().invoke(app, ["evaluate", "-e", "lane-change", "--track", str(file)])
+    assert isinstance(result.exception, EgpError)
