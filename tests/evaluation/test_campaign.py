@@ -67,7 +67,14 @@ def test_every_contender_drives_and_is_not_run_twice(tmp_path: Path) -> None:
     trials = [Trial("bend", "10.8 m/s", contender, BEND) for contender in KINDS.values()]
     finished: list[str] = []
     campaign = Campaign(tmp_path, SHIPPED)
-    first = campaign.run(trials, jobs=2, report=lambda o, _d, _t: finished.append(o.contender))
+    counts: list[int] = []
+
+    def report(outcome: Outcome, done: int, _total: int) -> None:
+        finished.append(outcome.contender)
+        counts.append(done)
+
+    first = campaign.run(trials, jobs=2, report=report)
+    assert counts == [1, 2, 3, 4, 5]
     assert sorted(finished) == sorted(KINDS)
     assert [o.contender for o in first] == list(KINDS)
     assert all(o.completed and o.lateral_max < 1.0 for o in first), first

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _SHOWN = ("varying-speed", "unseen-track", "lane-change", "four-members")
 _QUICK_TRANSITIONS = 200
 _QUICK_ITERATIONS = 20
+_QUICK_MEMBERS = (1, 2, 4, 8)
 
 
 def evaluate(
@@ -98,7 +99,9 @@ def evaluate(
     times = []
     if "step-times" in chosen:
         with console.status("Timing the control step ..."):
-            times = scaling.measure(source, scenario, periods=200 if full else 60)
+            members = scaling.MEMBERS if full else _QUICK_MEMBERS
+            periods = 200 if full else 60
+            times = scaling.measure(source, scenario, periods=periods, members=members)
     with console.status("Drawing ..."):
         shown = {e.name: campaign.drives(e) for e in driven if e.name in _SHOWN}
         command = shlex.join(["egp", *sys.argv[1:]])

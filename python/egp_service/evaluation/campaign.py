@@ -7,7 +7,7 @@ import json
 import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -105,10 +105,10 @@ class Campaign:
         report: Callable[[Result, int, int], None],
     ) -> list[Result]:
         """Do `work` where `{name}.jsonl` has no result yet; gives all results, in trials' order."""
-        log_file = self._folder / f"{name}.jsonl"
+        finished = self._folder / f"{name}.jsonl"
         wanted = [self._with_library(trial) for trial in trials]
         prints = [fingerprint(trial, self._id) for trial in wanted]
-        known = _results(log_file, kind)
+        known = _results(finished, kind)
         missing = [
             (mark, trial) for mark, trial in zip(prints, wanted, strict=True) if mark not in known
         ]
@@ -116,15 +116,15 @@ class Campaign:
         spawn = multiprocessing.get_context("spawn")
         with (
             ProcessPoolExecutor(jobs or os.cpu_count(), spawn) as pool,
-            log_file.open("a", encoding="utf-8") as log,
+            finished.open("a", encoding="utf-8") as log,
         ):
             pending = {pool.submit(work, trial): mark for mark, trial in missing}
-            for future in as_completed(pending):
+            for done, future in enumerate(as_completed(pending), len(wanted) - len(missing) + 1):
                 result, mark = future.result(), pending[future]
                 known[mark] = result
                 log.write(json.dumps({"trial": mark, "outcome": asdict(result)}) + "\n")
                 log.flush()
-                report(result, len(wanted) - len(missing) + 1, len(wanted))
+                report(result, done, len(wanted))
         return [known[mark] for mark in prints]
 
     def drives(self, experiment: Experiment) -> list[tuple[str, Run]]:
@@ -165,8 +165,9 @@ def _results(log: Path, kind: type[Result]) -> dict[str, Result]:
             entry = json.loads(line)
         except json.JSONDecodeError:  # the line an interrupted campaign was writing
             continue
-        fields = {k: tuple(v) if isinstance(v, list) else v for k, v in entry["outcome"].items()}
-        found[entry["trial"]] = kind(**fields)
+        values = {k: tuple(v) if isinstance(v, list) else v for k, v in entry["outcome"].items()}
+        if set(values) == {field.name for field in fields(kind)}:  # not another version's
+            found[entry["trial"]] = kind(**values)
     return found
 
 
