@@ -12,6 +12,7 @@ mod active_set;
 pub use active_set::{ActiveSet, SimplexQp};
 
 use crate::settings::Prior;
+use crate::simd::{Vectorised, vectorised_loops};
 use crate::{GpOutput, Library, NY};
 
 /// Ridge on `H` relative to its largest entry: with identical members and no quadratic prior it picks, of all
@@ -21,6 +22,8 @@ const RIDGE: f64 = 1e-10;
 /// Estimator and its memory, for `N` members.
 #[derive(Debug, Clone)]
 pub struct WeightEstimator {
+    /// What the members predicted for one output of one transition.
+    column: Vec<f64>,
     hessian: Vec<f64>,
     linear: Vec<f64>,
     solver: ActiveSet,
@@ -30,6 +33,7 @@ impl WeightEstimator {
     /// An estimator for `n` members.
     pub fn new(n: usize) -> Self {
         Self {
+            column: vec![0.0; n],
             hessian: vec![0.0; n * n],
             linear: vec![0.0; n],
             solver: ActiveSet::new(n),
@@ -60,6 +64,11 @@ impl WeightEstimator {
         for (row, y) in predictions.chunks_exact(n * NY).zip(measured) {
             self.add_transition(row, y, inverse_noise);
         }
+        for i in 0..n {
+            for j in 0..i {
+                self.hessian[j * n + i] = self.hessian[i * n + j];
+            }
+        }
         let (lambda, alpha) = match prior {
             Prior::Quadratic { lambda } => (lambda, 0.0),
             Prior::L1 { alpha } => (0.0, alpha),
@@ -79,23 +88,46 @@ impl WeightEstimator {
         self.solver.solve(&qp, w)
     }
 
-    /// Adds one row of `2 FᵀS²F` and `-2 FᵀS²Y`.
+    /// Adds one row of `2 FᵀS²F`, its lower triangle, and of `-2 FᵀS²Y`.
     fn add_transition(
         &mut self,
         predicted: &[f64],
         measured: &[f64; NY],
         inverse_noise: &GpOutput,
     ) {
-        let n = self.linear.len();
         for output in 0..NY {
+            for (to, from) in self.column.iter_mut().zip(predicted.as_chunks::<NY>().0) {
+                *to = from[output];
+            }
             let factor = 2.0 * inverse_noise[output].powi(2);
-            let member = |i: usize| predicted[i * NY + output];
-            for i in 0..n {
-                let scaled = factor * member(i);
-                self.linear[i] -= scaled * measured[output];
-                for j in 0..n {
-                    self.hessian[i * n + j] += scaled * member(j);
-                }
+            for (linear, predicted) in self.linear.iter_mut().zip(&self.column) {
+                *linear -= factor * predicted * measured[output];
+            }
+            vectorised_loops(OuterProduct {
+                factor,
+                column: &self.column,
+                sum: &mut self.hessian,
+            });
+        }
+    }
+}
+
+/// Adds the lower triangle of `factor · column columnᵀ` to `sum`.
+struct OuterProduct<'a> {
+    factor: f64,
+    column: &'a [f64],
+    sum: &'a mut [f64],
+}
+
+impl Vectorised for OuterProduct<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn compute(self) {
+        for (i, row) in self.sum.chunks_exact_mut(self.column.len()).enumerate() {
+            let scaled = self.factor * self.column[i];
+            for (sum, predicted) in row[..=i].iter_mut().zip(self.column) {
+                *sum += scaled * predicted;
             }
         }
     }
