@@ -43,8 +43,9 @@ pub(crate) trait Simd: Copy {
     fn sqrt(self, a: Self::V) -> Self::V;
     /// The larger of `a` and `b`; `b` where that is NaN.
     fn max(self, a: Self::V, b: Self::V) -> Self::V;
-    /// The number with the low twelve bits of `a` plus 1023 as sign and exponent.
-    fn power_of_two(self, a: Self::V) -> Self::V;
+    /// The entry of `table` that the low three bits of `eighths` name, plus the low 15 bits of `eighths` from bit 49 up:
+    /// an eighth is the last of them, the exponent begins three above.
+    fn add_exponent(self, table: Self::V, eighths: Self::V) -> Self::V;
 }
 
 /// Runs a computation with the best instruction set this machine has, 512-bit vectors excepted: they slow the small
@@ -142,8 +143,15 @@ impl Simd for Portable {
         std::array::from_fn(|l| if a[l] > b[l] { a[l] } else { b[l] })
     }
     #[inline(always)]
-    fn power_of_two(self, a: Lanes) -> Lanes {
-        a.map(|a| f64::from_bits((a.to_bits() << 52).wrapping_add(1.0_f64.to_bits())))
+    fn add_exponent(self, table: Lanes, eighths: Lanes) -> Lanes {
+        eighths.map(|k| {
+            let bits = k.to_bits();
+            f64::from_bits(
+                table[(bits & 7) as usize]
+                    .to_bits()
+                    .wrapping_add(bits << 49),
+            )
+        })
     }
 }
 
@@ -204,10 +212,10 @@ mod x86 {
             mul_add(a: __m512d, b: __m512d, c: __m512d) -> __m512d = _mm512_fmadd_pd(a, b, c);
             sqrt(a: __m512d) -> __m512d = _mm512_sqrt_pd(a);
             max(a: __m512d, b: __m512d) -> __m512d = _mm512_max_pd(a, b);
-            power_of_two(a: __m512d) -> __m512d = {
-                let exponent = _mm512_slli_epi64::<52>(_mm512_castpd_si512(a));
-                let one = _mm512_castpd_si512(_mm512_set1_pd(1.0));
-                _mm512_castsi512_pd(_mm512_add_epi64(exponent, one))
+            add_exponent(table: __m512d, eighths: __m512d) -> __m512d = {
+                let k = _mm512_castpd_si512(eighths);
+                let entry = _mm512_castpd_si512(_mm512_permutexvar_pd(k, table));
+                _mm512_castsi512_pd(_mm512_add_epi64(entry, _mm512_slli_epi64::<49>(k)))
             };
         }
     }
@@ -235,13 +243,24 @@ mod x86 {
                 Pair(_mm256_fmadd_pd(a.0, b.0, c.0), _mm256_fmadd_pd(a.1, b.1, c.1));
             sqrt(a: Pair) -> Pair = Pair(_mm256_sqrt_pd(a.0), _mm256_sqrt_pd(a.1));
             max(a: Pair, b: Pair) -> Pair = Pair(_mm256_max_pd(a.0, b.0), _mm256_max_pd(a.1, b.1));
-            power_of_two(a: Pair) -> Pair = {
-                let one = _mm256_castpd_si256(_mm256_set1_pd(1.0));
-                let half = |a| {
-                    let exponent = _mm256_slli_epi64::<52>(_mm256_castpd_si256(a));
-                    _mm256_castsi256_pd(_mm256_add_epi64(exponent, one))
+            add_exponent(table: Pair, eighths: Pair) -> Pair = {
+                // There is no table of eight numbers, but one of eight half as long: low and high words apart.
+                let halves = |x: Pair| (_mm256_castpd_ps(x.0), _mm256_castpd_ps(x.1));
+                let (t, k) = (halves(table), halves(eighths));
+                let sorted = |words| _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_castps_si256(words));
+                let low = sorted(_mm256_shuffle_ps::<0b10_00_10_00>(t.0, t.1));
+                let high = sorted(_mm256_shuffle_ps::<0b11_01_11_01>(t.0, t.1));
+                let index = _mm256_castps_si256(_mm256_shuffle_ps::<0b10_00_10_00>(k.0, k.1));
+                let low = _mm256_permutevar8x32_epi32(low, index);
+                let high = _mm256_permutevar8x32_epi32(high, index);
+                let add = |entry, k| {
+                    let exponent = _mm256_slli_epi64::<49>(_mm256_castpd_si256(k));
+                    _mm256_castsi256_pd(_mm256_add_epi64(entry, exponent))
                 };
-                Pair(half(a.0), half(a.1))
+                Pair(
+                    add(_mm256_unpacklo_epi32(low, high), eighths.0),
+                    add(_mm256_unpackhi_epi32(low, high), eighths.1),
+                )
             };
         }
     }
@@ -255,7 +274,8 @@ mod tests {
     fn all<S: Simd>(simd: S) -> [Lanes; 8] {
         let a = simd.load(&[1.5, -2.0, 3.25, 0.0, 1e300, 7.0, -1e-3, 9.0]);
         let b = simd.load(&[0.1, 4.0, f64::NAN, 2.0, 5.0, -6.0, 7e3, 0.3]);
-        let shifted = simd.add(a, simd.splat(6_755_399_441_055_744.0));
+        let shifted = simd.add(a, simd.splat(844_424_930_131_968.0)); // 1.5 · 2⁴⁹: rounds to eighths
+        let table = std::array::from_fn(|k| k as f64 + 1.0);
         [
             simd.store(simd.add(a, b)),
             simd.store(simd.sub(a, b)),
@@ -264,7 +284,7 @@ mod tests {
             simd.store(simd.sqrt(simd.max(simd.splat(0.0), a))),
             simd.store(simd.max(a, b)),
             simd.store(simd.max(b, a)),
-            simd.store(simd.power_of_two(shifted)),
+            simd.store(simd.add_exponent(simd.load(&table), shifted)),
         ]
     }
 
@@ -281,6 +301,6 @@ mod tests {
                 assert_eq!(bits(all(simd)), expected);
             }
         }
-        assert_eq!(all(Portable)[7][..4], [4.0, 0.25, 8.0, 1.0]);
+        assert_eq!(all(Portable)[7][..4], [14.0, 0.25, 28.0, 1.0]);
     }
 }

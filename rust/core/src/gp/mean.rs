@@ -3,7 +3,7 @@
 use super::Gp;
 use crate::kernel::{Kernel, Lanes, Matern52, Points, Profile, Query, Rbf};
 use crate::simd::{Simd, Wide};
-use crate::{GpInput, GpJacobian, GpOutput, NZ};
+use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
 
 /// [`Gp::mean`].
 pub(super) struct Mean<'a> {
@@ -14,18 +14,19 @@ pub(super) struct Mean<'a> {
 impl Mean<'_> {
     #[inline(always)]
     fn with<P: Profile, S: Simd>(self, simd: S) -> GpOutput {
-        let mut mean = GpOutput::zeros();
-        for (mean, output) in mean.iter_mut().zip(&self.gp.outputs) {
-            let query = output.metric.query(self.z);
-            let mut sum = simd.splat(0.0);
-            let points = self.gp.points.blocks().iter().zip(output.metric.norms());
-            for ((block, norms), weights) in points.zip(&output.weights) {
+        let outputs = &self.gp.outputs;
+        let queries = outputs.each_ref().map(|output| output.metric.query(self.z));
+        let [a, b, c] = outputs
+            .each_ref()
+            .map(|output| output.metric.norms().iter().zip(&output.weights));
+        let mut sums = [simd.splat(0.0); NY];
+        for (((block, a), b), c) in self.gp.points.blocks().iter().zip(a).zip(b).zip(c) {
+            for ((query, sum), (norms, weights)) in queries.iter().zip(&mut sums).zip([a, b, c]) {
                 let value = P::value(simd, query.distances(simd, block, norms));
-                sum = simd.mul_add(value, simd.load(weights), sum);
+                *sum = simd.mul_add(value, simd.load(weights), *sum);
             }
-            *mean = output.constant + total(simd, sum);
         }
-        mean
+        GpOutput::from_fn(|o, _| outputs[o].constant + total(simd, sums[o]))
     }
 }
 

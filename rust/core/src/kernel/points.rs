@@ -122,13 +122,15 @@ impl Metric {
 }
 
 impl Query {
-    /// `t` to a block of points with their norms.
+    /// `t` to a block of points with their norms, in two sums: one would keep the processor waiting.
     #[inline(always)]
     pub fn distances<S: Simd>(&self, simd: S, block: &[Lanes; NZ], norms: &Lanes) -> S::V {
-        let mut t = simd.add(simd.load(norms), simd.splat(self.norm));
-        for (c, x) in self.coefficients.iter().zip(block) {
-            t = simd.mul_add(simd.splat(*c), simd.load(x), t);
+        let mut even = simd.add(simd.load(norms), simd.splat(self.norm));
+        let mut odd = simd.splat(0.0);
+        for (c, x) in (self.coefficients.as_chunks::<2>().0.iter()).zip(block.as_chunks::<2>().0) {
+            even = simd.mul_add(simd.splat(c[0]), simd.load(&x[0]), even);
+            odd = simd.mul_add(simd.splat(c[1]), simd.load(&x[1]), odd);
         }
-        t
+        simd.add(even, odd)
     }
 }
