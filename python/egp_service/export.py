@@ -70,6 +70,7 @@ def _member(member: TrainedMember) -> MemberData:
         golden_mean=golden_mean,
         golden_jacobian=golden_jacobian,
         golden_variance=golden_variance,
+        single_track=member.single_track,
     )
 
 

@@ -25,14 +25,39 @@ if TYPE_CHECKING:
 
 KernelName = Literal["rbf", "matern52"]
 
-# Smallest noise variance, of z-scored targets. What the seven states do not show (suspension,
-# wheel speeds) changes the outputs by more than 3 % of their spread; without a floor, a few hundred
-# points are interpolated as if it did not, and intervals get too narrow (coverage .72 on slides).
-MIN_NOISE: Final = 1e-3
+
+@dataclasses.dataclass(frozen=True)
+class Bounds:
+    """Where hyperparameters are looked for, in z-scored space."""
+
+    noise: float
+    """Smallest noise variance. What the seven states do not show (suspension, wheel speeds) changes
+    the outputs; without a floor, a few hundred points are interpolated as if it did not, and
+    intervals get too narrow (coverage .72 on slides)."""
+    lengthscale: float
+    """Smallest lengthscale."""
+    outputscale: float
+    """Largest prior variance."""
+
+    def inside(self, values: Hyperparameters) -> Hyperparameters:
+        """Move values a little inside."""
+        low, high = 1.1 * self.lengthscale, 0.9 * MAX_LENGTHSCALE
+        return Hyperparameters(
+            lengthscales=tuple(min(max(length, low), high) for length in values.lengthscales),
+            outputscale=min(values.outputscale, 0.9 * self.outputscale),
+            noise=max(values.noise, 1.1 * self.noise),
+            constant=values.constant,
+        )
+
+
 # A lengthscale of 1000 standard deviations is a switched-off input; farther out the likelihood
 # is flat and L-BFGS only wastes steps.
 MAX_LENGTHSCALE: Final = 1e3
-MIN_LENGTHSCALE: Final = 1e-2
+WHOLE_CHANGES: Final = Bounds(noise=1e-3, lengthscale=1e-2, outputscale=math.inf)
+"""For processes that predict the whole change."""
+CORRECTIONS: Final = Bounds(noise=0.1, lengthscale=1.0, outputscale=1.0)
+"""For those that correct a vehicle model: smooth, and between the data no larger than in them. With
+the bounds above they follow what hidden states did and lead the controller astray at the limit."""
 
 
 @contextlib.contextmanager
@@ -66,13 +91,15 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
 
     num_outputs = 1
 
-    def __init__(self, z: torch.Tensor, y: torch.Tensor, kernel: KernelName) -> None:
+    def __init__(
+        self, z: torch.Tensor, y: torch.Tensor, kernel: KernelName, bounds: Bounds
+    ) -> None:
         """Hold z-scored inputs (M, 6) and targets (M,) under default hyperparameters."""
         likelihood = gpytorch.likelihoods.GaussianLikelihood(
-            noise_constraint=gpytorch.constraints.GreaterThan(MIN_NOISE)
+            noise_constraint=gpytorch.constraints.GreaterThan(bounds.noise)
         )
         super().__init__(z, y, likelihood)
-        lengthscales = gpytorch.constraints.Interval(MIN_LENGTHSCALE, MAX_LENGTHSCALE)
+        lengthscales = gpytorch.constraints.Interval(bounds.lengthscale, MAX_LENGTHSCALE)
         base = (
             gpytorch.kernels.RBFKernel(
                 ard_num_dims=z.shape[-1], lengthscale_constraint=lengthscales
@@ -83,7 +110,13 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
             )
         )
         self.mean_module = gpytorch.means.ConstantMean()
-        self.covar_module = gpytorch.kernels.ScaleKernel(base)
+        outputscale = (
+            gpytorch.constraints.Positive()
+            if math.isinf(bounds.outputscale)
+            else gpytorch.constraints.Interval(0.0, bounds.outputscale)
+        )
+        self.covar_module = gpytorch.kernels.ScaleKernel(base, outputscale_constraint=outputscale)
+        self._bounds = bounds
         self.to(z)
 
     def forward(self, z: torch.Tensor) -> gpytorch.distributions.MultivariateNormal:
@@ -106,17 +139,14 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
         )
 
     def assign(self, values: Hyperparameters) -> None:
-        """Set all hyperparameters, drawn a little inside their constraints."""
+        """Set all hyperparameters, drawn a little inside their bounds."""
+        inside = self._bounds.inside(values)
         # As float64 tensors: GPyTorch reads a Python float as float32.
-        lengthscales = torch.tensor(values.lengthscales, dtype=torch.float64)
-        self.covar_module.base_kernel.lengthscale = lengthscales.clamp(
-            1.1 * MIN_LENGTHSCALE, 0.9 * MAX_LENGTHSCALE
-        )
-        self.covar_module.outputscale = torch.tensor(values.outputscale, dtype=torch.float64)
-        self.likelihood.noise = torch.tensor(
-            max(values.noise, 1.1 * MIN_NOISE), dtype=torch.float64
-        )
-        self.mean_module.constant = torch.tensor(values.constant, dtype=torch.float64)
+        lengthscales = torch.tensor(inside.lengthscales, dtype=torch.float64)
+        self.covar_module.base_kernel.lengthscale = lengthscales
+        self.covar_module.outputscale = torch.tensor(inside.outputscale, dtype=torch.float64)
+        self.likelihood.noise = torch.tensor(inside.noise, dtype=torch.float64)
+        self.mean_module.constant = torch.tensor(inside.constant, dtype=torch.float64)
 
 
 @dataclasses.dataclass(frozen=True)

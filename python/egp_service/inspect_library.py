@@ -18,6 +18,11 @@ if TYPE_CHECKING:
     from egp_service._core import Member
 
 INPUTS: Final = ("v_x m/s", "v_y m/s", "omega rad/s", "delta rad", "F_x N", "delta_dot rad/s")
+# Subscripts f and r: front and rear tyres; D friction, B stiffness, C shape.
+SINGLE_TRACK: Final = (
+    *("m kg", "l_f m", "l_r m", "k² m²", "h m", "D_x", "e"),
+    *("D_f", "B_f", "C_f", "D_r", "B_r", "C_r"),
+)
 OUTPUTS: Final = ("dv_x m/s", "dv_y m/s", "domega rad/s")
 
 
@@ -34,6 +39,8 @@ def inspect(path: Path, console: Console | None = None) -> None:
     console.print(summary(path, library), members(library.members))
     for member in library.members:
         console.print(hyperparameters(member), envelope(member))
+        if member.single_track is not None:
+            console.print(vehicle(member.label, member.single_track))
 
 
 def summary(path: Path, library: Library) -> Table:
@@ -89,6 +96,15 @@ def hyperparameters(member: Member) -> Table:
         cells = (f"{length:.3g}" for length in lengthscales)
         scale = noise_std * math.sqrt(outputscale / noise)
         table.add_row(output, *cells, f"{scale:.2g}", f"{noise_std:.2g}")
+    return table
+
+
+def vehicle(label: str, parameters: Iterable[float]) -> Table:
+    """Return the single-track vehicle that the GPs correct."""
+    table = Table(
+        *SINGLE_TRACK, title=f"{label}: the vehicle that the GPs correct", box=box.SIMPLE_HEAD
+    )
+    table.add_row(*(f"{value:.3g}" for value in parameters))
     return table
 
 

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from egp_service.experiment import Experiment
 
 _TRACKS: Final = ("rounded-rectangle", "random", "l-shape", "random")
+# Of the rounded rectangle, m: straights long enough for the speeds that braking from is hard.
+_LENGTH: Final = (80.0, 240.0)
 _FIRST_SEED: Final = 10_000  # tracks and noise that nobody else draws
 # Makes the inputs vary; the true states are recorded.
 _NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
@@ -100,9 +102,11 @@ def _scenario(library: Path, surfaces: Sequence[Experiment], seed: int, grip: fl
     zones = tuple(
         Zone(start, surfaces[order[i % len(order)]].friction) for i, start in enumerate(starts)
     )
+    kind = _TRACKS[seed % len(_TRACKS)]
+    measures = {"length": float(rng.uniform(*_LENGTH))} if kind == "rounded-rectangle" else {}
     return Scenario(
         name="on-policy",
-        track=Track(_TRACKS[seed % len(_TRACKS)]),
+        track=Track(kind, parameters=measures),
         zones=zones,
         library=str(library),
         vehicle=surfaces[0].vehicle,

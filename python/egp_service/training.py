@@ -1,21 +1,25 @@
 """From datasets to a library: one member per surface, one exact process per output.
 
-Per surface: split off trajectories for validation, z-score, fit on a random subset to learn the
-lengthscales, choose `max_points` transitions with them (`subset`), fit again on those.
+Per surface: split off trajectories for validation, fit a single-track vehicle (`prior_mean`) and
+z-score what it leaves, fit on a random subset to learn the lengthscales, choose `max_points`
+transitions with them (`subset`), fit again on those.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 import torch
 
-from egp_service import EgpError
+from egp_service import EgpError, prior_mean
 from egp_service.dataset import INPUTS, OUTPUTS, Dataset, merge
 from egp_service.gaussian_process import (
+    CORRECTIONS,
+    WHOLE_CHANGES,
+    Bounds,
     FitStep,
     Hyperparameters,
     KernelName,
@@ -41,6 +45,8 @@ class TrainingSettings:
 
     kernel: KernelName = "rbf"
     """Covariance function of every process: "rbf" or "matern52"."""
+    mean: Literal["single-track", "constant"] = "single-track"
+    """What the GPs are added to: a vehicle fitted to the surface, or constants as in the paper."""
     max_points: int = 700
     """Transitions a member keeps; the control step's time grows with it."""
     first_points: int = 400
@@ -58,6 +64,8 @@ class TrainingSettings:
         """Refuse settings that cannot train."""
         if self.kernel not in ("rbf", "matern52"):
             raise EgpError(f"kernel is {self.kernel!r}: expected 'rbf' or 'matern52'")
+        if self.mean not in ("single-track", "constant"):
+            raise EgpError(f"mean is {self.mean!r}: expected 'single-track' or 'constant'")
         least = 2 * NX
         for name in ("max_points", "first_points"):
             if getattr(self, name) < least:
@@ -97,6 +105,8 @@ class TrainedMember:
     target_std: NDArray[np.float64]
     processes: tuple[OutputProcess, ...]
     losses: tuple[float, ...]
+    single_track: NDArray[np.float64] | None
+    """Parameters (13,) of the vehicle that the processes are added to."""
 
     def predict(
         self, z: NDArray[np.float64]
@@ -107,10 +117,14 @@ class TrainedMember:
         scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
         mean, variance = np.empty((len(z), NY)), np.empty((len(z), NY))
         jacobian = np.empty((len(z), NY, NX))
+        known = query.new_zeros((len(z), NY))
+        if self.single_track is not None:
+            vehicle, dt = query.new_tensor(self.single_track), self.dataset.provenance.dt
+            known = prior_mean.change(query, vehicle, dt)
         with exact():
             for j, process in enumerate(self.processes):
                 posterior = process(scaled)
-                f = posterior.mean * self.target_std[j] + self.target_mean[j]
+                f = posterior.mean * self.target_std[j] + self.target_mean[j] + known[:, j]
                 # Row i of the mean depends on row i of the query only, so one backward pass of
                 # the sum gives all rows' gradients.
                 (gradient,) = torch.autograd.grad(f.sum(), query, retain_graph=True)
@@ -201,10 +215,15 @@ def _train_member(
     data, validation = split(dataset, settings.validation_fraction, rng)
     label = dataset.provenance.surface
     input_mean, input_std = data.z.mean(axis=0), _spread(data.z, INPUTS, label)
-    target_mean, target_std = data.y.mean(axis=0), _spread(data.y, OUTPUTS, label)
+    vehicle, rest, bounds = None, data.y, WHOLE_CHANGES
+    if settings.mean == "single-track":
+        vehicle = prior_mean.fit(data.z, data.y, data.provenance.dt, rng)
+        rest = data.y - prior_mean.predict(data.z, vehicle, data.provenance.dt)
+        bounds = CORRECTIONS
+    target_mean, target_std = rest.mean(axis=0), _spread(rest, OUTPUTS, label)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     z = torch.tensor((data.z - input_mean) / input_std, dtype=torch.float64, device=device)
-    y = torch.tensor((data.y - target_mean) / target_std, dtype=torch.float64, device=device)
+    y = torch.tensor((rest - target_mean) / target_std, dtype=torch.float64, device=device)
     offset, total = progress
 
     def fit_all(
@@ -218,7 +237,7 @@ def _train_member(
                 at = before + step.start * settings.max_iterations + step.iteration
                 report(FitProgress(f"{label}: {stage} fit of {name}", step.loss, at, total))
 
-            process = OutputProcess(z[rows], y[rows, j].contiguous(), settings.kernel)
+            process = OutputProcess(z[rows], y[rows, j].contiguous(), settings.kernel, bounds)
             losses.append(fit(process, starts[j], settings.max_iterations, on_step))
             processes.append(process)
         return processes, losses
@@ -243,6 +262,7 @@ def _train_member(
         target_std=target_std,
         processes=tuple(processes),
         losses=tuple(losses),
+        single_track=vehicle,
     )
 
 

@@ -195,7 +195,7 @@ def repeated_point(content: Content) -> None:
 @pytest.mark.parametrize(
     ("code", "named", "spoil"),
     [
-        ("schema_version", "2", change_metadata(schema=2)),
+        ("schema_version", "1", change_metadata(schema=1)),
         ("metadata", "colour", change_metadata(colour="red")),
         ("unknown_kernel", "periodic", change_metadata(kernel="periodic")),
         ("time_step", "50", change_metadata(dt=50.0)),

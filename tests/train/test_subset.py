@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from egp_service.gaussian_process import Hyperparameters, OutputProcess
+from egp_service.gaussian_process import WHOLE_CHANGES, Hyperparameters, OutputProcess
 from egp_service.subset import select
 
 
 def _processes(z: torch.Tensor) -> list[OutputProcess]:
     processes = []
     for lengthscale in (1.0, 2.0):
-        process = OutputProcess(z[:10], z[:10, 0].contiguous(), "rbf")
+        process = OutputProcess(z[:10], z[:10, 0].contiguous(), "rbf", WHOLE_CHANGES)
         process.assign(Hyperparameters((lengthscale,) * 6, 1.0, 1e-3, 0.0))
         processes.append(process)
     return processes

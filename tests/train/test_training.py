@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from surfaces import NOISE, provenance, surface
 
-from egp_service import EgpError
+from egp_service import EgpError, prior_mean
 from egp_service._core import Library
 from egp_service.export import export
 from egp_service.training import FitProgress, TrainedMember, TrainingSettings, split, train
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from egp_service.dataset import Dataset
     from egp_service.gaussian_process import KernelName
 
+# The law of `surfaces` is no vehicle's.
 SETTINGS = TrainingSettings(
-    kernel="rbf", max_points=80, first_points=60, restarts=0, max_iterations=40
+    kernel="rbf", mean="constant", max_points=80, first_points=60, restarts=0, max_iterations=40
 )
 
 
@@ -72,6 +73,29 @@ def test_library_predicts_what_gpytorch_does(
         for ours, theirs in zip(library.predict(z, index), member.predict(z), strict=True):
             # Rounding in GPyTorch's distances, relative to the largest value; measured 3e-13.
             np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
+
+
+def test_the_vehicle_is_found_again() -> None:
+    known = np.array([1200.0, 0.9, 1.5, 1.6, 0.5, 0.8, 1.0, 0.9, 15.0, 1.6, 1.0, 20.0, 1.3])
+    rng = np.random.default_rng(0)
+    bounds = np.array([8.0, 0.6, 0.5, 0.1, 6000.0, 0.3])
+    z = np.array([15.0, *np.zeros(5)]) + bounds * rng.uniform(-1.0, 1.0, (2000, 6))
+    y = prior_mean.predict(z, known, 0.05)
+    found = prior_mean.fit(z, y, 0.05, rng)
+    error = np.abs(prior_mean.predict(z, found, 0.05) - y).max(axis=0)
+    assert np.all(error < 1e-3 * y.std(axis=0))
+
+
+def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) -> None:
+    settings = dataclasses.replace(SETTINGS, mean="single-track", max_iterations=10)
+    (member,) = train([surface()], settings)
+    export(tmp_path / "vehicle", [member], settings, {})
+    library = Library.load(tmp_path / "vehicle")
+    assert member.single_track is not None
+    np.testing.assert_array_equal(library.members[0].single_track, member.single_track)
+    z = surface(0.8, seed=9).z
+    for ours, theirs in zip(library.predict(z), member.predict(z), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
 
 
 def test_library_says_where_it_comes_from(members: list[TrainedMember], library_path: Path) -> None:

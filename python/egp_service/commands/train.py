@@ -18,6 +18,10 @@ def train(
     kernel: Annotated[
         Literal["rbf", "matern52"], typer.Option(help="Covariance function.")
     ] = "matern52",
+    mean: Annotated[
+        Literal["single-track", "constant"],
+        typer.Option(help="What the GPs correct: a vehicle fitted to the surface, or a constant."),
+    ] = "single-track",
     max_points: Annotated[int, typer.Option(help="Transitions a member keeps.")] = 700,
     restarts: Annotated[int, typer.Option(help="Further random starts of each fit.")] = 1,
     validation: Annotated[
@@ -58,6 +62,7 @@ def train(
     else:
         settings = TrainingSettings(
             kernel=kernel,
+            mean=mean,
             max_points=max_points,
             restarts=restarts,
             validation_fraction=validation,

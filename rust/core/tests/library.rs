@@ -4,7 +4,8 @@
 mod support;
 
 use egp_core::library::{LibraryError, MAX_FILE_BYTES, MAX_HEADER_BYTES, encode};
-use egp_core::{Kernel, Library};
+use egp_core::vehicle::{SINGLE_TRACK_PARAMETERS, SingleTrack};
+use egp_core::{GpJacobian, GpOutput, Kernel, Library, NY, NZ};
 use proptest::prelude::*;
 use sha2::{Digest, Sha256};
 
@@ -25,6 +26,47 @@ fn the_same_content_gives_the_same_bytes_and_identity() {
         .map(egp_core::Member::label)
         .collect();
     assert_eq!(labels, ["friction 0.5", "friction 1.1"]);
+}
+
+#[test]
+fn a_vehicle_is_added_to_the_gps() {
+    let mut spec = support::spec(Kernel::Rbf, &[0.5], 20, 0);
+    let alone = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
+    let parameters = [
+        1225.0, 0.87, 1.52, 1.6, 0.45, 0.8, 1.2, 0.9, 15.0, 1.6, 1.1, 20.0, 1.2,
+    ];
+    let vehicle = SingleTrack::new(&parameters, spec.dt);
+    let data = &mut spec.members[0];
+    data.single_track = Some(parameters);
+    for (y, z) in data.targets.iter_mut().zip(&data.inputs) {
+        *y = (GpOutput::from(*y) + vehicle.change(&(*z).into())).into();
+    }
+    for g in 0..data.golden_z.len() {
+        let (change, slopes) = vehicle.change_jacobian(&data.golden_z[g].into());
+        for o in 0..NY {
+            data.golden_mean[g][o] += change[o];
+            for d in 0..NZ {
+                data.golden_jacobian[g][o][d] += slopes[(o, d)];
+            }
+        }
+    }
+    let golden = data.golden_z.clone();
+    let library = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
+    let (with, without) = (&library.members()[0], &alone.members()[0]);
+    assert_eq!(with.single_track().unwrap().parameters(), &parameters);
+    assert!(without.single_track().is_none());
+    for z in golden {
+        let z = z.into();
+        assert_eq!(with.mean(&z), vehicle.change(&z) + without.mean(&z));
+        let mut jacobian = GpJacobian::zeros();
+        let mean = with.mean_jacobian(&z, &mut jacobian);
+        assert!((mean - with.mean(&z)).amax() < 1e-12);
+    }
+    spec.members[0].single_track = Some([0.0; SINGLE_TRACK_PARAMETERS]);
+    assert!(matches!(
+        encode(&spec),
+        Err(LibraryError::NotPositive { .. })
+    ));
 }
 
 #[test]

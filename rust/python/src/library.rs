@@ -190,6 +190,12 @@ impl Member {
     }
 
     #[getter]
+    fn single_track<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
+        let known = self.get().single_track()?;
+        Some(vector(py, known.parameters().iter().copied()))
+    }
+
+    #[getter]
     fn noise_std<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.get().noise_std().iter().copied())
     }
@@ -204,7 +210,8 @@ impl MemberData {
     #[new]
     #[pyo3(signature = (
         *, label, friction, dataset, inputs, targets, input_mean, input_std, target_mean, target_std, lengthscales,
-        outputscale, noise, constant, alpha, envelope, golden_z, golden_mean, golden_jacobian, golden_variance
+        outputscale, noise, constant, alpha, envelope, golden_z, golden_mean, golden_jacobian, golden_variance,
+        single_track = None
     ))]
     #[allow(clippy::too_many_arguments)]
     fn new(
@@ -227,6 +234,7 @@ impl MemberData {
         golden_mean: Matrix<'_>,
         golden_jacobian: Cube<'_>,
         golden_variance: Matrix<'_>,
+        single_track: Option<Vector<'_>>,
     ) -> PyResult<Self> {
         Ok(Self(library::MemberData {
             label,
@@ -256,6 +264,9 @@ impl MemberData {
             golden_mean: rows("golden_mean", &golden_mean)?,
             golden_jacobian: layers("golden_jacobian", &golden_jacobian)?,
             golden_variance: rows("golden_variance", &golden_variance)?,
+            single_track: single_track
+                .map(|parameters| fixed("single_track", &parameters))
+                .transpose()?,
         }))
     }
 }

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use super::LibraryError;
 use super::limits::MAX_GOLDEN;
-use super::metadata::{MemberMetadata, check_count};
+use super::metadata::{MemberMetadata, PriorMean, check_count};
+use crate::vehicle::SINGLE_TRACK_PARAMETERS;
 use crate::{Kernel, NY, NZ};
 
 /// Everything a library file is written from.
@@ -50,8 +51,10 @@ pub struct MemberData {
     pub outputscale: [f64; NY],
     /// Noise variances, `[3]`.
     pub noise: [f64; NY],
-    /// Prior means, `[3]`.
+    /// Prior means, `[3]`; on top of those of `single_track`.
     pub constant: [f64; NY],
+    /// What the GPs are added to, in physical units, `[13]`; see [`SingleTrack`](crate::vehicle::SingleTrack::new).
+    pub single_track: Option<[f64; SINGLE_TRACK_PARAMETERS]>,
     /// `(K + s² I)⁻¹ (y - m)`, `[3, M]`.
     pub alpha: [Vec<f64>; NY],
     /// Smallest and largest training inputs, `[2, 6]`.
@@ -81,7 +84,7 @@ impl MemberData {
     /// The tensors of this member, in the order of the format's description.
     pub(super) fn tensors(&self) -> Vec<Tensor> {
         let (m, g) = (self.inputs.len(), self.golden_z.len());
-        vec![
+        let mut tensors = vec![
             ("inputs", vec![m, NZ], self.inputs.as_flattened().to_vec()),
             (
                 "targets",
@@ -130,7 +133,12 @@ impl MemberData {
                 vec![self.golden_variance.len(), NY],
                 self.golden_variance.as_flattened().to_vec(),
             ),
-        ]
+        ];
+        if let Some(parameters) = &self.single_track {
+            let shape = vec![SINGLE_TRACK_PARAMETERS];
+            tensors.push(("single_track", shape, parameters.to_vec()));
+        }
+        tensors
     }
 
     /// Reads one member; shapes are checked by the source, values by the verification.
@@ -157,6 +165,13 @@ impl MemberData {
             vector_y("constant")?,
         );
         let alpha = source.take("alpha", &[NY, m])?;
+        let single_track = match metadata.mean {
+            PriorMean::Constant => None,
+            PriorMean::SingleTrack => {
+                let shape = [SINGLE_TRACK_PARAMETERS];
+                Some(row(&source.take("single_track", &shape)?))
+            }
+        };
         Ok(Self {
             label: metadata.label.clone(),
             friction: metadata.friction,
@@ -171,6 +186,7 @@ impl MemberData {
             outputscale,
             noise,
             constant,
+            single_track,
             alpha: std::array::from_fn(|o| alpha[o * m..(o + 1) * m].to_vec()),
             envelope: row(&rows(&source.take("envelope", &[2, NZ])?)),
             golden_z: rows(&source.take("golden_z", &[g, NZ])?),

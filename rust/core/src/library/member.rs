@@ -1,8 +1,9 @@
-//! One surface's GPs, in physical units.
+//! One surface's GPs and what they are added to, in physical units.
 
 use super::data::MemberData;
 use crate::gp::{Gp, Horizon, Hyperparameters, SingularCovariance};
 use crate::scaler::Scaler;
+use crate::vehicle::SingleTrack;
 use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
 
 /// The GPs of one surface: physical units outside, the z-scored space inside.
@@ -16,11 +17,16 @@ pub struct Member {
     target_scaler: Scaler<NY>,
     hyperparameters: [Hyperparameters; NY],
     gp: Gp,
+    single_track: Option<SingleTrack>,
 }
 
 impl Member {
     /// Scales and factors the data of a member, whose values were checked before.
-    pub(super) fn new(data: &MemberData, kernel: Kernel) -> Result<Self, SingularCovariance> {
+    pub(super) fn new(
+        data: &MemberData,
+        kernel: Kernel,
+        dt: f64,
+    ) -> Result<Self, SingularCovariance> {
         let input_scaler = Scaler::new(data.input_mean, data.input_std);
         let hyperparameters = std::array::from_fn(|o| Hyperparameters {
             lengthscales: data.lengthscales[o],
@@ -43,6 +49,9 @@ impl Member {
             target_scaler: Scaler::new(data.target_mean, data.target_std),
             hyperparameters,
             gp,
+            single_track: data
+                .single_track
+                .map(|parameters| SingleTrack::new(&parameters, dt)),
         })
     }
 
@@ -91,15 +100,25 @@ impl Member {
         GpOutput::from_fn(|o, _| self.hyperparameters[o].noise.sqrt() * self.target_scaler.std()[o])
     }
 
-    /// The predictive mean at `z`, in output units.
+    /// What the GPs are added to, unless it is their constants alone.
+    pub fn single_track(&self) -> Option<&SingleTrack> {
+        self.single_track.as_ref()
+    }
+
+    /// The predictive mean at `z`, in output units: the single-track vehicle's, if any, plus the GPs'.
     pub fn mean(&self, z: &GpInput) -> GpOutput {
-        self.target_scaler
-            .unscale(&self.gp.mean(&self.input_scaler.scale(z)))
+        let learned = self
+            .target_scaler
+            .unscale(&self.gp.mean(&self.input_scaler.scale(z)));
+        match &self.single_track {
+            None => learned,
+            Some(known) => known.change(z) + learned,
+        }
     }
 
     /// The predictive mean at `z` and its Jacobian, both in physical units.
     ///
-    /// By the chain rule `∂y_o/∂z_d = target_std_o / input_std_d · ∂ŷ_o/∂ẑ_d`.
+    /// For the GPs by the chain rule `∂y_o/∂z_d = target_std_o / input_std_d · ∂ŷ_o/∂ẑ_d`.
     pub fn mean_jacobian(&self, z: &GpInput, jacobian: &mut GpJacobian) -> GpOutput {
         let scaled = self.gp.mean_jacobian(&self.input_scaler.scale(z), jacobian);
         for o in 0..NY {
@@ -107,7 +126,13 @@ impl Member {
                 jacobian[(o, d)] *= self.target_scaler.std()[o] / self.input_scaler.std()[d];
             }
         }
-        self.target_scaler.unscale(&scaled)
+        let learned = self.target_scaler.unscale(&scaled);
+        let Some(known) = &self.single_track else {
+            return learned;
+        };
+        let (change, slopes) = known.change_jacobian(z);
+        *jacobian += slopes;
+        change + learned
     }
 
     /// The variance of the latent function at `z`, in squared output units.

@@ -29,6 +29,16 @@ pub struct Signal {
     pub unit: String,
 }
 
+/// What a member's GPs are added to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PriorMean {
+    /// A constant for each output, as in the paper.
+    Constant,
+    /// A [`SingleTrack`](crate::vehicle::SingleTrack) fitted to the same data.
+    SingleTrack,
+}
+
 /// What is known about a member besides its numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -41,6 +51,8 @@ pub struct MemberMetadata {
     pub dataset: String,
     /// Number of training points kept.
     pub n: usize,
+    /// What its GPs are added to.
+    pub mean: PriorMean,
 }
 
 /// The metadata of a library, stored as one JSON string.
@@ -75,6 +87,10 @@ impl Metadata {
             friction: member.friction,
             dataset: member.dataset.clone(),
             n: member.inputs.len(),
+            mean: match member.single_track {
+                None => PriorMean::Constant,
+                Some(_) => PriorMean::SingleTrack,
+            },
         };
         Self {
             schema: SCHEMA_VERSION,

@@ -17,7 +17,7 @@ pub use error::LibraryError;
 pub use format::hex;
 pub use limits::*;
 pub use member::Member;
-pub use metadata::{MemberMetadata, Metadata, Signal};
+pub use metadata::{MemberMetadata, Metadata, PriorMean, Signal};
 use sha2::{Digest, Sha256};
 pub use subset::subset;
 
@@ -43,7 +43,7 @@ impl Library {
         let mut members = Vec::with_capacity(data.len());
         for (i, data) in data.iter().enumerate() {
             verify::check_values(data, i)?;
-            let member = Member::new(data, kernel).map_err(|singular| {
+            let member = Member::new(data, kernel, metadata.dt).map_err(|singular| {
                 LibraryError::NotPositiveDefinite {
                     tensor: format::tensor_name(i, "inputs"),
                     output: singular.output,

@@ -7,12 +7,13 @@ use super::member::Member;
 use crate::{GpInput, GpJacobian, NY, NZ, VarianceScratch};
 
 /// Tensors whose numbers must be positive.
-const POSITIVE: [&str; 5] = [
+const POSITIVE: [&str; 6] = [
     "input_std",
     "target_std",
     "lengthscales",
     "outputscale",
     "noise",
+    "single_track",
 ];
 /// Largest residual of `alpha`, z-scored.
 const ALPHA_TOLERANCE: f64 = 1e-10;

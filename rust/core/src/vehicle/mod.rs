@@ -1,10 +1,13 @@
-//! The vehicle of eq. (11): where each quantity stands, exact kinematics, and the frame the step works in.
+//! The vehicle of eq. (11): where each quantity stands, exact kinematics, a single-track model as prior, and the frame
+//! the step works in.
 
 mod frame;
 mod kinematics;
+mod single_track;
 
 pub use frame::{Frame, wrap};
 pub use kinematics::{gp_input, jacobians, successor};
+pub use single_track::{SINGLE_TRACK_PARAMETERS, SingleTrack};
 
 /// Index of `p_x` in the state, m.
 pub const P_X: usize = 0;

@@ -1,0 +1,98 @@
+"""What a member believes where it has no data: a single-track vehicle fitted to its surface.
+
+A GP returns to its prior mean away from its data. With a constant there, a car that brakes harder or
+drives faster than the data is predicted to do nothing in particular; with this vehicle it is
+predicted to slide. The same equations as `SingleTrack` in `rust/core/src/vehicle`, in torch, so that
+GPyTorch's predictions and Jacobians include them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import torch
+from scipy.optimize import least_squares
+
+from egp_service import EgpError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+GRAVITY: Final = 9.81
+_SLOWEST: Final = 3.0  # m/s
+# m, l_f, l_r, k², h, D_x, e, then friction, stiffness and shape of the front and the rear tyres: a
+# car of middling size on a middling road, from where the fit starts.
+_START: Final = np.array([1300.0, 1.1, 1.4, 1.4, 0.5, 0.9, 0.8, *(0.8, 20.0, 1.5), *(0.8, 20.0, 1.5)])
+_FARTHEST: Final = 1.5  # of the fit from there, logarithm of the ratio
+_FIT_POINTS: Final = 8000
+# Residuals beyond this many standard deviations of the change pull with constant force only: what a
+# single track cannot explain (a spin, a locked wheel) is for the GPs.
+_OUTLIER: Final = 0.1
+
+
+def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
+    """Change of `[v_x, v_y, omega]` (n, 3) over `dt` at inputs z (n, 6); parameters (13,).
+
+    One step of explicit Euler with the steering angle in the middle of the period; the equations are
+    those of `SingleTrack` in Rust.
+    """
+    v_x, v_y, omega, delta, force, delta_dot = z.unbind(-1)
+    mass, l_f, l_r, gyration, height, grip, coupling, *tyres = parameters.unbind()
+    steering = delta + 0.5 * dt * delta_dot
+    a = force / mass
+    a_x = a / (1.0 + (a / (GRAVITY * grip)) ** 4) ** 0.25
+    left = 1.0 / torch.sqrt(1.0 + (coupling * a / GRAVITY) ** 2)
+    v = v_x.clamp(min=_SLOWEST)
+
+    def lateral(
+        position: torch.Tensor, steered: torch.Tensor | float, load: torch.Tensor, axle: int
+    ) -> torch.Tensor:
+        friction, stiffness, shape = tyres[3 * axle : 3 * axle + 3]
+        slip = steered - torch.atan((v_y + position * omega) / v)
+        return load * friction * left * torch.sin(shape * torch.atan(stiffness * slip))
+
+    wheelbase = l_f + l_r
+    front = lateral(l_f, steering, (GRAVITY * l_r - height * a_x) / wheelbase, 0)
+    rear = lateral(-l_r, 0.0, (GRAVITY * l_f + height * a_x) / wheelbase, 1)
+    across = front * torch.cos(steering)
+    rate = [
+        a_x - front * torch.sin(steering) + v_y * omega,
+        across + rear - v_x * omega,
+        (l_f * across - l_r * rear) / gyration,
+    ]
+    return dt * torch.stack(rate, dim=-1)
+
+
+def predict(
+    z: NDArray[np.float64], parameters: NDArray[np.float64], dt: float
+) -> NDArray[np.float64]:
+    """Predict as `change` does, on arrays."""
+    return change(torch.from_numpy(z), torch.from_numpy(parameters), dt).numpy()
+
+
+def fit(
+    z: NDArray[np.float64], y: NDArray[np.float64], dt: float, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Fit the parameters (13,) to changes y (n, 3) at inputs z (n, 6) by robust least squares.
+
+    Raises:
+        EgpError: when the data do not determine a vehicle.
+
+    """
+    rows = rng.permutation(len(z))[:_FIT_POINTS]
+    scale = _OUTLIER * y.std(axis=0)
+
+    def residuals(logarithm: NDArray[np.float64]) -> NDArray[np.float64]:
+        predicted = predict(z[rows], _START * np.exp(logarithm), dt)
+        return np.asarray(((predicted - y[rows]) / scale).ravel())
+
+    found = least_squares(
+        residuals, np.zeros(len(_START)), loss="soft_l1", bounds=(-_FARTHEST, _FARTHEST)
+    )
+    if not (found.success and np.isfinite(found.cost)):
+        raise EgpError(
+            f"no single-track vehicle fits the data ({found.message}): "
+            'look at their units, or train with mean = "constant"'
+        )
+    return np.asarray(_START * np.exp(found.x))

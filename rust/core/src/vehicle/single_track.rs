@@ -1,0 +1,234 @@
+//! A single-track vehicle whose tyres saturate: what a member believes where it has no data.
+
+use std::ops::AddAssign;
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
+
+const GRAVITY: f64 = 9.81;
+/// Slip angles lose their meaning when the vehicle stands; below this speed (m/s) they are taken at this speed.
+const SLOWEST: f64 = 3.0;
+
+/// Number of parameters of a [`SingleTrack`].
+pub const SINGLE_TRACK_PARAMETERS: usize = 13;
+
+/// One axle: where it is, what it carries and how its tyres hold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Axle {
+    /// Ahead of the centre of mass, m.
+    position: f64,
+    /// 1 where it steers, otherwise 0.
+    steers: f64,
+    /// Load per mass at rest, m/s².
+    load: f64,
+    /// Change of the load with `a_x`.
+    transfer: f64,
+    friction: f64,
+    stiffness: f64,
+    shape: f64,
+}
+
+/// The change of `[v_x, v_y, omega]` over one period from `z = [v_x, v_y, omega, delta, F_x, delta_dot]`, by one step
+/// of the explicit Euler method with the steering angle of the period's middle.
+///
+/// With `a = F_x / m`, slip angles `alpha = delta - atan((v_y + l omega) / v_x)` (no `delta` at the rear) and axle
+/// loads per mass `n`, which braking moves to the front:
+///
+/// ```text
+/// a_x = a / (1 + (a / (g D_x))⁴)^¼                          what the tyres let through
+/// f   = n D sin(C atan(B alpha)) / sqrt(1 + (e a / g)²)     lateral, less under braking and drive
+/// dv_x/dt   = a_x - f_f sin(delta) + v_y omega
+/// dv_y/dt   = f_f cos(delta) + f_r - v_x omega
+/// domega/dt = (l_f f_f cos(delta) - l_r f_r) / k²
+/// ```
+///
+/// Rajamani, *Vehicle Dynamics and Control*, 2nd ed., sections 2.3 and 13.9 (tyre curve after Pacejka); the saturation
+/// of `a_x` and the coupling `e` are smooth stand-ins for the friction circle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SingleTrack {
+    dt: f64,
+    mass: f64,
+    /// Radius of gyration squared, m².
+    gyration: f64,
+    grip: f64,
+    coupling: f64,
+    axles: [Axle; 2],
+    parameters: [f64; SINGLE_TRACK_PARAMETERS],
+}
+
+/// Derivatives by `v_x, v_y, omega`, the steering angle in the period's middle, and `a`.
+type Gradient = SVector<f64, 5>;
+
+impl SingleTrack {
+    /// A vehicle of the parameters `[m, l_f, l_r, k², h, D_x, e, D_f, B_f, C_f, D_r, B_r, C_r]` (kg, m, m, m², m, and
+    /// numbers without unit), all positive, over periods of `dt` seconds.
+    pub fn new(parameters: &[f64; SINGLE_TRACK_PARAMETERS], dt: f64) -> Self {
+        let [mass, l_f, l_r, gyration, height, grip, coupling, tyres @ ..] = *parameters;
+        let [d_f, b_f, c_f, d_r, b_r, c_r] = tyres;
+        let per_wheelbase = 1.0 / (l_f + l_r);
+        Self {
+            dt,
+            mass,
+            gyration,
+            grip,
+            coupling,
+            axles: [
+                Axle {
+                    position: l_f,
+                    steers: 1.0,
+                    load: GRAVITY * l_r * per_wheelbase,
+                    transfer: -height * per_wheelbase,
+                    friction: d_f,
+                    stiffness: b_f,
+                    shape: c_f,
+                },
+                Axle {
+                    position: -l_r,
+                    steers: 0.0,
+                    load: GRAVITY * l_f * per_wheelbase,
+                    transfer: height * per_wheelbase,
+                    friction: d_r,
+                    stiffness: b_r,
+                    shape: c_r,
+                },
+            ],
+            parameters: *parameters,
+        }
+    }
+
+    /// The parameters, in the order of [`SingleTrack::new`].
+    pub fn parameters(&self) -> &[f64; SINGLE_TRACK_PARAMETERS] {
+        &self.parameters
+    }
+
+    /// The change of `[v_x, v_y, omega]` over the period.
+    pub fn change(&self, z: &GpInput) -> GpOutput {
+        self.change_jacobian(z).0
+    }
+
+    /// The change and its Jacobian.
+    pub fn change_jacobian(&self, z: &GpInput) -> (GpOutput, GpJacobian) {
+        let [v_x, v_y, omega, delta, force, delta_dot] = <[f64; NZ]>::from(*z);
+        let steering = delta + 0.5 * self.dt * delta_dot;
+        let a = force / self.mass;
+        let excess = 1.0 + (a / (GRAVITY * self.grip)).powi(4);
+        let root = excess.sqrt().sqrt();
+        let (a_x, a_x_by_a) = (a / root, 1.0 / (excess * root));
+
+        let mut rate = GpOutput::new(a_x + v_y * omega, -v_x * omega, 0.0);
+        let mut slopes = SMatrix::<f64, NY, 5>::zeros();
+        (slopes[(0, 1)], slopes[(0, 2)], slopes[(0, 4)]) = (omega, v_y, a_x_by_a);
+        (slopes[(1, 0)], slopes[(1, 2)]) = (-omega, -v_x);
+        for axle in &self.axles {
+            let (f, by) = self.lateral(axle, [v_x, v_y, omega, steering, a], [a_x, a_x_by_a]);
+            let (sin, cos) = (axle.steers * steering).sin_cos();
+            let lever = axle.position / self.gyration;
+            rate += f * GpOutput::new(-sin, cos, lever * cos);
+            slopes += GpOutput::new(-sin, cos, lever * cos) * by.transpose();
+            let turned = f * axle.steers * GpOutput::new(-cos, -sin, -lever * sin);
+            slopes.column_mut(3).add_assign(&turned);
+        }
+        let mut jacobian = GpJacobian::zeros();
+        jacobian
+            .fixed_columns_mut::<4>(0)
+            .copy_from(&(slopes.fixed_columns::<4>(0) * self.dt));
+        jacobian.set_column(4, &(slopes.column(4) * (self.dt / self.mass)));
+        jacobian.set_column(5, &(slopes.column(3) * (0.5 * self.dt * self.dt)));
+        (rate * self.dt, jacobian)
+    }
+
+    /// The lateral force of an axle per mass of the vehicle, m/s².
+    fn lateral(
+        &self,
+        axle: &Axle,
+        [v_x, v_y, omega, steering, a]: [f64; 5],
+        [a_x, a_x_by_a]: [f64; 2],
+    ) -> (f64, Gradient) {
+        let v = v_x.max(SLOWEST);
+        let direction = (v_y + axle.position * omega) / v;
+        let slip = axle.stiffness * (axle.steers * steering - direction.atan());
+        let (sin, cos) = (axle.shape * slip.atan()).sin_cos();
+        let used = self.coupling * a / GRAVITY;
+        let left = 1.0 / (1.0 + used * used).sqrt();
+        let per_load = axle.friction * left * sin;
+        let load = axle.load + axle.transfer * a_x;
+        let by_slip =
+            load * axle.friction * left * cos * axle.shape * axle.stiffness / (1.0 + slip * slip);
+        let by_lateral_speed = -by_slip / ((1.0 + direction * direction) * v);
+        let by_speed = if v_x > SLOWEST {
+            -direction * by_lateral_speed
+        } else {
+            0.0
+        };
+        let by_a = per_load
+            * (axle.transfer * a_x_by_a - load * left * left * used * self.coupling / GRAVITY);
+        let by = [
+            by_speed,
+            by_lateral_speed,
+            axle.position * by_lateral_speed,
+            axle.steers * by_slip,
+            by_a,
+        ];
+        (per_load * load, by.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    const CAR: [f64; SINGLE_TRACK_PARAMETERS] = [
+        1225.0, 0.87, 1.52, 1.6, 0.45, 0.8, 1.2, 0.9, 15.0, 1.6, 1.1, 20.0, 1.2,
+    ];
+
+    fn inputs() -> [GpInput; 4] {
+        [
+            GpInput::new(15.0, 0.3, 0.4, 0.05, 2000.0, 0.1),
+            GpInput::new(22.0, -1.0, 0.2, -0.1, -9000.0, -0.3),
+            GpInput::new(2.0, 0.1, 0.3, 0.3, 500.0, 0.4), // slower than the slip angles know
+            GpInput::new(9.0, 3.0, -1.5, 0.4, 7000.0, 0.0),
+        ]
+    }
+
+    #[test]
+    fn the_jacobian_is_that_of_finite_differences() {
+        let car = SingleTrack::new(&CAR, 0.02);
+        let steps = [1e-5, 1e-5, 1e-6, 1e-6, 1e-1, 1e-5];
+        for z in inputs() {
+            let (value, jacobian) = car.change_jacobian(&z);
+            assert_eq!(value, car.change(&z));
+            for d in 0..NZ {
+                let mut shift = GpInput::zeros();
+                shift[d] = steps[d];
+                let slope =
+                    (car.change(&(z + shift)) - car.change(&(z - shift))) / (2.0 * steps[d]);
+                for o in 0..NY {
+                    let error = (slope[o] - jacobian[(o, d)]).abs() * z[d].abs().max(1.0);
+                    assert!(error < 1e-7, "{o} {d}: {} {}", slope[o], jacobian[(o, d)]);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn it_is_symmetric_and_rests_when_driven_straight() {
+        let car = SingleTrack::new(&CAR, 0.02);
+        for z in inputs() {
+            let mirror = GpInput::new(z[0], -z[1], -z[2], -z[3], z[4], -z[5]);
+            let (here, there) = (car.change(&z), car.change(&mirror));
+            assert_eq!(here, GpOutput::new(there[0], -there[1], -there[2]));
+        }
+        let straight = GpInput::new(20.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+        assert_eq!(car.change(&straight), GpOutput::zeros());
+    }
+
+    #[test]
+    fn tyres_saturate() {
+        let car = SingleTrack::new(&CAR, 0.02);
+        let braking = |force: f64| car.change(&GpInput::new(20.0, 0.0, 0.0, 0.0, force, 0.0))[0];
+        assert!((braking(-1000.0) + 0.02 * 1000.0 / 1225.0).abs() < 1e-4);
+        assert!(braking(-1e6) > -0.02 * GRAVITY * 0.8 - 1e-9);
+    }
+}
