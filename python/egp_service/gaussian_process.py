@@ -55,7 +55,7 @@ class Bounds:
 MAX_LENGTHSCALE: Final = 1e3
 WHOLE_CHANGES: Final = Bounds(noise=1e-3, lengthscale=1e-2, outputscale=math.inf)
 """For processes that predict the whole change."""
-CORRECTIONS: Final = Bounds(noise=0.1, lengthscale=1.0, outputscale=1.0)
+CORRECTIONS: Final = Bounds(noise=0.1, lengthscale=2.0, outputscale=1.0)
 """For those that correct a vehicle model: smooth, and between the data no larger than in them. With
 the bounds above they follow what hidden states did and lead the controller astray at the limit."""
 

@@ -8,6 +8,9 @@ use crate::{Input, NU, State};
 /// Share of a slew step by which a bound that cannot be met yet stays open: an interior-point method needs one.
 const INTERIOR: f64 = 0.01;
 
+/// Directions of travel lose their meaning when the vehicle stands; below this speed (m/s) they are taken at it.
+const SLOWEST: f64 = 3.0;
+
 /// Soft rows the settings ask for; the rows of the envelope come last.
 pub fn soft_rows(soft: &Soft) -> usize {
     if soft.envelope.is_some() {
@@ -55,8 +58,11 @@ pub(super) fn hard(limits: &Limits, dt: f64, operating: &[State], qp: &mut OcpQp
 }
 
 /// Soft rows of one stage, in the order of [`crate::qp::SOFT_PATTERN`].
+///
+/// `operating` and `reference` belong to the state that the rows bound.
 pub(super) fn soft(
     soft: &Soft,
+    operating: &State,
     reference: &State,
     widths: Option<&[f64; 2]>,
     rows: &mut [SoftRow; MAX_SOFT],
@@ -64,7 +70,7 @@ pub(super) fn soft(
     let [v_y, omega] = soft.envelope.unwrap_or([1.0; 2]);
     *rows = [
         interval(V_X, 0.0, soft.v_x_max),
-        interval(DELTA, -soft.delta, soft.delta),
+        steering(soft, operating),
         widths.map_or_else(SoftRow::inactive, |widths| {
             track(reference, widths, soft.edge_margin)
         }),
@@ -79,6 +85,22 @@ fn interval(state: usize, lower: f64, upper: f64) -> SoftRow {
         lower,
         upper,
     }
+}
+
+/// The steering angles at which the front tyres slip by at most `soft.slip` while they move as in the operating state.
+///
+/// Beyond the peak of the tyres' force more steering brings less: a model linearised there, or a little wrong about
+/// where it is, turns the wheel until nothing is left to steer with (Beal and Gerdes, *Model Predictive Control for
+/// Vehicle Stabilization at the Limits of Handling*, IEEE Transactions on Control Systems Technology 21(4), 2013).
+fn steering(soft: &Soft, operating: &State) -> SoftRow {
+    let sideways = operating[V_Y] + soft.front * operating[OMEGA];
+    let direction = (sideways / operating[V_X].max(SLOWEST)).atan();
+    let bound = |angle: f64| angle.clamp(-soft.delta, soft.delta);
+    interval(
+        DELTA,
+        bound(direction - soft.slip),
+        bound(direction + soft.slip),
+    )
 }
 
 /// The strip between the track edges, as half-planes normal to the reference yaw. Where the track is narrower than

@@ -51,6 +51,7 @@ pub fn assemble(
         stage.reference = *target;
         bounds::soft(
             &settings.soft,
+            &dynamics.x[t + 1],
             target,
             reference.widths.get(t + 1),
             &mut stage.soft,

@@ -87,6 +87,10 @@ pub struct Soft {
     pub v_x_max: f64,
     /// Largest steering angle in rad. Default 0.91.
     pub delta: f64,
+    /// Largest slip angle of the front tyres in rad, at the price of `steering`. Default 0.08.
+    pub slip: f64,
+    /// Distance from the centre of mass to the front axle in m. Default 0.9.
+    pub front: f64,
     /// `[|v_y|, |omega|]` the plan should stay within, in m/s and rad/s; none by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub envelope: Option<[f64; 2]>,
@@ -178,6 +182,8 @@ impl Default for Soft {
         Self {
             v_x_max: 60.0,
             delta: 0.91,
+            slip: 0.08,
+            front: 0.9,
             envelope: None,
             edge_margin: 1.1,
             speed: Penalty::default(),
@@ -239,6 +245,8 @@ impl Soft {
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
         positive("soft.v_x_max", self.v_x_max)?;
         positive("soft.delta", self.delta)?;
+        positive("soft.slip", self.slip)?;
+        positive("soft.front", self.front)?;
         for bound in self.envelope.iter().flatten() {
             positive("soft.envelope", *bound)?;
         }
