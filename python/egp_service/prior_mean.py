@@ -1,9 +1,9 @@
 """What a member believes where it has no data: a single-track vehicle fitted to its surface.
 
-A GP returns to its prior mean away from its data. With a constant there, a car that brakes harder or
-drives faster than the data is predicted to do nothing in particular; with this vehicle it is
-predicted to slide. The same equations as `SingleTrack` in `rust/core/src/vehicle`, in torch, so that
-GPyTorch's predictions and Jacobians include them.
+A GP returns to its prior mean away from its data. With a constant there, a car that brakes harder
+or drives faster than the data is predicted to do nothing in particular; with this vehicle it is
+predicted to slide. The same equations as `SingleTrack` in `rust/core/src/vehicle`, in torch, so
+that GPyTorch's predictions and Jacobians include them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ GRAVITY: Final = 9.81
 _SLOWEST: Final = 3.0  # m/s
 # m, l_f, l_r, k², h, D_x, e, then friction, stiffness and shape of the front and the rear tyres: a
 # car of middling size on a middling road, from where the fit starts.
-_START: Final = np.array([1300.0, 1.1, 1.4, 1.4, 0.5, 0.9, 0.8, *(0.8, 20.0, 1.5), *(0.8, 20.0, 1.5)])
+_START: Final = np.array(
+    [1300.0, 1.1, 1.4, 1.4, 0.5, 0.9, 0.8, *(0.8, 20.0, 1.5), *(0.8, 20.0, 1.5)]
+)
 _FARTHEST: Final = 1.5  # of the fit from there, logarithm of the ratio
 _FIT_POINTS: Final = 8000
 # Residuals beyond this many standard deviations of the change pull with constant force only: what a
@@ -34,8 +36,8 @@ _OUTLIER: Final = 0.1
 def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
     """Change of `[v_x, v_y, omega]` (n, 3) over `dt` at inputs z (n, 6); parameters (13,).
 
-    One step of explicit Euler with the steering angle in the middle of the period; the equations are
-    those of `SingleTrack` in Rust.
+    One step of explicit Euler with the steering angle in the middle of the period; the equations
+    are those of `SingleTrack` in Rust.
     """
     v_x, v_y, omega, delta, force, delta_dot = z.unbind(-1)
     mass, l_f, l_r, gyration, height, grip, coupling, *tyres = parameters.unbind()

@@ -19,7 +19,6 @@ from egp_service.dataset import INPUTS, OUTPUTS, Dataset, merge
 from egp_service.gaussian_process import (
     CORRECTIONS,
     WHOLE_CHANGES,
-    Bounds,
     FitStep,
     Hyperparameters,
     KernelName,

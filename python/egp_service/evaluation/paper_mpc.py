@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 NX, NU = 7, 2
-V_X, PSI, DELTA = 2, 3, 6
+V_X, PSI, V_Y, OMEGA, DELTA = 2, 3, 4, 5, 6
+# m/s; below it directions of travel are taken at it, as in our step.
+SLOWEST = 3.0
 
 
 class Mpc:
@@ -32,8 +34,9 @@ class Mpc:
         self.d = cp.Parameter((horizon, NX))
         self.root_q = [cp.Parameter((4, 4)) for _ in range(horizon)]
         self.e0, self.u_prev = cp.Parameter(NX), cp.Parameter(NU)
-        self.reference_v, self.reference_delta = cp.Parameter(horizon), np.zeros(horizon)
+        self.reference_v = cp.Parameter(horizon)
         self.drive = cp.Parameter(horizon)
+        self.steering = cp.Parameter((horizon, 2))
         self.normal = cp.Parameter((horizon, 2))
         self.edges = cp.Parameter((horizon, 2), nonneg=True)
         self.e, self.u = cp.Variable((horizon + 1, NX)), cp.Variable((horizon, NU))
@@ -51,7 +54,8 @@ class Mpc:
             cp.abs(rate) <= np.tile(slew, (horizon, 1)),
             self.e[1:, V_X] + self.reference_v <= soft["v_x_max"] + slack[:, 0],
             self.e[1:, V_X] + self.reference_v >= -slack[:, 0],
-            cp.abs(self.e[1:, DELTA]) <= soft["delta"] + slack[:, 1],
+            self.e[1:, DELTA] >= self.steering[:, 0] - slack[:, 1],
+            self.e[1:, DELTA] <= self.steering[:, 1] + slack[:, 1],
             lateral <= self.edges[:, 0] + slack[:, 2],
             lateral >= -self.edges[:, 1] - slack[:, 2],
         ]
@@ -77,13 +81,14 @@ class Mpc:
         u_prev: Array,
         reference: Array,
         edges: Array,
-        operating_v: Array,
+        operating: Array,
     ) -> tuple[Array, Array]:
         """Plan ``(T+1, 7)`` and scaled inputs ``(T, 2)``.
 
-        Dynamics are ``A (T, 7, 7)``, ``B (T, 7, 2)`` for scaled inputs and ``c (T, 7)``.
+        Dynamics are ``A (T, 7, 7)``, ``B (T, 7, 2)`` for scaled inputs and ``c (T, 7)`` along the
+        operating states ``(T+1, 7)``.
         """
-        cost, limits = self.settings["cost"], self.settings["limits"]
+        cost, limits, soft = (self.settings[name] for name in ("cost", "limits", "soft"))
         a, b, c = dynamics
         r = np.zeros((self.horizon + 1, NX))
         r[:, :4] = reference
@@ -102,7 +107,11 @@ class Mpc:
         self.d.value = np.einsum("tij,tj->ti", a, r[:-1]) + c - r[1:]
         self.e0.value, self.u_prev.value = x0 - r[0], u_prev
         self.reference_v.value = r[1:, V_X]
-        self.drive.value = np.minimum(limits["a_max"], limits["power"] / operating_v)
+        self.drive.value = np.minimum(limits["a_max"], limits["power"] / operating[:-1, V_X])
+        sideways = operating[1:, V_Y] + soft["front"] * operating[1:, OMEGA]
+        direction = np.arctan(sideways / np.maximum(operating[1:, V_X], SLOWEST))
+        slip = soft["slip"] * np.array([-1.0, 1.0])
+        self.steering.value = np.clip(direction[:, None] + slip, -soft["delta"], soft["delta"])
         self.normal.value = np.stack([-np.sin(reference[1:, 3]), np.cos(reference[1:, 3])], -1)
         self.edges.value = edges
         self.problem.solve(solver=cp.OSQP, warm_start=True, ignore_dpp=False)

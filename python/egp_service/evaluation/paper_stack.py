@@ -20,6 +20,7 @@ import gpytorch
 import numpy as np
 import torch
 
+from egp_service import prior_mean
 from egp_service.evaluation.paper_mpc import Mpc
 
 if TYPE_CHECKING:
@@ -68,9 +69,9 @@ class ExactGP(gpytorch.models.ExactGP):  # type: ignore[misc]
 
 
 class Member:
-    """One surface's three GPs, its scalers, and mean with Jacobian by autograd."""
+    """One surface's three GPs, what they are added to, and mean with Jacobian by autograd."""
 
-    def __init__(self, kernel: str, tensors: dict[str, Array], index: int) -> None:
+    def __init__(self, kernel: str, dt: float, tensors: dict[str, Array], index: int) -> None:
         """Take member `index` from a library file's tensors."""
 
         def tensor(name: str) -> torch.Tensor:
@@ -78,8 +79,12 @@ class Member:
 
         self.input_mean, self.input_std = tensor("input_mean"), tensor("input_std")
         self.target_mean, self.target_std = tensor("target_mean"), tensor("target_std")
-        x = (tensor("inputs") - self.input_mean) / self.input_std
-        y = (tensor("targets") - self.target_mean) / self.target_std
+        vehicle = f"members.{index}.single_track"
+        self._vehicle = torch.from_numpy(tensors[vehicle].copy()) if vehicle in tensors else None
+        self._dt = dt
+        inputs = tensor("inputs")
+        x = (inputs - self.input_mean) / self.input_std
+        y = (tensor("targets") - self._known(inputs) - self.target_mean) / self.target_std
         lengthscales, outputscale = tensor("lengthscales"), tensor("outputscale")
         noise, constant = tensor("noise"), tensor("constant")
         self.noise_std = (torch.sqrt(noise) * self.target_std).numpy()
@@ -98,21 +103,30 @@ class Member:
                 parameter.requires_grad_(requires_grad=False)
             self.outputs.append(gp)
 
+    def _known(self, z: torch.Tensor) -> torch.Tensor:
+        """Predict what the GPs are added to, (n, 3)."""
+        if self._vehicle is None:
+            return torch.zeros(len(z), NY, dtype=z.dtype)
+        return prior_mean.change(z, self._vehicle, self._dt)
+
     def mean(self, z: Array) -> Array:
         """Mean at ``z`` (n, 6): (n, 3)."""
         with torch.no_grad(), gpytorch.settings.skip_posterior_variances():
-            query = (torch.from_numpy(z) - self.input_mean) / self.input_std
-            mean = torch.stack([gp(query).mean for gp in self.outputs], dim=-1)
-            return np.asarray(mean * self.target_std + self.target_mean)
+            query = torch.from_numpy(z)
+            scaled = (query - self.input_mean) / self.input_std
+            mean = torch.stack([gp(scaled).mean for gp in self.outputs], dim=-1)
+            return np.asarray(mean * self.target_std + self.target_mean + self._known(query))
 
     def mean_jacobian(self, z: Array, outputs: Sequence[int] = range(NY)) -> tuple[Array, Array]:
         """Mean (n, 3) and Jacobian (n, 3, 6); queries are independent, so one sum serves all."""
         query = torch.from_numpy(z).requires_grad_()
         scaled = (query - self.input_mean) / self.input_std
+        known = self._known(query)
         means, gradients = [], []
         with gpytorch.settings.skip_posterior_variances():
             for o in outputs:
-                mean = self.outputs[o](scaled).mean * self.target_std[o] + self.target_mean[o]
+                learned = self.outputs[o](scaled).mean * self.target_std[o] + self.target_mean[o]
+                mean = learned + known[:, o]
                 (gradient,) = torch.autograd.grad(mean.sum(), query, retain_graph=True)
                 means.append(mean.detach())
                 gradients.append(gradient)
@@ -182,7 +196,7 @@ class PaperStack:
         """Build the stack for the library at `path`."""
         tensors, dt = read_tensors(path), library.dt
         count = len(library.members)
-        self.members = [Member(library.kernel, tensors, n) for n in range(count)]
+        self.members = [Member(library.kernel, dt, tensors, n) for n in range(count)]
         self.dt, self.mass = dt, settings["mass"]
         self.window, self.horizon = settings["weights"]["window"], settings["horizon"]
         self.whiten = 1.0 / np.sqrt(np.mean([m.noise_std**2 for m in self.members], axis=0))
@@ -216,7 +230,7 @@ class PaperStack:
             u_prev=scaled,
             reference=reference,
             edges=edges,
-            operating_v=x[:-1, V_X],
+            operating=x,
         )
         phases.mpc = clock.lap()
         return PaperStep(plan_x, plan_u * [self.mass, 1.0], w, phases)
