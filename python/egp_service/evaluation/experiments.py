@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 # Members of the evaluation library, by friction.
 M05, M06, M09, M11, POOLED = 0, 1, 2, 3, 4
 TWO: Final = (M05, M11)
+# Of the same two surfaces: GPs with constant means as in the paper, and vehicles without GPs.
+CONSTANT_MEAN: Final = (5, 6)
+VEHICLES: Final = (7, 8)
 FOUR: Final = (M05, M06, M09, M11)
 # A survey-grade satellite receiver with a good inertial unit and a steering encoder.
 NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
@@ -87,7 +90,11 @@ def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender
 
 
 LABELS: Final = ("μ 0.5", "μ 0.6", "μ 0.9", "μ 1.1", "pooled")
-_ALL_OF_TWO: Final = contenders(TWO, LABELS)
+_ALL_OF_TWO: Final = (
+    *contenders(TWO, LABELS),
+    Contender("constant mean", "ensemble", CONSTANT_MEAN),
+    Contender("vehicles only", "ensemble", VEHICLES),
+)
 _ALL_OF_FOUR: Final = contenders(FOUR, LABELS)
 _AVOIDING: Final = {ENSEMBLE, "pooled GP", "single-track", "kinematic", ORACLE}
 

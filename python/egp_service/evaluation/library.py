@@ -1,4 +1,4 @@
-"""The evaluation's library: four surfaces, and one GP on the pooled data of the outer two.
+"""The evaluation's library: four surfaces, and what the ensemble of the outer two is compared with.
 
 `data/evaluation-library.safetensors` was made by this file from `data/evaluation-recipe.toml`;
 `egp evaluate --train` makes it again.
@@ -11,42 +11,78 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
+from egp_service import EgpError, prior_mean
 from egp_service.export import export
+from egp_service.gaussian_process import CORRECTIONS, OutputProcess
 from egp_service.recipe import Displays, Recipe, follow, training_provenance
 from egp_service.training import train
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from egp_service.dataset import Dataset
+    from egp_service.gaussian_process import KernelName
     from egp_service.training import TrainedMember
 
 _DATA: Final = Path(str(resources.files("egp_service"))) / "data"
 RECIPE: Final = _DATA / "evaluation-recipe.toml"
-_POOLED: Final = (0.5, 1.1)
+_OUTER: Final = (0.5, 1.1)
+_BARE_POINTS: Final = 20
 
 
 def make(displays: Displays) -> list[TrainedMember]:
-    """Train a member for each surface, and one GP on the outer two surfaces' pooled data.
+    """Train a member for each surface, and from the outer two surfaces' data those to compare with.
 
-    The pooled GP keeps as many transitions as both of its surfaces' members together.
+    These are one GP of both surfaces' pooled data, which keeps as many transitions as both members
+    together; the paper's members, whose GPs have constant means; and vehicles without GPs.
     """
     recipe = Recipe.read(RECIPE)
     datasets, members = follow(recipe, displays=displays)
     settings = recipe.training
-    middle = sum(_POOLED) / len(_POOLED)
-    pooled = [
-        dataclasses.replace(
-            data,
-            provenance=dataclasses.replace(
-                data.provenance, surface="pooled 0.5 + 1.1", friction=middle
-            ),
-        )
-        for data in datasets
-        if data.provenance.friction in _POOLED
+    outer = [data for data in datasets if data.provenance.friction in _OUTER]
+    middle = sum(_OUTER) / len(_OUTER)
+    pooled = [_as(data, "pooled 0.5 + 1.1", middle) for data in outer]
+    twice = dataclasses.replace(settings, max_points=len(_OUTER) * settings.max_points)
+    paper = [
+        _as(data, f"{data.provenance.surface}, constant mean", data.provenance.friction)
+        for data in outer
     ]
-    twice = dataclasses.replace(settings, max_points=len(_POOLED) * settings.max_points)
+    constant = dataclasses.replace(settings, mean="constant")
     with displays.fitting() as report:
-        return members + train(pooled, twice, report)
+        others = train(pooled, twice, report) + train(paper, constant, report)
+    bare = [_bare(m, settings.kernel) for m in members if m.dataset.provenance.friction in _OUTER]
+    return members + others + bare
+
+
+def _as(data: Dataset, surface: str, friction: float) -> Dataset:
+    provenance = dataclasses.replace(data.provenance, surface=surface, friction=friction)
+    return dataclasses.replace(data, provenance=provenance)
+
+
+def _bare(member: TrainedMember, kernel: KernelName) -> TrainedMember:
+    """Give the member's vehicle alone: GPs of a few points at which it is right."""
+    provenance = member.dataset.provenance
+    if member.single_track is None:
+        raise EgpError(f"{provenance.surface} has no vehicle: train with mean = 'single-track'")
+    z = member.inputs[:_BARE_POINTS]
+    processes = []
+    for process in member.processes:
+        few = process.inputs[:_BARE_POINTS]
+        bare = OutputProcess(few, few.new_zeros(len(few)), kernel, CORRECTIONS)
+        bare.assign(dataclasses.replace(process.hyperparameters, constant=0.0))
+        bare.eval()
+        bare.likelihood.eval()
+        processes.append(bare)
+    return dataclasses.replace(
+        member,
+        dataset=_as(member.dataset, f"{provenance.surface}, vehicle only", provenance.friction),
+        inputs=z,
+        targets=prior_mean.predict(z, member.single_track, provenance.dt),
+        target_mean=np.zeros_like(member.target_mean),
+        processes=tuple(processes),
+    )
 
 
 def write(path: Path, members: Sequence[TrainedMember]) -> None:

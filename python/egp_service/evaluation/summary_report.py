@@ -50,7 +50,9 @@ Command: <code>{command}</code>"""
 
 _DIFFERENCES = """The paper drives at 30 Hz with OSQP and about zero inputs; this system at 50 Hz
 about the last plan. Its weights add m/s to rad/s and have no memory, as <i>paper's weights</i>
-here. Its reference moves at the present speed, ours along a speed profile, so braking is not
+here. Its GPs predict whole changes and fall back to constants, as <i>constant mean</i> here; ours
+correct a single-track vehicle fitted to the same data, which <i>vehicles only</i> drives with
+alone. Everyone here keeps the front tyres' slip below their peak. Its reference moves at the present speed, ours along a speed profile, so braking is not
 fought. Tracks here are computed from their definition or drawn from a seed; frictions are those
 of the text."""
 
