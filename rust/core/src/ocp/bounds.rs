@@ -152,6 +152,26 @@ mod tests {
     }
 
     #[test]
+    fn the_wheels_point_near_to_where_they_travel() {
+        let soft = Soft {
+            slip: 0.1,
+            front: 1.0,
+            ..Soft::default()
+        };
+        let mut x = State::zeros();
+        (x[V_X], x[V_Y], x[OMEGA]) = (20.0, -6.0, 1.0);
+        let row = steering(&soft, &x);
+        let direction = (-0.25_f64).atan();
+        assert_eq!(row.normal, State::ith(DELTA, 1.0));
+        assert!((row.lower - (direction - 0.1)).abs() < 1e-15);
+        assert!((row.upper - (direction + 0.1)).abs() < 1e-15);
+        // Sliding sideways, the wheel cannot turn as far as the slip would ask for.
+        x[V_Y] = 60.0;
+        let row = steering(&soft, &x);
+        assert!(row.lower == soft.delta && row.upper == soft.delta);
+    }
+
+    #[test]
     fn the_strip_lies_left_and_right_of_the_reference() {
         let mut reference = State::zeros();
         (reference[P_X], reference[P_Y], reference[PSI]) = (3.0, 1.0, std::f64::consts::FRAC_PI_2);

@@ -11,13 +11,15 @@ pub fn library() -> &'static Library {
     LIBRARY.get_or_init(|| super::library(Kernel::Rbf, &[0.5, 1.1], 250, 3))
 }
 
-/// The defaults over a horizon of 20 and a window of 10: enough to show everything, and quick.
+/// The defaults over a horizon of 20 and a window of 10: enough to show everything, and quick. The vehicle of
+/// [`super::change`] needs slip angles of 0.3 rad for its grip.
 pub fn settings() -> Settings {
     let mut settings = Settings {
         horizon: 20,
         ..Settings::default()
     };
     settings.weights.window = 10;
+    settings.soft.slip = 0.5;
     settings
 }
 
