@@ -43,6 +43,7 @@ EXTRAS = {
     "gpytorch": "train",
     "botorch": "train",
     "polars": "train",
+    "scipy": "train",
     "matplotlib": "viz",
     "cvxpy": "paper",
     "osqp": "paper",

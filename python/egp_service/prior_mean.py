@@ -20,13 +20,25 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 GRAVITY: Final = 9.81
-_SLOWEST: Final = 3.0  # m/s
-# m, l_f, l_r, k², h, D_x, e, then friction, stiffness and shape of the front and the rear tyres: a
-# car of middling size on a middling road, from where the fit starts.
-_START: Final = np.array(
-    [1300.0, 1.1, 1.4, 1.4, 0.5, 0.9, 0.8, *(0.8, 20.0, 1.5), *(0.8, 20.0, 1.5)]
-)
-_FARTHEST: Final = 1.5  # of the fit from there, logarithm of the ratio
+SLOWEST: Final = 3.0  # m/s; slip angles below are taken at it
+# Where the fit starts, and between what it stays: small cars to vans, gravel to racing tyres. A
+# shape above 2 would turn the force around at large slip, one below 1 never reach a peak.
+_PARAMETERS: Final = {
+    "m": (1300.0, 300.0, 4000.0),
+    "l_f": (1.2, 0.3, 3.0),
+    "l_r": (1.4, 0.3, 3.0),
+    "k²": (1.6, 0.2, 6.0),
+    "h": (0.5, 0.1, 1.5),
+    "D_x": (0.8, 0.1, 2.0),
+    "e": (1.0, 0.1, 6.0),
+    "D_f": (0.8, 0.1, 2.0),
+    "B_f": (20.0, 4.0, 80.0),
+    "C_f": (1.4, 1.05, 1.9),
+    "D_r": (0.8, 0.1, 2.0),
+    "B_r": (20.0, 4.0, 80.0),
+    "C_r": (1.4, 1.05, 1.9),
+}
+_START, _LOWEST, _HIGHEST = (np.array(row) for row in zip(*_PARAMETERS.values(), strict=True))
 _FIT_POINTS: Final = 8000
 # Residuals beyond this many standard deviations of the change pull with constant force only: what a
 # single track cannot explain (a spin, a locked wheel) is for the GPs.
@@ -45,7 +57,7 @@ def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor
     a = force / mass
     a_x = a / (1.0 + (a / (GRAVITY * grip)) ** 4) ** 0.25
     left = 1.0 / torch.sqrt(1.0 + (coupling * a / GRAVITY) ** 2)
-    v = v_x.clamp(min=_SLOWEST)
+    v = v_x.clamp(min=SLOWEST)
 
     def lateral(
         position: torch.Tensor, steered: torch.Tensor | float, load: torch.Tensor, axle: int
@@ -89,9 +101,8 @@ def fit(
         predicted = predict(z[rows], _START * np.exp(logarithm), dt)
         return np.asarray(((predicted - y[rows]) / scale).ravel())
 
-    found = least_squares(
-        residuals, np.zeros(len(_START)), loss="soft_l1", bounds=(-_FARTHEST, _FARTHEST)
-    )
+    bounds = np.log(_LOWEST / _START), np.log(_HIGHEST / _START)
+    found = least_squares(residuals, np.zeros(len(_START)), loss="soft_l1", bounds=bounds)
     if not (found.success and np.isfinite(found.cost)):
         raise EgpError(
             f"no single-track vehicle fits the data ({found.message}): "

@@ -214,6 +214,7 @@ def _train_member(
     data, validation = split(dataset, settings.validation_fraction, rng)
     label = dataset.provenance.surface
     input_mean, input_std = data.z.mean(axis=0), _spread(data.z, INPUTS, label)
+    _spread(data.y, OUTPUTS, label)
     vehicle, rest, bounds = None, data.y, WHOLE_CHANGES
     if settings.mean == "single-track":
         vehicle = prior_mean.fit(data.z, data.y, data.provenance.dt, rng)
@@ -265,7 +266,8 @@ def _train_member(
     )
 
 
-# The changes over one period are close to linear in z: long lengthscales, little noise.
+# What is left over one period is close to linear in z: long lengthscales, little noise. Bounds move
+# this and the random starts inside.
 _START: Final = Hyperparameters(lengthscales=(3.0,) * NX, outputscale=3.0, noise=1e-2, constant=0.0)
 
 

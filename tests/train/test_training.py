@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pytest
@@ -181,17 +181,29 @@ def test_refuses_what_cannot_be_one_library() -> None:
         train([], SETTINGS)
 
 
-def test_refuses_data_that_teach_nothing() -> None:
+@pytest.mark.parametrize("mean", ["constant", "single-track"])
+def test_refuses_data_that_teach_nothing(mean: Literal["constant", "single-track"]) -> None:
+    settings = dataclasses.replace(SETTINGS, mean=mean)
     z = surface().z.copy()
     z[:, 3] = 0.1
     straight: Dataset = dataclasses.replace(surface(), z=z)
     with pytest.raises(EgpError, match="delta never changes"):
-        train([straight], SETTINGS)
+        train([straight], settings)
+    y = surface().y.copy()
+    y[:, 1] = 0.0
+    with pytest.raises(EgpError, match="d_v_y never changes"):
+        train([dataclasses.replace(surface(), y=y)], settings)
 
 
 @pytest.mark.parametrize(
     "changes",
-    [{"kernel": "cosine"}, {"max_points": 3}, {"restarts": -1}, {"validation_fraction": 1.0}],
+    [
+        {"kernel": "cosine"},
+        {"mean": "zero"},
+        {"max_points": 3},
+        {"restarts": -1},
+        {"validation_fraction": 1.0},
+    ],
 )
 def test_refuses_bad_settings(changes: dict[str, object]) -> None:
     with pytest.raises(EgpError, match=next(iter(changes))):

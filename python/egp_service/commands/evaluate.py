@@ -85,13 +85,15 @@ def evaluate(
     chosen = _chosen(experiment, ["prediction", *names, avoidance, "step-times"])
     if track and "unseen-track" not in chosen:
         raise EgpError("--track is driven in unseen-track: choose that too")
-    source = _train(console, output) if train else library or SHIPPED
-    campaign = Campaign(output, source)
+    if scale != 1.0 and not track:
+        raise EgpError("--scale enlarges the --track: give both")
     driven = [
         on_track(e, track, scale) if track and e.name == "unseen-track" else e
         for e in EXPERIMENTS
         if e.name in chosen
     ]
+    source = _train(console, output) if train else library or SHIPPED
+    campaign = Campaign(output, source)
     predictions = _predict(console, output, full=full, jobs=jobs) if "prediction" in chosen else []
     outcomes = _drive(console, campaign, driven, full=full, jobs=jobs)
     speeds = _entry_speeds(console, campaign, full=full, jobs=jobs) if avoidance in chosen else []

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from egp_service._core import EgpError, Library, write_library_subset
+from egp_service._core import EgpError, Engine, Library, write_library_subset
 from egp_service.closed_loop import drive
 from egp_service.course import build_path
 from egp_service.evaluation.contenders import ENSEMBLE, make
@@ -79,6 +79,7 @@ class Campaign:
         self._folder = folder
         self._source = library
         self._id = Library.load(library).id
+        self._defaults = Engine(str(library)).settings_toml
         mark = folder / "library.sha256"
         if mark.exists() and mark.read_text(encoding="utf-8") != self._id:
             raise EgpError(f"{folder} holds runs of another library: choose another --output")
@@ -107,7 +108,7 @@ class Campaign:
         """Do `work` where `{name}.jsonl` has no result yet; gives all results, in trials' order."""
         finished = self._folder / f"{name}.jsonl"
         wanted = [self._with_library(trial) for trial in trials]
-        prints = [fingerprint(trial, self._id) for trial in wanted]
+        prints = [fingerprint(trial, self._id + self._defaults) for trial in wanted]
         known = _results(finished, kind)
         missing = [
             (mark, trial) for mark, trial in zip(prints, wanted, strict=True) if mark not in known
@@ -119,12 +120,18 @@ class Campaign:
             finished.open("a", encoding="utf-8") as log,
         ):
             pending = {pool.submit(work, trial): mark for mark, trial in missing}
-            for done, future in enumerate(as_completed(pending), len(wanted) - len(missing) + 1):
-                result, mark = future.result(), pending[future]
-                known[mark] = result
-                log.write(json.dumps({"trial": mark, "outcome": asdict(result)}) + "\n")
-                log.flush()
-                report(result, done, len(wanted))
+            try:
+                for done, future in enumerate(
+                    as_completed(pending), len(wanted) - len(missing) + 1
+                ):
+                    result, mark = future.result(), pending[future]
+                    known[mark] = result
+                    log.write(json.dumps({"trial": mark, "outcome": asdict(result)}) + "\n")
+                    log.flush()
+                    report(result, done, len(wanted))
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)  # not after hours of the others
+                raise
         return [known[mark] for mark in prints]
 
     def drives(self, experiment: Experiment) -> list[tuple[str, Run]]:
@@ -146,7 +153,7 @@ class Campaign:
 
 
 def fingerprint(trial: Trial, library: str) -> str:
-    """Identify a trial by everything that its outcome depends on."""
+    """Identify a trial by what its outcome depends on, `library` with all settings included."""
     track = trial.scenario.track
     if track.file is not None:
         track = replace(track, file=hashlib.sha256(Path(track.file).read_bytes()).hexdigest())

@@ -30,6 +30,7 @@ _DATA: Final = Path(str(resources.files("egp_service"))) / "data"
 RECIPE: Final = _DATA / "evaluation-recipe.toml"
 _OUTER: Final = (0.5, 1.1)
 _BARE_POINTS: Final = 20
+_WHOLE_CHANGE_POINTS: Final = 700  # without a vehicle more points helped, up to these
 
 
 def make(displays: Displays) -> list[TrainedMember]:
@@ -49,7 +50,7 @@ def make(displays: Displays) -> list[TrainedMember]:
         _as(data, f"{data.provenance.surface}, constant mean", data.provenance.friction)
         for data in outer
     ]
-    constant = dataclasses.replace(settings, mean="constant")
+    constant = dataclasses.replace(settings, mean="constant", max_points=_WHOLE_CHANGE_POINTS)
     with displays.fitting() as report:
         others = train(pooled, twice, report) + train(paper, constant, report)
     bare = [_bare(m, settings.kernel) for m in members if m.dataset.provenance.friction in _OUTER]

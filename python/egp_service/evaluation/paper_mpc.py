@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import cvxpy as cp
 import numpy as np
 
+from egp_service.prior_mean import SLOWEST
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
 
 NX, NU = 7, 2
-V_X, PSI, V_Y, OMEGA, DELTA = 2, 3, 4, 5, 6
-# m/s; below it directions of travel are taken at it, as in our step.
-SLOWEST = 3.0
+V_X, V_Y, OMEGA, DELTA = 2, 4, 5, 6
 
 
 class Mpc:
@@ -109,8 +109,9 @@ class Mpc:
         self.reference_v.value = r[1:, V_X]
         self.drive.value = np.minimum(limits["a_max"], limits["power"] / operating[:-1, V_X])
         sideways = operating[1:, V_Y] + soft["front"] * operating[1:, OMEGA]
+        moving = operating[1:, V_X] >= SLOWEST
         direction = np.arctan(sideways / np.maximum(operating[1:, V_X], SLOWEST))
-        slip = soft["slip"] * np.array([-1.0, 1.0])
+        slip = np.where(moving, soft["slip"], np.inf)[:, None] * np.array([-1.0, 1.0])
         self.steering.value = np.clip(direction[:, None] + slip, -soft["delta"], soft["delta"])
         self.normal.value = np.stack([-np.sin(reference[1:, 3]), np.cos(reference[1:, 3])], -1)
         self.edges.value = edges

@@ -137,6 +137,7 @@ def _train(settings: PredictionSettings, seed: int) -> Library:
     }
     plan = TrainingSettings(
         kernel="rbf",
+        mean="constant",
         max_points=settings.transitions,
         first_points=settings.transitions // 2,
         max_iterations=settings.iterations,

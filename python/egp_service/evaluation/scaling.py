@@ -16,6 +16,7 @@ import numpy as np
 from egp_service._core import Engine, Library, decode_request, write_library_subset
 from egp_service.closed_loop import drive
 from egp_service.controller import Controller
+from egp_service.evaluation.experiments import FOUR
 from egp_service.toml_text import dumps
 
 if TYPE_CHECKING:
@@ -45,18 +46,17 @@ class StepTime:
 def measure(
     library: Path, scenario: Scenario, *, periods: int, members: Sequence[int] = MEMBERS
 ) -> list[StepTime]:
-    """Time our step on requests of a recorded drive, for libraries of copies of the same members.
+    """Time our step on requests of a recorded drive, for libraries of copies of four members.
 
     Copies share their weight, so the number of members that count is bounded by the settings; that
     is what keeps the time flat, and the reply says what was left out. The paper's stack, up to 8
     members, is timed from the decoded request to its plan, where CVXPY and OSQP are installed.
     """
-    source = Library.load(library)
     times = []
     with tempfile.TemporaryDirectory() as folder:
         for count in members:
             path = Path(folder) / f"{count}.safetensors"
-            write_library_subset(library, path, [i % len(source.members) for i in range(count)])
+            write_library_subset(library, path, [FOUR[i % len(FOUR)] for i in range(count)])
             requests = _record(path, scenario, periods)
             engine = Engine(str(path), dumps(scenario.control))
             times.append(_step_time(OURS, count, _ours(engine, requests)))

@@ -52,9 +52,10 @@ _DIFFERENCES = """The paper drives at 30 Hz with OSQP and about zero inputs; thi
 about the last plan. Its weights add m/s to rad/s and have no memory, as <i>paper's weights</i>
 here. Its GPs predict whole changes and fall back to constants, as <i>constant mean</i> here; ours
 correct a single-track vehicle fitted to the same data, which <i>vehicles only</i> drives with
-alone. Everyone here keeps the front tyres' slip below their peak. Its reference moves at the present speed, ours along a speed profile, so braking is not
-fought. Tracks here are computed from their definition or drawn from a seed; frictions are those
-of the text."""
+alone; <i>constant mean</i> learned from the laps that the fitted vehicles drove. Everyone here
+keeps the front tyres' slip near their peak. The paper's reference moves at the present speed, ours
+along a speed profile, so braking is not fought. Tracks here are computed from their definition or
+drawn from a seed; frictions are those of the text."""
 
 
 def write_report(

@@ -2,14 +2,11 @@
 
 use crate::qp::{MAX_SOFT, OcpQp, SoftRow};
 use crate::settings::{Limits, Penalty, Soft};
-use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, V_X, V_Y};
+use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, SLOWEST, V_X, V_Y};
 use crate::{Input, NU, State};
 
 /// Share of a slew step by which a bound that cannot be met yet stays open: an interior-point method needs one.
 const INTERIOR: f64 = 0.01;
-
-/// Directions of travel lose their meaning when the vehicle stands; below this speed (m/s) they are taken at it.
-const SLOWEST: f64 = 3.0;
 
 /// Soft rows the settings ask for; the rows of the envelope come last.
 pub fn soft_rows(soft: &Soft) -> usize {
@@ -87,14 +84,18 @@ fn interval(state: usize, lower: f64, upper: f64) -> SoftRow {
     }
 }
 
-/// The steering angles at which the front tyres slip by at most `soft.slip` while they move as in the operating state.
+/// The steering angles at which the front tyres slip by at most `soft.slip` while they move as in the operating state;
+/// any angle when they hardly move.
 ///
 /// Beyond the peak of the tyres' force more steering brings less: a model linearised there, or a little wrong about
 /// where it is, turns the wheel until nothing is left to steer with (Beal and Gerdes, *Model Predictive Control for
 /// Vehicle Stabilization at the Limits of Handling*, IEEE Transactions on Control Systems Technology 21(4), 2013).
 fn steering(soft: &Soft, operating: &State) -> SoftRow {
+    if operating[V_X] < SLOWEST {
+        return interval(DELTA, -soft.delta, soft.delta);
+    }
     let sideways = operating[V_Y] + soft.front * operating[OMEGA];
-    let direction = (sideways / operating[V_X].max(SLOWEST)).atan();
+    let direction = (sideways / operating[V_X]).atan();
     let bound = |angle: f64| angle.clamp(-soft.delta, soft.delta);
     interval(
         DELTA,
@@ -165,6 +166,10 @@ mod tests {
         assert_eq!(row.normal, State::ith(DELTA, 1.0));
         assert!((row.lower - (direction - 0.1)).abs() < 1e-15);
         assert!((row.upper - (direction + 0.1)).abs() < 1e-15);
+        // Parking takes what steering there is.
+        let mut parking = State::zeros();
+        (parking[V_X], parking[OMEGA]) = (1.0, 0.3);
+        assert_eq!(steering(&soft, &parking).upper, soft.delta);
         // Sliding sideways, the wheel cannot turn as far as the slip would ask for.
         x[V_Y] = 60.0;
         let row = steering(&soft, &x);

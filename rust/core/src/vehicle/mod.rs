@@ -7,7 +7,7 @@ mod single_track;
 
 pub use frame::{Frame, wrap};
 pub use kinematics::{gp_input, jacobians, successor};
-pub use single_track::{SINGLE_TRACK_PARAMETERS, SingleTrack};
+pub use single_track::{SINGLE_TRACK_PARAMETERS, SLOWEST, SingleTrack};
 
 /// Index of `p_x` in the state, m.
 pub const P_X: usize = 0;

@@ -7,8 +7,8 @@ use nalgebra::{SMatrix, SVector};
 use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
 
 const GRAVITY: f64 = 9.81;
-/// Slip angles lose their meaning when the vehicle stands; below this speed (m/s) they are taken at this speed.
-const SLOWEST: f64 = 3.0;
+/// Slip angles lose their meaning when the vehicle stands; below this speed, m/s, they are taken at it or left alone.
+pub const SLOWEST: f64 = 3.0;
 
 /// Number of parameters of a [`SingleTrack`].
 pub const SINGLE_TRACK_PARAMETERS: usize = 13;
@@ -222,6 +222,34 @@ mod tests {
         }
         let straight = GpInput::new(20.0, 0.0, 0.0, 0.0, 0.0, 0.0);
         assert_eq!(car.change(&straight), GpOutput::zeros());
+    }
+
+    #[test]
+    fn it_turns_as_its_understeer_gradient_says() {
+        // Small angles: delta = omega (L / v + K v), K = (l_r / s_f - l_f / s_r) / L with s = g B C D of an axle's load
+        // share, here by Newton's method on v_y and omega.
+        let car = SingleTrack::new(&CAR, 0.02);
+        let [_, l_f, l_r, _, _, _, _, d_f, b_f, c_f, d_r, b_r, c_r] = CAR;
+        let (v, delta) = (20.0, 1e-4);
+        let mut z = GpInput::new(v, 0.0, 0.0, delta, 0.0, 0.0);
+        for _ in 0..5 {
+            let (change, slopes) = car.change_jacobian(&z);
+            let lateral = slopes.fixed_view::<2, 2>(1, 1).into_owned();
+            let step = lateral.try_inverse().unwrap() * change.fixed_rows::<2>(1);
+            (z[1], z[2]) = (z[1] - step[0], z[2] - step[1]);
+        }
+        let wheelbase = l_f + l_r;
+        let gradient = (1.0 / (b_f * c_f * d_f) - 1.0 / (b_r * c_r * d_r)) / GRAVITY;
+        let omega = v * delta / (wheelbase + gradient * v * v);
+        assert!((z[2] / omega - 1.0).abs() < 1e-6, "{} {omega}", z[2]);
+    }
+
+    #[test]
+    fn braking_loads_the_front() {
+        let car = SingleTrack::new(&CAR, 0.02);
+        let turning_in =
+            |force: f64| car.change(&GpInput::new(20.0, 0.0, 0.0, 0.02, force, 0.0))[2];
+        assert!(turning_in(-1500.0) > turning_in(0.0));
     }
 
     #[test]
