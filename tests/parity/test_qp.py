@@ -234,6 +234,8 @@ def test_arrays_without_stages_hold_for_all() -> None:
         ("soft_lower", np.zeros((10, 2)), r"soft_lower of shape \(10, 3\) or \(3,\)"),
         ("u_min", np.full(2, 100.0), "not above"),
         ("c", np.full(7, np.nan), "finite"),
+        ("q", -np.eye(7), "semidefinite"),
+        ("r", np.array([0.1, np.inf]), "finite r"),
         ("a", np.ones((10, 7, 7)), "entries of A"),
     ],
 )

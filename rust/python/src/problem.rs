@@ -27,7 +27,8 @@ impl OcpWeights {
     fn new(q: ArrayLike<'_>, r: VectorLike<'_>, r_d: VectorLike<'_>) -> PyResult<Self> {
         let diagonals = [fixed("r", &r)?, fixed("r_d", &r_d)?];
         let [r, r_d] = diagonals;
-        if r.iter().all(|r| *r > 0.0) && diagonals.as_flattened().iter().all(|r| *r >= 0.0) {
+        let allowed = |r: &f64| r.is_finite() && *r >= 0.0;
+        if r.iter().all(|r| *r > 0.0) && diagonals.as_flattened().iter().all(allowed) {
             return Ok(Self {
                 q: owned(&q),
                 r,
@@ -35,7 +36,7 @@ impl OcpWeights {
             });
         }
         Err(EgpError::new_err(format!(
-            "expected r > 0, which keeps the solution unique, and r_d >= 0, got {r:?} and {r_d:?}"
+            "expected finite r > 0, which keeps the solution unique, and r_d >= 0, got {r:?} and {r_d:?}"
         )))
     }
 }
@@ -75,9 +76,13 @@ impl OcpBounds {
             let expected = format!("(n, 2) with n <= {MAX_SOFT}");
             return Err(wrong_shape("penalty", &expected, &[penalty.len(), 2]));
         }
-        if !penalty.as_flattened().iter().all(|price| *price > 0.0) {
+        if !penalty
+            .as_flattened()
+            .iter()
+            .all(|price| price.is_finite() && *price > 0.0)
+        {
             return Err(EgpError::new_err(format!(
-                "expected penalty > 0, got {penalty:?}"
+                "expected finite penalty > 0, got {penalty:?}"
             )));
         }
         let rows_of = |array: Option<ArrayLike<'_>>, none: &[usize]| {
@@ -164,6 +169,15 @@ impl Arrays<'_, '_> {
         if horizon == 0 || !qp.is_well_posed() {
             return Err(EgpError::new_err(
                 "expected a stage or more, finite numbers, and lower bounds that are not above the upper ones",
+            ));
+        }
+        // Of the position block and the diagonal, all that q may have.
+        let convex = qp.stages().iter().map(|stage| &stage.q).all(|q| {
+            q.diagonal().min() >= 0.0 && q[(0, 1)].powi(2) <= q[(0, 0)] * q[(1, 1)] * (1.0 + 1e-12)
+        });
+        if !convex {
+            return Err(EgpError::new_err(
+                "expected positive semidefinite q: a minimum is looked for",
             ));
         }
         if qp.keeps_pattern() {
