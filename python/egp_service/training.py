@@ -42,11 +42,11 @@ _ONE_THREAD: Final = 1000
 class TrainingSettings:
     """How a library is trained. Same data, same settings, same machine: same bytes."""
 
-    kernel: KernelName = "rbf"
+    kernel: KernelName = "matern52"
     """Covariance function of every process: "rbf" or "matern52"."""
     mean: Literal["single-track", "constant"] = "single-track"
     """What the GPs are added to: a vehicle fitted to the surface, or constants as in the paper."""
-    max_points: int = 700
+    max_points: int = 400
     """Transitions a member keeps; the control step's time grows with it."""
     first_points: int = 400
     """Random transitions of the first fit, whose lengthscales choose the final ones."""
@@ -101,6 +101,7 @@ class TrainedMember:
     input_mean: NDArray[np.float64]
     input_std: NDArray[np.float64]
     target_mean: NDArray[np.float64]
+    """Of the targets less the vehicle's part, like their standard deviations."""
     target_std: NDArray[np.float64]
     processes: tuple[OutputProcess, ...]
     losses: tuple[float, ...]

@@ -34,7 +34,7 @@ BEND = Scenario(
 KINDS = {
     ENSEMBLE: Contender(ENSEMBLE, "ensemble", (0, 3)),
     "kinematic": Contender("kinematic", "kinematic", (0, 3)),
-    "single-track": Contender("single-track", "single-track", (0, 3)),
+    "nominal single-track": Contender("nominal single-track", "single-track", (0, 3)),
     "selection": Contender("selection", "selection", (0, 3)),
     ORACLE: Contender(ORACLE, "oracle", (0, 3)),
 }

@@ -22,7 +22,7 @@ def train(
         Literal["single-track", "constant"],
         typer.Option(help="What the GPs correct: a vehicle fitted to the surface, or a constant."),
     ] = "single-track",
-    max_points: Annotated[int, typer.Option(help="Transitions a member keeps.")] = 700,
+    max_points: Annotated[int, typer.Option(help="Transitions a member keeps.")] = 400,
     restarts: Annotated[int, typer.Option(help="Further random starts of each fit.")] = 1,
     validation: Annotated[
         float, typer.Option(help="Share of the trajectories kept for validation.")

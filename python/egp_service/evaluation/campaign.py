@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from egp_service.scenario import Scenario
 
 SHIPPED = Path(str(resources.files("egp_service"))) / "data" / "evaluation-library.safetensors"
-SHOWN_CONTENDERS = (ENSEMBLE, "pooled GP", "single-track")
+SHOWN_CONTENDERS = (ENSEMBLE, "pooled GP", "nominal single-track")
 
 Result = TypeVar("Result", bound="DataclassInstance")
 

@@ -83,20 +83,22 @@ def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender
         Contender("selection", "selection", tuple(members)),
         *(Contender(f"only {labels[m]}", "ensemble", (m,)) for m in members),
         Contender("pooled GP", "ensemble", (POOLED,)),
-        Contender("single-track", "single-track", tuple(members)),
+        Contender("nominal single-track", "single-track", tuple(members)),
         Contender("kinematic", "kinematic", tuple(members)),
         Contender(ORACLE, "oracle", tuple(members)),
     )
 
 
 LABELS: Final = ("μ 0.5", "μ 0.6", "μ 0.9", "μ 1.1", "pooled")
+# What the ensemble would be without a part of it; not a baseline of another kind.
+VARIANTS: Final = ("paper's weights", "constant mean", "fitted single-track")
 _ALL_OF_TWO: Final = (
     *contenders(TWO, LABELS),
     Contender("constant mean", "ensemble", CONSTANT_MEAN),
-    Contender("vehicles only", "ensemble", VEHICLES),
+    Contender("fitted single-track", "ensemble", VEHICLES),
 )
 _ALL_OF_FOUR: Final = contenders(FOUR, LABELS)
-_AVOIDING: Final = {ENSEMBLE, "pooled GP", "single-track", "kinematic", ORACLE}
+_AVOIDING: Final = {ENSEMBLE, "pooled GP", "nominal single-track", "kinematic", ORACLE}
 
 
 def _scenario(

@@ -14,7 +14,7 @@ from egp_service.evaluation import figures
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.entry_speed import SLOWEST
-from egp_service.evaluation.experiments import EXPERIMENTS, OBSTACLE_AVOIDANCE
+from egp_service.evaluation.experiments import EXPERIMENTS, OBSTACLE_AVOIDANCE, VARIANTS
 from egp_service.evaluation.html import (
     Section,
     claim_table,
@@ -51,7 +51,7 @@ Command: <code>{command}</code>"""
 _DIFFERENCES = """The paper drives at 30 Hz with OSQP and about zero inputs; this system at 50 Hz
 about the last plan. Its weights add m/s to rad/s and have no memory, as <i>paper's weights</i>
 here. Its GPs predict whole changes and fall back to constants, as <i>constant mean</i> here; ours
-correct a single-track vehicle fitted to the same data, which <i>vehicles only</i> drives with
+correct a single-track vehicle fitted to the same data, which <i>fitted single-track</i> drives with
 alone; <i>constant mean</i> learned from the laps that the fitted vehicles drove. Everyone here
 keeps the front tyres' slip near their peak. The paper's reference moves at the present speed, ours
 along a speed profile, so braking is not fought. Tracks here are computed from their definition or
@@ -104,7 +104,7 @@ def headline(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
     for name, condition in dict.fromkeys((g.experiment, g.condition) for g in groups):
         here = [g for g in groups if (g.experiment, g.condition) == (name, condition)]
         named = {g.contender: g for g in here}
-        others = [g for g in here if g.contender not in {ENSEMBLE, "paper's weights", ORACLE}]
+        others = [g for g in here if g.contender not in {ENSEMBLE, *VARIANTS, ORACLE}]
         best = max(others, key=lambda g: (g.completed, -g.lateral_rms.value), default=None)
         rows.append(
             (

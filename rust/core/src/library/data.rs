@@ -41,9 +41,9 @@ pub struct MemberData {
     pub input_mean: [f64; NZ],
     /// Standard deviations of the inputs for z-scoring, `[6]`.
     pub input_std: [f64; NZ],
-    /// Means of the targets for z-scoring, `[3]`.
+    /// Means of the targets, less the vehicle's part, for z-scoring, `[3]`.
     pub target_mean: [f64; NY],
-    /// Standard deviations of the targets for z-scoring, `[3]`.
+    /// Standard deviations of the same, `[3]`.
     pub target_std: [f64; NY],
     /// Lengthscales, `[3, 6]`.
     pub lengthscales: [[f64; NZ]; NY],
