@@ -501,6 +501,8 @@ class Member:
         stiffness and shape of the front tyres and of the rear ones.
         """
 
+# library_writer.rs
+
 @final
 class MemberData:
     """One surface's GPs on their way into a file; M points, G golden points.

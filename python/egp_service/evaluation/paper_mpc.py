@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import cvxpy as cp
 import numpy as np
 
+from egp_service import EgpError
 from egp_service.prior_mean import SLOWEST
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ class Mpc:
         """Plan ``(T+1, 7)`` and scaled inputs ``(T, 2)``.
 
         Dynamics are ``A (T, 7, 7)``, ``B (T, 7, 2)`` for scaled inputs and ``c (T, 7)`` along the
-        operating states ``(T+1, 7)``.
+        operating states ``(T+1, 7)``. Raises `EgpError` when OSQP finds no plan.
         """
         cost, limits, soft = (self.settings[name] for name in ("cost", "limits", "soft"))
         a, b, c = dynamics
@@ -116,4 +117,6 @@ class Mpc:
         self.normal.value = np.stack([-np.sin(reference[1:, 3]), np.cos(reference[1:, 3])], -1)
         self.edges.value = edges
         self.problem.solve(solver=cp.OSQP, warm_start=True, ignore_dpp=False)
+        if self.e.value is None:
+            raise EgpError(f"OSQP found no plan for the paper's problem: {self.problem.status}")
         return np.asarray(self.e.value) + r, np.asarray(self.u.value)

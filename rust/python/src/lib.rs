@@ -8,6 +8,7 @@ mod carry;
 mod error;
 mod gate;
 mod library;
+mod library_writer;
 mod ocp;
 mod path;
 mod plant;
@@ -26,6 +27,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     error::register(module)?;
     gate::register(module)?;
     library::register(module)?;
+    library_writer::register(module)?;
     ocp::register(module)?;
     path::register(module)?;
     plant::register(module)?;

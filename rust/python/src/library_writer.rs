@@ -1,0 +1,168 @@
+//! `MemberData`, `write_library` and `write_library_subset`.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use egp_core::Kernel;
+use egp_core::library::{self, LibrarySpec};
+use pyo3::prelude::*;
+
+use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};
+use crate::library::{Failure, os_error, read};
+
+/// One surface's GPs on their way into a file.
+#[pyclass(module = "egp_service._core", frozen)]
+struct MemberData(library::MemberData);
+
+#[pymethods]
+impl MemberData {
+    #[new]
+    #[pyo3(signature = (
+        *, label, friction, dataset, inputs, targets, input_mean, input_std, target_mean, target_std, lengthscales,
+        outputscale, noise, constant, alpha, envelope, golden_z, golden_mean, golden_jacobian, golden_variance,
+        single_track = None
+    ))]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        label: String,
+        friction: f64,
+        dataset: String,
+        inputs: Matrix<'_>,
+        targets: Matrix<'_>,
+        input_mean: Vector<'_>,
+        input_std: Vector<'_>,
+        target_mean: Vector<'_>,
+        target_std: Vector<'_>,
+        lengthscales: Matrix<'_>,
+        outputscale: Vector<'_>,
+        noise: Vector<'_>,
+        constant: Vector<'_>,
+        alpha: Matrix<'_>,
+        envelope: Matrix<'_>,
+        golden_z: Matrix<'_>,
+        golden_mean: Matrix<'_>,
+        golden_jacobian: Cube<'_>,
+        golden_variance: Matrix<'_>,
+        single_track: Option<Vector<'_>>,
+    ) -> PyResult<Self> {
+        Ok(Self(library::MemberData {
+            label,
+            friction,
+            dataset,
+            inputs: rows("inputs", &inputs)?,
+            targets: rows("targets", &targets)?,
+            input_mean: fixed("input_mean", &input_mean)?,
+            input_std: fixed("input_std", &input_std)?,
+            target_mean: fixed("target_mean", &target_mean)?,
+            target_std: fixed("target_std", &target_std)?,
+            lengthscales: exactly("lengthscales", rows("lengthscales", &lengthscales)?)?,
+            outputscale: fixed("outputscale", &outputscale)?,
+            noise: fixed("noise", &noise)?,
+            constant: fixed("constant", &constant)?,
+            alpha: exactly(
+                "alpha",
+                alpha
+                    .as_array()
+                    .rows()
+                    .into_iter()
+                    .map(|row| row.to_vec())
+                    .collect(),
+            )?,
+            envelope: exactly("envelope", rows("envelope", &envelope)?)?,
+            golden_z: rows("golden_z", &golden_z)?,
+            golden_mean: rows("golden_mean", &golden_mean)?,
+            golden_jacobian: layers("golden_jacobian", &golden_jacobian)?,
+            golden_variance: rows("golden_variance", &golden_variance)?,
+            single_track: single_track
+                .map(|parameters| fixed("single_track", &parameters))
+                .transpose()?,
+        }))
+    }
+}
+
+/// A matrix with a known number of rows.
+fn exactly<T, const N: usize>(name: &str, rows: Vec<T>) -> PyResult<[T; N]> {
+    rows.try_into()
+        .map_err(|rows: Vec<T>| wrong_shape(name, &format!("({N}, ...)"), &[rows.len()]))
+}
+
+#[pyfunction]
+#[pyo3(signature = (path, *, dt, kernel, vehicle, members, provenance))]
+fn write_library(
+    py: Python<'_>,
+    path: PathBuf,
+    dt: f64,
+    kernel: &str,
+    vehicle: String,
+    members: Vec<PyRef<'_, MemberData>>,
+    provenance: BTreeMap<String, String>,
+) -> PyResult<()> {
+    let unknown = || {
+        Failure::Refused(library::LibraryError::UnknownKernel {
+            found: kernel.to_owned(),
+        })
+        .raise(py)
+    };
+    let members = members.iter().map(|member| member.0.clone()).collect();
+    let spec = LibrarySpec {
+        dt,
+        kernel: Kernel::from_name(kernel).ok_or_else(unknown)?,
+        vehicle,
+        provenance,
+        members,
+    };
+    py.detach(|| {
+        let bytes = library::encode(&spec).map_err(Failure::Refused)?;
+        replace(&path, &bytes).map_err(|error| os_error(&error, &path))
+    })
+    .map_err(|failure| failure.raise(py))
+}
+
+#[pyfunction]
+fn write_library_subset(
+    py: Python<'_>,
+    source: PathBuf,
+    path: PathBuf,
+    members: Vec<usize>,
+) -> PyResult<()> {
+    py.detach(|| {
+        let bytes = read(&source).map_err(|error| os_error(&error, &source))?;
+        let bytes = library::subset(&bytes, &members).map_err(Failure::Refused)?;
+        replace(&path, &bytes).map_err(|error| os_error(&error, &path))
+    })
+    .map_err(|failure| failure.raise(py))
+}
+
+/// Puts a file in place as a whole: whoever reads the path finds the old bytes or the new ones, also after a crash.
+fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".{}.tmp", std::process::id()));
+    let beside = path.with_file_name(name);
+    let written = (|| {
+        let mut file = File::create(&beside)?;
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        fs::rename(&beside, path)
+    })();
+    if written.is_err() {
+        // The first error is the one to report.
+        let _ = fs::remove_file(&beside);
+        return written;
+    }
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+}
+
+/// Adds this file's class and functions to the module.
+///
+/// # Errors
+/// When Python refuses one.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<MemberData>()?;
+    module.add_function(wrap_pyfunction!(write_library, module)?)?;
+    module.add_function(wrap_pyfunction!(write_library_subset, module)?)
+}
