@@ -56,7 +56,8 @@ def test_the_ensemble_completes_the_papers_scenarios_up_to_nine_tenths_of_the_gr
     assert not lost, lost
 
 
-def test_the_weights_settle_within_half_a_second(runs: Rows) -> None:
+def test_the_weights_settle_within_half_a_second_at_4_m_s2(runs: Rows) -> None:
+    # What the README says. Below, where they drift, the report shows the claim as failing.
     times = [
         float(time)
         for row in runs
