@@ -748,12 +748,16 @@ def solve_weights(
     previous: NDArray[np.float64],
     prior: Literal["quadratic", "l1"],
     strength: float,
+    measurement_std: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Solve for the weights (N,), eq. (6).
 
-    Minimises the squared errors of predictions (k, N, 3) against measured (k, 3), divided by
-    noise_std (3,), plus `strength` times the squared or absolute distance from the previous
-    weights (N,), on the simplex.
+    Minimises the squared errors of predictions (k, N, 3) against measured (k, 3), whitened, plus
+    `strength` times the squared or absolute distance from the previous weights (N,), on the
+    simplex. noise_std (3,) is the standard deviation of the predictions' own noise. With
+    measurement_std (3,), that of the measured states, the k transitions have to be consecutive:
+    an output's errors then have the covariance noise_std² + 2 measurement_std², and neighbours
+    -measurement_std². `EgpError` for shapes that differ and numbers that make no sense.
 
     Measured halfway between what two members predict:
 

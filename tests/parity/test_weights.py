@@ -75,18 +75,30 @@ def by_others(f: Array, y: Array, previous: Array, prior: Prior, strength: float
 
 @pytest.mark.parametrize("n", [2, 3, 8, 16])
 @pytest.mark.parametrize(("prior", "strength"), [("quadratic", 20.0), ("l1", 1.0)])
-def test_weights_agree_with_osqp_and_piqp(n: int, prior: Prior, strength: float) -> None:
+@pytest.mark.parametrize("measurement", [None, np.array([0.03, 0.0, 0.005])])
+def test_weights_agree_with_osqp_and_piqp(
+    n: int, prior: Prior, strength: float, measurement: NDArray[np.float64] | None
+) -> None:
     rng = np.random.default_rng(n)
     noise = np.array([0.01, 0.02, 0.005])
+    # What a window of states with that noise has: white noise and the differences of another.
+    state_noise = np.zeros(3) if measurement is None else measurement
+    difference = np.diff(np.eye(11), axis=0)
+    roots = [
+        np.linalg.cholesky(q * np.eye(10) + r * difference @ difference.T)
+        for q, r in zip(noise**2, state_noise**2, strict=True)
+    ]
     for _ in range(20):
         predictions = rng.normal(size=(10, n, 3)) * 0.2
         truth, previous = rng.dirichlet(np.full(n, 0.5)), rng.dirichlet(np.ones(n))
         measured = np.einsum("knj,n->kj", predictions, truth) + rng.normal(size=(10, 3)) * noise
-        w = solve_weights(predictions, measured, noise, previous, prior, strength)
+        w = solve_weights(
+            predictions, measured, noise, previous, prior, strength, measurement_std=measurement
+        )
         assert abs(w.sum() - 1) < 1e-12
         assert (w >= 0).all()
-        f = (predictions / noise).transpose(0, 2, 1).reshape(-1, n)
-        y = (measured / noise).ravel()
+        f = np.vstack([np.linalg.solve(roots[o], predictions[:, :, o]) for o in range(3)])
+        y = np.concatenate([np.linalg.solve(roots[o], measured[:, o]) for o in range(3)])
         for other in by_others(f, y, previous, prior, strength):
             np.testing.assert_allclose(w, other, rtol=0, atol=TOLERANCE)
 

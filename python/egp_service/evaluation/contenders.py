@@ -6,6 +6,7 @@ what predicts the vehicle.
 
 from __future__ import annotations
 
+import tomllib
 from collections import deque
 from dataclasses import dataclass
 from functools import partial
@@ -18,6 +19,7 @@ from egp_service.controller import Controller
 from egp_service.course import build_path
 from egp_service.evaluation.predictive_control import PredictiveController
 from egp_service.evaluation.single_track import CHASSIS, Kinematic, SingleTrack, linearise
+from egp_service.evaluation.window_noise import whitening
 from egp_service.scenario import library_path
 from egp_service.toml_text import dumps
 
@@ -66,11 +68,14 @@ class _Oracle(Controller):
 class _Selection(Controller):
     """Takes the one member that predicted the window best, instead of blending."""
 
-    def __init__(self, scenario: Scenario, window: int) -> None:
+    def __init__(self, scenario: Scenario) -> None:
         super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
         self._carry = Carry(self.library, 0)
         self._library = Library.load(library_path(scenario))
-        self._noise = np.mean([member.noise_std for member in self._library.members], axis=0)
+        self._whitening = whitening(
+            self._library.members, tomllib.loads(_engine(scenario).settings_toml)
+        )
+        window = self._whitening.shape[-1]
         self._errors: deque[NDArray[np.float64]] = deque(maxlen=window)
         self._before: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
@@ -90,8 +95,12 @@ class _Selection(Controller):
             y = (state - before)[[2, 4, 5]]
             members = range(len(self.members))
             predicted = np.array([self._library.predict(z, m)[0][0] for m in members])
-            self._errors.append(np.sum(((predicted - y) / self._noise) ** 2, axis=1))
-            best = int(np.argmin(np.sum(self._errors, axis=0)))
+            self._errors.append(predicted - y)
+            count = len(self._errors)
+            whitened = np.einsum(
+                "okj,jno->kno", self._whitening[:, :count, :count], np.array(self._errors)
+            )
+            best = int(np.argmin(np.sum(whitened**2, axis=(0, 2))))
             self._carry.weights = np.eye(len(self.members))[best]
         step = super().step(state, reference, widths, deadline=deadline)
         self._before = (state, step.u)
@@ -120,7 +129,7 @@ def make(contender: Contender, scenario: Scenario) -> Drives:
             library_path(scenario), dumps(scenario.control), gate=scenario.gate
         ),
         "oracle": lambda: _Oracle(scenario),
-        "selection": lambda: _Selection(scenario, _engine(scenario).history),
+        "selection": lambda: _Selection(scenario),
         "kinematic": lambda: _predictive(scenario, Kinematic(CHASSIS[scenario.vehicle])),
         "single-track": lambda: _predictive(scenario, SingleTrack(CHASSIS[scenario.vehicle])),
     }

@@ -22,6 +22,7 @@ import torch
 
 from egp_service import prior_mean
 from egp_service.evaluation.paper_mpc import Mpc
+from egp_service.evaluation.window_noise import whitening
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -199,7 +200,7 @@ class PaperStack:
         self.members = [Member(library.kernel, dt, tensors, n) for n in range(count)]
         self.dt, self.mass = dt, settings["mass"]
         self.window, self.horizon = settings["weights"]["window"], settings["horizon"]
-        self.whiten = 1.0 / np.sqrt(np.mean([m.noise_std**2 for m in self.members], axis=0))
+        self.whiten = whitening(library.members, settings)
         self.weights = Weights(count, self.window, settings["weights"]["prior"]["lambda"])
         self.mpc = Mpc(self.horizon, dt, settings)
         self.margin = settings["soft"]["edge_margin"]
@@ -211,8 +212,8 @@ class PaperStack:
         rows = np.stack([member.mean(request.history_z[:new]) for member in self.members], axis=1)
         f = np.concatenate([rows, request.history_f])
         w = self.weights.solve(
-            (f * self.whiten).transpose(0, 2, 1).reshape(self.window * NY, -1),
-            (request.history_y * self.whiten).ravel(),
+            np.einsum("okj,jno->kon", self.whiten, f).reshape(self.window * NY, -1),
+            np.einsum("okj,jo->ko", self.whiten, request.history_y).ravel(),
             request.weights,
         )
         w = np.maximum(w, 0.0) / np.maximum(w, 0.0).sum()

@@ -18,7 +18,7 @@ use egp_core::ocp::{self, Reference, soft_rows};
 use egp_core::settings::SolverKind;
 use egp_core::solver::{ClarabelSolver, RiccatiSolver, solve_checked};
 use egp_core::trajectory::Guess;
-use egp_core::weights::{WeightEstimator, inverse_noise};
+use egp_core::weights::{WeightEstimator, WindowNoise};
 use egp_core::{
     Ensemble, Input, Kernel, Library, OcpQp, OcpSolution, QpSolver, Settings, State, StepReply,
     StepRequest, Workspace, step,
@@ -215,7 +215,7 @@ fn phases(c: &mut Criterion, library: &Library) {
 }
 
 fn weights(c: &mut Criterion, library: &Library) {
-    let noise = inverse_noise(library, true);
+    let noise = WindowNoise::of(library, &settings().weights);
     let prior = settings().weights.prior;
     for n in [2, 8, 64] {
         let wave = |i: usize| 0.1 * (i as f64 * 0.7).sin();

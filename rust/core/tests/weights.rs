@@ -6,7 +6,7 @@ use clarabel::solver::{
     DefaultSettings, DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, ZeroConeT,
 };
 use egp_core::settings::Prior;
-use egp_core::weights::WeightEstimator;
+use egp_core::weights::{WeightEstimator, WindowNoise};
 use egp_core::{GpOutput, NY};
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
@@ -16,7 +16,8 @@ use rand_chacha::ChaCha8Rng;
 struct Problem {
     f: Vec<f64>,
     y: Vec<[f64; NY]>,
-    inverse_noise: GpOutput,
+    /// Standard deviations of model and measured states.
+    noise: [GpOutput; 2],
     prior: Prior,
     previous: Vec<f64>,
 }
@@ -49,15 +50,17 @@ impl Problem {
         } else {
             Prior::L1 { alpha: strength }
         };
-        let inverse_noise = if rng.random_range(0..3) == 0 {
-            GpOutput::repeat(1.0)
-        } else {
-            GpOutput::from_fn(|_, _| 10.0_f64.powf(rng.random_range(0.0..3.0)))
+        let mut std = || GpOutput::from_fn(|_, _| 10.0_f64.powf(rng.random_range(-3.0..0.0)));
+        let (model, state) = (std(), std());
+        let noise = match rng.random_range(0..3) {
+            0 => [GpOutput::repeat(1.0), GpOutput::zeros()],
+            1 => [model, GpOutput::zeros()],
+            _ => [model, state],
         };
         Self {
             f,
             y,
-            inverse_noise,
+            noise,
             prior,
             previous: simplex(rng, n),
         }
@@ -71,7 +74,7 @@ impl Problem {
         let rounds = estimator.estimate(
             &self.f,
             &self.y,
-            &self.inverse_noise,
+            &WindowNoise::new(&self.noise[0], &self.noise[1]),
             self.prior,
             &self.previous,
             &mut w,
@@ -81,16 +84,22 @@ impl Problem {
         w
     }
 
-    /// `F` and `Y` with all scalings, as dense matrices.
+    /// `F` and `Y`, whitened with the dense covariance of their rows.
     fn scaled(&self) -> (DMatrix<f64>, DVector<f64>) {
         let (n, rows) = (self.previous.len(), self.y.len() * NY);
-        let f = DMatrix::from_fn(rows, n, |r, i| {
-            self.inverse_noise[r % NY] * self.f[(r / NY) * n * NY + i * NY + r % NY]
+        let f = DMatrix::from_fn(rows, n, |r, i| self.f[(r / NY) * n * NY + i * NY + r % NY]);
+        let y = DVector::from_fn(rows, |r, _| self.y[r / NY][r % NY]);
+        let [model, state] = &self.noise;
+        let covariance = DMatrix::from_fn(rows, rows, |i, j| match i.abs_diff(j) {
+            0 => model[i % NY].powi(2) + 2.0 * state[i % NY].powi(2),
+            NY => -state[i % NY].powi(2), // the same output of the neighbour
+            _ => 0.0,
         });
-        let y = DVector::from_fn(rows, |r, _| {
-            self.inverse_noise[r % NY] * self.y[r / NY][r % NY]
-        });
-        (f, y)
+        let whitening = covariance.cholesky().unwrap().l();
+        (
+            whitening.solve_lower_triangular(&f).unwrap(),
+            whitening.solve_lower_triangular(&y).unwrap(),
+        )
     }
 
     fn objective(&self, w: &[f64]) -> f64 {
@@ -228,7 +237,7 @@ fn the_l1_prior_changes_nothing_for_small_errors() {
     let problem = Problem {
         f: vec![0.10, 0.0, 0.0, 0.12, 0.0, 0.0],
         y: vec![[0.115, 0.0, 0.0]],
-        inverse_noise: GpOutput::repeat(1.0),
+        noise: [GpOutput::repeat(1.0), GpOutput::zeros()],
         prior: Prior::L1 { alpha: 1e-3 },
         previous: vec![0.5, 0.5],
     };

@@ -5,7 +5,7 @@ use std::time::Instant;
 use egp_core::qp::{Csc, SparseQp};
 use egp_core::settings::{Prior, SolverKind, SolverSettings};
 use egp_core::solver::{rungs, solve_first};
-use egp_core::weights::WeightEstimator;
+use egp_core::weights::{WeightEstimator, WindowNoise};
 use egp_core::{GpOutput, Input, NU, NX, NY, OcpSolution, Status};
 use pyo3::prelude::*;
 
@@ -194,6 +194,8 @@ fn name(status: Status) -> &'static str {
 }
 
 #[pyfunction]
+#[pyo3(signature = (predictions, measured, noise_std, previous, prior, strength, measurement_std=None))]
+#[expect(clippy::too_many_arguments, reason = "a keyword each in Python")]
 fn solve_weights<'py>(
     py: Python<'py>,
     predictions: Cube<'py>,
@@ -202,9 +204,14 @@ fn solve_weights<'py>(
     previous: Vector<'py>,
     prior: &str,
     strength: f64,
+    measurement_std: Option<Vector<'py>>,
 ) -> PyResult<NewVector<'py>> {
     let measured = rows::<NY>("measured", &measured)?;
     let noise = GpOutput::from(fixed::<NY>("noise_std", &noise_std)?);
+    let state_noise = match &measurement_std {
+        Some(std) => GpOutput::from(fixed::<NY>("measurement_std", std)?),
+        None => GpOutput::zeros(),
+    };
     let previous: Vec<f64> = previous.as_array().iter().copied().collect();
     let shape = [measured.len(), previous.len(), NY];
     if predictions.as_array().shape() != shape {
@@ -228,22 +235,22 @@ fn solve_weights<'py>(
     let numbers = predictions.iter().chain(measured.as_flattened());
     let sum: f64 = previous.iter().sum();
     let sensible = numbers.chain(&previous).all(|v| v.is_finite())
-        && noise.iter().all(|std| *std > 0.0)
+        && noise.iter().all(|std| *std > 0.0 && std.is_finite())
+        && state_noise.iter().all(|std| *std >= 0.0 && std.is_finite())
         && (0.0..=f64::MAX).contains(&strength)
         && previous.iter().all(|w| *w >= 0.0)
         && (sum - 1.0).abs() <= 1e-9;
     if !sensible {
         return Err(EgpError::new_err(
-            "expected finite numbers, positive noise_std, strength >= 0 and previous weights on the simplex",
+            "expected finite numbers, positive noise_std, measurement_std and strength >= 0 and previous weights on the simplex",
         ));
     }
     let mut w = vec![0.0; previous.len()];
     py.detach(|| {
-        let inverse_noise = noise.map(|std| 1.0 / std);
         WeightEstimator::new(previous.len()).estimate(
             &predictions,
             &measured,
-            &inverse_noise,
+            &WindowNoise::new(&noise, &state_noise),
             prior,
             &previous,
             &mut w,

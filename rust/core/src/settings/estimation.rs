@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{SettingsError, check, not_negative};
+use crate::NY;
 
 /// How the ensemble's weights follow the last transitions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -10,9 +11,13 @@ use super::{SettingsError, check, not_negative};
 pub struct WeightSettings {
     /// Window `K`: number of past transitions that count. Default 25.
     pub window: usize,
-    /// Divide each output's error by its noise (`S` = 1/std), so that m/s and rad/s may be added. Default true;
-    /// false is the paper's `S = I`.
+    /// Weigh the window's errors by the inverse of their covariance, so that m/s and rad/s may be added. Default
+    /// true; false is the paper's `S = I`.
     pub whiten: bool,
+    /// Standard deviations of the noise of the measured `[v_x, v_y, omega]`, in m/s and rad/s, of which every measured
+    /// change has two and shares each with a neighbour; beside them counts the members' own noise. Too large is
+    /// better than too small. Default 0.03, 0.03, 0.005, what an inertial system aided by satellites gives.
+    pub measurement: [f64; NY],
     /// What holds the weights when the window carries no information. Default quadratic with lambda 50.
     pub prior: Prior,
     /// Members with a weight at or below this are not evaluated in the control model; the rest is renormalised and
@@ -43,6 +48,7 @@ impl Default for WeightSettings {
         Self {
             window: 25,
             whiten: true,
+            measurement: [0.03, 0.03, 0.005],
             prior: Prior::Quadratic { lambda: 50.0 },
             threshold: 1e-3,
             max_active: 8,
@@ -58,6 +64,9 @@ impl WeightSettings {
         check("weights.window", self.window as f64, "in 1..=1000", |k| {
             (1.0..=Self::MAX_WINDOW as f64).contains(&k)
         })?;
+        for std in self.measurement {
+            not_negative("weights.measurement", std)?;
+        }
         match self.prior {
             Prior::Quadratic { lambda } => not_negative("weights.prior.lambda", lambda)?,
             Prior::L1 { alpha } => not_negative("weights.prior.alpha", alpha)?,

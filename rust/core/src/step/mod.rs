@@ -145,7 +145,7 @@ fn estimate_weights(
     ws.estimator.estimate(
         &reply.history_f,
         rows.history_y,
-        &ws.inverse_noise,
+        &ws.noise,
         settings.weights.prior,
         &ws.previous,
         &mut reply.weights,

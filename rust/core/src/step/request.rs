@@ -18,7 +18,7 @@ pub struct StepRequest<'a> {
     pub plan_u: &'a [f64],
     /// Periods since the plan was made: 1 in steady operation, more after misses.
     pub plan_shift: u32,
-    /// GP inputs of the last transitions, newest first, `[k, 6]`.
+    /// GP inputs of the last transitions, consecutive, newest first, `[k, 6]`.
     pub history_z: &'a [f64],
     /// Measured changes of `[v_x, v_y, omega]` over those transitions, newest first, `[k, 3]`.
     pub history_y: &'a [f64],

@@ -7,7 +7,7 @@ use crate::qp::{OcpQp, OcpSolution};
 use crate::settings::SettingsError;
 use crate::solver::{self, QpSolver, SolverSetupError};
 use crate::trajectory::Guess;
-use crate::weights::{WeightEstimator, inverse_noise};
+use crate::weights::{WeightEstimator, WindowNoise};
 use crate::{GpInput, GpOutput, Input, Library, MixtureScratch, Settings, State};
 
 /// Why a workspace could not be made.
@@ -25,7 +25,7 @@ pub enum SetupError {
 pub struct Workspace {
     library: [u8; 32],
     settings: Settings,
-    pub(super) inverse_noise: GpOutput,
+    pub(super) noise: WindowNoise,
     pub(super) estimator: WeightEstimator,
     pub(super) previous: Vec<f64>,
     pub(super) active: Vec<f64>,
@@ -61,7 +61,7 @@ impl Workspace {
         Ok(Self {
             library: library.id(),
             settings: settings.clone(),
-            inverse_noise: inverse_noise(library, settings.weights.whiten),
+            noise: WindowNoise::of(library, &settings.weights),
             estimator: WeightEstimator::new(n),
             previous: vec![0.0; n],
             active: vec![0.0; n],

@@ -4,16 +4,19 @@
 //! w = argmin ||S (Y - F w)||² + prior(w - w_prev)   on the simplex
 //! ```
 //!
-//! `Y` are the measured changes of the last `K` periods, column `n` of `F` what member `n` predicted for them, `S`
-//! one over each output's noise, without which m/s would be added to rad/s.
+//! `Y` are the measured changes of the last `K` periods, column `n` of `F` what member `n` predicted for them. `SᵀS`
+//! is the inverse covariance of the errors ([`WindowNoise`]): without it m/s would be added to rad/s, and noise of
+//! the measured states, which one change gains and the next loses, be taken for news.
 
 mod active_set;
+mod noise;
 
 pub use active_set::{ActiveSet, SimplexQp};
+pub use noise::WindowNoise;
 
+use crate::NY;
 use crate::settings::Prior;
 use crate::simd::{Vectorised, vectorised_loops};
-use crate::{GpOutput, Library, NY};
 
 /// Ridge on `H` relative to its largest entry: with identical members and no quadratic prior it picks, of all
 /// minima, the one nearest to the previous weights.
@@ -22,8 +25,8 @@ const RIDGE: f64 = 1e-10;
 /// Estimator and its memory, for `N` members.
 #[derive(Debug, Clone)]
 pub struct WeightEstimator {
-    /// What the members predicted for one output of one transition.
-    column: Vec<f64>,
+    /// What the members predicted for each output of one transition, then what was measured, whitened.
+    columns: [Vec<f64>; NY],
     hessian: Vec<f64>,
     linear: Vec<f64>,
     solver: ActiveSet,
@@ -33,7 +36,7 @@ impl WeightEstimator {
     /// An estimator for `n` members.
     pub fn new(n: usize) -> Self {
         Self {
-            column: vec![0.0; n],
+            columns: std::array::from_fn(|_| vec![0.0; n + 1]),
             hessian: vec![0.0; n * n],
             linear: vec![0.0; n],
             solver: ActiveSet::new(n),
@@ -42,9 +45,10 @@ impl WeightEstimator {
 
     /// The weights, eq. (6), written to `w`, which is on the simplex to rounding.
     ///
-    /// * `predictions`: rows `[N * 3]` of `F`, one for each transition, member after member
+    /// * `predictions`: rows `[N * 3]` of `F`, one for each of consecutive transitions, newest or oldest first,
+    ///   member after member
     /// * `measured`: rows `[3]` of `Y`
-    /// * `inverse_noise`: diagonal of `S`
+    /// * `noise`: covariance of the errors
     /// * `previous`: `w_prev`, on the simplex
     ///
     /// Without transitions the weights stay as they are. Returns the solver's rounds, see [`ActiveSet::solve`].
@@ -52,7 +56,7 @@ impl WeightEstimator {
         &mut self,
         predictions: &[f64],
         measured: &[[f64; NY]],
-        inverse_noise: &GpOutput,
+        noise: &WindowNoise,
         prior: Prior,
         previous: &[f64],
         w: &mut [f64],
@@ -61,8 +65,10 @@ impl WeightEstimator {
         w.copy_from_slice(previous);
         self.hessian.fill(0.0);
         self.linear.fill(0.0);
-        for (row, y) in predictions.chunks_exact(n * NY).zip(measured) {
-            self.add_transition(row, y, inverse_noise);
+        self.columns.iter_mut().for_each(|column| column.fill(0.0));
+        let transitions = predictions.chunks_exact(n * NY).zip(measured);
+        for ((row, y), cholesky) in transitions.zip(noise.cholesky_rows()) {
+            self.add_transition(row, y, &cholesky);
         }
         for i in 0..n {
             for j in 0..i {
@@ -88,24 +94,29 @@ impl WeightEstimator {
         self.solver.solve(&qp, w)
     }
 
-    /// Adds one row of `2 FᵀS²F`, its lower triangle, and of `-2 FᵀS²Y`.
+    /// Adds one row of `2 FᵀSᵀSF`, its lower triangle, and of `-2 FᵀSᵀSY`.
+    /// `columns` hold the row before it, whitened; zero before the first.
     fn add_transition(
         &mut self,
         predicted: &[f64],
         measured: &[f64; NY],
-        inverse_noise: &GpOutput,
+        cholesky: &[[f64; 2]; NY],
     ) {
-        for output in 0..NY {
-            for (to, from) in self.column.iter_mut().zip(predicted.as_chunks::<NY>().0) {
-                *to = from[output];
+        let n = self.linear.len();
+        for (output, column) in self.columns.iter_mut().enumerate() {
+            let [diagonal, below] = cholesky[output];
+            let inverse = 1.0 / diagonal;
+            let raw = predicted.as_chunks::<NY>().0.iter().chain([measured]);
+            for (whitened, raw) in column.iter_mut().zip(raw) {
+                *whitened = (raw[output] - below * *whitened) * inverse;
             }
-            let factor = 2.0 * inverse_noise[output].powi(2);
-            for (linear, predicted) in self.linear.iter_mut().zip(&self.column) {
-                *linear -= factor * predicted * measured[output];
+            let measured = column[n];
+            for (linear, predicted) in self.linear.iter_mut().zip(&column[..n]) {
+                *linear -= 2.0 * predicted * measured;
             }
             vectorised_loops(OuterProduct {
-                factor,
-                column: &self.column,
+                factor: 2.0,
+                column: &column[..n],
                 sum: &mut self.hessian,
             });
         }
@@ -131,19 +142,6 @@ impl Vectorised for OuterProduct<'_> {
             }
         }
     }
-}
-
-/// Diagonal of `S`: one over the members' root-mean-square noise when `whiten`, else 1.
-pub fn inverse_noise(library: &Library, whiten: bool) -> GpOutput {
-    if !whiten {
-        return GpOutput::repeat(1.0);
-    }
-    let members = library.members();
-    let variance: GpOutput = members
-        .iter()
-        .map(|m| m.noise_std().map(|std| std * std))
-        .sum();
-    (variance / members.len() as f64).map(|v| 1.0 / v.sqrt())
 }
 
 /// Keeps the weights of at most `max_active` members above `threshold` (always the heaviest), scaled up to sum to 1,
