@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from egp_service._core import Member
 
 INPUTS: Final = ("v_x m/s", "v_y m/s", "omega rad/s", "delta rad", "F_x N", "delta_dot rad/s")
-# Subscripts f and r: front and rear tyres; D friction, B stiffness, C shape.
-SINGLE_TRACK: Final = (
-    *("m kg", "l_f m", "l_r m", "k² m²", "h m", "D_x", "e"),
-    *("D_f", "B_f", "C_f", "D_r", "B_r", "C_r"),
-)
+BODY: Final = ("m kg", "l_f m", "l_r m", "k² m²", "h m", "D_x drive", "D_x brake")
+AXLE: Final = ("e drive", "e brake", "D", "B", "C")
 OUTPUTS: Final = ("dv_x m/s", "dv_y m/s", "domega rad/s")
 
 
@@ -40,7 +40,7 @@ def inspect(path: Path, console: Console | None = None) -> None:
     for member in library.members:
         console.print(hyperparameters(member), envelope(member))
         if member.single_track is not None:
-            console.print(vehicle(member.label, member.single_track))
+            console.print(*vehicle(member.label, member.single_track))
 
 
 def summary(path: Path, library: Library) -> Table:
@@ -99,13 +99,17 @@ def hyperparameters(member: Member) -> Table:
     return table
 
 
-def vehicle(label: str, parameters: Iterable[float]) -> Table:
-    """Return the single-track vehicle that the GPs correct."""
-    table = Table(
-        *SINGLE_TRACK, title=f"{label}: the vehicle that the GPs correct", box=box.SIMPLE_HEAD
-    )
-    table.add_row(*(f"{value:.3g}" for value in parameters))
-    return table
+def vehicle(label: str, parameters: NDArray[np.float64]) -> tuple[Table, Table]:
+    """Return the single-track vehicle that the GPs correct: its body, and its axles' tyres."""
+    title = f"{label}: the vehicle that the GPs correct"
+    body = Table(*BODY, title=title, box=box.SIMPLE_HEAD)
+    values = [f"{value:.4g}" for value in parameters]
+    body.add_row(*values[: len(BODY)])
+    axles = Table("", *AXLE, box=box.SIMPLE_HEAD)
+    for number, name in enumerate(("front", "rear")):
+        start = len(BODY) + number * len(AXLE)
+        axles.add_row(name, *values[start : start + len(AXLE)])
+    return body, axles
 
 
 def envelope(member: Member) -> Table:

@@ -29,11 +29,15 @@ _PARAMETERS: Final = {
     "l_r": (1.4, 0.3, 3.0),
     "k²": (1.6, 0.2, 6.0),
     "h": (0.5, 0.1, 1.5),
-    "D_x": (0.8, 0.1, 2.0),
-    "e": (1.0, 0.1, 6.0),
+    "D_d": (0.8, 0.05, 2.0),
+    "D_b": (0.8, 0.1, 2.0),
+    "e_df": (1.0, 0.1, 10.0),
+    "e_bf": (1.0, 0.1, 10.0),
     "D_f": (0.8, 0.1, 2.0),
     "B_f": (20.0, 4.0, 80.0),
     "C_f": (1.4, 1.05, 1.9),
+    "e_dr": (1.0, 0.1, 10.0),
+    "e_br": (1.0, 0.1, 10.0),
     "D_r": (0.8, 0.1, 2.0),
     "B_r": (20.0, 4.0, 80.0),
     "C_r": (1.4, 1.05, 1.9),
@@ -46,23 +50,25 @@ _OUTLIER: Final = 0.1
 
 
 def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
-    """Change of `[v_x, v_y, omega]` (n, 3) over `dt` at inputs z (n, 6); parameters (13,).
+    """Change of `[v_x, v_y, omega]` (n, 3) over `dt` at inputs z (n, 6); parameters (17,).
 
     One step of explicit Euler with the steering angle in the middle of the period; the equations
     are those of `SingleTrack` in Rust.
     """
     v_x, v_y, omega, delta, force, delta_dot = z.unbind(-1)
-    mass, l_f, l_r, gyration, height, grip, coupling, *tyres = parameters.unbind()
+    mass, l_f, l_r, gyration, height, drive, brake, *tyres = parameters.unbind()
     steering = delta + 0.5 * dt * delta_dot
     a = force / mass
-    a_x = a / (1.0 + (a / (GRAVITY * grip)) ** 4) ** 0.25
-    left = 1.0 / torch.sqrt(1.0 + (coupling * a / GRAVITY) ** 2)
+    driven = force > 0.0
+    a_x = a / (1.0 + (a / (GRAVITY * torch.where(driven, drive, brake))) ** 4) ** 0.25
     v = v_x.clamp(min=SLOWEST)
 
     def lateral(
         position: torch.Tensor, steered: torch.Tensor | float, load: torch.Tensor, axle: int
     ) -> torch.Tensor:
-        friction, stiffness, shape = tyres[3 * axle : 3 * axle + 3]
+        under_drive, under_brake, friction, stiffness, shape = tyres[5 * axle : 5 * axle + 5]
+        coupling = torch.where(driven, under_drive, under_brake)
+        left = 1.0 / torch.sqrt(1.0 + (coupling * a / GRAVITY) ** 4)
         slip = steered - torch.atan((v_y + position * omega) / v)
         return load * friction * left * torch.sin(shape * torch.atan(stiffness * slip))
 
@@ -88,7 +94,7 @@ def predict(
 def fit(
     z: NDArray[np.float64], y: NDArray[np.float64], dt: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Fit the parameters (13,) to changes y (n, 3) at inputs z (n, 6) by robust least squares.
+    """Fit the parameters (17,) to changes y (n, 3) at inputs z (n, 6) by robust least squares.
 
     Raises:
         EgpError: when the data do not determine a vehicle.

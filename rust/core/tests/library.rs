@@ -33,7 +33,7 @@ fn a_vehicle_is_added_to_the_gps() {
     let mut spec = support::spec(Kernel::Rbf, &[0.5], 20, 0);
     let alone = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
     let parameters = [
-        1225.0, 0.87, 1.52, 1.6, 0.45, 0.8, 1.2, 0.9, 15.0, 1.6, 1.1, 20.0, 1.2,
+        1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
     ];
     let vehicle = SingleTrack::new(&parameters, spec.dt);
     let data = &mut spec.members[0];

@@ -53,7 +53,7 @@ pub struct MemberData {
     pub noise: [f64; NY],
     /// Prior means, `[3]`; on top of those of `single_track`.
     pub constant: [f64; NY],
-    /// What the GPs are added to, in physical units, `[13]`; see [`SingleTrack`](crate::vehicle::SingleTrack::new).
+    /// What the GPs are added to, in physical units, `[17]`; see [`SingleTrack`](crate::vehicle::SingleTrack::new).
     pub single_track: Option<[f64; SINGLE_TRACK_PARAMETERS]>,
     /// `(K + s² I)⁻¹ (y - m)`, `[3, M]`.
     pub alpha: [Vec<f64>; NY],

@@ -95,7 +95,8 @@ impl Member {
         &self.target_scaler
     }
 
-    /// Standard deviation of the measurement noise, in output units.
+    /// Standard deviation of the targets' noise, in output units: what inputs do not determine, and, if the training
+    /// data were measured, their noise.
     pub fn noise_std(&self) -> GpOutput {
         GpOutput::from_fn(|o, _| self.hyperparameters[o].noise.sqrt() * self.target_scaler.std()[o])
     }

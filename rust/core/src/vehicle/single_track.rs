@@ -11,7 +11,7 @@ const GRAVITY: f64 = 9.81;
 pub const SLOWEST: f64 = 3.0;
 
 /// Number of parameters of a [`SingleTrack`].
-pub const SINGLE_TRACK_PARAMETERS: usize = 13;
+pub const SINGLE_TRACK_PARAMETERS: usize = 17;
 
 /// One axle: where it is, what it carries and how its tyres hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,9 +24,24 @@ struct Axle {
     load: f64,
     /// Change of the load with `a_x`.
     transfer: f64,
+    /// What drive and braking cost of the lateral force.
+    coupling: Sides,
     friction: f64,
     stiffness: f64,
     shape: f64,
+}
+
+/// A parameter that differs between drive and braking: they act on different axles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Sides {
+    drive: f64,
+    brake: f64,
+}
+
+impl Sides {
+    fn of(self, a: f64) -> f64 {
+        if a > 0.0 { self.drive } else { self.brake }
+    }
 }
 
 /// The change of `[v_x, v_y, omega]` over one period from `z = [v_x, v_y, omega, delta, F_x, delta_dot]`, by one step
@@ -37,11 +52,14 @@ struct Axle {
 ///
 /// ```text
 /// a_x = a / (1 + (a / (g D_x))⁴)^¼                          what the tyres let through
-/// f   = n D sin(C atan(B alpha)) / sqrt(1 + (e a / g)²)     lateral, less under braking and drive
+/// f   = n D sin(C atan(B alpha)) / sqrt(1 + (e a / g)⁴)     lateral, less under braking and drive
 /// dv_x/dt   = a_x - f_f sin(delta) + v_y omega
 /// dv_y/dt   = f_f cos(delta) + f_r - v_x omega
 /// domega/dt = (l_f f_f cos(delta) - l_r f_r) / k²
 /// ```
+///
+/// `D_x`, and `e` of each axle, are one number for drive and another for braking: a vehicle that drives one axle and
+/// brakes two spins its wheels long before it locks them, and what spins does not steer.
 ///
 /// Rajamani, *Vehicle Dynamics and Control*, 2nd ed., sections 2.3 and 13.9 (tyre curve after Pacejka); the saturation
 /// of `a_x` and the coupling `e` are smooth stand-ins for the friction circle.
@@ -51,8 +69,7 @@ pub struct SingleTrack {
     mass: f64,
     /// Radius of gyration squared, m².
     gyration: f64,
-    grip: f64,
-    coupling: f64,
+    grip: Sides,
     axles: [Axle; 2],
     parameters: [f64; SINGLE_TRACK_PARAMETERS],
 }
@@ -61,37 +78,31 @@ pub struct SingleTrack {
 type Gradient = SVector<f64, 5>;
 
 impl SingleTrack {
-    /// A vehicle of the parameters `[m, l_f, l_r, k², h, D_x, e, D_f, B_f, C_f, D_r, B_r, C_r]` (kg, m, m, m², m, and
-    /// numbers without unit), all positive, over periods of `dt` seconds.
+    /// A vehicle of the parameters `[m, l_f, l_r, k², h]` (kg, m, m, m², m), `D_x` under drive and braking, and for the
+    /// front, then the rear axle `e` under drive and braking, `D`, `B` and `C`; all positive, over periods of `dt`
+    /// seconds.
     pub fn new(parameters: &[f64; SINGLE_TRACK_PARAMETERS], dt: f64) -> Self {
-        let [mass, l_f, l_r, gyration, height, grip, coupling, tyres @ ..] = *parameters;
-        let [d_f, b_f, c_f, d_r, b_r, c_r] = tyres;
+        let [mass, l_f, l_r, gyration, height, drive, brake, tyres @ ..] = *parameters;
         let per_wheelbase = 1.0 / (l_f + l_r);
+        let axle = |position: f64, [drive, brake, friction, stiffness, shape]: [f64; 5]| Axle {
+            position,
+            steers: f64::from(position > 0.0),
+            load: GRAVITY * (l_f + l_r - position.abs()) * per_wheelbase,
+            transfer: -position.signum() * height * per_wheelbase,
+            coupling: Sides { drive, brake },
+            friction,
+            stiffness,
+            shape,
+        };
+        let [ef_d, ef_b, d_f, b_f, c_f, er_d, er_b, d_r, b_r, c_r] = tyres;
         Self {
             dt,
             mass,
             gyration,
-            grip,
-            coupling,
+            grip: Sides { drive, brake },
             axles: [
-                Axle {
-                    position: l_f,
-                    steers: 1.0,
-                    load: GRAVITY * l_r * per_wheelbase,
-                    transfer: -height * per_wheelbase,
-                    friction: d_f,
-                    stiffness: b_f,
-                    shape: c_f,
-                },
-                Axle {
-                    position: -l_r,
-                    steers: 0.0,
-                    load: GRAVITY * l_f * per_wheelbase,
-                    transfer: height * per_wheelbase,
-                    friction: d_r,
-                    stiffness: b_r,
-                    shape: c_r,
-                },
+                axle(l_f, [ef_d, ef_b, d_f, b_f, c_f]),
+                axle(-l_r, [er_d, er_b, d_r, b_r, c_r]),
             ],
             parameters: *parameters,
         }
@@ -112,7 +123,7 @@ impl SingleTrack {
         let [v_x, v_y, omega, delta, force, delta_dot] = <[f64; NZ]>::from(*z);
         let steering = delta + 0.5 * self.dt * delta_dot;
         let a = force / self.mass;
-        let excess = 1.0 + (a / (GRAVITY * self.grip)).powi(4);
+        let excess = 1.0 + (a / (GRAVITY * self.grip.of(a))).powi(4);
         let root = excess.sqrt().sqrt();
         let (a_x, a_x_by_a) = (a / root, 1.0 / (excess * root));
 
@@ -121,7 +132,7 @@ impl SingleTrack {
         (slopes[(0, 1)], slopes[(0, 2)], slopes[(0, 4)]) = (omega, v_y, a_x_by_a);
         (slopes[(1, 0)], slopes[(1, 2)]) = (-omega, -v_x);
         for axle in &self.axles {
-            let (f, by) = self.lateral(axle, [v_x, v_y, omega, steering, a], [a_x, a_x_by_a]);
+            let (f, by) = axle.lateral([v_x, v_y, omega, steering, a], [a_x, a_x_by_a]);
             let (sin, cos) = (axle.steers * steering).sin_cos();
             let lever = axle.position / self.gyration;
             rate += f * GpOutput::new(-sin, cos, lever * cos);
@@ -137,37 +148,40 @@ impl SingleTrack {
         jacobian.set_column(5, &(slopes.column(3) * (0.5 * self.dt * self.dt)));
         (rate * self.dt, jacobian)
     }
+}
 
-    /// The lateral force of an axle per mass of the vehicle, m/s².
+impl Axle {
+    /// The lateral force per mass of the vehicle, m/s², and its gradient.
     fn lateral(
         &self,
-        axle: &Axle,
         [v_x, v_y, omega, steering, a]: [f64; 5],
         [a_x, a_x_by_a]: [f64; 2],
     ) -> (f64, Gradient) {
         let v = v_x.max(SLOWEST);
-        let direction = (v_y + axle.position * omega) / v;
-        let slip = axle.stiffness * (axle.steers * steering - direction.atan());
-        let (sin, cos) = (axle.shape * slip.atan()).sin_cos();
-        let used = self.coupling * a / GRAVITY;
-        let left = 1.0 / (1.0 + used * used).sqrt();
-        let per_load = axle.friction * left * sin;
-        let load = axle.load + axle.transfer * a_x;
+        let direction = (v_y + self.position * omega) / v;
+        let slip = self.stiffness * (self.steers * steering - direction.atan());
+        let (sin, cos) = (self.shape * slip.atan()).sin_cos();
+        let coupling = self.coupling.of(a);
+        let used = coupling * a / GRAVITY;
+        let left = 1.0 / (1.0 + used.powi(4)).sqrt();
+        let per_load = self.friction * left * sin;
+        let load = self.load + self.transfer * a_x;
         let by_slip =
-            load * axle.friction * left * cos * axle.shape * axle.stiffness / (1.0 + slip * slip);
+            load * self.friction * left * cos * self.shape * self.stiffness / (1.0 + slip * slip);
         let by_lateral_speed = -by_slip / ((1.0 + direction * direction) * v);
         let by_speed = if v_x > SLOWEST {
             -direction * by_lateral_speed
         } else {
             0.0
         };
-        let by_a = per_load
-            * (axle.transfer * a_x_by_a - load * left * left * used * self.coupling / GRAVITY);
+        // Relative; in this order nothing overflows that a force could be.
+        let left_by_a = -2.0 * (used * used * left) * (used * left) * coupling / GRAVITY;
+        let by_a = per_load * (self.transfer * a_x_by_a + load * left_by_a);
         let by = [
             by_speed,
             by_lateral_speed,
-            axle.position * by_lateral_speed,
-            axle.steers * by_slip,
+            self.position * by_lateral_speed,
+            self.steers * by_slip,
             by_a,
         ];
         (per_load * load, by.into())
@@ -180,7 +194,7 @@ mod tests {
     use super::*;
 
     const CAR: [f64; SINGLE_TRACK_PARAMETERS] = [
-        1225.0, 0.87, 1.52, 1.6, 0.45, 0.8, 1.2, 0.9, 15.0, 1.6, 1.1, 20.0, 1.2,
+        1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
     ];
 
     fn inputs() -> [GpInput; 4] {
@@ -229,7 +243,25 @@ mod tests {
         // Small angles: delta = omega (L / v + K v), K = (l_r / s_f - l_f / s_r) / L with s = g B C D of an axle's load
         // share, here by Newton's method on v_y and omega.
         let car = SingleTrack::new(&CAR, 0.02);
-        let [_, l_f, l_r, _, _, _, _, d_f, b_f, c_f, d_r, b_r, c_r] = CAR;
+        let [
+            _,
+            l_f,
+            l_r,
+            _,
+            _,
+            _,
+            _,
+            _,
+            _,
+            d_f,
+            b_f,
+            c_f,
+            _,
+            _,
+            d_r,
+            b_r,
+            c_r,
+        ] = CAR;
         let (v, delta) = (20.0, 1e-4);
         let mut z = GpInput::new(v, 0.0, 0.0, delta, 0.0, 0.0);
         for _ in 0..5 {
@@ -253,10 +285,19 @@ mod tests {
     }
 
     #[test]
+    fn a_driven_axle_that_spins_does_not_steer() {
+        let car = SingleTrack::new(&CAR, 0.02);
+        let turning_in = |force: f64| car.change(&GpInput::new(9.0, 0.0, 0.0, 0.1, force, 0.0))[2];
+        assert!(turning_in(1000.0) > 0.9 * turning_in(0.0));
+        assert!(turning_in(10_000.0) < 0.5 * turning_in(0.0));
+    }
+
+    #[test]
     fn tyres_saturate() {
         let car = SingleTrack::new(&CAR, 0.02);
-        let braking = |force: f64| car.change(&GpInput::new(20.0, 0.0, 0.0, 0.0, force, 0.0))[0];
-        assert!((braking(-1000.0) + 0.02 * 1000.0 / 1225.0).abs() < 1e-4);
-        assert!(braking(-1e6) > -0.02 * GRAVITY * 0.8 - 1e-9);
+        let change = |force: f64| car.change(&GpInput::new(20.0, 0.0, 0.0, 0.0, force, 0.0))[0];
+        assert!((change(-1000.0) + 0.02 * 1000.0 / 1225.0).abs() < 1e-4);
+        assert!(change(-1e6) > -0.02 * GRAVITY * 0.8 - 1e-9);
+        assert!(change(1e6) < 0.02 * GRAVITY * 0.5 + 1e-9);
     }
 }
