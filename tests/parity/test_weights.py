@@ -10,7 +10,9 @@ import piqp
 import pytest
 from scipy import sparse
 
-from egp_service._core import EgpError, solve_weights
+from egp_service._core import EgpError, Library, solve_weights
+from egp_service.evaluation.window_noise import whitening
+from egp_service.recipe import DEMO_RECIPE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -100,6 +102,22 @@ def test_weights_agree_with_osqp_and_piqp(
         f = np.vstack([np.linalg.solve(roots[o], predictions[:, :, o]) for o in range(3)])
         y = np.concatenate([np.linalg.solve(roots[o], measured[:, o]) for o in range(3)])
         for other in by_others(f, y, previous, prior, strength):
+            np.testing.assert_allclose(w, other, rtol=0, atol=TOLERANCE)
+
+
+def test_the_evaluation_whitens_as_the_service_does() -> None:
+    rng = np.random.default_rng(3)
+    members = Library.load(DEMO_RECIPE.with_name("demo-library.safetensors")).members
+    predictions, measured = rng.normal(size=(10, 2, 3)) * 0.1, rng.normal(size=(10, 3)) * 0.1
+    previous, measurement = np.array([0.4, 0.6]), np.array([0.03, 0.02, 0.005])
+    noise = np.sqrt(np.mean([member.noise_std**2 for member in members], axis=0))
+    for whiten, own, states in ((True, noise, measurement), (False, np.ones(3), None)):
+        weights = {"whiten": whiten, "window": 10, "measurement": measurement}
+        root = whitening(members, {"weights": weights})
+        f = np.vstack([root[o] @ predictions[:, :, o] for o in range(3)])
+        y = np.concatenate([root[o] @ measured[:, o] for o in range(3)])
+        w = solve_weights(predictions, measured, own, previous, "quadratic", 5.0, states)
+        for other in by_others(f, y, previous, "quadratic", 5.0):
             np.testing.assert_allclose(w, other, rtol=0, atol=TOLERANCE)
 
 

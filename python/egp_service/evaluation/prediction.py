@@ -219,7 +219,8 @@ def _weights(
 ) -> NDArray[np.float64]:
     """Weights (n, N) from the window before each prediction, starting from uniform.
 
-    From one transition as the paper does, S = I and its L1 prior; from more as the controller does.
+    From one transition as the paper does, S = I and its L1 prior; from more whitened and with a
+    quadratic prior, as the controller does where states are measured without noise, like here.
     """
     n, window = z.shape[:2]
     flat = np.ascontiguousarray(z.reshape(-1, 6))

@@ -23,6 +23,8 @@ def whitening(members: Sequence[Member], settings: Mapping[str, Any]) -> NDArray
     """
     weights = settings["weights"]
     size = weights["window"]
+    if not weights["whiten"]:
+        return np.tile(np.eye(size), (3, 1, 1))
     q = np.mean([member.noise_std**2 for member in members], axis=0)
     r = np.square(weights["measurement"])
     neighbours = np.eye(size, k=1) + np.eye(size, k=-1)

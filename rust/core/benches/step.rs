@@ -223,7 +223,7 @@ fn weights(c: &mut Criterion, library: &Library) {
         let y: Vec<[f64; 3]> = (0..10)
             .map(|k| [wave(k), wave(k + 5), wave(k + 9)])
             .collect();
-        let (mut estimator, mut w) = (WeightEstimator::new(n), vec![0.0; n]);
+        let (mut estimator, mut w) = (WeightEstimator::new(n, 10), vec![0.0; n]);
         let mut previous = vec![1.0 / n as f64; n];
         estimator.estimate(&f, &y, &noise, prior, &previous, &mut w);
         previous.clone_from(&w);

@@ -194,7 +194,7 @@ pub(crate) fn dot(a: &[Lanes], b: &[Lanes]) -> f64 {
 
 /// Dot product in a fixed order of lanes: vectorised, and the same bits every time.
 #[inline(always)]
-fn sum_of_products(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn sum_of_products(a: &[f64], b: &[f64]) -> f64 {
     let (a_blocks, a_rest) = a.as_chunks::<LANES>();
     let (b_blocks, b_rest) = b.as_chunks::<LANES>();
     let mut lanes = [0.0; LANES];

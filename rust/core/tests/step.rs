@@ -289,3 +289,15 @@ fn missed_periods_shift_the_plan_further() {
         assert_eq!(solve(&late, &settings()).status, Status::Solved, "{shift}");
     }
 }
+
+#[test]
+fn noise_of_the_measurements_counts_unless_the_window_is_not_whitened() {
+    let weights = |whiten: bool, measurement: f64| {
+        let mut settings = settings();
+        settings.weights.whiten = whiten;
+        settings.weights.measurement = [measurement; 3];
+        solve(&warm(), &settings).weights
+    };
+    assert_ne!(weights(true, 0.0), weights(true, 0.03));
+    assert_eq!(weights(false, 0.0), weights(false, 0.03));
+}

@@ -70,7 +70,7 @@ impl Problem {
     fn solve(&self) -> Vec<f64> {
         let n = self.previous.len();
         let mut w = vec![0.0; n];
-        let mut estimator = WeightEstimator::new(n);
+        let mut estimator = WeightEstimator::new(n, self.y.len());
         let rounds = estimator.estimate(
             &self.f,
             &self.y,

@@ -235,8 +235,8 @@ fn solve_weights<'py>(
     let numbers = predictions.iter().chain(measured.as_flattened());
     let sum: f64 = previous.iter().sum();
     let sensible = numbers.chain(&previous).all(|v| v.is_finite())
-        && noise.iter().all(|std| *std > 0.0 && std.is_finite())
-        && state_noise.iter().all(|std| *std >= 0.0 && std.is_finite())
+        && noise.iter().all(|std| (1e-100..1e100).contains(std)) // so that squares are finite, and not zero
+        && state_noise.iter().all(|std| (0.0..1e100).contains(std))
         && (0.0..=f64::MAX).contains(&strength)
         && previous.iter().all(|w| *w >= 0.0)
         && (sum - 1.0).abs() <= 1e-9;
@@ -247,7 +247,7 @@ fn solve_weights<'py>(
     }
     let mut w = vec![0.0; previous.len()];
     py.detach(|| {
-        WeightEstimator::new(previous.len()).estimate(
+        WeightEstimator::new(previous.len(), measured.len()).estimate(
             &predictions,
             &measured,
             &WindowNoise::new(&noise, &state_noise),

@@ -107,8 +107,9 @@ impl Carry {
         budget_us: u32,
     ) -> Request {
         self.sequence += 1;
-        if let Some((before, u)) = self.running.take() {
-            self.remember(before, u, x);
+        match self.running.take() {
+            Some((before, u)) => self.remember(before, u, x),
+            None => self.history.clear(), // a gap: what comes shares no state with what went
         }
         self.x = Some(x);
         self.forget_spent_plan(reference.len().saturating_sub(1));

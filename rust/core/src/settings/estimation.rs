@@ -14,11 +14,11 @@ pub struct WeightSettings {
     /// Weigh the window's errors by the inverse of their covariance, so that m/s and rad/s may be added. Default
     /// true; false is the paper's `S = I`.
     pub whiten: bool,
-    /// Standard deviations of the noise of the measured `[v_x, v_y, omega]`, in m/s and rad/s, of which every measured
-    /// change has two and shares each with a neighbour; beside them counts the members' own noise. Too large is
-    /// better than too small. Default 0.03, 0.03, 0.005, what an inertial system aided by satellites gives.
+    /// Standard deviations of the noise of the measured `[v_x, v_y, omega]`, in m/s and rad/s. Each measured change
+    /// contains two of them, each shared with a neighbouring change; the members' own noise adds to it. Ignored
+    /// unless `whiten`. Default 0.03, 0.03, 0.005, what an inertial system aided by satellites gives.
     pub measurement: [f64; NY],
-    /// What holds the weights when the window carries no information. Default quadratic with lambda 50.
+    /// What holds the weights when the window carries no information. Default quadratic with lambda 100.
     pub prior: Prior,
     /// Members with a weight at or below this are not evaluated in the control model; the rest is renormalised and
     /// the dropped mass reported. Weights never become zero by themselves. Default 1e-3.
@@ -49,7 +49,7 @@ impl Default for WeightSettings {
             window: 25,
             whiten: true,
             measurement: [0.03, 0.03, 0.005],
-            prior: Prior::Quadratic { lambda: 50.0 },
+            prior: Prior::Quadratic { lambda: 100.0 },
             threshold: 1e-3,
             max_active: 8,
         }
@@ -65,7 +65,9 @@ impl WeightSettings {
             (1.0..=Self::MAX_WINDOW as f64).contains(&k)
         })?;
         for std in self.measurement {
-            not_negative("weights.measurement", std)?;
+            check("weights.measurement", std, "in [0, 100]", |v| {
+                (0.0..=100.0).contains(&v)
+            })?;
         }
         match self.prior {
             Prior::Quadratic { lambda } => not_negative("weights.prior.lambda", lambda)?,

@@ -62,7 +62,7 @@ impl Workspace {
             library: library.id(),
             settings: settings.clone(),
             noise: WindowNoise::of(library, &settings.weights),
-            estimator: WeightEstimator::new(n),
+            estimator: WeightEstimator::new(n, settings.weights.window),
             previous: vec![0.0; n],
             active: vec![0.0; n],
             reference: vec![State::zeros(); horizon + 1],

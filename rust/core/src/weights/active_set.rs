@@ -11,6 +11,9 @@
 //! so no set of held coordinates comes twice and the method ends; started at the previous weights it usually does
 //! after two or three rounds.
 
+use crate::cholesky::{add_scaled, sum_of_products};
+use crate::simd::{Vectorised, vectorised_loops};
+
 /// Whether a coordinate moves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Place {
@@ -103,9 +106,12 @@ impl ActiveSet {
         self.free.clear();
         self.free
             .extend((0..n).filter(|&i| self.place[i] != Place::Held));
-        for i in 0..n {
-            let row = &qp.hessian[i * n..(i + 1) * n];
-            self.gradient[i] = qp.linear[i] + row.iter().zip(w).map(|(h, wj)| h * wj).sum::<f64>();
+        // By the rows, which are the columns, of the few weights that are not zero.
+        self.gradient.copy_from_slice(qp.linear);
+        for (wi, row) in w.iter().zip(qp.hessian.chunks_exact(n)) {
+            if *wi != 0.0 {
+                add_scaled(&mut self.gradient, *wi, row);
+            }
         }
     }
 
@@ -217,6 +223,28 @@ impl ActiveSet {
 
     /// Lower Cholesky factor of H on the free coordinates.
     fn factorise(&mut self, hessian: &[f64], n: usize) {
+        vectorised_loops(Factorise {
+            hessian,
+            n,
+            free: &self.free,
+            factor: &mut self.factor,
+        });
+    }
+}
+
+/// [`ActiveSet::factorise`].
+struct Factorise<'a> {
+    hessian: &'a [f64],
+    n: usize,
+    free: &'a [usize],
+    factor: &'a mut [f64],
+}
+
+impl Vectorised for Factorise<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn compute(self) {
         let m = self.free.len();
         for row in 0..m {
             for column in 0..=row {
@@ -226,8 +254,8 @@ impl ActiveSet {
                 } else {
                     &above[column * m..column * m + column]
                 };
-                let dot: f64 = below.iter().zip(upper).map(|(a, b)| a * b).sum();
-                let value = hessian[self.free[row] * n + self.free[column]] - dot;
+                let dot = sum_of_products(&below[..column], upper);
+                let value = self.hessian[self.free[row] * self.n + self.free[column]] - dot;
                 below[column] = if column == row {
                     value.max(f64::MIN_POSITIVE).sqrt()
                 } else {
@@ -252,7 +280,8 @@ fn side(above: bool) -> Place {
 /// Size of the numbers in gradients.
 fn scale(qp: &SimplexQp) -> f64 {
     let largest = |m: f64, v: &f64| m.max(v.abs());
-    qp.hessian.iter().fold(0.0, largest) + qp.linear.iter().fold(0.0, largest) + qp.alpha
+    let diagonal = qp.hessian.iter().step_by(qp.linear.len() + 1); // has the largest of a definite matrix
+    diagonal.fold(0.0, largest) + qp.linear.iter().fold(0.0, largest) + qp.alpha
 }
 
 /// Index and value of the largest, the first of equals.

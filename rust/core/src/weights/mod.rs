@@ -9,14 +9,16 @@
 //! the measured states, which one change gains and the next loses, be taken for news.
 
 mod active_set;
+mod gram;
 mod noise;
 
 pub use active_set::{ActiveSet, SimplexQp};
 pub use noise::WindowNoise;
 
+use gram::Gram;
+
 use crate::NY;
 use crate::settings::Prior;
-use crate::simd::{Vectorised, vectorised_loops};
 
 /// Ridge on `H` relative to its largest entry: with identical members and no quadratic prior it picks, of all
 /// minima, the one nearest to the previous weights.
@@ -25,18 +27,18 @@ const RIDGE: f64 = 1e-10;
 /// Estimator and its memory, for `N` members.
 #[derive(Debug, Clone)]
 pub struct WeightEstimator {
-    /// What the members predicted for each output of one transition, then what was measured, whitened.
-    columns: [Vec<f64>; NY],
+    /// `S [F Y]`: for each output of each transition what the members predicted, then what was measured.
+    whitened: Gram,
     hessian: Vec<f64>,
     linear: Vec<f64>,
     solver: ActiveSet,
 }
 
 impl WeightEstimator {
-    /// An estimator for `n` members.
-    pub fn new(n: usize) -> Self {
+    /// An estimator for `n` members, with memory for `window` transitions.
+    pub fn new(n: usize, window: usize) -> Self {
         Self {
-            columns: std::array::from_fn(|_| vec![0.0; n + 1]),
+            whitened: Gram::new(n + 1, window * NY),
             hessian: vec![0.0; n * n],
             linear: vec![0.0; n],
             solver: ActiveSet::new(n),
@@ -63,17 +65,23 @@ impl WeightEstimator {
     ) -> Option<usize> {
         let n = previous.len();
         w.copy_from_slice(previous);
-        self.hessian.fill(0.0);
-        self.linear.fill(0.0);
-        self.columns.iter_mut().for_each(|column| column.fill(0.0));
+        self.whitened.clear();
         let transitions = predictions.chunks_exact(n * NY).zip(measured);
         for ((row, y), cholesky) in transitions.zip(noise.cholesky_rows()) {
             self.add_transition(row, y, &cholesky);
         }
-        for i in 0..n {
-            for j in 0..i {
-                self.hessian[j * n + i] = self.hessian[i * n + j];
-            }
+        self.whitened.multiply();
+        let products = |i| {
+            self.whitened
+                .products(i)
+                .iter()
+                .map(|product| 2.0 * product)
+        };
+        for (i, row) in self.hessian.chunks_exact_mut(n).enumerate() {
+            row.iter_mut().zip(products(i)).for_each(|(h, p)| *h = p);
+        }
+        for (linear, product) in self.linear.iter_mut().zip(products(n)) {
+            *linear = -product;
         }
         let (lambda, alpha) = match prior {
             Prior::Quadratic { lambda } => (lambda, 0.0),
@@ -94,51 +102,18 @@ impl WeightEstimator {
         self.solver.solve(&qp, w)
     }
 
-    /// Adds one row of `2 FᵀSᵀSF`, its lower triangle, and of `-2 FᵀSᵀSY`.
-    /// `columns` hold the row before it, whitened; zero before the first.
+    /// Adds the rows of a transition to `S [F Y]`.
     fn add_transition(
         &mut self,
         predicted: &[f64],
         measured: &[f64; NY],
         cholesky: &[[f64; 2]; NY],
     ) {
-        let n = self.linear.len();
-        for (output, column) in self.columns.iter_mut().enumerate() {
-            let [diagonal, below] = cholesky[output];
+        for (output, [diagonal, below]) in cholesky.iter().enumerate() {
             let inverse = 1.0 / diagonal;
             let raw = predicted.as_chunks::<NY>().0.iter().chain([measured]);
-            for (whitened, raw) in column.iter_mut().zip(raw) {
+            for (whitened, raw) in self.whitened.repeat(NY).iter_mut().zip(raw) {
                 *whitened = (raw[output] - below * *whitened) * inverse;
-            }
-            let measured = column[n];
-            for (linear, predicted) in self.linear.iter_mut().zip(&column[..n]) {
-                *linear -= 2.0 * predicted * measured;
-            }
-            vectorised_loops(OuterProduct {
-                factor: 2.0,
-                column: &column[..n],
-                sum: &mut self.hessian,
-            });
-        }
-    }
-}
-
-/// Adds the lower triangle of `factor · column columnᵀ` to `sum`.
-struct OuterProduct<'a> {
-    factor: f64,
-    column: &'a [f64],
-    sum: &'a mut [f64],
-}
-
-impl Vectorised for OuterProduct<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn compute(self) {
-        for (i, row) in self.sum.chunks_exact_mut(self.column.len()).enumerate() {
-            let scaled = self.factor * self.column[i];
-            for (sum, predicted) in row[..=i].iter_mut().zip(self.column) {
-                *sum += scaled * predicted;
             }
         }
     }
