@@ -36,8 +36,13 @@ def write_example(path: Path, *, frictions: tuple[float, ...] = (0.5, 1.1), n: i
     )
 
 
-def member_arrays(friction: float, n: int, seed: int) -> dict[str, Any]:
-    """Arguments of `MemberData` for GPs on random samples of a caricature of a vehicle."""
+def member_arrays(
+    friction: float, n: int, seed: int, *, one_kernel: bool = False
+) -> dict[str, Any]:
+    """Arguments of `MemberData` for GPs on random samples of a caricature of a vehicle.
+
+    With `one_kernel` all outputs have the second one's kernel and noise, as in trained libraries.
+    """
     rng = np.random.default_rng(seed)
     inputs = CENTRE + HALF_WIDTH * rng.uniform(-1.0, 1.0, (n, 6))
     targets = change(inputs, friction) + rng.normal(0.0, 0.003, (n, 3))
@@ -57,6 +62,9 @@ def member_arrays(friction: float, n: int, seed: int) -> dict[str, Any]:
         "constant": np.array([0.1, 0.0, -0.2]),
         "envelope": np.stack([inputs.min(axis=0), inputs.max(axis=0)]),
     }
+    if one_kernel:
+        for name in ("lengthscales", "outputscale", "noise"):
+            arrays[name] = np.repeat(arrays[name][1:2], 3, axis=0)
     spread = np.repeat([1.0, 10.0], 3)[:, None]
     golden_z = CENTRE + spread * HALF_WIDTH * rng.uniform(-1.0, 1.0, (6, 6))
     alpha, mean, jacobian, variance = zip(

@@ -491,14 +491,15 @@ class Member:
 
     @property
     def noise_std(self) -> NDArray[np.float64]:
-        """Standard deviations of the measurement noise (3,), output units."""
+        """Standard deviations of the targets' noise (3,), output units."""
 
     @property
     def single_track(self) -> NDArray[np.float64] | None:
-        """Parameters (13,) of the vehicle that the GPs are added to; None for constants alone.
+        """Parameters (17,) of the vehicle that the GPs are added to; None for constants alone.
 
-        m, l_f, l_r, k^2 (radius of gyration), h in kg and m; longitudinal grip, coupling; friction,
-        stiffness and shape of the front tyres and of the rear ones.
+        m, l_f, l_r, k^2 (radius of gyration), h in kg and m; longitudinal grip D_x under drive and
+        braking; of the front tyres, then of the rear ones, the coupling e under drive and braking,
+        friction D, stiffness B and shape C.
         """
 
 # library_writer.rs
@@ -542,7 +543,7 @@ class MemberData:
         Shapes: inputs (M, 6), targets (M, 3), input_mean and input_std (6,), target_mean and
         target_std (3,), lengthscales (3, 6), outputscale, noise and constant (3,), alpha (3, M),
         envelope (2, 6), golden_z (G, 6), golden_mean (G, 3), golden_jacobian (G, 3, 6),
-        golden_variance (G, 3); `single_track` (13,) as in `Member`, with which targets and golden
+        golden_variance (G, 3); `single_track` (17,) as in `Member`, with which targets and golden
         arrays include that vehicle's part and `y` is the rest of the targets.
         """
 

@@ -34,7 +34,8 @@ def make_members(count: int, advance: Callable[[], object]) -> list[MemberData]:
     """Fit `count` members of 700 points, calling `advance` after each."""
     members = []
     for seed in range(count):
-        arrays = member_arrays(0.4 + 0.8 * seed / max(1, count - 1), POINTS, seed)
+        friction = 0.4 + 0.8 * seed / max(1, count - 1)
+        arrays = member_arrays(friction, POINTS, seed, one_kernel=True)
         members.append(MemberData(**arrays))
         advance()
     return members

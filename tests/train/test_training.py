@@ -75,8 +75,18 @@ def test_library_predicts_what_gpytorch_does(
             np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
 
 
+# Drive and braking differ everywhere.
+VEHICLE = np.array(
+    [
+        *(1200.0, 0.9, 1.5, 1.6, 0.5, 0.5, 0.8),
+        *(1.9, 1.2, 0.9, 15.0, 1.6),
+        *(0.6, 1.1, 1.0, 20.0, 1.3),
+    ]
+)
+
+
 def test_the_vehicle_is_found_again() -> None:
-    known = np.array([1200.0, 0.9, 1.5, 1.6, 0.5, 0.8, 1.0, 0.9, 15.0, 1.6, 1.0, 20.0, 1.3])
+    known = VEHICLE
     rng = np.random.default_rng(0)
     bounds = np.array([8.0, 0.6, 0.5, 0.1, 6000.0, 0.3])
     z = np.array([15.0, *np.zeros(5)]) + bounds * rng.uniform(-1.0, 1.0, (2000, 6))
@@ -90,12 +100,36 @@ def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) ->
     settings = dataclasses.replace(SETTINGS, mean="single-track", max_iterations=10)
     (member,) = train([surface()], settings)
     export(tmp_path / "vehicle", [member], settings, {})
-    library = Library.load(tmp_path / "vehicle")
     assert member.single_track is not None
-    np.testing.assert_array_equal(library.members[0].single_track, member.single_track)
+    # Another vehicle, of whose parameters none is what the fit could not determine.
+    known, vehicle = (
+        prior_mean.predict(member.inputs, parameters, 0.05)
+        for parameters in (member.single_track, VEHICLE)
+    )
+    other = dataclasses.replace(
+        member, single_track=VEHICLE, targets=member.targets - known + vehicle
+    )
+    export(tmp_path / "other", [other], settings, {})
     z = surface(0.8, seed=9).z
-    for ours, theirs in zip(library.predict(z), member.predict(z), strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
+    assert (z[:, 4] > 0.0).any()
+    assert (z[:, 4] < 0.0).any()
+    for name, trained in (("vehicle", member), ("other", other)):
+        library = Library.load(tmp_path / name)
+        np.testing.assert_array_equal(library.members[0].single_track, trained.single_track)
+        for ours, theirs in zip(library.predict(z), trained.predict(z), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
+
+
+def test_one_kernel_serves_all_outputs_of_a_vehicle(tmp_path: Path, library_path: Path) -> None:
+    settings = dataclasses.replace(SETTINGS, mean="single-track", max_iterations=10)
+    export(tmp_path / "vehicle", train([surface()], settings), settings, {})
+    vehicle, constants = (
+        Library.load(path).members[0] for path in (tmp_path / "vehicle", library_path)
+    )
+    for values in (vehicle.lengthscales, vehicle.outputscale, vehicle.noise):
+        assert len(np.unique(values, axis=0)) == 1
+    for values in (constants.lengthscales, constants.outputscale, constants.noise):
+        assert len(np.unique(values, axis=0)) == 3
 
 
 def test_library_says_where_it_comes_from(members: list[TrainedMember], library_path: Path) -> None:
@@ -160,10 +194,11 @@ def test_members_hold_the_subset_without_validation_data(members: list[TrainedMe
         assert not kept & {row.tobytes() for row in member.validation.z}
 
 
-def test_progress_reaches_every_fit() -> None:
+@pytest.mark.parametrize(("mean", "fits"), [("constant", 6), ("single-track", 2)])
+def test_progress_reaches_every_fit(mean: Literal["constant", "single-track"], fits: int) -> None:
     seen: list[FitProgress] = []
-    train([surface()], dataclasses.replace(SETTINGS, max_iterations=5), seen.append)
-    assert len({step.stage for step in seen}) == 6  # two fits of three outputs
+    train([surface()], dataclasses.replace(SETTINGS, mean=mean, max_iterations=5), seen.append)
+    assert len({step.stage for step in seen}) == fits  # two of each output, or of all together
     assert all(0 < step.done <= step.total for step in seen)
     assert [step.done for step in seen] == sorted(step.done for step in seen)
     assert all(np.isfinite(step.loss) for step in seen)

@@ -52,12 +52,12 @@ def read_tensors(path: Path) -> dict[str, Array]:
 
 
 class ExactGP(gpytorch.models.ExactGP):  # type: ignore[misc]
-    """One output of one member, with the library's ARD kernel and a constant mean."""
+    """Outputs of one member that share a kernel, the library's, with constant means."""
 
     def __init__(self, kernel: str, x: torch.Tensor, y: torch.Tensor, likelihood: Any) -> None:  # noqa: ANN401
-        """Take scaled inputs (n, 6) and one scaled output (n,)."""
+        """Take scaled inputs (n, 6) and a batch of scaled outputs (b, n)."""
         super().__init__(x, y, likelihood)
-        self.mean_module = gpytorch.means.ConstantMean()
+        self.mean_module = gpytorch.means.ConstantMean(batch_shape=y.shape[:-1])
         self.covar_module = gpytorch.kernels.ScaleKernel(
             gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[-1])
             if kernel == "rbf"
@@ -88,21 +88,23 @@ class Member:
         y = (tensor("targets") - self._known(inputs) - self.target_mean) / self.target_std
         lengthscales, outputscale = tensor("lengthscales"), tensor("outputscale")
         noise, constant = tensor("noise"), tensor("constant")
-        self.noise_std = (torch.sqrt(noise) * self.target_std).numpy()
-        self.outputs = []
-        for o in range(NY):
+        # Where one kernel serves all outputs, they are one batch, for which it is evaluated once.
+        hyper = torch.cat([lengthscales, outputscale[:, None], noise[:, None]], dim=1)
+        together = [[0, 1, 2]] if bool((hyper == hyper[0]).all()) else [[0], [1], [2]]
+        self.gps = []
+        for outputs in together:
             likelihood = gpytorch.likelihoods.GaussianLikelihood(
                 noise_constraint=gpytorch.constraints.Positive()
             ).double()
-            likelihood.noise = noise[o]
-            gp = ExactGP(kernel, x, y[:, o], likelihood).double()
-            gp.covar_module.base_kernel.lengthscale = lengthscales[o]
-            gp.covar_module.outputscale = outputscale[o]
-            gp.mean_module.constant.data = constant[o]
+            likelihood.noise = noise[outputs[0]]
+            gp = ExactGP(kernel, x, y[:, outputs].T.contiguous(), likelihood).double()
+            gp.covar_module.base_kernel.lengthscale = lengthscales[outputs[0]]
+            gp.covar_module.outputscale = outputscale[outputs[0]]
+            gp.mean_module.constant.data = constant[outputs]
             gp.eval()
             for parameter in gp.parameters():
                 parameter.requires_grad_(requires_grad=False)
-            self.outputs.append(gp)
+            self.gps.append((outputs, gp))
 
     def _known(self, z: torch.Tensor) -> torch.Tensor:
         """Predict what the GPs are added to, (n, 3)."""
@@ -110,28 +112,32 @@ class Member:
             return torch.zeros(len(z), NY, dtype=z.dtype)
         return prior_mean.change(z, self._vehicle, self._dt)
 
+    def _means(self, query: torch.Tensor, outputs: Sequence[int]) -> torch.Tensor:
+        """Mean of some outputs at (n, 6), as autograd sees it: (outputs, n)."""
+        scaled = (query - self.input_mean) / self.input_std
+        learned: dict[int, torch.Tensor] = {}
+        for together, gp in self.gps:
+            if set(together) & set(outputs):
+                learned |= dict(zip(together, gp(scaled).mean, strict=True))
+        known = self._known(query)
+        return torch.stack(
+            [learned[o] * self.target_std[o] + self.target_mean[o] + known[:, o] for o in outputs]
+        )
+
     def mean(self, z: Array) -> Array:
         """Mean at ``z`` (n, 6): (n, 3)."""
         with torch.no_grad(), gpytorch.settings.skip_posterior_variances():
-            query = torch.from_numpy(z)
-            scaled = (query - self.input_mean) / self.input_std
-            mean = torch.stack([gp(scaled).mean for gp in self.outputs], dim=-1)
-            return np.asarray(mean * self.target_std + self.target_mean + self._known(query))
+            return np.asarray(self._means(torch.from_numpy(z), range(NY)).T)
 
     def mean_jacobian(self, z: Array, outputs: Sequence[int] = range(NY)) -> tuple[Array, Array]:
         """Mean (n, 3) and Jacobian (n, 3, 6); queries are independent, so one sum serves all."""
         query = torch.from_numpy(z).requires_grad_()
-        scaled = (query - self.input_mean) / self.input_std
-        known = self._known(query)
-        means, gradients = [], []
         with gpytorch.settings.skip_posterior_variances():
-            for o in outputs:
-                learned = self.outputs[o](scaled).mean * self.target_std[o] + self.target_mean[o]
-                mean = learned + known[:, o]
-                (gradient,) = torch.autograd.grad(mean.sum(), query, retain_graph=True)
-                means.append(mean.detach())
-                gradients.append(gradient)
-        return torch.stack(means, -1).numpy(), torch.stack(gradients, 1).numpy()
+            means = self._means(query, outputs)
+            gradients = [
+                torch.autograd.grad(mean.sum(), query, retain_graph=True)[0] for mean in means
+            ]
+        return means.detach().T.numpy(), torch.stack(gradients, 1).numpy()
 
 
 @dataclass

@@ -11,19 +11,27 @@ mod support;
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use egp_core::{GpInput, GpJacobian, Kernel, VarianceScratch};
+use egp_core::library::encode;
+use egp_core::{GpInput, GpJacobian, Kernel, Library, VarianceScratch};
+use support::Outputs;
 
 fn queries(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("gp");
-    for (kernel, n) in [
-        (Kernel::Rbf, 700),
-        (Kernel::Matern52, 700),
-        (Kernel::Rbf, 2000),
+    for (outputs, kernel, n) in [
+        (Outputs::OneKernel, Kernel::Rbf, 700),
+        (Outputs::OneKernel, Kernel::Matern52, 700),
+        (Outputs::OneKernel, Kernel::Rbf, 2000),
+        (Outputs::OwnKernels, Kernel::Rbf, 700),
     ] {
-        let library = support::library(kernel, &[0.8], n, 0);
+        let spec = support::spec_of(&outputs, kernel, &[0.8], n, 0);
+        let library = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
         let member = &library.members()[0];
         let z = GpInput::from(support::CENTRE).add_scalar(0.1);
-        let name = |what| BenchmarkId::new(what, format!("{} {n}", kernel.name()));
+        let own = match outputs {
+            Outputs::OneKernel => "",
+            _ => " own kernels",
+        };
+        let name = |what| BenchmarkId::new(what, format!("{} {n}{own}", kernel.name()));
         group.bench_function(name("mean"), |bencher| {
             bencher.iter(|| member.mean(black_box(&z)))
         });
@@ -43,9 +51,9 @@ fn load(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("library");
     group.sample_size(10);
     for n in [700, 2000] {
-        let bytes = egp_core::library::encode(&support::spec(Kernel::Rbf, &[0.8], n, 0)).unwrap();
+        let bytes = encode(&support::spec(Kernel::Rbf, &[0.8], n, 0)).unwrap();
         group.bench_function(BenchmarkId::new("load one member", n), |bencher| {
-            bencher.iter(|| egp_core::Library::from_bytes(black_box(&bytes)));
+            bencher.iter(|| Library::from_bytes(black_box(&bytes)));
         });
     }
     group.finish();

@@ -57,7 +57,7 @@ fn warm_step(library: &Library) {
 fn tier() -> &'static str {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        return if is_x86_feature_detected!("avx512f") {
+        return if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512vl") {
             "avx512"
         } else {
             "avx2"

@@ -3,14 +3,26 @@
 
 mod support;
 
+use egp_core::library::{LibrarySpec, encode};
 use egp_core::{GpInput, GpJacobian, Kernel, Library, NY, NZ, VarianceScratch};
 use proptest::prelude::*;
-use support::{CENTRE, HALF_WIDTH, library};
+use support::{CENTRE, HALF_WIDTH, Outputs, spec, spec_of};
 
-/// A library for each kernel, made once.
+/// A library for each kernel, made once: a member of one kernel for all outputs, of three and of two.
 fn libraries() -> &'static [Library; 2] {
     static LIBRARIES: std::sync::OnceLock<[Library; 2]> = std::sync::OnceLock::new();
-    LIBRARIES.get_or_init(|| Kernel::ALL.map(|kernel| library(kernel, &[0.5, 1.1], 90, 1)))
+    LIBRARIES.get_or_init(|| {
+        Kernel::ALL.map(|kernel| Library::from_bytes(&encode(&mixed(kernel)).unwrap()).unwrap())
+    })
+}
+
+fn mixed(kernel: Kernel) -> LibrarySpec {
+    let mut one = spec(kernel, &[0.5], 90, 1);
+    for (outputs, friction) in [(Outputs::OwnKernels, 0.8), (Outputs::TwoKernels, 1.1)] {
+        let more = spec_of(&outputs, kernel, &[friction], 90, 2);
+        one.members.extend(more.members);
+    }
+    one
 }
 
 /// GP inputs up to `spread` half widths away from the centre of the data.
@@ -52,10 +64,12 @@ proptest! {
 #[test]
 fn at_training_points_variance_is_below_noise_and_the_jacobian_finite() {
     for kernel in Kernel::ALL {
-        let data = &support::spec(kernel, &[0.5], 90, 1).members[0];
-        let member = &libraries()[kernel as usize].members()[0];
-        for z in &data.inputs {
-            let z = GpInput::from(*z);
+        let members = libraries()[kernel as usize].members();
+        let pairs = mixed(kernel).members.into_iter().zip(members);
+        for (z, member) in
+            pairs.flat_map(|(data, member)| data.inputs.into_iter().map(move |z| (z, member)))
+        {
+            let z = GpInput::from(z);
             let variance = member.variance(&z, &mut VarianceScratch::default());
             let noise = member.noise_std().map(|std| std * std);
             assert!(

@@ -3,11 +3,13 @@
 
 mod support;
 
+use egp_core::library::encode;
 use egp_core::{
     Ensemble, GpInput, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, VarianceScratch,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use support::{Outputs, spec_of};
 
 /// What [`Ensemble::mixture_bounds`] promises.
 const TOLERANCE: f64 = 0.1;
@@ -77,7 +79,10 @@ fn on_the_shipped_library() {
 #[test]
 fn on_sampled_libraries() {
     for kernel in Kernel::ALL {
-        check(&support::library(kernel, &[0.5, 1.1], 250, 3), 20);
+        for outputs in [Outputs::OneKernel, Outputs::OwnKernels] {
+            let spec = spec_of(&outputs, kernel, &[0.5, 1.1], 250, 3);
+            check(&Library::from_bytes(&encode(&spec).unwrap()).unwrap(), 20);
+        }
     }
 }
 

@@ -1,11 +1,11 @@
 //! The variance at all stages of a horizon, from few stages.
 
 use super::mean::CovarianceRow;
-use super::{Gp, Output};
+use super::{Covariance, Gp};
 use crate::cholesky::{add_scaled, dot};
 use crate::kernel::{LANES, Lanes, Points};
 use crate::simd::wide;
-use crate::{GpInput, GpOutput, NY};
+use crate::{GpInput, GpOutput};
 
 /// By how much a variance may exceed the exact one, relative to what it is reported with (see
 /// [`Gp::variance_bounds`]). A standard deviation is then at most 5 % too large.
@@ -15,7 +15,7 @@ const PASS: usize = 4;
 /// A node of less prior variance than this times the outputscale would add nothing but rounding errors.
 const SMALLEST_PIVOT: f64 = 1e-12;
 
-/// Memory for [`Gp::variance_bounds`], and its state for one output.
+/// Memory for [`Gp::variance_bounds`], and its state for one covariance.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Horizon {
     /// Queries, z-scored; filled by the caller.
@@ -44,7 +44,8 @@ pub(crate) struct Horizon {
 
 impl Gp {
     /// Upper bounds of the variances at the z-scored inputs `scratch.z`, in z-scored units, each at most
-    /// `TOLERANCE · (σ² + floor)` above the exact `σ²`: `floor` is the variance that the caller adds anyway.
+    /// `TOLERANCE · (σ² + floor)` above the exact `σ²`: `floor` is the variance that the caller adds anyway, of
+    /// outputs that share a covariance the smallest.
     ///
     /// Stages lie on a curve, so the latent function at a few of them, the nodes `N`, nearly determines it at the
     /// others. Given noise-free values `f_N`, at any stage `f(z) = k(z, N) K_NN⁻¹ f_N + e`, where `e` has the prior
@@ -63,36 +64,40 @@ impl Gp {
         out: &mut [GpOutput],
     ) {
         scratch.queries.assign(&scratch.z);
-        for o in 0..NY {
-            let output = &self.outputs[o];
-            scratch.start(output, self.points.blocks().len());
-            let floor = |t: usize| floor[t][o];
+        for (outputs, covariance) in self.by_covariance() {
+            scratch.start(covariance, self.points.blocks().len());
+            let floor = |t: usize| {
+                floor[t].as_slice()[outputs.clone()]
+                    .iter()
+                    .copied()
+                    .fold(f64::INFINITY, f64::min)
+            };
             while scratch.exceeds(floor) {
                 let before = scratch.nodes.len();
                 for slot in 0..PASS {
-                    match scratch.next_node(output.outputscale, floor) {
-                        Some(node) => self.take_node(output, node, slot, scratch),
+                    match scratch.next_node(covariance.outputscale, floor) {
+                        Some(node) => self.take_node(covariance, node, slot, scratch),
                         None => scratch.covariances[slot].fill([0.0; LANES]),
                     }
                 }
                 if scratch.nodes.len() == before {
                     break;
                 }
-                scratch.learn(output, before);
+                scratch.learn(covariance, before);
             }
             for (t, out) in out.iter_mut().enumerate() {
                 let bound = scratch.variance[t] + scratch.excess(t);
-                out[o] = bound.min(output.outputscale);
+                out.as_mut_slice()[outputs.clone()].fill(bound.min(covariance.outputscale));
             }
         }
     }
 
     /// Conditions the prior at the stages on a node, and computes the node's covariances with the training points.
-    fn take_node(&self, output: &Output, node: usize, slot: usize, scratch: &mut Horizon) {
-        let query = output.metric.query(&scratch.z[node]);
+    fn take_node(&self, covariance: &Covariance, node: usize, slot: usize, scratch: &mut Horizon) {
+        let query = covariance.metric.query(&scratch.z[node]);
         let row = CovarianceRow {
             kernel: self.kernel,
-            outputscale: output.outputscale,
+            outputscale: covariance.outputscale,
             points: &scratch.queries,
             norms: &scratch.norms,
             query: &query,
@@ -102,9 +107,9 @@ impl Gp {
         scratch.condition(node);
         wide(CovarianceRow {
             kernel: self.kernel,
-            outputscale: output.outputscale,
+            outputscale: covariance.outputscale,
             points: &self.points,
-            norms: output.metric.norms(),
+            norms: covariance.metric.norms(),
             query: &query,
             row: &mut scratch.covariances[slot],
         });
@@ -112,10 +117,10 @@ impl Gp {
 }
 
 impl Horizon {
-    /// The prior of an output at the stages; no nodes.
-    fn start(&mut self, output: &Output, blocks: usize) {
+    /// The prior at the stages; no nodes.
+    fn start(&mut self, covariance: &Covariance, blocks: usize) {
         let stages = self.z.len();
-        output.metric.norms_of(&self.z, &mut self.norms);
+        covariance.metric.norms_of(&self.z, &mut self.norms);
         self.row.resize(self.norms.len(), [0.0; LANES]);
         for covariances in &mut self.covariances {
             covariances.resize(blocks, [0.0; LANES]);
@@ -126,7 +131,7 @@ impl Horizon {
             square.resize(stages * stages, 0.0);
         }
         for (values, start) in [
-            (&mut self.residual, output.outputscale),
+            (&mut self.residual, covariance.outputscale),
             (&mut self.variance, 0.0),
         ] {
             values.clear();
@@ -173,13 +178,13 @@ impl Horizon {
     }
 
     /// What the data say about the nodes from `first` on: their columns of `w`, rows of `H`, and `q` at all stages.
-    fn learn(&mut self, output: &Output, first: usize) {
+    fn learn(&mut self, covariance: &Covariance, first: usize) {
         let (stages, blocks) = (self.z.len(), self.covariances[0].len());
         let new = &mut self.directions[first * blocks..];
         let (ab, cd) = new[..PASS * blocks].split_at_mut(2 * blocks);
         let ((a, b), (c, d)) = (ab.split_at_mut(blocks), cd.split_at_mut(blocks));
         let covariances = self.covariances.each_ref().map(Vec::as_slice);
-        output.inverse.products(covariances, [a, b, c, d]);
+        covariance.inverse.products(covariances, [a, b, c, d]);
         for j in first..self.nodes.len() {
             let (known, new) = self.directions.split_at_mut(j * blocks);
             let direction = &mut new[..blocks];

@@ -1,8 +1,8 @@
 //! The loops over training points: mean, Jacobian and covariances.
 
-use super::Gp;
-use crate::kernel::{Kernel, Lanes, Matern52, Points, Profile, Query, Rbf};
-use crate::simd::{Simd, Wide};
+use super::{Covariance, Gp};
+use crate::kernel::{Kernel, Lanes, Matern52, Metric, Points, Profile, Query, Rbf};
+use crate::simd::{Simd, Wide, wide};
 use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
 
 /// [`Gp::mean`].
@@ -12,21 +12,36 @@ pub(super) struct Mean<'a> {
 }
 
 impl Mean<'_> {
+    /// All outputs in one sweep.
     #[inline(always)]
     fn with<P: Profile, S: Simd>(self, simd: S) -> GpOutput {
-        let outputs = &self.gp.outputs;
-        let queries = outputs.each_ref().map(|output| output.metric.query(self.z));
-        let [a, b, c] = outputs
-            .each_ref()
-            .map(|output| output.metric.norms().iter().zip(&output.weights));
+        let Self { gp, z } = self;
+        let [a, b, c] = gp.outputs.each_ref().map(|output| output.weights.iter());
+        let points = gp.points.blocks().iter().zip(a.zip(b).zip(c));
         let mut sums = [simd.splat(0.0); NY];
-        for (((block, a), b), c) in self.gp.points.blocks().iter().zip(a).zip(b).zip(c) {
-            for ((query, sum), (norms, weights)) in queries.iter().zip(&mut sums).zip([a, b, c]) {
+        let mut add = |o: usize, value: S::V, weights: &Lanes| {
+            sums[o] = simd.mul_add(value, simd.load(weights), sums[o]);
+        };
+        if let [Covariance { metric, .. }] = &gp.covariances[..] {
+            let query = metric.query(z);
+            for ((block, ((a, b), c)), norms) in points.zip(metric.norms()) {
                 let value = P::value(simd, query.distances(simd, block, norms));
-                *sum = simd.mul_add(value, simd.load(weights), *sum);
+                for (o, weights) in [a, b, c].into_iter().enumerate() {
+                    add(o, value, weights);
+                }
+            }
+        } else {
+            let metrics: [&Metric; NY] = std::array::from_fn(|o| &gp.covariances[o].metric);
+            let queries = metrics.map(|metric| metric.query(z));
+            let norms = metrics.map(Metric::norms);
+            for (i, (block, ((a, b), c))) in points.enumerate() {
+                for (o, weights) in [a, b, c].into_iter().enumerate() {
+                    let distances = queries[o].distances(simd, block, &norms[o][i]);
+                    add(o, P::value(simd, distances), weights);
+                }
             }
         }
-        GpOutput::from_fn(|o, _| outputs[o].constant + total(simd, sums[o]))
+        GpOutput::from_fn(|o, _| gp.outputs[o].constant + simd.sum(sums[o]))
     }
 }
 
@@ -43,89 +58,103 @@ impl Wide for Mean<'_> {
 }
 
 /// [`Gp::mean_jacobian`].
-pub(super) struct MeanJacobian<'a> {
-    pub gp: &'a Gp,
-    pub z: &'a GpInput,
-    pub jacobian: &'a mut GpJacobian,
-}
-
-/// The sums over training points of one output.
-struct Sums<V> {
-    /// `Σ w φ`.
-    value: V,
-    /// `Σ w φ'`.
-    slope: V,
-    /// `Σ w φ' x`.
-    moment: [V; NZ],
-}
-
-impl<V: Copy> Sums<V> {
-    #[inline(always)]
-    fn zero<S: Simd<V = V>>(simd: S) -> Self {
-        let zero = simd.splat(0.0);
-        Self {
-            value: zero,
-            slope: zero,
-            moment: [zero; NZ],
+pub(super) fn mean_jacobian(gp: &Gp, z: &GpInput, jacobian: &mut GpJacobian) -> GpOutput {
+    let weights = gp.outputs.each_ref().map(|output| &output.weights[..]);
+    let mut mean = GpOutput::from_fn(|o, _| gp.outputs[o].constant);
+    let mut finish = |o: usize, metric: &Metric, sums: &[f64; SUMS]| {
+        let [value, slope, moments @ ..] = sums;
+        mean[o] += value;
+        let scales = metric.inverse_squared_lengthscales();
+        for (d, moment) in moments.iter().enumerate() {
+            let difference = z[d] * slope - moment;
+            jacobian[(o, d)] = 2.0 * gp.kernel.slope() * scales[d] * difference;
+        }
+    };
+    if let [Covariance { metric, .. }] = &gp.covariances[..] {
+        let sums = weighted_sums(gp, metric, weights, z);
+        (0..NY).for_each(|o| finish(o, metric, &sums[o]));
+    } else {
+        for (o, Covariance { metric, .. }) in gp.covariances.iter().enumerate() {
+            let [sums] = weighted_sums(gp, metric, [weights[o]], z);
+            finish(o, metric, &sums);
         }
     }
-
-    #[inline(always)]
-    fn add<P: Profile, S: Simd<V = V>>(
-        &mut self,
-        simd: S,
-        query: &Query,
-        (block, norms, weights): (&[Lanes; NZ], &Lanes, &Lanes),
-    ) {
-        let (value, slope) = P::value_slope(simd, query.distances(simd, block, norms));
-        let weights = simd.load(weights);
-        let slope = simd.mul(slope, weights);
-        self.value = simd.add(self.value, simd.mul(value, weights));
-        self.slope = simd.add(self.slope, slope);
-        for (moment, x) in self.moment.iter_mut().zip(block) {
-            *moment = simd.mul_add(slope, simd.load(x), *moment);
-        }
-    }
+    mean
 }
 
-impl MeanJacobian<'_> {
-    /// One output after the other: the eight sums stay in registers.
+/// `Σ w φ`, `Σ w φ'` and `Σ w φ' x_d` over the training points.
+const SUMS: usize = 2 + NZ;
+
+/// The sums of outputs that share a covariance.
+fn weighted_sums<const N: usize>(
+    gp: &Gp,
+    metric: &Metric,
+    weights: [&[Lanes]; N],
+    z: &GpInput,
+) -> [[f64; SUMS]; N] {
+    wide(WeightedSums {
+        kernel: gp.kernel,
+        blocks: gp.points.blocks(),
+        norms: metric.norms(),
+        query: metric.query(z),
+        weights,
+    })
+}
+
+struct WeightedSums<'a, const N: usize> {
+    kernel: Kernel,
+    blocks: &'a [[Lanes; NZ]],
+    norms: &'a [Lanes],
+    query: Query,
+    weights: [&'a [Lanes]; N],
+}
+
+impl<const N: usize> WeightedSums<'_, N> {
     #[inline(always)]
-    fn with<P: Profile, S: Simd>(self, simd: S) -> GpOutput {
-        let Self { gp, z, jacobian } = self;
-        let mut mean = GpOutput::zeros();
-        for (o, output) in gp.outputs.iter().enumerate() {
-            let query = output.metric.query(z);
-            let mut sums = Sums::zero(simd);
-            let points = gp.points.blocks().iter().zip(output.metric.norms());
-            for ((block, norms), weights) in points.zip(&output.weights) {
-                sums.add::<P, S>(simd, &query, (block, norms, weights));
+    fn with<P: Profile, S: Simd>(self, simd: S) -> [[f64; SUMS]; N] {
+        let mut sums = [[simd.splat(0.0); SUMS]; N];
+        for (i, (block, norms)) in self.blocks.iter().zip(self.norms).enumerate() {
+            let (value, slope) = P::value_slope(simd, self.query.distances(simd, block, norms));
+            let mut slopes = [slope; N];
+            for o in 0..N {
+                let weights = simd.load(&self.weights[o][i]);
+                slopes[o] = simd.mul(slope, weights);
+                sums[o][0] = simd.mul_add(value, weights, sums[o][0]);
+                sums[o][1] = simd.add(sums[o][1], slopes[o]);
             }
-            mean[o] = output.constant + total(simd, sums.value);
-            let slope = total(simd, sums.slope);
-            let scales = output.metric.inverse_squared_lengthscales();
-            for d in 0..NZ {
-                let difference = z[d] * slope - total(simd, sums.moment[d]);
-                jacobian[(o, d)] = 2.0 * P::SLOPE * scales[d] * difference;
+            // Each coordinate is loaded once for all outputs: of three, loads are the limit.
+            for (d, x) in block.iter().enumerate() {
+                let x = simd.load(x);
+                for o in 0..N {
+                    sums[o][2 + d] = simd.mul_add(slopes[o], x, sums[o][2 + d]);
+                }
             }
         }
-        mean
+        let mut totals = [[0.0; SUMS]; N];
+        for (total, sum) in totals
+            .as_flattened_mut()
+            .iter_mut()
+            .zip(sums.as_flattened())
+        {
+            *total = simd.sum(*sum);
+        }
+        totals
     }
 }
 
-impl Wide for MeanJacobian<'_> {
-    type Output = GpOutput;
+impl<const N: usize> Wide for WeightedSums<'_, N> {
+    type Output = [[f64; SUMS]; N];
 
     #[inline(always)]
-    fn compute<S: Simd>(self, simd: S) -> GpOutput {
-        match self.gp.kernel {
+    fn compute<S: Simd>(self, simd: S) -> Self::Output {
+        match self.kernel {
             Kernel::Rbf => self.with::<Rbf, S>(simd),
             Kernel::Matern52 => self.with::<Matern52, S>(simd),
         }
     }
 }
 
-/// `k(z, X)` of one output, block by block.
+/// `k(z, X)`, block by block.
 pub(super) struct CovarianceRow<'a> {
     pub kernel: Kernel,
     pub outputscale: f64,
@@ -157,10 +186,4 @@ impl Wide for CovarianceRow<'_> {
             Kernel::Matern52 => self.with::<Matern52, S>(simd),
         }
     }
-}
-
-/// The sum over the lanes, always in the same order.
-#[inline(always)]
-fn total<S: Simd>(simd: S, sum: S::V) -> f64 {
-    simd.store(sum).iter().sum()
 }

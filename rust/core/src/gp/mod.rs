@@ -1,18 +1,23 @@
 //! Exact Gaussian-process regression of the three outputs over shared training inputs, in the z-scored space.
 //!
-//! Rasmussen & Williams (2006), eqs. (2.25), (2.26); for each output with its own hyperparameters
+//! Rasmussen & Williams (2006), eqs. (2.25), (2.26); for each output
 //! ```text
 //! mean      μ(z)  = m + k(z, X) α,                          α = (K + s² I)⁻¹ (y - m)
 //! gradient  ∂μ/∂z_d = 2/ℓ_d² (z_d Σ_j s_j - Σ_j s_j x_jd),   s_j = α_j outputscale φ'(r_j²)
 //! variance  σ²(z) = k(z, z) - |L⁻¹ k(X, z)|²,               L Lᵀ = K + s² I
 //! ```
 //! The variance is that of the latent function: measurement noise is not included.
+//!
+//! Outputs may have hyperparameters of their own. Where all but `m` agree, as in libraries trained with one kernel
+//! for all outputs, `K + s² I` is factored once, and distances, exponentials and variances are computed once.
 
 mod horizon;
 mod mean;
 
 pub(crate) use horizon::Horizon;
-use mean::{CovarianceRow, Mean, MeanJacobian};
+use mean::{CovarianceRow, Mean, mean_jacobian};
+
+use std::ops::Range;
 
 use crate::cholesky::{InverseFactor, NotPositiveDefinite, dot};
 use crate::kernel::{Kernel, LANES, Lanes, Metric, Points, in_blocks};
@@ -26,7 +31,7 @@ pub struct Hyperparameters {
     pub lengthscales: [f64; NZ],
     /// Prior variance of the latent function.
     pub outputscale: f64,
-    /// Variance `s²` of the measurement noise.
+    /// Variance `s²` of the targets' noise.
     pub noise: f64,
     /// Prior mean `m`.
     pub constant: f64,
@@ -39,28 +44,35 @@ pub struct VarianceScratch {
     covariances: [Vec<Lanes>; 2],
 }
 
-/// Three independent exact GPs, one for each output, over the same training inputs.
+/// Three independent exact GPs, one for each output, over the same training inputs and perhaps of one covariance.
 #[derive(Clone, Debug)]
 pub struct Gp {
     kernel: Kernel,
     points: Points,
+    /// One for all outputs or one for each.
+    covariances: Vec<Covariance>,
     outputs: [Output; NY],
+}
+
+/// `K + s² I`, and what else does not depend on the targets.
+#[derive(Clone, Debug)]
+struct Covariance {
+    metric: Metric,
+    outputscale: f64,
+    inverse: InverseFactor,
 }
 
 #[derive(Clone, Debug)]
 struct Output {
-    metric: Metric,
-    outputscale: f64,
     constant: f64,
     /// `outputscale · α`.
     weights: Vec<Lanes>,
-    inverse: InverseFactor,
 }
 
 /// `K + s² I` of one output is not positive definite: its factorisation failed at a training point.
 #[derive(Debug)]
 pub struct SingularCovariance {
-    /// Index of the output.
+    /// Index of the output; the first of those that share it.
     pub output: usize,
     /// Index of the training point.
     pub point: usize,
@@ -69,7 +81,7 @@ pub struct SingularCovariance {
 impl Gp {
     /// Lays out the training inputs (z-scored) and factors the covariances; `alpha` is taken as it is.
     ///
-    /// Cost: `n³/3` multiplications and `n²/2` numbers of memory for each output.
+    /// Cost: `n³/3` multiplications and `n²/2` numbers of memory for each covariance.
     ///
     /// # Errors
     /// [`SingularCovariance`].
@@ -80,28 +92,33 @@ impl Gp {
         alpha: &[Vec<f64>; NY],
     ) -> Result<Self, SingularCovariance> {
         let points = Points::new(inputs);
-        let output = |output: usize| {
-            let hyper = &hyperparameters[output];
-            let metric = Metric::new(kernel.scale(), &hyper.lengthscales, inputs);
-            let inverse = inverse_factor(kernel, &points, inputs, hyper, &metric)
-                .map_err(|NotPositiveDefinite(point)| SingularCovariance { output, point })?;
+        let [first, others @ ..] = hyperparameters;
+        let shared = others.iter().all(|other| first.covary_as(other));
+        let distinct = if shared { 1 } else { NY };
+        let covariances = hyperparameters.iter().take(distinct).enumerate();
+        let covariances = covariances
+            .map(|(output, hyper)| {
+                Covariance::new(kernel, &points, inputs, hyper)
+                    .map_err(|NotPositiveDefinite(point)| SingularCovariance { output, point })
+            })
+            .collect::<Result<_, _>>()?;
+        let outputs = std::array::from_fn(|o| {
+            let Hyperparameters {
+                outputscale,
+                constant,
+                ..
+            } = hyperparameters[o];
             let mut weights = Vec::new();
             in_blocks(
-                alpha[output].iter().map(|alpha| hyper.outputscale * alpha),
+                alpha[o].iter().map(|alpha| outputscale * alpha),
                 &mut weights,
             );
-            Ok(Output {
-                metric,
-                outputscale: hyper.outputscale,
-                constant: hyper.constant,
-                weights,
-                inverse,
-            })
-        };
-        let outputs = [output(0)?, output(1)?, output(2)?];
+            Output { constant, weights }
+        });
         Ok(Self {
             kernel,
             points,
+            covariances,
             outputs,
         })
     }
@@ -118,11 +135,7 @@ impl Gp {
 
     /// The predictive mean at a z-scored input, and its Jacobian in the z-scored space.
     pub fn mean_jacobian(&self, z: &GpInput, jacobian: &mut GpJacobian) -> GpOutput {
-        wide(MeanJacobian {
-            gp: self,
-            z,
-            jacobian,
-        })
+        mean_jacobian(self, z, jacobian)
     }
 
     /// The variance of the latent function at a z-scored input; between 0 and the outputscale.
@@ -130,45 +143,67 @@ impl Gp {
         let [covariances, product] = &mut scratch.covariances;
         covariances.resize(self.points.blocks().len(), [0.0; LANES]);
         product.resize(covariances.len(), [0.0; LANES]);
-        GpOutput::from_fn(|o, _| {
-            let output = &self.outputs[o];
+        let mut variance = GpOutput::zeros();
+        for (outputs, covariance) in self.by_covariance() {
             wide(CovarianceRow {
                 kernel: self.kernel,
-                outputscale: output.outputscale,
+                outputscale: covariance.outputscale,
                 points: &self.points,
-                norms: output.metric.norms(),
-                query: &output.metric.query(z),
+                norms: covariance.metric.norms(),
+                query: &covariance.metric.query(z),
                 row: covariances,
             });
-            output.inverse.products([covariances], [product]);
+            covariance.inverse.products([covariances], [product]);
             let explained = dot(product, product);
             // Rounding may leave a tiny negative number next to a training point.
-            (output.outputscale - explained).max(0.0)
-        })
+            let left = (covariance.outputscale - explained).max(0.0);
+            outputs.for_each(|o| variance[o] = left);
+        }
+        variance
+    }
+
+    /// The covariances with the outputs that have them.
+    fn by_covariance(&self) -> impl Iterator<Item = (Range<usize>, &Covariance)> {
+        let width = NY / self.covariances.len();
+        let outputs = (0..NY).step_by(width).map(move |o| o..o + width);
+        outputs.zip(&self.covariances)
     }
 }
 
-/// `L⁻¹`, `L Lᵀ = K + s² I`, of one output.
-fn inverse_factor(
-    kernel: Kernel,
-    points: &Points,
-    inputs: &[GpInput],
-    hyper: &Hyperparameters,
-    metric: &Metric,
-) -> Result<InverseFactor, NotPositiveDefinite> {
-    let mut lower = Vec::with_capacity(inputs.len() * (inputs.len() + 1) / 2);
-    let mut row = vec![[0.0; LANES]; points.blocks().len()];
-    for (i, input) in inputs.iter().enumerate() {
-        wide(CovarianceRow {
-            kernel,
-            outputscale: hyper.outputscale,
-            points,
-            norms: metric.norms(),
-            query: &metric.query(input),
-            row: &mut row,
-        });
-        lower.extend_from_slice(&row.as_flattened()[..i]);
-        lower.push(hyper.outputscale + hyper.noise);
+impl Hyperparameters {
+    /// Whether two outputs' targets have the same covariance.
+    fn covary_as(&self, other: &Self) -> bool {
+        let covariance = |hyper: &Self| (hyper.lengthscales, hyper.outputscale, hyper.noise);
+        covariance(self) == covariance(other)
     }
-    InverseFactor::new(inputs.len(), lower)
+}
+
+impl Covariance {
+    fn new(
+        kernel: Kernel,
+        points: &Points,
+        inputs: &[GpInput],
+        hyper: &Hyperparameters,
+    ) -> Result<Self, NotPositiveDefinite> {
+        let metric = Metric::new(kernel.scale(), &hyper.lengthscales, inputs);
+        let mut lower = Vec::with_capacity(inputs.len() * (inputs.len() + 1) / 2);
+        let mut row = vec![[0.0; LANES]; points.blocks().len()];
+        for (i, input) in inputs.iter().enumerate() {
+            wide(CovarianceRow {
+                kernel,
+                outputscale: hyper.outputscale,
+                points,
+                norms: metric.norms(),
+                query: &metric.query(input),
+                row: &mut row,
+            });
+            lower.extend_from_slice(&row.as_flattened()[..i]);
+            lower.push(hyper.outputscale + hyper.noise);
+        }
+        Ok(Self {
+            metric,
+            outputscale: hyper.outputscale,
+            inverse: InverseFactor::new(inputs.len(), lower)?,
+        })
+    }
 }

@@ -69,4 +69,12 @@ impl Kernel {
             Self::Matern52 => Matern52::SCALE,
         }
     }
+
+    /// [`Profile::SLOPE`] of this kernel.
+    pub(crate) const fn slope(self) -> f64 {
+        match self {
+            Self::Rbf => Rbf::SLOPE,
+            Self::Matern52 => Matern52::SLOPE,
+        }
+    }
 }

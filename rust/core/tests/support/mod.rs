@@ -22,9 +22,30 @@ pub fn library(kernel: Kernel, frictions: &[f64], n: usize, seed: u64) -> Librar
     Library::from_bytes(&encode(&spec(kernel, frictions, n, seed)).unwrap()).unwrap()
 }
 
-/// What [`library`] is made from.
+/// What [`library`] is made from: one kernel for all outputs, as in trained libraries.
 pub fn spec(kernel: Kernel, frictions: &[f64], n: usize, seed: u64) -> LibrarySpec {
-    let member = |(i, &friction)| member(kernel, friction, n, seed + i as u64);
+    spec_of(&Outputs::OneKernel, kernel, frictions, n, seed)
+}
+
+/// Who has a kernel.
+pub enum Outputs {
+    /// All outputs the same.
+    OneKernel,
+    /// The first two the same.
+    TwoKernels,
+    /// Each its own.
+    OwnKernels,
+}
+
+/// [`spec`], for any outputs.
+pub fn spec_of(
+    outputs: &Outputs,
+    kernel: Kernel,
+    frictions: &[f64],
+    n: usize,
+    seed: u64,
+) -> LibrarySpec {
+    let member = |(i, &friction)| member(outputs, kernel, friction, n, seed + i as u64);
     LibrarySpec {
         dt: 0.05,
         kernel,
@@ -51,7 +72,7 @@ fn change(z: &[f64; NZ], friction: f64) -> [f64; NY] {
     ]
 }
 
-fn member(kernel: Kernel, friction: f64, n: usize, seed: u64) -> MemberData {
+fn member(outputs: &Outputs, kernel: Kernel, friction: f64, n: usize, seed: u64) -> MemberData {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let inputs: Vec<[f64; NZ]> = (0..n).map(|_| gp_input(&mut rng, 1.0)).collect();
     let targets = inputs
@@ -84,6 +105,16 @@ fn member(kernel: Kernel, friction: f64, n: usize, seed: u64) -> MemberData {
         golden_variance: Vec::new(),
         inputs,
     };
+    let alike = match outputs {
+        Outputs::OneKernel => 1..NY,
+        Outputs::TwoKernels => 1..2,
+        Outputs::OwnKernels => 1..1,
+    };
+    for o in alike {
+        data.lengthscales[o] = data.lengthscales[0];
+        data.outputscale[o] = data.outputscale[0];
+        data.noise[o] = data.noise[0];
+    }
     let dense: [Dense; NY] = std::array::from_fn(|o| Dense::new(kernel, &data, o));
     data.alpha = std::array::from_fn(|o| dense[o].alpha.as_slice().to_vec());
     for z in &data.golden_z {
