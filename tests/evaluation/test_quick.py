@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from statistics import median
 from typing import TYPE_CHECKING
 
 import pytest
@@ -56,18 +57,21 @@ def test_the_ensemble_completes_the_papers_scenarios_up_to_nine_tenths_of_the_gr
     assert not lost, lost
 
 
-def test_the_weights_settle_within_half_a_second_at_4_m_s2(runs: Rows) -> None:
-    # What the README says. Below, where they drift, the report shows the claim as failing.
-    times = [
-        float(time)
+@pytest.mark.parametrize("acceleration", [3, 4])
+def test_the_weights_settle_within_half_a_second(runs: Rows, acceleration: int) -> None:
+    # As the README says: the median under 3 m/s², all under 4. The report has 2 m/s² as failing.
+    own = [
+        row["settling"].split()
         for row in runs
         if row["experiment"] == "friction-step"
         and row["contender"] == ENSEMBLE
-        and row["condition"] == "4 m/s² lateral"
-        for time in row["settling"].split()
+        and row["condition"] == f"{acceleration} m/s² lateral"
     ]
-    assert times
-    assert max(times) <= 0.5
+    assert own
+    assert all(own)
+    times = [float(time) for settling in own for time in settling]
+    slowest = {3: median(times), 4: max(times)}[acceleration]
+    assert slowest <= 0.5
 
 
 def test_the_ensemble_is_about_as_close_as_the_oracle(runs: Rows) -> None:

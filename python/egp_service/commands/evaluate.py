@@ -106,6 +106,7 @@ def evaluate(
             times = scaling.measure(source, scenario, periods=periods, members=members)
     with console.status("Drawing ..."):
         shown = {e.name: campaign.drives(e) for e in driven if e.name in _SHOWN}
+        steps = [e for e in driven if e.name == "friction-step"]
         command = shlex.join(["egp", *sys.argv[1:]])
         report = write_report(
             output,
@@ -115,6 +116,7 @@ def evaluate(
             speeds=speeds,
             times=times,
             drives=shown,
+            resolutions=campaign.resolutions(steps[0]) if steps else {},
         )
     if outcomes:
         _print(console, headline(outcomes))

@@ -19,7 +19,7 @@ from egp_service.closed_loop import drive
 from egp_service.course import build_path
 from egp_service.evaluation.contenders import ENSEMBLE, make
 from egp_service.evaluation.experiments import HALF_WIDTH
-from egp_service.evaluation.settling import settling_times
+from egp_service.evaluation.settling import resolution, settling_times
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -140,6 +140,11 @@ class Campaign:
         trials = [t for t in experiment.trials([0]) if t.condition == condition]
         shown = [t for t in trials if t.contender.name in SHOWN_CONTENDERS]
         return [(t.contender.name, drive_trial(self._with_library(t))) for t in shown]
+
+    def resolutions(self, experiment: Experiment) -> dict[str, float]:
+        """Find how well a window of measurements tells the friction, in each condition."""
+        trials = [t for t in experiment.trials([0]) if t.contender.name == ENSEMBLE]
+        return {t.condition: resolution(drive_trial(self._with_library(t))) for t in trials}
 
     def _with_library(self, trial: Trial) -> Trial:
         """Give the trial the library of its contender's members, made when it is first needed."""

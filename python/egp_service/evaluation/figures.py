@@ -149,15 +149,18 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
                 ax.plot(np.full(len(times), x), times, ".", color=colour(name), alpha=0.5)
                 if times:
                     ax.plot(x, np.median(times), "_", ms=18, color=colour(name))
-                steps = sum((o.contender, o.condition) == (name, condition) for o in runs)
-                ax.text(x, -0.12, f"{len(times)}/{steps}", ha="center", color=colour(name))
+                own = [o for o in runs if (o.contender, o.condition) == (name, condition)]
+                moved = sum(bool(o.settling) for o in own)
+                ax.text(x, -0.12, f"{moved}/{len(own)}", ha="center", color=colour(name))
         for name in names:
             ax.plot([], [], "o", color=colour(name), label=name)
         ax.axhline(0.5, color=ALARM, lw=0.8)
         ax.set_xticks(range(len(conditions)), conditions)
         ax.set_xlim(-0.5, len(conditions) - 0.5)
         ax.set_ylim(-0.25, 2.1)
-        ax.set_title("Below: steps that moved the weights, of all. At 2 s: not settled within 2 s")
+        ax.set_title(
+            "Below: runs whose step moved the weights, of all. At 2 s: not settled within 2 s"
+        )
         ax.set_ylabel("settling time, s")
         ax.legend(loc="center left")
         return _save(figure, path)

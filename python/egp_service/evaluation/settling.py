@@ -1,10 +1,17 @@
-"""How long the weights take to settle after the friction under the vehicle changed."""
+"""How long the weights take to settle after the friction changed, and how well they can know it."""
 
 from __future__ import annotations
 
+import tomllib
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from egp_service._core import Engine, Library
+from egp_service.evaluation.window_noise import whitening
+from egp_service.scenario import library_path
+from egp_service.toml_text import dumps
 
 if TYPE_CHECKING:
     from egp_service.closed_loop import Run
@@ -45,3 +52,22 @@ def settling_times(run: Run) -> list[float]:
         outside = np.flatnonzero(np.abs(apparent[after] - value) > _BAND * way)
         times.append(float((outside[-1] + 1) * run.dt) if len(outside) else 0.0)
     return times
+
+
+def resolution(run: Run) -> float:
+    """Find the standard deviation with which a window of measurements tells the friction.
+
+    The Cramér-Rao bound of eq. (6) without a prior, median over the run: with d what two members'
+    predictions of a window differ by and C the covariance of its errors, `|mu_1 - mu_0|` over
+    `sqrt(dᵀ C⁻¹ d)`. No unbiased estimator does better with the same window.
+    """
+    scenario, trace = run.scenario, run.trace
+    path = library_path(scenario)
+    library = Library.load(path)
+    settings = tomllib.loads(Engine(str(path), dumps(scenario.control)).settings_toml)
+    root = whitening(library.members, settings)
+    z = np.concatenate([trace.x[:, [2, 4, 5, 6]], trace.u], axis=1)
+    first, second = (library.predict(z, member)[0] for member in range(2))
+    windows = sliding_window_view(second - first, root.shape[-1], axis=0)
+    information = np.sum(np.einsum("okj,noj->nok", root, windows) ** 2, axis=(1, 2))
+    return float(np.ptp(run.frictions) / np.sqrt(np.median(information)))
