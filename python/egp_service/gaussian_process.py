@@ -178,11 +178,10 @@ def fit(
     starts: Sequence[Sequence[Hyperparameters]],
     max_iterations: int,
     report: Callable[[FitStep], None],
-) -> float:
+) -> None:
     """Maximise the sum of the log marginal likelihoods by L-BFGS-B; keep the best start.
 
-    Each start has the hyperparameters of each process. Returns the loss, the negative log marginal
-    likelihood per point and process.
+    Each start has the hyperparameters of each process.
 
     Raises:
         EgpError: when no start ends at a finite loss.
@@ -215,4 +214,3 @@ def fit(
         )
     models.load_state_dict(best)
     mll.eval()
-    return best_loss

@@ -113,8 +113,6 @@ class TrainedMember:
     """Of the targets less the vehicle's part, like their standard deviations."""
     target_std: NDArray[np.float64]
     processes: tuple[OutputProcess, ...]
-    loss: float
-    """Negative log marginal likelihood per point, mean over the outputs."""
     single_track: NDArray[np.float64] | None
     """Parameters (17,) of the vehicle that the processes are added to."""
 
@@ -239,18 +237,16 @@ def _train_member(
 
     def fit_all(
         rows: NDArray[np.int64], starts: list[list[Hyperparameters]], done: int, stage: str
-    ) -> tuple[list[OutputProcess], float]:
+    ) -> list[OutputProcess]:
         processes = [
             OutputProcess(z[rows], y[rows, j].contiguous(), settings.kernel, bounds)
             for j in range(NY)
         ]
         together = [range(NY)] if vehicle is not None else [range(j, j + 1) for j in range(NY)]
-        losses = []
         for number, outputs in enumerate(together):
             group = [processes[j] for j in outputs]
             share_kernel(group)
             before = number * len(starts) * settings.max_iterations
-
             names = ", ".join(list(OUTPUTS)[j] for j in outputs)
 
             def on_step(step: FitStep, before: int = before, names: str = names) -> None:
@@ -259,17 +255,17 @@ def _train_member(
                 report(FitProgress(f"{label}: {stage} fit of {names}", step.loss, at, total))
 
             own = [[start[j] for j in outputs] for start in starts]
-            losses.append(fit(group, own, settings.max_iterations, on_step))
-        return processes, float(np.mean(losses))
+            fit(group, own, settings.max_iterations, on_step)
+        return processes
 
     first_rows = np.sort(rng.permutation(len(data))[: settings.first_points])
-    first, _ = fit_all(first_rows, [[_START] * NY], offset, "first")
+    first = fit_all(first_rows, [[_START] * NY], offset, "first")
     rows = select(z, first, settings.max_points, rng)
     starts = [
         [process.hyperparameters for process in first],
         *([_random_start(rng) for _ in range(NY)] for _ in range(settings.restarts)),
     ]
-    processes, loss = fit_all(rows, starts, offset + settings.max_iterations, "final")
+    processes = fit_all(rows, starts, offset + settings.max_iterations, "final")
     return TrainedMember(
         dataset=data,
         validation=validation,
@@ -280,7 +276,6 @@ def _train_member(
         target_mean=target_mean,
         target_std=target_std,
         processes=tuple(processes),
-        loss=loss,
         single_track=vehicle,
     )
 

@@ -39,6 +39,7 @@ def test_the_report_stands_alone(folder: Path) -> None:
     assert len(sources) > 10
     assert all(source.startswith("data:image/png;base64,") for source in sources)
     assert "What was claimed" in report
+    assert "How well the friction can be known" in report
 
 
 def test_the_ensemble_completes_the_papers_scenarios_up_to_nine_tenths_of_the_grip(
@@ -57,9 +58,27 @@ def test_the_ensemble_completes_the_papers_scenarios_up_to_nine_tenths_of_the_gr
     assert not lost, lost
 
 
-@pytest.mark.parametrize("acceleration", [3, 4])
+# What is not met yet; the report says so, and how well the friction can be known at all.
+UNSETTLED = pytest.mark.xfail(
+    reason="half a second of measurements says too little of the friction"
+)
+
+
+@pytest.mark.parametrize(
+    "acceleration", [pytest.param(2, marks=UNSETTLED), pytest.param(3, marks=UNSETTLED), 4]
+)
 def test_the_weights_settle_within_half_a_second(runs: Rows, acceleration: int) -> None:
-    # As the README says: the median under 3 m/s², all under 4. The report has 2 m/s² as failing.
+    times = settling_times(runs, acceleration)
+    assert times
+    assert max(times) <= 0.5
+
+
+def test_half_of_the_weights_settle_within_half_a_second_at_3_m_s2(runs: Rows) -> None:
+    assert median(settling_times(runs, 3)) <= 0.5
+
+
+def settling_times(runs: Rows, acceleration: int) -> list[float]:
+    """Find the ensemble's, of which every run has to have one unless it is slow."""
     own = [
         row["settling"].split()
         for row in runs
@@ -68,10 +87,8 @@ def test_the_weights_settle_within_half_a_second(runs: Rows, acceleration: int) 
         and row["condition"] == f"{acceleration} m/s² lateral"
     ]
     assert own
-    assert all(own)
-    times = [float(time) for settling in own for time in settling]
-    slowest = {3: median(times), 4: max(times)}[acceleration]
-    assert slowest <= 0.5
+    assert acceleration < 3 or all(own)
+    return [float(time) for settling in own for time in settling]
 
 
 def test_the_ensemble_is_about_as_close_as_the_oracle(runs: Rows) -> None:

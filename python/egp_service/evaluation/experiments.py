@@ -131,7 +131,7 @@ def _varying_speed() -> Experiment:
         ),
         _ALL_OF_TWO,
         seeds=20,
-        quick_seeds=1,
+        quick_seeds=2,
     )
 
 
