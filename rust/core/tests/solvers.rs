@@ -77,11 +77,11 @@ fn every_problem_passes_our_check_cold_and_warm() {
 #[test]
 fn inputs_agree_with_clarabel() {
     let tight = SolverSettings {
-        tolerance: 1e-10,
+        tolerance: 1e-12,
         ..settings()
     };
     for horizon in [10, 20, 40] {
-        let mut riccati = RiccatiSolver::new(horizon, &settings());
+        let mut riccati = RiccatiSolver::new(horizon, &tight);
         let mut clarabel = ClarabelSolver::new(&OcpQp::new(horizon, MAX_SOFT), &tight).unwrap();
         let (mut ours, mut theirs) = (OcpSolution::new(horizon), OcpSolution::new(horizon));
         let mut apart = 0;
@@ -89,18 +89,21 @@ fn inputs_agree_with_clarabel() {
             solve_checked(&mut riccati, qp, guess, 1e-6, &mut ours);
             solve_checked(&mut clarabel, qp, &[], 1e-6, &mut theirs);
             let worst = distance(&ours, &theirs);
-            if worst > 1e-6 {
-                // Where a bound is only just active, inputs are off by the square root of the gap.
-                apart += 1;
-                let gap = theirs.kkt.complementarity.max(theirs.kkt.stationarity);
-                assert!(
-                    worst < 1e3 * gap.sqrt(),
-                    "horizon {horizon}, problem {n}: {worst:e} at a gap of {gap:e}"
-                );
-            }
+            let (mine, other) = (ours.kkt.worst(), theirs.kkt.worst());
+            // Over long horizons Clarabel ends at worse residuals on one problem in fifty, whatever is asked, or fails our
+            // check; where a bound is only just active, inputs are off by the square root.
+            let inexact = other > 1e-6 || worst < other.sqrt();
+            assert!(
+                worst <= 1e-6 || mine < other && inexact,
+                "horizon {horizon}, problem {n}: {worst:e}, residuals {mine:e} and {other:e}"
+            );
+            apart += usize::from(worst > 1e-6);
         });
-        // Clarabel's own solution is as inexact on about one in twenty.
-        let most = count(100).div_ceil(10);
+        let most = if horizon < 40 {
+            0
+        } else {
+            count(100).div_ceil(30)
+        };
         assert!(
             apart <= most,
             "horizon {horizon}: {apart} are more than 1e-6 apart"
