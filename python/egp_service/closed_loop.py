@@ -67,13 +67,17 @@ class Run:
     """A finished run."""
 
     scenario: Scenario
-    path: Path
     members: Sequence[str]
     frictions: NDArray[np.float64]
     """(N,) friction coefficients of the members' surfaces."""
     dt: float
     trace: Trace
     summary: Summary
+
+    @property
+    def path(self) -> Path:
+        """Where it drove; made anew, so that a run can go from process to process."""
+        return build_path(self.scenario)
 
 
 def drive(scenario: Scenario, stepper: Drives, observe: Callable[[Period], None]) -> Run:
@@ -104,7 +108,7 @@ def drive(scenario: Scenario, stepper: Drives, observe: Callable[[Period], None]
     )
     members = Library.load(library_path(scenario)).members
     frictions = np.array([member.friction for member in members])
-    return Run(scenario, loop.path, stepper.members, frictions, stepper.dt, trace, summary)
+    return Run(scenario, stepper.members, frictions, stepper.dt, trace, summary)
 
 
 class _Loop:

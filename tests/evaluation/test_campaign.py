@@ -57,6 +57,7 @@ def outcome(
         speed_rms=0.1,
         off_track=0.0,
         settling=(0.2,),
+        resolution=None,
         misses=0,
         late=0,
         step_ms=0.3,

@@ -105,8 +105,7 @@ def evaluate(
             periods = 200 if full else 60
             times = scaling.measure(source, scenario, periods=periods, members=members)
     with console.status("Drawing ..."):
-        shown = {e.name: campaign.drives(e) for e in driven if e.name in _SHOWN}
-        steps = [e for e in driven if e.name == "friction-step"]
+        shown = campaign.drives([e for e in driven if e.name in _SHOWN], jobs=jobs)
         command = shlex.join(["egp", *sys.argv[1:]])
         report = write_report(
             output,
@@ -116,7 +115,6 @@ def evaluate(
             speeds=speeds,
             times=times,
             drives=shown,
-            resolutions=campaign.resolutions(steps[0]) if steps else {},
         )
     if outcomes:
         _print(console, headline(outcomes))

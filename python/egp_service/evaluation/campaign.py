@@ -18,7 +18,7 @@ from egp_service._core import EgpError, Engine, Library, write_library_subset
 from egp_service.closed_loop import drive
 from egp_service.course import build_path
 from egp_service.evaluation.contenders import ENSEMBLE, make
-from egp_service.evaluation.experiments import HALF_WIDTH
+from egp_service.evaluation.experiments import EXACT, HALF_WIDTH
 from egp_service.evaluation.settling import resolution, settling_times
 
 if TYPE_CHECKING:
@@ -59,6 +59,8 @@ class Outcome:
     """Time in which a side of the vehicle was beyond the track's edge, s."""
     settling: tuple[float, ...]
     """Time from each friction change under excitation until the weights stay, s."""
+    resolution: float | None
+    """How well a window tells the friction; the ensemble's on a noisy friction step."""
     misses: int
     """Periods without a usable plan."""
     late: int
@@ -134,17 +136,18 @@ class Campaign:
                 raise
         return [known[mark] for mark in prints]
 
-    def drives(self, experiment: Experiment) -> list[tuple[str, Run]]:
-        """Drive the first seed of the second condition, or the only one, again, to show it."""
-        condition, _ = experiment.conditions[min(1, len(experiment.conditions) - 1)]
-        trials = [t for t in experiment.trials([0]) if t.condition == condition]
-        shown = [t for t in trials if t.contender.name in SHOWN_CONTENDERS]
-        return [(t.contender.name, drive_trial(self._with_library(t))) for t in shown]
-
-    def resolutions(self, experiment: Experiment) -> dict[str, float]:
-        """Find how well a window of measurements tells the friction, in each condition."""
-        trials = [t for t in experiment.trials([0]) if t.contender.name == ENSEMBLE]
-        return {t.condition: resolution(drive_trial(self._with_library(t))) for t in trials}
+    def drives(
+        self, experiments: Iterable[Experiment], *, jobs: int | None = None
+    ) -> dict[str, list[tuple[str, Run]]]:
+        """Drive the first seed of each one's second condition, or its only one, to show it."""
+        shown = [t for e in experiments for t in _shown(e)]
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(jobs or os.cpu_count(), spawn) as pool:
+            runs = list(pool.map(drive_trial, [self._with_library(t) for t in shown]))
+        found: dict[str, list[tuple[str, Run]]] = {}
+        for trial, run in zip(shown, runs, strict=True):
+            found.setdefault(trial.experiment, []).append((trial.contender.name, run))
+        return found
 
     def _with_library(self, trial: Trial) -> Trial:
         """Give the trial the library of its contender's members, made when it is first needed."""
@@ -155,6 +158,12 @@ class Campaign:
             write_library_subset(self._source, path, list(members))
         control = {**trial.scenario.control, **(trial.contender.control or {})}
         return replace(trial, scenario=replace(trial.scenario, library=str(path), control=control))
+
+
+def _shown(experiment: Experiment) -> list[Trial]:
+    condition, _ = experiment.conditions[min(1, len(experiment.conditions) - 1)]
+    trials = [t for t in experiment.trials([0]) if t.condition == condition]
+    return [t for t in trials if t.contender.name in SHOWN_CONTENDERS]
 
 
 def fingerprint(trial: Trial, library: str) -> str:
@@ -210,9 +219,18 @@ def _outcome(trial: Trial, run: Run) -> Outcome:
         speed_rms=summary.speed_error.rms,
         off_track=off_track(trial.scenario, run),
         settling=tuple(settling_times(run)),
+        resolution=resolution(run) if _is_resolved(trial) else None,
         misses=summary.periods - summary.solver_statuses.get("solved", 0),
         late=int(np.sum(run.trace.step_time > run.dt)),
         step_ms=summary.step_time_ms["p50"],
+    )
+
+
+def _is_resolved(trial: Trial) -> bool:
+    return (
+        trial.experiment == "friction-step"
+        and trial.contender.name == ENSEMBLE
+        and not trial.condition.endswith(EXACT)
     )
 
 

@@ -28,6 +28,12 @@ VEHICLES: Final = (7, 8)
 FOUR: Final = (M05, M06, M09, M11)
 # A survey-grade satellite receiver with a good inertial unit and a steering encoder.
 NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
+# The same road without it, and the settings of the weights for sensors without noise.
+EXACT: Final = ", exact sensors"
+_EXACT_WEIGHTS: Final = {
+    "measurement": [0.0, 0.0, 0.0],
+    "prior": {"kind": "quadratic", "lambda": 30.0},
+}
 FASTEST: Final = 25.0
 HALF_WIDTH: Final = 0.837  # of the vehicle, m
 CUSTOM_TRACK: Final = Track(
@@ -269,17 +275,23 @@ def _hard_roads() -> Experiment:
 def _friction_step() -> Experiment:
     circle = Track("circle", parameters={"radius": 50.0})
     zones = ((0.0, 1.1), (0.5, 0.5))
+    conditions = [
+        (
+            f"{acceleration} m/s² lateral",
+            _steady(circle, zones, float(np.sqrt(50.0 * acceleration))),
+        )
+        for acceleration in (1, 2, 3, 4)
+    ]
+    exact = Measurement()
+    for name, scenario in conditions[1:]:  # at 1 m/s² there is nothing to see
+        weighed = replace(scenario, measurement=exact, control={"weights": _EXACT_WEIGHTS})
+        conditions.append((name + EXACT, weighed))
     return Experiment(
         "friction-step",
         "Friction step under steady lateral acceleration (beyond the paper)",
-        "On a circle of 50 m radius: how long until the weights have settled?",
-        tuple(
-            (
-                f"{acceleration:g} m/s² lateral",
-                _steady(circle, zones, float(np.sqrt(50.0 * acceleration))),
-            )
-            for acceleration in (1.0, 2.0, 3.0, 4.0)
-        ),
+        "On a circle of 50 m radius: how long until the weights have settled, with the noise of "
+        "all other runs, and with exact sensors and weights set for those?",
+        tuple(conditions),
         tuple(c for c in _ALL_OF_TWO if c.name in {ENSEMBLE, "paper's weights"}),
         seeds=20,
         quick_seeds=2,

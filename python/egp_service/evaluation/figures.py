@@ -155,7 +155,9 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
         for name in names:
             ax.plot([], [], "o", color=colour(name), label=name)
         ax.axhline(0.5, color=ALARM, lw=0.8)
-        ax.set_xticks(range(len(conditions)), conditions)
+        labels = [condition.replace(" lateral", "").replace(", ", "\n") for condition in conditions]
+        ax.set_xticks(range(len(conditions)), labels)
+        ax.set_xlabel("lateral acceleration")
         ax.set_xlim(-0.5, len(conditions) - 0.5)
         ax.set_ylim(-0.25, 2.1)
         ax.set_title(

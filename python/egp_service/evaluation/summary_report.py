@@ -70,12 +70,10 @@ def write_report(
     speeds: Sequence[EntrySpeed],
     times: Sequence[StepTime],
     drives: dict[str, list[tuple[str, Run]]],
-    resolutions: dict[str, float],
 ) -> Path:
     """Write report, figures and tables into `folder`.
 
-    `drives` are runs to show, by experiment; `resolutions` say how well a window of measurements
-    tells the friction, by condition of the friction step.
+    `drives` are runs to show, by experiment.
     """
     _write_csv(folder / "runs.csv", [asdict(o) for o in outcomes])
     _write_csv(folder / "prediction.csv", [asdict(p) for p in predictions])
@@ -96,7 +94,7 @@ def write_report(
             shown = drives.get(experiment.name, [])
             sections.append(_section(folder, experiment.name, own, outcomes, shown))
         if own and experiment.name == "friction-step":
-            sections.append(_resolution_section(resolutions))
+            sections.append(_resolution_section(outcomes))
     if speeds:
         sections.append(_entry_speed_section(folder, speeds))
     if times:
@@ -161,14 +159,18 @@ def _section(
     return Section(experiment.title, text, tuple(pictures), tuple(tables))
 
 
-def _resolution_section(resolutions: dict[str, float]) -> Section:
-    rows = [(condition, f"{std:.2f}") for condition, std in resolutions.items()]
+def _resolution_section(outcomes: Sequence[Outcome]) -> Section:
+    found: dict[str, list[float]] = {}
+    for outcome in outcomes:
+        if outcome.resolution is not None:
+            found.setdefault(outcome.condition, []).append(outcome.resolution)
+    rows = [(condition, f"{np.median(each):.2f}") for condition, each in found.items()]
     return Section(
         "How well the friction can be known",
         "Standard deviation with which the measurements of one window tell the friction, whatever "
-        "the estimator (Cramér-Rao bound; members, noise and window as here, one run each). The "
-        "step is from 1.1 to 0.5. Where a window tells no better than a quarter of that, weights "
-        "cannot settle within it; they wander, and a longer window would be late instead.",
+        "the estimator (Cramér-Rao bound; members, noise and window as here, median over seeds). "
+        "The step is from 1.1 to 0.5. Where a window tells no better than a quarter of that, "
+        "weights cannot settle within it; they wander, and a longer window would be late instead.",
         tables=(plain_table(("condition", "a window tells μ to"), rows),),
     )
 
