@@ -205,7 +205,7 @@ def _ordering(predictions: Sequence[PredictionOutcome]) -> list[Claim]:
 def _ordered(
     text: str, pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]
 ) -> list[Claim]:
-    """Claim it of the mean of each output over the seeds, beyond doubt, and of every single seed."""
+    """Claim it of each output's mean over the seeds, beyond doubt, and of every single seed."""
     gaps = np.concatenate([more - less for less, more in pairs], axis=1)
     narrowest = min((mean(gap) for gap in gaps.T), key=lambda gap: gap.low)
     every = np.all(gaps > 0.0, axis=1)

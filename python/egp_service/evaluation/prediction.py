@@ -49,8 +49,8 @@ class PredictionSettings:
     """Size of the experiment."""
 
     seeds: int = 10
-    transitions: int = 300
-    """Training transitions of a member; the pooled GP has all of two. The paper has 700."""
+    transitions: int = 700
+    """Training transitions of a member, as many as the paper's; the pooled GP has all of two."""
     iterations: int = 30
 
 
