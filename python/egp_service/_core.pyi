@@ -778,10 +778,15 @@ def solve_weights(
 class Engine:
     """The control step of the service, in-process: the same bytes in, the same bytes out.
 
-    `settings_toml` holds the settings of the control step; fields left out keep their default.
+    `settings_toml` holds the settings of the control step; fields left out keep their default. With
+    more than one of `cores`, members are evaluated at once where that pays: standard deviations of
+    four active members or more, or a whole window without carried predictions. The bytes of a reply
+    do not depend on it.
     """
 
-    def __new__(cls, library_path: str | PathLike[str], settings_toml: str = "") -> Engine: ...
+    def __new__(
+        cls, library_path: str | PathLike[str], settings_toml: str = "", *, cores: int = 1
+    ) -> Engine: ...
     def step(self, request: bytes) -> bytes:
         """Answer one request, without the GIL; `EgpError` begins with the code of the refusal."""
     @property

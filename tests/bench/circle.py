@@ -61,10 +61,21 @@ def blend(count: int) -> Array:
     return weights
 
 
-def drive(path: Path, periods: int, *, want_sigma: bool) -> list[bytes]:
-    """Drive with the library at `path`; return the requests once the window is full."""
-    library, engine = Library.load(path), Engine(str(path), SETTINGS)
-    weights = blend(len(library.members))
+def drive(
+    path: Path,
+    periods: int,
+    *,
+    want_sigma: bool,
+    settings: str = SETTINGS,
+    weights: Array | None = None,
+) -> list[bytes]:
+    """Drive with the library at `path`; return the requests once the window is full.
+
+    The car moves as `weights` say, and they are what the controller starts from.
+    """
+    library, engine = Library.load(path), Engine(str(path), settings)
+    if weights is None:
+        weights = blend(len(library.members))
     carry = Carry(bytes.fromhex(library.id), WINDOW)
     carry.weights = weights
     x = np.array([0.0, -0.5, 13.0, 0.0, 0.0, 0.2, 0.03])

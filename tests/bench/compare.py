@@ -1,10 +1,11 @@
 """Our control step beside the paper's stack and other GP programs, in one run on one core.
 
-Four comparisons, each a table and a picture in target/bench:
+Five comparisons, each a table, most a picture in target/bench:
   lap      a lap in closed loop: ours, ours with Clarabel, and the paper's stack (GPyTorch with
            autograd for the members, DPP-parametrised CVXPY with OSQP for the QPs)
   members  the step for 1 to 64 members of 700 points, with and without standard deviations, beside
            the paper's stack up to 8
+  cores    the step with standard deviations and eight active members, on one core and on all
   phases   where the time goes; reads what `cargo bench -p egp-core` left in target/criterion
   gp       mean and Jacobian of a member against numpy, numba and GPyTorch
 
@@ -20,6 +21,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import cores
 import gp
 import lap
 import matplotlib as mpl
@@ -30,7 +32,7 @@ from rich.progress import Progress
 from timing import pin
 
 PICTURES = Path(__file__).parents[2] / "target" / "bench"
-SECTIONS = ("lap", "members", "phases", "gp")
+SECTIONS = ("cores", "lap", "members", "phases", "gp")
 
 
 def main() -> None:
@@ -48,9 +50,12 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, default=PICTURES)
     options = parser.parse_args()
     mpl.use("Agg")
-    pin()
     console = Console(width=max(120, Console().width))
     pictures: Path = options.pictures
+    if "cores" in options.only:
+        with Progress(console=console, transient=True) as progress:
+            cores.compare(console, progress, options.periods)
+    pin()
     with Progress(console=console, transient=True) as progress:
         if "lap" in options.only:
             lap.compare(console, progress, pictures / "lap.png", options.scenario, options.requests)

@@ -1,5 +1,6 @@
 //! How members combine: the ensemble's mean, Jacobian and variance.
 
+use crate::crew::{Crew, each};
 use crate::gp::Horizon;
 use crate::library::{Library, Member};
 use crate::{GpInput, GpJacobian, GpOutput, VarianceScratch};
@@ -131,21 +132,20 @@ impl<'a> Ensemble<'a> {
     /// (5 % in standard deviation), at a fraction of their cost.
     ///
     /// Each member's bound holds relative to its own variance, its noise and the disagreement of the members, whose
-    /// weighted sum is the mixture's variance.
+    /// weighted sum is the mixture's variance. Several members are evaluated at once if the crew has hands for it.
     pub fn mixture_bounds(
         &self,
         z: &[GpInput],
         scratch: &mut MixtureScratch,
         out: &mut [GpOutput],
+        crew: &dyn Crew,
     ) {
         let MixtureScratch {
-            horizon,
             means,
             disagreement,
-            floor,
-            bounds,
+            members,
         } = scratch;
-        for buffer in [&mut *means, &mut *disagreement, &mut *bounds] {
+        for buffer in [&mut *means, &mut *disagreement] {
             buffer.clear();
             buffer.resize(z.len(), GpOutput::zeros());
         }
@@ -158,10 +158,22 @@ impl<'a> Ensemble<'a> {
             }
         }
         out.copy_from_slice(disagreement);
-        for (weight, member) in self.active() {
-            member.variance_bounds(z, disagreement, horizon, floor, bounds);
+        let active = self.active().count();
+        if members.len() < active {
+            members.resize_with(active, MemberScratch::default);
+        }
+        let squares = |(_, member): (f64, &Member)| member.n_points() * member.n_points();
+        let work = self.active().map(squares).sum::<usize>() / SQUARES_A_NANOSECOND;
+        let parts = self.active().zip(&mut *members);
+        each(crew, work, parts, |((_, member), memory)| {
+            memory.bounds.clear();
+            memory.bounds.resize(z.len(), GpOutput::zeros());
+            let (horizon, floor) = (&mut memory.horizon, &mut memory.floor);
+            member.variance_bounds(z, disagreement, horizon, floor, &mut memory.bounds);
+        });
+        for ((weight, member), memory) in self.active().zip(members) {
             let noise = member.noise_std().map(|std| std * std);
-            for (out, bound) in out.iter_mut().zip(&*bounds) {
+            for (out, bound) in out.iter_mut().zip(&memory.bounds) {
                 *out += weight * (bound + noise);
             }
         }
@@ -171,12 +183,21 @@ impl<'a> Ensemble<'a> {
 /// Memory for [`Ensemble::mixture_bounds`]; grows at its first use and is then reused.
 #[derive(Clone, Debug, Default)]
 pub struct MixtureScratch {
-    horizon: Horizon,
     means: Vec<GpOutput>,
     disagreement: Vec<GpOutput>,
+    members: Vec<MemberScratch>,
+}
+
+/// What is one member's, so that members can be evaluated at once.
+#[derive(Clone, Debug, Default)]
+struct MemberScratch {
+    horizon: Horizon,
     floor: Vec<GpOutput>,
     bounds: Vec<GpOutput>,
 }
+
+/// Squared training points that are worked off in a nanosecond, about.
+const SQUARES_A_NANOSECOND: usize = 4;
 
 /// West's weighted update of the members' mean and disagreement: no second pass, no cancellation. `sum` is the weight
 /// so far, this member's included.

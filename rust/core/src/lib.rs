@@ -3,6 +3,7 @@
 //! No I/O, clock, threads or logging. SI units and radians, yaw counter-clockwise from +x, `f64` throughout.
 //! `NOTATION.md` maps the paper's symbols to the names used here.
 
+pub mod crew;
 pub mod ensemble;
 pub mod gp;
 pub mod kernel;
@@ -23,6 +24,7 @@ mod simd;
 
 use nalgebra::{SMatrix, SVector};
 
+pub use crew::{Alone, Crew};
 pub use ensemble::{Ensemble, EnsembleError, EnsembleVariance, MixtureScratch};
 pub use gp::VarianceScratch;
 pub use kernel::Kernel;

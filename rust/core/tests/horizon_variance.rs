@@ -5,7 +5,7 @@ mod support;
 
 use egp_core::library::encode;
 use egp_core::{
-    Ensemble, GpInput, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, VarianceScratch,
+    Alone, Ensemble, GpInput, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, VarianceScratch,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -56,7 +56,7 @@ fn check(library: &Library, curves: u32) -> f64 {
         let ensemble = Ensemble::new(library, &weights, 0.0).unwrap();
         let z = curve(library, &mut rng);
         let mut bounds = [GpOutput::zeros(); 20];
-        ensemble.mixture_bounds(&z, &mut horizon, &mut bounds);
+        ensemble.mixture_bounds(&z, &mut horizon, &mut bounds, &Alone);
         for (z, bound) in z.iter().zip(&bounds) {
             let exact = ensemble.variance(z, &mut scratch).mixture;
             for o in 0..NY {
@@ -101,7 +101,7 @@ fn at_training_points_and_far_from_all() {
     z.push(z[3] + GpInput::repeat(1e-9));
     z.push(GpInput::from([1e6; NZ]));
     let mut bounds = vec![GpOutput::zeros(); z.len()];
-    ensemble.mixture_bounds(&z, &mut horizon, &mut bounds);
+    ensemble.mixture_bounds(&z, &mut horizon, &mut bounds, &Alone);
     for (z, bound) in z.iter().zip(&bounds) {
         let exact = ensemble.variance(z, &mut scratch).mixture;
         for o in 0..NY {
@@ -119,7 +119,7 @@ fn the_same_bits_whatever_the_memory_held() {
     let (first, second) = (curve(&library, &mut rng), curve(&library, &mut rng));
     let bounds = |z: &[GpInput], scratch: &mut MixtureScratch| {
         let mut out = vec![GpOutput::zeros(); z.len()];
-        ensemble.mixture_bounds(z, scratch, &mut out);
+        ensemble.mixture_bounds(z, scratch, &mut out, &Alone);
         out
     };
     let fresh = bounds(&second, &mut MixtureScratch::default());

@@ -29,11 +29,19 @@ fn refused(error: &WireError) -> PyErr {
 #[pymethods]
 impl Controller {
     #[new]
-    #[pyo3(signature = (library_path, settings_toml = ""))]
-    fn new(py: Python<'_>, library_path: PathBuf, settings_toml: &str) -> PyResult<Self> {
+    #[pyo3(signature = (library_path, settings_toml = "", *, cores = 1))]
+    fn new(
+        py: Python<'_>,
+        library_path: PathBuf,
+        settings_toml: &str,
+        cores: usize,
+    ) -> PyResult<Self> {
         let settings = Settings::from_toml(settings_toml).map_err(raise)?;
         py.detach(|| {
-            let engine = egp_service::Engine::load(&library_path, settings).map_err(raise)?;
+            let mut engine = egp_service::Engine::load(&library_path, settings).map_err(raise)?;
+            if cores > 1 {
+                engine = engine.on(egp_service::Cores::new(cores).map_err(raise)?);
+            }
             let workspace = engine.workspace().map_err(|error| refused(&error))?;
             let served = engine.describe();
             Ok(Self {

@@ -4,6 +4,7 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
+    thread,
 };
 
 use egp_core::{Settings, SettingsError};
@@ -33,7 +34,7 @@ pub struct ServiceConfig {
     /// Name of this replica, unique among those the vehicles can reach. Default `main`.
     #[serde(default = "default_replica")]
     pub replica: String,
-    /// Threads that run control steps. Default: one a core.
+    /// Threads that run control steps; those that wait help with steps of many active members. Default: one a core.
     #[serde(default)]
     pub workers: Option<usize>,
     /// Vehicles that may wait at a time; more are refused as overloaded. Default 256.
@@ -127,6 +128,12 @@ impl ServiceConfig {
             zenoh_file: None,
             zenoh: BTreeMap::new(),
         }
+    }
+
+    /// The number of threads that run control steps.
+    pub(crate) fn workers(&self) -> usize {
+        self.workers
+            .unwrap_or_else(|| thread::available_parallelism().map_or(1, usize::from))
     }
 
     /// Reads and validates a configuration.

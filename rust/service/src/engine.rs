@@ -1,6 +1,6 @@
 //! The one adapter between the wire and the mathematics.
 
-use std::{fs, io, path::Path};
+use std::{fs, io, path::Path, sync::Arc};
 
 use egp_core::{
     Library, LibraryError, Settings, StepError, StepReply, StepRequest, Workspace, library,
@@ -9,6 +9,7 @@ use egp_core::{
 use egp_wire::{Code, Limits, Ready, Reply, Request, Status, WireError};
 use thiserror::Error;
 
+use crate::cores::Cores;
 use crate::stepper::Stepper;
 
 /// A library and settings, ready to answer requests.
@@ -17,6 +18,7 @@ pub struct Engine {
     library: Library,
     settings: Settings,
     limits: Limits,
+    cores: Option<Arc<Cores>>,
 }
 
 /// Memory for one step at a time.
@@ -94,6 +96,7 @@ impl Engine {
             library,
             settings,
             limits,
+            cores: None,
         })
     }
 
@@ -112,6 +115,13 @@ impl Engine {
             source,
         })?;
         Self::new(library, settings)
+    }
+
+    /// Lets steps evaluate members on idle ones of `cores`, where that pays. The bits of the replies stay the same.
+    #[must_use]
+    pub fn on(mut self, cores: Arc<Cores>) -> Self {
+        self.cores = Some(cores);
+        self
     }
 
     /// The library.
@@ -164,7 +174,10 @@ impl Stepper for Engine {
         let core = Workspace::new(&self.library, &self.settings)
             .map_err(|error| WireError::permanent(Code::Internal, error.to_string()))?;
         Ok(EngineWorkspace {
-            core,
+            core: match &self.cores {
+                Some(cores) => core.with_crew(cores.clone()),
+                None => core,
+            },
             step: StepReply::default(),
             request: Request::default(),
             reply: Reply::default(),
@@ -180,6 +193,7 @@ impl Stepper for Engine {
         reply: &mut Vec<u8>,
     ) -> Result<Status, WireError> {
         let memory = workspace;
+        let _core = self.cores.as_ref().map(|cores| cores.occupy());
         memory.request.decode_from(request, &self.limits)?;
         self.pinned(&memory.request)?;
         egp_core::step(

@@ -10,6 +10,7 @@
 //! give the same bits. [`Server`] puts it on the network; [`serve`] runs one until a signal.
 
 mod config;
+mod cores;
 mod engine;
 mod intake;
 mod logging;
@@ -22,6 +23,7 @@ mod stepper;
 mod worker;
 
 pub use config::{ConfigError, ServiceConfig};
+pub use cores::Cores;
 pub use engine::{Engine, EngineError, EngineWorkspace};
 pub use logging::init_logging;
 pub use network::NetworkError;

@@ -13,6 +13,7 @@ use prost::Message as _;
 use thiserror::Error;
 
 use crate::config::{ConfigError, ServiceConfig};
+use crate::cores::Cores;
 use crate::engine::{Engine, EngineError};
 use crate::intake::Shared;
 use crate::metrics::Metrics;
@@ -39,6 +40,9 @@ pub enum StartError {
     /// The system gave no thread.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
+    /// The system gave no threads for parts of steps.
+    #[error("cannot start threads for parts of steps: {0}")]
+    Parts(#[from] rayon::ThreadPoolBuildError),
     /// zenoh refused something.
     #[error(transparent)]
     Network(#[from] NetworkError),
@@ -60,7 +64,10 @@ impl Server {
     /// [`StartError`]; nothing keeps running then.
     pub fn start(config: &ServiceConfig) -> Result<Self, StartError> {
         config.validate()?;
-        let engine = Engine::load(&config.library, config.settings.clone())?;
+        let mut engine = Engine::load(&config.library, config.settings.clone())?;
+        if config.workers() > 1 {
+            engine = engine.on(Cores::new(config.workers())?);
+        }
         Self::start_with(config, engine)
     }
 
@@ -72,10 +79,7 @@ impl Server {
         config.validate()?;
         let replica: Name = config.replica.parse()?;
         let description = stepper.describe();
-        let workers = match config.workers {
-            Some(workers) => workers,
-            None => thread::available_parallelism().map_or(1, usize::from),
-        };
+        let workers = config.workers();
         let shared = Arc::new(Shared {
             replica: replica.clone(),
             metrics: Metrics::new(&library::hex(&description.library)),

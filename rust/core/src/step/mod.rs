@@ -14,11 +14,12 @@ pub use workspace::{SetupError, Workspace};
 use validate::Rows;
 use workspace::SigmaMemory;
 
+use crate::crew::each;
 use crate::ocp::{self, Reference};
 use crate::solver::{Status, solve_first};
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, gp_input, wrap};
 use crate::weights::select_active;
-use crate::{Ensemble, GpInput, Input, Library, NY, Settings, State};
+use crate::{Crew, Ensemble, GpInput, Input, Library, Member, NY, Settings, State};
 
 /// One control step: weights, eq. (6); linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
 ///
@@ -95,7 +96,7 @@ pub fn step(
     if reply.status == Status::Solved {
         write_plan(settings, &frame, &rows, ws, reply);
         if request.want_sigma {
-            write_sigma(&ensemble, &mut ws.sigma, reply);
+            write_sigma(&ensemble, &mut ws.sigma, &*ws.crew, reply);
         }
     }
     Ok(())
@@ -130,15 +131,17 @@ fn estimate_weights(
     reply: &mut StepReply,
 ) {
     let members = library.members();
-    let missing = rows.history_z.len() - rows.history_f.len() / (members.len() * NY);
-    for z in &rows.history_z[..missing] {
+    let width = members.len() * NY;
+    let missing = &rows.history_z[..rows.history_z.len() - rows.history_f.len() / width];
+    reply.history_f.resize(missing.len() * width, 0.0);
+    let points: usize = members.iter().map(Member::n_points).sum();
+    let parts = reply.history_f.chunks_exact_mut(width).zip(missing);
+    each(&*ws.crew, missing.len() * points, parts, |(row, z)| {
         let z = GpInput::from(*z);
-        reply.history_f.extend(
-            members
-                .iter()
-                .flat_map(|member| <[f64; NY]>::from(member.mean(&z))),
-        );
-    }
+        for (out, member) in row.as_chunks_mut().0.iter_mut().zip(members) {
+            *out = <[f64; NY]>::from(member.mean(&z));
+        }
+    });
     reply.history_f.extend_from_slice(rows.history_f);
     validate::starting_weights(rows.weights, &mut ws.previous);
     reply.weights.resize(members.len(), 0.0);
@@ -173,7 +176,12 @@ fn write_plan(
 
 /// Standard deviations of `[v_x, v_y, omega]` one step ahead of each plan stage, at most 5 % too large; row 0, the
 /// measurement, is zero.
-fn write_sigma(ensemble: &Ensemble, memory: &mut SigmaMemory, reply: &mut StepReply) {
+fn write_sigma(
+    ensemble: &Ensemble,
+    memory: &mut SigmaMemory,
+    crew: &dyn Crew,
+    reply: &mut StepReply,
+) {
     reply.sigma.extend([0.0; NY]);
     let (states, inputs) = (
         reply.plan_x.as_chunks::<7>().0,
@@ -184,7 +192,8 @@ fn write_sigma(ensemble: &Ensemble, memory: &mut SigmaMemory, reply: &mut StepRe
     memory
         .queries
         .extend(stages.map(|(x, u)| gp_input(&State::from(*x), &Input::from(*u))));
-    ensemble.mixture_bounds(&memory.queries, &mut memory.scratch, &mut memory.variances);
+    let (scratch, variances) = (&mut memory.scratch, &mut memory.variances);
+    ensemble.mixture_bounds(&memory.queries, scratch, variances, crew);
     let sigma = memory
         .variances
         .iter()

@@ -1,6 +1,9 @@
 //! Memory of the control step, made once for a library and settings.
 
+use std::sync::Arc;
+
 use super::StepError;
+use crate::crew::{Alone, Crew};
 use crate::linearisation::Linearisation;
 use crate::ocp::soft_rows;
 use crate::qp::{OcpQp, OcpSolution};
@@ -39,6 +42,7 @@ pub struct Workspace {
     pub(super) asked: &'static str,
     pub(super) solution: OcpSolution,
     pub(super) sigma: SigmaMemory,
+    pub(super) crew: Arc<dyn Crew>,
 }
 
 /// Memory for the standard deviations along the plan.
@@ -78,7 +82,16 @@ impl Workspace {
                 variances: vec![GpOutput::zeros(); horizon],
                 scratch: MixtureScratch::default(),
             },
+            crew: Arc::new(Alone),
         })
+    }
+
+    /// Lets members be evaluated at once by `crew`, which may be shared with other workspaces; without one the caller
+    /// does everything. The bits of a reply do not depend on it.
+    #[must_use]
+    pub fn with_crew(mut self, crew: Arc<dyn Crew>) -> Self {
+        self.crew = crew;
+        self
     }
 
     /// Name of the QP solver that the last step ended with; empty before the first.

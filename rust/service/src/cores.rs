@@ -1,0 +1,98 @@
+//! Cores that steps share: each has one, and borrows those that are idle.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use egp_core::Crew;
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+
+/// A number of cores, and who has them.
+#[derive(Debug)]
+pub struct Cores {
+    helpers: ThreadPool,
+    total: usize,
+    taken: AtomicUsize,
+}
+
+/// Cores that are given back when this is dropped.
+#[derive(Debug)]
+pub(crate) struct Taken<'a> {
+    cores: &'a Cores,
+    count: usize,
+}
+
+impl Cores {
+    /// `total` cores, two at least; one less are threads that wait for parts of steps.
+    ///
+    /// # Errors
+    /// When the system gives no thread.
+    pub fn new(total: usize) -> Result<Arc<Self>, ThreadPoolBuildError> {
+        let helpers = ThreadPoolBuilder::new()
+            .num_threads(total.max(2) - 1)
+            .thread_name(|index| format!("egp-part-{index}"))
+            .build()?;
+        Ok(Arc::new(Self {
+            helpers,
+            total: total.max(2),
+            taken: AtomicUsize::new(0),
+        }))
+    }
+
+    /// The core that a step runs on.
+    pub(crate) fn occupy(&self) -> Taken<'_> {
+        self.taken.fetch_add(1, Ordering::Relaxed);
+        Taken {
+            cores: self,
+            count: 1,
+        }
+    }
+
+    /// Up to `wanted` cores that nobody has.
+    fn borrow(&self, wanted: usize) -> Taken<'_> {
+        let mut count = 0;
+        let _ = self
+            .taken
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |taken| {
+                count = wanted.min(self.total.saturating_sub(taken));
+                Some(taken + count)
+            });
+        Taken { cores: self, count }
+    }
+}
+
+impl Drop for Taken<'_> {
+    fn drop(&mut self) {
+        self.cores.taken.fetch_sub(self.count, Ordering::Relaxed);
+    }
+}
+
+impl Crew for Cores {
+    fn hands(&self) -> usize {
+        1 + self
+            .total
+            .saturating_sub(self.taken.load(Ordering::Relaxed))
+    }
+
+    fn run(&self, parts: usize, part: &(dyn Fn(usize) + Sync)) {
+        let idle = self.borrow(parts.saturating_sub(1));
+        let next = AtomicUsize::new(0);
+        let work = || {
+            loop {
+                let index = next.fetch_add(1, Ordering::Relaxed);
+                if index >= parts {
+                    break;
+                }
+                part(index);
+            }
+        };
+        if idle.count == 0 {
+            return work();
+        }
+        self.helpers.in_place_scope(|scope| {
+            for _ in 0..idle.count {
+                scope.spawn(|_| work());
+            }
+            work();
+        });
+    }
+}

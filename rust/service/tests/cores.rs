@@ -1,0 +1,48 @@
+//! An engine on several cores replies with the bytes of one that is alone, whoever else has the cores.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::thread;
+
+use common::library;
+use egp_core::{Kernel, Settings};
+use egp_service::{Cores, Engine, Stepper};
+use egp_wire::Carry;
+
+fn engine() -> Engine {
+    let frictions: Vec<f64> = (0..8).map(|i| 0.4 + 0.1 * f64::from(i)).collect();
+    let library = library::library(Kernel::Rbf, &frictions, 450, 3);
+    let settings = Settings {
+        horizon: 20,
+        ..Settings::default()
+    };
+    Engine::new(library, settings).unwrap()
+}
+
+#[test]
+fn replies_are_the_same_bytes_on_any_number_of_cores() {
+    let alone = engine();
+    let mut request = common::request(&mut Carry::new(alone.library().id(), 10));
+    request.want_sigma = true;
+    let request = request.encode();
+    let reply = |engine: &Engine| {
+        let mut reply = Vec::new();
+        let mut workspace = engine.workspace().unwrap();
+        engine.step(&mut workspace, &request, &mut reply).unwrap();
+        reply
+    };
+    let expected = reply(&alone);
+    let shared = alone.on(Cores::new(3).unwrap());
+    thread::scope(|scope| {
+        // One at a time has cores to borrow, four at once have not.
+        for at_once in [1, 4] {
+            let steps: Vec<_> = (0..at_once)
+                .map(|_| scope.spawn(|| reply(&shared)))
+                .collect();
+            for step in steps {
+                assert_eq!(step.join().unwrap(), expected);
+            }
+        }
+    });
+}
