@@ -18,7 +18,7 @@ from egp_service.evaluation.entry_speed import RESOLUTION, SLOWEST, highest
 from egp_service.evaluation.experiments import EXPERIMENTS, NOISE, OBSTACLE_AVOIDANCE, Trial
 from egp_service.evaluation.settling import settling_times
 from egp_service.evaluation.statistics import Interval, grouped, mean, median, wilson
-from egp_service.scenario import Scenario, Speed, Track, Zone
+from egp_service.scenario import Scenario, Speed, Track, Zone, library_path, load_scenario
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -87,8 +87,9 @@ def test_every_contender_drives_and_is_not_run_twice(tmp_path: Path) -> None:
         trials, jobs=1, report=lambda o, _d, _t: again.append(o.contender)
     )
     assert len(again) == 1
-    untimed = [replace(o, step_ms=0.0) for o in second]
-    assert untimed == [replace(o, step_ms=0.0) for o in first]
+    # Times are the machine's.
+    untimed = [replace(o, step_ms=0.0, late=0) for o in second]
+    assert untimed == [replace(o, step_ms=0.0, late=0) for o in first]
 
 
 def test_a_folder_belongs_to_one_library(tmp_path: Path) -> None:
@@ -97,6 +98,13 @@ def test_a_folder_belongs_to_one_library(tmp_path: Path) -> None:
     write_library_subset(SHIPPED, other, [0, 1])
     with pytest.raises(EgpError, match="another library"):
         Campaign(tmp_path, other)
+
+
+def test_a_library_without_all_members_is_refused_at_once(tmp_path: Path) -> None:
+    library = library_path(load_scenario("rounded-rectangle"))
+    with pytest.raises(EgpError, match="2 members, these experiments need 9"):
+        Campaign(tmp_path, library).require(EXPERIMENTS)
+    Campaign(tmp_path, library).require([])
 
 
 def test_weights_settle_after_a_friction_step(tmp_path: Path) -> None:

@@ -94,6 +94,7 @@ def evaluate(
     ]
     source = _train(console, output) if train else library or SHIPPED
     campaign = Campaign(output, source)
+    campaign.require([*driven, *([OBSTACLE_AVOIDANCE] if avoidance in chosen else [])])
     predictions = _predict(console, output, full=full, jobs=jobs) if "prediction" in chosen else []
     outcomes = _drive(console, campaign, driven, full=full, jobs=jobs)
     speeds = _entry_speeds(console, campaign, full=full, jobs=jobs) if avoidance in chosen else []

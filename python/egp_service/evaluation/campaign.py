@@ -87,6 +87,16 @@ class Campaign:
             raise EgpError(f"{folder} holds runs of another library: choose another --output")
         mark.write_text(self._id, encoding="utf-8")
 
+    def require(self, experiments: Iterable[Experiment]) -> None:
+        """Raise `EgpError` unless the library has all members that the experiments drive with."""
+        wanted = [m for e in experiments for c in e.contenders for m in c.members]
+        found = len(Library.load(self._source).members)
+        if max(wanted, default=-1) >= found:
+            raise EgpError(
+                f"{self._source} has {found} members, these experiments need {max(wanted) + 1}, in "
+                "the shipped library's order: egp evaluate --train makes such a library"
+            )
+
     def run(
         self,
         trials: Iterable[Trial],

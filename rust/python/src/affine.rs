@@ -73,9 +73,11 @@ impl AffineOcp {
             .collect();
         let (a, b) = (layers::<NX, NX>("a", &a)?, layers::<NX, NU>("b", &b)?);
         let c = stages::<NX>("c", &c, horizon)?;
-        if (a.len(), b.len()) != (horizon, horizon) {
-            let expected = format!("({horizon}, {NX}, ...)");
-            return Err(wrong_shape("a and b", &expected, &[a.len(), NX, NX]));
+        for (name, found, columns) in [("a", a.len(), NX), ("b", b.len(), NU)] {
+            if found != horizon {
+                let expected = format!("({horizon}, {NX}, {columns})");
+                return Err(wrong_shape(name, &expected, &[found, NX, columns]));
+            }
         }
         let reference: Vec<State> = stages::<4>("reference", &reference, horizon + 1)?
             .into_iter()
