@@ -23,6 +23,10 @@ const REFINEMENTS: u32 = 15;
 /// Steps that may fail to lower the number of rows that change.
 const SETBACKS: u32 = 1;
 
+/// Rows that may change at once, beside one for every other stage. Measured: of the starts that settle, nine in ten
+/// change no more than five; where more change than this, hardly one does.
+const MOST: usize = 6;
+
 /// What the method keeps of a stage.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Pass {
@@ -80,17 +84,19 @@ impl ActiveSet {
 
     /// Goes on from the start that one of the functions below chose; true if it settled.
     ///
-    /// It is given up once too many steps did not lower the number of rows that change: it cycles then.
+    /// It is given up once too many steps did not lower the number of rows that change, and where too many change at
+    /// once: it cycles then.
     #[inline(always)]
     pub fn finish(&mut self, stages: &[Stage], tolerance: f64) -> bool {
         let (mut fewest, mut setbacks, mut refinements) = (usize::MAX, 0, 0);
+        let most = MOST + stages.len() / 2;
         while setbacks <= SETBACKS && refinements <= REFINEMENTS {
             self.iterations += 1;
             if !self.backward(stages) {
                 return false;
             }
             let change = self.forward(stages);
-            if !change.gap.is_finite() {
+            if !change.gap.is_finite() || change.rows > most {
                 return false;
             }
             if change.rows > 0 {
