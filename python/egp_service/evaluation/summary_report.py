@@ -40,12 +40,12 @@ if TYPE_CHECKING:
     from egp_service.evaluation.statistics import Group, Interval
 
 _ABOUT = """Everything below was driven on the 29-state multi-body vehicle of CommonRoad, with
-measurement noise, by controllers that share one optimal control problem, solver, tuning and gate
-and differ only in what predicts the vehicle. Errors are of the true state. Runs that ended early
-count with the error they had until then: read errors and completions together. Brackets are 95 %
-intervals over the seeds: Wilson's for shares, bootstrap for medians (off track: for the mean).
-<i>No plan</i> counts control periods without a usable plan, <i>late</i> those whose step took
-longer than the period while other runs shared the machine.
+measurement noise unless a condition says otherwise, by controllers that share one optimal control
+problem, solver, tuning and gate and differ only in what predicts the vehicle. Errors are of the
+true state. Runs that ended early count with the error they had until then: read errors and
+completions together. Brackets are 95 % intervals over the seeds: Wilson's for shares, bootstrap
+for medians (off track: for the mean). <i>No plan</i> counts control periods without a usable plan,
+<i>late</i> those whose step took longer than the period while other runs shared the machine.
 Command: <code>{command}</code>"""
 
 _DIFFERENCES = """The paper drives at 30 Hz with OSQP and about zero inputs; this system at 50 Hz
