@@ -136,7 +136,7 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
     conditions = list(dict.fromkeys(o.condition for o in runs))
     names = list(dict.fromkeys(o.contender for o in runs))
     with plt.style.context(STYLE):
-        figure, ax = plt.subplots(figsize=(7.0, 3.2))
+        figure, ax = plt.subplots(figsize=(9.0, 3.4))
         for number, name in enumerate(names):
             for place, condition in enumerate(conditions):
                 times = [
@@ -145,13 +145,14 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
                     if (o.contender, o.condition) == (name, condition)
                     for t in o.settling
                 ]
-                x = place + 0.25 * (number - 0.5 * (len(names) - 1))
+                x = place + 0.42 * (number - 0.5 * (len(names) - 1))
                 ax.plot(np.full(len(times), x), times, ".", color=colour(name), alpha=0.5)
                 if times:
                     ax.plot(x, np.median(times), "_", ms=18, color=colour(name))
                 own = [o for o in runs if (o.contender, o.condition) == (name, condition)]
                 moved = sum(bool(o.settling) for o in own)
-                ax.text(x, -0.12, f"{moved}/{len(own)}", ha="center", color=colour(name))
+                count = f"{moved}/{len(own)}"
+                ax.text(x, -0.14, count, ha="center", fontsize=7, color=colour(name))
         for name in names:
             ax.plot([], [], "o", color=colour(name), label=name)
         ax.axhline(0.5, color=ALARM, lw=0.8)
@@ -164,7 +165,7 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
             "Below: runs whose step moved the weights, of all. At 2 s: not settled within 2 s"
         )
         ax.set_ylabel("settling time, s")
-        ax.legend(loc="center left")
+        ax.legend(loc="upper right")
         return _save(figure, path)
 
 
