@@ -11,7 +11,14 @@ import pytest
 
 from egp_service import EgpError
 from egp_service._core import write_library_subset
-from egp_service.evaluation.campaign import SHIPPED, Campaign, Outcome, drive_trial, off_track
+from egp_service.evaluation.campaign import (
+    SHIPPED,
+    Campaign,
+    Outcome,
+    drive_trial,
+    off_track,
+    require_members,
+)
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, interpolated_weights
 from egp_service.evaluation.entry_speed import RESOLUTION, SLOWEST, highest
@@ -100,11 +107,12 @@ def test_a_folder_belongs_to_one_library(tmp_path: Path) -> None:
         Campaign(tmp_path, other)
 
 
-def test_a_library_without_all_members_is_refused_at_once(tmp_path: Path) -> None:
+def test_a_library_without_all_members_is_refused() -> None:
     library = library_path(load_scenario("rounded-rectangle"))
     with pytest.raises(EgpError, match="2 members, these experiments need 9"):
-        Campaign(tmp_path, library).require(EXPERIMENTS)
-    Campaign(tmp_path, library).require([])
+        require_members(library, EXPERIMENTS)
+    require_members(SHIPPED, EXPERIMENTS)
+    require_members(library, [])
 
 
 def test_weights_settle_after_a_friction_step(tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def evaluate(
 
     from egp_service import EgpError
     from egp_service.evaluation import scaling
-    from egp_service.evaluation.campaign import SHIPPED, Campaign
+    from egp_service.evaluation.campaign import SHIPPED, Campaign, require_members
     from egp_service.evaluation.experiments import (
         CUSTOM_TRACK,
         EXPERIMENTS,
@@ -93,8 +93,8 @@ def evaluate(
         if e.name in chosen
     ]
     source = _train(console, output) if train else library or SHIPPED
+    require_members(source, [*driven, *([OBSTACLE_AVOIDANCE] if avoidance in chosen else [])])
     campaign = Campaign(output, source)
-    campaign.require([*driven, *([OBSTACLE_AVOIDANCE] if avoidance in chosen else [])])
     predictions = _predict(console, output, full=full, jobs=jobs) if "prediction" in chosen else []
     outcomes = _drive(console, campaign, driven, full=full, jobs=jobs)
     speeds = _entry_speeds(console, campaign, full=full, jobs=jobs) if avoidance in chosen else []

@@ -18,7 +18,7 @@ from egp_service._core import EgpError, Engine, Library, write_library_subset
 from egp_service.closed_loop import drive
 from egp_service.course import build_path
 from egp_service.evaluation.contenders import ENSEMBLE, make
-from egp_service.evaluation.experiments import EXACT, HALF_WIDTH
+from egp_service.evaluation.experiments import HALF_WIDTH
 from egp_service.evaluation.settling import resolution, settling_times
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class Outcome:
     settling: tuple[float, ...]
     """Time from each friction change under excitation until the weights stay, s."""
     resolution: float | None
-    """How well a window tells the friction; the ensemble's on a noisy friction step."""
+    """How well a window tells the friction; the ensemble's on a friction step."""
     misses: int
     """Periods without a usable plan."""
     late: int
@@ -86,16 +86,6 @@ class Campaign:
         if mark.exists() and mark.read_text(encoding="utf-8") != self._id:
             raise EgpError(f"{folder} holds runs of another library: choose another --output")
         mark.write_text(self._id, encoding="utf-8")
-
-    def require(self, experiments: Iterable[Experiment]) -> None:
-        """Raise `EgpError` unless the library has all members that the experiments drive with."""
-        wanted = [m for e in experiments for c in e.contenders for m in c.members]
-        found = len(Library.load(self._source).members)
-        if max(wanted, default=-1) >= found:
-            raise EgpError(
-                f"{self._source} has {found} members, these experiments need {max(wanted) + 1}, in "
-                "the shipped library's order: egp evaluate --train makes such a library"
-            )
 
     def run(
         self,
@@ -176,6 +166,17 @@ def _shown(experiment: Experiment) -> list[Trial]:
     return [t for t in trials if t.contender.name in SHOWN_CONTENDERS]
 
 
+def require_members(library: Path, experiments: Iterable[Experiment]) -> None:
+    """Raise `EgpError` unless the library has all members that the experiments drive with."""
+    wanted = [m for e in experiments for c in e.contenders for m in c.members]
+    found = len(Library.load(library).members)
+    if max(wanted, default=-1) >= found:
+        raise EgpError(
+            f"{library} has {found} members, these experiments need {max(wanted) + 1}, in the "
+            "shipped library's order: egp evaluate --train makes such a library"
+        )
+
+
 def fingerprint(trial: Trial, library: str) -> str:
     """Identify a trial by what its outcome depends on, `library` with all settings included."""
     track = trial.scenario.track
@@ -237,11 +238,7 @@ def _outcome(trial: Trial, run: Run) -> Outcome:
 
 
 def _is_resolved(trial: Trial) -> bool:
-    return (
-        trial.experiment == "friction-step"
-        and trial.contender.name == ENSEMBLE
-        and not trial.condition.endswith(EXACT)
-    )
+    return trial.experiment == "friction-step" and trial.contender.name == ENSEMBLE
 
 
 def off_track(scenario: Scenario, run: Run) -> float:

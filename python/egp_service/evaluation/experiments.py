@@ -290,7 +290,7 @@ def _friction_step() -> Experiment:
         "friction-step",
         "Friction step under steady lateral acceleration (beyond the paper)",
         "On a circle of 50 m radius: how long until the weights have settled, with the noise of "
-        "all other runs, and with exact sensors and weights set for those?",
+        "all other runs, and with exact sensors and, for the ensemble, weights set for those?",
         tuple(conditions),
         tuple(c for c in _ALL_OF_TWO if c.name in {ENSEMBLE, "paper's weights"}),
         seeds=20,

@@ -81,12 +81,17 @@ fn inputs_agree_with_clarabel() {
         ..settings()
     };
     for horizon in [10, 20, 40] {
+        let mut default = RiccatiSolver::new(horizon, &settings());
         let mut riccati = RiccatiSolver::new(horizon, &tight);
         let mut clarabel = ClarabelSolver::new(&OcpQp::new(horizon, MAX_SOFT), &tight).unwrap();
         let (mut ours, mut theirs) = (OcpSolution::new(horizon), OcpSolution::new(horizon));
+        let mut usual = OcpSolution::new(horizon);
         let mut apart = 0;
         drive(horizon, count(100), |n, qp, guess| {
-            solve_checked(&mut riccati, qp, guess, 1e-6, &mut ours);
+            for (solver, out) in [(&mut riccati, &mut ours), (&mut default, &mut usual)] {
+                assert_eq!(solve_checked(solver, qp, guess, 1e-6, out), Status::Solved);
+            }
+            assert!(distance(&ours, &usual) <= 1e-6);
             solve_checked(&mut clarabel, qp, &[], 1e-6, &mut theirs);
             let worst = distance(&ours, &theirs);
             let (mine, other) = (ours.kkt.worst(), theirs.kkt.worst());

@@ -34,7 +34,8 @@ pub struct ServiceConfig {
     /// Name of this replica, unique among those the vehicles can reach. Default `main`.
     #[serde(default = "default_replica")]
     pub replica: String,
-    /// Threads that run control steps; those that wait help with steps of many active members. Default: one a core.
+    /// Threads that run control steps; steps with much to evaluate borrow cores that have none. Default: one a
+    /// core.
     #[serde(default)]
     pub workers: Option<usize>,
     /// Vehicles that may wait at a time; more are refused as overloaded. Default 256.
@@ -61,6 +62,10 @@ pub struct ServiceConfig {
     /// Single zenoh settings, key path to JSON5 value; they come last.
     #[serde(default)]
     pub zenoh: BTreeMap<String, String>,
+}
+
+pub(crate) fn available_cores() -> usize {
+    thread::available_parallelism().map_or(1, usize::from)
 }
 
 fn default_replica() -> String {
@@ -132,8 +137,7 @@ impl ServiceConfig {
 
     /// The number of threads that run control steps.
     pub(crate) fn workers(&self) -> usize {
-        self.workers
-            .unwrap_or_else(|| thread::available_parallelism().map_or(1, usize::from))
+        self.workers.unwrap_or_else(available_cores)
     }
 
     /// Reads and validates a configuration.

@@ -96,3 +96,50 @@ impl Crew for Cores {
         });
     }
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::panic)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+    use std::sync::Barrier;
+
+    use super::*;
+
+    #[test]
+    fn idle_cores_work_at_once_and_are_given_back() {
+        let cores = Cores::new(2).unwrap();
+        let _own = cores.occupy();
+        assert_eq!(cores.hands(), 2);
+        // Each part waits for the other, so one thread could not do both.
+        let both = Barrier::new(2);
+        cores.run(2, &|_| {
+            both.wait();
+        });
+        assert_eq!(cores.hands(), 2);
+    }
+
+    #[test]
+    fn taken_cores_are_not_borrowed() {
+        let cores = Cores::new(2).unwrap();
+        let _steps = (cores.occupy(), cores.occupy());
+        let caller = std::thread::current().id();
+        assert_eq!(cores.hands(), 1);
+        cores.run(3, &|_| assert_eq!(std::thread::current().id(), caller));
+    }
+
+    #[test]
+    fn a_part_that_panics_takes_no_core_with_it() {
+        let cores = Cores::new(2).unwrap();
+        let ended = catch_unwind(AssertUnwindSafe(|| {
+            let _own = cores.occupy();
+            cores.run(2, &|index| assert_eq!(index, 0, "on purpose"));
+        }));
+        assert!(ended.is_err());
+        assert_eq!(cores.taken.load(Ordering::Relaxed), 0);
+        let done = AtomicUsize::new(0);
+        cores.run(4, &|_| {
+            done.fetch_add(1, Ordering::Relaxed);
+        });
+        assert_eq!(done.into_inner(), 4);
+    }
+}

@@ -185,7 +185,7 @@ impl Stepper for Engine {
     }
 
     /// Decodes, steps and encodes. The answer depends on the request's bytes alone; after a few requests of one shape
-    /// nothing is allocated.
+    /// nothing is allocated, unless parts are shared out.
     fn step(
         &self,
         workspace: &mut EngineWorkspace,

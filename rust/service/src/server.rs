@@ -12,7 +12,7 @@ use egp_wire::keys::{self, Name, NameError};
 use prost::Message as _;
 use thiserror::Error;
 
-use crate::config::{ConfigError, ServiceConfig};
+use crate::config::{ConfigError, ServiceConfig, available_cores};
 use crate::cores::Cores;
 use crate::engine::{Engine, EngineError};
 use crate::intake::Shared;
@@ -65,8 +65,9 @@ impl Server {
     pub fn start(config: &ServiceConfig) -> Result<Self, StartError> {
         config.validate()?;
         let mut engine = Engine::load(&config.library, config.settings.clone())?;
-        if config.workers() > 1 {
-            engine = engine.on(Cores::new(config.workers())?);
+        let cores = config.workers().min(available_cores());
+        if cores > 1 {
+            engine = engine.on(Cores::new(cores)?);
         }
         Self::start_with(config, engine)
     }

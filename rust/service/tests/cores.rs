@@ -8,11 +8,11 @@ use std::thread;
 use common::library;
 use egp_core::{Kernel, Settings};
 use egp_service::{Cores, Engine, Stepper};
-use egp_wire::Carry;
+use egp_wire::{Carry, Status};
 
 fn engine() -> Engine {
     let frictions: Vec<f64> = (0..8).map(|i| 0.4 + 0.1 * f64::from(i)).collect();
-    let library = library::library(Kernel::Rbf, &frictions, 450, 3);
+    let library = library::library(Kernel::Rbf, &frictions, 500, 3);
     let settings = Settings {
         horizon: 20,
         ..Settings::default()
@@ -29,7 +29,8 @@ fn replies_are_the_same_bytes_on_any_number_of_cores() {
     let reply = |engine: &Engine| {
         let mut reply = Vec::new();
         let mut workspace = engine.workspace().unwrap();
-        engine.step(&mut workspace, &request, &mut reply).unwrap();
+        let status = engine.step(&mut workspace, &request, &mut reply).unwrap();
+        assert_eq!(status, Status::Solved);
         reply
     };
     let expected = reply(&alone);

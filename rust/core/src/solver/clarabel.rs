@@ -209,6 +209,7 @@ fn to_clarabel(m: &Csc) -> CscMatrix<f64> {
 }
 
 fn options(settings: &SolverSettings) -> DefaultSettings<f64> {
+    let (defaults, refined) = (DefaultSettings::default(), REFINEMENT * settings.tolerance);
     DefaultSettings {
         verbose: false,
         max_iter: settings.max_iterations,
@@ -219,9 +220,9 @@ fn options(settings: &SolverSettings) -> DefaultSettings<f64> {
         presolve_enable: false,
         input_sparse_dropzeros: false,
         max_threads: 1,
-        iterative_refinement_reltol: REFINEMENT * settings.tolerance,
-        iterative_refinement_abstol: REFINEMENT * settings.tolerance,
+        iterative_refinement_reltol: refined.min(defaults.iterative_refinement_reltol),
+        iterative_refinement_abstol: refined.min(defaults.iterative_refinement_abstol),
         iterative_refinement_max_iter: 30,
-        ..DefaultSettings::default()
+        ..defaults
     }
 }
