@@ -779,10 +779,10 @@ class Engine:
     """The control step of the service, in-process: the same bytes in, the same bytes out.
 
     `settings_toml` holds the settings of the control step; fields left out keep their default. With
-    more than one of `cores`, members are evaluated at once where there is half a millisecond of
-    them: standard deviations of four active members of 700 points, for example, not of two. The
-    bytes of a reply do not depend on it. Such an engine does not survive a fork: its threads stay
-    behind.
+    more than one of `cores` (no more than the machine has), members are evaluated at once where
+    there is half a millisecond of them: standard deviations of four active members of 700 points,
+    for example, not of two. The bytes of a reply do not depend on it. Such an engine does not
+    survive a fork: its threads stay behind.
     """
 
     def __new__(

@@ -19,10 +19,11 @@ from egp_service.evaluation.campaign import (
     off_track,
     require_members,
 )
-from egp_service.evaluation.claims import check
+from egp_service.evaluation.claims import POOLED, check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, interpolated_weights
 from egp_service.evaluation.entry_speed import RESOLUTION, SLOWEST, highest
 from egp_service.evaluation.experiments import EXPERIMENTS, NOISE, OBSTACLE_AVOIDANCE, Trial
+from egp_service.evaluation.prediction import PredictionOutcome
 from egp_service.evaluation.settling import settling_times
 from egp_service.evaluation.statistics import Interval, grouped, mean, median, wilson
 from egp_service.scenario import Scenario, Speed, Track, Zone, library_path, load_scenario
@@ -182,6 +183,30 @@ def test_a_failed_run_breaks_the_claim() -> None:
     bad = [*good[:-1], outcome(ENSEMBLE, 19, completed=False)]
     assert all(claim.holds for claim in check(good, []))
     assert not check(bad, [])[0].holds
+
+
+def test_an_ordering_of_the_mean_outlives_one_seed() -> None:
+    errors = {("E(AD)", POOLED): 1.0, (POOLED, POOLED): 2.0, ("A", "D"): 3.0, ("D", "A"): 3.0}
+    errors |= {("E(AD)", "T"): 3.0, ("E(ABD)", "T"): 2.0, ("E(ABCD)", "T"): 1.0}
+
+    def predictions(swapped: int) -> list[PredictionOutcome]:
+        none = [0.0, 0.0, 0.0]
+        return [
+            PredictionOutcome(
+                predictor,
+                on,
+                int(predictor.startswith("E")),
+                seed,
+                [2.5 if seed < swapped and predictor == "E(AD)" and on == POOLED else error] * 3,
+                *[none] * 4,
+            )
+            for seed in range(10)
+            for (predictor, on), error in errors.items()
+        ]
+
+    holds = [[c.holds for c in check([], predictions(swapped))] for swapped in (0, 1, 9)]
+    # Ensemble below pooled in every seed and in the mean, then more members alike.
+    assert holds == [[True] * 4, [False, True, True, True], [False, False, True, True]]
 
 
 def test_intervals() -> None:

@@ -218,7 +218,8 @@ def _ordered(
     ]
     if len(gaps) > 1:  # one seed has no spread
         means = [mean(gap) for gap in gaps.T]
-        least = [min(means[o :: len(_OUTPUTS)], key=lambda gap: gap.low) for o in range(3)]
+        outputs = len(_OUTPUTS)
+        least = [min(means[o::outputs], key=lambda gap: gap.low) for o in range(outputs)]
         found = [
             f"{name} {gap.value:.4f} ({gap.low:.4f} to {gap.high:.4f})"
             for name, gap in zip(_OUTPUTS, least, strict=True)

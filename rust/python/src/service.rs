@@ -38,10 +38,9 @@ impl Controller {
     ) -> PyResult<Self> {
         let settings = Settings::from_toml(settings_toml).map_err(raise)?;
         py.detach(|| {
-            let mut engine = egp_service::Engine::load(&library_path, settings).map_err(raise)?;
-            if cores > 1 {
-                engine = engine.on(egp_service::Cores::new(cores).map_err(raise)?);
-            }
+            let engine = egp_service::Engine::load(&library_path, settings)
+                .and_then(|engine| engine.with_cores(cores))
+                .map_err(raise)?;
             let workspace = engine.workspace().map_err(|error| refused(&error))?;
             let served = engine.describe();
             Ok(Self {

@@ -4,9 +4,9 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
-    thread,
 };
 
+use crate::cores::available_cores;
 use egp_core::{Settings, SettingsError};
 use egp_wire::keys::Name;
 use serde::Deserialize;
@@ -62,10 +62,6 @@ pub struct ServiceConfig {
     /// Single zenoh settings, key path to JSON5 value; they come last.
     #[serde(default)]
     pub zenoh: BTreeMap<String, String>,
-}
-
-pub(crate) fn available_cores() -> usize {
-    thread::available_parallelism().map_or(1, usize::from)
 }
 
 fn default_replica() -> String {

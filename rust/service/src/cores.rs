@@ -2,13 +2,19 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
 
 use egp_core::Crew;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
+/// How many the machine lets this process use.
+pub(crate) fn available_cores() -> usize {
+    thread::available_parallelism().map_or(1, usize::from)
+}
+
 /// A number of cores, and who has them.
 #[derive(Debug)]
-pub struct Cores {
+pub(crate) struct Cores {
     helpers: ThreadPool,
     total: usize,
     taken: AtomicUsize,
@@ -23,9 +29,6 @@ pub(crate) struct Taken<'a> {
 
 impl Cores {
     /// `total` cores, two at least; one less are threads that wait for parts of steps.
-    ///
-    /// # Errors
-    /// When the system gives no thread.
     pub fn new(total: usize) -> Result<Arc<Self>, ThreadPoolBuildError> {
         let helpers = ThreadPoolBuilder::new()
             .num_threads(total.max(2) - 1)
@@ -122,9 +125,9 @@ mod tests {
     fn taken_cores_are_not_borrowed() {
         let cores = Cores::new(2).unwrap();
         let _steps = (cores.occupy(), cores.occupy());
-        let caller = std::thread::current().id();
+        let caller = thread::current().id();
         assert_eq!(cores.hands(), 1);
-        cores.run(3, &|_| assert_eq!(std::thread::current().id(), caller));
+        cores.run(3, &|_| assert_eq!(thread::current().id(), caller));
     }
 
     #[test]

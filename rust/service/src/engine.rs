@@ -9,7 +9,7 @@ use egp_core::{
 use egp_wire::{Code, Limits, Ready, Reply, Request, Status, WireError};
 use thiserror::Error;
 
-use crate::cores::Cores;
+use crate::cores::{Cores, available_cores};
 use crate::stepper::Stepper;
 
 /// A library and settings, ready to answer requests.
@@ -51,6 +51,9 @@ pub enum EngineError {
     /// The settings were refused.
     #[error(transparent)]
     Setup(#[from] SetupError),
+    /// The system gave no threads for parts of steps.
+    #[error("cannot start threads for parts of steps: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
     /// More than a message can carry.
     #[error("{what} is {actual}, the wire carries at most {limit}")]
     Limit {
@@ -117,11 +120,19 @@ impl Engine {
         Self::new(library, settings)
     }
 
-    /// Lets steps evaluate members on idle ones of `cores`, where that pays. The bits of the replies stay the same.
-    #[must_use]
-    pub fn on(mut self, cores: Arc<Cores>) -> Self {
-        self.cores = Some(cores);
-        self
+    /// Lets steps evaluate members on up to `count` cores, those that no other step has, where that pays; no more than
+    /// the machine has. The bits of the replies stay the same.
+    ///
+    /// # Errors
+    /// [`EngineError::Threads`].
+    pub fn with_cores(mut self, count: usize) -> Result<Self, EngineError> {
+        let count = count.min(available_cores());
+        self.cores = if count > 1 {
+            Some(Cores::new(count)?)
+        } else {
+            None
+        };
+        Ok(self)
     }
 
     /// The library.

@@ -23,7 +23,6 @@ mod stepper;
 mod worker;
 
 pub use config::{ConfigError, ServiceConfig};
-pub use cores::Cores;
 pub use engine::{Engine, EngineError, EngineWorkspace};
 pub use logging::init_logging;
 pub use network::NetworkError;

@@ -12,8 +12,7 @@ use egp_wire::keys::{self, Name, NameError};
 use prost::Message as _;
 use thiserror::Error;
 
-use crate::config::{ConfigError, ServiceConfig, available_cores};
-use crate::cores::Cores;
+use crate::config::{ConfigError, ServiceConfig};
 use crate::engine::{Engine, EngineError};
 use crate::intake::Shared;
 use crate::metrics::Metrics;
@@ -40,9 +39,6 @@ pub enum StartError {
     /// The system gave no thread.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
-    /// The system gave no threads for parts of steps.
-    #[error("cannot start threads for parts of steps: {0}")]
-    Parts(#[from] rayon::ThreadPoolBuildError),
     /// zenoh refused something.
     #[error(transparent)]
     Network(#[from] NetworkError),
@@ -64,12 +60,8 @@ impl Server {
     /// [`StartError`]; nothing keeps running then.
     pub fn start(config: &ServiceConfig) -> Result<Self, StartError> {
         config.validate()?;
-        let mut engine = Engine::load(&config.library, config.settings.clone())?;
-        let cores = config.workers().min(available_cores());
-        if cores > 1 {
-            engine = engine.on(Cores::new(cores)?);
-        }
-        Self::start_with(config, engine)
+        let engine = Engine::load(&config.library, config.settings.clone())?;
+        Self::start_with(config, engine.with_cores(config.workers())?)
     }
 
     /// Starts serving whatever steps; [`Server::start`] uses an [`Engine`].

@@ -7,7 +7,7 @@ use std::thread;
 
 use common::library;
 use egp_core::{Kernel, Settings};
-use egp_service::{Cores, Engine, Stepper};
+use egp_service::{Engine, Stepper};
 use egp_wire::{Carry, Status};
 
 fn engine() -> Engine {
@@ -34,7 +34,7 @@ fn replies_are_the_same_bytes_on_any_number_of_cores() {
         reply
     };
     let expected = reply(&alone);
-    let shared = alone.on(Cores::new(3).unwrap());
+    let shared = alone.with_cores(usize::MAX).unwrap();
     thread::scope(|scope| {
         // One at a time has cores to borrow, four at once have not.
         for at_once in [1, 4] {

@@ -24,8 +24,7 @@ use crate::{Crew, Ensemble, GpInput, Input, Library, Member, NY, Settings, State
 /// One control step: weights, eq. (6); linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
 ///
 /// After the first call with a workspace nothing is allocated here (the QP solver may, and a crew that shares parts
-/// out). A reply whose status is not
-/// [`Status::Solved`] holds weights and history for the next request, and no plan.
+/// out). A reply whose status is not [`Status::Solved`] holds weights and history for the next request, and no plan.
 ///
 /// # Errors
 /// [`StepError`] if the request is malformed, or if the workspace was made for another library or other settings.
