@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -10,9 +12,18 @@ import piqp
 import pytest
 from scipy import sparse
 
-from egp_service._core import EgpError, Library, solve_weights
-from egp_service.evaluation.window_noise import whitening
-from egp_service.recipe import DEMO_RECIPE
+from egp_service import Controller
+from egp_service._core import (
+    EgpError,
+    Engine,
+    Library,
+    decode_reply,
+    decode_request,
+    solve_weights,
+)
+from egp_service.closed_loop import drive
+from egp_service.evaluation.window_noise import WindowNoise
+from egp_service.scenario import Measurement, library_path, load_scenario
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,6 +31,10 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 TOLERANCE = 1e-5
+LAP = load_scenario("rounded-rectangle")
+LIBRARY = library_path(LAP)
+LAMBDA = 100.0  # the default
+EXACT, NOISY = Measurement(), Measurement(0.02, 0.03, 0.002, 0.03, 0.005, 0.001)
 Prior = Literal["quadratic", "l1"]
 
 
@@ -105,20 +120,39 @@ def test_weights_agree_with_osqp_and_piqp(
             np.testing.assert_allclose(w, other, rtol=0, atol=TOLERANCE)
 
 
-def test_the_evaluation_whitens_as_the_service_does() -> None:
-    rng = np.random.default_rng(3)
-    members = Library.load(DEMO_RECIPE.with_name("demo-library.safetensors")).members
-    predictions, measured = rng.normal(size=(10, 2, 3)) * 0.1, rng.normal(size=(10, 3)) * 0.1
-    previous, measurement = np.array([0.4, 0.6]), np.array([0.03, 0.02, 0.005])
-    noise = np.sqrt(np.mean([member.noise_std**2 for member in members], axis=0))
-    for whiten, own, states in ((True, noise, measurement), (False, np.ones(3), None)):
-        weights = {"whiten": whiten, "window": 10, "measurement": measurement}
-        root = whitening(members, {"weights": weights})
-        f = np.vstack([root[o] @ predictions[:, :, o] for o in range(3)])
-        y = np.concatenate([root[o] @ measured[:, o] for o in range(3)])
-        w = solve_weights(predictions, measured, own, previous, "quadratic", 5.0, states)
-        for other in by_others(f, y, previous, "quadratic", 5.0):
-            np.testing.assert_allclose(w, other, rtol=0, atol=TOLERANCE)
+@pytest.mark.parametrize("whiten", [True, False])
+def test_the_evaluation_whitens_as_the_service_does(whiten: bool) -> None:  # noqa: FBT001
+    engine = Engine(str(LIBRARY), f"[weights]\nwhiten = {str(whiten).lower()}")
+    noise = WindowNoise(Library.load(LIBRARY).members, tomllib.loads(engine.settings_toml))
+    taken = set()
+    for sensors in (EXACT, NOISY):
+        for sent in recorded(sensors):
+            reply, request = decode_reply(engine.step(sent)), decode_request(sent)
+            predictions, measured = reply.history_f, request.history_y
+            if not len(measured):
+                continue
+            errors = measured - np.einsum("kno,n->ko", predictions, request.weights)
+            level = noise.likeliest(errors)
+            taken.add(level)
+            model, states = noise.levels[level]
+            w = solve_weights(
+                predictions, measured, model, request.weights, "quadratic", LAMBDA, states
+            )
+            np.testing.assert_allclose(reply.weights, w, rtol=0, atol=1e-9)
+            root = noise.whitening(level, len(errors))
+            f = np.vstack([root[o] @ predictions[:, :, o] for o in range(3)])
+            y = np.concatenate([root[o] @ measured[:, o] for o in range(3)])
+            slope = 2.0 * (f.T @ (f @ w - y) + LAMBDA * (w - request.weights))
+            assert w @ (slope - slope.min()) < 1e-6 * max(1.0, np.abs(slope).max())
+    assert taken >= ({0, 1, 4, 5} if whiten else {0}), taken
+
+
+def recorded(sensors: Measurement) -> list[bytes]:
+    requests: list[bytes] = []
+    scenario = replace(LAP, measurement=sensors)
+    with Controller(LIBRARY) as controller:
+        drive(scenario, controller, lambda period: requests.append(period.step.request))
+    return requests
 
 
 def test_one_member_or_no_history_leaves_nothing_to_choose() -> None:

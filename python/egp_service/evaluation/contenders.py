@@ -19,7 +19,7 @@ from egp_service.controller import Controller
 from egp_service.course import build_path
 from egp_service.evaluation.predictive_control import PredictiveController
 from egp_service.evaluation.single_track import CHASSIS, Kinematic, SingleTrack, linearise
-from egp_service.evaluation.window_noise import whitening
+from egp_service.evaluation.window_noise import WindowNoise
 from egp_service.scenario import library_path
 from egp_service.toml_text import dumps
 
@@ -72,11 +72,10 @@ class _Selection(Controller):
         super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
         self._carry = Carry(self.library, 0)
         self._library = Library.load(library_path(scenario))
-        self._whitening = whitening(
+        self._noise = WindowNoise(
             self._library.members, tomllib.loads(_engine(scenario).settings_toml)
         )
-        window = self._whitening.shape[-1]
-        self._errors: deque[NDArray[np.float64]] = deque(maxlen=window)
+        self._errors: deque[NDArray[np.float64]] = deque(maxlen=self._noise.window)
         self._before: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def step(
@@ -96,10 +95,10 @@ class _Selection(Controller):
             members = range(len(self.members))
             predicted = np.array([self._library.predict(z, m)[0][0] for m in members])
             self._errors.append(predicted - y)
-            count = len(self._errors)
-            whitened = np.einsum(
-                "okj,jno->kno", self._whitening[:, :count, :count], np.array(self._errors)
-            )
+            errors = np.array(self._errors)
+            level = self._noise.likeliest(errors[:, int(np.argmax(self._carry.weights))])
+            root = self._noise.whitening(level, len(errors))
+            whitened = np.einsum("okj,jno->kno", root, errors)
             best = int(np.argmin(np.sum(whitened**2, axis=(0, 2))))
             self._carry.weights = np.eye(len(self.members))[best]
         step = super().step(state, reference, widths, deadline=deadline)

@@ -28,12 +28,8 @@ VEHICLES: Final = (7, 8)
 FOUR: Final = (M05, M06, M09, M11)
 # A survey-grade satellite receiver with a good inertial unit and a steering encoder.
 NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
-# The same road without it, and the settings of the weights for sensors without noise.
+# The same road without it.
 EXACT: Final = ", exact sensors"
-_EXACT_WEIGHTS: Final = {
-    "measurement": [0.0, 0.0, 0.0],
-    "prior": {"kind": "quadratic", "lambda": 30.0},
-}
 FASTEST: Final = 25.0
 HALF_WIDTH: Final = 0.837  # of the vehicle, m
 CUSTOM_TRACK: Final = Track(
@@ -282,15 +278,15 @@ def _friction_step() -> Experiment:
         )
         for acceleration in (1, 2, 3, 4)
     ]
-    exact = Measurement()
-    for name, scenario in conditions[1:]:  # at 1 m/s² there is nothing to see
-        weighed = replace(scenario, measurement=exact, control={"weights": _EXACT_WEIGHTS})
-        conditions.append((name + EXACT, weighed))
+    conditions += [
+        (name + EXACT, replace(scenario, measurement=Measurement()))
+        for name, scenario in conditions[1:]  # at 1 m/s² there is nothing to see
+    ]
     return Experiment(
         "friction-step",
         "Friction step under steady lateral acceleration (beyond the paper)",
         "On a circle of 50 m radius: how long until the weights have settled, with the noise of "
-        "all other runs, and with exact sensors and, for the ensemble, weights set for those?",
+        "all other runs, and with exact sensors?",
         tuple(conditions),
         tuple(c for c in _ALL_OF_TWO if c.name in {ENSEMBLE, "paper's weights"}),
         seeds=20,

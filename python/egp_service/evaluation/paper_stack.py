@@ -22,7 +22,7 @@ import torch
 
 from egp_service import prior_mean
 from egp_service.evaluation.paper_mpc import Mpc
-from egp_service.evaluation.window_noise import whitening
+from egp_service.evaluation.window_noise import WindowNoise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -206,7 +206,7 @@ class PaperStack:
         self.members = [Member(library.kernel, dt, tensors, n) for n in range(count)]
         self.dt, self.mass = dt, settings["mass"]
         self.window, self.horizon = settings["weights"]["window"], settings["horizon"]
-        self.whiten = whitening(library.members, settings)
+        self.noise = WindowNoise(library.members, settings)
         self.weights = Weights(count, self.window, settings["weights"]["prior"]["lambda"])
         self.mpc = Mpc(self.horizon, dt, settings)
         self.margin = settings["soft"]["edge_margin"]
@@ -217,9 +217,11 @@ class PaperStack:
         new = len(request.history_z) - len(request.history_f)
         rows = np.stack([member.mean(request.history_z[:new]) for member in self.members], axis=1)
         f = np.concatenate([rows, request.history_f])
+        errors = request.history_y - np.einsum("kno,n->ko", f, request.weights)
+        root = self.noise.whitening(self.noise.likeliest(errors), self.window)
         w = self.weights.solve(
-            np.einsum("okj,jno->kon", self.whiten, f).reshape(self.window * NY, -1),
-            np.einsum("okj,jo->ko", self.whiten, request.history_y).ravel(),
+            np.einsum("okj,jno->kon", root, f).reshape(self.window * NY, -1),
+            np.einsum("okj,jo->ko", root, request.history_y).ravel(),
             request.weights,
         )
         w = np.maximum(w, 0.0) / np.maximum(w, 0.0).sum()

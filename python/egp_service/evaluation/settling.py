@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from egp_service._core import Engine, Library
-from egp_service.evaluation.window_noise import whitening
+from egp_service.evaluation.window_noise import LEAST_MODEL_NOISE, covariance, model_noise
 from egp_service.scenario import library_path
 from egp_service.toml_text import dumps
 
@@ -59,13 +59,20 @@ def resolution(run: Run) -> float:
 
     The Cramér-Rao bound of eq. (6) without a prior, median over the run: with d what two members'
     predictions of a window differ by and C the covariance of its errors, `|mu_1 - mu_0|` over
-    `sqrt(dᵀ C⁻¹ d)`. No unbiased estimator does better with the same window.
+    `sqrt(dᵀ C⁻¹ d)`. No unbiased estimator does better with the same window if the sensors' noise
+    is the run's and members err half as much as in training, the least that the weights consider.
     """
     scenario, trace = run.scenario, run.trace
     path = library_path(scenario)
     library = Library.load(path)
     settings = tomllib.loads(Engine(str(path), dumps(scenario.control)).settings_toml)
-    root = whitening(library.members, settings)
+    sensors = scenario.measurement
+    noise = covariance(
+        LEAST_MODEL_NOISE * model_noise(library.members),
+        np.array([sensors.v_x, sensors.v_y, sensors.omega]),
+        settings["weights"]["window"],
+    )
+    root = np.linalg.inv(np.linalg.cholesky(noise))
     z = np.concatenate([trace.x[:, [2, 4, 5, 6]], trace.u], axis=1)
     first, second = (library.predict(z, member)[0] for member in range(2))
     windows = sliding_window_view(second - first, root.shape[-1], axis=0)

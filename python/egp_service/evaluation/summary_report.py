@@ -56,14 +56,14 @@ tells the friction; how well it does is shown below the friction steps."""
 _DIFFERENCES = """The paper drives at 30 Hz with OSQP and about zero inputs; this system at 50 Hz
 about the last plan. Its weights add m/s to rad/s, take all errors of the window for independent and
 have no memory, as <i>paper's weights</i> here; ours weigh the window by the covariance that model
-and measurement noise give its errors. Its GPs predict whole changes and fall back to constants, as
-<i>constant mean</i> here; ours correct a single-track vehicle fitted to the same data, which
-<i>fitted single-track</i> drives with alone; <i>constant mean</i> learned from the laps that the
-fitted vehicles drove. Everyone here keeps the front tyres' slip near their peak. The paper's
-reference moves at the present speed, ours along a speed profile, so braking is not fought. What a
-vehicle leaves is learned with one kernel for all three outputs, whole changes with a kernel for
-each, as in the paper. Tracks here are computed from their definition or drawn from a seed;
-frictions are those of the text."""
+and measurement noise give its errors, each at the level that makes the window likeliest. Its GPs
+predict whole changes and fall back to constants, as <i>constant mean</i> here; ours correct a
+single-track vehicle fitted to the same data, which <i>fitted single-track</i> drives with alone;
+<i>constant mean</i> learned from the laps that the fitted vehicles drove. Everyone here keeps the
+front tyres' slip near their peak. The paper's reference moves at the present speed, ours along a
+speed profile, so braking is not fought. What a vehicle leaves is learned with one kernel for all
+three outputs, whole changes with a kernel for each, as in the paper. Tracks here are computed from
+their definition or drawn from a seed; frictions are those of the text."""
 
 
 def write_report(
@@ -173,11 +173,10 @@ def _resolution_section(outcomes: Sequence[Outcome]) -> Section:
     return Section(
         "How well the friction can be known",
         "Standard deviation with which one window tells the friction (Cramér-Rao bound, median "
-        "over seeds), if errors are what the weights take them for: sensor noise, and what "
-        "members leave, as white noise of the size that it has in all of their training. The step "
-        "is from 1.1 to 0.5. Where a noisy window tells no better than a quarter of that, weights "
-        "wander, and a longer window would be late instead. With exact sensors the second part is "
-        "all; in a steady bend members leave less than that, and the weights settle earlier.",
+        "over seeds), with the sensors' noise and what members leave as white noise of half the "
+        "size that it has in all of their training, the least that the weights consider. The step "
+        "is from 1.1 to 0.5. Where a window tells no better than a quarter of that, weights "
+        "wander, and a longer window would be late instead.",
         tables=(plain_table(("condition", "a window tells μ to"), rows),),
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -13,20 +13,56 @@ if TYPE_CHECKING:
 
     from egp_service._core import Member
 
+# Fractions of the members' noise and of the measured states' noise, as the service considers them.
+LEAST_MODEL_NOISE: Final = 0.5
+_LEVELS: Final = tuple((q, r) for r in (1.0, 0.3, 0.1) for q in (1.0, LEAST_MODEL_NOISE))
 
-def whitening(members: Sequence[Member], settings: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Make (3, K, K) lower triangular S: `S[o] @ e[:, o]` of K consecutive errors is white noise.
 
-    As the service does by the same whitening settings: SᵀS is the inverse of a covariance with
-    `q + 2 r` on the diagonal and `-r` beside it, from the members' noise variance q and that of the
-    measured states r. For fewer errors take the leading block.
-    """
-    weights = settings["weights"]
-    size = weights["window"]
-    if not weights["whiten"]:
-        return np.tile(np.eye(size), (3, 1, 1))
-    q = np.mean([member.noise_std**2 for member in members], axis=0)
-    r = np.square(weights["measurement"])
+def model_noise(members: Sequence[Member]) -> NDArray[np.float64]:
+    """Find the members' root-mean-square noise in training as a standard deviation, (3,)."""
+    mean: NDArray[np.float64] = np.mean([member.noise_std**2 for member in members], axis=0)
+    return np.sqrt(mean)
+
+
+def covariance(
+    model: NDArray[np.float64], state: NDArray[np.float64], size: int
+) -> NDArray[np.float64]:
+    """Make the (3, size, size) covariance of consecutive errors from standard deviations (3,)."""
+    q, r = model**2, state**2
     neighbours = np.eye(size, k=1) + np.eye(size, k=-1)
-    covariance = np.multiply.outer(q + 2.0 * r, np.eye(size)) - np.multiply.outer(r, neighbours)
-    return np.linalg.inv(np.linalg.cholesky(covariance))
+    return np.multiply.outer(q + 2.0 * r, np.eye(size)) - np.multiply.outer(r, neighbours)
+
+
+class WindowNoise:
+    """Covariances of K consecutive errors, of which a window takes the likeliest.
+
+    As the service does by the same settings: `q + 2 r` on the diagonal and `-r` beside it, from the
+    members' noise variance q and that of the measured states r, or fractions of these.
+    """
+
+    def __init__(self, members: Sequence[Member], settings: Mapping[str, Any]) -> None:
+        """Of the library's `members` and the step's whole `settings`."""
+        weights = settings["weights"]
+        self.window: int = weights["window"]
+        model = model_noise(members)
+        state = np.asarray(weights["measurement"], dtype=np.float64)
+        self.levels = (
+            tuple((q * model, r * state) for q, r in _LEVELS)
+            if weights["whiten"]
+            else ((np.ones(3), np.zeros(3)),)
+        )
+        """Standard deviations of model and states, (3,) each; the largest first."""
+        cholesky = np.linalg.cholesky([covariance(*std, self.window) for std in self.levels])
+        self._whitening = np.linalg.inv(cholesky)
+        diagonal = np.diagonal(cholesky, axis1=2, axis2=3)
+        self._log_determinants = 2.0 * np.cumsum(np.log(diagonal).sum(axis=1), axis=1)
+
+    def whitening(self, level: int, count: int) -> NDArray[np.float64]:
+        """Give (3, count, count) lower triangular S: `S[o] @ e[:, o]` of errors e is white."""
+        return self._whitening[level, :, :count, :count]
+
+    def likeliest(self, errors: NDArray[np.float64]) -> int:
+        """Find the level with the largest Gaussian likelihood for (k, 3) `errors`, k at least 1."""
+        count = len(errors)
+        white = np.einsum("lokj,jo->lko", self._whitening[:, :, :count, :count], errors)
+        return int(np.argmin(np.sum(white**2, axis=(1, 2)) + self._log_determinants[:, count - 1]))

@@ -74,7 +74,7 @@ impl Problem {
         let rounds = estimator.estimate(
             &self.f,
             &self.y,
-            &WindowNoise::new(&self.noise[0], &self.noise[1]),
+            &WindowNoise::new(&self.noise[0], &self.noise[1], self.y.len()),
             self.prior,
             &self.previous,
             &mut w,

@@ -250,7 +250,7 @@ fn solve_weights<'py>(
         WeightEstimator::new(previous.len(), measured.len()).estimate(
             &predictions,
             &measured,
-            &WindowNoise::new(&noise, &state_noise),
+            &WindowNoise::new(&noise, &state_noise, measured.len()),
             prior,
             &previous,
             &mut w,

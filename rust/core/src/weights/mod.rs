@@ -16,9 +16,10 @@ pub use active_set::{ActiveSet, SimplexQp};
 pub use noise::WindowNoise;
 
 use gram::Gram;
+use noise::Row;
 
-use crate::NY;
 use crate::settings::Prior;
+use crate::{GpOutput, NY};
 
 /// Ridge on `H` relative to its largest entry: with identical members and no quadratic prior it picks, of all
 /// minima, the one nearest to the previous weights.
@@ -66,9 +67,10 @@ impl WeightEstimator {
         let n = previous.len();
         w.copy_from_slice(previous);
         self.whitened.clear();
-        let transitions = predictions.chunks_exact(n * NY).zip(measured);
-        for ((row, y), cholesky) in transitions.zip(noise.cholesky_rows()) {
-            self.add_transition(row, y, &cholesky);
+        let transitions = || predictions.chunks_exact(n * NY).zip(measured);
+        let errors = transitions().map(|(row, y)| error(row, y, previous));
+        for ((row, y), whitening) in transitions().zip(noise.likeliest(errors)) {
+            self.add_transition(row, y, whitening);
         }
         self.whitened.multiply();
         let products = |i| {
@@ -103,20 +105,22 @@ impl WeightEstimator {
     }
 
     /// Adds the rows of a transition to `S [F Y]`.
-    fn add_transition(
-        &mut self,
-        predicted: &[f64],
-        measured: &[f64; NY],
-        cholesky: &[[f64; 2]; NY],
-    ) {
-        for (output, [diagonal, below]) in cholesky.iter().enumerate() {
-            let inverse = 1.0 / diagonal;
+    fn add_transition(&mut self, predicted: &[f64], measured: &[f64; NY], whitening: &Row) {
+        for output in 0..NY {
             let raw = predicted.as_chunks::<NY>().0.iter().chain([measured]);
             for (whitened, raw) in self.whitened.repeat(NY).iter_mut().zip(raw) {
-                *whitened = (raw[output] - below * *whitened) * inverse;
+                *whitened = whitening.whiten(output, raw[output], *whitened);
             }
         }
     }
+}
+
+/// What the blend of a transition's predictions leaves of the measured change.
+fn error(predicted: &[f64], measured: &[f64; NY], weights: &[f64]) -> GpOutput {
+    let predicted = predicted.as_chunks::<NY>().0.iter().zip(weights);
+    predicted.fold(GpOutput::from(*measured), |error, (f, w)| {
+        error - GpOutput::from(*f) * *w
+    })
 }
 
 /// Keeps the weights of at most `max_active` members above `threshold` (always the heaviest), scaled up to sum to 1,

@@ -1,7 +1,14 @@
 //! Noise of the window's errors, which decides how much each says: `S` of eq. (6), and what neighbours share.
 
 use crate::settings::WeightSettings;
-use crate::{GpOutput, Library, NY};
+use crate::{GpOutput, Library};
+
+/// Fractions of the members' noise that are considered: over all their training data members err more than in a
+/// steady bend.
+const MODEL: [f64; 2] = [1.0, 0.5];
+/// Fractions of the measured states' noise that are considered: sensors are at times better than they are said to be.
+const STATE: [f64; 3] = [1.0, 0.3, 0.1];
+const LEVELS: usize = MODEL.len() * STATE.len();
 
 /// Covariance of one output's errors `e_k = y_k - (F w)_k` over consecutive transitions.
 ///
@@ -15,49 +22,159 @@ use crate::{GpOutput, Library, NY};
 /// and generalised least squares applies (Aitken 1935). What one state's noise adds to one change, it takes from the
 /// next: over a window, a lasting difference between members is seen against the noise of its two ends, not of all
 /// its states. Measured states with noise of 0.03 m/s hide single changes of 0.01 m/s; a window of 25 shows them.
-#[derive(Debug, Clone, Copy)]
+///
+/// `q` and `r` may have several levels, of which each window takes the likeliest (multiple-model estimation, Magill
+/// 1965): the one of largest Gaussian likelihood for the errors that the previous weights leave.
+#[derive(Debug, Clone)]
 pub struct WindowNoise {
-    model: GpOutput,
-    state: GpOutput,
+    levels: usize,
+    /// For each transition a row of each level.
+    rows: Vec<Row>,
+}
+
+/// One transition's row of `L⁻¹` for each output, with the covariance `L Lᵀ` of diagonal and neighbours.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Row {
+    /// One over the diagonal of `L`.
+    inverse: GpOutput,
+    /// Of `L`, beside the diagonal; zero for the first transition.
+    below: GpOutput,
+    /// Logarithm of the covariance's determinant up to this transition, over all outputs.
+    log_det: f64,
+}
+
+impl Row {
+    /// One output's white error, from the error and the white one of the transition before.
+    pub fn whiten(&self, output: usize, error: f64, before: f64) -> f64 {
+        (error - self.below[output] * before) * self.inverse[output]
+    }
 }
 
 impl WindowNoise {
-    /// From standard deviations of the model's one-step predictions, positive, and of the measured
-    /// `[v_x, v_y, omega]`, at least zero.
-    pub fn new(model_std: &GpOutput, state_std: &GpOutput) -> Self {
-        Self {
-            model: model_std.component_mul(model_std),
-            state: state_std.component_mul(state_std),
-        }
+    /// One level, from standard deviations of the model's one-step predictions, positive, and of the measured
+    /// `[v_x, v_y, omega]`, at least zero, for windows of at most `window` transitions.
+    pub fn new(model_std: &GpOutput, state_std: &GpOutput, window: usize) -> Self {
+        Self::with_levels(&[[*model_std, *state_std]], window)
     }
 
-    /// Of the members' root-mean-square noise and the setting `measurement`; with `whiten` off the paper's `S = I`.
+    /// Of the members' root-mean-square noise and the setting `measurement`, and of less than these; with `whiten`
+    /// off the paper's `S = I`.
     pub fn of(library: &Library, settings: &WeightSettings) -> Self {
         if !settings.whiten {
-            return Self::new(&GpOutput::repeat(1.0), &GpOutput::zeros());
+            return Self::new(&GpOutput::repeat(1.0), &GpOutput::zeros(), settings.window);
         }
         let members = library.members();
         let variance: GpOutput = members
             .iter()
             .map(|m| m.noise_std().map(|std| std * std))
             .sum();
-        Self::new(
-            &(variance / members.len() as f64).map(f64::sqrt),
-            &settings.measurement.into(),
-        )
+        let model = (variance / members.len() as f64).map(f64::sqrt);
+        let state = GpOutput::from(settings.measurement);
+        let levels = STATE.map(|r| MODEL.map(|q| [model * q, state * r]));
+        Self::with_levels(levels.as_flattened(), settings.window)
     }
 
-    /// Rows of `L` in `L Lᵀ = covariance`, which has a diagonal and one below it: `[diagonal, below]` for each
-    /// output.
-    pub(super) fn cholesky_rows(self) -> impl Iterator<Item = [[f64; 2]; NY]> {
-        let mut row = [[f64::INFINITY, 0.0]; NY];
-        std::iter::repeat_with(move || {
-            for (output, [diagonal, below]) in row.iter_mut().enumerate() {
-                let (q, r) = (self.model[output], self.state[output]);
-                *below = -r / *diagonal; // none before the first
-                *diagonal = (q + 2.0 * r - *below * *below).sqrt();
+    /// Standard deviations of model and states at each level.
+    fn with_levels(levels: &[[GpOutput; 2]], window: usize) -> Self {
+        let variances = levels
+            .iter()
+            .map(|std| std.map(|std| std.component_mul(&std)));
+        let mut next: Vec<([GpOutput; 2], Row)> = variances
+            .map(|variances| {
+                let none = Row {
+                    inverse: GpOutput::zeros(),
+                    below: GpOutput::zeros(),
+                    log_det: 0.0,
+                };
+                (variances, none)
+            })
+            .collect();
+        let mut rows = Vec::with_capacity(levels.len() * window);
+        for _ in 0..window {
+            for ([model, state], row) in &mut next {
+                row.below = -state.component_mul(&row.inverse);
+                let diagonal =
+                    (*model + *state * 2.0 - row.below.component_mul(&row.below)).map(f64::sqrt);
+                row.inverse = diagonal.map(f64::recip);
+                row.log_det += 2.0 * diagonal.map(f64::ln).sum();
+                rows.push(*row);
             }
-            row
-        })
+        }
+        Self {
+            levels: levels.len(),
+            rows,
+        }
+    }
+
+    /// Rows of the level with the largest likelihood for `errors`, one for each of consecutive transitions.
+    pub(super) fn likeliest(
+        &self,
+        errors: impl Iterator<Item = GpOutput>,
+    ) -> impl Iterator<Item = &Row> {
+        let mut white = [GpOutput::zeros(); LEVELS];
+        let mut squares = [0.0; LEVELS];
+        let mut last: &[Row] = &[];
+        if self.levels > 1 {
+            for (rows, error) in self.rows.chunks_exact(self.levels).zip(errors) {
+                for ((row, white), square) in rows.iter().zip(&mut white).zip(&mut squares) {
+                    *white = GpOutput::from_fn(|o, _| row.whiten(o, error[o], white[o]));
+                    *square += white.norm_squared();
+                }
+                last = rows;
+            }
+        }
+        let misfits = last
+            .iter()
+            .zip(squares)
+            .map(|(row, square)| square + row.log_det);
+        let likeliest = misfits
+            .enumerate()
+            .fold((0, f64::INFINITY), |best, next| {
+                if next.1 < best.1 { next } else { best }
+            })
+            .0;
+        self.rows.iter().skip(likeliest).step_by(self.levels)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Errors with the given noise of model and states, from waves without a common period.
+    fn errors(model: f64, state: f64, n: usize) -> Vec<GpOutput> {
+        let wave = |k: usize, o: usize| {
+            let k = (7 * k + 3 * o) as f64;
+            2.0_f64.sqrt() * (k * k * 0.37).sin()
+        };
+        (0..n)
+            .map(|k| {
+                GpOutput::from_fn(|o, _| {
+                    let states = wave(k + 1, o + 5) - wave(k, o + 5);
+                    model * wave(k, o) + state * states
+                })
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_likeliest_level_is_the_one_that_made_the_errors() {
+        let levels = [[1.0, 3.0], [0.3, 3.0], [1.0, 0.3], [0.3, 0.3]]
+            .map(|level| level.map(GpOutput::repeat));
+        let noise = WindowNoise::with_levels(&levels, 200);
+        for (i, [model, state]) in levels.iter().enumerate() {
+            let errors = errors(model[0], state[0], 200);
+            let found = noise.likeliest(errors.into_iter()).next().unwrap();
+            assert_eq!(found.inverse, noise.rows[i].inverse, "level {i}");
+        }
+    }
+
+    #[test]
+    fn what_fits_no_level_gets_the_first() {
+        let noise = WindowNoise::with_levels(&[1.0, 0.5].map(|std| [GpOutput::repeat(std); 2]), 2);
+        for errors in [vec![], vec![GpOutput::repeat(f64::MAX); 2]] {
+            let found = noise.likeliest(errors.into_iter()).next().unwrap();
+            assert_eq!(found.inverse, noise.rows[0].inverse);
+        }
     }
 }
