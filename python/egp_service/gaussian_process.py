@@ -8,16 +8,20 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
+import warnings
 from typing import TYPE_CHECKING, Final, Literal, cast
 
-import gpytorch
 import torch
-from botorch.models.gpytorch import GPyTorchModel
-from botorch.models.model_list_gp_regression import ModelListGP
-from botorch.optim.fit import fit_gpytorch_mll_scipy
-from gpytorch import settings as gpytorch_settings
 
 from egp_service import EgpError
+
+with warnings.catch_warnings():  # linear_operator still uses it when imported
+    warnings.filterwarnings("ignore", ".torch.jit.script. is deprecated", FutureWarning)
+    import gpytorch
+    from botorch.models.gpytorch import GPyTorchModel
+    from botorch.models.model_list_gp_regression import ModelListGP
+    from botorch.optim.fit import fit_gpytorch_mll_scipy
+    from gpytorch import settings as gpytorch_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

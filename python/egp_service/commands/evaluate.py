@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from rich.progress import Progress
 
     from egp_service.evaluation.campaign import Campaign, Outcome
     from egp_service.evaluation.entry_speed import EntrySpeed
@@ -171,23 +171,26 @@ def _drive(
     full: bool,
     jobs: int | None,
 ) -> "list[Outcome]":
-    outcomes: list[Outcome] = []
+    trials = {
+        e.name: list(e.trials(range(e.seeds if full else e.quick_seeds))) for e in experiments
+    }
+    lost = dict.fromkeys(trials, 0)
     with _progress(console) as progress:
-        for experiment in experiments:
-            task = progress.add_task(experiment.name, total=None)
-            lost = 0
+        tasks = {
+            name: progress.add_task(name, start=False, total=len(own))
+            for name, own in trials.items()
+        }
 
-            def report(outcome: "Outcome", done: int, total: int, task: "TaskID" = task) -> None:
-                nonlocal lost
-                lost += not outcome.completed
-                text = f"{outcome.experiment}: {lost} not completed"
-                progress.update(task, completed=done, total=total, description=text)
+        def report(outcome: "Outcome") -> None:
+            name = outcome.experiment
+            lost[name] += not outcome.completed
+            progress.start_task(tasks[name])
+            text = f"{name}: {lost[name]} not completed"
+            progress.update(tasks[name], advance=1, description=text)
 
-            seeds = range(experiment.seeds if full else experiment.quick_seeds)
-            own = campaign.run(experiment.trials(seeds), jobs=jobs, report=report)
-            progress.update(task, completed=len(own), total=len(own))
-            outcomes += own
-    return outcomes
+        # All at once, so that no process waits for the last run of an experiment.
+        together = [trial for own in trials.values() for trial in own]
+        return campaign.run(together, jobs=jobs, report=report)
 
 
 def _entry_speeds(
@@ -203,12 +206,10 @@ def _entry_speeds(
         name = f"{OBSTACLE_AVOIDANCE.name}: bisecting entry speeds"
         task = progress.add_task(name, total=len(trials))
 
-        def report(_: EntrySpeed, done: int, total: int) -> None:
-            progress.update(task, completed=done, total=total)
+        def report(_: EntrySpeed) -> None:
+            progress.advance(task)
 
-        found = campaign.each(trials, find, EntrySpeed, "entry-speeds", jobs=jobs, report=report)
-        progress.update(task, completed=len(found))
-        return found
+        return campaign.each(trials, find, EntrySpeed, "entry-speeds", jobs=jobs, report=report)
 
 
 def _progress(console: Console) -> "Progress":

@@ -92,7 +92,7 @@ class Campaign:
         trials: Iterable[Trial],
         *,
         jobs: int | None = None,
-        report: Callable[[Outcome, int, int], None],
+        report: Callable[[Outcome], None],
     ) -> list[Outcome]:
         """Drive every trial once; see `each`."""
         return self.each(trials, run_trial, Outcome, "runs", jobs=jobs, report=report)
@@ -105,9 +105,12 @@ class Campaign:
         name: str,
         *,
         jobs: int | None = None,
-        report: Callable[[Result, int, int], None],
+        report: Callable[[Result], None],
     ) -> list[Result]:
-        """Do `work` where `{name}.jsonl` has no result yet; gives all results, in trials' order."""
+        """Do `work` where `{name}.jsonl` has no result yet; gives all results, in trials' order.
+
+        Reports each result once: those that were there first, the others as they come.
+        """
         finished = self._folder / f"{name}.jsonl"
         wanted = [self._with_library(trial) for trial in trials]
         prints = [fingerprint(trial, self._id + self._defaults) for trial in wanted]
@@ -115,6 +118,9 @@ class Campaign:
         missing = [
             (mark, trial) for mark, trial in zip(prints, wanted, strict=True) if mark not in known
         ]
+        for mark in prints:
+            if mark in known:
+                report(known[mark])
         # Spawned, not forked: a fork would copy thread pools half.
         spawn = multiprocessing.get_context("spawn")
         with (
@@ -123,14 +129,12 @@ class Campaign:
         ):
             pending = {pool.submit(work, trial): mark for mark, trial in missing}
             try:
-                for done, future in enumerate(
-                    as_completed(pending), len(wanted) - len(missing) + 1
-                ):
+                for future in as_completed(pending):
                     result, mark = future.result(), pending[future]
                     known[mark] = result
                     log.write(json.dumps({"trial": mark, "outcome": asdict(result)}) + "\n")
                     log.flush()
-                    report(result, done, len(wanted))
+                    report(result)
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)  # not after hours of the others
                 raise

@@ -12,17 +12,21 @@ from __future__ import annotations
 import json
 import struct
 import time
+import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
-import gpytorch
 import numpy as np
 import torch
 
 from egp_service import prior_mean
 from egp_service.evaluation.paper_mpc import Mpc
 from egp_service.evaluation.window_noise import WindowNoise
+
+with warnings.catch_warnings():  # linear_operator still uses it when imported
+    warnings.filterwarnings("ignore", ".torch.jit.script. is deprecated", FutureWarning)
+    import gpytorch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
