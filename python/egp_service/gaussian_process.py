@@ -16,7 +16,7 @@ import torch
 from egp_service import EgpError
 
 with warnings.catch_warnings():  # linear_operator still uses it when imported
-    warnings.filterwarnings("ignore", ".torch.jit.script. is deprecated", FutureWarning)
+    warnings.filterwarnings("ignore", ".torch.jit.script. is ", FutureWarning)
     import gpytorch
     from botorch.models.gpytorch import GPyTorchModel
     from botorch.models.model_list_gp_regression import ModelListGP

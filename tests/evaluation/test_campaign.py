@@ -87,6 +87,8 @@ def test_every_contender_drives_and_is_not_run_twice(tmp_path: Path) -> None:
     # The known ones are reported first, as they were.
     assert {o.contender: o for o in again[:-1]} == {o.contender: o for o in finished[:-1]}
     assert again[-1].contender == finished[-1].contender
+    third = Campaign(tmp_path, SHIPPED).run(trials, jobs=1, report=lambda _: None)
+    assert third == second
     # Times are the machine's.
     untimed = [replace(o, step_ms=0.0, late=0) for o in second]
     assert untimed == [replace(o, step_ms=0.0, late=0) for o in first]

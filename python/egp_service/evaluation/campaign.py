@@ -127,6 +127,8 @@ class Campaign:
             ProcessPoolExecutor(jobs or os.cpu_count(), spawn) as pool,
             finished.open("a", encoding="utf-8") as log,
         ):
+            if log.tell() and not finished.read_bytes().endswith(b"\n"):
+                log.write("\n")  # after the line an interrupted campaign was writing
             pending = {pool.submit(work, trial): mark for mark, trial in missing}
             try:
                 for future in as_completed(pending):

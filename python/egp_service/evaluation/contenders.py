@@ -76,6 +76,7 @@ class _Selection(Controller):
             self._library.members, tomllib.loads(_engine(scenario).settings_toml)
         )
         self._errors: deque[NDArray[np.float64]] = deque(maxlen=self._noise.window)
+        self._best = 0
         self._before: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def step(
@@ -96,11 +97,11 @@ class _Selection(Controller):
             predicted = np.array([self._library.predict(z, m)[0][0] for m in members])
             self._errors.append(predicted - y)
             errors = np.array(self._errors)
-            level = self._noise.likeliest(errors[:, int(np.argmax(self._carry.weights))])
+            level = self._noise.likeliest(errors[:, self._best])
             root = self._noise.whitening(level, len(errors))
             whitened = np.einsum("okj,jno->kno", root, errors)
-            best = int(np.argmin(np.sum(whitened**2, axis=(0, 2))))
-            self._carry.weights = np.eye(len(self.members))[best]
+            self._best = int(np.argmin(np.sum(whitened**2, axis=(0, 2))))
+            self._carry.weights = np.eye(len(self.members))[self._best]
         step = super().step(state, reference, widths, deadline=deadline)
         self._before = (state, step.u)
         return step

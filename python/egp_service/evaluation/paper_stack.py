@@ -25,7 +25,7 @@ from egp_service.evaluation.paper_mpc import Mpc
 from egp_service.evaluation.window_noise import WindowNoise
 
 with warnings.catch_warnings():  # linear_operator still uses it when imported
-    warnings.filterwarnings("ignore", ".torch.jit.script. is deprecated", FutureWarning)
+    warnings.filterwarnings("ignore", ".torch.jit.script. is ", FutureWarning)
     import gpytorch
 
 if TYPE_CHECKING:

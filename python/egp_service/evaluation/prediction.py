@@ -17,9 +17,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import torch
 
 from egp_service._core import Library, solve_weights
 from egp_service.evaluation.claims import POOLED
+from egp_service.evaluation.window_noise import model_noise
 from egp_service.experiment import Experiment
 from egp_service.export import export
 from egp_service.files import write_text
@@ -88,7 +90,8 @@ def run(
         known = json.loads(store.read_text(encoding="utf-8"))
     missing = [seed for seed in range(settings.seeds) if f"{size}-{seed}" not in known]
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs or os.cpu_count(), spawn) as pool:
+    # A thread each: the bits of sums over more depend on how many there are.
+    with ProcessPoolExecutor(jobs or os.cpu_count(), spawn, torch.set_num_threads, (1,)) as pool:
         pending = {pool.submit(run_seed, settings, seed): seed for seed in missing}
         for done, future in enumerate(as_completed(pending), start=1):
             rows = [dataclasses.asdict(outcome) for outcome in future.result()]
@@ -219,16 +222,15 @@ def _weights(
 ) -> NDArray[np.float64]:
     """Weights (n, N) from the window before each prediction, starting from uniform.
 
-    From one transition as the paper does, S = I and its L1 prior; from more whitened and with a
-    quadratic prior, as the controller does where states are measured without noise, like here.
+    From one transition as the paper does, S = I and its L1 prior; from more whitened by the
+    members' noise alone, as states are exact here, and with a weak quadratic prior.
     """
     n, window = z.shape[:2]
     flat = np.ascontiguousarray(z.reshape(-1, 6))
     predicted = np.stack([library.predict(flat, m)[0] for m in members], axis=1)
     predicted = predicted.reshape(n, window, len(members), 3)
     paper = window == 1
-    whitened = np.mean([library.members[m].noise_std for m in members], axis=0)
-    noise = np.ones(3) if paper else whitened
+    noise = np.ones(3) if paper else model_noise([library.members[m] for m in members])
     uniform = np.full(len(members), 1.0 / len(members))
     return np.array(
         [

@@ -19,7 +19,7 @@ _LEVELS: Final = tuple((q, r) for r in (1.0, 0.3, 0.1) for q in (1.0, LEAST_MODE
 
 
 def model_noise(members: Sequence[Member]) -> NDArray[np.float64]:
-    """Find the members' root-mean-square noise in training as a standard deviation, (3,)."""
+    """Find the members' root-mean-square noise, (3,), in m/s, m/s and rad/s a period."""
     mean: NDArray[np.float64] = np.mean([member.noise_std**2 for member in members], axis=0)
     return np.sqrt(mean)
 
@@ -27,7 +27,10 @@ def model_noise(members: Sequence[Member]) -> NDArray[np.float64]:
 def covariance(
     model: NDArray[np.float64], state: NDArray[np.float64], size: int
 ) -> NDArray[np.float64]:
-    """Make the (3, size, size) covariance of consecutive errors from standard deviations (3,)."""
+    """Make the (3, size, size) covariance of consecutive errors from standard deviations (3,).
+
+    `q + 2 r` on the diagonal and `-r` beside it, q and r the squares of `model` and `state`.
+    """
     q, r = model**2, state**2
     neighbours = np.eye(size, k=1) + np.eye(size, k=-1)
     return np.multiply.outer(q + 2.0 * r, np.eye(size)) - np.multiply.outer(r, neighbours)
@@ -36,8 +39,8 @@ def covariance(
 class WindowNoise:
     """Covariances of K consecutive errors, of which a window takes the likeliest.
 
-    As the service does by the same settings: `q + 2 r` on the diagonal and `-r` beside it, from the
-    members' noise variance q and that of the measured states r, or fractions of these.
+    As the service does by the same settings (its `WindowNoise`, where the sources are): from the
+    members' noise and that of the measured states, or fractions of these, one for all outputs.
     """
 
     def __init__(self, members: Sequence[Member], settings: Mapping[str, Any]) -> None:
@@ -51,7 +54,7 @@ class WindowNoise:
             if weights["whiten"]
             else ((np.ones(3), np.zeros(3)),)
         )
-        """Standard deviations of model and states, (3,) each; the largest first."""
+        """Standard deviations of model and states, (3,) each; the largest of all first."""
         cholesky = np.linalg.cholesky([covariance(*std, self.window) for std in self.levels])
         self._whitening = np.linalg.inv(cholesky)
         diagonal = np.diagonal(cholesky, axis1=2, axis2=3)

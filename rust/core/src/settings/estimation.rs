@@ -14,10 +14,11 @@ pub struct WeightSettings {
     /// Weigh the window's errors by the inverse of their covariance, so that m/s and rad/s may be added. Default
     /// true; false is the paper's `S = I`.
     pub whiten: bool,
-    /// Standard deviations of the noise of the measured `[v_x, v_y, omega]`, in m/s and rad/s. Each measured change
-    /// contains two of them, each shared with a neighbouring change; the members' own noise adds to it. Windows with
-    /// less noise are seen to have less, see [`WindowNoise`](crate::weights::WindowNoise). Ignored unless `whiten`.
-    /// Default 0.03, 0.03, 0.005, what an inertial system aided by satellites gives.
+    /// Standard deviations, the largest to expect, of the noise of the measured `[v_x, v_y, omega]`, in m/s and rad/s.
+    /// Each measured change contains two of them, each shared with a neighbouring change; the members' own noise adds
+    /// to it. Each window takes the likeliest of this, 0.3 and 0.1 of it, with all or half of the members' noise
+    /// ([`WindowNoise`](crate::weights::WindowNoise)). Ignored unless `whiten`. Default 0.03, 0.03, 0.005, what an
+    /// inertial system aided by satellites gives.
     pub measurement: [f64; NY],
     /// What holds the weights when the window carries no information. Default quadratic with lambda 100.
     pub prior: Prior,

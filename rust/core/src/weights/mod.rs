@@ -51,7 +51,8 @@ impl WeightEstimator {
     /// * `predictions`: rows `[N * 3]` of `F`, one for each of consecutive transitions, newest or oldest first,
     ///   member after member
     /// * `measured`: rows `[3]` of `Y`
-    /// * `noise`: covariance of the errors
+    /// * `noise`: covariances of the errors, of which the likeliest for those that `previous` leaves counts;
+    ///   transitions beyond its window are ignored
     /// * `previous`: `w_prev`, on the simplex
     ///
     /// Without transitions the weights stay as they are. Returns the solver's rounds, see [`ActiveSet::solve`].

@@ -24,7 +24,7 @@ const LEVELS: usize = MODEL.len() * STATE.len();
 /// its states. Measured states with noise of 0.03 m/s hide single changes of 0.01 m/s; a window of 25 shows them.
 ///
 /// `q` and `r` may have several levels, of which each window takes the likeliest (multiple-model estimation, Magill
-/// 1965): the one of largest Gaussian likelihood for the errors that the previous weights leave.
+/// 1965): the one, for all outputs, of largest Gaussian likelihood for the errors that the previous weights leave.
 #[derive(Debug, Clone)]
 pub struct WindowNoise {
     levels: usize,
@@ -32,12 +32,12 @@ pub struct WindowNoise {
     rows: Vec<Row>,
 }
 
-/// One transition's row of `L⁻¹` for each output, with the covariance `L Lᵀ` of diagonal and neighbours.
+/// One transition's row of `L` for each output: bidiagonal, with `L Lᵀ` the covariance of consecutive errors.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Row {
-    /// One over the diagonal of `L`.
+    /// One over the diagonal.
     inverse: GpOutput,
-    /// Of `L`, beside the diagonal; zero for the first transition.
+    /// Beside the diagonal; zero for the first transition.
     below: GpOutput,
     /// Logarithm of the covariance's determinant up to this transition, over all outputs.
     log_det: f64,
@@ -74,7 +74,7 @@ impl WindowNoise {
         Self::with_levels(levels.as_flattened(), settings.window)
     }
 
-    /// Standard deviations of model and states at each level.
+    /// At most [`LEVELS`] of them, by standard deviations of model and states.
     fn with_levels(levels: &[[GpOutput; 2]], window: usize) -> Self {
         let variances = levels
             .iter()
@@ -106,7 +106,8 @@ impl WindowNoise {
         }
     }
 
-    /// Rows of the level with the largest likelihood for `errors`, one for each of consecutive transitions.
+    /// Rows of the level with the largest likelihood for `errors`, one for each of consecutive transitions; of the
+    /// first level without errors, and where no likelihood is finite.
     pub(super) fn likeliest(
         &self,
         errors: impl Iterator<Item = GpOutput>,
