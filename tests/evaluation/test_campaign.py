@@ -102,6 +102,14 @@ def test_a_folder_belongs_to_one_library(tmp_path: Path) -> None:
         Campaign(tmp_path, other)
 
 
+def test_runs_of_another_build_are_told(tmp_path: Path) -> None:
+    assert not Campaign(tmp_path, SHIPPED).of_another_build
+    assert not Campaign(tmp_path, SHIPPED).of_another_build
+    (tmp_path / "program.sha256").write_text("0" * 64, encoding="utf-8")
+    for _ in range(2):
+        assert Campaign(tmp_path, SHIPPED).of_another_build
+
+
 def test_a_library_without_all_members_is_refused() -> None:
     library = library_path(load_scenario("rounded-rectangle"))
     with pytest.raises(EgpError, match="2 members, these experiments need 9"):

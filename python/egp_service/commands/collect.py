@@ -40,14 +40,17 @@ def collect(
 ) -> None:
     """Collect drive data of one surface into a dataset.
 
-    Drives the simulated car: on tracks, at rising speed and with exploration noise, and from random
-    states. Or imports a log with --from-csv; it needs time, v_x, v_y, omega, delta, and F_x or a_x.
+    Drives the simulated car: on tracks, at rising speed and with exploration
+    noise, and from random states. Or imports a log with --from-csv; it needs
+    time, v_x, v_y, omega, delta, and F_x or a_x.
 
     For example:
       egp collect -o data/wet.parquet --friction 0.5 --surface wet
-      egp collect -o data/ice.parquet --friction 0.2 --surface ice --from-csv drive.csv --mass 1400
-          --column time=t:s --column v_x=speed:km/h --column v_y=lateral_speed:m/s
-          --column omega=yaw_rate:deg/s --column delta=wheel_angle:deg --column a_x=accel:g
+      egp collect -o data/ice.parquet --friction 0.2 --surface ice
+          --from-csv drive.csv --mass 1400 --column time=t:s
+          --column v_x=speed:km/h --column v_y=lateral_speed:m/s
+          --column omega=yaw_rate:deg/s --column delta=wheel_angle:deg
+          --column a_x=accel:g
     """
     from egp_service import EgpError
     from egp_service.collect import CollectionSettings

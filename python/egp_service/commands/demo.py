@@ -27,8 +27,9 @@ def demo(
 ) -> None:
     """Drive a lap over three surfaces, and show what the ensemble is for.
 
-    The car knows two surfaces and meets three. It drives the lap with the ensemble of both, then
-    with each of them alone; a service in its own process computes every control step.
+    The car knows two surfaces and meets three. It drives the lap with the
+    ensemble of both, then with each of them alone; a service in its own process
+    computes every control step.
     """
     from egp_service.demo import drive_laps
     from egp_service.report import draw_comparison, draw_run

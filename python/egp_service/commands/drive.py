@@ -36,9 +36,10 @@ def drive(
     ),
     pictures: Annotated[bool, typer.Option(help="Draw pictures at the end.")] = True,
 ) -> None:
-    """Drive a simulated car through a scenario; results go to runs/<time>-<scenario>/.
+    """Drive a simulated car; results go to runs/<time>-<scenario>/.
 
-    A service in its own process computes the control steps; see --in-process and --connect.
+    A service in its own process computes the control steps; see --in-process
+    and --connect.
 
     For example:
       egp drive

@@ -52,11 +52,13 @@ def evaluate(
 ) -> None:
     """Rerun the paper's experiments, with baselines, and write report.html.
 
-    Experiments: prediction, varying-speed, lane-change, four-members, random-roads, friction-step,
-    unseen-track, hard-roads, iso-3888-2, step-times.
+    Experiments: prediction, varying-speed, lane-change, four-members,
+    random-roads, friction-step, unseen-track, hard-roads, iso-3888-2,
+    step-times.
 
-    An interrupted evaluation goes on where it stopped when it is called again. Needs the extras
-    train and viz; with the extra paper, step-times has the paper's own stack too.
+    An interrupted evaluation goes on where it stopped when it is called again.
+    Needs the extras train and viz; with the extra paper, step-times has the
+    paper's own stack too.
 
     For example:
       egp evaluate --quick
@@ -95,6 +97,9 @@ def evaluate(
     source = _train(console, output) if train else library or SHIPPED
     require_members(source, [*driven, *([OBSTACLE_AVOIDANCE] if avoidance in chosen else [])])
     campaign = Campaign(output, source)
+    if campaign.of_another_build:
+        console.print(f"{output} holds runs of another build, which are kept.", highlight=False)
+        console.print("Choose another --output to drive them all with this one.", highlight=False)
     predictions = _predict(console, output, full=full, jobs=jobs) if "prediction" in chosen else []
     outcomes = _drive(console, campaign, driven, full=full, jobs=jobs)
     speeds = _entry_speeds(console, campaign, full=full, jobs=jobs) if avoidance in chosen else []

@@ -9,7 +9,7 @@ import typer
 def inspect(
     library: Annotated[Path, typer.Argument(help="Library file.", show_default=False)],
 ) -> None:
-    """Show what is inside a library: surfaces, sizes, lengthscales, envelope, identity.
+    """Show a library's surfaces, sizes, lengthscales, envelope and identity.
 
     For example: egp inspect library.safetensors
     """

@@ -34,8 +34,9 @@ def train(
 ) -> None:
     """Train a library: one member for each surface in the datasets.
 
-    Prints the validation matrix, every member on every surface's held-out trajectories. Data beyond
-    --max-points are thinned: half uniformly, half where the first fit knows least.
+    Prints the validation matrix, every member on every surface's held-out
+    trajectories. Data beyond --max-points are thinned: half uniformly, half
+    where the first fit knows least.
 
     For example:
       egp train data/*.parquet -o library.safetensors

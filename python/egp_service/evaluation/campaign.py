@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from egp_service import _core
 from egp_service._core import EgpError, Engine, Library, write_library_subset
 from egp_service.closed_loop import drive
 from egp_service.course import build_path
@@ -86,6 +87,11 @@ class Campaign:
         if mark.exists() and mark.read_text(encoding="utf-8") != self._id:
             raise EgpError(f"{folder} holds runs of another library: choose another --output")
         mark.write_text(self._id, encoding="utf-8")
+        program, build = folder / "program.sha256", _build()
+        self.of_another_build = program.exists() and program.read_text(encoding="utf-8") != build
+        """Whether some outcomes so far may be those of another build of the extension."""
+        if not self.of_another_build:
+            program.write_text(build, encoding="utf-8")
 
     def run(
         self,
@@ -191,6 +197,11 @@ def fingerprint(trial: Trial, library: str) -> str:
     scenario = replace(trial.scenario, library=library, track=track).toml()
     text = json.dumps([*trial.key, trial.contender.kind, trial.contender.members, scenario])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _build() -> str:
+    """Identify the compiled extension, which holds vehicle and controller."""
+    return hashlib.sha256(Path(_core.__file__).read_bytes()).hexdigest()
 
 
 def _results(log: Path, kind: type[Result]) -> dict[str, Result]:
