@@ -317,11 +317,18 @@ class Plant:
     ) -> None:
         """Put the vehicle somewhere at forward speed `v >= 0`, its suspension at rest."""
 
-    def step(self, u: NDArray[np.float64], dt: float, friction: float | FrictionMap | Path) -> None:
+    def step(
+        self,
+        u: NDArray[np.float64],
+        dt: float,
+        friction: float | FrictionMap | Path,
+        hint: float | None = None,
+    ) -> None:
         """Drive `dt` seconds under the constant input `u = [F_x, delta_dot]` (N, rad/s).
 
         Friction is the same everywhere, or that of the map's cell or of the path's zone under each
-        wheel.
+        wheel. On a path the wheels are sought as by `Path.project`: pass the last projection's `s`
+        as `hint`, or the whole path is searched in every call.
 
         Raises `EgpError` for refused input and when the vehicle has spun, and keeps the state then.
         """

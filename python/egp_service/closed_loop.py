@@ -168,7 +168,7 @@ class _Loop:
         u = self._pending.popleft()
         for _ in range(FRICTION_UPDATES):
             try:
-                self._plant.step(u, dt / FRICTION_UPDATES, self.path)
+                self._plant.step(u, dt / FRICTION_UPDATES, self.path, self._s)
             except EgpError as error:
                 return self._ending(f"lost control: {error}")
         self._ticks += 1

@@ -7,9 +7,7 @@ The result does not depend on the number of processes.
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor
 from typing import TYPE_CHECKING
 
 from egp_service import EgpError
@@ -17,6 +15,7 @@ from egp_service.dataset import Dataset, merge
 from egp_service.exploration import ExplorationSettings, explore
 from egp_service.exploration_track import ExplorationTrack
 from egp_service.sampling import SamplingBounds, sample
+from egp_service.workers import workers
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -73,8 +72,7 @@ def collect(
             parts.append(_run(experiment, settings, number))
             report(len(parts), total)
         return merge(parts)
-    # Spawned, not forked: a fork would copy the thread pools of polars half.
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+    with workers(jobs) as pool:
         pending = [pool.submit(_run, experiment, settings, number) for number in numbers]
         for future in pending:
             parts.append(future.result())

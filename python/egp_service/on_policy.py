@@ -8,9 +8,6 @@ has its own track, zones and speed; what was driven on a surface goes to that su
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
-import os
-from concurrent.futures import ProcessPoolExecutor
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -20,6 +17,7 @@ from egp_service.backends import in_process_stepper
 from egp_service.closed_loop import drive
 from egp_service.dataset import Dataset
 from egp_service.scenario import Measurement, Scenario, Speed, Track, Zone
+from egp_service.workers import workers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -74,7 +72,7 @@ def drive_laps(
         _scenario(library, surfaces, first + lap, float(grip)) for lap, grip in enumerate(grips)
     ]
     driven: list[_Driven] = []
-    with ProcessPoolExecutor(jobs or os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
+    with workers(jobs) as pool:
         for done, lap in enumerate(pool.map(_drive, scenarios), start=1):
             driven.append(lap)
             report(done, settings.laps)

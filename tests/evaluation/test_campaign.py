@@ -11,6 +11,7 @@ import pytest
 
 from egp_service import EgpError
 from egp_service._core import write_library_subset
+from egp_service.evaluation.batch import finish
 from egp_service.evaluation.campaign import (
     SHIPPED,
     Campaign,
@@ -29,6 +30,7 @@ from egp_service.evaluation.statistics import Interval, grouped, mean, median, w
 from egp_service.scenario import Scenario, Speed, Track, Zone, library_path, load_scenario
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 BEND = Scenario(
@@ -72,10 +74,16 @@ def outcome(
     )
 
 
+def run_all(folder: Path, trials: list[Trial], report: Callable[[Outcome], None]) -> list[Outcome]:
+    batch = Campaign(folder, SHIPPED).runs(trials, report)
+    finish([batch], 2)
+    return batch.results()
+
+
 def test_every_contender_drives_and_is_not_run_twice(tmp_path: Path) -> None:
     trials = [Trial("bend", "10.8 m/s", contender, BEND) for contender in KINDS.values()]
     finished: list[Outcome] = []
-    first = Campaign(tmp_path, SHIPPED).run(trials, jobs=2, report=finished.append)
+    first = run_all(tmp_path, trials, finished.append)
     assert sorted(o.contender for o in finished) == sorted(KINDS)
     assert [o.contender for o in first] == list(KINDS)
     assert all(o.completed and o.lateral_max < 1.0 for o in first), first
@@ -83,11 +91,11 @@ def test_every_contender_drives_and_is_not_run_twice(tmp_path: Path) -> None:
     log = tmp_path / "runs.jsonl"
     log.write_text(log.read_text(encoding="utf-8")[:-40], encoding="utf-8")
     again: list[Outcome] = []
-    second = Campaign(tmp_path, SHIPPED).run(trials, jobs=1, report=again.append)
+    second = run_all(tmp_path, trials, again.append)
     # The known ones are reported first, as they were.
     assert {o.contender: o for o in again[:-1]} == {o.contender: o for o in finished[:-1]}
     assert again[-1].contender == finished[-1].contender
-    third = Campaign(tmp_path, SHIPPED).run(trials, jobs=1, report=lambda _: None)
+    third = run_all(tmp_path, trials, lambda _: None)
     assert third == second
     # Times are the machine's.
     untimed = [replace(o, step_ms=0.0, late=0) for o in second]

@@ -1,7 +1,7 @@
 """`egp evaluate`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -9,10 +9,11 @@ from rich.console import Console
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from egp_service.evaluation.batch import Batch
     from egp_service.evaluation.campaign import Campaign, Outcome
     from egp_service.evaluation.entry_speed import EntrySpeed
     from egp_service.evaluation.experiments import Experiment
-    from egp_service.evaluation.prediction import PredictionOutcome
+    from egp_service.evaluation.prediction import SeedOutcomes
 
 _SHOWN = ("varying-speed", "unseen-track", "lane-change", "four-members")
 _QUICK_TRANSITIONS = 200
@@ -71,6 +72,7 @@ def evaluate(
 
     from egp_service import EgpError
     from egp_service.evaluation import scaling
+    from egp_service.evaluation.batch import finish
     from egp_service.evaluation.campaign import SHIPPED, Campaign, require_members
     from egp_service.evaluation.experiments import (
         CUSTOM_TRACK,
@@ -100,9 +102,16 @@ def evaluate(
     if campaign.of_another_build:
         console.print(f"{output} holds runs of another build, which are kept.", highlight=False)
         console.print("Choose another --output to drive them all with this one.", highlight=False)
-    predictions = _predict(console, output, full=full, jobs=jobs) if "prediction" in chosen else []
-    outcomes = _drive(console, campaign, driven, full=full, jobs=jobs)
-    speeds = _entry_speeds(console, campaign, full=full, jobs=jobs) if avoidance in chosen else []
+    with _progress(console) as progress:
+        predictions = _predictions(progress, output, full=full) if "prediction" in chosen else None
+        runs = _runs(progress, campaign, driven, full=full)
+        speeds = _entry_speeds(progress, campaign, full=full) if avoidance in chosen else None
+        try:
+            finish([batch for batch in (predictions, runs, speeds) if batch], jobs)
+        except KeyboardInterrupt:
+            progress.console.print("Interrupted. The same command goes on with what is missing.")
+            raise
+    outcomes = runs.results()
     scenario = Scenario("step-times", CUSTOM_TRACK, (Zone(0.0, 0.8),))
     times = []
     if "step-times" in chosen:
@@ -117,8 +126,10 @@ def evaluate(
             output,
             command,
             outcomes=outcomes,
-            predictions=predictions,
-            speeds=speeds,
+            predictions=[o for s in predictions.results() for o in s.outcomes]
+            if predictions
+            else [],
+            speeds=speeds.results() if speeds else [],
             times=times,
             drives=shown,
         )
@@ -149,72 +160,60 @@ def _train(console: Console, output: Path) -> Path:
     return path
 
 
-def _predict(
-    console: Console, output: Path, *, full: bool, jobs: int | None
-) -> "list[PredictionOutcome]":
-    from egp_service.evaluation.prediction import PredictionSettings, run
+def _predictions(progress: "Progress", output: Path, *, full: bool) -> "Batch[Any, SeedOutcomes]":
+    from egp_service.evaluation.prediction import PredictionSettings, SeedOutcomes, seeds
 
     settings = (
         PredictionSettings()
         if full
         else PredictionSettings(1, _QUICK_TRANSITIONS, _QUICK_ITERATIONS)
     )
-    with _progress(console) as progress:
-        task = progress.add_task("prediction: training and testing seeds", total=settings.seeds)
+    task = progress.add_task("prediction: training and testing seeds", total=settings.seeds)
 
-        def report(done: int, total: int) -> None:
-            progress.update(task, completed=done, total=total)
+    def report(_: SeedOutcomes) -> None:
+        progress.advance(task)
 
-        return run(settings, output / "prediction.json", jobs=jobs, report=report)
+    return seeds(settings, output, report)
 
 
-def _drive(
-    console: Console,
-    campaign: "Campaign",
-    experiments: "list[Experiment]",
-    *,
-    full: bool,
-    jobs: int | None,
-) -> "list[Outcome]":
+def _runs(
+    progress: "Progress", campaign: "Campaign", experiments: "list[Experiment]", *, full: bool
+) -> "Batch[Any, Outcome]":
     trials = {
         e.name: list(e.trials(range(e.seeds if full else e.quick_seeds))) for e in experiments
     }
     lost = dict.fromkeys(trials, 0)
-    with _progress(console) as progress:
-        tasks = {
-            name: progress.add_task(name, start=False, total=len(own))
-            for name, own in trials.items()
-        }
+    tasks = {
+        name: progress.add_task(name, start=False, total=len(own)) for name, own in trials.items()
+    }
 
-        def report(outcome: "Outcome") -> None:
-            name = outcome.experiment
-            lost[name] += not outcome.completed
-            progress.start_task(tasks[name])
-            text = f"{name}: {lost[name]} not completed"
-            progress.update(tasks[name], advance=1, description=text)
+    def report(outcome: "Outcome") -> None:
+        name = outcome.experiment
+        lost[name] += not outcome.completed
+        progress.start_task(tasks[name])
+        text = f"{name}: {lost[name]} not completed"
+        progress.update(tasks[name], advance=1, description=text)
 
-        # All at once, so that no process waits for the last run of an experiment.
-        together = [trial for own in trials.values() for trial in own]
-        return campaign.run(together, jobs=jobs, report=report)
+    return campaign.runs([trial for own in trials.values() for trial in own], report)
 
 
 def _entry_speeds(
-    console: Console, campaign: "Campaign", *, full: bool, jobs: int | None
-) -> "list[EntrySpeed]":
+    progress: "Progress", campaign: "Campaign", *, full: bool
+) -> "Batch[Any, EntrySpeed]":
     from egp_service.evaluation.entry_speed import EntrySpeed, find
     from egp_service.evaluation.experiments import OBSTACLE_AVOIDANCE
 
     last = OBSTACLE_AVOIDANCE.conditions[-1][0]
     seeds = range(OBSTACLE_AVOIDANCE.seeds if full else OBSTACLE_AVOIDANCE.quick_seeds)
     trials = [t for t in OBSTACLE_AVOIDANCE.trials(seeds) if full or t.condition == last]
-    with _progress(console) as progress:
-        name = f"{OBSTACLE_AVOIDANCE.name}: bisecting entry speeds"
-        task = progress.add_task(name, total=len(trials))
+    name = f"{OBSTACLE_AVOIDANCE.name}: bisecting entry speeds"
+    task = progress.add_task(name, start=False, total=len(trials))
 
-        def report(_: EntrySpeed) -> None:
-            progress.advance(task)
+    def report(_: EntrySpeed) -> None:
+        progress.start_task(task)
+        progress.advance(task)
 
-        return campaign.each(trials, find, EntrySpeed, "entry-speeds", jobs=jobs, report=report)
+    return campaign.batch("entry-speeds", trials, find, EntrySpeed, report)
 
 
 def _progress(console: Console) -> "Progress":

@@ -1,16 +1,13 @@
-"""Many trials in parallel; every finished one is a line in a file, to go on from later."""
+"""A folder of trials, each driven with the library of its contender's members."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import os
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -18,9 +15,11 @@ from egp_service import _core
 from egp_service._core import EgpError, Engine, Library, write_library_subset
 from egp_service.closed_loop import drive
 from egp_service.course import build_path
+from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.contenders import ENSEMBLE, make
 from egp_service.evaluation.experiments import HALF_WIDTH
 from egp_service.evaluation.settling import resolution, settling_times
+from egp_service.workers import workers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -93,68 +92,31 @@ class Campaign:
         if not self.of_another_build:
             program.write_text(build, encoding="utf-8")
 
-    def run(
-        self,
-        trials: Iterable[Trial],
-        *,
-        jobs: int | None = None,
-        report: Callable[[Outcome], None],
-    ) -> list[Outcome]:
-        """Drive every trial once; see `each`."""
-        return self.each(trials, run_trial, Outcome, "runs", jobs=jobs, report=report)
+    def runs(
+        self, trials: Iterable[Trial], report: Callable[[Outcome], None]
+    ) -> Batch[Trial, Outcome]:
+        """Every trial driven once."""
+        return self.batch("runs", trials, run_trial, Outcome, report)
 
-    def each(
+    def batch(
         self,
+        name: str,
         trials: Iterable[Trial],
         work: Callable[[Trial], Result],
         kind: type[Result],
-        name: str,
-        *,
-        jobs: int | None = None,
         report: Callable[[Result], None],
-    ) -> list[Result]:
-        """Do `work` where `{name}.jsonl` has no result yet; gives all results, in trials' order.
-
-        Reports each result once: those that were there first, the others as they come.
-        """
-        finished = self._folder / f"{name}.jsonl"
+    ) -> Batch[Trial, Result]:
+        """Trials to `work` on, whose results of this `kind` go to `{name}.jsonl`."""
         wanted = [self._with_library(trial) for trial in trials]
-        prints = [fingerprint(trial, self._id + self._defaults) for trial in wanted]
-        known = _results(finished, kind)
-        missing = [
-            (mark, trial) for mark, trial in zip(prints, wanted, strict=True) if mark not in known
-        ]
-        for mark in prints:
-            if mark in known:
-                report(known[mark])
-        # Spawned, not forked: a fork would copy thread pools half.
-        spawn = multiprocessing.get_context("spawn")
-        with (
-            ProcessPoolExecutor(jobs or os.cpu_count(), spawn) as pool,
-            finished.open("a", encoding="utf-8") as log,
-        ):
-            if log.tell() and not finished.read_bytes().endswith(b"\n"):
-                log.write("\n")  # after the line an interrupted campaign was writing
-            pending = {pool.submit(work, trial): mark for mark, trial in missing}
-            try:
-                for future in as_completed(pending):
-                    result, mark = future.result(), pending[future]
-                    known[mark] = result
-                    log.write(json.dumps({"trial": mark, "outcome": asdict(result)}) + "\n")
-                    log.flush()
-                    report(result)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)  # not after hours of the others
-                raise
-        return [known[mark] for mark in prints]
+        parts = {fingerprint(trial, self._id + self._defaults): trial for trial in wanted}
+        return Batch(self._folder / f"{name}.jsonl", parts, work, _reader(kind), report)
 
     def drives(
         self, experiments: Iterable[Experiment], *, jobs: int | None = None
     ) -> dict[str, list[tuple[str, Run]]]:
         """Drive the first seed of each one's second condition, or its only one, to show it."""
         shown = [t for e in experiments for t in _shown(e)]
-        spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(jobs or os.cpu_count(), spawn) as pool:
+        with workers(jobs) as pool:
             runs = list(pool.map(drive_trial, [self._with_library(t) for t in shown]))
         found: dict[str, list[tuple[str, Run]]] = {}
         for trial, run in zip(shown, runs, strict=True):
@@ -204,20 +166,13 @@ def _build() -> str:
     return hashlib.sha256(Path(_core.__file__).read_bytes()).hexdigest()
 
 
-def _results(log: Path, kind: type[Result]) -> dict[str, Result]:
-    """Results so far by their trial's fingerprint."""
-    if not log.exists():
-        return {}
-    found = {}
-    for line in log.read_text(encoding="utf-8").splitlines():
-        try:
-            entry = json.loads(line)
-        except json.JSONDecodeError:  # the line an interrupted campaign was writing
-            continue
-        values = {k: tuple(v) if isinstance(v, list) else v for k, v in entry["outcome"].items()}
-        if set(values) == {field.name for field in fields(kind)}:  # not another version's
-            found[entry["trial"]] = kind(**values)
-    return found
+def _reader(kind: type[Result]) -> Callable[[dict[str, Any]], Result]:
+    """Make results of what JSON leaves of them."""
+
+    def read(values: dict[str, Any]) -> Result:
+        return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+
+    return read
 
 
 def run_trial(trial: Trial) -> Outcome:

@@ -8,11 +8,7 @@ the one it predicts. Members are tested on the kind of data they were trained on
 from __future__ import annotations
 
 import dataclasses
-import json
-import multiprocessing
-import os
 import tempfile
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,11 +16,11 @@ import numpy as np
 import torch
 
 from egp_service._core import Library, solve_weights
+from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.window_noise import model_noise
 from egp_service.experiment import Experiment
 from egp_service.export import export
-from egp_service.files import write_text
 from egp_service.sampling import sample
 from egp_service.training import TrainingSettings, train
 
@@ -76,37 +72,31 @@ class PredictionOutcome:
     nlpd_mixture: list[float]
 
 
-def run(
-    settings: PredictionSettings,
-    store: Path,
-    *,
-    jobs: int | None = None,
-    report: Callable[[int, int], None],
-) -> list[PredictionOutcome]:
-    """Run the seeds that `store` does not hold yet, in parallel; `report(done, total)` follows."""
+@dataclasses.dataclass(frozen=True)
+class SeedOutcomes:
+    """What came of one seed."""
+
+    outcomes: list[PredictionOutcome]
+
+    @classmethod
+    def read(cls, values: dict[str, Any]) -> SeedOutcomes:
+        """Make it of what JSON leaves of it."""
+        return cls([PredictionOutcome(**row) for row in values["outcomes"]])
+
+
+def seeds(
+    settings: PredictionSettings, folder: Path, report: Callable[[SeedOutcomes], None]
+) -> Batch[tuple[PredictionSettings, int], SeedOutcomes]:
+    """All seeds; what came of them goes to `prediction.jsonl`."""
     size = f"{settings.transitions}-{settings.iterations}"
-    known: dict[str, list[dict[str, Any]]] = {}
-    if store.exists():
-        known = json.loads(store.read_text(encoding="utf-8"))
-    missing = [seed for seed in range(settings.seeds) if f"{size}-{seed}" not in known]
-    spawn = multiprocessing.get_context("spawn")
-    # A thread each: the bits of sums over more depend on how many there are.
-    with ProcessPoolExecutor(jobs or os.cpu_count(), spawn, torch.set_num_threads, (1,)) as pool:
-        pending = {pool.submit(run_seed, settings, seed): seed for seed in missing}
-        for done, future in enumerate(as_completed(pending), start=1):
-            rows = [dataclasses.asdict(outcome) for outcome in future.result()]
-            known[f"{size}-{pending[future]}"] = rows
-            write_text(store, json.dumps(known))
-            report(settings.seeds - len(missing) + done, settings.seeds)
-    return [
-        PredictionOutcome(**row)
-        for seed in range(settings.seeds)
-        for row in known[f"{size}-{seed}"]
-    ]
+    parts = {f"{size}-{seed}": (settings, seed) for seed in range(settings.seeds)}
+    return Batch(folder / "prediction.jsonl", parts, run_seed, SeedOutcomes.read, report)
 
 
-def run_seed(settings: PredictionSettings, seed: int) -> list[PredictionOutcome]:
+def run_seed(part: tuple[PredictionSettings, int]) -> SeedOutcomes:
     """Sample, train and test one seed."""
+    settings, seed = part
+    torch.set_num_threads(1)  # the bits of sums over more depend on how many there are
     library = _train(settings, seed)
     names = {member.label: number for number, member in enumerate(library.members)}
     tests = {
@@ -127,7 +117,7 @@ def run_seed(settings: PredictionSettings, seed: int) -> list[PredictionOutcome]
         for members, on in ensembles
         for window in (1, _KEEP - 1)
     ]
-    return outcomes
+    return SeedOutcomes(outcomes)
 
 
 def _train(settings: PredictionSettings, seed: int) -> Library:

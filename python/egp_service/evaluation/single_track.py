@@ -138,7 +138,7 @@ def linearise(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Predictions (n, 3) and their Jacobians (n, 3, 6) by central differences."""
     n = len(z)
-    shifts = np.vstack([np.diag(_STEPS), -np.diag(_STEPS)])
-    shifted = prediction((z[None] + shifts[:, None]).reshape(-1, 6), dt).reshape(2, 6, n, 3)
-    jacobian = (shifted[0] - shifted[1]) / (2.0 * _STEPS[:, None, None])
-    return prediction(z, dt), jacobian.transpose(1, 2, 0)
+    shifts = np.vstack([np.zeros(6), np.diag(_STEPS), -np.diag(_STEPS)])
+    shifted = prediction((z[None] + shifts[:, None]).reshape(-1, 6), dt).reshape(13, n, 3)
+    jacobian = (shifted[1:7] - shifted[7:]) / (2.0 * _STEPS[:, None, None])
+    return shifted[0], jacobian.transpose(1, 2, 0)

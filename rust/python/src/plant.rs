@@ -46,9 +46,16 @@ impl Plant {
         self.0.reset(&state).map_err(raise)
     }
 
-    fn step(&mut self, u: Vector<'_>, dt: f64, friction: Surface<'_>) -> PyResult<()> {
+    #[pyo3(signature = (u, dt, friction, hint = None))]
+    fn step(
+        &mut self,
+        u: Vector<'_>,
+        dt: f64,
+        friction: Surface<'_>,
+        hint: Option<f64>,
+    ) -> PyResult<()> {
         let input = fixed("u", &u)?;
-        let friction = friction.friction()?;
+        let friction = friction.friction(hint)?;
         self.0.step(input, dt, friction.as_ref()).map_err(raise)
     }
 

@@ -35,17 +35,17 @@ pub enum Surface<'py> {
 }
 
 impl Surface<'_> {
-    /// As the plant sees it.
+    /// As the plant sees it; on a path the first wheel is sought from the arc length `hint` on.
     ///
     /// # Errors
     /// A coefficient that is not positive.
-    pub fn friction(&self) -> PyResult<Box<dyn Friction + '_>> {
+    pub fn friction(&self, hint: Option<f64>) -> PyResult<Box<dyn Friction + '_>> {
         Ok(match self {
             Self::Uniform(mu) => Box::new(Uniform::new(*mu).map_err(raise)?),
             Self::Map(map) => Box::new(&map.get().0),
             Self::Path(path) => Box::new(OnPath {
                 path: &path.get().0,
-                last: Cell::new(None),
+                last: Cell::new(hint),
             }),
         })
     }

@@ -1,0 +1,38 @@
+"""Processes that work in parallel and end with what they work for."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@contextmanager
+def workers(jobs: int | None = None) -> Iterator[ProcessPoolExecutor]:
+    """Open a pool of `jobs` processes, one per core by default.
+
+    An exception inside, such as Ctrl-C raises, ends them at once. A bare pool would first finish
+    what its processes have taken up, and Ctrl-C, which a terminal sends to all of them, would only
+    make each of them take up the next.
+    """
+    others = set(multiprocessing.active_children())
+    # Spawned, not forked: a fork would copy thread pools half.
+    spawn = multiprocessing.get_context("spawn")
+    ignore = (signal.SIGINT, signal.SIG_IGN)
+    with ProcessPoolExecutor(jobs or os.cpu_count(), spawn, signal.signal, ignore) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            own = set(multiprocessing.active_children()) - others
+            for process in own:
+                process.terminate()
+            for process in own:
+                process.join()
+            raise
