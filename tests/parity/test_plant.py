@@ -232,10 +232,10 @@ def test_friction_of_a_path_is_that_of_its_zones() -> None:
     line = Path.from_points(points, closed=False).with_friction([(0.0, 1.0), (0.5, 0.2)])
     brake = np.array([-6000.0, 0.0])
 
-    def braked(start: float, friction: float | Path) -> Vector:
+    def braked(start: float, friction: float | Path, hint: float | None = None) -> Vector:
         plant = Plant()
         plant.reset(start, 0.3, 0.0, 20.0)
-        plant.step(brake, 0.05, friction)
+        plant.step(brake, 0.05, friction, hint)
         return plant.state
 
     np.testing.assert_array_equal(braked(-50.0, line), braked(-50.0, 1.0))
@@ -243,6 +243,8 @@ def test_friction_of_a_path_is_that_of_its_zones() -> None:
     front_on_ice = braked(0.0, line)
     # The front wheels lock, the rear ones don't.
     assert np.all(front_on_ice[23:25] < 0.9 * front_on_ice[25:27])
+    for hint in (0.0, 99.0, 200.0):
+        np.testing.assert_array_equal(braked(0.0, line, hint), front_on_ice)
 
 
 def test_braking_on_a_split_road_turns_to_the_side_that_grips() -> None:
@@ -275,6 +277,8 @@ def test_refusals_keep_the_state() -> None:
     for friction in (-0.1, 0.0, math.nan):
         with pytest.raises(EgpError, match="friction coefficient > 0"):
             plant.step(coast, 0.05, friction)
+    with pytest.raises(EgpError, match="finite hint, got NaN"):
+        plant.step(coast, 0.05, 1.0, math.nan)
     with pytest.raises(EgpError, match="only drives forward"):
         plant.reset(0.0, 0.0, 0.0, -1.0)
     with pytest.raises(EgpError, match="vehicle 1 or 2, got 3"):

@@ -30,7 +30,7 @@ class Batch(Generic[Part, Result]):
     work: Callable[[Part], Result]
     """Done in another process, so it and the parts have to be picklable."""
     read: Callable[[dict[str, Any]], Result]
-    """Makes a result of its fields; raises `TypeError` where they are another version's."""
+    """Makes a result of its fields; raises `KeyError` or `TypeError` of another version's."""
     report: Callable[[Result], None]
     """Follows the results, first those that are in the log."""
 
@@ -65,7 +65,7 @@ class Batch(Generic[Part, Result]):
             try:
                 entry = json.loads(line)
                 known[entry["trial"]] = self.read(entry["outcome"])
-            except (json.JSONDecodeError, TypeError):
+            except (json.JSONDecodeError, KeyError, TypeError):
                 continue
         return known
 

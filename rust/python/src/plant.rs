@@ -55,6 +55,11 @@ impl Plant {
         hint: Option<f64>,
     ) -> PyResult<()> {
         let input = fixed("u", &u)?;
+        if let Some(hint) = hint.filter(|hint| !hint.is_finite()) {
+            return Err(EgpError::new_err(format!(
+                "expected a finite hint, got {hint}"
+            )));
+        }
         let friction = friction.friction(hint)?;
         self.0.step(input, dt, friction.as_ref()).map_err(raise)
     }
