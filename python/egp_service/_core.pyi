@@ -688,9 +688,9 @@ def solve_ocp(
     problem, weights and bounds without their axis T hold for all stages, except A.
 
     Entries may be different from zero where the vehicle's equations, eq. (11), have them: position
-    rows of A at themselves, v_x, psi and v_y; yaw at itself and omega; v_x, v_y and omega at each
-    other and delta; delta at itself; rows v_x, v_y and omega of B, and delta's at the steering
-    rate.
+    rows of A at themselves, v_x, psi, v_y and omega; yaw at itself and omega; v_x, v_y and omega
+    at each other and delta; delta at itself; rows v_x, v_y and omega of B, and delta's at the
+    steering rate.
 
     `solver` is asked first; when its answer fails our check, "riccati" is followed by "clarabel".
     `guess` (T, 2) holds inputs to start from, such as those of the last plan, shifted. `repeat`
@@ -725,11 +725,11 @@ def solve_ocp(
 class AffineOcp:
     """The control step's optimal control problem, eq. (18), around dynamics of any origin.
 
-    `settings_toml` holds the settings of a control step, `dt` is the period in s. Cost, bounds and
-    solvers are those of the step.
+    `settings_toml` holds the settings of a control step, `dt` is the period in s, `friction` the
+    surface's coefficient. Cost, bounds and solvers are those of the step.
     """
 
-    def __new__(cls, settings_toml: str, dt: float) -> AffineOcp: ...
+    def __new__(cls, settings_toml: str, dt: float, friction: float) -> AffineOcp: ...
     def solve(
         self,
         x0: NDArray[np.float64],

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 POINTS, HORIZON, WINDOW = 700, 20, 10
 # The members' vehicle is a caricature whose tyres need slip angles of 0.3 rad for their grip.
-SETTINGS = f"horizon = {HORIZON}\n[weights]\nwindow = {WINDOW}\n[soft]\nslip = 0.5"
+SETTINGS = f"horizon = {HORIZON}\n[weights]\nwindow = {WINDOW}\n[soft]\nslip = 0.8"
 SHARES = (0.5, 0.3, 0.2)
 RADIUS, SPEED = 60.0, 14.0
 

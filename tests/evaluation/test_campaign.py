@@ -180,12 +180,12 @@ def test_a_faster_car_touches_the_cones(tmp_path: Path) -> None:
     path = tmp_path / "two.safetensors"
     write_library_subset(SHIPPED, path, [0, 3])
     outside = {}
-    for speed in (9.0, 20.0):
+    for speed in (9.0, 24.0):
         scenario = replace(
             trial.scenario, library=str(path), speed=Speed(v_max=speed, constant=True)
         )
         outside[speed] = off_track(scenario, drive_trial(replace(trial, scenario=scenario)))
-    assert outside[9.0] == 0.0 < outside[20.0]
+    assert outside[9.0] == 0.0 < outside[24.0]
 
 
 def test_a_failed_run_breaks_the_claim() -> None:

@@ -34,7 +34,13 @@ def test_with_a_member_as_prediction_it_plans_what_the_service_plans(tmp_path: P
         return mean, jacobian
 
     ours = Controller(path)
-    same = PredictiveController(member, engine.settings_toml, engine.dt, mass=CHASSIS[1].mass)
+    same = PredictiveController(
+        member,
+        engine.settings_toml,
+        engine.dt,
+        mass=CHASSIS[1].mass,
+        friction=library.members[0].friction,
+    )
     course = build_path(replace(scenario, zones=(Zone(0.0, 1.1),)))
     profile = build_profile(scenario, course)
     plant, s = Plant(1), 0.0

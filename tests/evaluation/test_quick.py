@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from egp_service.cli import app
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.evaluation.experiments import EXACT
+from egp_service.evaluation.experiments import EXACT, NOISE
 from egp_service.evaluation.scaling import OURS, PAPER
 
 if TYPE_CHECKING:
@@ -57,6 +57,8 @@ def test_the_ensemble_completes_the_papers_scenarios_up_to_nine_tenths_of_the_gr
     assert {row["experiment"] for row in own} == papers
     lost = [row for row in own if row["completed"] != "True"]
     assert not lost, lost
+    # Closer than positions are measured.
+    assert max(float(row["lateral_rms"]) for row in own) < NOISE.position
 
 
 @pytest.mark.parametrize("acceleration", [2, 3, 4])
@@ -74,9 +76,7 @@ UNSETTLED = pytest.mark.xfail(
 )
 
 
-@pytest.mark.parametrize(
-    "acceleration", [pytest.param(2, marks=UNSETTLED), pytest.param(3, marks=UNSETTLED), 4]
-)
+@pytest.mark.parametrize("acceleration", [pytest.param(2, marks=UNSETTLED), 4])
 def test_the_weights_settle_within_half_a_second(runs: Rows, acceleration: int) -> None:
     times = settling_times(runs, acceleration)
     assert times
@@ -84,6 +84,7 @@ def test_the_weights_settle_within_half_a_second(runs: Rows, acceleration: int) 
 
 
 def test_half_of_the_weights_settle_within_half_a_second_at_3_m_s2(runs: Rows) -> None:
+    """Of twenty seeds two do not, so that of two nothing can be said of the slower one."""
     assert median(settling_times(runs, 3)) <= 0.5
 
 

@@ -18,7 +18,13 @@ from egp_service._core import Carry, EgpError, Engine, Library
 from egp_service.controller import Controller
 from egp_service.course import build_path
 from egp_service.evaluation.predictive_control import PredictiveController
-from egp_service.evaluation.single_track import CHASSIS, Kinematic, SingleTrack, linearise
+from egp_service.evaluation.single_track import (
+    CHASSIS,
+    NOMINAL_FRICTION,
+    Kinematic,
+    SingleTrack,
+    linearise,
+)
 from egp_service.evaluation.window_noise import WindowNoise
 from egp_service.scenario import library_path
 from egp_service.toml_text import dumps
@@ -161,5 +167,6 @@ def _predictive(scenario: Scenario, prediction: Prediction) -> PredictiveControl
         engine.settings_toml,
         engine.dt,
         mass=CHASSIS[scenario.vehicle].mass,
+        friction=NOMINAL_FRICTION,
         gate=scenario.gate,
     )

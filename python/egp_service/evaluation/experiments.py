@@ -93,11 +93,12 @@ def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender
 
 LABELS: Final = ("μ 0.5", "μ 0.6", "μ 0.9", "μ 1.1", "pooled")
 # What the ensemble would be without a part of it; not a baseline of another kind.
-VARIANTS: Final = ("paper's weights", "constant mean", "fitted single-track")
+VARIANTS: Final = ("paper's weights", "constant mean", "fitted single-track", "forward Euler")
 _ALL_OF_TWO: Final = (
     *contenders(TWO, LABELS),
     Contender("constant mean", "ensemble", CONSTANT_MEAN),
     Contender("fitted single-track", "ensemble", VEHICLES),
+    Contender("forward Euler", "ensemble", TWO, {"operating": {"yaw_at": 0.0}}),
 )
 _ALL_OF_FOUR: Final = contenders(FOUR, LABELS)
 _AVOIDING: Final = {ENSEMBLE, "pooled GP", "nominal single-track", "kinematic", ORACLE}

@@ -83,11 +83,13 @@ class Mpc:
         reference: Array,
         edges: Array,
         operating: Array,
+        friction: float,
     ) -> tuple[Array, Array]:
         """Plan ``(T+1, 7)`` and scaled inputs ``(T, 2)``.
 
         Dynamics are ``A (T, 7, 7)``, ``B (T, 7, 2)`` for scaled inputs and ``c (T, 7)`` along the
-        operating states ``(T+1, 7)``. Raises `EgpError` when OSQP finds no plan.
+        operating states ``(T+1, 7)``, `friction` the surface's coefficient. Raises `EgpError` when
+        OSQP finds no plan.
         """
         cost, limits, soft = (self.settings[name] for name in ("cost", "limits", "soft"))
         a, b, c = dynamics
@@ -112,7 +114,7 @@ class Mpc:
         sideways = operating[1:, V_Y] + soft["front"] * operating[1:, OMEGA]
         moving = operating[1:, V_X] >= SLOWEST
         direction = np.arctan(sideways / np.maximum(operating[1:, V_X], SLOWEST))
-        slip = np.where(moving, soft["slip"], np.inf)[:, None] * np.array([-1.0, 1.0])
+        slip = np.where(moving, soft["slip"] * friction, np.inf)[:, None] * np.array([-1.0, 1.0])
         self.steering.value = np.clip(direction[:, None] + slip, -soft["delta"], soft["delta"])
         self.normal.value = np.stack([-np.sin(reference[1:, 3]), np.cos(reference[1:, 3])], -1)
         self.edges.value = edges

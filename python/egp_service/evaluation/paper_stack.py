@@ -214,6 +214,8 @@ class PaperStack:
         self.weights = Weights(count, self.window, settings["weights"]["prior"]["lambda"])
         self.mpc = Mpc(self.horizon, dt, settings)
         self.margin = settings["soft"]["edge_margin"]
+        self.yaw_at = settings["operating"]["yaw_at"]
+        self.friction = np.array([member.friction for member in library.members])
 
     def step(self, request: Request) -> PaperStep:
         """Compute one step from a request whose window is full and which carries a plan."""
@@ -244,6 +246,7 @@ class PaperStack:
             reference=reference,
             edges=edges,
             operating=x,
+            friction=float(w @ self.friction),
         )
         phases.mpc = clock.lap()
         return PaperStep(plan_x, plan_u * [self.mass, 1.0], w, phases)
@@ -271,13 +274,16 @@ class PaperStack:
         mean = sum(wn * m for wn, (m, _) in zip(w, parts, strict=True))
         jacobian = sum(wn * j for wn, (_, j) in zip(w, parts, strict=True))
         dt, states = self.dt, x[:-1]
-        sin, cos = np.sin(states[:, PSI]), np.cos(states[:, PSI])
+        ahead = self.yaw_at * dt
+        yaw = states[:, PSI] + ahead * states[:, OMEGA]
+        sin, cos = np.sin(yaw), np.cos(yaw)
         v_x, v_y = states[:, V_X], states[:, V_Y]
         a = np.tile(np.eye(NX), (len(z), 1, 1))
         a[:, P_X, V_X], a[:, P_X, V_Y] = dt * cos, -dt * sin
         a[:, P_X, PSI] = -dt * (v_x * sin + v_y * cos)
         a[:, P_Y, V_X], a[:, P_Y, V_Y] = dt * sin, dt * cos
         a[:, P_Y, PSI] = dt * (v_x * cos - v_y * sin)
+        a[:, P_X, OMEGA], a[:, P_Y, OMEGA] = ahead * a[:, P_X, PSI], ahead * a[:, P_Y, PSI]
         a[:, PSI, OMEGA] = dt
         b = np.zeros((len(z), NX, NU))
         b[:, DELTA, 1] = dt

@@ -30,7 +30,8 @@ _PREDICTED_FROM: Final = (2, 4, 5, 6)  # of the state; the inputs follow
 class PredictiveController:
     """Drives with `linearise(z) -> (change (n, 3), Jacobian (n, 3, 6))` as its dynamics.
 
-    `settings` is the full TOML of a control step (`Engine.settings_toml`).
+    `settings` is the full TOML of a control step (`Engine.settings_toml`), `friction` that of the
+    surface which the driver thinks to be on.
     """
 
     library = b""
@@ -43,13 +44,15 @@ class PredictiveController:
         dt: float,
         *,
         mass: float,
+        friction: float,
         gate: Mapping[str, float] | None = None,
     ) -> None:
         """Start without a plan."""
         self._linearise = linearise
         self._settings: dict[str, Any] = tomllib.loads(settings)
         self._settings["mass"] = mass
-        self._ocp = AffineOcp(dumps(self._settings), dt)
+        self._yaw_at = float(self._settings["operating"]["yaw_at"])
+        self._ocp = AffineOcp(dumps(self._settings), dt, friction)
         self.dt = dt
         self.horizon = int(self._settings["horizon"])
         self._gate = Gate(dt, dict(gate or {}))
@@ -138,9 +141,11 @@ class PredictiveController:
         change[:together], jacobian[:together] = self._predict(x[:together], u[:together])
         for t in range(known - 1, self.horizon):
             change[t : t + 1], jacobian[t : t + 1] = self._predict(x[t : t + 1], u[t : t + 1])
-            x[t + 1] = self._inside(_successor(x[t : t + 1], u[t : t + 1], change[t], self.dt)[0])
-        A, B = _jacobians(x[:-1], jacobian, self.dt)
-        following = _successor(x[:-1], u, change, self.dt)
+            x[t + 1] = self._inside(
+                _successor(x[t : t + 1], u[t : t + 1], change[t], self.dt, self._yaw_at)[0]
+            )
+        A, B = _jacobians(x[:-1], jacobian, self.dt, self._yaw_at)
+        following = _successor(x[:-1], u, change, self.dt, self._yaw_at)
         c = following - np.einsum("tij,tj->ti", A, x[:-1]) - np.einsum("tij,tj->ti", B, u)
         return x, u, A, B, c
 
@@ -166,10 +171,15 @@ class PredictiveController:
 
 
 def _successor(
-    x: NDArray[np.float64], u: NDArray[np.float64], change: NDArray[np.float64], dt: float
+    x: NDArray[np.float64],
+    u: NDArray[np.float64],
+    change: NDArray[np.float64],
+    dt: float,
+    yaw_at: float,
 ) -> NDArray[np.float64]:
     """Next states (n, 7), eqs. (10)-(11)."""
-    cos, sin = np.cos(x[:, _PSI]), np.sin(x[:, _PSI])
+    yaw = x[:, _PSI] + yaw_at * dt * x[:, 5]
+    cos, sin = np.cos(yaw), np.sin(yaw)
     following = x.copy()
     following[:, 0] += (x[:, 2] * cos - x[:, 4] * sin) * dt
     following[:, 1] += (x[:, 2] * sin + x[:, 4] * cos) * dt
@@ -180,16 +190,18 @@ def _successor(
 
 
 def _jacobians(
-    x: NDArray[np.float64], jacobian: NDArray[np.float64], dt: float
+    x: NDArray[np.float64], jacobian: NDArray[np.float64], dt: float, yaw_at: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Give `A` (n, 7, 7) and `B` (n, 7, 2), eqs. (15)-(17)."""
-    cos, sin = np.cos(x[:, _PSI]), np.sin(x[:, _PSI])
+    yaw = x[:, _PSI] + yaw_at * dt * x[:, 5]
+    cos, sin = np.cos(yaw), np.sin(yaw)
     A = np.tile(np.eye(7), (len(x), 1, 1))
     B = np.zeros((len(x), 7, 2))
     A[:, 0, 2], A[:, 0, 4] = cos * dt, -sin * dt
     A[:, 0, 3] = (-x[:, 2] * sin - x[:, 4] * cos) * dt
     A[:, 1, 2], A[:, 1, 4] = sin * dt, cos * dt
     A[:, 1, 3] = (x[:, 2] * cos - x[:, 4] * sin) * dt
+    A[:, :2, 5] = yaw_at * dt * A[:, :2, 3]
     A[:, 3, 5] = dt
     B[:, 6, 1] = dt
     for row, output in enumerate(_MOTION):

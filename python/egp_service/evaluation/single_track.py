@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 GRAVITY: Final = 9.81
+# The middle of the roads' range: whoever does not adapt can do no better.
+NOMINAL_FRICTION: Final = 0.8
 _SLOWEST: Final = 1.0  # m/s; slip angles lose their meaning below
 _SUBSTEP: Final = 0.02  # s, of the Runge-Kutta integration
 # Relative to the size of each input; central differences are then right to about 1e-9.
@@ -73,12 +75,11 @@ class Kinematic:
 class SingleTrack:
     """Two wheels, load transfer and lateral tyre forces that saturate at a nominal friction.
 
-    `F_y = mu F_z sin(C atan(B alpha))` with `B C` the cornering stiffness per load. The nominal
-    friction is the middle of the road's range: whoever does not adapt can do no better.
+    `F_y = mu F_z sin(C atan(B alpha))` with `B C` the cornering stiffness per load.
     """
 
     chassis: Chassis
-    friction: float = 0.8
+    friction: float = NOMINAL_FRICTION
     stiffness: float = 20.898
     """Cornering stiffness over load, 1/rad, of CommonRoad's single-track vehicle."""
     shape: float = 1.5

@@ -185,6 +185,7 @@ fn phases(c: &mut Criterion, library: &Library) {
     let reference = Reference {
         x: &targets,
         widths: &[[3.0; 2]; 21],
+        friction: 0.8,
     };
     let mut qp = OcpQp::new(20, soft_rows(&settings.soft));
     c.bench_function("phase/assemble", |b| {

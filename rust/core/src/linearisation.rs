@@ -84,7 +84,7 @@ impl Linearisation {
         };
         self.x[0] = domain.clamp(*x0);
         for t in 0..self.stages.len() {
-            let (stage, next) = tangent(ensemble, dt, &self.x[t], &guess.u[t]);
+            let (stage, next) = tangent(ensemble, dt, settings.yaw_at, &self.x[t], &guess.u[t]);
             self.stages[t] = stage;
             let planned = match settings.kind {
                 Operating::Shift => guess.x.get(t + 1),
@@ -96,11 +96,17 @@ impl Linearisation {
 }
 
 /// The dynamics at one point, eq. (15), and its successor.
-fn tangent(ensemble: &Ensemble, dt: f64, x: &State, u: &Input) -> (AffineDynamics, State) {
+fn tangent(
+    ensemble: &Ensemble,
+    dt: f64,
+    yaw_at: f64,
+    x: &State,
+    u: &Input,
+) -> (AffineDynamics, State) {
     let mut gp = GpJacobian::zeros();
     let change = ensemble.mean_jacobian(&gp_input(x, u), &mut gp);
-    let next = successor(x, u, &change, dt);
-    let (a, b) = jacobians(x, &gp, dt);
+    let next = successor(x, u, &change, dt, yaw_at);
+    let (a, b) = jacobians(x, &gp, dt, yaw_at);
     (
         AffineDynamics {
             a,

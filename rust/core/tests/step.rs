@@ -256,6 +256,33 @@ fn track_edges_hold_the_plan_back() {
 }
 
 #[test]
+fn the_front_tyres_slip_as_far_as_the_blended_surface_lets_them() {
+    let mut settings = settings();
+    (settings.soft.slip, settings.soft.steering.linear) = (0.1, 1e5);
+    let mut request = Request::circle();
+    (request.history_z, request.history_y) = (vec![], vec![]);
+    request.widths.clear();
+    request.x[1] = -4.0; // far enough beside the path to steer back as hard as allowed
+    let front = settings.soft.front;
+    for (weights, friction) in [([1.0, 0.0], 0.5), ([0.5, 0.5], 0.8), ([0.0, 1.0], 1.1)] {
+        request.weights = weights.to_vec();
+        (request.plan_x, request.plan_u, request.plan_shift) = (vec![], vec![], 0);
+        // Each plan is bounded about the one before, and they may take turns.
+        let largest = [(); 8].map(|()| {
+            request.carry(&solve(&request, &settings));
+            let slip = |x: &[f64; 7]| (x[6] - ((x[4] + front * x[5]) / x[2]).atan()).abs();
+            let states = request.plan_x.as_chunks().0.iter();
+            states.map(slip).fold(0.0, f64::max)
+        });
+        let found = 0.5 * (largest[6] + largest[7]);
+        assert!(
+            (found - 0.1 * friction).abs() < 0.01,
+            "{friction}: {largest:?}"
+        );
+    }
+}
+
+#[test]
 fn sigma_covers_noise_and_disagreement() {
     let settings = settings();
     let request = warm();

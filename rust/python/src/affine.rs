@@ -13,11 +13,12 @@ use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};
 use crate::error::raise;
 use crate::ocp::{OcpResult, result};
 
-/// Assembles and solves the problems of one set of settings.
+/// Assembles and solves the problems of one set of settings on a surface of one friction.
 #[pyclass(module = "egp_service._core", frozen)]
 struct AffineOcp {
     settings: Settings,
     dt: f64,
+    friction: f64,
     memory: Mutex<Memory>,
 }
 
@@ -31,7 +32,7 @@ struct Memory {
 #[pymethods]
 impl AffineOcp {
     #[new]
-    fn new(settings_toml: &str, dt: f64) -> PyResult<Self> {
+    fn new(settings_toml: &str, dt: f64, friction: f64) -> PyResult<Self> {
         let settings = Settings::from_toml(settings_toml).map_err(raise)?;
         let qp = OcpQp::new(settings.horizon, soft_rows(&settings.soft));
         let memory = Memory {
@@ -43,6 +44,7 @@ impl AffineOcp {
         Ok(Self {
             settings,
             dt,
+            friction,
             memory: Mutex::new(memory),
         })
     }
@@ -112,6 +114,7 @@ impl AffineOcp {
         let reference = Reference {
             x: &reference,
             widths: &widths,
+            friction: self.friction,
         };
         ocp::assemble(
             &self.settings,

@@ -59,6 +59,7 @@ pub(super) fn hard(limits: &Limits, dt: f64, operating: &[State], qp: &mut OcpQp
 /// `operating` and `reference` belong to the state that the rows bound.
 pub(super) fn soft(
     soft: &Soft,
+    friction: f64,
     operating: &State,
     reference: &State,
     widths: Option<&[f64; 2]>,
@@ -67,7 +68,7 @@ pub(super) fn soft(
     let [v_y, omega] = soft.envelope.unwrap_or([1.0; 2]);
     *rows = [
         interval(V_X, 0.0, soft.v_x_max),
-        steering(soft, operating),
+        steering(soft, friction, operating),
         widths.map_or_else(SoftRow::inactive, |widths| {
             track(reference, widths, soft.edge_margin)
         }),
@@ -84,24 +85,23 @@ fn interval(state: usize, lower: f64, upper: f64) -> SoftRow {
     }
 }
 
-/// The steering angles at which the front tyres slip by at most `soft.slip` while they move as in the operating state;
-/// any angle when they hardly move.
+/// The steering angles at which the front tyres slip by at most `soft.slip` times the friction while they move as in
+/// the operating state; any angle when they hardly move.
 ///
 /// Beyond the peak of the tyres' force more steering brings less: a model linearised there, or a little wrong about
 /// where it is, turns the wheel until nothing is left to steer with (Beal and Gerdes, *Model Predictive Control for
 /// Vehicle Stabilization at the Limits of Handling*, IEEE Transactions on Control Systems Technology 21(4), 2013).
-fn steering(soft: &Soft, operating: &State) -> SoftRow {
+/// Stiffness hardly depends on the surface but the largest force does, so the peak moves in proportion to friction
+/// (Pacejka, *Tire and Vehicle Dynamics*, 3rd ed., section 1.2.1).
+fn steering(soft: &Soft, friction: f64, operating: &State) -> SoftRow {
     if operating[V_X] < SLOWEST {
         return interval(DELTA, -soft.delta, soft.delta);
     }
     let sideways = operating[V_Y] + soft.front * operating[OMEGA];
     let direction = (sideways / operating[V_X]).atan();
+    let slip = soft.slip * friction;
     let bound = |angle: f64| angle.clamp(-soft.delta, soft.delta);
-    interval(
-        DELTA,
-        bound(direction - soft.slip),
-        bound(direction + soft.slip),
-    )
+    interval(DELTA, bound(direction - slip), bound(direction + slip))
 }
 
 /// The strip between the track edges, as half-planes normal to the reference yaw. Where the track is narrower than
@@ -155,13 +155,13 @@ mod tests {
     #[test]
     fn the_wheels_point_near_to_where_they_travel() {
         let soft = Soft {
-            slip: 0.1,
+            slip: 0.2,
             front: 1.0,
             ..Soft::default()
         };
         let mut x = State::zeros();
         (x[V_X], x[V_Y], x[OMEGA]) = (20.0, -6.0, 1.0);
-        let row = steering(&soft, &x);
+        let row = steering(&soft, 0.5, &x);
         let direction = (-0.25_f64).atan();
         assert_eq!(row.normal, State::ith(DELTA, 1.0));
         assert!((row.lower - (direction - 0.1)).abs() < 1e-15);
@@ -169,10 +169,10 @@ mod tests {
         // Parking takes what steering there is.
         let mut parking = State::zeros();
         (parking[V_X], parking[OMEGA]) = (1.0, 0.3);
-        assert_eq!(steering(&soft, &parking).upper, soft.delta);
+        assert_eq!(steering(&soft, 0.5, &parking).upper, soft.delta);
         // Sliding sideways, the wheel cannot turn as far as the slip would ask for.
         x[V_Y] = 60.0;
-        let row = steering(&soft, &x);
+        let row = steering(&soft, 0.5, &x);
         assert!(row.lower == soft.delta && row.upper == soft.delta);
     }
 

@@ -13,13 +13,15 @@ use crate::{Input, Settings, State};
 
 pub use bounds::soft_rows;
 
-/// The reference over the horizon in the vehicle's frame, rows `0..=T`.
+/// The road over the horizon: what to follow in the vehicle's frame, rows `0..=T`, and on what.
 #[derive(Debug, Clone, Copy)]
 pub struct Reference<'a> {
     /// `[p_x, p_y, v_x, psi]` in their places of a state, zero elsewhere.
     pub x: &'a [State],
     /// Distances `[left, right]` in m from the reference point to the track edges; empty if unknown.
     pub widths: &'a [[f64; 2]],
+    /// The surface's friction coefficient, as far as it is known.
+    pub friction: f64,
 }
 
 /// Fills `qp` for the measured state `x0` and the input now applied, both in the vehicle's frame and SI units.
@@ -51,6 +53,7 @@ pub fn assemble(
         stage.reference = *target;
         bounds::soft(
             &settings.soft,
+            reference.friction,
             &dynamics.x[t + 1],
             target,
             reference.widths.get(t + 1),

@@ -35,8 +35,8 @@ pub const SOFT_PATTERN: [&[usize]; MAX_SOFT] = [&[V_X], &[DELTA], &[P_X, P_Y], &
 
 /// States (as columns) that each row of `A` may involve, by eq. (11).
 pub const A_PATTERN: [&[usize]; NX] = [
-    &[P_X, V_X, PSI, V_Y],
-    &[P_Y, V_X, PSI, V_Y],
+    &[P_X, V_X, PSI, V_Y, OMEGA],
+    &[P_Y, V_X, PSI, V_Y, OMEGA],
     &[V_X, V_Y, OMEGA, DELTA],
     &[PSI, OMEGA],
     &[V_X, V_Y, OMEGA, DELTA],

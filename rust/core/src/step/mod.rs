@@ -64,9 +64,14 @@ pub fn step(
         &settings.operating,
         edges,
     );
+    let frictions = library.members().iter().map(Member::friction);
+    let friction = (frictions.zip(&ws.active))
+        .map(|(mu, weight)| mu * weight)
+        .sum();
     let reference = Reference {
         x: &ws.reference,
         widths: rows.widths,
+        friction,
     };
     ocp::assemble(
         settings,

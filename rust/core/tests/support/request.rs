@@ -12,14 +12,14 @@ pub fn library() -> &'static Library {
 }
 
 /// The defaults over a horizon of 20 and a window of 10: enough to show everything, and quick. The vehicle of
-/// [`super::change`] needs slip angles of 0.3 rad for its grip.
+/// [`super::change`] needs slip angles of 0.3 rad for its grip on any surface.
 pub fn settings() -> Settings {
     let mut settings = Settings {
         horizon: 20,
         ..Settings::default()
     };
     settings.weights.window = 10;
-    settings.soft.slip = 0.5;
+    settings.soft.slip = 0.6;
     settings
 }
 

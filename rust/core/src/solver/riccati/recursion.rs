@@ -106,7 +106,7 @@ impl Dynamics {
             combine(m, &c[2], [0, 1, 2, 4, 5]),
             combine(m, &c[3], [0, 1, 3]),
             combine(m, &c[4], [0, 1, 2, 4, 5]),
-            combine(m, &c[5], [2, 3, 4, 5]),
+            combine(m, &c[5], [0, 1, 2, 3, 4, 5]),
             combine(m, &c[6], [2, 4, 5, 6]),
             combine(m, &c[7], [2, 4, 5]),
             combine(m, &c[8], [2, 4, 5, 6]),
