@@ -466,7 +466,7 @@ class Member:
 
     @property
     def friction(self) -> float:
-        """Nominal friction coefficient of the surface."""
+        """Nominal friction coefficient of the surface; scales the step's bound on slip."""
 
     @property
     def dataset(self) -> str:
@@ -687,10 +687,10 @@ def solve_ocp(
     state x0 (7,), input now applied u_prev (2,), and reference (T, 7) of x_1..x_T. Arrays of
     problem, weights and bounds without their axis T hold for all stages, except A.
 
-    Entries may be different from zero where the vehicle's equations, eq. (11), have them: position
-    rows of A at themselves, v_x, psi, v_y and omega; yaw at itself and omega; v_x, v_y and omega
-    at each other and delta; delta at itself; rows v_x, v_y and omega of B, and delta's at the
-    steering rate.
+    Entries may be different from zero where the vehicle's equations have them, eq. (11) with
+    positions along the yaw of any moment of the period: position rows of A at themselves, v_x, psi,
+    v_y and omega; yaw at itself and omega; v_x, v_y and omega at each other and delta; delta at
+    itself; rows v_x, v_y and omega of B, and delta's at the steering rate.
 
     `solver` is asked first; when its answer fails our check, "riccati" is followed by "clarabel".
     `guess` (T, 2) holds inputs to start from, such as those of the last plan, shifted. `repeat`
@@ -727,6 +727,8 @@ class AffineOcp:
 
     `settings_toml` holds the settings of a control step, `dt` is the period in s, `friction` the
     surface's coefficient. Cost, bounds and solvers are those of the step.
+
+    Raises `EgpError` for settings out of range and a friction that is not a positive number.
     """
 
     def __new__(cls, settings_toml: str, dt: float, friction: float) -> AffineOcp: ...

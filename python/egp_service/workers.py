@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -19,13 +20,12 @@ def workers(jobs: int | None = None) -> Iterator[ProcessPoolExecutor]:
 
     An exception inside, such as Ctrl-C raises, ends them at once. A bare pool would first finish
     what its processes have taken up, and Ctrl-C, which a terminal sends to all of them, would only
-    make each of them take up the next.
+    make each of them take up the next. Killed, this process takes them along.
     """
     others = set(multiprocessing.active_children())
     # Spawned, not forked: a fork would copy thread pools half.
     spawn = multiprocessing.get_context("spawn")
-    ignore = (signal.SIGINT, signal.SIG_IGN)
-    with ProcessPoolExecutor(jobs or os.cpu_count(), spawn, signal.signal, ignore) as pool:
+    with ProcessPoolExecutor(jobs or os.cpu_count(), spawn, _begin) as pool:
         try:
             yield pool
         except BaseException:
@@ -36,3 +36,16 @@ def workers(jobs: int | None = None) -> Iterator[ProcessPoolExecutor]:
             for process in own:
                 process.join()
             raise
+
+
+def _begin() -> None:
+    """Leave interruptions to the parent, and do not outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

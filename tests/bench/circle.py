@@ -103,6 +103,7 @@ def follow(library: Library, weights: Array, x: Array, u: Array) -> Array:
     z = np.array([[x[2], x[4], x[5], x[6], *u]])
     change = sum(w * library.predict(z, n)[0][0] for n, w in enumerate(weights) if w > 0.0)
     v_x, psi, v_y, omega = x[2:6]
+    psi += 0.5 * library.dt * omega  # of the period's middle
     turned = [v_x * np.cos(psi) - v_y * np.sin(psi), v_x * np.sin(psi) + v_y * np.cos(psi)]
     following = x.copy()
     following[:2] += library.dt * np.array(turned)

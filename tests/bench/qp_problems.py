@@ -42,8 +42,9 @@ def advance(x: Array, u: Array, grip: float) -> Array:
     """Return the states (n, 7) one period after `x` (n, 7) under `u` (n, 2)."""
     _, _, v_x, psi, v_y, omega, delta = x.T
     change = np.zeros_like(x)
-    change[:, 0] = v_x * np.cos(psi) - v_y * np.sin(psi)
-    change[:, 1] = v_x * np.sin(psi) + v_y * np.cos(psi)
+    middle = psi + 0.5 * DT * omega
+    change[:, 0] = v_x * np.cos(middle) - v_y * np.sin(middle)
+    change[:, 1] = v_x * np.sin(middle) + v_y * np.cos(middle)
     change[:, 3] = omega
     change[:, 6] = u[:, 1]
     h = DT / 10

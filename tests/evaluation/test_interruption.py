@@ -1,14 +1,16 @@
-"""Ctrl-C ends what works in parallel at once, and an evaluation goes on afterwards."""
+"""Whatever ends an evaluation ends its processes at once; called again, it goes on."""
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import CancelledError
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn
 
 import pytest
@@ -17,7 +19,7 @@ from egp_service.workers import workers
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from concurrent.futures import Future
+    from concurrent.futures import Executor, Future
     from pathlib import Path
 
 LONG = 3600.0  # s
@@ -31,39 +33,69 @@ def wait_until(condition: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-def test_an_exception_ends_workers_and_what_they_have_queued() -> None:
-    others = set(multiprocessing.active_children())
+def work_long(mark: Path) -> None:
+    mark.touch()
+    time.sleep(LONG)
 
-    def interrupt_when_busy(futures: list[Future[None]]) -> NoReturn:
-        wait_until(lambda: sum(future.running() for future in futures) >= 2)
+
+def test_an_exception_ends_workers_and_what_they_have_queued(tmp_path: Path) -> None:
+    others = set(multiprocessing.active_children())
+    futures: list[Future[None]] = []
+
+    def interrupt_when_busy(pool: Executor) -> NoReturn:
+        futures.extend(pool.submit(work_long, tmp_path / str(n)) for n in range(8))
+        wait_until(lambda: len(list(tmp_path.iterdir())) == 2)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt), workers(2) as pool:
-        interrupt_when_busy([pool.submit(time.sleep, LONG) for _ in range(8)])
+        interrupt_when_busy(pool)
     assert set(multiprocessing.active_children()) <= others
+    for future in futures:
+        with pytest.raises((CancelledError, BrokenProcessPool)):
+            future.result(PATIENCE)
+    assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.parametrize("send", [os.killpg, os.kill])
-def test_an_interrupted_evaluation_ends_and_goes_on(
-    tmp_path: Path, send: Callable[[int, int], None]
-) -> None:
-    """As a terminal does it, to all processes, and as `kill -INT` does, to one."""
-    log = tmp_path / "runs.jsonl"
+def evaluation(folder: Path) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "egp_service", "evaluate", "-e", "friction-step"]
-    process = subprocess.Popen(
-        [*command, "-o", str(tmp_path)],
+    return subprocess.Popen(
+        [*command, "-o", str(folder)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         start_new_session=True,
     )
+
+
+@pytest.mark.parametrize(
+    ("send", "sent", "code"),
+    [
+        pytest.param(os.killpg, signal.SIGINT, 128 + signal.SIGINT, id="Ctrl-C"),
+        pytest.param(os.kill, signal.SIGINT, 128 + signal.SIGINT, id="kill -INT"),
+        pytest.param(os.kill, signal.SIGKILL, -signal.SIGKILL, id="kill -KILL"),
+    ],
+)
+def test_an_evaluation_ends_with_its_processes_and_goes_on(
+    tmp_path: Path, send: Callable[[int, int], None], sent: int, code: int
+) -> None:
+    log = tmp_path / "runs.jsonl"
+    process = evaluation(tmp_path)
     try:
         wait_until(lambda: log.exists() and log.stat().st_size > 0)
-        send(process.pid, signal.SIGINT)
+        send(process.pid, sent)
         output, _ = process.communicate(timeout=PATIENCE)  # until all have closed it
     finally:
-        process.kill()
-    assert process.returncode == 128 + signal.SIGINT, output
-    assert "The same command goes on" in output
-    lines = log.read_text(encoding="utf-8").splitlines()
-    assert all(json.loads(line)["outcome"]["experiment"] == "friction-step" for line in lines)
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == code, output
+    assert "Traceback" not in output
+    assert sent == signal.SIGKILL or "The same command goes on" in output
+    finished = log.read_text(encoding="utf-8")
+    if sent == signal.SIGKILL:
+        again = evaluation(tmp_path)
+        output, _ = again.communicate(timeout=5 * PATIENCE)
+        assert again.returncode == 0, output
+        results = log.read_text(encoding="utf-8")
+        assert results.startswith(finished)
+        marks = [line.partition(",")[0] for line in results.splitlines() if line]
+        assert len(marks) == len(set(marks)) > len(finished.splitlines())

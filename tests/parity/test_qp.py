@@ -33,6 +33,7 @@ def dynamics(rng: np.random.Generator, v: float, psi: float) -> tuple[Array, Arr
     a = np.eye(7)
     a[0, [2, 3, 4]] = np.array([np.cos(psi), -v * np.sin(psi), -np.sin(psi)]) * DT
     a[1, [2, 3, 4]] = np.array([np.sin(psi), v * np.cos(psi), np.cos(psi)]) * DT
+    a[:2, 5] = 0.5 * DT * a[:2, 3]
     a[3, 5] = DT
     grip = 60.0 * rng.uniform(0.3, 1.2)
     lateral = np.array([-2.0 / v, -v / grip - 0.5 / v, 1.0]) * grip * DT

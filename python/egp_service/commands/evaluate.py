@@ -107,11 +107,12 @@ def evaluate(
         runs = _runs(progress, campaign, driven, full=full)
         speeds = _entry_speeds(progress, campaign, full=full) if avoidance in chosen else None
         try:
-            finish([batch for batch in (predictions, runs, speeds) if batch], jobs)
+            finish([batch for batch in (predictions, runs, speeds) if batch is not None], jobs)
         except KeyboardInterrupt:
             progress.console.print("Interrupted. The same command goes on with what is missing.")
             raise
     outcomes = runs.results()
+    seeds = predictions.results() if predictions else []
     scenario = Scenario("step-times", CUSTOM_TRACK, (Zone(0.0, 0.8),))
     times = []
     if "step-times" in chosen:
@@ -126,9 +127,7 @@ def evaluate(
             output,
             command,
             outcomes=outcomes,
-            predictions=[o for s in predictions.results() for o in s.outcomes]
-            if predictions
-            else [],
+            predictions=[outcome for seed in seeds for outcome in seed.outcomes],
             speeds=speeds.results() if speeds else [],
             times=times,
             drives=shown,

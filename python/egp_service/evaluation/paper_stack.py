@@ -260,15 +260,14 @@ class PaperStack:
         last = x[-1]
         for _ in range(shift):
             last = last.copy()
-            last[[P_X, P_Y]] += (
-                self.dt * last[V_X] * np.array([np.cos(last[PSI]), np.sin(last[PSI])])
-            )
+            yaw = last[PSI] + self.yaw_at * self.dt * last[OMEGA]
+            last[[P_X, P_Y]] += self.dt * last[V_X] * np.array([np.cos(yaw), np.sin(yaw)])
             last[PSI] += self.dt * last[OMEGA]
             x = np.concatenate([x, last[None]])
         return x, u
 
     def _linearise(self, x: Array, u: Array, w: Array) -> tuple[Array, Array, Array]:
-        """Blend the members' tangents, eqs. (15)-(17); inputs of ``B`` are scaled."""
+        """Blend the tangents, eqs. (15)-(17), along our yaw; inputs of ``B`` are scaled."""
         z = np.concatenate([x[:-1, [V_X, V_Y, OMEGA, DELTA]], u], axis=1)
         parts = [member.mean_jacobian(z) for member in self.members]
         mean = sum(wn * m for wn, (m, _) in zip(w, parts, strict=True))

@@ -87,16 +87,19 @@ class SeedOutcomes:
 def seeds(
     settings: PredictionSettings, folder: Path, report: Callable[[SeedOutcomes], None]
 ) -> Batch[tuple[PredictionSettings, int], SeedOutcomes]:
-    """All seeds; what came of them goes to `prediction.jsonl`."""
+    """All seeds; what came of them goes to `prediction.jsonl`, whatever program it came from."""
     size = f"{settings.transitions}-{settings.iterations}"
     parts = {f"{size}-{seed}": (settings, seed) for seed in range(settings.seeds)}
     return Batch(folder / "prediction.jsonl", parts, run_seed, SeedOutcomes.read, report)
 
 
 def run_seed(part: tuple[PredictionSettings, int]) -> SeedOutcomes:
-    """Sample, train and test one seed."""
+    """Sample, train and test one seed, with this process's torch on one thread from now on.
+
+    The bits of sums over several threads depend on how many there are.
+    """
     settings, seed = part
-    torch.set_num_threads(1)  # the bits of sums over more depend on how many there are
+    torch.set_num_threads(1)
     library = _train(settings, seed)
     names = {member.label: number for number, member in enumerate(library.members)}
     tests = {

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 # Columns of the state.
-_V_X, _PSI, _DELTA = 2, 3, 6
+_V_X, _PSI, _OMEGA, _DELTA = 2, 3, 5, 6
 _MOTION: Final = (2, 4, 5)  # v_x, v_y, omega
 _PREDICTED_FROM: Final = (2, 4, 5, 6)  # of the state; the inputs follow
 
@@ -177,13 +177,13 @@ def _successor(
     dt: float,
     yaw_at: float,
 ) -> NDArray[np.float64]:
-    """Next states (n, 7), eqs. (10)-(11)."""
-    yaw = x[:, _PSI] + yaw_at * dt * x[:, 5]
+    """Next states (n, 7), eqs. (10)-(11) along the yaw at `yaw_at` of the period."""
+    yaw = x[:, _PSI] + yaw_at * dt * x[:, _OMEGA]
     cos, sin = np.cos(yaw), np.sin(yaw)
     following = x.copy()
     following[:, 0] += (x[:, 2] * cos - x[:, 4] * sin) * dt
     following[:, 1] += (x[:, 2] * sin + x[:, 4] * cos) * dt
-    following[:, 3] += x[:, 5] * dt
+    following[:, _PSI] += x[:, _OMEGA] * dt
     following[:, 6] += u[:, 1] * dt
     following[:, _MOTION] += change
     return following
@@ -192,8 +192,8 @@ def _successor(
 def _jacobians(
     x: NDArray[np.float64], jacobian: NDArray[np.float64], dt: float, yaw_at: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Give `A` (n, 7, 7) and `B` (n, 7, 2), eqs. (15)-(17)."""
-    yaw = x[:, _PSI] + yaw_at * dt * x[:, 5]
+    """Give `A` (n, 7, 7) and `B` (n, 7, 2), eqs. (15)-(17), of `_successor`."""
+    yaw = x[:, _PSI] + yaw_at * dt * x[:, _OMEGA]
     cos, sin = np.cos(yaw), np.sin(yaw)
     A = np.tile(np.eye(7), (len(x), 1, 1))
     B = np.zeros((len(x), 7, 2))
@@ -201,8 +201,8 @@ def _jacobians(
     A[:, 0, 3] = (-x[:, 2] * sin - x[:, 4] * cos) * dt
     A[:, 1, 2], A[:, 1, 4] = sin * dt, cos * dt
     A[:, 1, 3] = (x[:, 2] * cos - x[:, 4] * sin) * dt
-    A[:, :2, 5] = yaw_at * dt * A[:, :2, 3]
-    A[:, 3, 5] = dt
+    A[:, :2, _OMEGA] = yaw_at * dt * A[:, :2, 3]
+    A[:, _PSI, _OMEGA] = dt
     B[:, 6, 1] = dt
     for row, output in enumerate(_MOTION):
         A[:, output, _PREDICTED_FROM] += jacobian[:, row, :4]

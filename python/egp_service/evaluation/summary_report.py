@@ -60,13 +60,13 @@ and measurement noise give its errors, each at the level that makes the window l
 predict whole changes and fall back to constants, as <i>constant mean</i> here; ours correct a
 single-track vehicle fitted to the same data, which <i>fitted single-track</i> drives with alone;
 <i>constant mean</i> learned from the laps that the fitted vehicles drove. The paper's positions
-move along the yaw at the start of each period, as with <i>forward Euler</i> here, so that it
-believes to leave every bend and drives on its inside; ours along the yaw in the middle. Everyone
-here keeps the front tyres' slip near their peak, which moves with the friction they believe in. The
-paper's reference moves at the present speed, ours along a speed profile, so braking is not fought.
-What a vehicle leaves is learned with one kernel for all three outputs, whole changes with a kernel
-for each, as in the paper. Tracks here are computed from their definition or drawn from a seed;
-frictions are those of the text."""
+move along the yaw at the start of each period, as with <i>forward Euler</i> here, so that its
+controller believes that it is leaving every bend and drives on the inside; ours along the yaw in
+the middle. Everyone here keeps the front tyres' slip near their peak, which moves with the friction
+they believe in. The paper's reference moves at the present speed, ours along a speed profile, so
+braking is not fought. What a vehicle leaves is learned with one kernel for all three outputs, whole
+changes with a kernel for each, as in the paper. Tracks here are computed from their definition or
+drawn from a seed; frictions are those of the text."""
 
 
 def write_report(

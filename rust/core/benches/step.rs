@@ -14,7 +14,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use egp_core::linearisation::Linearisation;
-use egp_core::ocp::{self, Reference, soft_rows};
+use egp_core::ocp::{self, Road, soft_rows};
 use egp_core::settings::SolverKind;
 use egp_core::solver::{ClarabelSolver, RiccatiSolver, solve_checked};
 use egp_core::trajectory::Guess;
@@ -40,7 +40,7 @@ fn settings() -> Settings {
         ..Settings::default()
     };
     settings.weights.window = 10;
-    settings.soft.slip = 0.5; // the tests' caricature of a vehicle grips at 0.3 rad
+    settings.soft.slip = 0.8; // the tests' caricature of a vehicle grips at 0.3 rad on any surface
     settings
 }
 
@@ -182,18 +182,14 @@ fn phases(c: &mut Criterion, library: &Library) {
         .iter()
         .map(|r| State::from([r[0], r[1], r[2], r[3], 0.0, 0.0, 0.0]))
         .collect();
-    let reference = Reference {
+    let road = Road {
         x: &targets,
         widths: &[[3.0; 2]; 21],
         friction: 0.8,
     };
     let mut qp = OcpQp::new(20, soft_rows(&settings.soft));
     c.bench_function("phase/assemble", |b| {
-        b.iter(|| {
-            ocp::assemble(
-                &settings, 0.05, &x0, &u_prev, &dynamics, &reference, &mut qp,
-            )
-        });
+        b.iter(|| ocp::assemble(&settings, 0.05, &x0, &u_prev, &dynamics, &road, &mut qp));
     });
 
     let mut solver = ClarabelSolver::new(&qp, &settings.solver).unwrap();

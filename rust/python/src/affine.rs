@@ -4,13 +4,13 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use egp_core::linearisation::Linearisation;
-use egp_core::ocp::{self, Reference, soft_rows};
+use egp_core::ocp::{self, Road, soft_rows};
 use egp_core::solver::{rungs, solve_first};
 use egp_core::{Input, NU, NX, OcpQp, OcpSolution, QpSolver, Settings, State};
 use pyo3::prelude::*;
 
 use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};
-use crate::error::raise;
+use crate::error::{EgpError, raise};
 use crate::ocp::{OcpResult, result};
 
 /// Assembles and solves the problems of one set of settings on a surface of one friction.
@@ -34,6 +34,11 @@ impl AffineOcp {
     #[new]
     fn new(settings_toml: &str, dt: f64, friction: f64) -> PyResult<Self> {
         let settings = Settings::from_toml(settings_toml).map_err(raise)?;
+        if !(friction.is_finite() && friction > 0.0) {
+            return Err(EgpError::new_err(format!(
+                "expected a friction coefficient > 0, got {friction}"
+            )));
+        }
         let qp = OcpQp::new(settings.horizon, soft_rows(&settings.soft));
         let memory = Memory {
             dynamics: Linearisation::new(settings.horizon),
@@ -111,20 +116,12 @@ impl AffineOcp {
             }
             stage.c = c[t].into();
         }
-        let reference = Reference {
+        let road = Road {
             x: &reference,
             widths: &widths,
             friction: self.friction,
         };
-        ocp::assemble(
-            &self.settings,
-            self.dt,
-            &x0,
-            &u_prev,
-            dynamics,
-            &reference,
-            qp,
-        );
+        ocp::assemble(&self.settings, self.dt, &x0, &u_prev, dynamics, &road, qp);
         let start = Instant::now();
         let tolerance = self.settings.solver.kkt_tolerance;
         let solver = solve_first(solvers, qp, &guess, tolerance, solution);

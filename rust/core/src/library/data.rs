@@ -29,7 +29,7 @@ pub struct LibrarySpec {
 pub struct MemberData {
     /// The surface's name.
     pub label: String,
-    /// Nominal friction coefficient of the surface.
+    /// Nominal friction coefficient of the surface; the step's bound on slip is proportional to it.
     pub friction: f64,
     /// SHA-256 of the dataset the member was trained on, hexadecimal.
     pub dataset: String,

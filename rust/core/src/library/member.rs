@@ -60,7 +60,7 @@ impl Member {
         &self.label
     }
 
-    /// Nominal friction coefficient of the surface.
+    /// Nominal friction coefficient of the surface; the step's bound on slip is proportional to it.
     pub fn friction(&self) -> f64 {
         self.friction
     }

@@ -15,12 +15,12 @@ pub use bounds::soft_rows;
 
 /// The road over the horizon: what to follow in the vehicle's frame, rows `0..=T`, and on what.
 #[derive(Debug, Clone, Copy)]
-pub struct Reference<'a> {
+pub struct Road<'a> {
     /// `[p_x, p_y, v_x, psi]` in their places of a state, zero elsewhere.
     pub x: &'a [State],
     /// Distances `[left, right]` in m from the reference point to the track edges; empty if unknown.
     pub widths: &'a [[f64; 2]],
-    /// The surface's friction coefficient, as far as it is known.
+    /// Friction coefficient of the surface that the dynamics are those of.
     pub friction: f64,
 }
 
@@ -33,7 +33,7 @@ pub fn assemble(
     x0: &State,
     u_prev: &Input,
     dynamics: &Linearisation,
-    reference: &Reference,
+    road: &Road,
     qp: &mut OcpQp,
 ) {
     qp.x0 = *x0;
@@ -48,15 +48,15 @@ pub fn assemble(
         stage.b = affine.b;
         stage.b.column_mut(FORCE).scale_mut(settings.mass);
         stage.c = affine.c;
-        let target = &reference.x[t + 1];
+        let target = &road.x[t + 1];
         stage.q = cost::state_weight(&settings.cost, target, t + 1 == horizon);
         stage.reference = *target;
         bounds::soft(
             &settings.soft,
-            reference.friction,
+            road.friction,
             &dynamics.x[t + 1],
             target,
-            reference.widths.get(t + 1),
+            road.widths.get(t + 1),
             &mut stage.soft,
         );
     }

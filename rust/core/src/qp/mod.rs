@@ -33,7 +33,7 @@ pub const MAX_SOFT: usize = 5;
 /// States each soft row may involve; the rest of its normal is zero.
 pub const SOFT_PATTERN: [&[usize]; MAX_SOFT] = [&[V_X], &[DELTA], &[P_X, P_Y], &[V_Y], &[OMEGA]];
 
-/// States (as columns) that each row of `A` may involve, by eq. (11).
+/// States (as columns) that each row of `A` may involve, by eq. (11) with positions along the yaw of any moment.
 pub const A_PATTERN: [&[usize]; NX] = [
     &[P_X, V_X, PSI, V_Y, OMEGA],
     &[P_Y, V_X, PSI, V_Y, OMEGA],

@@ -28,8 +28,8 @@ pub struct OperatingSettings {
     pub v_y: f64,
     /// Largest |omega| to linearise at, in rad/s. Default 3.
     pub omega: f64,
-    /// When in a period, as a share of it, the yaw is taken in which positions move. Default 0.5, the midpoint rule: a
-    /// vehicle in a bend moves along its chords. 0 is the paper's forward Euler method, whose tangents lead out of it.
+    /// When in a period, as a share of it, the yaw is taken along which positions move. Default 0.5: a vehicle in a bend
+    /// moves along its chords. 0 is the paper's forward Euler method, along tangents that lead out of the bend.
     pub yaw_at: f64,
 }
 
@@ -91,8 +91,9 @@ pub struct Soft {
     pub v_x_max: f64,
     /// Largest steering angle in rad. Default 0.91.
     pub delta: f64,
-    /// Largest slip angle of the front tyres over the friction of the blended surface, in rad, at the price of
-    /// `steering`; where their force peaks is a good value, and 5 is as good as none. Default 0.12, the simulated car's.
+    /// Largest slip angle of the front tyres on friction 1, in rad, at the price of `steering`; times the blend's
+    /// friction on other surfaces. Where their force peaks is a good value, and 5 is as good as none. Default 0.12, the
+    /// simulated car's.
     pub slip: f64,
     /// Distance from the centre of mass to the front axle in m. Default 0.9, the simulated car's.
     pub front: f64,

@@ -185,6 +185,8 @@ mod tests {
             ("mass = nan", "mass"),
             ("[limits]\na_min = 1.0", "limits.a_min"),
             ("[cost]\nlateral = -1.0", "cost.lateral"),
+            ("[operating]\nyaw_at = 1.5", "operating.yaw_at"),
+            ("[operating]\nyaw_at = nan", "operating.yaw_at"),
             ("[cost]\ninput = [0.0, 1.0]", "cost.input"),
             ("[weights]\nthreshold = 1.5", "weights.threshold"),
             ("[soft.track]\nlinear = 0.0", "soft.track.linear"),

@@ -15,7 +15,7 @@ use validate::Rows;
 use workspace::SigmaMemory;
 
 use crate::crew::each;
-use crate::ocp::{self, Reference};
+use crate::ocp::{self, Road};
 use crate::solver::{Status, solve_first};
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, gp_input, wrap};
 use crate::weights::select_active;
@@ -68,7 +68,7 @@ pub fn step(
     let friction = (frictions.zip(&ws.active))
         .map(|(mu, weight)| mu * weight)
         .sum();
-    let reference = Reference {
+    let road = Road {
         x: &ws.reference,
         widths: rows.widths,
         friction,
@@ -79,7 +79,7 @@ pub fn step(
         &x0,
         &rows.u_prev,
         &ws.dynamics,
-        &reference,
+        &road,
         &mut ws.qp,
     );
 

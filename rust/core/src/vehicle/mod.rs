@@ -1,4 +1,4 @@
-//! The vehicle of eq. (11): where each quantity stands, exact kinematics, a single-track model as prior, and the frame
+//! The vehicle of eq. (11): where each quantity stands, known kinematics, a single-track model as prior, and the frame
 //! the step works in.
 
 mod frame;

@@ -113,6 +113,8 @@ impl Drive {
         stage.a[(1, 2)] = DT * sin;
         stage.a[(1, 3)] = DT * v * cos;
         stage.a[(1, 4)] = DT * cos;
+        stage.a[(0, 5)] = 0.5 * DT * stage.a[(0, 3)];
+        stage.a[(1, 5)] = 0.5 * DT * stage.a[(1, 3)];
         stage.a[(2, 2)] = 0.99;
         stage.a[(2, 4)] = 0.05 * self.unit();
         stage.a[(2, 5)] = 0.05 * self.unit();
