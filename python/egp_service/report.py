@@ -56,13 +56,22 @@ GRAVITY = 9.81
 
 def draw_run(run: Run, folder: FilePath) -> list[FilePath]:
     """Draw all pictures of a run into `folder`; gives their paths."""
-    pictures: dict[str, Callable[[Run], Figure]] = {
-        "track.png": _track_figure,
-        "weights.png": _weights_figure,
-        "errors.png": _errors_figure,
-        "step-times.png": _step_times_figure,
-    }
-    return [_save(draw, run, folder / name) for name, draw in pictures.items()]
+    return [
+        _save(_track_figure, run, folder / "track.png"),
+        draw_weights(run, folder / "weights.png"),
+        draw_errors(run, folder / "errors.png"),
+        _save(_step_times_figure, run, folder / "step-times.png"),
+    ]
+
+
+def draw_weights(run: Run, path: FilePath, title: str | None = None) -> FilePath:
+    """Draw weights, the friction they say beside the true one, and the grip used in corners."""
+    return _save(_weights_figure, run, path, title)
+
+
+def draw_errors(run: Run, path: FilePath, title: str | None = None) -> FilePath:
+    """Draw lateral and heading errors, and the speed beside its reference."""
+    return _save(_errors_figure, run, path, title)
 
 
 def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath:
@@ -252,9 +261,13 @@ def _zones(path: Path, distance: float) -> list[tuple[float, float, float]]:
     return [(float(s[i]), end, float(friction[i])) for i, end in zip(starts, ends, strict=True)]
 
 
-def _save(draw: Callable[[Run], Figure], run: Run, path: FilePath) -> FilePath:
+def _save(
+    draw: Callable[[Run], Figure], run: Run, path: FilePath, title: str | None = None
+) -> FilePath:
     with plt.style.context(STYLE):
         figure = draw(run)
+        if title:
+            figure.suptitle(title, x=0.01, ha="left")
         with replacing(path) as beside:
             figure.savefig(beside)
         plt.close(figure)

@@ -91,11 +91,10 @@ def test_an_evaluation_ends_with_its_processes_and_goes_on(
     assert "Traceback" not in output
     assert sent == signal.SIGKILL or "The same command goes on" in output
     finished = log.read_text(encoding="utf-8")
-    if sent == signal.SIGKILL:
-        again = evaluation(tmp_path)
-        output, _ = again.communicate(timeout=5 * PATIENCE)
-        assert again.returncode == 0, output
-        results = log.read_text(encoding="utf-8")
-        assert results.startswith(finished)
-        marks = [line.partition(",")[0] for line in results.splitlines() if line]
-        assert len(marks) == len(set(marks)) > len(finished.splitlines())
+    again = evaluation(tmp_path)
+    output, _ = again.communicate(timeout=5 * PATIENCE)
+    assert again.returncode == 0, output
+    results = log.read_text(encoding="utf-8")
+    assert results.startswith(finished)
+    marks = [line.partition(",")[0] for line in results.splitlines() if line]
+    assert len(marks) == len(set(marks)) > len(finished.splitlines())

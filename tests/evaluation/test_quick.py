@@ -40,6 +40,11 @@ def test_the_report_stands_alone(folder: Path) -> None:
     assert len(sources) > 10
     assert all(source.startswith("data:image/png;base64,") for source in sources)
     assert "What was claimed" in report
+    # The paper's pictures of the ensemble, with changes in corners and on straights among them.
+    for kind in ("weights", "errors"):
+        for condition in ("changes-in-corners", "changes-on-straights"):
+            assert (folder / "drives" / f"four-members-{condition}.{kind}.png").exists()
+            assert f'alt="four-members-{condition}.{kind}"' in report
     assert "How well the friction can be known" in report
 
 
@@ -76,16 +81,11 @@ UNSETTLED = pytest.mark.xfail(
 )
 
 
-@pytest.mark.parametrize("acceleration", [pytest.param(2, marks=UNSETTLED), 4])
+@pytest.mark.parametrize("acceleration", [pytest.param(2, marks=UNSETTLED), 3, 4])
 def test_the_weights_settle_within_half_a_second(runs: Rows, acceleration: int) -> None:
     times = settling_times(runs, acceleration)
     assert times
     assert max(times) <= 0.5
-
-
-def test_half_of_the_weights_settle_within_half_a_second_at_3_m_s2(runs: Rows) -> None:
-    """Of twenty seeds two do not, so that of two nothing can be said of the slower one."""
-    assert median(settling_times(runs, 3)) <= 0.5
 
 
 def test_the_friction_is_known_the_better_the_faster_the_bend(runs: Rows) -> None:

@@ -22,7 +22,7 @@ Result = TypeVar("Result", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Batch(Generic[Part, Result]):
-    """Parts of one kind, by fingerprints of all that their results depend on."""
+    """Parts of one kind, by fingerprints that tell them from all others."""
 
     log: Path
     """Results so far, a JSON object on each line."""

@@ -69,6 +69,15 @@ class Outcome:
     """Median time of a step, likewise."""
 
 
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A run to look at."""
+
+    condition: str
+    contender: str
+    run: Run
+
+
 class Campaign:
     """Trials in a folder: libraries of the contenders, outcomes so far."""
 
@@ -113,14 +122,18 @@ class Campaign:
 
     def drives(
         self, experiments: Iterable[Experiment], *, jobs: int | None = None
-    ) -> dict[str, list[tuple[str, Run]]]:
-        """Drive the first seed of each one's second condition, or its only one, to show it."""
+    ) -> dict[str, list[Drive]]:
+        """Drive what is worth looking at, by experiment.
+
+        Of the first seed the ensemble at every condition, and at one the others beside it.
+        """
         shown = [t for e in experiments for t in _shown(e)]
         with workers(jobs) as pool:
             runs = list(pool.map(drive_trial, [self._with_library(t) for t in shown]))
-        found: dict[str, list[tuple[str, Run]]] = {}
+        found: dict[str, list[Drive]] = {}
         for trial, run in zip(shown, runs, strict=True):
-            found.setdefault(trial.experiment, []).append((trial.contender.name, run))
+            drive = Drive(trial.condition, trial.contender.name, run)
+            found.setdefault(trial.experiment, []).append(drive)
         return found
 
     def _with_library(self, trial: Trial) -> Trial:
@@ -135,9 +148,12 @@ class Campaign:
 
 
 def _shown(experiment: Experiment) -> list[Trial]:
-    condition, _ = experiment.conditions[min(1, len(experiment.conditions) - 1)]
-    trials = [t for t in experiment.trials([0]) if t.condition == condition]
-    return [t for t in trials if t.contender.name in SHOWN_CONTENDERS]
+    return [
+        trial
+        for trial in experiment.trials([0])
+        if trial.contender.name == ENSEMBLE
+        or (trial.condition == experiment.compared and trial.contender.name in SHOWN_CONTENDERS)
+    ]
 
 
 def require_members(library: Path, experiments: Iterable[Experiment]) -> None:

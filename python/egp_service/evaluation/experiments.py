@@ -67,6 +67,11 @@ class Experiment:
     seeds: int
     quick_seeds: int
 
+    @property
+    def compared(self) -> str:
+        """The condition whose drives are drawn side by side: the second, or the only one."""
+        return self.conditions[min(1, len(self.conditions) - 1)][0]
+
     def trials(self, seeds: Iterable[int]) -> Iterator[Trial]:
         """Every contender at every condition, seed by seed."""
         for seed in seeds:

@@ -22,7 +22,7 @@ h1, h2 { line-height: 1.2; } h2 { margin-top: 2.5rem; }
 table { border-collapse: collapse; margin: 1rem 0; font-size: 12.5px;
         font-variant-numeric: tabular-nums; }
 th, td { text-align: right; padding: .2rem .5rem; border-bottom: 1px solid #e5e7eb; }
-th:first-child, td:first-child, td.text { text-align: left; }
+th:first-child, td:first-child, .text { text-align: left; }
 th { font-weight: 600; color: #5a606b; } img { max-width: 100%; } code { background: #f3f4f6; }
 .no { color: #c2410c; font-weight: 600; } .yes { color: #3f6f3a; font-weight: 600; }
 p.note { color: #5a606b; }
@@ -60,7 +60,8 @@ def claim_table(claims: Iterable[Claim]) -> str:
         f"<td class=text>{html.escape(c.evidence)}</td></tr>"
         for c in claims
     ]
-    return f"<table><tr><th>claim</th><th></th><th>evidence</th></tr>{''.join(rows)}</table>"
+    heads = "<tr><th>claim</th><th></th><th class=text>evidence</th></tr>"
+    return f"<table>{heads}{''.join(rows)}</table>"
 
 
 def group_table(groups: Iterable[Group]) -> str:
@@ -81,7 +82,7 @@ def group_table(groups: Iterable[Group]) -> str:
         + "".join(
             f"<td>{text}</td>"
             for text in (
-                interval(group.lateral_rms),
+                interval(group.lateral_rms, 4),
                 interval(group.lateral_max),
                 interval(group.speed_rms),
                 interval(group.lap_time, 2),
@@ -97,7 +98,9 @@ def group_table(groups: Iterable[Group]) -> str:
         + "</tr>"
         for group in groups
     ]
-    header = "".join(f"<th>{head}</th>" for head in heads)
+    texts, numbers = heads[:2], heads[2:]
+    header = "".join(f"<th class=text>{head}</th>" for head in texts)
+    header += "".join(f"<th>{head}</th>" for head in numbers)
     return f"<table><tr>{header}</tr>{''.join(rows)}</table>"
 
 
