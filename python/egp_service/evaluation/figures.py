@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -37,11 +38,10 @@ _BARS: Final = (
 )
 
 
-def colour(contender: str) -> str:
+def colours(contenders: Sequence[str]) -> dict[str, str]:
     """Ink for the ensemble, a muted tone for the oracle, one colour for each of the others."""
-    if contender in {ENSEMBLE, ORACLE}:
-        return INK if contender == ENSEMBLE else MUTED
-    return MEMBER_COLOURS[sum(map(ord, contender)) % len(MEMBER_COLOURS)]
+    others = [name for name in contenders if name not in {ENSEMBLE, ORACLE}]
+    return {ENSEMBLE: INK, ORACLE: MUTED} | dict(zip(others, cycle(MEMBER_COLOURS), strict=False))
 
 
 def draw_prediction(outcomes: Sequence[PredictionOutcome], path: Path) -> Path:
@@ -115,14 +115,15 @@ def draw_entry_speeds(medians: Mapping[tuple[str, str], Interval], path: Path) -
     """Highest entry speeds with their intervals, by `(contender, surface)`."""
     surfaces = list(dict.fromkeys(surface for _, surface in medians))
     names = list(dict.fromkeys(contender for contender, _ in medians))
+    colour = colours(names)
     with plt.style.context(STYLE):
         figure, ax = plt.subplots(figsize=(8.0, 1.2 + 0.7 * len(surfaces)))
         for (name, surface), found in medians.items():
             spread = 0.7 * (names.index(name) / max(1, len(names) - 1) - 0.5)
             y = surfaces.index(surface) + spread
-            ax.plot([found.low, found.high], [y, y], color=colour(name), lw=1.2)
+            ax.plot([found.low, found.high], [y, y], color=colour[name], lw=1.2)
             label = name if surface == surfaces[0] else None
-            ax.plot(found.value, y, "o", ms=4, color=colour(name), label=label)
+            ax.plot(found.value, y, "o", ms=4, color=colour[name], label=label)
         ax.set_yticks(range(len(surfaces)), surfaces)
         ax.invert_yaxis()
         ax.set_xlabel("highest entry speed, m/s")
@@ -135,6 +136,7 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
     runs = [o for o in outcomes if o.experiment == "friction-step"]
     conditions = list(dict.fromkeys(o.condition for o in runs))
     names = list(dict.fromkeys(o.contender for o in runs))
+    colour = colours(names)
     with plt.style.context(STYLE):
         figure, ax = plt.subplots(figsize=(9.0, 3.4))
         for number, name in enumerate(names):
@@ -146,15 +148,15 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
                     for t in o.settling
                 ]
                 x = place + 0.42 * (number - 0.5 * (len(names) - 1))
-                ax.plot(np.full(len(times), x), times, ".", color=colour(name), alpha=0.5)
+                ax.plot(np.full(len(times), x), times, ".", color=colour[name], alpha=0.5)
                 if times:
-                    ax.plot(x, np.median(times), "_", ms=18, color=colour(name))
+                    ax.plot(x, np.median(times), "_", ms=18, color=colour[name])
                 own = [o for o in runs if (o.contender, o.condition) == (name, condition)]
                 moved = sum(bool(o.settling) for o in own)
                 count = f"{moved}/{len(own)}"
-                ax.text(x, -0.14, count, ha="center", fontsize=7, color=colour(name))
+                ax.text(x, -0.14, count, ha="center", fontsize=7, color=colour[name])
         for name in names:
-            ax.plot([], [], "o", color=colour(name), label=name)
+            ax.plot([], [], "o", color=colour[name], label=name)
         ax.axhline(0.5, color=ALARM, lw=0.8)
         labels = [condition.replace(" lateral", "").replace(", ", "\n") for condition in conditions]
         ax.set_xticks(range(len(conditions)), labels)
