@@ -29,12 +29,9 @@ def workers(jobs: int | None = None) -> Iterator[ProcessPoolExecutor]:
         try:
             yield pool
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            own = set(multiprocessing.active_children()) - others
-            for process in own:
+            # The pool's thread fails what is queued and reaps them; reaping here would race it.
+            for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
-            for process in own:
-                process.join()
             raise
 
 
