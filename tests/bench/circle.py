@@ -27,6 +27,7 @@ POINTS, HORIZON, WINDOW = 700, 20, 10
 # The members' vehicle is a caricature whose tyres need slip angles of 0.3 rad for their grip.
 SETTINGS = f"horizon = {HORIZON}\n[weights]\nwindow = {WINDOW}\n[soft]\nslip = 0.8"
 SHARES = (0.5, 0.3, 0.2)
+GOLDEN = 0.618  # spreads any number of members evenly over frictions, the first in their middle
 RADIUS, SPEED = 60.0, 14.0
 
 
@@ -34,7 +35,7 @@ def make_members(count: int, advance: Callable[[], object]) -> list[MemberData]:
     """Fit `count` members of 700 points, calling `advance` after each."""
     members = []
     for seed in range(count):
-        friction = 0.4 + 0.8 * seed / max(1, count - 1)
+        friction = 0.4 + 0.8 * ((0.5 + GOLDEN * seed) % 1.0)
         arrays = member_arrays(friction, POINTS, seed, one_kernel=True)
         members.append(MemberData(**arrays))
         advance()

@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("--requests", type=int, default=100, help="for the paper's stack, on a lap")
     parser.add_argument("--scenario", default="rounded-rectangle", help="course of the lap")
     parser.add_argument(
-        "--periods", type=int, default=15, help="requests for each number of members"
+        "--periods", type=int, default=100, help="requests for each number of members"
     )
     parser.add_argument("--repeats", type=int, default=100, help="calls of each GP program")
     parser.add_argument("--pictures", type=Path, default=PICTURES)

@@ -40,7 +40,7 @@ fn settings() -> Settings {
         ..Settings::default()
     };
     settings.weights.window = 10;
-    settings.soft.slip = 0.8; // the tests' caricature of a vehicle grips at 0.3 rad on any surface
+    settings.soft.slip = 1.2; // the tests' caricature of a vehicle grips at 0.3 rad on any surface
     settings
 }
 
