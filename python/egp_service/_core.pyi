@@ -728,7 +728,8 @@ class AffineOcp:
     `settings_toml` holds the settings of a control step, `dt` is the period in s, `friction` the
     surface's coefficient. Cost, bounds and solvers are those of the step.
 
-    Raises `EgpError` for settings out of range and a friction that is not a positive number.
+    Raises `EgpError` for settings out of range, and a period or friction that is not a positive
+    number.
     """
 
     def __new__(cls, settings_toml: str, dt: float, friction: float) -> AffineOcp: ...
@@ -787,8 +788,9 @@ def solve_weights(
 class Engine:
     """The control step of the service, in-process: the same bytes in, the same bytes out.
 
-    `settings_toml` holds the settings of the control step; fields left out keep their default. With
-    more than one of `cores` (no more than the machine has), members are evaluated at once where
+    `settings_toml` holds the settings of the control step; fields left out keep their default,
+    which for the horizon is 0.8 s of the library's periods and for the window 0.5 s. With more than
+    one of `cores` (no more than the machine has), members are evaluated at once where
     there is half a millisecond of them: standard deviations of four active members of 700 points,
     for example, not of two. The bytes of a reply do not depend on it. Such an engine does not
     survive a fork: its threads stay behind.

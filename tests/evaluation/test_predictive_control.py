@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from egp_service._core import Engine, Library, Plant, horizon_reference, write_library_subset
+from egp_service._core import (
+    AffineOcp,
+    EgpError,
+    Engine,
+    Library,
+    Plant,
+    horizon_reference,
+    write_library_subset,
+)
 from egp_service.controller import Controller
 from egp_service.course import build_path, build_profile
 from egp_service.evaluation.predictive_control import PredictiveController
@@ -86,3 +94,12 @@ def test_their_jacobians_predict_small_changes(prediction: Kinematic | SingleTra
         step = rng.standard_normal(6) * scale
         change = prediction(z + step, 0.02) - value
         assert np.allclose(change[0], jacobian[0] @ step, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("dt", "friction", "message"),
+    [(0.0, 0.8, "dt > 0 s, got 0"), (0.02, np.nan, "friction coefficient > 0, got NaN")],
+)
+def test_bad_periods_and_frictions_are_refused(dt: float, friction: float, message: str) -> None:
+    with pytest.raises(EgpError, match=message):
+        AffineOcp("", dt, friction)

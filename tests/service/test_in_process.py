@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +16,11 @@ import pytest
 import zenoh
 
 from egp_service import _core
+from library_example import write_example
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 LIBRARY = str(files("egp_service") / "data" / "demo-library.safetensors")
 
@@ -103,6 +106,19 @@ def test_the_engine_raises_what_the_service_would_answer() -> None:
         _core.Engine("nowhere.safetensors")
     with pytest.raises(_core.EgpError, match="libary"):
         _core.Server("libary = 'x'")
+
+
+def test_horizon_and_window_last_as_long_at_any_period(tmp_path: Path) -> None:
+    path = tmp_path / "library.safetensors"
+    write_example(path)  # 0.05 s
+    for engine, dt, horizon, window in (
+        (_core.Engine(LIBRARY), 0.02, 40, 25),
+        (_core.Engine(path), 0.05, 16, 10),
+        (_core.Engine(path, "horizon = 20"), 0.05, 20, 10),
+    ):
+        assert (engine.dt, engine.horizon, engine.history) == (dt, horizon, window)
+        settings = tomllib.loads(engine.settings_toml)
+        assert (settings["horizon"], settings["weights"]["window"]) == (horizon, window)
 
 
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])

@@ -36,10 +36,10 @@ fn reference() -> Vec<f64> {
 /// The defaults over the horizon and window of the goals.
 fn settings() -> Settings {
     let mut settings = Settings {
-        horizon: 20,
+        horizon: Some(20),
         ..Settings::default()
     };
-    settings.weights.window = 10;
+    settings.weights.window = Some(10);
     settings.soft.slip = 1.2; // the tests' caricature of a vehicle grips at 0.3 rad on any surface
     settings
 }

@@ -39,7 +39,7 @@ fn solve(library: &Library, want_sigma: bool, crew: Option<Arc<Threads>>) -> (St
     request.history_z = request.history_z.repeat(repeats);
     request.history_y = request.history_y.repeat(repeats);
     let mut settings = settings();
-    settings.weights.window = 60;
+    settings.weights.window = Some(60);
     let mut workspace = Workspace::new(library, &settings).unwrap();
     if let Some(crew) = &crew {
         workspace = workspace.with_crew(crew.clone());

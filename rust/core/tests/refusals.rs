@@ -58,7 +58,7 @@ fn malformed_requests_are_refused_by_field() {
         StepError::Weights { .. }
     ));
     let other = Settings {
-        horizon: 10,
+        horizon: Some(10),
         ..Settings::default()
     };
     let error = step(library(), &other, &warm().borrow(), &mut ws, &mut reply).unwrap_err();

@@ -34,16 +34,22 @@ impl AffineOcp {
     #[new]
     fn new(settings_toml: &str, dt: f64, friction: f64) -> PyResult<Self> {
         let settings = Settings::from_toml(settings_toml).map_err(raise)?;
+        if !(dt.is_finite() && dt > 0.0) {
+            return Err(EgpError::new_err(format!(
+                "expected a period dt > 0 s, got {dt}"
+            )));
+        }
+        let horizon = settings.horizon(dt);
         if !(friction.is_finite() && friction > 0.0) {
             return Err(EgpError::new_err(format!(
                 "expected a friction coefficient > 0, got {friction}"
             )));
         }
-        let qp = OcpQp::new(settings.horizon, soft_rows(&settings.soft));
+        let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
         let memory = Memory {
-            dynamics: Linearisation::new(settings.horizon),
+            dynamics: Linearisation::new(horizon),
             solvers: rungs(&qp, &settings.solver).map_err(raise)?,
-            solution: OcpSolution::new(settings.horizon),
+            solution: OcpSolution::new(horizon),
             qp,
         };
         Ok(Self {
@@ -70,7 +76,7 @@ impl AffineOcp {
         reference: Matrix<'_>,
         widths: Option<Matrix<'_>>,
     ) -> PyResult<OcpResult> {
-        let horizon = self.settings.horizon;
+        let horizon = self.settings.horizon(self.dt);
         let x0 = State::from(fixed::<NX>("x0", &x0)?);
         let u_prev = Input::from(fixed::<NU>("u_prev", &u_prev)?);
         let operating = stages::<NX>("operating_x", &operating_x, horizon + 1)?;

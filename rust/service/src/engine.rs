@@ -72,17 +72,18 @@ impl Engine {
     /// # Errors
     /// [`EngineError`] when the settings are out of range, or members, horizon or window beyond the wire.
     pub fn new(library: Library, settings: Settings) -> Result<Self, EngineError> {
-        let limits = Limits::default();
+        let (limits, dt) = (Limits::default(), library.dt());
+        let settings = settings.at_period(dt);
         for (what, actual, limit) in [
             (
                 "the number of members",
                 library.members().len(),
                 limits.members,
             ),
-            ("settings.horizon", settings.horizon, limits.horizon),
+            ("settings.horizon", settings.horizon(dt), limits.horizon),
             (
                 "settings.weights.window",
-                settings.weights.window,
+                settings.weights.window(dt),
                 limits.history,
             ),
         ] {
@@ -170,8 +171,8 @@ impl Stepper for Engine {
             ready: true,
             library: self.library.id(),
             dt: self.library.dt(),
-            horizon: count(self.settings.horizon),
-            history: count(self.settings.weights.window),
+            horizon: count(self.settings.horizon(self.library.dt())),
+            history: count(self.settings.weights.window(self.library.dt())),
             members: self
                 .library
                 .members()

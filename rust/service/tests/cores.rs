@@ -14,7 +14,7 @@ fn engine() -> Engine {
     let frictions: Vec<f64> = (0..8).map(|i| 0.4 + 0.1 * f64::from(i)).collect();
     let library = library::library(Kernel::Rbf, &frictions, 500, 3);
     let settings = Settings {
-        horizon: 20,
+        horizon: Some(20),
         ..Settings::default()
     };
     Engine::new(library, settings).unwrap()

@@ -2,15 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{SettingsError, check, not_negative};
+use super::{SettingsError, check, not_negative, periods};
 use crate::NY;
 
 /// How the ensemble's weights follow the last transitions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WeightSettings {
-    /// Window `K`: number of past transitions that count. Default 25.
-    pub window: usize,
+    /// Window `K`: number of past transitions that count. Default: those of 0.5 s, 25 at `dt` = 0.02 s; at most 64.
+    pub window: Option<usize>,
     /// Weigh the window's errors by the inverse of their covariance, so that m/s and rad/s may be added. Default
     /// true; false is the paper's `S = I`.
     pub whiten: bool,
@@ -45,10 +45,14 @@ pub enum Prior {
     },
 }
 
+/// The default window, in s, and in transitions at most.
+const WINDOW: f64 = 0.5;
+const LONGEST_DEFAULT_WINDOW: usize = 64;
+
 impl Default for WeightSettings {
     fn default() -> Self {
         Self {
-            window: 25,
+            window: None,
             whiten: true,
             measurement: [0.03, 0.03, 0.005],
             prior: Prior::Quadratic { lambda: 100.0 },
@@ -62,10 +66,18 @@ impl WeightSettings {
     /// Longest window accepted.
     pub const MAX_WINDOW: usize = 1000;
 
+    /// The window `K` for a period of `dt` s.
+    pub fn window(&self, dt: f64) -> usize {
+        self.window
+            .unwrap_or_else(|| periods(WINDOW, dt, LONGEST_DEFAULT_WINDOW))
+    }
+
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
-        check("weights.window", self.window as f64, "in 1..=1000", |k| {
-            (1.0..=Self::MAX_WINDOW as f64).contains(&k)
-        })?;
+        if let Some(window) = self.window {
+            check("weights.window", window as f64, "in 1..=1000", |k| {
+                (1.0..=Self::MAX_WINDOW as f64).contains(&k)
+            })?;
+        }
         for std in self.measurement {
             check("weights.measurement", std, "in [0, 100]", |v| {
                 (0.0..=100.0).contains(&v)

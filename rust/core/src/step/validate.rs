@@ -99,7 +99,7 @@ pub(super) fn validate<'a>(
     settings: &Settings,
     request: &StepRequest<'a>,
 ) -> Result<Rows<'a>, StepError> {
-    shapes(library.members().len(), settings, request)?;
+    shapes(library, settings, request)?;
     finite(request)?;
     let rows = Rows {
         x: State::from_column_slice(request.x),
@@ -118,8 +118,9 @@ pub(super) fn validate<'a>(
     Ok(rows)
 }
 
-fn shapes(n: usize, settings: &Settings, request: &StepRequest) -> Result<(), StepError> {
-    let horizon = settings.horizon;
+fn shapes(library: &Library, settings: &Settings, request: &StepRequest) -> Result<(), StepError> {
+    let (n, dt) = (library.members().len(), library.dt());
+    let horizon = settings.horizon(dt);
     let exact = |field, shape, values: &[f64], expected| {
         let found = values.len();
         if found == expected {
@@ -163,7 +164,7 @@ fn shapes(n: usize, settings: &Settings, request: &StepRequest) -> Result<(), St
     )?;
     optional("widths", "[T+1, 2]", request.widths, (horizon + 1) * 2)?;
     let transitions = request.history_z.len() / NZ;
-    let window = settings.weights.window;
+    let window = settings.weights.window(dt);
     if transitions > window {
         return Err(StepError::Window {
             field: "history_z",

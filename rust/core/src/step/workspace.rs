@@ -59,14 +59,15 @@ impl Workspace {
     /// [`SetupError`] for settings out of range, or if the QP solver refuses.
     pub fn new(library: &Library, settings: &Settings) -> Result<Self, SetupError> {
         settings.validate()?;
-        let (n, horizon) = (library.members().len(), settings.horizon);
+        let (n, dt) = (library.members().len(), library.dt());
+        let horizon = settings.horizon(dt);
         let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
         let solvers = solver::rungs(&qp, &settings.solver)?;
         Ok(Self {
             library: library.id(),
             settings: settings.clone(),
             noise: WindowNoise::of(library, &settings.weights),
-            estimator: WeightEstimator::new(n, settings.weights.window),
+            estimator: WeightEstimator::new(n, settings.weights.window(dt)),
             previous: vec![0.0; n],
             active: vec![0.0; n],
             reference: vec![State::zeros(); horizon + 1],

@@ -60,8 +60,9 @@ impl WindowNoise {
     /// Of the members' root-mean-square noise and the setting `measurement`, and of less than these; with `whiten`
     /// off the paper's `S = I`.
     pub fn of(library: &Library, settings: &WeightSettings) -> Self {
+        let window = settings.window(library.dt());
         if !settings.whiten {
-            return Self::new(&GpOutput::repeat(1.0), &GpOutput::zeros(), settings.window);
+            return Self::new(&GpOutput::repeat(1.0), &GpOutput::zeros(), window);
         }
         let members = library.members();
         let variance: GpOutput = members
@@ -71,7 +72,7 @@ impl WindowNoise {
         let model = (variance / members.len() as f64).map(f64::sqrt);
         let state = GpOutput::from(settings.measurement);
         let levels = STATE.map(|r| MODEL.map(|q| [model * q, state * r]));
-        Self::with_levels(levels.as_flattened(), settings.window)
+        Self::with_levels(levels.as_flattened(), window)
     }
 
     /// At most [`LEVELS`] of them, by standard deviations of model and states.

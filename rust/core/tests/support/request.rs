@@ -15,10 +15,10 @@ pub fn library() -> &'static Library {
 /// [`super::change`] needs slip angles of 0.3 rad for its grip on any surface.
 pub fn settings() -> Settings {
     let mut settings = Settings {
-        horizon: 20,
+        horizon: Some(20),
         ..Settings::default()
     };
-    settings.weights.window = 10;
+    settings.weights.window = Some(10);
     settings.soft.slip = 0.6;
     settings
 }

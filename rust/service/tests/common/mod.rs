@@ -36,7 +36,7 @@ pub fn library_file(name: &str) -> PathBuf {
 pub fn engine() -> Engine {
     let library = Library::from_bytes(library_bytes()).unwrap();
     let settings = Settings {
-        horizon: 20,
+        horizon: Some(20),
         ..Settings::default()
     };
     Engine::new(library, settings).unwrap()
