@@ -6,6 +6,7 @@ import json
 import queue
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -27,11 +28,11 @@ from egp_service.stepper import MICROSECONDS, Answer, Stepper
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from egp_service._core import Ready
+    from egp_service._core import Ready, Refusal
 
 REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
 
-# A reply later than this is of no use to anybody: the plan's tail has ended.
+# A reply later than this and the deadline is of no use to anybody: the plan's tail has ended.
 _QUERY_SECONDS = 1.0
 
 
@@ -48,6 +49,7 @@ class _Message:
     kind: str
     payload: bytes = b""
     attachment: bytes = b""
+    refusal: Refusal | None = None
 
 
 class VehicleClient(Stepper):
@@ -131,7 +133,7 @@ class VehicleClient(Stepper):
         late: list[bytes] = []
         detail, refused = "no replica of the service is alive", False
         for replica in rank_replicas(self._fleet, self._vehicle, self._replicas.alive()):
-            self._send(replica, request, sequence)
+            self._send(replica, request, sequence, deadline)
             message = self._await(replica, sequence, deadline, late)
             if message is None:
                 detail = f"replica {replica} did not answer in time"
@@ -145,8 +147,8 @@ class VehicleClient(Stepper):
                     compute=step_us / MICROSECONDS,
                     replica=replica,
                 )
-            if message.kind == "error":
-                error = decode_error(message.payload)
+            if message.refusal is not None:
+                error = message.refusal
                 detail, refused = f"replica {replica}: {error.code}: {error.detail}", True
                 if not error.retryable:
                     break
@@ -154,7 +156,7 @@ class VehicleClient(Stepper):
                 detail = f"replica {replica} is gone"
         return Answer(None, late=tuple(late), detail=detail, refused=refused)
 
-    def _send(self, replica: str, request: bytes, sequence: int) -> None:
+    def _send(self, replica: str, request: bytes, sequence: int, deadline: float) -> None:
         def deliver(reply: zenoh.Reply) -> None:
             sample, error = reply.ok, reply.err
             if sample is not None:
@@ -163,7 +165,10 @@ class VehicleClient(Stepper):
                 payload = sample.payload.to_bytes()
                 self._inbox.put(_Message(sequence, replica, "reply", payload, extra))
             elif error is not None:
-                self._inbox.put(_Message(sequence, replica, "error", error.payload.to_bytes()))
+                # zenoh's own errors, a timeout above all, are silence, like an empty answer.
+                with suppress(EgpError):
+                    refusal = decode_error(error.payload.to_bytes())
+                    self._inbox.put(_Message(sequence, replica, "error", refusal=refusal))
 
         def end() -> None:
             self._inbox.put(_Message(sequence, replica, "end"))
@@ -173,7 +178,7 @@ class VehicleClient(Stepper):
             zenoh.handlers.Callback(deliver, end, indirect=False),
             payload=request,
             encoding=REQUEST_ENCODING,
-            timeout=_QUERY_SECONDS,
+            timeout=max(_QUERY_SECONDS, deadline - time.perf_counter()),
         )
 
     def _await(

@@ -17,7 +17,7 @@ from egp_service.backends import in_process_stepper
 from egp_service.closed_loop import drive
 from egp_service.dataset import Dataset
 from egp_service.scenario import Measurement, Scenario, Speed, Track, Zone
-from egp_service.workers import workers
+from egp_service.workers import in_order, workers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -73,7 +73,7 @@ def drive_laps(
     ]
     driven: list[_Driven] = []
     with workers(jobs) as pool:
-        for done, lap in enumerate(pool.map(_drive, scenarios), start=1):
+        for done, lap in enumerate(in_order(pool, _drive, scenarios), start=1):
             driven.append(lap)
             report(done, settings.laps)
     datasets = [_on_surface(driven, surface) for surface in surfaces]

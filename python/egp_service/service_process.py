@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
 import subprocess
 import sys
@@ -30,8 +31,8 @@ class ServiceStartError(EgpError):
 class ServiceProcess:
     """`egp serve` on a free loopback port; `endpoint` is where to connect.
 
-    `stop` drains it as SIGTERM does in production, `kill` is an accident, `start` brings it back at
-    the same endpoint.
+    `stop` drains it as SIGTERM does in production, `kill` and `freeze` are accidents,
+    `start` brings it back at the same endpoint.
     """
 
     def __init__(self, library: Path, settings: Mapping[str, object]) -> None:
@@ -79,6 +80,11 @@ class ServiceProcess:
             self._process.kill()
             self._process.wait()
             self._process = None
+
+    def freeze(self) -> None:
+        """Stop it where it is, as a machine does that hangs; `kill` still ends it."""
+        if self._process is not None:
+            self._process.send_signal(signal.SIGSTOP)
 
     def __enter__(self) -> Self:
         """Start it, its files in a temporary folder."""

@@ -8,10 +8,15 @@ import signal
 import threading
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
+    from concurrent.futures import Executor
+
+
+Part = TypeVar("Part")
+Result = TypeVar("Result")
 
 
 @contextmanager
@@ -33,6 +38,18 @@ def workers(jobs: int | None = None) -> Iterator[ProcessPoolExecutor]:
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
             raise
+
+
+def in_order(
+    pool: Executor, work: Callable[[Part], Result], parts: Iterable[Part]
+) -> Iterator[Result]:
+    """Give the results of `work` on `parts`, in their order.
+
+    As `pool.map` does, which however cancels what is left when interrupted, and a pool whose
+    processes end then fails at that (CPython 3.11).
+    """
+    for future in [pool.submit(work, part) for part in parts]:
+        yield future.result()
 
 
 def _begin() -> None:

@@ -127,8 +127,11 @@ def test_serving_ends_cleanly_on_signals(endpoint: str, client: Any, sent: signa
     with subprocess.Popen(
         [sys.executable, "-c", program, toml(endpoint)], stderr=subprocess.PIPE, text=True
     ) as process:
-        wait_until_alive(client)
-        process.send_signal(sent)
-        _, log = process.communicate(timeout=20)
+        try:
+            wait_until_alive(client)
+            process.send_signal(sent)
+            _, log = process.communicate(timeout=20)
+        finally:
+            process.kill()
     assert process.returncode == 0, log
     assert "drained" in log

@@ -19,7 +19,7 @@ from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.contenders import ENSEMBLE, make
 from egp_service.evaluation.experiments import HALF_WIDTH
 from egp_service.evaluation.settling import resolution, settling_times
-from egp_service.workers import workers
+from egp_service.workers import in_order, workers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -129,7 +129,7 @@ class Campaign:
         """
         shown = [t for e in experiments for t in _shown(e)]
         with workers(jobs) as pool:
-            runs = list(pool.map(drive_trial, [self._with_library(t) for t in shown]))
+            runs = list(in_order(pool, drive_trial, [self._with_library(t) for t in shown]))
         found: dict[str, list[Drive]] = {}
         for trial, run in zip(shown, runs, strict=True):
             drive = Drive(trial.condition, trial.contender.name, run)

@@ -11,6 +11,8 @@ use common::{Client, Outcome, config, engine, first_request, free_endpoint, step
 use egp_service::{Engine, EngineWorkspace, Server, ServiceConfig, Stepper};
 use egp_wire::{Code, Header, Limits, Ready, Reply, Status, WireError};
 
+const PATIENCE: Duration = Duration::from_secs(60);
+
 /// An engine that tells when it begins a step and then waits for leave.
 struct Held {
     engine: Engine,
@@ -106,7 +108,7 @@ fn code(outcome: &Outcome) -> Code {
 fn the_newest_request_of_a_vehicle_supersedes_the_waiting_one() {
     let setup = setup(|_| {});
     let first = setup.send("a", 1, 9000);
-    assert_eq!(setup.begun.recv().unwrap(), 1);
+    assert_eq!(setup.begun.recv_timeout(PATIENCE).unwrap(), 1);
     let second = setup.send("a", 2, 9000);
     let third = setup.send("a", 3, 9000);
     assert_eq!(code(&second()), Code::Superseded);
@@ -120,7 +122,7 @@ fn the_newest_request_of_a_vehicle_supersedes_the_waiting_one() {
 fn a_flooding_vehicle_does_not_starve_the_others_and_the_earliest_deadline_goes_first() {
     let setup = setup(|_| {});
     let first = setup.send("flood", 1, 9000);
-    assert_eq!(setup.begun.recv().unwrap(), 1);
+    assert_eq!(setup.begun.recv_timeout(PATIENCE).unwrap(), 1);
     let flood: Vec<_> = (2..50).map(|n| setup.send("flood", n, 9000)).collect();
     let patient = setup.send("patient", 100, 8000);
     let hurried = setup.send("hurried", 200, 7000);
@@ -158,7 +160,7 @@ fn a_flooding_vehicle_does_not_starve_the_others_and_the_earliest_deadline_goes_
 fn a_full_queue_is_overloaded_and_a_spent_budget_too_late() {
     let setup = setup(|config| config.queue = 1);
     let first = setup.send("a", 1, 9000);
-    assert_eq!(setup.begun.recv().unwrap(), 1);
+    assert_eq!(setup.begun.recv_timeout(PATIENCE).unwrap(), 1);
     let waiting = setup.send("b", 2, 1);
     let refused = setup.send("c", 3, 9000)();
     assert_eq!(code(&refused), Code::Overloaded);
@@ -180,13 +182,13 @@ fn a_full_queue_is_overloaded_and_a_spent_budget_too_late() {
 fn a_service_that_was_slow_once_does_not_refuse_for_ever() {
     let setup = setup(|_| {});
     let slow = setup.send("a", 1, 9000);
-    assert_eq!(setup.begun.recv().unwrap(), 1);
-    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(setup.begun.recv_timeout(PATIENCE).unwrap(), 1);
+    std::thread::sleep(Duration::from_secs(2));
     setup.leave.send(()).unwrap();
     assert_eq!(sequence(&slow()), 1);
-    // Shorter than the 300 ms that a step is now thought to take.
-    let wait = setup.send("a", 2, 200);
-    assert_eq!(setup.begun.recv().unwrap(), 2);
+    // Shorter than the 2 s that a step is now thought to take.
+    let wait = setup.send("a", 2, 1500);
+    assert_eq!(setup.begun.recv_timeout(PATIENCE).unwrap(), 2);
     setup.leave.send(()).unwrap();
     assert_eq!(sequence(&wait()), 2);
     setup.server.drain();
