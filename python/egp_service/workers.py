@@ -35,6 +35,8 @@ def workers(jobs: int | None = None) -> Iterator[ProcessPoolExecutor]:
             yield pool
         except BaseException:
             # The pool's thread fails what is queued and reaps them; reaping here would race it.
+            # With a writer left it would wait for ever for the rest of a result cut off.
+            pool._result_queue._writer.close()  # type: ignore[attr-defined]  # noqa: SLF001
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
             raise

@@ -56,6 +56,25 @@ def test_an_exception_ends_workers_and_what_they_have_queued(tmp_path: Path) -> 
     assert len(list(tmp_path.iterdir())) == 2
 
 
+INTERRUPTED_RESULTS = """
+from egp_service.workers import workers
+
+for _ in range(20):
+    try:
+        with workers(2) as pool:
+            futures = [pool.submit(bytes, 3_000_000) for _ in range(50)]
+            futures[5].result()
+            raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        pass
+"""
+
+
+def test_results_cut_off_in_the_middle_hold_nobody_up() -> None:
+    command = [sys.executable, "-c", INTERRUPTED_RESULTS]
+    subprocess.run(command, check=True, timeout=2 * PATIENCE)
+
+
 @contextmanager
 def evaluation(folder: Path) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "egp_service", "evaluate", "-e", "friction-step"]
