@@ -790,10 +790,10 @@ class Engine:
 
     `settings_toml` holds the settings of the control step; fields left out keep their default,
     which for the horizon is 0.8 s of the library's periods and for the window 0.5 s. With more than
-    one of `cores` (no more than the machine has), members are evaluated at once where
-    there is half a millisecond of them: standard deviations of four active members of 700 points,
-    for example, not of two. The bytes of a reply do not depend on it. Such an engine does not
-    survive a fork: its threads stay behind.
+    one of `cores` (no more than the machine has), members are evaluated at once where there is half
+    a millisecond of them: standard deviations of four active members of 700 points, for example,
+    not of two. The bytes of a reply do not depend on it. Such an engine does not survive a fork:
+    its threads stay behind.
     """
 
     def __new__(

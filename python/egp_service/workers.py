@@ -57,6 +57,8 @@ def in_order(
 def _begin() -> None:
     """Leave interruptions to the parent, and do not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "SIGPIPE"):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a result that nobody takes is no news
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

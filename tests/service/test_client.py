@@ -126,11 +126,13 @@ def test_without_a_service_a_step_costs_no_time(service: ServiceProcess) -> None
         vehicle.step(deadline=5.0)
         service.kill()
         end = time.monotonic() + 10.0
-        while "no replica" not in vehicle.step().detail:
+        while client._replicas.alive():  # noqa: SLF001
             assert time.monotonic() < end
+            time.sleep(0.02)
         steps = [vehicle.step() for _ in range(5)]
-    assert all(step.mode in ("tail", "stop") for step in steps)
-    assert min(step.timings.total for step in steps) < client.dt
+    assert all(step.mode == "tail" for step in steps)
+    assert all("no replica" in step.detail for step in steps)
+    assert np.median([step.timings.total for step in steps]) < client.dt
 
 
 def test_a_frozen_service_costs_no_more_than_the_deadline(service: ServiceProcess) -> None:
@@ -141,7 +143,7 @@ def test_a_frozen_service_costs_no_more_than_the_deadline(service: ServiceProces
         step = vehicle.step(deadline=1.5)  # longer than queries usually may take
         service.kill()
     assert (step.mode, step.status) == ("tail", "no_reply")
-    assert step.timings.total < 5.0
+    assert step.timings.total < 3.0
 
 
 def test_a_measurement_that_is_not_finite_stops_the_vehicle() -> None:

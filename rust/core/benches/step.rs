@@ -40,7 +40,8 @@ fn settings() -> Settings {
         ..Settings::default()
     };
     settings.weights.window = Some(10);
-    settings.soft.slip = 1.2; // the tests' caricature of a vehicle grips at 0.3 rad on any surface
+    // Above the 0.3 rad at which the tests' caricature of a vehicle grips, also where the friction is 0.4.
+    settings.soft.slip = 1.2;
     settings
 }
 

@@ -19,9 +19,7 @@ use zenoh::{Wait, sample::SampleKind};
 #[test]
 fn no_query_sent_while_the_replica_is_announced_stays_unanswered() {
     let endpoint = free_endpoint();
-    let mut config = config(&endpoint);
-    config.drain_ms = 1000; // a busy machine sees the withdrawal late
-    let server = Server::start_with(&config, engine()).unwrap();
+    let server = Server::start_with(&config(&endpoint), engine()).unwrap();
     let vehicles: Vec<_> = (0..4)
         .map(|vehicle| {
             let (client, announced) = (Client::connect(&endpoint), Arc::new(AtomicBool::new(true)));
