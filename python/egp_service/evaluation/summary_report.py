@@ -49,11 +49,13 @@ for medians (off track: for the mean). <i>No plan</i> counts control periods wit
 Command: <code>{command}</code>"""
 
 _CLAIMS = """Below the limit the closest are within millimetres of each other: read such differences
-against the 2 cm to which positions are measured. At 95 and 100 % of the grip a blend of members
-that predicts best at the slip of now overrates how much more the tyres would hold, as their force
-saturates the earlier the lower the friction; the oracle's interpolation does not, and a pull to the
-bend's inside, such as that of <i>forward Euler</i>, helps. With noise, weights cannot settle before
-a window of measurements tells the friction; how well it does is shown below the friction steps."""
+against the 2 cm to which positions are measured. At 95 and 100 % of the grip two things cost the
+ensemble more than the oracle. On straights surfaces look alike, or a car that accelerates below its
+limit looks as if it had more grip, so that weights drift and have to come back at the next bend. In
+the bend a blend that predicts best at the slip of now overrates how much more the tyres would hold,
+as their force saturates the earlier the lower the friction; a pull to the inside, such as that of
+<i>forward Euler</i>, helps. With noise, weights cannot settle before a window of measurements tells
+the friction; how well it does is shown below the friction steps."""
 
 _DIFFERENCES = """The paper drives at 30 Hz with OSQP and about zero inputs; this system at 50 Hz
 about the last plan. Its weights add m/s to rad/s, take all errors of the window for independent and
