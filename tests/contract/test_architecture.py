@@ -19,11 +19,12 @@ ALLOWED = {
     "egp-gate": set(),
     "egp-plant": set(),
     "egp-path": set(),
-    "egp-service": {"egp-core", "egp-wire"},
+    "egp-engine": {"egp-core", "egp-wire"},
+    "egp-service": {"egp-core", "egp-engine", "egp-wire"},
     "egp-vehicle": {"egp-wire", "egp-gate"},
     "egp-simulator": {"egp-wire", "egp-gate", "egp-path", "egp-plant", "egp-vehicle"},
     "egp-load": {"egp-wire", "egp-vehicle", "egp-simulator"},
-    "egp-python": {"egp-core", "egp-wire", "egp-gate", "egp-plant", "egp-path", "egp-service"},
+    "egp-python": {"egp-core", "egp-wire", "egp-gate", "egp-plant", "egp-path", "egp-engine", "egp-service"},
 }
 
 # Libraries that are named in one file of a crate only, so that replacing them is one edit.

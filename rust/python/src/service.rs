@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
 use egp_core::Settings;
-use egp_service::{EngineWorkspace, ServiceConfig, Stepper as _};
+use egp_engine::EngineWorkspace;
+use egp_service::ServiceConfig;
 use egp_wire::{Ready, WireError};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
@@ -16,7 +17,7 @@ use crate::error::raise;
 /// The control step of the service, in-process: the same bytes in, the same bytes out.
 #[pyclass(name = "Engine", module = "egp_service._core", frozen)]
 struct Controller {
-    engine: egp_service::Engine,
+    engine: egp_engine::Engine,
     workspace: Mutex<EngineWorkspace>,
     served: Ready,
 }
@@ -38,7 +39,7 @@ impl Controller {
     ) -> PyResult<Self> {
         let settings = Settings::from_toml(settings_toml).map_err(raise)?;
         py.detach(|| {
-            let engine = egp_service::Engine::load(&library_path, settings)
+            let engine = egp_engine::Engine::load(&library_path, settings)
                 .and_then(|engine| engine.with_cores(cores))
                 .map_err(raise)?;
             let workspace = engine.workspace().map_err(|error| refused(&error))?;

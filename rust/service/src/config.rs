@@ -6,8 +6,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::cores::available_cores;
 use egp_core::{Settings, SettingsError};
+use egp_engine::available_cores;
 use egp_wire::keys::Name;
 use serde::Deserialize;
 use thiserror::Error;

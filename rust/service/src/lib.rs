@@ -6,12 +6,10 @@
 //!               admission  earliest deadline first
 //! ```
 //!
-//! [`Engine`] turns request bytes into reply bytes and is what the in-process controller uses too, so both
-//! give the same bits. [`Server`] puts it on the network; [`serve`] runs one until a signal.
+//! An [`egp_engine::Engine`] turns request bytes into reply bytes, here as in a vehicle's own process. [`Server`] puts it on the network; [`serve`] runs one until a signal.
 
 mod config;
-mod cores;
-mod engine;
+mod handler;
 mod intake;
 mod logging;
 mod metrics;
@@ -19,13 +17,11 @@ mod network;
 mod queue;
 mod serve;
 mod server;
-mod stepper;
 mod worker;
 
 pub use config::{ConfigError, ServiceConfig};
-pub use engine::{Engine, EngineError, EngineWorkspace};
+pub use handler::Handler;
 pub use logging::init_logging;
 pub use network::NetworkError;
 pub use serve::{ServeError, serve};
 pub use server::{Server, StartError};
-pub use stepper::Stepper;

@@ -7,18 +7,18 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use egp_core::library;
+use egp_engine::{Engine, EngineError};
 use egp_wire::WireError;
 use egp_wire::keys::{self, Name, NameError};
 use prost::Message as _;
 use thiserror::Error;
 
 use crate::config::{ConfigError, ServiceConfig};
-use crate::engine::{Engine, EngineError};
+use crate::handler::Handler;
 use crate::intake::Shared;
 use crate::metrics::Metrics;
 use crate::network::{Network, NetworkError, Publisher, configuration};
 use crate::queue::Queue;
-use crate::stepper::Stepper;
 use crate::worker::work;
 
 /// Why a service did not start.
@@ -64,14 +64,14 @@ impl Server {
         Self::start_with(config, engine.with_cores(config.workers())?)
     }
 
-    /// Starts serving whatever steps; [`Server::start`] uses an [`Engine`].
+    /// Starts serving with any handler; [`Server::start`] uses an [`Engine`].
     ///
     /// # Errors
     /// [`StartError`]; nothing keeps running then.
-    pub fn start_with<S: Stepper>(config: &ServiceConfig, stepper: S) -> Result<Self, StartError> {
+    pub fn start_with<H: Handler>(config: &ServiceConfig, handler: H) -> Result<Self, StartError> {
         config.validate()?;
         let replica: Name = config.replica.parse()?;
-        let description = stepper.describe();
+        let description = handler.describe();
         let workers = config.workers();
         let shared = Arc::new(Shared {
             replica: replica.clone(),
@@ -89,7 +89,7 @@ impl Server {
             workers: Vec::with_capacity(workers),
             reporter: None,
         };
-        server.start_workers(&Arc::new(stepper))?;
+        server.start_workers(&Arc::new(handler))?;
         let shared = server.shared.clone();
         server
             .network
@@ -118,13 +118,13 @@ impl Server {
         tracing::info!("drained");
     }
 
-    fn start_workers<S: Stepper>(&mut self, stepper: &Arc<S>) -> Result<(), StartError> {
+    fn start_workers<H: Handler>(&mut self, handler: &Arc<H>) -> Result<(), StartError> {
         for index in 0..self.shared.workers {
-            let (shared, stepper) = (self.shared.clone(), stepper.clone());
-            let workspace = stepper.workspace()?;
+            let (shared, handler) = (self.shared.clone(), handler.clone());
+            let workspace = handler.workspace()?;
             let thread = thread::Builder::new().name(format!("egp-step-{index}"));
             self.workers
-                .push(thread.spawn(move || work(&shared, &*stepper, workspace))?);
+                .push(thread.spawn(move || work(&shared, &*handler, workspace))?);
         }
         Ok(())
     }

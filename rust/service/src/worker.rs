@@ -6,24 +6,24 @@ use std::time::Instant;
 use egp_wire::{Code, Status, Timing, WireError};
 use prost::Message as _;
 
+use crate::handler::Handler;
 use crate::intake::{Job, Shared};
 use crate::metrics::micros;
-use crate::stepper::Stepper;
 
 /// Runs until the queue is closed and empty.
-pub(crate) fn work<S: Stepper>(shared: &Shared, stepper: &S, workspace: S::Workspace) {
+pub(crate) fn work<H: Handler>(shared: &Shared, handler: &H, workspace: H::Workspace) {
     let (mut workspace, mut reply) = (Some(workspace), Vec::new());
     while let Some(job) = shared.queue.pop() {
         shared.metrics.busy.inc();
-        serve(shared, stepper, &mut workspace, &mut reply, &job);
+        serve(shared, handler, &mut workspace, &mut reply, &job);
         shared.metrics.busy.dec();
     }
 }
 
-fn serve<S: Stepper>(
+fn serve<H: Handler>(
     shared: &Shared,
-    stepper: &S,
-    workspace: &mut Option<S::Workspace>,
+    handler: &H,
+    workspace: &mut Option<H::Workspace>,
     reply: &mut Vec<u8>,
     job: &Job,
 ) {
@@ -36,7 +36,7 @@ fn serve<S: Stepper>(
         let budget = micros(job.deadline - job.arrived);
         return shared.refuse(&job.query, &shared.too_late(budget));
     }
-    match survive(shared, stepper, workspace, &job.query.payload(), reply) {
+    match survive(shared, handler, workspace, &job.query.payload(), reply) {
         Ok(status) => {
             let took = started.elapsed();
             shared.metrics.stepped(took);
@@ -55,19 +55,19 @@ fn serve<S: Stepper>(
 }
 
 /// One step; a panic in it becomes an error, and its half-written workspace is never used again.
-fn survive<S: Stepper>(
+fn survive<H: Handler>(
     shared: &Shared,
-    stepper: &S,
-    slot: &mut Option<S::Workspace>,
+    handler: &H,
+    slot: &mut Option<H::Workspace>,
     request: &[u8],
     reply: &mut Vec<u8>,
 ) -> Result<Status, WireError> {
     let mut workspace = match slot.take() {
         Some(workspace) => workspace,
-        None => stepper.workspace()?,
+        None => handler.workspace()?,
     };
     let step = AssertUnwindSafe(|| {
-        let ended = stepper.step(&mut workspace, request, reply);
+        let ended = handler.step(&mut workspace, request, reply);
         (ended, workspace)
     });
     if let Ok((ended, workspace)) = catch_unwind(step) {

@@ -7,7 +7,7 @@ use std::thread;
 
 use common::library;
 use egp_core::{Kernel, Settings};
-use egp_service::{Engine, Stepper};
+use egp_engine::Engine;
 use egp_wire::{Carry, Status};
 
 fn engine() -> Engine {

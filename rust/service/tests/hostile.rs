@@ -7,7 +7,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
-use egp_service::{Engine, EngineWorkspace, Server, Stepper};
+use egp_engine::{Engine, EngineWorkspace};
+use egp_service::{Handler, Server};
 use egp_wire::{Code, Header, Limits, Ready, Request, Status, WireError};
 
 /// An engine that panics on one sequence number.
@@ -15,7 +16,7 @@ struct Fragile(Engine);
 
 const POISON: u64 = 666;
 
-impl Stepper for Fragile {
+impl Handler for Fragile {
     type Workspace = EngineWorkspace;
 
     fn describe(&self) -> Ready {

@@ -8,7 +8,8 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 use common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
-use egp_service::{Engine, EngineWorkspace, Server, ServiceConfig, Stepper};
+use egp_engine::{Engine, EngineWorkspace};
+use egp_service::{Handler, Server, ServiceConfig};
 use egp_wire::{Code, Header, Limits, Ready, Reply, Status, WireError};
 
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -20,7 +21,7 @@ struct Held {
     leave: Mutex<Receiver<()>>,
 }
 
-impl Stepper for Held {
+impl Handler for Held {
     type Workspace = EngineWorkspace;
 
     fn describe(&self) -> Ready {

@@ -4,7 +4,7 @@
 mod common;
 
 use common::{Client, Outcome, config, engine, free_endpoint, request, step_key};
-use egp_service::{Server, Stepper};
+use egp_service::Server;
 use egp_wire::{Carry, Limits, Load, Ready, Reply, Status, keys};
 use prost::Message as _;
 use zenoh::Wait;

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use egp_service::{Engine, ServiceConfig, Stepper, serve};
+use egp_engine::Engine;
+use egp_service::{ServiceConfig, serve};
 
 /// What `--help` teaches.
 const HELP: &str = r#"Answers the control steps of vehicles over zenoh.

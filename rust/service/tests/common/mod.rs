@@ -10,7 +10,8 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use egp_core::{Kernel, Library, Settings};
-use egp_service::{Engine, ServiceConfig};
+use egp_engine::Engine;
+use egp_service::ServiceConfig;
 use egp_wire::{Carry, LibraryId, Request, Timing, WireError, keys};
 use prost::Message as _;
 use zenoh::Wait;

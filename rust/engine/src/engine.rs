@@ -1,16 +1,12 @@
 //! The one adapter between the wire and the mathematics.
 
-use std::{fs, io, path::Path, sync::Arc};
+use std::{fs, path::Path, sync::Arc};
 
-use egp_core::{
-    Library, LibraryError, Settings, StepError, StepReply, StepRequest, Workspace, library,
-    step::SetupError,
-};
+use egp_core::{Library, Settings, StepError, StepReply, StepRequest, Workspace, library};
 use egp_wire::{Code, Limits, Ready, Reply, Request, Status, WireError};
-use thiserror::Error;
 
 use crate::cores::{Cores, available_cores};
-use crate::stepper::Stepper;
+use crate::error::EngineError;
 
 /// A library and settings, ready to answer requests.
 #[derive(Debug)]
@@ -27,43 +23,6 @@ pub struct EngineWorkspace {
     step: StepReply,
     request: Request,
     reply: Reply,
-}
-
-/// Why an engine could not be made.
-#[derive(Debug, Error)]
-pub enum EngineError {
-    /// The library file cannot be read.
-    #[error("cannot read the library {path}: {source}")]
-    Read {
-        /// The file.
-        path: String,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The library file was refused.
-    #[error("{path} is refused: {source}")]
-    Library {
-        /// The file.
-        path: String,
-        /// Why.
-        source: LibraryError,
-    },
-    /// The settings were refused.
-    #[error(transparent)]
-    Setup(#[from] SetupError),
-    /// The system gave no threads for parts of steps.
-    #[error("cannot start threads for parts of steps: {0}")]
-    Threads(#[from] rayon::ThreadPoolBuildError),
-    /// More than a message can carry.
-    #[error("{what} is {actual}, the wire carries at most {limit}")]
-    Limit {
-        /// Which quantity.
-        what: &'static str,
-        /// Its value.
-        actual: usize,
-        /// The limit of [`Limits`].
-        limit: usize,
-    },
 }
 
 impl Engine {
@@ -162,10 +121,9 @@ impl Engine {
     }
 }
 
-impl Stepper for Engine {
-    type Workspace = EngineWorkspace;
-
-    fn describe(&self) -> Ready {
+impl Engine {
+    /// What a client must know to make requests.
+    pub fn describe(&self) -> Ready {
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX); // checked against `Limits`
         Ready {
             ready: true,
@@ -182,7 +140,11 @@ impl Stepper for Engine {
         }
     }
 
-    fn workspace(&self) -> Result<EngineWorkspace, WireError> {
+    /// Memory for one step at a time.
+    ///
+    /// # Errors
+    /// [`WireError`] with the code `INTERNAL` when the memory cannot be made.
+    pub fn workspace(&self) -> Result<EngineWorkspace, WireError> {
         let core = Workspace::new(&self.library, &self.settings)
             .map_err(|error| WireError::permanent(Code::Internal, error.to_string()))?;
         Ok(EngineWorkspace {
@@ -196,9 +158,14 @@ impl Stepper for Engine {
         })
     }
 
-    /// Decodes, steps and encodes. The answer depends on the request's bytes alone; after a few requests of one shape
-    /// nothing is allocated, unless parts are shared out.
-    fn step(
+    /// Decodes a request, computes the step and encodes the reply into `reply`. Returns how the solver ended.
+    ///
+    /// The reply depends on the request's bytes alone. After a few requests of one shape a step allocates nothing, unless
+    /// it runs on several cores.
+    ///
+    /// # Errors
+    /// [`WireError`] as it is told to a client; the content of `reply` is then unspecified.
+    pub fn step(
         &self,
         workspace: &mut EngineWorkspace,
         request: &[u8],

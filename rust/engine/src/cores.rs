@@ -7,8 +7,8 @@ use std::thread;
 use egp_core::Crew;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
-/// How many the machine lets this process use.
-pub(crate) fn available_cores() -> usize {
+/// The number of cores that this process may use, at least 1.
+pub fn available_cores() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
 
