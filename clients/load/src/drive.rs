@@ -5,7 +5,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use egp_simulator::{Course, Period, SimulatedVehicle, SimulationError};
-use egp_vehicle::{Mode, VehicleConfig};
+use egp_vehicle::{GateLimits, Mode, VehicleConfig};
 
 use crate::Failure;
 use crate::tally::Tally;
@@ -30,8 +30,13 @@ pub(crate) fn connect(
     part: f64,
 ) -> Result<SimulatedVehicle, Failure> {
     let endpoints: Vec<&str> = endpoints.iter().map(String::as_str).collect();
-    let mut config = VehicleConfig::new("load", &format!("car-{index}"), &endpoints)?;
-    config.budget = budget;
+    let mut config = VehicleConfig::new(
+        "load",
+        &format!("car-{index}"),
+        GateLimits::default(),
+        &endpoints,
+    )?;
+    config.driver.budget = budget;
     let s = part * course.path.length();
     Ok(SimulatedVehicle::connect(&config, course, s)?)
 }

@@ -42,6 +42,7 @@ pub(crate) struct Report {
     normal_periods: u64,
     tail_periods: u64,
     stop_periods: u64,
+    waiting_periods: u64,
     put_back: u64,
     max_lateral_error_m: f64,
     latency_ms: Quantiles,
@@ -53,7 +54,7 @@ pub(crate) struct Report {
 impl Report {
     pub(crate) fn new(tally: &Tally, vehicles: u32, seconds: f64) -> Self {
         let misses = tally.periods - tally.outcomes.get("solved").copied().unwrap_or(0);
-        let [normal_periods, tail_periods, stop_periods] = tally.modes;
+        let [normal_periods, tail_periods, stop_periods, waiting_periods] = tally.modes;
         Self {
             vehicles,
             seconds,
@@ -65,6 +66,7 @@ impl Report {
             normal_periods,
             tail_periods,
             stop_periods,
+            waiting_periods,
             put_back: tally.put_back,
             max_lateral_error_m: tally.lateral,
             latency_ms: Quantiles::of(&tally.latency),
@@ -112,10 +114,11 @@ impl fmt::Display for Report {
         writeln!(f, "answers: {}", outcomes.join(", "))?;
         write!(
             f,
-            "commands: {} normal, {} tail, {} stop; put back {}; largest lateral error {:.2} m",
+            "commands: {} normal, {} tail, {} stop, {} waiting; put back {}; largest lateral error {:.2} m",
             self.normal_periods,
             self.tail_periods,
             self.stop_periods,
+            self.waiting_periods,
             self.put_back,
             self.max_lateral_error_m
         )

@@ -51,8 +51,8 @@ pub(crate) struct Tally {
     pub(crate) periods: u64,
     /// How each ended.
     pub(crate) outcomes: BTreeMap<String, u64>,
-    /// Where the commands came from: normal, tail, stop.
-    pub(crate) modes: [u64; 3],
+    /// Where the commands came from: normal, tail, stop, waiting.
+    pub(crate) modes: [u64; 4],
     /// From when a request was due to its answer, late answers included.
     pub(crate) latency: Micros,
     /// In the service's queue.
@@ -76,10 +76,16 @@ impl Tally {
             Mode::Normal => 0,
             Mode::Tail => 1,
             Mode::Stop => 2,
+            Mode::Waiting => 3,
         }] += 1;
         self.lag.record(lag);
-        for latency in step.late.iter().chain(&step.latency) {
-            self.latency.record(*latency);
+        for latency in step
+            .late
+            .iter()
+            .map(|late| late.latency)
+            .chain(step.latency)
+        {
+            self.latency.record(latency);
         }
         if let Some(timing) = step.timing {
             self.queue
@@ -111,13 +117,10 @@ impl Tally {
     }
 }
 
-/// `solved`, `infeasible`, `refused: too_late`, `late`, `unreachable`.
+/// The outcome in one word, with the code of a refusal: `solved`, `infeasible`, `late`, `refused: too_late`.
 fn name(outcome: &Outcome) -> String {
-    let plain = |name: &str, prefix| name.trim_start_matches(prefix).to_ascii_lowercase();
     match outcome {
-        Outcome::Replied(status) => plain(status.as_str_name(), "STATUS_"),
-        Outcome::Refused(error) => format!("refused: {}", plain(error.code.as_str_name(), "CODE_")),
-        Outcome::Late => "late".to_owned(),
-        Outcome::Unreachable => "unreachable".to_owned(),
+        Outcome::Refused(error) => format!("refused: {}", error.code_name()),
+        other => other.name().to_owned(),
     }
 }

@@ -60,10 +60,15 @@ fn every_due_request_is_accounted_for() {
     assert_eq!(outcomes, 200.0, "{table}");
     let solved = report["outcomes"]["solved"].as_f64().unwrap_or(0.0);
     assert_eq!(number("misses"), 200.0 - solved, "{table}");
-    let commands: f64 = ["normal_periods", "tail_periods", "stop_periods"]
-        .map(number)
-        .iter()
-        .sum();
+    let commands: f64 = [
+        "normal_periods",
+        "tail_periods",
+        "stop_periods",
+        "waiting_periods",
+    ]
+    .map(number)
+    .iter()
+    .sum();
     assert_eq!(commands, 200.0, "{table}");
     assert!(solved > 0.0, "{table}");
     server.drain();

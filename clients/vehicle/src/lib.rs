@@ -1,12 +1,12 @@
-//! The onboard client: keeps the carry, chooses a replica, holds the deadline, and lets nothing but the
-//! gate's commands out. It holds no solver and no library.
+//! The onboard client: a driver's decisions carried out over zenoh. It holds no solver and no library.
 //!
 //! ```no_run
 //! # fn measured() -> ([f64; 7], Vec<[f64; 4]>) { ([0.0; 7], vec![]) }
 //! # fn actuate(_: [f64; 2]) {}
+//! # fn limits() -> egp_vehicle::GateLimits { egp_vehicle::GateLimits::default() }
 //! use egp_vehicle::{VehicleClient, VehicleConfig};
 //!
-//! let config = VehicleConfig::new("depot", "car-7", &["tcp/control.example:7447"])?;
+//! let config = VehicleConfig::new("depot", "car-7", limits(), &["tcp/control.example:7447"])?;
 //! let mut vehicle = VehicleClient::connect(&config)?;
 //! loop { // once every `vehicle.dt()` seconds
 //!     let (x, reference) = measured();
@@ -20,11 +20,9 @@
 mod client;
 mod config;
 mod network;
-mod replicas;
-mod step;
 
 pub use client::{ClientError, VehicleClient};
 pub use config::VehicleConfig;
+pub use egp_driver::{DriverConfig, Late, Lost, Outcome, Situation, Step};
 pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use network::NetworkError;
-pub use step::{Outcome, Step};

@@ -1,13 +1,10 @@
 //! The one file that names zenoh.
 
-use std::collections::BTreeSet;
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use egp_driver::{Query, QueryId};
 use egp_wire::keys::{self, Name};
-use egp_wire::{Timing, WireError};
-use prost::Message as _;
 use thiserror::Error;
 use zenoh::query::Reply;
 use zenoh::sample::SampleKind;
@@ -15,7 +12,7 @@ use zenoh::{Config, Wait};
 
 use crate::config::VehicleConfig;
 
-/// zenoh refused something.
+/// zenoh reports an error.
 #[derive(Debug, Error)]
 #[error("{doing}: {reason}")]
 pub struct NetworkError {
@@ -32,38 +29,30 @@ impl NetworkError {
     }
 }
 
-/// What came back, and when.
-#[derive(Debug)]
-pub(crate) struct Arrival {
+/// Something that happened on the network, stamped when it did.
+pub(crate) struct Event {
     pub(crate) at: Instant,
-    pub(crate) content: Result<Answer, WireError>,
+    pub(crate) what: What,
 }
 
-/// A reply as sent.
-#[derive(Debug)]
-pub(crate) struct Answer {
-    pub(crate) payload: Vec<u8>,
-    pub(crate) timing: Option<Timing>,
+/// See [`Event`].
+pub(crate) enum What {
+    Appeared(Name),
+    Gone(Name),
+    /// A reply's payload and attachment, the latter empty when there is none.
+    Replied(QueryId, Vec<u8>, Vec<u8>),
+    /// Payload of an error reply.
+    Refused(QueryId, Vec<u8>),
+    /// No more answers come.
+    Ended(QueryId),
 }
 
-/// The replicas that are alive, kept up to date by the network.
-#[derive(Default)]
-struct Live {
-    names: Mutex<BTreeSet<Name>>,
-    changed: Condvar,
-}
-
-impl Live {
-    fn lock(&self) -> MutexGuard<'_, BTreeSet<Name>> {
-        self.names.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// A session and its view of the replicas.
+/// A session and what happens on it.
 pub(crate) struct Network {
     session: zenoh::Session,
-    live: Arc<Live>,
-    // Held for its effect: it updates `live`.
+    events: Receiver<Event>,
+    sender: Sender<Event>,
+    // Held for its effect: it reports replicas that come and go.
     _subscriber: zenoh::pubsub::Subscriber<()>,
 }
 
@@ -72,8 +61,8 @@ impl Network {
         let session = zenoh::open(configuration(config)?)
             .wait()
             .map_err(|e| NetworkError::new("cannot open the zenoh session", &e))?;
-        let live = Arc::new(Live::default());
-        let seen = live.clone();
+        let (sender, events) = channel();
+        let out = sender.clone();
         let subscriber = session
             .liveliness()
             .declare_subscriber(keys::ALL_LIVE)
@@ -82,74 +71,94 @@ impl Network {
                 let Some(replica) = keys::replica_of_live(token.key_expr().as_str()) else {
                     return;
                 };
-                match token.kind() {
-                    SampleKind::Put => seen.lock().insert(replica),
-                    SampleKind::Delete => seen.lock().remove(&replica),
+                let what = match token.kind() {
+                    SampleKind::Put => What::Appeared(replica),
+                    SampleKind::Delete => What::Gone(replica),
                 };
-                seen.changed.notify_all();
+                report(&out, what);
             })
             .wait()
             .map_err(|e| NetworkError::new("cannot watch the replicas", &e))?;
         Ok(Self {
             session,
-            live,
+            events,
+            sender,
             _subscriber: subscriber,
         })
     }
 
-    /// The replicas that are alive.
-    pub(crate) fn replicas(&self) -> Vec<Name> {
-        self.live.lock().iter().cloned().collect()
+    /// The next event; none when nothing happens within `patience`.
+    pub(crate) fn next(&self, patience: Duration) -> Option<Event> {
+        // The channel is never closed, because `self` holds a sender.
+        self.events.recv_timeout(patience).ok()
     }
 
-    /// Waits until a replica is alive; false when none came in time.
-    pub(crate) fn wait_for_replica(&self, patience: Duration) -> bool {
-        let none = |names: &mut BTreeSet<Name>| names.is_empty();
-        let waited = self
-            .live
-            .changed
-            .wait_timeout_while(self.live.lock(), patience, none);
-        !waited.unwrap_or_else(PoisonError::into_inner).1.timed_out()
-    }
-
-    /// Sends a query. The receiver gets what arrives, stamped on arrival, and is closed after the last.
-    pub(crate) fn ask(
-        &self,
-        key: &str,
-        payload: Vec<u8>,
-        timeout: Duration,
-    ) -> Result<Receiver<Arrival>, NetworkError> {
-        let (sender, receiver) = channel();
-        self.session
-            .get(key)
-            .payload(payload)
+    /// Sends a query, whose answers become events; a query that cannot be sent ends at once.
+    pub(crate) fn ask(&self, query: Query) {
+        let id = query.id;
+        // Dropped by zenoh after the last answer, together with the callback that holds it.
+        let end = End(id, self.sender.clone());
+        let sent = self
+            .session
+            .get(query.key)
+            .payload(query.payload)
             .encoding("application/protobuf;egp.v1.StepRequest")
             .express(true)
-            .timeout(timeout)
-            .callback(move |reply| deliver(&sender, reply))
+            .timeout(query.listen)
+            .callback(move |reply| report(&end.1, answer(id, reply)))
+            .wait();
+        if sent.is_err() {
+            report(&self.sender, What::Ended(id));
+        }
+    }
+
+    /// The payload of the first answer to a question, or none when no answer comes within `patience`.
+    pub(crate) fn ask_and_wait(
+        &self,
+        key: &str,
+        patience: Duration,
+    ) -> Result<Option<Vec<u8>>, NetworkError> {
+        let replies = self
+            .session
+            .get(key)
+            .timeout(patience)
             .wait()
             .map_err(|e| NetworkError::new(format!("cannot ask {key}"), &e))?;
-        Ok(receiver)
+        let answer = replies
+            .recv()
+            .ok()
+            .and_then(|reply| reply.into_result().ok());
+        Ok(answer.map(|sample| sample.payload().to_bytes().into_owned()))
     }
 }
 
-fn deliver(sender: &Sender<Arrival>, reply: Reply) {
+/// Reports the end of a query when it is dropped.
+struct End(QueryId, Sender<Event>);
+
+impl Drop for End {
+    fn drop(&mut self) {
+        report(&self.1, What::Ended(self.0));
+    }
+}
+
+fn report(out: &Sender<Event>, what: What) {
     let at = Instant::now();
-    let content = match reply.into_result() {
-        Ok(sample) => Ok(Answer {
-            timing: sample
-                .attachment()
-                .and_then(|a| Timing::decode(&*a.to_bytes()).ok()),
-            payload: sample.payload().to_bytes().into_owned(),
-        }),
-        // zenoh's own errors, a timeout above all, are not ours to read: silence, like an empty answer.
-        Err(error) => match WireError::decode(&error.payload().to_bytes()) {
-            Ok(error) => Err(error),
-            Err(_) => return,
-        },
-    };
-    // The step that asked may have gone on without the answer.
-    let _ = sender.send(Arrival { at, content });
+    // The client may be gone.
+    let _ = out.send(Event { at, what });
+}
+
+fn answer(id: QueryId, reply: Reply) -> What {
+    match reply.into_result() {
+        Ok(sample) => {
+            let attachment = sample.attachment();
+            What::Replied(
+                id,
+                sample.payload().to_bytes().into_owned(),
+                attachment.map_or_else(Vec::new, |bytes| bytes.to_bytes().into_owned()),
+            )
+        }
+        Err(error) => What::Refused(id, error.payload().to_bytes().into_owned()),
+    }
 }
 
 fn configuration(config: &VehicleConfig) -> Result<Config, NetworkError> {

@@ -40,8 +40,9 @@ struct Vehicle {
 
 impl Vehicle {
     fn connect(endpoints: &[&str]) -> Self {
-        let mut config = VehicleConfig::new("test", "car", endpoints).unwrap();
-        config.max_tail_ticks = 5;
+        let mut config =
+            VehicleConfig::new("test", "car", GateLimits::default(), endpoints).unwrap();
+        config.driver.max_tail_ticks = 5;
         Self {
             client: VehicleClient::connect(&config).unwrap(),
             p_x: 0.0,
@@ -145,7 +146,8 @@ fn another_replica_takes_over_without_a_missed_plan() {
 #[test]
 fn connecting_to_nobody_says_where_it_looked() {
     let endpoint = free_endpoint();
-    let mut config = VehicleConfig::new("test", "car", &[&endpoint]).unwrap();
+    let mut config =
+        VehicleConfig::new("test", "car", GateLimits::default(), &[&endpoint]).unwrap();
     config.patience = Duration::from_millis(200);
     let Err(error) = VehicleClient::connect(&config) else {
         panic!("there is nobody")
@@ -154,16 +156,29 @@ fn connecting_to_nobody_says_where_it_looked() {
 }
 
 #[test]
-fn a_measurement_that_cannot_be_meant_is_refused_and_stops() {
+fn a_measured_state_that_cannot_be_used_stops_and_a_wrong_reference_is_an_error() {
     let endpoint = free_endpoint();
     let server = serve("main", &endpoint);
     let mut vehicle = Vehicle::connect(&[&endpoint]);
     vehicle.step_until_solved();
     let reference = vec![[0.0; 4]; vehicle.client.horizon() + 1];
+    let error = vehicle
+        .client
+        .step([0.0; 7], &reference[1..], &[])
+        .unwrap_err();
+    assert!(
+        error.to_string().starts_with("reference: expected"),
+        "{error}"
+    );
+    assert_eq!(vehicle.client.mode(), Mode::Normal);
     let mut x = [0.0; 7];
     x[2] = f64::NAN;
-    let error = vehicle.client.step(x, &reference, &[]).unwrap_err();
-    assert!(error.to_string().contains("x: row 0: v_x"), "{error}");
-    assert_eq!(vehicle.client.stop().mode, Mode::Stop);
+    let step = vehicle.client.step(x, &reference, &[]).unwrap();
+    assert_eq!(step.command.mode, Mode::Stop);
+    assert!(
+        step.outcome.detail().contains("x: row 0: v_x"),
+        "{:?}",
+        step.outcome
+    );
     server.drain();
 }

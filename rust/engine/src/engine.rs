@@ -137,6 +137,7 @@ impl Engine {
                 .iter()
                 .map(|member| member.label().to_owned())
                 .collect(),
+            envelope: envelope(&self.library),
         }
     }
 
@@ -227,6 +228,16 @@ impl Engine {
         name.clear();
         name.push_str(solver);
     }
+}
+
+/// Smallest and largest GP input in the training data of all members.
+fn envelope(library: &Library) -> [egp_wire::GpInput; 2] {
+    let mut members = library.members().iter().map(egp_core::Member::envelope);
+    let first = members.next().unwrap_or_default();
+    let (low, high) = members.fold(first, |(low, high), (min, max)| {
+        (low.inf(&min), high.sup(&max))
+    });
+    [low.into(), high.into()]
 }
 
 fn replace<T: Copy>(out: &mut Vec<T>, values: &[T]) {

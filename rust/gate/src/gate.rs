@@ -1,4 +1,4 @@
-//! The gate: NORMAL → TAIL → STOP.
+//! The gate: WAITING → NORMAL → TAIL → STOP.
 
 use crate::limits::{Limits, LimitsError, positive};
 
@@ -17,6 +17,9 @@ pub enum Mode {
     Tail,
     /// Braking with the steering held, latched until [`Gate::reset`].
     Stop,
+    /// Braking with the steering held because no plan has come since the start or the last [`Gate::reset`]; the first
+    /// plan ends it.
+    Waiting,
 }
 
 /// What leaves the gate.
@@ -103,7 +106,7 @@ impl Gate {
             plan: [[0.0; 2]; MAX_HORIZON],
             length: 0,
             start: 0,
-            mode: Mode::Normal,
+            mode: Mode::Waiting,
             previous: [0.0; 2],
             v_x: f64::INFINITY,
             delta: 0.0,
@@ -142,7 +145,7 @@ impl Gate {
     }
 
     /// What the actuators get in period `tick`, given the measured speed \[m/s\] and steering angle
-    /// \[rad\]. A measurement that is not finite, or no input for this period, means STOP.
+    /// \[rad\]. A measurement that is not finite, or a held plan without an input for this period, means STOP.
     pub fn command(&mut self, tick: u64, v_x: f64, delta: f64) -> Command {
         let seen = v_x.is_finite() && delta.is_finite();
         if v_x.is_finite() {
@@ -160,7 +163,8 @@ impl Gate {
             self.mode = mode;
             u
         } else {
-            self.mode = Mode::Stop;
+            let waiting = seen && self.length == 0 && self.mode != Mode::Stop;
+            self.mode = if waiting { Mode::Waiting } else { Mode::Stop };
             // The steering is held: the car stays on the curve its last plan steered, whereas
             // straightening the wheels in a bend would lead off the road.
             [
@@ -182,11 +186,16 @@ impl Gate {
         }
     }
 
-    /// Leaves STOP. The old plan is forgotten, so a new one must be accepted before the next
-    /// [`Gate::command`]; the slew limits still count from the last command.
+    /// Leaves STOP and forgets the plan: the vehicle is braked until a new one is accepted. The slew limits still count
+    /// from the last command.
     pub fn reset(&mut self) {
-        self.mode = Mode::Normal;
+        self.mode = Mode::Waiting;
         self.length = 0;
+    }
+
+    /// Stops the vehicle from the next [`Gate::command`] on, whatever plan is held.
+    pub fn stop(&mut self) {
+        self.mode = Mode::Stop;
     }
 
     /// Where the last command came from.

@@ -9,7 +9,8 @@ use std::cell::Cell;
 use common::{engine, library, request};
 use counting::allocations;
 use egp_core::{StepReply, StepRequest, Workspace, step};
-use egp_wire::{Carry, Limits, Reply, Status};
+use egp_driver::Carry;
+use egp_wire::{Limits, Reply, Status};
 
 /// The allocator of this program: the system's, with a count for each thread.
 mod counting {

@@ -7,8 +7,9 @@ use std::thread;
 
 use common::library;
 use egp_core::{Kernel, Settings};
+use egp_driver::Carry;
 use egp_engine::Engine;
-use egp_wire::{Carry, Status};
+use egp_wire::Status;
 
 fn engine() -> Engine {
     let frictions: Vec<f64> = (0..8).map(|i| 0.4 + 0.1 * f64::from(i)).collect();

@@ -4,8 +4,9 @@
 mod common;
 
 use common::{Client, Outcome, config, engine, free_endpoint, request, step_key};
+use egp_driver::Carry;
 use egp_service::Server;
-use egp_wire::{Carry, Limits, Load, Ready, Reply, Status, keys};
+use egp_wire::{Limits, Load, Ready, Reply, Status, keys};
 use prost::Message as _;
 use zenoh::Wait;
 

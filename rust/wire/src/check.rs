@@ -5,8 +5,10 @@ use crate::{Invalid, LibraryId, Predictions, VERSION};
 /// A component's name and the largest magnitude accepted.
 type Domain<const W: usize> = [(&'static str, f64); W];
 
-// Far beyond what a road vehicle does, near enough that products of them stay exact to many digits.
-const POSITION: f64 = 1e8; // m: larger than any UTM coordinate
+// Far beyond what a road vehicle does, near enough that products of them stay exact to many digits. The control step
+// accepts no number above MAGNITUDE, so no message may hold one that a later request would have to carry.
+const MAGNITUDE: f64 = 1e7;
+const POSITION: f64 = MAGNITUDE; // m: about the largest UTM coordinate
 const SPEED: f64 = 150.0; // m/s
 const YAW: f64 = 1e5; // rad, unwrapped
 const YAW_RATE: f64 = 50.0; // rad/s
@@ -163,7 +165,7 @@ pub(crate) fn at_most(
 
 /// `history_f` has at most one row per row of the history, each with one block per member.
 ///
-/// Predictions have no domain beyond being finite: a member may extrapolate wildly outside its data.
+/// Predictions have no domain beyond the largest magnitude: a member may extrapolate wildly outside its data.
 pub(crate) fn predictions(
     history_f: &Predictions,
     history_rows: usize,
@@ -195,10 +197,13 @@ pub(crate) fn predictions(
             format!("its last row has fewer than {found} members"),
         ));
     }
-    let finite = |value: &f64| value.is_finite();
-    if history_f.values.as_flattened().iter().all(finite) {
+    let accepted = |value: &f64| value.abs() <= MAGNITUDE;
+    if history_f.values.as_flattened().iter().all(accepted) {
         Ok(())
     } else {
-        Err(Invalid::field(FIELD, "a prediction is not finite"))
+        Err(Invalid::field(
+            FIELD,
+            format!("a prediction is not finite or larger than {MAGNITUDE}"),
+        ))
     }
 }

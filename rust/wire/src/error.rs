@@ -40,7 +40,8 @@ pub enum Invalid {
 }
 
 impl Invalid {
-    pub(crate) fn field(field: &'static str, reason: impl Into<String>) -> Self {
+    /// The error about one field, named as in the `.proto`.
+    pub fn field(field: &'static str, reason: impl Into<String>) -> Self {
         Self::Field {
             field,
             reason: reason.into(),
@@ -85,6 +86,12 @@ impl WireError {
             field: String::new(),
             detail: detail.into(),
         }
+    }
+
+    /// The code in lower case without its prefix, for example `too_late`.
+    pub fn code_name(&self) -> String {
+        let name = self.code.as_str_name().trim_start_matches("CODE_");
+        name.to_ascii_lowercase()
     }
 
     /// Bytes of an `egp.v1.Error`.

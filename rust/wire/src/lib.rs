@@ -1,22 +1,25 @@
 //! What travels between a vehicle and the service: typed requests, replies and errors, their protobuf
-//! encoding, key expressions, and the carry a client keeps between steps.
+//! encoding, and key expressions.
 //!
 //! Decoding is the trust boundary: a [`Request`] or [`Reply`] that came out of `decode` has exact
 //! shapes, finite numbers inside the declared domain and weights on the simplex. The crate knows neither
 //! the network nor the mathematics.
 //!
 //! ```
-//! use egp_wire::{Carry, Limits, Request};
+//! use egp_wire::{Limits, Request};
 //!
-//! let mut carry = Carry::new([7; 32], 10);
-//! let x = [0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0];
-//! let reference = vec![[0.0, 0.0, 12.0, 0.0]; 21];
-//! let bytes = carry.request(x, reference, vec![], 40_000).encode();
-//! assert_eq!(Request::decode(&bytes, &Limits::default())?.sequence, 1);
+//! let request = Request {
+//!     library: [7; 32],
+//!     sequence: 1,
+//!     budget_us: 40_000,
+//!     x: [0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0],
+//!     reference: vec![[0.0, 0.0, 12.0, 0.0]; 21],
+//!     ..Request::default()
+//! };
+//! assert_eq!(Request::decode(&request.encode(), &Limits::default())?, request);
 //! # Ok::<(), egp_wire::Invalid>(())
 //! ```
 
-mod carry;
 mod check;
 mod error;
 mod fields;
@@ -24,23 +27,20 @@ mod header;
 pub mod keys;
 mod limits;
 mod predictions;
-mod rank;
 mod ready;
 mod reply;
 mod request;
 mod tensor;
 mod writer;
 
-pub use carry::Carry;
 pub use error::{Code, Invalid, WireError};
 pub use header::Header;
 pub use limits::Limits;
 pub use predictions::Predictions;
 pub use proto::{Load, PlantTruth, Status, Timing};
-pub use rank::rank;
 pub use ready::Ready;
 pub use reply::Reply;
-pub use request::Request;
+pub use request::{Request, check_reference, check_state};
 
 /// The messages as generated from `proto/egp/v1/egp.proto`, unvalidated.
 #[allow(missing_docs, clippy::pedantic)]

@@ -2,7 +2,7 @@
 
 use prost::Message as _;
 
-use crate::{Invalid, LibraryId, Limits, VERSION, check, proto};
+use crate::{GpInput, Invalid, LibraryId, Limits, VERSION, check, proto};
 
 /// Answer of a replica's `ready` key.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,6 +19,8 @@ pub struct Ready {
     pub history: u32,
     /// The members' surfaces, in the order of the weights.
     pub members: Vec<String>,
+    /// Smallest and largest GP input `[v_x, v_y, omega, delta, F_x, delta_dot]` in the members' training data.
+    pub envelope: [GpInput; 2],
 }
 
 impl Ready {
@@ -32,6 +34,10 @@ impl Ready {
             horizon: self.horizon,
             history: self.history,
             members: self.members.clone(),
+            envelope: Some(proto::Tensor {
+                shape: vec![2, 6],
+                data: encode_values(self.envelope.as_flattened()),
+            }),
         }
         .encode_to_vec()
     }
@@ -69,6 +75,41 @@ impl Ready {
             horizon: raw.horizon,
             history: raw.history,
             members: raw.members,
+            envelope: envelope(raw.envelope)?,
         })
+    }
+}
+
+fn encode_values(values: &[f64]) -> Vec<u8> {
+    values
+        .iter()
+        .flat_map(|value| value.to_le_bytes())
+        .collect()
+}
+
+/// Errors unless the envelope has two rows of finite numbers and every component's first is below its second.
+fn envelope(tensor: Option<proto::Tensor>) -> Result<[GpInput; 2], Invalid> {
+    const FIELD: &str = "envelope";
+    let tensor = tensor.ok_or_else(|| Invalid::field(FIELD, "is required and absent"))?;
+    let (values, rest) = tensor.data.as_chunks();
+    let values: Vec<f64> = values.iter().copied().map(f64::from_le_bytes).collect();
+    let (rows, []) = (values.as_chunks().0, rest) else {
+        return Err(Invalid::field(FIELD, "its data are no whole number of f64"));
+    };
+    let (Ok(rows), [2, 6]) = (<[GpInput; 2]>::try_from(rows), tensor.shape.as_slice()) else {
+        return Err(Invalid::field(
+            FIELD,
+            format!("expected shape [2, 6], got {:?}", tensor.shape),
+        ));
+    };
+    let [low, high] = &rows;
+    let ordered = |(low, high): (&f64, &f64)| low < high && (high - low).is_finite();
+    if low.iter().zip(high).all(ordered) {
+        Ok(rows)
+    } else {
+        Err(Invalid::field(
+            FIELD,
+            "expected finite numbers, each of row 0 below that of row 1",
+        ))
     }
 }

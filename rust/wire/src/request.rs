@@ -121,9 +121,9 @@ impl Request {
     /// [`Invalid::Field`] for the first field at fault.
     pub fn validate(&self, limits: &Limits) -> Result<(), Invalid> {
         check::budget(self.budget_us)?;
-        check::domain("x", &[self.x], &check::STATE)?;
+        check_state(&self.x)?;
         check::domain("u_prev", &[self.u_prev], &check::INPUT)?;
-        check::domain("reference", &self.reference, &check::REFERENCE)?;
+        check_reference(&self.reference, &self.widths)?;
         if !(1..=limits.horizon).contains(&self.horizon()) {
             return Err(Invalid::field(
                 "reference",
@@ -135,8 +135,7 @@ impl Request {
             ));
         }
         self.validate_plan()?;
-        self.validate_history(limits)?;
-        self.validate_widths()
+        self.validate_history(limits)
     }
 
     fn validate_plan(&self) -> Result<(), Invalid> {
@@ -190,28 +189,38 @@ impl Request {
         )?;
         check::predictions(&self.history_f, rows, &self.weights)
     }
+}
 
-    fn validate_widths(&self) -> Result<(), Invalid> {
-        check::domain("widths", &self.widths, &check::WIDTHS)?;
-        if !self.widths.is_empty() {
-            check::row_count(
-                "widths",
-                self.widths.len(),
-                self.reference.len(),
-                "as many as in reference, or none",
-            )?;
-        }
-        match self
-            .widths
-            .iter()
-            .position(|[left, right]| left + right < 0.0)
-        {
-            Some(row) => Err(Invalid::field(
-                "widths",
-                format!("row {row}: the edges cross (left + right < 0)"),
-            )),
-            None => Ok(()),
-        }
+/// Checks a measured state: every component finite and in its domain.
+///
+/// # Errors
+/// [`Invalid::Field`] naming the first component at fault.
+pub fn check_state(x: &State) -> Result<(), Invalid> {
+    check::domain("x", std::slice::from_ref(x), &check::STATE)
+}
+
+/// Checks a reference and its widths: every component in its domain, as many widths as rows or none, and track edges
+/// that do not cross.
+///
+/// # Errors
+/// [`Invalid::Field`] naming the first row at fault.
+pub fn check_reference(reference: &[ReferenceRow], widths: &[WidthRow]) -> Result<(), Invalid> {
+    check::domain("reference", reference, &check::REFERENCE)?;
+    check::domain("widths", widths, &check::WIDTHS)?;
+    if !widths.is_empty() {
+        check::row_count(
+            "widths",
+            widths.len(),
+            reference.len(),
+            "as many as in reference, or none",
+        )?;
+    }
+    match widths.iter().position(|[left, right]| left + right < 0.0) {
+        Some(row) => Err(Invalid::field(
+            "widths",
+            format!("row {row}: the edges cross (left + right < 0)"),
+        )),
+        None => Ok(()),
     }
 }
 

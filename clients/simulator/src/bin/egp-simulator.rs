@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use clap::Parser;
 use egp_simulator::{Course, Period, SimulatedVehicle, Track};
-use egp_vehicle::{Mode, VehicleConfig};
+use egp_vehicle::{GateLimits, Mode, VehicleConfig};
 
 /// What `--help` teaches.
 const HELP: &str = r"Drives a simulated car through a running service, in real time.
@@ -18,7 +18,7 @@ Start the service first, then the car; both find each other on this machine with
 
 The track is divided evenly among the friction coefficients. The status line shows where the car is, how
 far it is from the reference, where its commands come from (NORMAL: a new plan; TAIL: the rest of the
-last one; STOP: braking, because that has run out), and the weights of the library's surfaces. Stop the
+last one; STOP: braking, because that has run out; WAITING: braking until the first plan), and the weights of the library's surfaces. Stop the
 service while it drives and see TAIL, then STOP.";
 
 /// Drives a simulated car through a running service, in real time.
@@ -71,6 +71,7 @@ fn mode(mode: Mode) -> &'static str {
         Mode::Normal => "NORMAL",
         Mode::Tail => "TAIL",
         Mode::Stop => "STOP",
+        Mode::Waiting => "WAITING",
     }
 }
 
@@ -97,7 +98,12 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         arguments.grip,
     )?);
     let endpoints: Vec<&str> = arguments.connect.iter().map(String::as_str).collect();
-    let config = VehicleConfig::new(&arguments.fleet, &arguments.vehicle, &endpoints)?;
+    let config = VehicleConfig::new(
+        &arguments.fleet,
+        &arguments.vehicle,
+        GateLimits::default(),
+        &endpoints,
+    )?;
     let mut vehicle = SimulatedVehicle::connect(&config, course.clone(), 0.0)?;
     eprintln!("surfaces: {}", vehicle.client().members().join(", "));
     let way = course.path.length() * f64::from(arguments.laps);

@@ -10,9 +10,10 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use egp_core::{Kernel, Library, Settings};
+use egp_driver::Carry;
 use egp_engine::Engine;
 use egp_service::ServiceConfig;
-use egp_wire::{Carry, LibraryId, Request, Timing, WireError, keys};
+use egp_wire::{LibraryId, Request, Timing, WireError, keys};
 use prost::Message as _;
 use zenoh::Wait;
 

@@ -1,6 +1,6 @@
 //! Which replica a vehicle asks first, and which ones after it.
 
-use crate::keys::Name;
+use egp_wire::keys::Name;
 
 /// The replicas in the order in which this vehicle tries them, by rendezvous hashing.
 ///

@@ -1,7 +1,8 @@
 //! The carry through lost, late and repeated replies.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use egp_wire::{Carry, Limits, Predictions, Reply, Request, Status};
+use egp_driver::Carry;
+use egp_wire::{Limits, Predictions, Reply, Request, Status};
 
 const LIBRARY: [u8; 32] = [3; 32];
 const HORIZON: usize = 4;

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::{
+use egp_wire::{
     GpInput, GpOutput, Input, Invalid, LibraryId, Predictions, ReferenceRow, Reply, Request, State,
     Status, WidthRow,
 };
@@ -76,11 +76,13 @@ impl Carry {
         &self.weights
     }
 
-    /// Lets the next request start from other weights, for one who knows the surface; the service checks them.
+    /// Lets the next request start from these weights, for a caller that knows the surface; the service checks them.
     ///
-    /// Without history (K = 0) they stay as they are.
-    pub fn set_weights(&mut self, weights: Vec<f64>) {
+    /// From now on requests carry no history, so that the service returns the weights as they are.
+    pub fn hold_weights(&mut self, weights: Vec<f64>) {
         self.weights = weights;
+        self.capacity = 0;
+        self.history.clear();
     }
 
     /// The input [`applied`](Self::applied) last.
@@ -134,6 +136,14 @@ impl Carry {
             widths,
             want_sigma: false,
         }
+    }
+
+    /// Opens a control period in which no request can be made, because the measured state is not known. The history
+    /// starts anew with the next request.
+    pub fn skip(&mut self) {
+        self.sequence += 1;
+        self.running = None;
+        self.x = None;
     }
 
     /// Takes over what a reply brings. Returns whether it was newer than the last one taken.

@@ -1,0 +1,67 @@
+//! What a driver needs to know before the first control period.
+
+use std::time::Duration;
+
+use egp_gate::{GateError, Limits};
+use egp_wire::keys::{Name, NameError};
+use thiserror::Error;
+
+/// Why a driver cannot be made.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum DriverError {
+    /// The gate's limits or settings are not valid.
+    #[error(transparent)]
+    Gate(#[from] GateError),
+    /// The budget is outside its range.
+    #[error("the budget must be in (0, 1] of the control period, got {0}")]
+    Budget(f64),
+}
+
+/// Configuration of a [`crate::Driver`].
+#[derive(Clone, Debug)]
+pub struct DriverConfig {
+    /// Fleet that the vehicle belongs to.
+    pub fleet: Name,
+    /// Name of the vehicle in its fleet.
+    pub vehicle: Name,
+    /// Part of the control period that an answer may take, in (0, 1]. Default 0.8.
+    pub budget: f64,
+    /// Limits of the actuators.
+    pub limits: Limits,
+    /// Control periods that the rest of a plan may bridge. Default 25, half a second at 50 Hz.
+    pub max_tail_ticks: u64,
+    /// Deceleration of a stop, m/s². Default 3.
+    pub stop_deceleration: f64,
+    /// Whether to ask for the predicted standard deviations. Default false.
+    pub want_sigma: bool,
+}
+
+impl DriverConfig {
+    /// Defaults for a vehicle of this name with these actuator limits.
+    ///
+    /// # Errors
+    /// [`NameError`] when fleet or vehicle is not 1 to 64 of the characters `A-Z a-z 0-9 . _ -`.
+    pub fn new(fleet: &str, vehicle: &str, limits: Limits) -> Result<Self, NameError> {
+        Ok(Self {
+            fleet: fleet.parse()?,
+            vehicle: vehicle.parse()?,
+            budget: 0.8,
+            limits,
+            max_tail_ticks: 25,
+            stop_deceleration: 3.0,
+            want_sigma: false,
+        })
+    }
+
+    /// The time that an answer may take in a control period of `dt` s.
+    ///
+    /// # Errors
+    /// [`DriverError::Budget`] when the budget is outside (0, 1].
+    pub(crate) fn budget(&self, dt: f64) -> Result<Duration, DriverError> {
+        if self.budget > 0.0 && self.budget <= 1.0 {
+            Ok(Duration::from_secs_f64(dt * self.budget))
+        } else {
+            Err(DriverError::Budget(self.budget))
+        }
+    }
+}

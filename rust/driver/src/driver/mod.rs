@@ -1,0 +1,292 @@
+//! The state machine: events in, actions out.
+
+mod period;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+use egp_gate::{Gate, Mode};
+use egp_wire::keys::Name;
+use egp_wire::{Code, Ready, Request, Timing, WireError};
+use prost::Message as _;
+
+use crate::action::{Action, QueryId};
+use crate::carry::Carry;
+use crate::config::{DriverConfig, DriverError};
+use crate::measurement::{InvalidArgument, Measurement};
+use crate::replicas::Replicas;
+use crate::reply;
+use crate::situation::{Lost, LostDetector, Situation};
+use crate::step::{Late, Outcome};
+use period::Answer;
+
+/// Time since a moment that the transport chooses and then keeps; it must not run backwards.
+pub type Time = Duration;
+
+/// A request that was sent, for the time in which its reply is of use.
+#[derive(Clone, Debug)]
+struct Pending {
+    replica: Name,
+    sent: Time,
+    request: Request,
+}
+
+/// A control period that is not decided yet.
+#[derive(Clone, Debug)]
+struct Running {
+    begun: Time,
+    deadline: Time,
+    request: Request,
+    bytes: Vec<u8>,
+    /// Replicas still to be asked, the next one last.
+    remaining: Vec<Name>,
+    asked: u32,
+    /// The replica asked last and the query whose answer is awaited.
+    current: Option<(QueryId, Name)>,
+    /// What became of the replicas asked so far.
+    outcome: Outcome,
+    situation: Situation,
+    lost: Option<Lost>,
+}
+
+/// The vehicle's side of the control loop; see the crate's documentation for an example.
+#[derive(Clone, Debug)]
+pub struct Driver {
+    config: DriverConfig,
+    served: Ready,
+    budget: Duration,
+    carry: Carry,
+    gate: Gate,
+    replicas: Replicas,
+    lost: LostDetector,
+    running: Option<Running>,
+    pending: BTreeMap<QueryId, Pending>,
+    probes: BTreeMap<QueryId, (Name, Time)>,
+    late: Vec<Late>,
+    actions: VecDeque<Action>,
+    queries: u64,
+}
+
+impl Driver {
+    /// A driver for a library that `served` describes; it knows no replica yet.
+    ///
+    /// # Errors
+    /// [`DriverError`] when budget, limits or gate settings are out of range.
+    pub fn new(config: DriverConfig, served: Ready) -> Result<Self, DriverError> {
+        let gate = Gate::new(
+            config.limits,
+            served.dt,
+            config.max_tail_ticks,
+            config.stop_deceleration,
+        )?;
+        Ok(Self {
+            budget: config.budget(served.dt)?,
+            carry: Carry::new(served.library, served.history as usize),
+            gate,
+            replicas: Replicas::new(config.fleet.clone(), config.vehicle.clone()),
+            lost: LostDetector::default(),
+            running: None,
+            pending: BTreeMap::new(),
+            probes: BTreeMap::new(),
+            late: Vec::new(),
+            actions: VecDeque::new(),
+            queries: 0,
+            config,
+            served,
+        })
+    }
+
+    /// What the replicas serve.
+    pub fn served(&self) -> &Ready {
+        &self.served
+    }
+
+    /// Time that an answer may take unless a period states its own deadline.
+    pub fn budget(&self) -> Duration {
+        self.budget
+    }
+
+    /// Weights of the newest reply; empty before the first.
+    pub fn weights(&self) -> &[f64] {
+        self.carry.weights()
+    }
+
+    /// Lets the next request start from these weights and carry no history, so that the service keeps them; for a caller
+    /// that knows the surface.
+    pub fn set_weights(&mut self, weights: Vec<f64>) {
+        self.carry.hold_weights(weights);
+    }
+
+    /// Where the last command came from.
+    pub fn mode(&self) -> Mode {
+        self.gate.mode()
+    }
+
+    /// Leaves STOP and forgets history, weights, plan and outstanding requests, for instance after the vehicle was moved.
+    pub fn reset(&mut self) {
+        self.carry.reset();
+        self.gate.reset();
+        self.lost = LostDetector::default();
+        self.running = None;
+        self.pending.clear();
+        self.late.clear();
+        self.actions.clear();
+    }
+
+    /// A replica announces itself.
+    pub fn replica_appeared(&mut self, _now: Time, replica: Name) {
+        self.replicas.appeared(replica);
+    }
+
+    /// A replica withdrew its announcement or was lost. A request that waits for it goes to the next one.
+    pub fn replica_gone(&mut self, now: Time, replica: &Name) {
+        self.replicas.gone(replica);
+        let awaited = self.running.as_ref().and_then(|run| run.current.as_ref());
+        if awaited.is_some_and(|(_, name)| name == replica) {
+            self.ask_next(now);
+        }
+    }
+
+    /// Opens a control period: the vehicle's state was measured, and a command is due by `deadline`.
+    ///
+    /// Actions follow until [`Action::Command`], which comes at once when no replica can be asked. A period that is still
+    /// open is given up.
+    ///
+    /// # Errors
+    /// [`InvalidArgument`] when no request can be made of reference or widths; the period is then not opened. A measured
+    /// state that cannot be used is no error: its command is a stop.
+    pub fn tick(
+        &mut self,
+        now: Time,
+        deadline: Time,
+        measurement: Measurement,
+    ) -> Result<(), InvalidArgument> {
+        measurement.check(self.served.horizon as usize)?;
+        self.give_up(now);
+        self.probe(now);
+        let Measurement {
+            x,
+            reference,
+            widths,
+        } = measurement;
+        if let Err(invalid) = egp_wire::check_state(&x) {
+            self.stop_unmeasured(invalid);
+            return Ok(());
+        }
+        let here = reference.first().copied().unwrap_or_default(); // `check` has seen that there is one
+        let situation = Situation::new(&x, &here, &self.served.envelope);
+        let lost = self.lost.observe(&situation);
+        if lost.is_some() {
+            self.gate.stop();
+        }
+        // With no time left the service refuses, which is what a period that began late deserves.
+        let left = deadline.saturating_sub(now).as_micros();
+        let budget_us = u32::try_from(left).unwrap_or(u32::MAX).max(1);
+        let mut request = self.carry.request(x, reference, widths, budget_us);
+        request.want_sigma = self.config.want_sigma;
+        let mut remaining = self.replicas.order();
+        remaining.reverse();
+        self.running = Some(Running {
+            begun: now,
+            deadline,
+            bytes: request.encode(),
+            request,
+            remaining,
+            asked: 0,
+            current: None,
+            outcome: Outcome::Unreachable,
+            situation,
+            lost,
+        });
+        self.ask_next(now);
+        Ok(())
+    }
+
+    /// When [`Driver::wake`] is due; none while no period is open.
+    pub fn deadline(&self) -> Option<Time> {
+        self.running.as_ref().map(|run| run.deadline)
+    }
+
+    /// The next thing to do, oldest first.
+    pub fn next_action(&mut self) -> Option<Action> {
+        self.actions.pop_front()
+    }
+
+    /// The time is `now`: past the deadline, the open period is decided without a reply.
+    pub fn wake(&mut self, now: Time) {
+        let Some(run) = self.running.as_mut().filter(|run| now >= run.deadline) else {
+            return;
+        };
+        if let Some((_, replica)) = &run.current {
+            run.outcome = Outcome::Late;
+            self.replicas.demote(replica, now);
+        }
+        self.decide(now, None);
+    }
+
+    /// A replica replied with these bytes and this attachment.
+    pub fn replied(&mut self, now: Time, id: QueryId, payload: &[u8], attachment: &[u8]) {
+        if let Some((replica, sent)) = self.probes.remove(&id) {
+            return self.probed(now.saturating_sub(sent), &replica, payload);
+        }
+        let Some(pending) = self.pending.remove(&id) else {
+            return; // from before a reset, or a second reply to one query
+        };
+        let reply = match reply::decode(payload, &pending.request, &self.served) {
+            Ok(reply) => reply,
+            Err(invalid) => {
+                self.replicas.demote(&pending.replica, now);
+                return self.failed(now, id, Outcome::Unusable(invalid));
+            }
+        };
+        self.accept(&reply);
+        let current =
+            |run: &&mut Running| run.request.sequence == reply.sequence && now <= run.deadline;
+        match self.running.as_mut().filter(current) {
+            Some(run) => {
+                run.outcome = Outcome::Replied(reply.status);
+                run.current = Some((id, pending.replica));
+                let timing = Timing::decode(attachment).ok();
+                let answer = Answer {
+                    reply,
+                    bytes: payload.to_vec(),
+                    timing: timing.filter(|_| !attachment.is_empty()),
+                };
+                self.decide(now, Some(answer));
+            }
+            None => self.late.push(Late {
+                latency: now.saturating_sub(pending.sent),
+                reply_bytes: payload.to_vec(),
+            }),
+        }
+    }
+
+    /// A replica answered with an error, given as the bytes of an `egp.v1.Error`. Bytes that are none count as
+    /// [`Driver::ended`].
+    pub fn refused(&mut self, now: Time, id: QueryId, error: &[u8]) {
+        let Some(pending) = self.pending.remove(&id) else {
+            self.probes.remove(&id);
+            return;
+        };
+        let Ok(error) = WireError::decode(error) else {
+            return self.vanished(now, id, &pending.replica);
+        };
+        // Errors of load and of leaving pass; those that a sound replica would not send do not.
+        let passing = matches!(
+            error.code,
+            Code::Overloaded | Code::TooLate | Code::Draining | Code::Superseded
+        );
+        if !passing {
+            self.replicas.demote(&pending.replica, now);
+        }
+        self.failed(now, id, Outcome::Refused(error));
+    }
+
+    /// A query ended without an answer: the replica is not there, or the network does not let the query through.
+    pub fn ended(&mut self, now: Time, id: QueryId) {
+        self.probes.remove(&id);
+        if let Some(pending) = self.pending.remove(&id) {
+            self.vanished(now, id, &pending.replica);
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! How a control period gets from its request to its command.
+
+use std::time::Duration;
+
+use egp_wire::keys::{self, Name};
+use egp_wire::{Invalid, Limits, Ready, Reply, Timing};
+
+use super::{Driver, Pending, Time};
+use crate::action::{Action, Query, QueryId};
+use crate::step::{Outcome, Step};
+
+/// How long a transport listens for an answer, in control periods. The plan of a later answer has ended.
+const LISTEN_PERIODS: u32 = 20;
+/// Requests whose late answers are still awaited, at most.
+const MAX_PENDING: usize = 64;
+
+/// A usable reply in time.
+pub(super) struct Answer {
+    pub(super) reply: Reply,
+    pub(super) bytes: Vec<u8>,
+    pub(super) timing: Option<Timing>,
+}
+
+impl Driver {
+    /// Asks the next replica for the open period's step, or decides the period when none or no time is left.
+    pub(super) fn ask_next(&mut self, now: Time) {
+        let listen = self.period() * LISTEN_PERIODS;
+        let Some(run) = self.running.as_mut() else {
+            return;
+        };
+        let next = if now < run.deadline {
+            run.remaining.pop()
+        } else {
+            None
+        };
+        let Some(replica) = next else {
+            return self.decide(now, None);
+        };
+        run.asked += 1;
+        self.queries += 1;
+        let id = QueryId(self.queries);
+        let query = Query {
+            id,
+            key: keys::step(&replica, &self.config.fleet, &self.config.vehicle),
+            payload: run.bytes.clone(),
+            listen,
+            replica: replica.clone(),
+        };
+        let pending = Pending {
+            replica: replica.clone(),
+            sent: now,
+            request: run.request.clone(),
+        };
+        run.current = Some((id, replica));
+        self.pending.insert(id, pending);
+        if self.pending.len() > MAX_PENDING {
+            self.pending.pop_first();
+        }
+        self.actions.push_back(Action::Ask(query));
+    }
+
+    /// Notes what became of a query; if the open period waited for it, asks the next replica.
+    pub(super) fn failed(&mut self, now: Time, id: QueryId, outcome: Outcome) {
+        let awaited = |run: &&mut super::Running| matches!(&run.current, Some((current, _)) if *current == id);
+        if let Some(run) = self.running.as_mut().filter(awaited) {
+            run.outcome = outcome;
+            self.ask_next(now);
+        }
+    }
+
+    /// A replica that announces itself gave no answer at all.
+    pub(super) fn vanished(&mut self, now: Time, id: QueryId, replica: &Name) {
+        self.replicas.demote(replica, now);
+        self.failed(now, id, Outcome::Unreachable);
+    }
+
+    /// Decides the open period and gives its command.
+    pub(super) fn decide(&mut self, now: Time, answer: Option<Answer>) {
+        let Some(run) = self.running.take() else {
+            return;
+        };
+        let [_, _, v_x, _, _, _, delta] = run.request.x;
+        let command = self.gate.command(self.carry.sequence(), v_x, delta);
+        self.carry.applied(command.u);
+        let latency = answer.is_some().then(|| now.saturating_sub(run.begun));
+        let (reply, reply_bytes, timing) = match answer {
+            Some(answer) => (Some(answer.reply), answer.bytes, answer.timing),
+            None => (None, Vec::new(), None),
+        };
+        let step = Step {
+            command,
+            outcome: run.outcome,
+            replica: run.current.map(|(_, replica)| replica),
+            request: run.bytes,
+            reply,
+            reply_bytes,
+            latency,
+            timing,
+            late: std::mem::take(&mut self.late),
+            asked: run.asked,
+            situation: Some(run.situation),
+            lost: run.lost,
+        };
+        self.actions.push_back(Action::Command(Box::new(step)));
+    }
+
+    /// The command of a period whose measured state cannot be used: a stop.
+    pub(super) fn stop_unmeasured(&mut self, invalid: Invalid) {
+        self.carry.skip();
+        self.gate.stop();
+        let command = self.gate.command(self.carry.sequence(), f64::NAN, f64::NAN);
+        self.carry.applied(command.u);
+        let step = Step {
+            command,
+            outcome: Outcome::InvalidState(invalid),
+            replica: None,
+            request: Vec::new(),
+            reply: None,
+            reply_bytes: Vec::new(),
+            latency: None,
+            timing: None,
+            late: std::mem::take(&mut self.late),
+            asked: 0,
+            situation: None,
+            lost: None,
+        };
+        self.actions.push_back(Action::Command(Box::new(step)));
+    }
+
+    /// Hands a usable reply to carry and gate, which ignore what is older than what they hold.
+    pub(super) fn accept(&mut self, reply: &Reply) {
+        if self.carry.accept(reply) == Ok(true) && !reply.plan_u.is_empty() {
+            // A gate in STOP takes no plan; its command says so.
+            let _ = self.gate.accept(reply.sequence, &reply.plan_u);
+        }
+    }
+
+    /// Leaves an open period without a command and forgets requests that are too old to be answered.
+    pub(super) fn give_up(&mut self, now: Time) {
+        self.running = None;
+        let listen = self.period() * LISTEN_PERIODS;
+        self.pending
+            .retain(|_, pending| now.saturating_sub(pending.sent) <= listen);
+        self.probes
+            .retain(|_, (_, sent)| now.saturating_sub(*sent) <= listen);
+    }
+
+    /// Probes a demoted replica when one is due.
+    pub(super) fn probe(&mut self, now: Time) {
+        let Some(replica) = self.replicas.next_probe(now) else {
+            return;
+        };
+        self.queries += 1;
+        let id = QueryId(self.queries);
+        self.probes.insert(id, (replica.clone(), now));
+        self.actions.push_back(Action::Probe(Query {
+            id,
+            key: keys::ready(&replica),
+            payload: Vec::new(),
+            listen: self.period() * LISTEN_PERIODS,
+            replica,
+        }));
+    }
+
+    /// A probe was answered: a replica that did so within a period, is ready and serves the vehicle's library is
+    /// promoted.
+    pub(super) fn probed(&mut self, took: Duration, replica: &Name, answer: &[u8]) {
+        let sound = |ready: &Ready| ready.ready && ready.library == self.served.library;
+        let ready = Ready::decode(answer, &Limits::default()).ok();
+        if took <= self.period() && ready.as_ref().is_some_and(sound) {
+            self.replicas.proved(replica);
+        }
+    }
+
+    fn period(&self) -> Duration {
+        Duration::from_secs_f64(self.served.dt)
+    }
+}

@@ -1,0 +1,53 @@
+//! Everything that a vehicle's side decides about control steps: which replica to ask, how long to wait, which replies
+//! to use, what to carry to the next step, and what reaches the actuators.
+//!
+//! [`Driver`] is a state machine without clock, network or threads. A transport tells it what happened, each time with
+//! the time, and carries out the [`Action`]s that it asks for. The onboard client does this over zenoh, the in-process
+//! controllers with an engine beside them; the decisions are the same.
+//!
+//! ```
+//! use std::time::Duration;
+//! use egp_driver::{Action, Driver, DriverConfig, Measurement};
+//! # use egp_gate::{Limits, Mode};
+//! # let limits = Limits::default();
+//! # let served = egp_wire::Ready {
+//! #     ready: true, library: [7; 32], dt: 0.02, horizon: 4, history: 3, members: vec!["dry".into()],
+//! #     envelope: [[0.0, -5.0, -2.0, -0.6, -9e3, -0.4], [30.0, 5.0, 2.0, 0.6, 9e3, 0.4]],
+//! # };
+//! let mut driver = Driver::new(DriverConfig::new("depot", "car-7", limits)?, served)?;
+//! driver.replica_appeared(Duration::ZERO, "garage-1".parse()?);
+//!
+//! let x = [0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0];
+//! let reference = (0..=4).map(|t| [0.24 * f64::from(t), 0.0, 12.0, 0.0]).collect();
+//! let (now, deadline) = (Duration::from_millis(20), Duration::from_millis(36));
+//! driver.tick(now, deadline, Measurement { x, reference, widths: vec![] })?;
+//! let Some(Action::Ask(query)) = driver.next_action() else { unreachable!() };
+//! assert_eq!(query.key, "egp/v1/r/garage-1/depot/car-7/step");
+//!
+//! driver.wake(deadline); // no answer came
+//! let Some(Action::Command(step)) = driver.next_action() else { unreachable!() };
+//! assert_eq!(step.command.mode, Mode::Waiting); // it brakes until the first plan comes
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod action;
+mod carry;
+mod config;
+mod discovery;
+mod driver;
+mod measurement;
+mod rank;
+mod replicas;
+mod reply;
+mod situation;
+mod step;
+
+pub use action::{Action, Query, QueryId};
+pub use carry::Carry;
+pub use config::{DriverConfig, DriverError};
+pub use discovery::{Discovery, DiscoveryError};
+pub use driver::{Driver, Time};
+pub use measurement::{InvalidArgument, Measurement};
+pub use rank::rank;
+pub use situation::{Lost, Situation};
+pub use step::{Late, Outcome, Step};

@@ -1,0 +1,98 @@
+//! What a transport hands over at the start of a control period.
+
+use egp_wire::{Invalid, ReferenceRow, State, WidthRow};
+use thiserror::Error;
+
+use crate::situation::wrap;
+
+/// Between points closer than this, m, a reference has no direction to compare its yaw with.
+const MIN_SPACING: f64 = 0.05;
+/// Largest angle between a reference's yaw and the direction of its points, rad.
+const MAX_DEVIATION: f64 = 1.0;
+
+/// What the vehicle measured and where it is to go.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measurement {
+    /// Measured state `[p_x, p_y, v_x, psi, v_y, omega, delta]` in m, m, m/s, rad, m/s, rad/s, rad.
+    pub x: State,
+    /// Rows `[p_x, p_y, v_x, psi]` for the stages 0..=T, row 0 = now; shape `[T+1, 4]`.
+    pub reference: Vec<ReferenceRow>,
+    /// Distances `[left, right]` from the reference to the track edges, m; `[T+1, 2]`, or empty for no edges.
+    pub widths: Vec<WidthRow>,
+}
+
+/// Reference or widths that no request can be made of. The control period was not opened.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum InvalidArgument {
+    /// A number of rows that does not fit the horizon.
+    #[error(
+        "{field}: expected {expected} rows (the horizon T = {horizon} and one more), got {got}"
+    )]
+    Rows {
+        /// `reference` or `widths`.
+        field: &'static str,
+        /// Rows expected.
+        expected: usize,
+        /// T.
+        horizon: usize,
+        /// Rows that came.
+        got: usize,
+    },
+    /// A yaw that does not point along the reference's own positions.
+    #[error(
+        "reference: row {row}: psi = {psi} rad differs by {deviation:.2} rad from the direction in which the positions \
+         move; yaw is measured in rad, counter-clockwise from +x"
+    )]
+    Yaw {
+        /// The row.
+        row: usize,
+        /// Its yaw, rad.
+        psi: f64,
+        /// The difference, rad.
+        deviation: f64,
+    },
+    /// A value outside the domain of the wire.
+    #[error(transparent)]
+    Value(#[from] Invalid),
+}
+
+impl Measurement {
+    /// Errors if reference or widths do not fit the horizon, hold a value outside the domain, or if the reference's yaw
+    /// does not point along its positions.
+    pub(crate) fn check(&self, horizon: usize) -> Result<(), InvalidArgument> {
+        let rows = |field, got: usize| {
+            let expected = horizon + 1;
+            if got == expected {
+                return Ok(());
+            }
+            Err(InvalidArgument::Rows {
+                field,
+                expected,
+                horizon,
+                got,
+            })
+        };
+        rows("reference", self.reference.len())?;
+        if !self.widths.is_empty() {
+            rows("widths", self.widths.len())?;
+        }
+        egp_wire::check_reference(&self.reference, &self.widths)?;
+        self.check_yaw()
+    }
+
+    fn check_yaw(&self) -> Result<(), InvalidArgument> {
+        let pairs = self.reference.iter().zip(self.reference.iter().skip(1));
+        for (row, (here, next)) in pairs.enumerate() {
+            let (dx, dy) = (next[0] - here[0], next[1] - here[1]);
+            let deviation = wrap(dy.atan2(dx) - here[3]).abs();
+            if dx.hypot(dy) > MIN_SPACING && deviation > MAX_DEVIATION {
+                return Err(InvalidArgument::Yaw {
+                    row,
+                    psi: here[3],
+                    deviation,
+                });
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,210 @@
+//! Which replicas are alive, and in which order they are asked.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use egp_wire::keys::Name;
+
+use crate::driver::Time;
+use crate::rank;
+
+/// How long a replica that failed is asked last, at first and at most. The time doubles with every further failure.
+const MIN_DEMOTION: Duration = Duration::from_secs(1);
+const MAX_DEMOTION: Duration = Duration::from_secs(30);
+/// A replica that has not failed for this long starts with the shortest demotion again.
+const FORGIVEN: Duration = Duration::from_mins(1);
+/// Time between two probes of a demoted replica.
+const PROBE_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Why a replica is asked last.
+#[derive(Clone, Debug)]
+struct Demotion {
+    /// Until then the replica is asked last in any case; afterwards, until a probe was answered.
+    until: Time,
+    length: Duration,
+    /// When the last probe was sent.
+    probed: Option<Time>,
+    over: bool,
+}
+
+/// The live replicas in the order of a vehicle's rendezvous hash, with those that failed lately at the end.
+///
+/// A replica fails by letting a deadline pass, by an answer that cannot be used, or by an error that other replicas may
+/// not have. Because a frozen replica may stay frozen, it is promoted again only once its demotion has passed and it
+/// has answered a probe in time, so that no control period is spent on finding out.
+#[derive(Clone, Debug)]
+pub(crate) struct Replicas {
+    fleet: Name,
+    vehicle: Name,
+    live: BTreeSet<Name>,
+    demoted: BTreeMap<Name, Demotion>,
+}
+
+impl Replicas {
+    pub(crate) fn new(fleet: Name, vehicle: Name) -> Self {
+        Self {
+            fleet,
+            vehicle,
+            live: BTreeSet::new(),
+            demoted: BTreeMap::new(),
+        }
+    }
+
+    pub(crate) fn appeared(&mut self, replica: Name) {
+        self.live.insert(replica);
+    }
+
+    pub(crate) fn gone(&mut self, replica: &Name) {
+        self.live.remove(replica);
+    }
+
+    /// The live replicas.
+    pub(crate) fn live(&self) -> &BTreeSet<Name> {
+        &self.live
+    }
+
+    /// The live replicas in the order to ask them.
+    pub(crate) fn order(&self) -> Vec<Name> {
+        let mut order = rank(
+            &self.fleet,
+            &self.vehicle,
+            self.live.iter().cloned().collect(),
+        );
+        order.sort_by_key(|replica| self.is_demoted(replica)); // stable: ranks stay within both groups
+        order
+    }
+
+    fn is_demoted(&self, replica: &Name) -> bool {
+        self.demoted
+            .get(replica)
+            .is_some_and(|demotion| !demotion.over)
+    }
+
+    /// Notes that a replica failed.
+    pub(crate) fn demote(&mut self, replica: &Name, now: Time) {
+        self.demoted
+            .retain(|_, demotion| now.saturating_sub(demotion.until) < FORGIVEN);
+        let before = self.demoted.get(replica);
+        let length = before.map_or(MIN_DEMOTION, |demotion| {
+            if demotion.over {
+                (demotion.length * 2).min(MAX_DEMOTION)
+            } else {
+                demotion.length
+            }
+        });
+        let demotion = Demotion {
+            until: now + length,
+            length,
+            probed: None,
+            over: false,
+        };
+        self.demoted.insert(replica.clone(), demotion);
+    }
+
+    /// A demoted replica whose time has passed and that is due to be probed.
+    pub(crate) fn next_probe(&mut self, now: Time) -> Option<Name> {
+        let due = |demotion: &Demotion| {
+            let waited = demotion
+                .probed
+                .is_none_or(|sent| now.saturating_sub(sent) >= PROBE_INTERVAL);
+            !demotion.over && now >= demotion.until && waited
+        };
+        let (replica, demotion) = self
+            .demoted
+            .iter_mut()
+            .find(|(replica, demotion)| self.live.contains(*replica) && due(demotion))?;
+        demotion.probed = Some(now);
+        Some(replica.clone())
+    }
+
+    /// Notes that a replica answered a probe in time.
+    pub(crate) fn proved(&mut self, replica: &Name) {
+        if let Some(demotion) = self.demoted.get_mut(replica) {
+            demotion.over = true;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn seconds(value: f64) -> Time {
+        Time::from_secs_f64(value)
+    }
+
+    fn three() -> (Replicas, Vec<Name>) {
+        let name = |text: &str| text.parse::<Name>().unwrap();
+        let mut replicas = Replicas::new(name("fleet"), name("car"));
+        for replica in ["a", "b", "c"] {
+            replicas.appeared(name(replica));
+        }
+        let order = replicas.order();
+        (replicas, order)
+    }
+
+    #[test]
+    fn a_replica_that_failed_is_asked_last_until_a_probe_after_its_demotion_is_answered() {
+        let (mut replicas, usual) = three();
+        replicas.demote(&usual[0], seconds(5.0));
+        let demoted = [usual[1].clone(), usual[2].clone(), usual[0].clone()];
+        assert_eq!(replicas.order(), demoted);
+        assert_eq!(replicas.next_probe(seconds(5.9)), None);
+        assert_eq!(replicas.next_probe(seconds(6.0)), Some(usual[0].clone()));
+        assert_eq!(
+            replicas.next_probe(seconds(6.1)),
+            None,
+            "one probe at a time"
+        );
+        assert_eq!(replicas.next_probe(seconds(6.2)), Some(usual[0].clone()));
+        assert_eq!(replicas.order(), demoted, "no probe was answered");
+        replicas.proved(&usual[0]);
+        assert_eq!(replicas.order(), usual);
+        assert_eq!(replicas.next_probe(seconds(9.0)), None);
+    }
+
+    #[test]
+    fn demotions_double_up_to_half_a_minute_and_are_forgiven() {
+        let (mut replicas, usual) = three();
+        let mut now = seconds(0.0);
+        let mut lengths = Vec::new();
+        for _ in 0..7 {
+            replicas.demote(&usual[0], now);
+            let start = now;
+            while replicas.next_probe(now).is_none() {
+                now += Duration::from_millis(500);
+            }
+            lengths.push((now - start).as_secs());
+            replicas.proved(&usual[0]);
+        }
+        assert_eq!(lengths, [1, 2, 4, 8, 16, 30, 30]);
+        now += Duration::from_mins(1);
+        replicas.demote(&usual[0], now);
+        assert!(replicas.next_probe(now + MIN_DEMOTION).is_some());
+    }
+
+    #[test]
+    fn repeated_failures_within_a_demotion_do_not_lengthen_it() {
+        let (mut replicas, usual) = three();
+        replicas.demote(&usual[0], seconds(0.0));
+        replicas.demote(&usual[0], seconds(0.5));
+        assert_eq!(replicas.next_probe(seconds(1.4)), None);
+        assert!(replicas.next_probe(seconds(1.5)).is_some());
+    }
+
+    #[test]
+    fn only_live_replicas_are_asked_and_probed() {
+        let (mut replicas, usual) = three();
+        replicas.demote(&usual[0], seconds(0.0));
+        replicas.gone(&usual[0]);
+        assert_eq!(replicas.order(), usual[1..]);
+        assert_eq!(replicas.next_probe(seconds(2.0)), None);
+        replicas.appeared(usual[0].clone());
+        assert_eq!(
+            replicas.order().last(),
+            Some(&usual[0]),
+            "it is still demoted"
+        );
+    }
+}

@@ -1,0 +1,185 @@
+//! Where the vehicle is relative to what the library and the reference are about.
+
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::fmt;
+
+use egp_wire::{GpInput, ReferenceRow, State};
+
+/// Largest distance from the envelope at which the library's prediction is still used, in half widths.
+pub(crate) const MAX_ENVELOPE: f64 = 0.4;
+/// Largest distance from the reference, m.
+pub(crate) const MAX_DISTANCE: f64 = 25.0;
+/// Largest angle between the vehicle's and the reference's heading, rad.
+pub(crate) const MAX_HEADING: f64 = FRAC_PI_2;
+/// A vehicle counts as lost after this many successive periods beyond a limit, so that one outlier of a sensor does not
+/// stop it.
+const PATIENCE: u32 = 3;
+
+/// Where the vehicle is relative to the library's training data and to the reference's first row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Situation {
+    /// Distance of `[v_x, v_y, omega, delta]` from the library's envelope: the largest excess over the training data's
+    /// range among the components, in half widths of that range; 0 inside.
+    pub envelope: f64,
+    /// Distance from the reference, m.
+    pub distance: f64,
+    /// Angle from the reference's heading to the vehicle's, rad, in [-π, π].
+    pub heading: f64,
+}
+
+/// Why a vehicle counts as lost.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Lost {
+    /// Its state is far outside the training data of the library.
+    Envelope(f64),
+    /// It is far from the reference, m.
+    Distance(f64),
+    /// It points away from the reference, rad.
+    Heading(f64),
+}
+
+impl fmt::Display for Lost {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Envelope(distance) => write!(
+                f,
+                "the vehicle is lost: its state lies {distance:.2} half widths outside the library's training data, \
+                 {MAX_ENVELOPE} are allowed"
+            ),
+            Self::Distance(distance) => write!(
+                f,
+                "the vehicle is lost: it is {distance:.1} m from the reference, {MAX_DISTANCE} m are allowed"
+            ),
+            Self::Heading(angle) => write!(
+                f,
+                "the vehicle is lost: its yaw differs from the reference's by {angle:.2} rad, {MAX_HEADING:.2} are \
+                 allowed; yaw is measured in rad, counter-clockwise from +x"
+            ),
+        }
+    }
+}
+
+impl Situation {
+    /// The situation of a vehicle at `x` with the reference's `first` row and the library's `envelope`, smallest and
+    /// largest GP input.
+    pub(crate) fn new(x: &State, first: &ReferenceRow, envelope: &[GpInput; 2]) -> Self {
+        let [p_x, p_y, v_x, psi, v_y, omega, delta] = *x;
+        let [low, high] = envelope;
+        let motion = [v_x, v_y, omega, delta];
+        let excess = motion
+            .iter()
+            .zip(low.iter().zip(high))
+            .map(|(value, (low, high))| {
+                let half = 0.5 * (high - low);
+                ((value - 0.5 * (low + high)).abs() - half) / half
+            });
+        Self {
+            envelope: excess.fold(0.0, f64::max),
+            distance: (p_x - first[0]).hypot(p_y - first[1]),
+            heading: wrap(psi - first[3]),
+        }
+    }
+
+    /// The first limit that the situation exceeds.
+    fn beyond(&self) -> Option<Lost> {
+        if self.envelope > MAX_ENVELOPE {
+            Some(Lost::Envelope(self.envelope))
+        } else if self.distance > MAX_DISTANCE {
+            Some(Lost::Distance(self.distance))
+        } else if self.heading.abs() > MAX_HEADING {
+            Some(Lost::Heading(self.heading))
+        } else {
+            None
+        }
+    }
+}
+
+/// Counts the successive periods that a vehicle spends beyond a limit.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct LostDetector {
+    periods: u32,
+}
+
+impl LostDetector {
+    /// Whether the vehicle counts as lost in this period, and why.
+    pub(crate) fn observe(&mut self, situation: &Situation) -> Option<Lost> {
+        let lost = situation.beyond();
+        self.periods = if lost.is_some() { self.periods + 1 } else { 0 };
+        lost.filter(|_| self.periods >= PATIENCE)
+    }
+}
+
+/// The angle in [-π, π].
+pub(crate) fn wrap(angle: f64) -> f64 {
+    let turned = angle.rem_euclid(TAU);
+    if turned > PI { turned - TAU } else { turned }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ENVELOPE: [GpInput; 2] = [
+        [2.0, -6.0, -1.0, -0.5, -9e3, -0.4],
+        [26.0, 4.0, 1.0, 0.5, 9e3, 0.4],
+    ];
+
+    fn situation(x: State) -> Situation {
+        Situation::new(&x, &[1.0, 2.0, 10.0, 3.0], &ENVELOPE)
+    }
+
+    #[test]
+    fn inside_the_envelope_the_distance_is_zero_and_outside_it_counts_half_widths() {
+        let inside = situation([1.0, 2.0, 26.0, 3.0, -6.0, 1.0, 0.5]);
+        assert_eq!(
+            (inside.envelope, inside.distance, inside.heading),
+            (0.0, 0.0, 0.0)
+        );
+        // 2.5 m/s below -6 m/s, where half the range is 5 m/s.
+        assert_eq!(
+            situation([1.0, 2.0, 10.0, 3.0, -8.5, 0.0, 0.0]).envelope,
+            0.5
+        );
+        assert_eq!(
+            situation([4.0, 6.0, 10.0, 3.0, 0.0, 0.0, 0.0]).distance,
+            5.0
+        );
+    }
+
+    #[test]
+    fn headings_are_compared_across_the_turn() {
+        let heading = situation([1.0, 2.0, 10.0, -3.0, 0.0, 0.0, 0.0]).heading;
+        assert!((heading - (TAU - 6.0)).abs() < 1e-12, "{heading}");
+        assert!(situation([1.0, 2.0, 10.0, 0.5 - TAU, 0.0, 0.0, 0.0]).heading < -2.4);
+    }
+
+    #[test]
+    fn a_vehicle_is_lost_from_the_third_period_beyond_a_limit_on() {
+        let spin = situation([1.0, 2.0, 10.0, 3.0, -9.0, 0.0, 0.0]);
+        let fine = situation([1.0, 2.0, 10.0, 3.0, 0.0, 0.0, 0.0]);
+        let mut detector = LostDetector::default();
+        let verdicts: Vec<bool> = [spin, spin, fine, spin, spin, spin, spin, fine]
+            .iter()
+            .map(|situation| detector.observe(situation).is_some())
+            .collect();
+        assert_eq!(
+            verdicts,
+            [false, false, false, false, false, true, true, false]
+        );
+    }
+
+    #[test]
+    fn every_limit_is_told_by_name() {
+        for (x, word) in [
+            ([1.0, 2.0, 10.0, 3.0, -9.0, 0.0, 0.0], "training data"),
+            ([30.0, 2.0, 10.0, 3.0, 0.0, 0.0, 0.0], "29.0 m from"),
+            ([1.0, 2.0, 10.0, 1.0, 0.0, 0.0, 0.0], "yaw"),
+        ] {
+            let lost = situation(x).beyond().map(|lost| lost.to_string());
+            assert!(
+                lost.as_ref().is_some_and(|text| text.contains(word)),
+                "{lost:?}"
+            );
+        }
+    }
+}
