@@ -16,7 +16,7 @@ use workspace::SigmaMemory;
 
 use crate::crew::each;
 use crate::ocp::{self, Road};
-use crate::solver::{Status, solve_first};
+use crate::solver::{Status, solve_with_fallback};
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, gp_input, wrap};
 use crate::weights::select_active;
 use crate::{Crew, Ensemble, GpInput, Input, Library, Member, NY, Settings, State};
@@ -88,7 +88,7 @@ pub fn step(
         let scaled = |u: &Input| Input::new(u[FORCE] / settings.mass, u[DELTA_DOT]);
         ws.warm.extend(ws.guess.u.iter().map(scaled));
     }
-    ws.asked = solve_first(
+    ws.solver_name = solve_with_fallback(
         &mut ws.solvers,
         &ws.qp,
         &ws.warm,

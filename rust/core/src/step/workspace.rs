@@ -39,7 +39,7 @@ pub struct Workspace {
     pub(super) solvers: Vec<Box<dyn QpSolver + Send>>,
     /// Inputs of the last plan, scaled and shifted to now; empty without one.
     pub(super) warm: Vec<Input>,
-    pub(super) asked: &'static str,
+    pub(super) solver_name: &'static str,
     pub(super) solution: OcpSolution,
     pub(super) sigma: SigmaMemory,
     pub(super) crew: Arc<dyn Crew>,
@@ -62,7 +62,7 @@ impl Workspace {
         let (n, dt) = (library.members().len(), library.dt());
         let horizon = settings.horizon(dt);
         let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
-        let solvers = solver::rungs(&qp, &settings.solver)?;
+        let solvers = solver::solvers(&qp, &settings.solver)?;
         Ok(Self {
             library: library.id(),
             settings: settings.clone(),
@@ -76,7 +76,7 @@ impl Workspace {
             qp,
             solvers,
             warm: Vec::with_capacity(horizon),
-            asked: "",
+            solver_name: "",
             solution: OcpSolution::new(horizon),
             sigma: SigmaMemory {
                 queries: Vec::with_capacity(horizon),
@@ -97,7 +97,7 @@ impl Workspace {
 
     /// Name of the QP solver that the last step ended with; empty before the first.
     pub fn solver_name(&self) -> &'static str {
-        self.asked
+        self.solver_name
     }
 
     pub(super) fn belongs_to(
