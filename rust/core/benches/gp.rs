@@ -1,4 +1,4 @@
-//! One GP query: mean, mean with Jacobian, variance; per member, that is for all three outputs.
+//! One GP query of one member (all three outputs): mean, mean with Jacobian, variance.
 #![allow(
     missing_docs,
     clippy::unwrap_used,

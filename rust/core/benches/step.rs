@@ -1,6 +1,6 @@
 //! The control step and its phases: 2 members of 700 points, horizon 20, window 10.
 //!
-//! `cargo bench -p egp-core --bench step`; the whole warm step is meant to take at most 5 ms.
+//! Run `cargo bench -p egp-core --bench step`. The goal for the whole warm step is at most 5 ms.
 #![allow(
     clippy::unwrap_used,
     clippy::semicolon_if_nothing_returned,
@@ -33,14 +33,15 @@ fn reference() -> Vec<f64> {
     (0..=20).flat_map(row).collect()
 }
 
-/// The defaults over the horizon and window of the goals.
+/// The default settings with a horizon of 20 and a window of 10.
 fn settings() -> Settings {
     let mut settings = Settings {
         horizon: Some(20),
         ..Settings::default()
     };
     settings.weights.window = Some(10);
-    // Above the 0.3 rad at which the tests' caricature of a vehicle grips, also where the friction is 0.4.
+    // This exceeds the 0.3 rad at which the simplified vehicle of the tests reaches its largest force, even on friction
+    // 0.4.
     settings.soft.slip = 1.2;
     settings
 }
@@ -92,8 +93,8 @@ fn whole(c: &mut Criterion, library: &Library, kind: SolverKind) {
     }
 }
 
-/// A warm step for 1 to 64 members of 700 points, at most three of which have a weight that counts: the measured
-/// transitions are exactly their blend.
+/// A warm step for 1 to 64 members of 700 points. At most three of them are active, because the measured transitions
+/// are exactly their blend.
 fn members(c: &mut Criterion) {
     const SHARES: [f64; 3] = [0.5, 0.3, 0.2];
     let settings = settings();

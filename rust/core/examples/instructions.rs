@@ -1,7 +1,8 @@
 //! One warm control step for instruction counters: 2 members of 700 points, horizon 20, window 10.
 //!
-//! `instructions write FILE` makes the library, `instructions FILE` does the step with it. `tests/bench/instructions.py`
-//! runs the latter under callgrind, which collects only inside `counted_step`: loading and warming up do not count.
+//! `instructions write FILE` writes the library, and `instructions FILE` runs the step with it.
+//! `tests/bench/instructions.py` runs the latter under callgrind, which counts instructions inside `counted_step` only,
+//! not those of loading and warming up.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../tests/support/mod.rs"]
@@ -11,7 +12,7 @@ use std::{env, fs};
 
 use egp_core::{Kernel, Library, Settings, Status, StepReply, StepRequest, Workspace, step};
 
-/// The function that is counted, under a name that a profiler finds.
+/// The function whose instructions are counted; its symbol name must stay.
 #[inline(never)]
 fn counted_step(
     library: &Library,
@@ -53,7 +54,7 @@ fn warm_step(library: &Library) {
     println!("tier {}", tier());
 }
 
-/// The instruction set of the GPs on this machine, or under this simulator; the QP's is the baseline.
+/// The instruction set used for the GPs on this machine or simulator; the QP solver uses the baseline.
 fn tier() -> &'static str {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {

@@ -1,29 +1,29 @@
 //! Inverse Cholesky factor of a symmetric positive definite matrix.
 //!
-//! The inverse and not the factor, because a product needs no result of an earlier row: it runs at the speed of the
-//! multipliers, and several right-hand sides share one pass over the memory.
+//! The inverse is stored instead of the factor because a row of a product does not depend on earlier rows, so that the
+//! processor need not wait for them, and because several right-hand sides share one pass over the memory.
 
 use crate::kernel::{LANES, Lanes};
 use crate::simd::{Simd, Vectorised, Wide, vectorised_loops, wide};
 
 /// `L⁻¹` with `L Lᵀ = A`.
 ///
-/// Panels of eight rows, column by column up to the diagonal: half the memory of a full matrix, in the order of its
-/// use. Rows and columns beyond the matrix are zero.
+/// Stored in panels of eight rows, column by column up to the diagonal: half the memory of a full matrix, in the order
+/// of access. Padding rows and columns are zero.
 #[derive(Clone, Debug)]
 pub(crate) struct InverseFactor {
     panels: Vec<[Lanes; LANES]>,
     rows: usize,
 }
 
-/// The matrix is not positive definite to working precision; found at this row.
+/// The matrix is not positive definite to working precision; the row at which the factorisation failed.
 #[derive(Debug)]
 pub(crate) struct NotPositiveDefinite(pub usize);
 
 /// Rows factored together.
 const PANEL: usize = 16;
 
-/// Where row `i` of a packed lower triangle begins.
+/// Start of row `i` in a packed lower triangle.
 const fn row_start(i: usize) -> usize {
     i * (i + 1) / 2
 }
@@ -54,8 +54,8 @@ impl InverseFactor {
         Ok(Self { panels, rows: n })
     }
 
-    /// `L⁻¹ B` for the `Q` columns of `B`, one pass over the factor. Lengths are the number of rows in blocks; what
-    /// stands in the padding of `B` does not count, as long as it is finite.
+    /// `L⁻¹ B` for the `Q` columns of `B`, one pass over the factor. Lengths are the number of rows in blocks.
+    /// The padding of `B` may hold any finite numbers.
     pub fn products<const Q: usize>(&self, b: [&[Lanes]; Q], out: [&mut [Lanes]; Q]) {
         debug_assert!(b.iter().all(|b| b.len() == self.rows.div_ceil(LANES)));
         wide(Products {
@@ -77,7 +77,7 @@ impl Vectorised for Factor<'_> {
 
     #[inline(always)]
     fn compute(self) -> Self::Output {
-        // Entry (i, j) needs the entries before it in rows i and j. Going down the columns of a panel of rows uses
+        // Entry (i, j) needs the entries before it in rows i and j. Proceeding by columns within a panel of rows uses
         // each earlier row for the whole panel while it is in the cache.
         for start in (0..self.n).step_by(PANEL) {
             let end = self.n.min(start + PANEL);
@@ -86,7 +86,7 @@ impl Vectorised for Factor<'_> {
                     let (above, row) = self.lower.split_at_mut(row_start(i));
                     if i == j {
                         let pivot = row[j] - sum_of_products(&row[..j], &row[..j]);
-                        // Less than rounding leaves of the diagonal is zero.
+                        // A pivot below the rounding error of the diagonal is zero.
                         if pivot.is_nan() || pivot <= self.n as f64 * f64::EPSILON * row[j] {
                             return Err(NotPositiveDefinite(j));
                         }
@@ -114,7 +114,7 @@ impl Vectorised for Invert<'_> {
     #[inline(always)]
     fn compute(self) {
         // Row i of the inverse is -1/L_ii times the sum of L_ik times row k of the inverse, k < i. Each earlier row
-        // serves a panel of rows while it is in the cache.
+        // is used for a whole panel of rows while it is in the cache.
         let mut factor = vec![0.0; PANEL * self.n];
         for start in (0..self.n).step_by(PANEL) {
             let end = self.n.min(start + PANEL);
@@ -159,7 +159,7 @@ impl<const Q: usize> Wide for Products<'_, Q> {
         for p in 0..self.b[0].len() {
             let (panel, rest) = panels.split_at(p + 1);
             panels = rest;
-            // Two sums for each column, or with few columns each addition would wait for the one before.
+            // Two sums for each column: with one sum and few columns each addition would wait for the previous one.
             let mut sums = [[simd.splat(0.0); Q]; 2];
             for (j, block) in panel.iter().enumerate() {
                 let b: [&Lanes; Q] = std::array::from_fn(|q| &self.b[q][j]);
@@ -192,7 +192,7 @@ pub(crate) fn dot(a: &[Lanes], b: &[Lanes]) -> f64 {
     vectorised_loops(Dot(a, b))
 }
 
-/// Dot product in a fixed order of lanes: vectorised, and the same bits every time.
+/// Dot product in a fixed order of summation: vectorised and reproducible to the bit.
 #[inline(always)]
 pub(crate) fn sum_of_products(a: &[f64], b: &[f64]) -> f64 {
     let (a_blocks, a_rest) = a.as_chunks::<LANES>();

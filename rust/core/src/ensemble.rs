@@ -1,43 +1,43 @@
-//! How members combine: the ensemble's mean, Jacobian and variance.
+//! The ensemble: weighted mean, Jacobian and variance of the members.
 
-use crate::crew::{Crew, each};
+use crate::executor::{Executor, for_each};
 use crate::gp::Horizon;
 use crate::library::{Library, Member};
 use crate::{GpInput, GpJacobian, GpOutput, VarianceScratch};
 
-/// Why weights do not make an ensemble.
+/// Weights that do not define an ensemble.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EnsembleError {
-    /// Not one weight for each member.
-    #[error("{found} weights came for {expected} members")]
+    /// The number of weights differs from the number of members.
+    #[error("expected {expected} weights, one for each member, got {found}")]
     WeightCount {
         /// Number of members.
         expected: usize,
         /// Number of weights.
         found: usize,
     },
-    /// No weight is above the threshold, so nothing is left to predict with.
+    /// No weight is above the threshold, so no member is active.
     #[error(
-        "no weight is above the threshold {threshold}; with N members keep the threshold below 1/N"
+        "no weight is above the threshold {threshold}; with N members choose a threshold below 1/N"
     )]
-    NothingKept {
+    NoActiveMember {
         /// The threshold.
         threshold: f64,
     },
 }
 
-/// The two readings of the ensemble's variance, in squared output units.
+/// Variance of the ensemble under two assumptions, in squared output units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EnsembleVariance {
-    /// Members as independent random variables, eq. (3): `Σ w² σ²`. Optimistic: measured coverage falls below
-    /// nominal as soon as several members share the weight.
+    /// The members are independent random variables, eq. (3): `Σ w² σ²`. This is optimistic: the measured coverage is
+    /// below nominal whenever several members share the weight.
     pub independent: GpOutput,
-    /// One member, drawn with probability `w`, is true; by the law of total variance
-    /// `Σ w (σ² + s²) + Σ w (μ - μ̄)²`, noise and disagreement of the members included. For constraints.
+    /// One member, drawn with probability `w`, is true. By the law of total variance this is
+    /// `Σ w (σ² + s²) + Σ w (μ - μ̄)²`, which includes noise and disagreement of the members. Use it for constraints.
     pub mixture: GpOutput,
 }
 
-/// Members with their weights, those of little weight left out.
+/// The members whose weight exceeds a threshold, with their weights.
 #[derive(Clone, Copy, Debug)]
 pub struct Ensemble<'a> {
     members: &'a [Member],
@@ -47,12 +47,12 @@ pub struct Ensemble<'a> {
 }
 
 impl<'a> Ensemble<'a> {
-    /// Blends the members of weight above `threshold`; their weights are scaled up to keep the sum of all.
+    /// An ensemble of the members with a weight above `threshold`; their weights are scaled to the sum of all weights.
     ///
-    /// Weights are expected on the simplex; `threshold` zero keeps every positive weight.
+    /// Weights must lie on the simplex. A `threshold` of zero keeps every positive weight.
     ///
     /// # Errors
-    /// [`EnsembleError::WeightCount`], [`EnsembleError::NothingKept`].
+    /// [`EnsembleError::WeightCount`], [`EnsembleError::NoActiveMember`].
     pub fn new(
         library: &'a Library,
         weights: &'a [f64],
@@ -67,7 +67,7 @@ impl<'a> Ensemble<'a> {
         }
         let kept: f64 = weights.iter().filter(|&&weight| weight > threshold).sum();
         if kept.is_nan() || kept <= 0.0 {
-            return Err(EnsembleError::NothingKept { threshold });
+            return Err(EnsembleError::NoActiveMember { threshold });
         }
         Ok(Self {
             members,
@@ -82,7 +82,7 @@ impl<'a> Ensemble<'a> {
         1.0 - self.kept
     }
 
-    /// The members that count, with their scaled weights.
+    /// The active members with their scaled weights.
     pub fn active(&self) -> impl Iterator<Item = (f64, &'a Member)> {
         let (threshold, kept) = (self.threshold, self.kept);
         let pairs = self.weights.iter().zip(self.members);
@@ -132,13 +132,13 @@ impl<'a> Ensemble<'a> {
     /// (5 % in standard deviation), at a fraction of their cost.
     ///
     /// Each member's bound holds relative to its own variance, its noise and the disagreement of the members, whose
-    /// weighted sum is the mixture's variance. Several members are evaluated at once if the crew has hands for it.
+    /// weighted sum is the mixture's variance. The executor may evaluate several members in parallel.
     pub fn mixture_bounds(
         &self,
         z: &[GpInput],
         scratch: &mut MixtureScratch,
         out: &mut [GpOutput],
-        crew: &dyn Crew,
+        executor: &dyn Executor,
     ) {
         let MixtureScratch {
             means,
@@ -150,7 +150,7 @@ impl<'a> Ensemble<'a> {
             buffer.resize(z.len(), GpOutput::zeros());
         }
         let mut sum = 0.0;
-        let several = self.active().nth(1).is_some(); // one alone disagrees with nobody
+        let several = self.active().nth(1).is_some(); // the disagreement of a single member is zero
         for (weight, member) in self.active().filter(|_| several) {
             sum += weight;
             for ((z, mean), disagreement) in z.iter().zip(&mut *means).zip(&mut *disagreement) {
@@ -163,9 +163,9 @@ impl<'a> Ensemble<'a> {
             members.resize_with(active, MemberScratch::default);
         }
         let squares = |(_, member): (f64, &Member)| member.n_points() * member.n_points();
-        let work = self.active().map(squares).sum::<usize>() / SQUARES_A_NANOSECOND;
+        let work = self.active().map(squares).sum::<usize>() / SQUARES_PER_NANOSECOND;
         let parts = self.active().zip(&mut *members);
-        each(crew, work, parts, |((_, member), memory)| {
+        for_each(executor, work, parts, |((_, member), memory)| {
             memory.bounds.clear();
             memory.bounds.resize(z.len(), GpOutput::zeros());
             let (horizon, floor) = (&mut memory.horizon, &mut memory.floor);
@@ -188,7 +188,7 @@ pub struct MixtureScratch {
     members: Vec<MemberScratch>,
 }
 
-/// What is one member's, so that members can be evaluated at once.
+/// Memory of one member, so that members can be evaluated in parallel.
 #[derive(Clone, Debug, Default)]
 struct MemberScratch {
     horizon: Horizon,
@@ -196,11 +196,11 @@ struct MemberScratch {
     bounds: Vec<GpOutput>,
 }
 
-/// Squared training points that are worked off in a nanosecond, about.
-const SQUARES_A_NANOSECOND: usize = 4;
+/// Approximate work per nanosecond, in squared numbers of training points.
+const SQUARES_PER_NANOSECOND: usize = 4;
 
-/// West's weighted update of the members' mean and disagreement: no second pass, no cancellation. `sum` is the weight
-/// so far, this member's included.
+/// West's one-pass update of weighted mean and disagreement, which avoids cancellation. `sum` is the sum of the weights
+/// so far, including this member's.
 fn disagree(
     weight: f64,
     sum: f64,

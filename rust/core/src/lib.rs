@@ -3,8 +3,8 @@
 //! No I/O, clock, threads or logging. SI units and radians, yaw counter-clockwise from +x, `f64` throughout.
 //! `NOTATION.md` maps the paper's symbols to the names used here.
 
-pub mod crew;
 pub mod ensemble;
+pub mod executor;
 pub mod gp;
 pub mod kernel;
 pub mod library;
@@ -24,8 +24,8 @@ mod simd;
 
 use nalgebra::{SMatrix, SVector};
 
-pub use crew::{Alone, Crew};
 pub use ensemble::{Ensemble, EnsembleError, EnsembleVariance, MixtureScratch};
+pub use executor::{Executor, Sequential};
 pub use gp::VarianceScratch;
 pub use kernel::Kernel;
 pub use library::{Library, LibraryError, Member};

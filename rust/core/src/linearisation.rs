@@ -1,4 +1,4 @@
-//! The ensemble made affine along an operating trajectory, eqs. (15)-(17), in closed form.
+//! Linearisation of the ensemble along an operating trajectory, eqs. (15)-(17), in closed form.
 
 use nalgebra::SMatrix;
 
@@ -27,7 +27,7 @@ pub struct Linearisation {
     pub stages: Vec<AffineDynamics>,
 }
 
-/// The box operating states are kept in.
+/// Box to which operating states are clamped.
 #[derive(Debug, Clone, Copy)]
 struct Domain {
     v_x: (f64, f64),
@@ -37,7 +37,7 @@ struct Domain {
 }
 
 impl Domain {
-    /// The nearest state inside; positions and yaw are free.
+    /// The nearest state in the box; positions and yaw are free.
     fn clamp(&self, mut x: State) -> State {
         x[V_X] = x[V_X].clamp(self.v_x.0, self.v_x.1);
         x[V_Y] = x[V_Y].clamp(-self.v_y, self.v_y);
@@ -48,7 +48,7 @@ impl Domain {
 }
 
 impl Linearisation {
-    /// Memory for a horizon of `horizon` inputs.
+    /// Identity dynamics for a horizon of `horizon` inputs.
     pub fn new(horizon: usize) -> Self {
         let neutral = AffineDynamics {
             a: SMatrix::identity(),
@@ -61,12 +61,12 @@ impl Linearisation {
         }
     }
 
-    /// Linearises about the guess's inputs and, with [`Operating::Shift`], its states; where there are none, about
-    /// the ensemble's own prediction. Stage 0 is the measured state `x0` in any case.
+    /// Linearises about the inputs of the guess and, with [`Operating::Shift`], about its states. Stages without a
+    /// guessed state use the ensemble's prediction, and stage 0 is always the measured state `x0`.
     ///
-    /// One pass: each stage evaluates value and Jacobian of the active members once. Operating states are clamped
-    /// to where members know something, `|delta|` and the highest `v_x` to `delta` and `v_x_max`; the affine term
-    /// belongs to the clamped state, so the result is still a tangent of the ensemble.
+    /// Value and Jacobian of the active members are evaluated once for each stage. Operating states are clamped to the
+    /// box of the settings, in which the members have training data, and to `|delta|` and `v_x_max`. The affine term is
+    /// that of the clamped state, so the result is still a tangent of the ensemble.
     pub fn along(
         &mut self,
         ensemble: &Ensemble,

@@ -1,8 +1,8 @@
-//! Z-score scaling between physical units and the space the GPs live in.
+//! Z-score scaling between physical units and the z-scored space of the GPs.
 
 use nalgebra::SVector;
 
-/// `scaled = (physical - mean) / std`, each of the `D` dimensions by itself.
+/// `scaled = (physical - mean) / std`, for each of the `D` dimensions.
 #[derive(Clone, Debug)]
 pub struct Scaler<const D: usize> {
     mean: SVector<f64, D>,
@@ -19,7 +19,7 @@ impl<const D: usize> Scaler<D> {
     }
 
     /// The scaled value of a physical one.
-    // Divides rather than multiplies by a reciprocal, so that training code in numpy gets the same bits.
+    // Division instead of multiplication by a reciprocal gives the same bits as numpy in training.
     pub fn scale(&self, physical: &SVector<f64, D>) -> SVector<f64, D> {
         (physical - self.mean).component_div(&self.std)
     }

@@ -1,33 +1,33 @@
 //! Vector instructions: the only file of this crate with `unsafe`.
 //!
-//! The features are looked up when the program runs, so one binary serves every machine and gives the same bits on
-//! machines that have the same features. Two ways in:
-//! - [`Vectorised`]: plain code, marked `#[inline(always)]`, that the compiler vectorises for the baseline and for
+//! The features are detected at run time, so one binary serves every machine and gives the same bits on machines with
+//! the same features. There are two ways to use them:
+//! - [`Vectorised`]: plain code, marked `#[inline(always)]`, which the compiler vectorises for the baseline and for
 //!   AVX2 with FMA.
-//! - [`Wide`]: code over explicit vectors of eight numbers, for loops with more running sums than the compiler keeps
-//!   in vector registers by itself.
+//! - [`Wide`]: code over explicit vectors of eight numbers, for loops with more running sums than the compiler would
+//!   keep in vector registers.
 #![allow(unsafe_code)]
 
 use crate::kernel::{LANES, Lanes};
 
 /// A computation that is compiled for several instruction sets.
 pub(crate) trait Vectorised {
-    /// What it returns.
+    /// Result of the computation.
     type Output;
-    /// Does it. Implementations are `#[inline(always)]`, or they are not vectorised.
+    /// Runs the computation. Implementations must be `#[inline(always)]`, otherwise they are not vectorised.
     fn compute(self) -> Self::Output;
 }
 
 /// A computation over vectors of eight numbers.
 pub(crate) trait Wide {
-    /// What it returns.
+    /// Result of the computation.
     type Output;
-    /// Does it. Implementations are `#[inline(always)]`, and so are the functions they call with `simd`.
+    /// Runs the computation. Implementations and the functions they call with `simd` must be `#[inline(always)]`.
     fn compute<S: Simd>(self, simd: S) -> Self::Output;
 }
 
-/// Arithmetic on vectors of eight numbers, lane by lane. A value of this type is the permission to use an instruction
-/// set: it is made only where the machine was found to have it.
+/// Arithmetic on vectors of eight numbers, lane by lane. A value of this type proves that the machine has the
+/// instruction set, because only feature detection creates it.
 pub(crate) trait Simd: Copy {
     /// Eight numbers.
     type V: Copy;
@@ -41,19 +41,17 @@ pub(crate) trait Simd: Copy {
     /// `a b + c`, rounded once.
     fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     fn sqrt(self, a: Self::V) -> Self::V;
-    /// The larger of `a` and `b`; `b` where that is NaN.
+    /// The larger of `a` and `b`; `b` if either is NaN.
     fn max(self, a: Self::V, b: Self::V) -> Self::V;
     /// `((a₀ + a₄) + (a₂ + a₆)) + ((a₁ + a₅) + (a₃ + a₇))`.
     fn sum(self, a: Self::V) -> f64;
-    /// The entry of `table` that the low three bits of `eighths` name, plus the low 15 bits of `eighths` from bit 49 up:
-    /// an eighth is the last of them, the exponent begins three above.
+    /// Looks up `table` at the low three bits of `eighths` and adds the bits of `eighths`, shifted left by 49, to the
+    /// bits of the entry. The bits of `eighths` above the lowest three are thus added to its exponent.
     fn add_exponent(self, table: Self::V, eighths: Self::V) -> Self::V;
 }
 
-/// Runs a computation with the best instruction set this machine has, 512-bit vectors excepted: they slow the small
-/// matrices of the QP solver down.
-///
-/// With the feature `baseline-qp` it is the instruction set of the build.
+/// Runs a computation with the best instruction set of this machine except for 512-bit vectors, which are slower for
+/// the small matrices of the QP solver. With the feature `baseline-qp` it uses the instruction set of the build.
 pub(crate) fn vectorised<C: Vectorised>(computation: C) -> C::Output {
     if cfg!(feature = "baseline-qp") {
         return computation.compute();
@@ -61,7 +59,7 @@ pub(crate) fn vectorised<C: Vectorised>(computation: C) -> C::Output {
     vectorised_loops(computation)
 }
 
-/// The same for plain loops over long arrays, whatever the features of the build.
+/// Like [`vectorised`] but independent of the features of the build; for plain loops over long arrays.
 pub(crate) fn vectorised_loops<C: Vectorised>(computation: C) -> C::Output {
     #[cfg(target_arch = "x86_64")]
     {
@@ -77,7 +75,7 @@ pub(crate) fn vectorised_loops<C: Vectorised>(computation: C) -> C::Output {
     computation.compute()
 }
 
-/// Runs a computation with the widest vectors this machine has.
+/// Runs a computation with the widest vectors of this machine.
 pub(crate) fn wide<C: Wide>(computation: C) -> C::Output {
     #[cfg(target_arch = "x86_64")]
     {
@@ -101,7 +99,7 @@ pub(crate) fn wide<C: Wide>(computation: C) -> C::Output {
     computation.compute(Portable)
 }
 
-/// Any machine.
+/// Plain Rust, for machines without AVX2.
 #[derive(Clone, Copy)]
 struct Portable;
 
@@ -169,7 +167,7 @@ mod x86 {
 
     use super::{LANES, Lanes, Simd};
 
-    /// AVX-512, with its shorter vectors (else half of the registers could not be taken apart), AVX2 and FMA.
+    /// AVX-512F with AVX-512VL (without which only half of the registers can be split into halves), AVX2 and FMA.
     #[derive(Clone, Copy)]
     pub(super) struct Avx512(());
 
@@ -189,13 +187,13 @@ mod x86 {
         }
     }
 
-    /// [`Simd::sum`] of the low and the high four.
+    /// [`Simd::sum`] of the low and the high four lanes.
     ///
     /// # Safety
-    /// The machine has AVX.
+    /// The machine must have AVX.
     #[inline(always)]
     unsafe fn sum_of_halves(low: __m256d, high: __m256d) -> f64 {
-        // SAFETY: the caller's.
+        // SAFETY: the caller guarantees that the machine has AVX.
         unsafe {
             let four = _mm256_add_pd(low, high);
             let two = _mm_add_pd(
@@ -206,13 +204,13 @@ mod x86 {
         }
     }
 
-    /// Methods of one expression each, which use intrinsics.
+    /// Methods that consist of one expression with intrinsics.
     macro_rules! intrinsics {
         ($($name:ident($($x:ident: $t:ty),*) -> $out:ty = $body:expr;)*) => {$(
             #[inline(always)]
             fn $name(self, $($x: $t),*) -> $out {
-                // SAFETY: `self` is made only by `detect`, on machines that have these instructions; loads and
-                // stores are unaligned and stay inside an array of eight numbers.
+                // SAFETY: only `detect` creates `self`, on machines that have these instructions; loads and stores are
+                // unaligned and stay inside an array of eight numbers.
                 unsafe { $body }
             }
         )*};
@@ -247,7 +245,7 @@ mod x86 {
         }
     }
 
-    /// Both halves.
+    /// The low and the high four lanes.
     #[derive(Clone, Copy)]
     pub(super) struct Pair(__m256d, __m256d);
 
@@ -272,7 +270,8 @@ mod x86 {
             max(a: Pair, b: Pair) -> Pair = Pair(_mm256_max_pd(a.0, b.0), _mm256_max_pd(a.1, b.1));
             sum(a: Pair) -> f64 = sum_of_halves(a.0, a.1);
             add_exponent(table: Pair, eighths: Pair) -> Pair = {
-                // There is no table of eight numbers, but one of eight half as long: low and high words apart.
+                // AVX2 looks up eight 32-bit words but not eight 64-bit numbers, so low and high words are looked up
+                // apart.
                 let halves = |x: Pair| (_mm256_castpd_ps(x.0), _mm256_castpd_ps(x.1));
                 let (t, k) = (halves(table), halves(eighths));
                 let sorted = |words| _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_castps_si256(words));
@@ -298,10 +297,10 @@ mod x86 {
 mod tests {
     use super::*;
 
-    /// Numbers whose sum depends on the order.
+    /// Numbers whose sum depends on the order of summation.
     const SUMMANDS: Lanes = [0.1, 0.2, 0.3, 1e8, -0.7, 1e-3, 7.0, 1.0 / 3.0];
 
-    /// Every method once, on numbers that tell the lanes and the operands apart.
+    /// Results of every method for operands that differ in all lanes.
     fn all<S: Simd>(simd: S) -> [Lanes; 9] {
         let a = simd.load(&[1.5, -2.0, 3.25, 0.0, 1e300, 7.0, -1e-3, 9.0]);
         let b = simd.load(&[0.1, 4.0, f64::NAN, 2.0, 5.0, -6.0, 7e3, 0.3]);

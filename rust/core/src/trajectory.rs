@@ -1,19 +1,19 @@
-//! What the last plan says about the coming horizon: the guess the operating trajectory starts from.
+//! The previous plan shifted to the current time, from which the operating trajectory is made.
 
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI};
 use crate::{Input, State};
 
-/// The previous plan from now on, in the vehicle's frame.
+/// The rest of the previous plan in the vehicle's frame.
 #[derive(Debug, Clone)]
 pub struct Guess {
-    /// States at stages `0..`, as far as the plan reached; empty without a plan.
+    /// States from stage 0 to the last stage that the plan contains; empty without a plan.
     pub x: Vec<State>,
     /// Inputs at stages `0..T`, in N and rad/s.
     pub u: Vec<Input>,
 }
 
 impl Guess {
-    /// Memory for a horizon of `horizon` inputs.
+    /// An empty guess for a horizon of `horizon` inputs.
     pub fn new(horizon: usize) -> Self {
         Self {
             x: Vec::with_capacity(horizon + 1),
@@ -21,10 +21,10 @@ impl Guess {
         }
     }
 
-    /// Takes what is left of a plan made `shift` periods ago: rows `[7]` of `plan_x`, `[2]` of `plan_u`.
+    /// Shifts a plan made `shift` periods ago to the current time: rows `[7]` of `plan_x`, `[2]` of `plan_u`.
     ///
-    /// Beyond its end the last force and the steering *angle* are held: holding the steering rate would turn the
-    /// wheels on while plans are missed. Without a plan, or when nothing of it is left: no force, no steering.
+    /// After the end of the plan the last force and the steering *angle* are held; holding the steering *rate* would
+    /// keep turning the wheels while plans are missing. Without a plan, or after its end, all inputs are zero.
     pub fn shift(&mut self, frame: &Frame, plan_x: &[[f64; 7]], plan_u: &[[f64; 2]], shift: usize) {
         self.x.clear();
         self.u.fill(Input::zeros());
@@ -34,7 +34,7 @@ impl Guess {
         if shift >= plan_u.len() {
             return;
         }
-        // The plan's yaw is continuous, but may be whole turns from the yaw measured now.
+        // The plan's yaw is continuous but may differ from the measured yaw by whole turns.
         let turn = frame.yaw_to_local(now[PSI]) - now[PSI];
         self.x.extend(plan_x[shift..].iter().map(|row| {
             let mut x = State::from_column_slice(row);
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_shifted_plan_ends_held_and_an_old_one_is_dropped() {
+    fn a_shifted_plan_holds_its_last_input_and_an_expired_plan_is_dropped() {
         let frame = Frame::of(&State::from_column_slice(&[
             10.0, 0.0, 5.0, 6.4, 0.0, 0.0, 0.0,
         ]));
@@ -81,7 +81,7 @@ mod tests {
             guess.u,
             [[200.0, 0.1], [300.0, 0.1], [300.0, 0.0], [300.0, 0.0]].map(Input::from)
         );
-        // 0.12 rad on the map is 0.12 - 6.4 + 2 pi to this vehicle.
+        // 0.12 rad on the map is 0.12 - 6.4 + 2 pi in this vehicle's frame.
         assert!((guess.x[0][PSI] - (0.12 - 6.4 + std::f64::consts::TAU)).abs() < 1e-14);
         guess.shift(&frame, &plan_x, &plan_u, 4);
         assert!(guess.x.is_empty() && guess.u.iter().all(|u| *u == Input::zeros()));

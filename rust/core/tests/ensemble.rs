@@ -1,4 +1,4 @@
-//! How members combine.
+//! The blend of members: mean, Jacobian and variances.
 #![allow(clippy::unwrap_used)]
 
 mod support;
@@ -69,7 +69,7 @@ proptest! {
         ensemble.mean_jacobian(&z, &mut jacobian);
         let direction = GpInput::from(HALF_WIDTH) * 1e-5;
         let slope = (ensemble.mean(&(z + direction)) - ensemble.mean(&(z - direction))) / 2.0;
-        // Of a step of 1e-5 half widths; truncation ~ 1e-15, rounding ~ 1e-15.
+        // The step is 1e-5 half widths: truncation ~ 1e-15, rounding ~ 1e-15.
         prop_assert!((slope - jacobian * direction).amax() < 1e-12);
     }
 
@@ -103,20 +103,20 @@ proptest! {
 }
 
 #[test]
-fn weights_that_make_no_ensemble_are_refused() {
-    let refusal =
+fn invalid_weights_are_errors() {
+    let error =
         |weights: &[f64], threshold| Ensemble::new(library(), weights, threshold).err().unwrap();
     let expected = EnsembleError::WeightCount {
         expected: MEMBERS,
         found: 2,
     };
-    assert_eq!(refusal(&[0.5, 0.5], 0.0), expected);
+    assert_eq!(error(&[0.5, 0.5], 0.0), expected);
     assert_eq!(
-        refusal(&[0.3, 0.3, 0.4], 0.5),
-        EnsembleError::NothingKept { threshold: 0.5 }
+        error(&[0.3, 0.3, 0.4], 0.5),
+        EnsembleError::NoActiveMember { threshold: 0.5 }
     );
     assert!(matches!(
-        refusal(&[f64::NAN; MEMBERS], 0.0),
-        EnsembleError::NothingKept { .. }
+        error(&[f64::NAN; MEMBERS], 0.0),
+        EnsembleError::NoActiveMember { .. }
     ));
 }

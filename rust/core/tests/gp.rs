@@ -8,7 +8,7 @@ use egp_core::{GpInput, GpJacobian, Kernel, Library, NY, NZ, VarianceScratch};
 use proptest::prelude::*;
 use support::{CENTRE, HALF_WIDTH, Outputs, spec, spec_of};
 
-/// A library for each kernel, made once: a member of one kernel for all outputs, of three and of two.
+/// A library for each kernel, made once. Its members have one kernel for all outputs, three kernels and two kernels.
 fn libraries() -> &'static [Library; 2] {
     static LIBRARIES: std::sync::OnceLock<[Library; 2]> = std::sync::OnceLock::new();
     LIBRARIES.get_or_init(|| {

@@ -5,13 +5,14 @@ mod support;
 
 use egp_core::library::encode;
 use egp_core::{
-    Alone, Ensemble, GpInput, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, VarianceScratch,
+    Ensemble, GpInput, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, Sequential,
+    VarianceScratch,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use support::{Outputs, spec_of};
 
-/// What [`Ensemble::mixture_bounds`] promises.
+/// The relative excess that [`Ensemble::mixture_bounds`] allows.
 const TOLERANCE: f64 = 0.1;
 
 fn demo() -> Library {
@@ -22,7 +23,7 @@ fn demo() -> Library {
     Library::from_bytes(&std::fs::read(path).unwrap()).unwrap()
 }
 
-/// Twenty GP inputs along a smooth curve inside a member's envelope, of a length that a second of driving has.
+/// Twenty GP inputs along a smooth curve inside a member's envelope, about as long as a second of driving.
 fn curve(library: &Library, rng: &mut ChaCha8Rng) -> Vec<GpInput> {
     let (min, max) = library.members()[0].envelope();
     let range = max - min;
@@ -47,7 +48,7 @@ fn check(library: &Library, curves: u32) -> f64 {
     let mut worst = 0.0_f64;
     for i in 0..curves {
         let share = rng.random_range(0.0..=1.0);
-        // Every third time one member only: no disagreement slackens its bound.
+        // Every third case has one active member, whose bound contains no disagreement.
         let weights = if i % 3 == 0 {
             [1.0, 0.0]
         } else {
@@ -56,7 +57,7 @@ fn check(library: &Library, curves: u32) -> f64 {
         let ensemble = Ensemble::new(library, &weights, 0.0).unwrap();
         let z = curve(library, &mut rng);
         let mut bounds = [GpOutput::zeros(); 20];
-        ensemble.mixture_bounds(&z, &mut horizon, &mut bounds, &Alone);
+        ensemble.mixture_bounds(&z, &mut horizon, &mut bounds, &Sequential);
         for (z, bound) in z.iter().zip(&bounds) {
             let exact = ensemble.variance(z, &mut scratch).mixture;
             for o in 0..NY {
@@ -73,7 +74,7 @@ fn check(library: &Library, curves: u32) -> f64 {
 #[test]
 fn on_the_shipped_library() {
     let worst = check(&demo(), 40);
-    assert!(worst > 1e-6, "nothing was saved: {worst:e}");
+    assert!(worst > 1e-6, "all stages were nodes: {worst:e}");
 }
 
 #[test]
@@ -92,7 +93,7 @@ fn at_training_points_and_far_from_all() {
     let library = support::library(Kernel::Rbf, &[0.5, 1.1], 120, 1);
     let ensemble = Ensemble::new(&library, &[0.4, 0.6], 0.0).unwrap();
     let (mut horizon, mut scratch) = (MixtureScratch::default(), VarianceScratch::default());
-    // Repeated stages too: their prior covariance is singular.
+    // Repeated stages have a singular prior covariance.
     let mut z: Vec<GpInput> = spec.members[0].inputs[..9]
         .iter()
         .map(|z| (*z).into())
@@ -101,7 +102,7 @@ fn at_training_points_and_far_from_all() {
     z.push(z[3] + GpInput::repeat(1e-9));
     z.push(GpInput::from([1e6; NZ]));
     let mut bounds = vec![GpOutput::zeros(); z.len()];
-    ensemble.mixture_bounds(&z, &mut horizon, &mut bounds, &Alone);
+    ensemble.mixture_bounds(&z, &mut horizon, &mut bounds, &Sequential);
     for (z, bound) in z.iter().zip(&bounds) {
         let exact = ensemble.variance(z, &mut scratch).mixture;
         for o in 0..NY {
@@ -112,14 +113,14 @@ fn at_training_points_and_far_from_all() {
 }
 
 #[test]
-fn the_same_bits_whatever_the_memory_held() {
+fn the_bits_do_not_depend_on_earlier_contents_of_the_memory() {
     let library = demo();
     let ensemble = Ensemble::new(&library, &[0.4, 0.6], 0.0).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let (first, second) = (curve(&library, &mut rng), curve(&library, &mut rng));
     let bounds = |z: &[GpInput], scratch: &mut MixtureScratch| {
         let mut out = vec![GpOutput::zeros(); z.len()];
-        ensemble.mixture_bounds(z, scratch, &mut out, &Alone);
+        ensemble.mixture_bounds(z, scratch, &mut out, &Sequential);
         out
     };
     let fresh = bounds(&second, &mut MixtureScratch::default());

@@ -1,4 +1,4 @@
-//! The library file as bytes. The refusals of spoiled files are tested from Python, by an independent writer.
+//! The library file as bytes. Python tests check the errors for invalid files with an independent writer.
 #![allow(clippy::unwrap_used)]
 
 mod support;
@@ -70,8 +70,8 @@ fn a_vehicle_is_added_to_the_gps() {
 }
 
 #[test]
-fn sizes_are_refused_before_anything_is_parsed() {
-    // Zeroed pages that are never touched: costs no memory.
+fn too_large_a_file_is_an_error_before_parsing() {
+    // Zeroed pages that are never accessed use no memory.
     let huge = vec![0; MAX_FILE_BYTES + 1];
     assert_eq!(
         Library::from_bytes(&huge).err(),
@@ -91,7 +91,7 @@ fn sizes_are_refused_before_anything_is_parsed() {
 }
 
 #[test]
-fn content_that_would_be_refused_is_not_written() {
+fn invalid_content_is_not_written() {
     let mut spec = support::spec(Kernel::Rbf, &[0.5], 20, 0);
     spec.members[0].alpha[1].pop();
     assert!(matches!(
@@ -107,14 +107,14 @@ fn content_that_would_be_refused_is_not_written() {
 
 proptest! {
     #[test]
-    fn any_flipped_bit_is_refused(position in 0..bytes().len(), bit in 0..8_u8) {
+    fn any_flipped_bit_is_an_error(position in 0..bytes().len(), bit in 0..8_u8) {
         let mut bytes = bytes();
         bytes[position] ^= 1 << bit;
         prop_assert!(Library::from_bytes(&bytes).is_err());
     }
 
     #[test]
-    fn any_bytes_are_survived(bytes in prop::collection::vec(any::<u8>(), 0..200), length in 0..200_u64) {
+    fn arbitrary_bytes_do_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..200), length in 0..200_u64) {
         prop_assert!(Library::from_bytes(&bytes).is_err());
         let framed = [&length.to_le_bytes()[..], &bytes].concat();
         prop_assert!(Library::from_bytes(&framed).is_err());

@@ -58,7 +58,7 @@ fn solve(qp: &OcpQp) -> OcpSolution {
     solution
 }
 
-/// The cost as the module's formula says it, slacks at their best.
+/// The cost by the module's formula, with optimal slacks.
 fn cost(qp: &OcpQp, u: &[Input]) -> f64 {
     let mut x = vec![State::zeros(); qp.horizon() + 1];
     qp.roll_out(u, &mut x);
@@ -128,7 +128,7 @@ fn random_problems_are_solved_and_no_neighbour_is_better() {
 }
 
 #[test]
-fn the_check_notices_what_is_wrong() {
+fn the_kkt_residual_shows_each_error() {
     let qp = random(&mut ChaCha8Rng::seed_from_u64(2), 15, 5);
     let good = solve(&qp);
     let residual = |change: fn(&mut OcpSolution)| {
@@ -154,7 +154,7 @@ fn the_check_notices_what_is_wrong() {
     assert!(KktResidual::default().worst().is_infinite());
 }
 
-/// A solver that lies.
+/// A solver that reports success for a wrong solution.
 struct Liar;
 
 impl QpSolver for Liar {
@@ -201,7 +201,7 @@ fn impossible_hard_bounds_are_infeasible() {
 }
 
 #[test]
-fn updated_in_place_or_fresh_is_the_same_to_the_bit() {
+fn updating_in_place_gives_the_bits_of_a_fresh_solver() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let problems: Vec<OcpQp> = (0..10).map(|_| random(&mut rng, 12, 5)).collect();
     let settings = SolverSettings::default();

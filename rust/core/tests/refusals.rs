@@ -1,4 +1,4 @@
-//! What a step refuses, by field.
+//! Errors of a step for invalid requests.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
@@ -11,7 +11,7 @@ use egp_core::{Settings, StepError, StepReply, Workspace, step};
 use support::request::{Request, library, settings, warm};
 
 #[test]
-fn malformed_requests_are_refused_by_field() {
+fn errors_of_malformed_requests_name_the_field() {
     let settings = settings();
     let mut ws = Workspace::new(library(), &settings).unwrap();
     let mut reply = StepReply::default();

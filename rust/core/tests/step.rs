@@ -84,7 +84,7 @@ fn the_plan_moves_with_the_vehicle() {
 }
 
 #[test]
-fn whole_turns_change_nothing() {
+fn whole_turns_of_the_yaw_do_not_change_the_plan() {
     let request = warm();
     let plan = solve(&request, &settings());
     for (own, reference, old) in [
@@ -123,7 +123,7 @@ fn whole_turns_change_nothing() {
 }
 
 #[test]
-fn the_same_request_gives_the_same_bits_whatever_came_before() {
+fn the_bits_of_a_reply_do_not_depend_on_earlier_requests() {
     let settings = settings();
     let request = warm();
     let expected = solve(&request, &settings);
@@ -140,7 +140,7 @@ fn the_same_request_gives_the_same_bits_whatever_came_before() {
 }
 
 #[test]
-fn carried_predictions_are_those_that_would_be_computed() {
+fn carried_predictions_equal_computed_ones() {
     let settings = settings();
     let request = Request::circle();
     let fresh = solve(&request, &settings);
@@ -157,7 +157,7 @@ fn carried_predictions_are_those_that_would_be_computed() {
 }
 
 #[test]
-fn weights_find_the_surface_and_stay_without_history() {
+fn weights_identify_the_surface_and_stay_constant_without_history() {
     let settings = settings();
     for (member, expected) in library().members().iter().zip([[1.0, 0.0], [0.0, 1.0]]) {
         let mut request = Request::circle();
@@ -230,7 +230,7 @@ fn any_measured_state_gets_a_plan() {
 }
 
 #[test]
-fn track_edges_hold_the_plan_back() {
+fn the_plan_stays_within_the_track_edges() {
     let settings = settings();
     let mut request = Request::circle();
     let reference = request.reference.clone();
@@ -245,7 +245,7 @@ fn track_edges_hold_the_plan_back() {
             .map(|(x, r)| (x[1] - r[1]) * r[3].cos() - (x[0] - r[0]) * r[3].sin())
             .fold(f64::INFINITY, f64::min)
     };
-    // The right edge runs along the reference; 0.6 m of it and a margin of 1.1 m leave 0.5 m to the left.
+    // The right edge is 0.6 m from the reference. With a margin of 1.1 m the plan must stay 0.5 m to the left.
     request.x[1] = 0.0;
     request.widths = [5.0, 0.6].repeat(21);
     let kept = lateral(&solve(&request, &settings));
@@ -256,18 +256,18 @@ fn track_edges_hold_the_plan_back() {
 }
 
 #[test]
-fn the_front_tyres_slip_as_far_as_the_blended_surface_lets_them() {
+fn the_slip_of_the_front_tyres_is_bounded_by_the_blended_friction() {
     let mut settings = settings();
     (settings.soft.slip, settings.soft.steering.linear) = (0.1, 1e5);
     let mut request = Request::circle();
     (request.history_z, request.history_y) = (vec![], vec![]);
     request.widths.clear();
-    request.x[1] = -4.0; // far enough beside the path to steer back as hard as allowed
+    request.x[1] = -4.0; // far enough from the path to need the largest allowed slip
     let front = settings.soft.front;
     for (weights, friction) in [([1.0, 0.0], 0.5), ([0.5, 0.5], 0.8), ([0.0, 1.0], 1.1)] {
         request.weights = weights.to_vec();
         (request.plan_x, request.plan_u, request.plan_shift) = (vec![], vec![], 0);
-        // Each plan is bounded about the one before, and they may take turns.
+        // Each plan is bounded by the states of the previous plan, and consecutive plans may alternate.
         let largest = [(); 8].map(|()| {
             request.carry(&solve(&request, &settings));
             let slip = |x: &[f64; 7]| (x[6] - ((x[4] + front * x[5]) / x[2]).atan()).abs();
@@ -308,7 +308,7 @@ fn sigma_covers_noise_and_disagreement() {
 }
 
 #[test]
-fn missed_periods_shift_the_plan_further() {
+fn the_plan_is_shifted_by_the_missed_periods() {
     let request = warm();
     for shift in [1, 3, 19, 20, 21, u32::MAX] {
         let mut late = request.clone();
@@ -318,7 +318,7 @@ fn missed_periods_shift_the_plan_further() {
 }
 
 #[test]
-fn noise_of_the_measurements_counts_unless_the_window_is_not_whitened() {
+fn measurement_noise_matters_only_in_a_whitened_window() {
     let weights = |whiten: bool, measurement: f64| {
         let mut settings = settings();
         settings.weights.whiten = whiten;

@@ -1,4 +1,4 @@
-//! The weights against Clarabel on thousands of random problems, degenerate ones included.
+//! Agreement of the weights with Clarabel on thousands of random problems, some of them degenerate.
 #![allow(clippy::unwrap_used)]
 
 use clarabel::algebra::CscMatrix;
@@ -66,7 +66,7 @@ impl Problem {
         }
     }
 
-    /// The weights, after checking that the solver ended and that they are on the simplex.
+    /// The weights; panics unless the solver terminated and the weights are on the simplex.
     fn solve(&self) -> Vec<f64> {
         let n = self.previous.len();
         let mut w = vec![0.0; n];
@@ -79,7 +79,11 @@ impl Problem {
             &self.previous,
             &mut w,
         );
-        assert!(rounds.is_some(), "did not end: N {n}, {:?}", self.prior);
+        assert!(
+            rounds.is_some(),
+            "did not terminate: N {n}, {:?}",
+            self.prior
+        );
         assert!((w.iter().sum::<f64>() - 1.0).abs() < 1e-12 && w.iter().all(|w| *w >= 0.0));
         w
     }
@@ -92,7 +96,7 @@ impl Problem {
         let [model, state] = &self.noise;
         let covariance = DMatrix::from_fn(rows, rows, |i, j| match i.abs_diff(j) {
             0 => model[i % NY].powi(2) + 2.0 * state[i % NY].powi(2),
-            NY => -state[i % NY].powi(2), // the same output of the neighbour
+            NY => -state[i % NY].powi(2), // the same output of an adjacent transition
             _ => 0.0,
         });
         let whitening = covariance.cholesky().unwrap().l();
@@ -113,7 +117,7 @@ impl Problem {
             }
     }
 
-    /// The same by Clarabel; the L1 term as `|w - p| <= t`.
+    /// The weights computed by Clarabel, with the L1 term in the form `|w - p| <= t`.
     fn clarabel(&self) -> Option<Vec<f64>> {
         let n = self.previous.len();
         let (f, y) = self.scaled();
@@ -187,7 +191,7 @@ fn sparse(m: &DMatrix<f64>) -> CscMatrix<f64> {
 }
 
 #[test]
-fn clarabel_finds_nothing_better() {
+fn clarabel_finds_no_better_weights() {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let mut compared = 0;
     for case in 0..3000 {
@@ -213,7 +217,7 @@ fn clarabel_finds_nothing_better() {
 }
 
 #[test]
-fn what_cannot_be_told_apart_keeps_its_weight() {
+fn identical_members_keep_their_weights() {
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     for _ in 0..500 {
         let mut problem = Problem::random(&mut rng);
@@ -224,7 +228,7 @@ fn what_cannot_be_told_apart_keeps_its_weight() {
         let w = problem.solve();
         for (w, previous) in w.iter().zip(&problem.previous) {
             assert!(
-                (w - previous).abs() < 1e-4, // rounding over the ridge, if there is no prior
+                (w - previous).abs() < 1e-4, // rounding error divided by the ridge, without a prior
                 "{w} {previous} {:?}",
                 problem.prior
             );

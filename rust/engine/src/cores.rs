@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-use egp_core::Crew;
+use egp_core::Executor;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
 /// The number of cores that this process may use, at least 1.
@@ -69,8 +69,8 @@ impl Drop for Taken<'_> {
     }
 }
 
-impl Crew for Cores {
-    fn hands(&self) -> usize {
+impl Executor for Cores {
+    fn parallelism(&self) -> usize {
         1 + self
             .total
             .saturating_sub(self.taken.load(Ordering::Relaxed))
@@ -112,13 +112,13 @@ mod tests {
     fn idle_cores_work_at_once_and_are_given_back() {
         let cores = Cores::new(2).unwrap();
         let _own = cores.occupy();
-        assert_eq!(cores.hands(), 2);
+        assert_eq!(cores.parallelism(), 2);
         // Each part waits for the other, so one thread could not do both.
         let both = Barrier::new(2);
         cores.run(2, &|_| {
             both.wait();
         });
-        assert_eq!(cores.hands(), 2);
+        assert_eq!(cores.parallelism(), 2);
     }
 
     #[test]
@@ -126,7 +126,7 @@ mod tests {
         let cores = Cores::new(2).unwrap();
         let _steps = (cores.occupy(), cores.occupy());
         let caller = thread::current().id();
-        assert_eq!(cores.hands(), 1);
+        assert_eq!(cores.parallelism(), 1);
         cores.run(3, &|_| assert_eq!(thread::current().id(), caller));
     }
 

@@ -150,7 +150,7 @@ impl Engine {
             .map_err(|error| WireError::permanent(Code::Internal, error.to_string()))?;
         Ok(EngineWorkspace {
             core: match &self.cores {
-                Some(cores) => core.with_crew(cores.clone()),
+                Some(cores) => core.with_executor(cores.clone()),
                 None => core,
             },
             step: StepReply::default(),

@@ -2,18 +2,18 @@
 
 use crate::limits::{Limits, LimitsError, positive};
 
-/// Longest plan the gate can hold, in periods.
+/// Largest number of inputs of a plan.
 pub const MAX_HORIZON: usize = 128;
 
-/// Below this speed \[m/s\] the stopping force fades to zero, so that a stop ends in standstill.
+/// Below this speed \[m/s\] the stopping force decreases linearly to zero, so that a stop ends in standstill.
 const HOLD_SPEED: f64 = 0.5;
 
-/// Where the command comes from.
+/// Source of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
     /// The first input of a plan made for this period.
     Normal,
-    /// A later input of an older plan: no new one came in time.
+    /// A later input of an older plan, because no new plan arrived in time.
     Tail,
     /// Braking with the steering held, latched until [`Gate::reset`].
     Stop,
@@ -22,43 +22,43 @@ pub enum Mode {
     Waiting,
 }
 
-/// What leaves the gate.
+/// Command to the actuators.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
     /// Force \[N\] and steering rate \[rad/s\], always finite and inside the limits.
     pub u: [f64; 2],
-    /// Where it comes from.
+    /// Source of the command.
     pub mode: Mode,
-    /// Whether a limit changed what the plan asked for.
+    /// Whether a limit changed the planned or stopping input.
     pub limited: bool,
 }
 
-/// Why a plan or a configuration was refused. The gate's state is then unchanged.
+/// An invalid plan or configuration. The state of the gate is then unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum GateError {
-    /// A limit or setting that cannot be.
+    /// An invalid limit or setting.
     #[error(transparent)]
     Limits(#[from] LimitsError),
-    /// No inputs, or more than [`MAX_HORIZON`].
+    /// A plan without inputs, or with more than [`MAX_HORIZON`].
     #[error("a plan has 1 to {MAX_HORIZON} inputs, got {0}")]
     Length(usize),
-    /// NaN or infinity in the plan.
+    /// An input of the plan is NaN or infinite.
     #[error("input {0} of the plan is not finite")]
     NotFinite(usize),
-    /// The plan starts before the one already held.
-    #[error("the plan starts at tick {got}, older than the one held (tick {held})")]
+    /// The plan starts before the stored plan.
+    #[error("the plan starts at tick {got}, before the stored plan (tick {held})")]
     Stale {
-        /// First tick of the plan held.
+        /// First tick of the stored plan.
         held: u64,
-        /// First tick of the plan refused.
+        /// First tick of the rejected plan.
         got: u64,
     },
     /// The gate has stopped the vehicle.
-    #[error("the gate has stopped the vehicle; call reset() once it is safe to drive on")]
+    #[error("the gate has stopped the vehicle; call reset() when it is safe to continue")]
     Stopped,
 }
 
-/// Holds the newest plan and decides what leaves. See the crate's documentation for an example.
+/// Stores the newest plan and derives the commands from it. See the crate's documentation for an example.
 #[derive(Clone, Debug)]
 pub struct Gate {
     limits: Limits,
@@ -66,23 +66,23 @@ pub struct Gate {
     max_tail_ticks: u64,
     stop_force: f64,
     plan: [[f64; 2]; MAX_HORIZON],
-    /// Inputs held, zero before the first plan, and the tick of the first one.
+    /// Number of stored inputs, zero before the first plan, and tick of the first input.
     length: usize,
     start: u64,
     mode: Mode,
     previous: [f64; 2],
-    /// Last finite measurement. An unknown speed counts as fast: brake, no driving force.
+    /// Last finite measurement. An unknown speed is treated as infinite, which allows braking but no driving force.
     v_x: f64,
     delta: f64,
 }
 
 impl Gate {
-    /// A gate with periods of `dt` \[s\] that bridges at most `max_tail_ticks` periods without a new
-    /// plan and then brakes with `stop_deceleration` \[m/s²\].
+    /// A gate with periods of `dt` \[s\]. After `max_tail_ticks` periods without a new plan it brakes with
+    /// `stop_deceleration` \[m/s²\].
     ///
     /// # Errors
-    /// [`GateError::Limits`] when a value is not finite or has the wrong sign, or when the stopping
-    /// force would lie outside the limits.
+    /// [`GateError::Limits`] if a value is not finite or has the wrong sign, or if the stopping force is outside the
+    /// limits.
     pub fn new(
         limits: Limits,
         dt: f64,
@@ -113,11 +113,11 @@ impl Gate {
         })
     }
 
-    /// Takes a plan whose first input is meant for period `tick`.
+    /// Stores a plan whose first input is meant for period `tick`.
     ///
     /// # Errors
-    /// [`GateError`] when the plan is empty, too long, not finite or older than the one held, or
-    /// when the gate is in STOP; the plan held before then stays.
+    /// [`GateError`] if the plan is empty, too long, not finite or starts before the stored plan, or if the gate is in
+    /// STOP. The stored plan is then kept.
     pub fn accept(&mut self, tick: u64, plan_u: &[[f64; 2]]) -> Result<(), GateError> {
         if self.mode == Mode::Stop {
             return Err(GateError::Stopped);
@@ -144,17 +144,17 @@ impl Gate {
         Ok(())
     }
 
-    /// What the actuators get in period `tick`, given the measured speed \[m/s\] and steering angle
-    /// \[rad\]. A measurement that is not finite, or a held plan without an input for this period, means STOP.
+    /// The command for period `tick` from the measured speed \[m/s\] and steering angle \[rad\]. The gate changes to
+    /// STOP if a measurement is not finite or the plan held has no input for this period.
     pub fn command(&mut self, tick: u64, v_x: f64, delta: f64) -> Command {
-        let seen = v_x.is_finite() && delta.is_finite();
+        let measured = v_x.is_finite() && delta.is_finite();
         if v_x.is_finite() {
             self.v_x = v_x;
         }
         if delta.is_finite() {
             self.delta = delta;
         }
-        let planned = if seen && self.mode != Mode::Stop {
+        let planned = if measured && self.mode != Mode::Stop {
             self.planned(tick)
         } else {
             None
@@ -163,10 +163,10 @@ impl Gate {
             self.mode = mode;
             u
         } else {
-            let waiting = seen && self.length == 0 && self.mode != Mode::Stop;
+            let waiting = measured && self.length == 0 && self.mode != Mode::Stop;
             self.mode = if waiting { Mode::Waiting } else { Mode::Stop };
-            // The steering is held: the car stays on the curve its last plan steered, whereas
-            // straightening the wheels in a bend would lead off the road.
+            // The steering angle is held, which keeps the curvature of the last plan. Straight wheels would leave the
+            // road in a bend.
             [
                 -self.stop_force * (self.v_x / HOLD_SPEED).clamp(-1.0, 1.0),
                 0.0,
@@ -186,8 +186,8 @@ impl Gate {
         }
     }
 
-    /// Leaves STOP and forgets the plan: the vehicle is braked until a new one is accepted. The slew limits still count
-    /// from the last command.
+    /// Leaves STOP and discards the plan: the vehicle is braked until a new plan is accepted. The slew limits still
+    /// apply relative to the last command.
     pub fn reset(&mut self) {
         self.mode = Mode::Waiting;
         self.length = 0;
@@ -198,12 +198,12 @@ impl Gate {
         self.mode = Mode::Stop;
     }
 
-    /// Where the last command came from.
+    /// Source of the last command.
     pub fn mode(&self) -> Mode {
         self.mode
     }
 
-    /// The input that the plan held has for `tick`, when it has one that may still be used.
+    /// The input of the stored plan for `tick`, if it exists and the tail may last that long.
     fn planned(&self, tick: u64) -> Option<(Mode, [f64; 2])> {
         let age = tick
             .checked_sub(self.start)

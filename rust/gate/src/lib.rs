@@ -1,9 +1,9 @@
-//! What may reach the actuators.
+//! The last check between a planner and the actuators.
 //!
-//! Between any planner and the vehicle stands a [`Gate`]. It replays the newest plan by time, bridges
-//! missing plans with the rest of the last one, brakes to a stop when that runs out, and holds every
-//! output inside hard value and slew [`Limits`], whatever comes in. Fixed size, no allocation, no
-//! clock, no network: it also runs on a small controller beside the actuators.
+//! A [`Gate`] replays the newest plan by time, uses the rest of the last plan (its tail) while new plans are missing,
+//! brakes to a stop when the tail ends, and keeps every output inside hard limits of value and slew ([`Limits`]) for
+//! any input. It has a fixed size, no allocation, no clock and no network, so it also runs on a small controller beside
+//! the actuators.
 //!
 //! ```
 //! use egp_gate::{Gate, Limits, Mode};
@@ -11,8 +11,8 @@
 //! let mut gate = Gate::new(Limits::default(), 0.05, 1, 3.0)?;
 //! gate.accept(0, &[[500.0, 0.1], [500.0, 0.0], [500.0, 0.0]])?;
 //! assert_eq!(gate.command(0, 15.0, 0.0).mode, Mode::Normal);
-//! assert_eq!(gate.command(1, 15.0, 0.0).mode, Mode::Tail); // no new plan came
-//! assert_eq!(gate.command(2, 15.0, 0.0).mode, Mode::Stop); // one tail tick was allowed
+//! assert_eq!(gate.command(1, 15.0, 0.0).mode, Mode::Tail); // no new plan was accepted
+//! assert_eq!(gate.command(2, 15.0, 0.0).mode, Mode::Stop); // the tail may last one tick
 //! # Ok(()) }
 //! ```
 

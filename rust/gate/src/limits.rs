@@ -1,6 +1,6 @@
-//! Hard limits of the actuators, in value and in slew.
+//! Hard limits of the actuators' values and slew rates.
 
-/// What the actuators may be asked for. All values positive except `force_min`.
+/// Limits of the commands to the actuators. All values are positive except `force_min`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Vehicle mass \[kg\]; turns the stopping deceleration into a force.
@@ -39,19 +39,19 @@ impl Default for Limits {
     }
 }
 
-/// A limit that bounds nothing, or the wrong way round.
+/// A limit that is not finite or has the wrong sign.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("gate limit {name} must be finite and {expected}, got {value}")]
 pub struct LimitsError {
-    /// The field of [`Limits`] (or argument of the gate) at fault.
+    /// The field of [`Limits`] or argument of the gate.
     pub name: &'static str,
-    /// The sign it must have.
+    /// The required range.
     pub expected: &'static str,
-    /// What came.
+    /// The given value.
     pub value: f64,
 }
 
-/// `value` when it is finite and positive.
+/// `value` if it is finite and positive.
 pub(crate) fn positive(name: &'static str, value: f64) -> Result<f64, LimitsError> {
     if value.is_finite() && value > 0.0 {
         Ok(value)
@@ -65,10 +65,10 @@ pub(crate) fn positive(name: &'static str, value: f64) -> Result<f64, LimitsErro
 }
 
 impl Limits {
-    /// Refuses limits that are not finite or have the wrong sign, naming the field.
+    /// Checks that all limits are finite and have the right sign.
     ///
     /// # Errors
-    /// [`LimitsError`] for the first field at fault.
+    /// [`LimitsError`] with the first invalid field.
     pub fn validate(&self) -> Result<(), LimitsError> {
         positive("mass", self.mass)?;
         positive("-force_min", -self.force_min)?;
@@ -83,8 +83,8 @@ impl Limits {
 
     /// The force nearest to `wanted` that the limits allow at speed `v_x` after `previous`.
     ///
-    /// The slew limit comes last: when the power limit falls faster than the slew allows, the force
-    /// falls at full slew. `previous` lies in `[force_min, force_max]`, so the result does.
+    /// The slew limit takes precedence: if the power limit falls faster than the slew limit allows, the force falls at
+    /// full slew. The result lies in `[force_min, force_max]` because `previous` does.
     pub(crate) fn force(&self, wanted: f64, previous: f64, v_x: f64, dt: f64) -> f64 {
         let ceiling = self
             .force_max
@@ -93,13 +93,13 @@ impl Limits {
         wanted
             .clamp(self.force_min, ceiling)
             .clamp(previous - step, previous + step)
-            .clamp(self.force_min, self.force_max) // round-off of the line above
+            .clamp(self.force_min, self.force_max) // removes the rounding error of the line above
     }
 
     /// The steering rate nearest to `wanted` that the limits allow at angle `delta` after `previous`.
     ///
-    /// Looks ahead: from the rate returned, the slew limit can still bring the rate to zero before
-    /// the angle passes its limit. The slew limit comes last, as for the force.
+    /// From the returned rate, the slew limit can still reduce the rate to zero before the angle exceeds its limit. The
+    /// slew limit takes precedence, as for the force.
     pub(crate) fn steering_rate(&self, wanted: f64, previous: f64, delta: f64, dt: f64) -> f64 {
         let step = self.steering_slew * dt;
         let left = self.approach_rate(self.steering_angle - delta, step, dt);
@@ -112,12 +112,11 @@ impl Limits {
 
     /// Largest rate towards a limit that is `room` \[rad\] away.
     ///
-    /// Slowing from rate `r` by `step` each period turns the wheel by
-    /// `dt (r + (r - step) + ...) = dt ((n + 1) r - step n (n + 1) / 2)` with `n = floor(r / step)`.
-    /// Solved for `r`; the `n` that fits follows from `room = dt step (n + 1)(n + 2) / 2` at the
-    /// border between two `n`. Beyond the limit (negative room): the rate that leads back.
+    /// Slowing from rate `r` by `step` each period turns the wheel by `dt (r + (r - step) + ...) = dt ((n + 1) r - step
+    /// n (n + 1) / 2)` with `n = floor(r / step)`. This is solved for `r`, and `n` follows from `room = dt step (n +
+    /// 1)(n + 2) / 2`, where `n` changes. Beyond the limit (negative room) the rate points back.
     ///
-    /// More room than a turn counts as a turn: whatever angle was measured, nothing here overflows.
+    /// Room of more than a turn is treated as a turn, so that no measured angle causes an overflow.
     fn approach_rate(&self, room: f64, step: f64, dt: f64) -> f64 {
         let turns = room.min(std::f64::consts::TAU) / dt;
         let rate = if turns > 0.0 {

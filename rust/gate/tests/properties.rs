@@ -1,4 +1,4 @@
-//! Whatever comes in, what goes out respects the limits.
+//! Commands respect the limits for every input.
 #![allow(clippy::unwrap_used)]
 
 use egp_gate::{Gate, GateError, Limits, Mode};
@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 const DT: f64 = 0.05;
 
-/// Slow steering slew, so that the look-ahead over several periods matters.
+/// Limits with a slow steering slew, for which the look-ahead spans several periods.
 fn limits(steering_slew: f64) -> Limits {
     Limits {
         steering_slew,
@@ -14,7 +14,7 @@ fn limits(steering_slew: f64) -> Limits {
     }
 }
 
-/// Any double, with the special ones common.
+/// Any double; NaN and infinities are frequent.
 fn wild() -> impl Strategy<Value = f64> {
     prop_oneof![
         any::<f64>(),

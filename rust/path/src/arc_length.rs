@@ -1,17 +1,17 @@
-//! From waypoints to a spline whose parameter is its own arc length.
+//! Splines through waypoints, parametrised by their arc length.
 
 use crate::error::PathError;
 use crate::spline::{Jet, Piece, interpolate};
 
 /// Largest accepted deviation of `|p'(s)|` from 1.
 const TOLERANCE: f64 = 1e-6;
-/// Longest piece in m, so that speed profiles, whose nodes are the knots, resolve corners.
+/// Longest piece in m. It is short because the knots are the nodes of speed profiles, which must resolve corners.
 const LONGEST_STEP: f64 = 0.5;
-const MOST_PIECES: usize = 1 << 17;
-/// Parts of a piece that are integrated one by one.
+const MAX_PIECES: usize = 1 << 17;
+/// Number of parts of a piece for numerical integration.
 const PARTS: u32 = 4;
 
-/// A curve in equal steps of its arc length.
+/// A curve with knots at equal steps of its arc length.
 pub(crate) struct ArcLengthSpline {
     pub pieces: Vec<Piece>,
     pub step: f64,
@@ -19,14 +19,14 @@ pub(crate) struct ArcLengthSpline {
     pub stations: Vec<f64>,
 }
 
-/// Interpolates the waypoints over their chord lengths, then samples that curve at equal arc
-/// lengths and interpolates again, with more pieces until `|p'(s)| = 1` within [`TOLERANCE`].
+/// Interpolates the waypoints over their chord lengths, samples this curve at equal arc lengths and interpolates the
+/// samples. The number of pieces is doubled until `|p'(s)| = 1` within [`TOLERANCE`].
 pub(crate) fn parametrise(points: &[[f64; 2]], closed: bool) -> Result<ArcLengthSpline, PathError> {
     let chords = Chords::new(points, closed);
     let length = chords.length();
     let mut count = (length / LONGEST_STEP)
         .ceil()
-        .clamp(16.0, MOST_PIECES as f64) as usize;
+        .clamp(16.0, MAX_PIECES as f64) as usize;
     loop {
         let step = length / count as f64;
         let knots: Vec<f64> = (0..=count).map(|i| i as f64 * step).collect();
@@ -44,7 +44,7 @@ pub(crate) fn parametrise(points: &[[f64; 2]], closed: bool) -> Result<ArcLength
                 stations,
             });
         }
-        if count >= MOST_PIECES {
+        if count >= MAX_PIECES {
             return Err(PathError::TooSharp {
                 error,
                 pieces: count,
@@ -91,7 +91,7 @@ impl Chords {
         self.stations.last().copied().unwrap_or_default()
     }
 
-    /// Points at rising arc lengths, by Newton's method on the arc length of each piece.
+    /// Points at increasing arc lengths, by Newton's method on the arc length of each piece.
     fn sample(&self, arc_lengths: &[f64]) -> Vec<[f64; 2]> {
         let mut i = 0;
         (arc_lengths.iter())
@@ -116,7 +116,7 @@ impl Chords {
     }
 }
 
-/// Sums so far, from 0.
+/// Cumulative sums, starting with 0.
 fn cumulative(lengths: impl Iterator<Item = f64>) -> Vec<f64> {
     let sums = lengths.scan(0.0, |sum, length| {
         *sum += length;
@@ -125,7 +125,7 @@ fn cumulative(lengths: impl Iterator<Item = f64>) -> Vec<f64> {
     std::iter::once(0.0).chain(sums).collect()
 }
 
-/// Arc length of a piece up to `u`, by Gauss and Legendre's rule with five points on each part.
+/// Arc length of a piece up to `u`, by Gauss-Legendre quadrature with five points on each part.
 fn arc(piece: &Piece, u: f64) -> f64 {
     const NODES: [(f64, f64); 5] = [
         (-0.906_179_845_938_664, 0.236_926_885_056_189_1),

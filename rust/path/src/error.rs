@@ -1,8 +1,8 @@
-//! Why a path, a profile or a reference was refused.
+//! Errors of paths, profiles and references.
 
 use thiserror::Error;
 
-/// A refused input; the message says what was expected, what came, and where.
+/// An invalid input; the message gives the expected and the given value and its location.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum PathError {
     /// Fewer waypoints than a spline needs.
@@ -11,11 +11,11 @@ pub enum PathError {
     /// A coordinate or width is not a number.
     #[error("expected finite {what}, got {value} at index {index}")]
     NotFinite {
-        /// What the value is.
+        /// Description of the value.
         what: &'static str,
-        /// Where it stands in its list.
+        /// Index of its row.
         index: usize,
-        /// The value itself.
+        /// The value.
         value: f64,
     },
     /// Two neighbouring waypoints are the same point.
@@ -23,16 +23,16 @@ pub enum PathError {
     RepeatedPoint(usize),
     /// The curve turns too sharply for an arc-length parametrisation within tolerance.
     #[error(
-        "the path turns too sharply between its points (speed of the curve off by {error:.1e} with \
-         {pieces} pieces); give more points or smooth them"
+        "the path turns too sharply between its points (|p'(s)| deviates from 1 by {error:.1e} with \
+         {pieces} spline pieces); add points or smooth them"
     )]
     TooSharp {
         /// Largest deviation of `|p'(s)|` from 1.
         error: f64,
-        /// How many spline pieces were tried.
+        /// Largest number of spline pieces tried.
         pieces: usize,
     },
-    /// One width per waypoint is needed.
+    /// The number of widths differs from the number of waypoints.
     #[error("expected {expected} rows of widths [left, right], one per point, got {got}")]
     WidthCount {
         /// Number of waypoints.
@@ -40,12 +40,12 @@ pub enum PathError {
         /// Number of rows given.
         got: usize,
     },
-    /// Zones that don't say the friction everywhere.
+    /// Zones that do not cover the path in increasing order.
     #[error(
-        "zone {index} starts at {start}: starts are fractions of the path's length that rise from 0 to below 1"
+        "zone {index} starts at {start}; starts must be fractions of the path's length that increase from 0 to below 1"
     )]
     ZoneStart {
-        /// Which zone.
+        /// Index of the zone.
         index: usize,
         /// Its start.
         start: f64,
@@ -53,22 +53,22 @@ pub enum PathError {
     /// A parameter outside its range.
     #[error("expected {expected} for {name}, got {value}")]
     Parameter {
-        /// Its name.
+        /// Name of the parameter.
         name: &'static str,
-        /// What would be accepted.
+        /// The accepted range.
         expected: &'static str,
-        /// What came.
+        /// The given value.
         value: f64,
     },
     /// A speed profile of another path.
-    #[error("the speed profile belongs to a path of {profile} m, this one has {path} m")]
+    #[error("the speed profile belongs to a path of {profile} m, but this path has {path} m")]
     ForeignProfile {
-        /// Length the profile was made for.
+        /// Length of the profile's path.
         profile: f64,
-        /// Length of the path in hand.
+        /// Length of this path.
         path: f64,
     },
-    /// Slices that differ in length.
+    /// Slices of different lengths.
     #[error(
         "expected as many rows of widths as of the reference ({reference}, at least 1), got {widths}"
     )]
@@ -78,21 +78,21 @@ pub enum PathError {
         /// Rows of the widths.
         widths: usize,
     },
-    /// A built-in track whose dimensions contradict each other.
+    /// A built-in track with contradictory dimensions.
     #[error("{0}")]
     Track(String),
-    /// A file that isn't what its format says.
+    /// A file that does not have its format.
     #[error("line {line}: {problem}")]
     Format {
         /// Line number, from 1.
         line: usize,
-        /// What is wrong there.
+        /// Description of the problem.
         problem: String,
     },
-    /// Headings that follow neither convention.
+    /// Headings that agree with neither convention.
     #[error(
-        "psi_rad fits the direction of travel neither measured from +x (mean error {from_x:.2} rad) \
-         nor from +y ({from_y:.2} rad); check the sign, the unit and the order of the points"
+        "psi_rad agrees with the direction of travel neither if measured from +x (mean error {from_x:.2} rad) \
+         nor if measured from +y ({from_y:.2} rad); check the sign, the unit and the order of the points"
     )]
     Heading {
         /// Mean absolute error when psi is measured from +x.
@@ -102,7 +102,7 @@ pub enum PathError {
     },
 }
 
-/// Refuses a parameter unless it is finite and `accept` holds.
+/// Errors unless `value` is finite and `accept` returns true.
 pub(crate) fn check(
     name: &'static str,
     value: f64,

@@ -5,11 +5,11 @@ use crate::error::{PathError, check};
 /// A stretch of road with its own friction, until the next zone or the path's end.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Zone {
-    /// Where it starts, as a fraction of the path's length in `[0, 1)`.
+    /// Start as a fraction of the path's length in `[0, 1)`.
     pub start: f64,
     /// Friction coefficient.
     pub friction: f64,
-    /// Friction coefficient right of the path, where the road is split along it.
+    /// Friction coefficient to the right of the path, if the road is split along it.
     pub right: Option<f64>,
 }
 
@@ -28,7 +28,7 @@ impl Zone {
     }
 }
 
-/// Refuses zones that don't cover the path from its start in rising order.
+/// Errors unless the zones cover the path from its start in increasing order.
 pub(crate) fn check_zones(zones: &[Zone]) -> Result<(), PathError> {
     let mut before = None;
     for (index, zone) in zones.iter().enumerate() {
@@ -44,7 +44,7 @@ pub(crate) fn check_zones(zones: &[Zone]) -> Result<(), PathError> {
     Ok(())
 }
 
-/// `[left, right]` friction at a fraction of the length in `[0, 1]`; 1 where no zone says otherwise.
+/// `[left, right]` friction at a fraction of the length in `[0, 1]`; 1 without zones.
 pub(crate) fn sides_at(zones: &[Zone], fraction: f64) -> [f64; 2] {
     let next = zones.partition_point(|zone| zone.start <= fraction);
     zones[..next]

@@ -1,4 +1,4 @@
-//! What the controller is asked to follow over its horizon.
+//! The controller's reference over its horizon.
 
 use std::f64::consts::TAU;
 
@@ -10,16 +10,15 @@ use crate::speed::SpeedProfile;
 /// Writes the reference `[p_x, p_y, v_x, psi]` and the widths `[left, right]` of the stages `0..=T`,
 /// one row each, and returns the vehicle's projection.
 ///
-/// Stage `k` is where the profile has carried the vehicle's projection after `k dt` seconds:
-/// `ds/dt = v(s)`, so braking and cornering stand in the reference instead of being fought. Yaw is
-/// unwrapped: the first row lies within pi of `psi`, and each next one within pi of the row before.
-/// `hint` is the last projection's `s`. Past an open path's end the reference goes straight on.
-/// Allocates nothing.
+/// Stage `k` is the point that the profile reaches from the vehicle's projection after `k dt` seconds, `ds/dt = v(s)`,
+/// so the reference contains the braking and cornering of the profile. Yaw is unwrapped: the first row is within pi of
+/// `psi`, and each other row within pi of the previous one. `hint` is the `s` of the last projection. Past the end of
+/// an open path the reference continues straight. Allocates nothing.
 ///
 /// # Errors
-/// A position, yaw or hint that isn't finite, a period that isn't positive, a profile of another path, or
-/// slices of different length.
-#[allow(clippy::too_many_arguments)] // each is a quantity of its own
+/// [`PathError`] if the position, yaw or hint is not finite, the period is not positive, the profile belongs to another
+/// path, or the slices differ in length.
+#[allow(clippy::too_many_arguments)] // the arguments are unrelated
 pub fn horizon_reference(
     path: &Path,
     profile: &SpeedProfile,
@@ -56,7 +55,7 @@ pub fn horizon_reference(
     let now = profile.time(projection.s);
     let mut yaw = psi;
     for (stage, (row, edges)) in reference.iter_mut().zip(widths).enumerate() {
-        // A profile that stands still at a path's end has no time there: the reference stays.
+        // A profile that stops at the path's end reaches it after infinite time; the reference then stays there.
         let s = if now.is_finite() {
             profile.station(now + stage as f64 * dt)
         } else {

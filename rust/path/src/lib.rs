@@ -1,14 +1,14 @@
-//! Reference paths: geometry, speed and what the controller is asked to follow.
+//! Reference paths: geometry, speed profile and the controller's reference over its horizon.
 //!
-//! A [`Path`] is a curve parametrised by its arc length `s`, with distances to the track's edges and
-//! zones of friction. A [`SpeedProfile`] says how fast each point of it can be driven, and
-//! [`horizon_reference`] samples both by time from where the vehicle is. [`tracks`] computes the
-//! built-in ones from their definition, [`formats`] reads those of other projects.
+//! A [`Path`] is a curve parametrised by its arc length `s`, with distances to the track's edges and zones of friction.
+//! A [`SpeedProfile`] gives the speed at each point of the path, and [`horizon_reference`] samples both by time from
+//! the vehicle's position. [`tracks`] computes the built-in tracks from their definitions, and [`formats`] reads the
+//! track files of other projects.
 //!
 //! SI units and radians; yaw counter-clockwise from +x, lateral errors positive to the left. On an
-//! open path `s` may lie before the start or past the end: the path goes on straight there.
+//! open path `s` may lie before the start or past the end, where the path continues straight.
 
-#![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts and knots: small, positive
+#![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts and knot indices are small and positive
 
 mod arc_length;
 mod error;

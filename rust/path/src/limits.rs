@@ -1,12 +1,12 @@
-//! What bounds the speed along a path.
+//! Bounds of the speed along a path.
 
 use crate::error::{PathError, check};
 
-/// What bounds the speed. The friction circle of `mu g` is scaled in each direction, because a
-/// vehicle with one driven axle and weight transfer reaches far less of it by driving than by turning.
+/// Bounds of the speed. The friction circle of `mu g` is scaled in each direction, because a vehicle with one driven
+/// axle and load transfer reaches far less of it in acceleration than in cornering.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpeedLimits {
-    /// Fraction of the reachable accelerations to use, in `(0, 1]`; how hard the lap is.
+    /// Fraction of the reachable accelerations to use, in `(0, 1]`.
     pub grip: f64,
     /// Reachable lateral acceleration as a fraction of `mu g`.
     pub lateral: f64,
@@ -20,11 +20,11 @@ pub struct SpeedLimits {
     pub a_brake: f64,
     /// The vehicle's largest acceleration in m/s².
     pub a_drive: f64,
-    /// The vehicle's power per mass in W/kg: it accelerates by `power / v` at most.
+    /// The vehicle's power per mass in W/kg, which limits the acceleration to `power / v`.
     pub power: f64,
-    /// Speed in m/s at the start of an open path; none: as fast as the rest allows.
+    /// Speed limit in m/s at the start of an open path, if any.
     pub start_speed: Option<f64>,
-    /// Speed in m/s at the end of an open path; none: as fast as the rest allows.
+    /// Speed limit in m/s at the end of an open path, if any.
     pub end_speed: Option<f64>,
 }
 
@@ -47,7 +47,7 @@ impl Default for SpeedLimits {
 }
 
 impl SpeedLimits {
-    /// Refuses what isn't a limit, and speeds at the ends of a path that has none.
+    /// Errors if a limit is out of range, or if a closed path has a start or end speed.
     pub(crate) fn check(&self, closed: bool) -> Result<(), PathError> {
         check("grip", self.grip, "a fraction in (0, 1]", |g| {
             g > 0.0 && g <= 1.0

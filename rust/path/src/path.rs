@@ -5,7 +5,7 @@ use crate::error::PathError;
 use crate::friction::{Zone, check_zones, sides_at};
 use crate::spline::{Jet, Piece};
 
-/// Distance in m below which a closed path's last point repeats its first.
+/// Distance in m below which two points are the same.
 const SAME_POINT: f64 = 1e-6;
 
 /// A planar curve `p(s)` with `|p'(s)| = 1` (to 1e-6) and continuous curvature.
@@ -19,7 +19,7 @@ pub struct Path {
     zones: Vec<Zone>,
 }
 
-/// What a path is like at one arc length.
+/// Properties of a path at one arc length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     /// Position in m.
@@ -44,8 +44,8 @@ impl Path {
     /// Widths are interpolated linearly. A closed path may repeat its first point at the end.
     ///
     /// # Errors
-    /// Fewer than four points, repeated or non-finite ones, widths that are negative or not one per
-    /// point, or points that zigzag.
+    /// [`PathError`] if there are fewer than four points, points are repeated, not finite or turn too sharply, or
+    /// widths are negative or not one row per point.
     pub fn from_points(
         points: &[[f64; 2]],
         closed: bool,
@@ -94,14 +94,14 @@ impl Path {
     /// The same path with these zones of friction, the first of which starts at 0.
     ///
     /// # Errors
-    /// Starts that don't rise from 0 to below 1, or a friction that isn't positive.
+    /// [`PathError`] if the starts do not increase from 0 to below 1 or a friction is not positive.
     pub fn with_friction(mut self, zones: &[Zone]) -> Result<Self, PathError> {
         check_zones(zones)?;
         self.zones = zones.to_vec();
         Ok(self)
     }
 
-    /// Length in m, of one lap when closed.
+    /// Length in m; of one lap if closed.
     pub fn length(&self) -> f64 {
         self.step * self.pieces.len() as f64
     }
@@ -116,7 +116,7 @@ impl Path {
         self.widths.is_some()
     }
 
-    /// The path at arc length `s`: any lap of a closed one, straight on beyond an open one's ends.
+    /// The path at arc length `s`. A closed path is periodic; an open path continues straight beyond its ends.
     pub fn sample(&self, s: f64) -> Sample {
         let Jet {
             position,
@@ -137,7 +137,7 @@ impl Path {
 
     /// Friction coefficient at arc length `s`; 1 on a path without zones.
     ///
-    /// On a split road the mean of both sides: what an axle holds whose wheels are loaded alike.
+    /// On a split road it is the mean of both sides, as for an axle with equal loads on both wheels.
     pub fn friction(&self, s: f64) -> f64 {
         let [left, right] = self.sides(s);
         f64::midpoint(left, right)

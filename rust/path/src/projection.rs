@@ -1,26 +1,25 @@
-//! The path's nearest point to a position.
+//! The point of a path nearest to a position.
 
 use crate::path::{Path, Sample, cross};
 
-/// Where a position stands relative to a path.
+/// A position relative to a path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Projection {
-    /// Arc length of the nearest point in m: within `[0, length)` on a closed path, below 0 or above
-    /// the length beside the straight extensions of an open one.
+    /// Arc length of the nearest point in m: in `[0, length)` on a closed path; below 0 or above the length on the
+    /// straight extensions of an open path.
     pub s: f64,
     /// Signed distance from the path in m, positive to its left.
     pub lateral: f64,
-    /// The path there.
+    /// The path at `s`.
     pub sample: Sample,
 }
 
 impl Path {
     /// Projects a finite position `[x, y]` onto the path.
     ///
-    /// Without a hint the nearest point of the whole path is found. With one, say the last `s`, the
-    /// nearest point downhill from there is: it costs less and stays on its branch where a path
-    /// crosses or nears itself, but a hint from elsewhere leads to a point that is only locally
-    /// nearest.
+    /// Without a hint the result is the nearest point of the whole path. With a hint, such as the last `s`, the
+    /// distance is minimised locally from there. This is faster and stays on the same branch where a path crosses or
+    /// approaches itself, but a distant hint leads to a local minimum.
     pub fn project(&self, position: [f64; 2], hint: Option<f64>) -> Projection {
         let s = match hint {
             Some(s) => self.refine(position, self.descend(position, s)).s,
@@ -36,7 +35,7 @@ impl Path {
         }
     }
 
-    /// Number of knots; on an open path the end counts.
+    /// Number of knots, including the end of an open path.
     fn knot_count(&self) -> usize {
         self.piece_count() + usize::from(!self.closed())
     }
@@ -50,7 +49,7 @@ impl Path {
         norm(offset(at, position))
     }
 
-    /// The knot that is locally nearest, walking downhill from the hint.
+    /// The locally nearest knot, by descent from the hint.
     fn descend(&self, position: [f64; 2], hint: f64) -> usize {
         let count = self.knot_count();
         let last = self.knot_count() - 1;
@@ -88,8 +87,8 @@ impl Path {
         knot
     }
 
-    /// Arc length of the nearest point of all. A point of the curve is at most half a step from a
-    /// knot, so only knots within one step of the nearest can lie beside it.
+    /// Arc length of the globally nearest point. Every point of the curve is at most half a step from a knot, so only
+    /// knots at most one step farther than the nearest knot can be next to this point.
     fn search(&self, position: [f64; 2]) -> f64 {
         let count = self.knot_count();
         let nearest = (0..count)
@@ -114,8 +113,7 @@ impl Path {
             .s
     }
 
-    /// The nearest point within one step of a knot: a root of `(p - q) . p'`, by Newton's method
-    /// kept inside a bracket.
+    /// The nearest point within one step of a knot: a root of `(p - q) . p'`, by bracketed Newton iteration.
     fn refine(&self, position: [f64; 2], knot: usize) -> Stationary {
         let at = knot as f64 * self.step();
         let (mut low, mut high) = (at - self.step(), at + self.step());
@@ -149,7 +147,7 @@ impl Path {
         }
     }
 
-    /// Beyond the end of an open path, the foot on its straight extension.
+    /// Beyond an end of an open path, the foot of the perpendicular on its straight extension.
     fn extend(&self, position: [f64; 2], s: f64) -> f64 {
         let along = |end: f64| {
             let jet = self.jet(end);

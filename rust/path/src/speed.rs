@@ -1,4 +1,4 @@
-//! How fast a path can be driven.
+//! Speed profiles of paths.
 
 use crate::error::{PathError, check};
 use crate::limits::SpeedLimits;
@@ -7,8 +7,8 @@ use crate::path::Path;
 /// Standard gravity in m/s².
 const GRAVITY: f64 = 9.806_65;
 
-/// Speed over the arc length of one path: constant acceleration between its knots, so that time
-/// along the path has a closed form.
+/// Speed over the arc length of one path. The acceleration is constant between knots, so that time along the path has a
+/// closed form.
 #[derive(Debug, Clone)]
 pub struct SpeedProfile {
     closed: bool,
@@ -20,13 +20,12 @@ pub struct SpeedProfile {
 }
 
 impl SpeedProfile {
-    /// The fastest profile within the limits, by a backward pass for braking and a forward pass for
-    /// driving. At every knot the friction ellipse holds,
-    /// `(a_lat / (lateral mu g))² + (a_lon / (braking | driving) mu g)² <= grip²`,
-    /// for both accelerations that meet there, with the lowest friction within a step.
+    /// The fastest profile within the limits, by a backward pass for braking and a forward pass for driving. At every
+    /// knot it satisfies the friction ellipse `(a_lat / (lateral mu g))² + (a_lon / (braking | driving) mu g)² <=
+    /// grip²`, for the accelerations before and after the knot, with the lowest friction within a step.
     ///
     /// # Errors
-    /// A limit outside its range, or a start or end speed on a closed path.
+    /// [`PathError`] if a limit is out of range or a closed path has a start or end speed.
     pub fn new(path: &Path, limits: &SpeedLimits) -> Result<Self, PathError> {
         limits.check(path.closed())?;
         let knots = Knot::along(path, limits);
@@ -36,7 +35,7 @@ impl SpeedProfile {
             .map(|knot| top.min(knot.lateral / knot.curvature))
             .collect();
         let count = knots.len();
-        // The slowest knot of a lap is slower than any other forces it to be: begun there, a lap closes.
+        // No other knot lowers the speed of a lap's slowest knot, so passes that start there give a periodic profile.
         let mut first = 0;
         if path.closed() {
             first = (1..count).fold(0, |slowest, i| {
@@ -72,10 +71,10 @@ impl SpeedProfile {
         Ok(Self::from_squares(path, squares))
     }
 
-    /// One speed everywhere, whatever the friction.
+    /// A constant speed, independent of the friction.
     ///
     /// # Errors
-    /// A speed that isn't positive.
+    /// [`PathError`] if the speed is not positive.
     pub fn constant(path: &Path, speed: f64) -> Result<Self, PathError> {
         check("speed", speed, "a positive number", |v| v > 0.0)?;
         Ok(Self::from_squares(
@@ -98,17 +97,17 @@ impl SpeedProfile {
         }
     }
 
-    /// Length in m of the path it was made for.
+    /// Length in m of the profile's path.
     pub fn length(&self) -> f64 {
         self.step * (self.squares.len() - 1) as f64
     }
 
-    /// Time in s for the lap, or from start to end.
+    /// Time in s of a lap, or from start to end of an open path.
     pub fn lap_time(&self) -> f64 {
         self.times[self.times.len() - 1]
     }
 
-    /// Speed in m/s at arc length `s`; beyond an open path's ends as at the end.
+    /// Speed in m/s at arc length `s`; constant beyond the ends of an open path.
     pub fn speed(&self, s: f64) -> f64 {
         let s = if self.closed {
             s.rem_euclid(self.length())
@@ -121,8 +120,8 @@ impl SpeedProfile {
             .sqrt()
     }
 
-    /// Time in s at which the profile passes `s`, counting from `s = 0` at time 0; it doesn't wrap, so
-    /// a closed path's second lap follows its first.
+    /// Time in s at which the profile passes `s`, with `s = 0` at time 0. Time continues to increase over the laps of a
+    /// closed path.
     pub fn time(&self, s: f64) -> f64 {
         let (laps, s) = self.split(s, self.length());
         let inside = s.clamp(0.0, self.length());
@@ -138,7 +137,7 @@ impl SpeedProfile {
         }
     }
 
-    /// Arc length passed at a time; the inverse of [`Self::time`].
+    /// Arc length passed at `time`; the inverse of [`Self::time`].
     pub fn station(&self, time: f64) -> f64 {
         let (laps, time) = self.split(time, self.lap_time());
         let inside = time.clamp(0.0, self.lap_time());
@@ -158,7 +157,7 @@ impl SpeedProfile {
         laps * self.length() + s + beyond
     }
 
-    /// Whole laps of a closed path, and the rest.
+    /// Number of whole laps of a closed path, and the remainder.
     fn split(&self, value: f64, lap: f64) -> (f64, f64) {
         let laps = if self.closed {
             (value / lap).floor()
@@ -179,7 +178,7 @@ impl SpeedProfile {
     }
 }
 
-/// What bounds the speed at one knot.
+/// Bounds of the speed at one knot.
 struct Knot {
     /// Absolute curvature in 1/m.
     curvature: f64,
@@ -209,24 +208,24 @@ impl Knot {
             .collect()
     }
 
-    /// The share of the longitudinal grip that turning at `v²` leaves, from the friction ellipse.
-    fn left_by_turning(&self, square: f64) -> f64 {
+    /// The share of the longitudinal grip that remains when cornering at `v²`, from the friction ellipse.
+    fn longitudinal_share(&self, square: f64) -> f64 {
         let load = square * self.curvature / self.lateral;
         (1.0 - load * load).max(0.0).sqrt()
     }
 
     fn braking(&self, limits: &SpeedLimits, square: f64) -> f64 {
-        (limits.braking * self.grip * self.left_by_turning(square)).min(limits.a_brake)
+        (limits.braking * self.grip * self.longitudinal_share(square)).min(limits.a_brake)
     }
 
     fn driving(&self, limits: &SpeedLimits, square: f64) -> f64 {
         let motor = limits.a_drive.min(limits.power / square.sqrt());
-        (limits.driving * self.grip * self.left_by_turning(square)).min(motor)
+        (limits.driving * self.grip * self.longitudinal_share(square)).min(motor)
     }
 }
 
-/// The largest `v²` at `to`, below its present one, that the acceleration allowed at both knots
-/// reaches from `from`. What is allowed falls with speed, so the bound is bisected.
+/// The largest `v²` at `to`, at most `limit`, that can be reached from `from` with the acceleration allowed at both
+/// knots. The allowed acceleration decreases with speed, so bisection finds the bound.
 fn reach(
     (from, start): (&Knot, f64),
     (to, limit): (&Knot, f64),

@@ -37,9 +37,9 @@ impl Piece {
 
 /// The spline through `points`, one piece between neighbouring `knots`.
 ///
-/// A closed one has one knot more than points and is periodic; an open one keeps the third
-/// derivative over its second and last but one knot ("not a knot"), which reproduces cubics.
-/// Needs four points and rising knots.
+/// A closed spline has one more knot than points and is periodic. The third derivative of an open spline is continuous
+/// at its second and last but one knot ("not-a-knot" condition), which reproduces cubics. Requires at least four points
+/// and increasing knots.
 pub(crate) fn interpolate(knots: &[f64], points: &[[f64; 2]], closed: bool) -> Vec<Piece> {
     let n = points.len();
     let steps: Vec<f64> = knots.windows(2).map(|k| k[1] - k[0]).collect();
@@ -94,8 +94,8 @@ fn open_moments(steps: &[f64], slopes: &[[f64; 2]]) -> Vec<[f64; 2]> {
     [vec![start], inner, vec![end]].concat()
 }
 
-/// Second derivatives at the knots of a periodic spline: the cyclic system as a tridiagonal one and
-/// a rank-one correction (Sherman and Morrison).
+/// Second derivatives at the knots of a periodic spline: the cyclic system is solved as a tridiagonal system with a
+/// rank-one correction (Sherman-Morrison formula).
 fn periodic_moments(steps: &[f64], slopes: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let n = steps.len();
     let before = |i: usize| (i + n - 1) % n;
@@ -128,7 +128,7 @@ fn periodic_moments(steps: &[f64], slopes: &[[f64; 2]]) -> Vec<[f64; 2]> {
 }
 
 /// Solves a diagonally dominant tridiagonal system for two right-hand sides in place.
-/// `lower[0]` and the last of `upper` stand outside the matrix and aren't read.
+/// `lower[0]` and the last entry of `upper` are outside the matrix and are not read.
 fn solve_tridiagonal(lower: &[f64], diagonal: &[f64], upper: &[f64], rhs: &mut [[f64; 2]]) {
     let n = diagonal.len();
     let mut pivots = diagonal.to_vec();

@@ -1,4 +1,4 @@
-//! Track files: both formats, both heading conventions, and refusals that name the line.
+//! Track files: both formats, both heading conventions, and errors that name the line.
 
 #![allow(clippy::unwrap_used)]
 
@@ -58,7 +58,7 @@ fn racelines_are_read_with_either_heading() {
 }
 
 #[test]
-fn headings_of_neither_convention_are_refused() {
+fn headings_of_neither_convention_are_errors() {
     for psi in [
         |yaw: f64| -yaw,
         |yaw| yaw + 1.0,
@@ -83,7 +83,7 @@ fn centre_lines_have_left_and_right_widths() {
 }
 
 #[test]
-fn refusals_name_the_line() {
+fn errors_name_the_line() {
     let text = centre_line();
     assert_eq!(
         problem(&text.replacen("20.0000, 0.0000, 2.0, 3.5", "20.0000, 0.0000, 2.0", 1)),
@@ -116,6 +116,6 @@ fn refusals_name_the_line() {
     let shuffled = raceline(|yaw| yaw).replacen("2.0943951;", "0.0;", 1);
     assert_eq!(
         problem(&shuffled),
-        (5, "s_m doesn't rise: 0 after 0".into())
+        (5, "s_m must increase, got 0 after 0".into())
     );
 }

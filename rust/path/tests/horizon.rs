@@ -57,7 +57,7 @@ fn yaw_is_unwrapped_relative_to_the_vehicle() {
     let path = RoundedRectangle::default().path().unwrap();
     let profile = SpeedProfile::constant(&path, 12.0).unwrap();
     for turns in [-3.0, 0.0, 5.0] {
-        // The upper side is driven at yaw pi, where atan2 jumps; the corner after it goes beyond.
+        // The yaw of the upper side is pi, where atan2 jumps, and increases further in the corner after it.
         let start = path.length() / 2.0 + 30.0;
         let at = path.sample(start);
         let psi = PI + 0.1 + turns * TAU;
@@ -72,7 +72,7 @@ fn yaw_is_unwrapped_relative_to_the_vehicle() {
 }
 
 #[test]
-fn past_an_open_end_the_reference_goes_straight_on() {
+fn past_an_open_end_the_reference_continues_straight() {
     let points: Vec<_> = (0..=20)
         .map(|i| [f64::from(i), 0.1 * f64::from(i)])
         .collect();
@@ -89,7 +89,7 @@ fn past_an_open_end_the_reference_goes_straight_on() {
 }
 
 #[test]
-fn it_stays_where_the_profile_ends_standing() {
+fn the_reference_stays_where_the_profile_stops() {
     let points: Vec<_> = (0..=20).map(|i| [f64::from(i), 0.0]).collect();
     let path = Path::from_points(&points, false, None).unwrap();
     let stop = SpeedLimits {
@@ -107,7 +107,7 @@ fn it_stays_where_the_profile_ends_standing() {
 }
 
 #[test]
-fn refused_requests_are_named() {
+fn errors_name_the_invalid_argument() {
     let path = RoundedRectangle::default().path().unwrap();
     let profile = SpeedProfile::constant(&path, 10.0).unwrap();
     let other = RoundedRectangle {

@@ -1,4 +1,4 @@
-//! The geometry of paths: against closed forms, and projection as the inverse of sampling.
+//! The geometry of paths: comparison with closed forms, and projection as the inverse of sampling.
 
 #![allow(clippy::unwrap_used)]
 
@@ -42,7 +42,7 @@ fn beside(path: &Path, s: f64, lateral: f64) -> [f64; 2] {
     [at.x - lateral * at.yaw.sin(), at.y + lateral * at.yaw.cos()]
 }
 
-/// Distance along a closed path, whichever way is shorter.
+/// Distance along a closed path in the shorter direction.
 fn apart(path: &Path, a: f64, b: f64) -> f64 {
     let gap = path.wrap(a - b);
     gap.min(path.length() - gap)
@@ -105,7 +105,7 @@ fn curvature_is_the_rate_of_yaw_and_continuous_over_the_seam() {
 }
 
 #[test]
-fn an_open_path_goes_straight_on_beyond_its_ends() {
+fn an_open_path_continues_straight_beyond_its_ends() {
     let path = wave();
     let end = path.sample(path.length());
     let past = path.sample(path.length() + 10.0);
@@ -115,7 +115,7 @@ fn an_open_path_goes_straight_on_beyond_its_ends() {
         for hint in [None, Some(s), Some(path.length() / 2.0)] {
             let found = path.project(beside(&path, s, lateral), hint);
             if hint == Some(path.length() / 2.0) && (found.s - s).abs() > 1.0 {
-                continue; // a hint from elsewhere may end in a local minimum
+                continue; // a distant hint may lead to a local minimum
             }
             assert!((found.s - s).abs() < 1e-5, "{found:?} for {s}");
             assert!((found.lateral - lateral).abs() < 1e-5);
@@ -213,7 +213,7 @@ fn a_repeated_closing_point_is_dropped() {
 }
 
 #[test]
-fn refused_points_are_named() {
+fn errors_name_the_invalid_points() {
     let line = |n: u32| (0..n).map(|i| [f64::from(i), 0.0]).collect::<Vec<_>>();
     let open = |points: &[[f64; 2]]| Path::from_points(points, false, None).unwrap_err();
     assert_eq!(open(&line(3)), PathError::TooFewPoints(3));

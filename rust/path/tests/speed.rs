@@ -1,4 +1,4 @@
-//! Speed profiles: closed forms, and the limits checked from outside by finite differences.
+//! Speed profiles: comparison with closed forms, and the limits checked by finite differences.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -27,7 +27,7 @@ fn demo() -> Path {
         .unwrap()
 }
 
-/// The largest violation of any limit, from speeds alone, relative to the limit.
+/// The largest violation of any limit relative to the limit, computed from speeds alone.
 fn violation(path: &Path, limits: &SpeedLimits) -> f64 {
     let profile = SpeedProfile::new(path, limits).unwrap();
     let h = 0.01;
@@ -103,7 +103,7 @@ fn every_limit_holds_everywhere_on_the_demo_lap() {
         };
         let worst = violation(&demo(), &limits);
         assert!(worst < 5e-3, "{worst} at grip {grip}");
-        // Some limit is reached: the profile isn't merely slow.
+        // Some limit is active: the profile is not merely slow.
         assert!(worst > -1e-3, "{worst} at grip {grip}");
     }
 }
@@ -146,7 +146,7 @@ fn it_brakes_before_the_slippery_zone_and_not_inside() {
 }
 
 #[test]
-fn refused_limits_are_named() {
+fn errors_name_the_invalid_limit() {
     let refuse = |path: &Path, limits: SpeedLimits| SpeedProfile::new(path, &limits).unwrap_err();
     let name = |error: PathError| match error {
         PathError::Parameter { name, .. } => name,
@@ -212,7 +212,7 @@ proptest! {
     }
 
     #[test]
-    fn limits_hold_whatever_they_are(grip in 0.1..1.0_f64, v_max in 2.0..40.0_f64, drop in 0.1..1.2_f64) {
+    fn profiles_satisfy_arbitrary_limits(grip in 0.1..1.0_f64, v_max in 2.0..40.0_f64, drop in 0.1..1.2_f64) {
         let path = demo().with_friction(&[
             Zone::new(0.0, 1.0),
             Zone::new(0.55, drop),

@@ -1,4 +1,4 @@
-//! Built-in tracks: the dimensions of their definition, and what every one of them promises.
+//! Built-in tracks: the dimensions of their definitions and the properties that all of them share.
 
 #![allow(clippy::unwrap_used)]
 
@@ -146,7 +146,7 @@ fn the_double_lane_changes_path_stays_between_the_cones_at_half_the_grip_of_lane
 }
 
 #[test]
-fn refused_dimensions_say_why() {
+fn errors_explain_the_invalid_dimension() {
     let message = |path: Result<Path, egp_path::PathError>| path.unwrap_err().to_string();
     let rectangle = RoundedRectangle {
         width: 30.0,
@@ -185,7 +185,7 @@ fn refused_dimensions_say_why() {
             }
             .path()
         )
-        .contains("it takes 120 m")
+        .contains("which takes 120 m")
     );
     let course = DoubleLaneChange {
         margin: 0.3,
@@ -200,12 +200,12 @@ fn refused_dimensions_say_why() {
             }
             .path()
         )
-        .contains("it takes 141 m")
+        .contains("which need 141 m")
     );
 }
 
 #[test]
-fn a_seed_gives_its_track_and_no_other() {
+fn a_seed_determines_its_track() {
     let at = |seed| RandomTrack::new(seed).path().unwrap().sample(100.0);
     assert_eq!(at(7), at(7));
     assert_ne!(at(7), at(8));
@@ -219,8 +219,8 @@ proptest! {
         let path = RandomTrack { seed, length, min_radius, track_width: 7.0 }.path().unwrap();
         prop_assert!((path.length() / length - 1.0).abs() < 1e-3);
         prop_assert!(tightest(&path) * min_radius < 1.02);
-        // Nowhere is another stretch of the track nearer than the edges: each edge point projects
-        // back to where it came from.
+        // No other stretch of the track is nearer than the edges, so each edge point projects back to its own point of
+        // the path.
         for i in 0..150 {
             let s = path.length() * f64::from(i) / 150.0;
             let at = path.sample(s);

@@ -1,4 +1,4 @@
-//! How much faster than real time one core drives the plant.
+//! Speed of the plant on one core relative to real time.
 //!
 //! `real_time_factor` drives one second, 20 periods of 50 ms, in each iteration: the time shown, in seconds, is the
 //! inverse of the real-time factor (2 ms is 500 times real time).

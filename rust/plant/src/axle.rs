@@ -1,14 +1,14 @@
 //! Forces at one axle: suspension, compliant joint and the two tyres.
 //!
-//! Both axles obey the same equations; the rear one has steering angle zero. With each wheel's lateral position
-//! `y = -T/2, +T/2` the two wheels share one equation as well.
+//! The equations of both axles are the same; the steering angle of the rear axle is zero. With its lateral position
+//! `y = -T/2, +T/2` each wheel has the same equations, too.
 
 use crate::parameters::{Axle, Parameters};
 use crate::state::{AxleState, Body};
 use crate::tyre::Contact;
 use crate::{PlantError, TyreForce};
 
-/// One axle in one state.
+/// An axle in a given state.
 pub(crate) struct AxleModel<'a> {
     pub vehicle: &'a Parameters,
     pub axle: &'a Axle,
@@ -32,15 +32,15 @@ pub(crate) struct Suspension {
     pub joint_rate: f64,
 }
 
-/// What the road does to the axle, in the vehicle's axes.
+/// Forces and moments of the road on the axle, in the vehicle's axes.
 pub(crate) struct Road {
     /// Vertical load of each wheel, N.
     pub load: [f64; 2],
-    /// In each wheel's axes.
+    /// Tyre forces in each wheel's axes.
     pub tyre: [TyreForce; 2],
-    /// Forward, N.
+    /// Forward force, N.
     pub x: f64,
-    /// Lateral, N.
+    /// Lateral force, N.
     pub y: f64,
     /// Yaw moment about the centre of mass, N m.
     pub yaw_moment: f64,
@@ -104,10 +104,10 @@ impl AxleModel<'_> {
         wheel_offsets(self.axle).map(|y| (self.body.v_x - y * self.body.omega) * cos + v_y * sin)
     }
 
-    /// Tyre forces; `slipping` is false at walking speed, where slip is not defined and taken as zero.
+    /// Tyre forces. `slipping` is false at walking speed, where slip is undefined and set to zero.
     ///
     /// # Errors
-    /// The index on this axle and speed of a contact that moves backward.
+    /// Index on this axle and speed of a wheel contact that moves backward.
     pub fn road(
         &self,
         camber: [f64; 2],
@@ -199,7 +199,7 @@ impl AxleModel<'_> {
     }
 }
 
-/// The wheel's index in the vehicle for its index on an axle.
+/// The error for a backward-moving contact, given its axle and the error of [`AxleModel::road`].
 pub(crate) fn spun(axle: usize, (wheel, speed): (usize, f64)) -> PlantError {
     PlantError::Spun {
         wheel: 2 * axle + wheel,

@@ -1,4 +1,4 @@
-//! Many plants at once.
+//! Parallel steps of many plants.
 
 use std::num::NonZeroUsize;
 use std::thread;
@@ -9,22 +9,23 @@ use crate::{Plant, PlantError, Uniform};
 /// One plant of a batch with its input over the period.
 #[derive(Clone, Debug)]
 pub struct BatchItem {
-    /// Stepped in place.
+    /// The plant, stepped in place.
     pub plant: Plant,
-    /// `[F_x, delta_dot]`, N and rad/s.
+    /// Input `[F_x, delta_dot]`, N and rad/s.
     pub input: [f64; 2],
-    /// The surface it drives on.
+    /// The surface.
     pub friction: Uniform,
 }
 
-/// Plants a thread should have at least: a step costs tens of microseconds, as much as starting the thread.
-const PER_THREAD: usize = 16;
+/// Smallest number of plants of a thread. A step takes tens of microseconds, as long as starting a thread.
+const MIN_PER_THREAD: usize = 16;
 
-/// Steps every plant by `dt` on all cores; the result of each is the same, bit for bit, as stepping it alone.
+/// Steps every plant by `dt` s on all cores. The results have the same bits as those of [`Plant::step`].
 ///
 /// # Errors
-/// Of the batch: a refused input, before anything moved. Of one plant: [`PlantError::Spun`] or
-/// [`PlantError::Diverged`]; it keeps its state and the others go on.
+/// [`PlantError`] if an input or `dt` is invalid; no plant is then stepped. A plant's own result is
+/// [`PlantError::Spun`] or [`PlantError::Diverged`] if its step fails; this plant keeps its state, and the others are
+/// stepped.
 pub fn step_batch(
     items: &mut [BatchItem],
     dt: f64,
@@ -33,7 +34,7 @@ pub fn step_batch(
         check_step(item.input, dt)?;
     }
     let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
-    let chunk = items.len().div_ceil(cores).max(PER_THREAD);
+    let chunk = items.len().div_ceil(cores).max(MIN_PER_THREAD);
     let mut results = vec![Ok(()); items.len()];
     let step = |items: &mut [BatchItem], results: &mut [Result<(), PlantError>]| {
         for (item, result) in items.iter_mut().zip(results) {

@@ -4,18 +4,18 @@ use crate::axle::{AxleModel, Suspension, spun};
 use crate::state::{AxleState, Body, NX, StateVector, WHEELS};
 use crate::{GRAVITY, Parameters, PlantError};
 
-/// Below this speed, m/s, slip is undefined and the vehicle moves as a kinematic single track.
+/// Speed, m/s, below which slip is undefined and the vehicle moves as a kinematic single track.
 pub const KINEMATIC_SPEED: f64 = 0.1;
 
 /// `dx/dt` for the input `[F_x, delta_dot]` (N, rad/s) and the friction under each wheel (front -y, front +y,
 /// rear -y, rear +y).
 ///
-/// The input passes the actuator limits first. As in the original a lifted wheel has a negative load, pulls the
-/// vehicle down and pushes its tyre force the wrong way: above about 9 m/s² of lateral acceleration, where the inner
-/// rear wheel of vehicle 1 lifts, this is not a real car any more. No check is made for NaN: NaN in, NaN out.
+/// The input is first saturated by the actuator limits. As in the original, the load of a lifted wheel is negative,
+/// which pulls the vehicle down and reverses the tyre force. The equations are therefore not realistic above a lateral
+/// acceleration of about 9 m/s², where the inner rear wheel of vehicle 1 lifts. NaN is not checked and propagates.
 ///
 /// # Errors
-/// [`PlantError::Spun`] when a wheel contact moves backward at speed.
+/// [`PlantError::Spun`] if a wheel contact moves backward above [`KINEMATIC_SPEED`].
 pub fn derivative(
     parameters: &Parameters,
     x: &StateVector,
@@ -96,7 +96,7 @@ pub fn derivative(
         };
         let torque = 0.5 * share * parameters.mass * parameters.wheel.radius * acceleration;
         for w in 0..2 {
-            // A locked wheel stays locked, it does not turn backward.
+            // A locked wheel does not turn backward.
             f[WHEELS.start + 2 * i + w] = if state.spin[w] < 0.0 {
                 0.0
             } else {
@@ -108,9 +108,9 @@ pub fn derivative(
     Ok(f)
 }
 
-/// Lateral acceleration of the sprung mass in a state, m/s², as an accelerometer in the body would read it.
+/// Lateral acceleration of the sprung mass, m/s², as measured by an accelerometer in the body.
 ///
-/// Depends on suspension and joints only, so neither input nor friction is needed.
+/// It depends on suspension and joints only, so neither input nor friction is needed.
 pub fn lateral_acceleration(parameters: &Parameters, x: &StateVector) -> f64 {
     let body = Body::of(x);
     let states = AxleState::both(x);
@@ -118,7 +118,7 @@ pub fn lateral_acceleration(parameters: &Parameters, x: &StateVector) -> f64 {
     sprung_lateral_acceleration(parameters, &body, &suspension)
 }
 
-/// Makes yaw rate, lateral speeds and wheel speeds those of the kinematic single track, with rolling wheels.
+/// Sets yaw rate, lateral speeds and wheel speeds to those of the kinematic single track with rolling wheels.
 pub(crate) fn roll_without_slip(parameters: &Parameters, x: &mut StateVector) {
     let (beta, yaw_rate) = single_track(parameters, x[2], x[3]);
     x[5] = yaw_rate;
@@ -192,8 +192,8 @@ fn kinematic(
     let wheelbase = parameters.wheelbase();
     let to_rear = -parameters.rear.position;
     let (tan, cos) = (body.delta.tan(), body.delta.cos());
-    // The original puts the roll angle where the slip angle belongs, and squares the whole of tan(delta)^2 b / l;
-    // kept, as both are negligible at this speed and parity is worth more.
+    // The original uses the roll angle instead of the slip angle and squares the whole of tan(delta)^2 b / l. Both
+    // errors are negligible at this speed and are kept for parity.
     let square = (tan * tan * to_rear / wheelbase).powi(2);
     let beta_rate = to_rear * steering_rate / (wheelbase * cos * cos * (1.0 + square));
     let (sin_roll, cos_roll) = body.roll.sin_cos();

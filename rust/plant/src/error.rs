@@ -1,19 +1,19 @@
-//! Everything the plant refuses.
+//! Errors of the plant.
 
 use thiserror::Error;
 
-/// Why the plant refused an input or stopped; the state is then what it was before the call.
+/// An invalid input or a failed step. The state is then unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum PlantError {
-    /// No such vehicle.
+    /// An unknown vehicle number.
     #[error("expected CommonRoad vehicle 1 or 2, got {0}")]
     UnknownVehicle(u32),
-    /// A number that must be finite is not.
+    /// A number that is not finite.
     #[error("expected a finite {name}, got {value}")]
     NotFinite {
-        /// What the number is.
+        /// Name of the number.
         name: &'static str,
-        /// What came.
+        /// The given value.
         value: f64,
     },
     /// A period that is not positive.
@@ -27,19 +27,19 @@ pub enum PlantError {
     MapShape {
         /// Rows times columns.
         expected: usize,
-        /// Values given.
+        /// Number of given values.
         got: usize,
     },
     /// A cell size that is not positive.
     #[error("expected a cell size > 0 in metres, got {0}")]
     MapCell(f64),
-    /// Driving backward is outside what the tyre equations cover.
+    /// A negative speed, for which the tyre equations do not hold.
     #[error("expected a forward speed v_x >= 0, got {0} m/s; the vehicle only drives forward")]
     Backward(f64),
     /// A wheel contact moves backward: the vehicle has spun.
     #[error(
         "wheel {wheel} (front -y, front +y, rear -y, rear +y) moves backward at {speed} m/s: the vehicle has spun, \
-         which the tyre equations do not cover; reset the plant or command less"
+         for which the tyre equations do not hold; reset the plant or reduce the input"
     )]
     Spun {
         /// Index of the wheel.
@@ -48,7 +48,7 @@ pub enum PlantError {
         speed: f64,
     },
     /// The integration diverged.
-    #[error("state {name} left the finite range at v_x = {v_x} m/s; reset the plant")]
+    #[error("state {name} is no longer finite, last at v_x = {v_x} m/s; reset the plant")]
     Diverged {
         /// The first state that is not finite.
         name: &'static str,

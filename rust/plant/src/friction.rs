@@ -2,9 +2,9 @@
 
 use crate::PlantError;
 
-/// A surface: the friction coefficient under a wheel.
+/// The friction coefficient under a wheel.
 ///
-/// The coefficient `mu` is the peak of the longitudinal force over the load; the lateral peak is `0.9 mu`.
+/// The coefficient `mu` is the ratio of the longitudinal peak force to the load; for the lateral force it is `0.9 mu`.
 pub trait Friction {
     /// Coefficient at a contact position `[x, y]`, m.
     fn coefficient(&self, position: [f64; 2]) -> f64;
@@ -16,7 +16,7 @@ impl<F: Friction + ?Sized> Friction for &F {
     }
 }
 
-/// The same friction everywhere.
+/// A surface of constant friction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Uniform(f64);
 
@@ -36,7 +36,8 @@ impl Friction for Uniform {
     }
 }
 
-/// Friction on a regular grid aligned with the axes, constant within a cell; the border continues outside.
+/// Friction on a regular grid aligned with the axes, constant within a cell. Outside the grid the friction is that of
+/// the nearest border cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Map {
     origin: [f64; 2],
@@ -49,7 +50,7 @@ pub struct Map {
 impl Map {
     /// A grid of `rows x columns` square cells of side `cell` (m) whose lower left corner is `origin` (m).
     ///
-    /// `values` are row by row, rows along +y, columns along +x.
+    /// `values` are in row-major order; rows increase along +y, columns along +x.
     ///
     /// # Errors
     /// [`PlantError::MapShape`], [`PlantError::MapCell`], [`PlantError::NotFinite`], [`PlantError::Friction`].
@@ -86,7 +87,7 @@ impl Map {
 
 impl Friction for Map {
     fn coefficient(&self, position: [f64; 2]) -> f64 {
-        // Float to integer casts saturate, so positions left of or below the grid land in its first cells.
+        // Float to integer casts saturate, so positions left of or below the grid use its first cells.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         let index = |i: usize, count: usize| {
             (((position[i] - self.origin[i]) / self.cell) as usize).min(count - 1)
@@ -95,7 +96,7 @@ impl Friction for Map {
     }
 }
 
-/// `mu` if the tyre has a force law for it.
+/// `mu` if it is finite and positive.
 pub(crate) fn checked(mu: f64) -> Result<f64, PlantError> {
     if mu.is_finite() && mu > 0.0 {
         Ok(mu)
@@ -110,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn map_is_constant_within_cells_and_continues_outside() {
+    fn map_is_constant_within_cells_and_extends_its_border() {
         let map = Map::new(
             [10.0, -5.0],
             2.0,
@@ -126,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_what_is_no_surface() {
+    fn invalid_surfaces_are_errors() {
         assert_eq!(Uniform::new(0.0), Err(PlantError::Friction(0.0)));
         assert!(matches!(
             Uniform::new(f64::NAN),

@@ -1,4 +1,4 @@
-//! Classical Runge-Kutta integration and the longest step it may take.
+//! Classical Runge-Kutta integration and its longest substep.
 
 use crate::dynamics::KINEMATIC_SPEED;
 use crate::state::{NX, StateVector};
@@ -9,9 +9,10 @@ pub const MAX_SUBSTEP: f64 = 5e-3;
 
 /// Longest stable and accurate substep at speed `v_x`, s.
 ///
-/// The stiffest motion is a wheel's spin relaxing to the rolling speed by its slip stiffness, with the time constant
-/// `tau = I v_x / (R² K)`, `K = p_kx1 F_z`: 2.5 ms at 15 m/s, 0.2 ms at 1 m/s. Fourth order Runge-Kutta is stable
-/// up to `2.78 tau`; `2 tau` at static load leaves room for load transfer. At walking speed there is no slip.
+/// The stiffest mode is the relaxation of a wheel's spin to the rolling speed through its slip stiffness, with the time
+/// constant `tau = I v_x / (R² K)`, `K = p_kx1 F_z`: 2.5 ms at 15 m/s, 0.2 ms at 1 m/s. Fourth-order Runge-Kutta is
+/// stable up to `2.78 tau`; `2 tau` at static load leaves a margin for load transfer. At walking speed there is no
+/// slip.
 pub fn longest_substep(parameters: &Parameters, v_x: f64) -> f64 {
     if v_x < KINEMATIC_SPEED {
         return MAX_SUBSTEP;

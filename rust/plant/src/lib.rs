@@ -1,4 +1,4 @@
-//! egp-plant: the simulated truth, a 29-state multi-body vehicle on a surface of given friction.
+//! egp-plant: simulation of a 29-state multi-body vehicle on a surface with given friction.
 //!
 //! The equations are those of the multi-body vehicle of the CommonRoad benchmarks (Althoff and Würsching,
 //! "CommonRoad: Vehicle Models", 2020, section on the multi-body model, after R. W. Allen et al.,
@@ -7,9 +7,9 @@
 //! them, on Pacejka tyres. [`derivative`] agrees with `commonroad-vehicle-models` 3.0.2 to rounding.
 //!
 //! # Axes
-//! The equations were written with y to the right and z down, and we read the same numbers with y to the *left*, as
-//! everywhere in this repository. So a wheel pair is ordered by its y position, `-T/2` first: the wheel the original
-//! calls "left" is on the vehicle's right-hand side here. It is the outer wheel when the yaw rate is positive.
+//! The original equations have y to the right and z down. Here the same numbers are read with y to the *left*, as in
+//! the whole repository. The wheels of an axle are ordered by their y position, `-T/2` first: the "left" wheel of the
+//! original is on the vehicle's right-hand side here and is the outer wheel for positive yaw rates.
 //!
 //! ```
 //! use egp_plant::{Plant, Uniform, VehicleId, VehicleState};
@@ -41,11 +41,11 @@ pub use dynamics::{KINEMATIC_SPEED, derivative, lateral_acceleration};
 pub use error::PlantError;
 pub use friction::{Friction, Map, Uniform};
 pub use integrator::{MAX_SUBSTEP, longest_substep};
-pub use limits::Limits;
+pub use limits::ActuatorLimits;
 pub use parameters::{Axle, Joint, Parameters, SprungMass, VehicleId, Wheel};
 pub use plant::Plant;
 pub use state::{NX, STATE_NAMES, StateVector, VehicleState, initial_state};
 pub use tyre::{Contact, TyreForce, TyreParameters};
 
-/// Gravity in m/s², the value of the original.
+/// Gravity in m/s² as in the original.
 pub const GRAVITY: f64 = 9.81;

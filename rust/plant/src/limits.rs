@@ -1,26 +1,26 @@
-//! What steering, engine and brakes can do.
+//! Limits of steering, engine and brakes.
 
 /// Actuator limits of one vehicle.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Limits {
+pub struct ActuatorLimits {
     /// Largest steering angle to either side, rad.
     pub steering_angle: f64,
     /// Largest steering rate to either side, rad/s.
     pub steering_rate: f64,
     /// Largest acceleration and deceleration, m/s².
     pub acceleration: f64,
-    /// Above this speed the engine's power limits the acceleration, m/s.
+    /// Speed above which the engine's power limits the acceleration, m/s.
     pub switch_speed: f64,
-    /// No deceleration at or below this speed, m/s.
+    /// Speed at or below which there is no deceleration, m/s.
     pub min_speed: f64,
-    /// No acceleration at or above this speed, m/s.
+    /// Speed at or above which there is no acceleration, m/s.
     pub max_speed: f64,
 }
 
-impl Limits {
-    /// The steering rate the actuator gives when asked for `rate` at steering angle `angle`, rad/s.
+impl ActuatorLimits {
+    /// The actual steering rate for the command `rate` at steering angle `angle`, rad/s.
     ///
-    /// At the stop it does not push further; inside, the rate saturates.
+    /// The rate is saturated; at a steering stop it is zero in the direction of the stop.
     pub fn steering_rate(&self, angle: f64, rate: f64) -> f64 {
         let at_stop = (angle <= -self.steering_angle && rate <= 0.0)
             || (angle >= self.steering_angle && rate >= 0.0);
@@ -31,9 +31,9 @@ impl Limits {
         }
     }
 
-    /// The acceleration engine and brakes give when asked for `acceleration` at speed `v_x`, m/s².
+    /// The actual acceleration for the command `acceleration` at speed `v_x`, m/s².
     ///
-    /// `-a_max <= a <= a_max min(1, v_switch / v_x)`, and none beyond the speed range.
+    /// `-a_max <= a <= a_max min(1, v_switch / v_x)`; it is zero if it would leave the speed range.
     pub fn acceleration(&self, v_x: f64, acceleration: f64) -> f64 {
         let beyond = (v_x <= self.min_speed && acceleration <= 0.0)
             || (v_x >= self.max_speed && acceleration >= 0.0);
@@ -54,7 +54,7 @@ mod tests {
     use crate::VehicleId;
 
     #[test]
-    fn saturates_inside_and_stops_at_the_ends() {
+    fn commands_saturate_and_are_zero_at_the_ends_of_the_range() {
         let limits = VehicleId::FordEscort.parameters().limits;
         assert_eq!(limits.steering_rate(0.0, 2.0), 0.4);
         assert_eq!(limits.steering_rate(0.0, -2.0), -0.4);

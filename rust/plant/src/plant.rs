@@ -1,4 +1,4 @@
-//! The stepping vehicle.
+//! The simulated vehicle.
 
 use crate::axle::wheel_offsets;
 use crate::dynamics::{KINEMATIC_SPEED, roll_without_slip};
@@ -10,10 +10,10 @@ use crate::{Friction, Parameters, PlantError, lateral_acceleration};
 
 /// A vehicle and its state.
 ///
-/// Between substeps the plant adds to [`crate::derivative`] what keeps a drive to standstill and away again sane:
-/// brakes hold the vehicle but do not push it backward, locked wheels stay at zero, the steering stays within its
-/// stops, and below [`KINEMATIC_SPEED`] nothing slips (there the equations alone let a parked vehicle gain 0.2 m/s of
-/// lateral speed a second from its tyres' offsets).
+/// Between substeps the plant corrects the states near standstill, for which [`crate::derivative`] is not valid: brakes
+/// stop the vehicle but do not push it backward, locked wheels do not turn backward, the steering angle stays within
+/// its stops, and below [`KINEMATIC_SPEED`] the wheels roll without slip (the offsets of the tyre forces would
+/// otherwise accelerate a parked vehicle sideways by 0.2 m/s²).
 #[derive(Clone, Debug)]
 pub struct Plant {
     parameters: Parameters,
@@ -37,7 +37,7 @@ impl Plant {
         &self.state
     }
 
-    /// What a controller sees.
+    /// The states that a controller measures.
     pub fn vehicle_state(&self) -> VehicleState {
         VehicleState::of(&self.state)
     }
@@ -47,7 +47,7 @@ impl Plant {
         lateral_acceleration(&self.parameters, &self.state)
     }
 
-    /// Puts the vehicle somewhere, its suspension at rest and its wheels rolling.
+    /// Resets the vehicle to a state with its suspension at rest and its wheels rolling.
     ///
     /// # Errors
     /// [`PlantError::NotFinite`], [`PlantError::Backward`].
@@ -73,10 +73,11 @@ impl Plant {
 
     /// Moves by `dt` seconds under the constant input `[F_x, delta_dot]` (N, rad/s).
     ///
-    /// Friction is read under each wheel once a substep (at most [`crate::MAX_SUBSTEP`]).
+    /// Friction is evaluated under each wheel once per substep (at most [`crate::MAX_SUBSTEP`]).
     ///
     /// # Errors
-    /// A refused input, [`PlantError::Spun`] or [`PlantError::Diverged`]; the state is then unchanged.
+    /// [`PlantError`] if an input is invalid, or [`PlantError::Spun`] or [`PlantError::Diverged`] if the step fails.
+    /// The state is then unchanged.
     pub fn step(
         &mut self,
         input: [f64; 2],
@@ -87,7 +88,7 @@ impl Plant {
         let mut state = self.state;
         let mut remaining = dt;
         while remaining > 0.0 {
-            // Equal substeps over what remains, so that no sliver is left at the end.
+            // Equal substeps over the remaining time avoid a very short last substep.
             let count = (remaining / longest_substep(&self.parameters, state[3])).ceil();
             let h = remaining / count;
             state = self.substep(&state, input, h, friction)?;
@@ -106,7 +107,7 @@ impl Plant {
     ) -> Result<StateVector, PlantError> {
         let mu = self.friction_under_wheels(state, friction)?;
         let v_x = state[3];
-        // Braking ends at standstill. Above walking speed a substep is too short to get there.
+        // Braking ends at standstill, which a substep that starts above walking speed cannot reach.
         let force = if v_x < KINEMATIC_SPEED {
             force.max(-self.parameters.mass * v_x / h)
         } else {
@@ -154,7 +155,7 @@ impl Plant {
     }
 }
 
-/// Refuses an input or period that is no number.
+/// Errors unless the input is finite and the period finite and positive.
 pub(crate) fn check_step(input: [f64; 2], dt: f64) -> Result<(), PlantError> {
     finite("F_x", input[0])?;
     finite("delta_dot", input[1])?;

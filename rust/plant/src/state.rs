@@ -10,7 +10,7 @@ pub const NX: usize = 29;
 pub type StateVector = [f64; NX];
 
 /// Names with units. `z` points down; `_f`, `_r` are the unsprung masses, wheels are ordered by y (see the crate's
-/// page), `joint` is the lateral displacement between the body and an axle.
+/// documentation), `joint` is the lateral displacement between the body and an axle.
 pub const STATE_NAMES: [&str; NX] = [
     "p_x [m]",
     "p_y [m]",
@@ -43,10 +43,10 @@ pub const STATE_NAMES: [&str; NX] = [
     "joint_r [m]",
 ];
 
-/// Where the four wheel speeds stand in the state.
+/// Indices of the four wheel speeds.
 pub(crate) const WHEELS: std::ops::Range<usize> = 23..27;
 
-/// The seven states a controller sees, `[p_x, p_y, v_x, psi, v_y, omega, delta]`, SI units.
+/// The seven states that a controller measures, `[p_x, p_y, v_x, psi, v_y, omega, delta]`, SI units.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[allow(missing_docs)]
 pub struct VehicleState {
@@ -60,14 +60,14 @@ pub struct VehicleState {
 }
 
 impl VehicleState {
-    /// In the order of the controller's state.
+    /// The states in the controller's order.
     pub fn to_array(self) -> [f64; 7] {
         [
             self.p_x, self.p_y, self.v_x, self.psi, self.v_y, self.omega, self.delta,
         ]
     }
 
-    /// From the order of the controller's state.
+    /// From states in the controller's order.
     pub fn from_array([p_x, p_y, v_x, psi, v_y, omega, delta]: [f64; 7]) -> Self {
         Self {
             p_x,
@@ -80,7 +80,7 @@ impl VehicleState {
         }
     }
 
-    /// The part of a full state that a controller sees.
+    /// The part of a full state that a controller measures.
     pub fn of(x: &StateVector) -> Self {
         Self {
             p_x: x[0],
@@ -108,8 +108,8 @@ impl VehicleState {
 
 /// The full state with suspension and tyres in static balance and the wheels rolling.
 ///
-/// As the original's initial state but for the body's height and pitch: it leaves both at zero while the tyres are
-/// compressed, and the wheel loads then swing by a tenth for the first half second.
+/// This is the initial state of the original except for the body's height and pitch. The original leaves both at zero
+/// although the tyres are compressed, which makes the wheel loads oscillate by a tenth in the first half second.
 ///
 /// # Errors
 /// [`PlantError::NotFinite`], [`PlantError::Backward`].
@@ -140,7 +140,7 @@ pub(crate) fn settled(parameters: &Parameters, vehicle: &VehicleState) -> StateV
         x[15 + 5 * i] = v_y + axle.position * omega;
         x[16 + 5 * i] = compression[i];
     }
-    // Zero travel of the springs, where they carry the static load: z - l pitch = compression at both axles.
+    // The springs carry the static load at zero travel: z - l pitch = compression at both axles.
     let pitch = (compression[1] - compression[0]) / parameters.wheelbase();
     [x[8], x[11]] = [pitch, compression[0] + parameters.front.position * pitch];
     x[WHEELS].fill(v_x / parameters.wheel.radius);
@@ -196,7 +196,7 @@ pub(crate) struct AxleState {
 }
 
 impl AxleState {
-    /// Front and rear.
+    /// The front and the rear axle.
     pub fn both(x: &StateVector) -> [Self; 2] {
         [0, 1].map(|i| {
             let at = 13 + 5 * i;

@@ -3,13 +3,13 @@
 //! H. B. Pacejka, "Tire and Vehicle Dynamics", 3rd ed., section 4.3.2, without turn slip, with the simplifications of
 //! the CommonRoad vehicles (shape and stiffness do not vary with load, no ply-steer terms).
 
-/// Friction coefficients lateral over longitudinal. The surfaces of this repository are given by the longitudinal one.
+/// Ratio of lateral to longitudinal friction coefficient. Surfaces are specified by the longitudinal coefficient.
 const LATERAL_OVER_LONGITUDINAL: f64 = 0.9;
 
 /// Coefficients named as in the reference: `p` pure slip, `r` combined slip, `x` longitudinal, `y` lateral,
 /// `b c d e k` stiffness, shape, peak, curvature and slip stiffness factors, `h v` horizontal and vertical shifts.
 ///
-/// The peaks `p_dx1`, `p_dy1` are missing: they are the friction of the surface, `mu` and `0.9 mu`.
+/// The peaks `p_dx1` and `p_dy1` are not parameters; they are the friction of the surface, `mu` and `0.9 mu`.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(missing_docs)]
 pub struct TyreParameters {
@@ -81,7 +81,7 @@ impl TyreParameters {
     };
 }
 
-/// How a tyre meets the road.
+/// Slip, load and friction of a tyre's contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
     /// Longitudinal slip `1 - R w / u`: 0 rolling, 1 locked, negative when driven.
@@ -99,9 +99,9 @@ pub struct Contact {
 /// Force of the road on a tyre in the wheel's axes, N.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TyreForce {
-    /// Along the wheel, forward.
+    /// Longitudinal force, positive forward.
     pub x: f64,
-    /// Across the wheel.
+    /// Lateral force.
     pub y: f64,
 }
 
@@ -136,17 +136,17 @@ impl TyreParameters {
         }
     }
 
-    /// `D sin(C atan(..) + S_v)`; the shift stands inside the sine in the original, and is kept there.
+    /// `D sin(C atan(..) + S_v)`, with the shift inside the sine as in the original.
     fn pure_longitudinal(&self, slip: f64, camber: f64, load: f64, friction: f64) -> f64 {
         let mu_x = friction * (1.0 - self.p_dx3 * camber * camber);
         let shift = load * self.p_vx1;
-        // B C D = K = p_kx1 load, so the load cancels in B and an unloaded tyre needs no special case.
+        // The load cancels in B because B C D = K = p_kx1 load, so an unloaded tyre needs no special case.
         let b = self.p_kx1 / (self.p_cx1 * mu_x);
         let angle = magic_angle(b, self.p_cx1, self.p_ex1, self.p_hx1 - slip);
         mu_x * load * (angle + shift).sin()
     }
 
-    /// `D sin(C atan(..)) + S_v`, both shifts towards the side the wheel leans to.
+    /// `D sin(C atan(..)) + S_v`; the sign of both shifts is that of the camber.
     fn pure_lateral(&self, slip_angle: f64, camber: f64, load: f64, mu_y: f64) -> f64 {
         let side = if camber == 0.0 { 0.0 } else { camber.signum() };
         let horizontal = side * (self.p_hy1 + self.p_hy3 * camber.abs());
@@ -157,13 +157,13 @@ impl TyreParameters {
     }
 }
 
-/// Pacejka's `C atan(B x - E (B x - atan(B x)))`, written so that an infinite `B x` stays a number.
+/// Pacejka's `C atan(B x - E (B x - atan(B x)))`, rearranged so that an infinite `B x` does not give NaN.
 fn magic_angle(b: f64, c: f64, e: f64, x: f64) -> f64 {
     let bx = b * x;
     c * ((1.0 - e) * bx + e * bx.atan()).atan()
 }
 
-/// The weighting of combined slip, a cosine magic formula that is 1 without the other slip.
+/// The weighting factor of combined slip: a cosine magic formula that is 1 if the other slip is zero.
 fn reduction(b: f64, c: f64, e: f64, shift: f64, other_slip: f64) -> f64 {
     magic_angle(b, c, e, other_slip + shift).cos() / magic_angle(b, c, e, shift).cos()
 }

@@ -1,4 +1,4 @@
-//! What must hold for any state, input and surface.
+//! Properties that hold for any state, input and surface.
 
 #![allow(missing_docs, clippy::unwrap_used)]
 
@@ -31,7 +31,8 @@ proptest! {
     ) {
         let tyre = VehicleId::FordEscort.parameters().tyre;
         let force = tyre.force(&Contact { slip, slip_angle, camber, load, friction });
-        // The reductions exceed 1 by the shifts; lateral also has the vertical shift, 0.04 load.
+        // The weighting factors exceed 1 because of the shifts; the lateral force also has the vertical shift of 0.04
+        // load.
         prop_assert!(force.x.abs() <= 1.02 * friction * load);
         prop_assert!(force.y.abs() <= (1.05 * friction + 0.04) * load);
     }
@@ -98,8 +99,8 @@ fn a_settled_vehicle_carries_its_weight() {
 
 #[test]
 fn substeps_converge_at_fourth_order() {
-    // In a steady bend no camber changes sign, where the tyre's shifts jump. Halving the step must divide the error
-    // by 16; 10 leaves room for the next order.
+    // The tyre's shifts jump where the camber changes sign, which does not happen in a steady bend. Halving the step
+    // must divide the error by 16; 10 leaves a margin for the next order.
     let surface = Uniform::new(1.0).unwrap();
     let mut bend = plant(
         VehicleId::FordEscort,
@@ -167,7 +168,7 @@ fn brakes_stop_and_hold_and_the_vehicle_drives_away_again() {
 
 #[test]
 fn braking_with_ice_on_the_left_turns_the_vehicle_right() {
-    // Fixes the handedness of the wheel order: y is to the left, cells are 1 km.
+    // This checks the wheel order: y is to the left. Cells are 1 km wide.
     let split = Map::new([-1000.0, -1000.0], 1000.0, [2, 2], vec![1.0, 1.0, 0.2, 0.2]).unwrap();
     assert_eq!(split.coefficient([0.0, 0.7]), 0.2);
     for vehicle in VEHICLES {
@@ -195,7 +196,7 @@ fn a_uniform_map_is_a_uniform_surface() {
 }
 
 #[test]
-fn a_batch_is_its_plants_bit_for_bit_and_one_spin_leaves_the_others() {
+fn a_batch_has_the_bits_of_single_plants_and_a_spin_does_not_affect_the_others() {
     let mut items: Vec<BatchItem> = (0..40)
         .map(|i| BatchItem {
             plant: plant(VehicleId::FordEscort, at_speed(5.0 + 0.5 * f64::from(i))),
@@ -220,7 +221,7 @@ fn a_batch_is_its_plants_bit_for_bit_and_one_spin_leaves_the_others() {
 }
 
 #[test]
-fn refusals_keep_the_state() {
+fn errors_keep_the_state() {
     let surface = Uniform::new(1.0).unwrap();
     let mut plant = plant(VehicleId::FordEscort, at_speed(10.0));
     let before = *plant.state();

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use egp_core::linearisation::Linearisation;
 use egp_core::ocp::{self, Road, soft_rows};
-use egp_core::solver::{rungs, solve_first};
+use egp_core::solver::{self, solve_with_fallback};
 use egp_core::{Input, NU, NX, OcpQp, OcpSolution, QpSolver, Settings, State};
 use pyo3::prelude::*;
 
@@ -48,7 +48,7 @@ impl AffineOcp {
         let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
         let memory = Memory {
             dynamics: Linearisation::new(horizon),
-            solvers: rungs(&qp, &settings.solver).map_err(raise)?,
+            solvers: solver::solvers(&qp, &settings.solver).map_err(raise)?,
             solution: OcpSolution::new(horizon),
             qp,
         };
@@ -130,7 +130,7 @@ impl AffineOcp {
         ocp::assemble(&self.settings, self.dt, &x0, &u_prev, dynamics, &road, qp);
         let start = Instant::now();
         let tolerance = self.settings.solver.kkt_tolerance;
-        let solver = solve_first(solvers, qp, &guess, tolerance, solution);
+        let solver = solve_with_fallback(solvers, qp, &guess, tolerance, solution);
         result(py, solution, solver, start.elapsed().as_secs_f64())
     }
 }

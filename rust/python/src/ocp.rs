@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use egp_core::qp::{Csc, SparseQp};
 use egp_core::settings::{Prior, SolverKind, SolverSettings};
-use egp_core::solver::{rungs, solve_first};
+use egp_core::solver::{solve_with_fallback, solvers};
 use egp_core::weights::{WeightEstimator, WindowNoise};
 use egp_core::{GpOutput, Input, NU, NX, NY, OcpSolution, Status};
 use pyo3::prelude::*;
@@ -142,14 +142,14 @@ fn solve_ocp<'py>(
         let expected = format!("({}, {NU})", qp.horizon());
         return Err(wrong_shape("guess", &expected, &[guess.len(), NU]));
     }
-    let mut rungs = rungs(&qp, &settings).map_err(raise)?;
+    let mut solvers = solvers(&qp, &settings).map_err(raise)?;
     let mut solution = OcpSolution::new(qp.horizon());
     let (solver, seconds) = py.detach(|| {
         let (mut solver, mut seconds) = ("", f64::INFINITY);
         for _ in 0..repeat.max(1) {
             let start = Instant::now();
-            solver = solve_first(
-                &mut rungs,
+            solver = solve_with_fallback(
+                &mut solvers,
                 &qp,
                 &guess,
                 settings.kkt_tolerance,

@@ -1,4 +1,4 @@
-//! The variance at all stages of a horizon, from few stages.
+//! Bounds of the variance at all stages of a horizon from a few of them.
 
 use super::mean::CovarianceRow;
 use super::{Covariance, Gp};
@@ -7,24 +7,24 @@ use crate::kernel::{LANES, Lanes, Points};
 use crate::simd::wide;
 use crate::{GpInput, GpOutput};
 
-/// By how much a variance may exceed the exact one, relative to what it is reported with (see
-/// [`Gp::variance_bounds`]). A standard deviation is then at most 5 % too large.
+/// Largest excess of a bound over the exact variance, relative to variance plus floor (see [`Gp::variance_bounds`]). A
+/// standard deviation is then at most 5 % too large.
 pub(crate) const TOLERANCE: f64 = 0.1;
-/// Nodes that share a pass over the inverse factor; fewer would wait for the memory.
-const PASS: usize = 4;
-/// A node of less prior variance than this times the outputscale would add nothing but rounding errors.
+/// Number of nodes that share a pass over the inverse factor; with fewer the speed of the memory is the limit.
+const NODES_PER_PASS: usize = 4;
+/// Smallest residual prior variance of a new node as a multiple of the outputscale; below it are rounding errors only.
 const SMALLEST_PIVOT: f64 = 1e-12;
 
-/// Memory for [`Gp::variance_bounds`], and its state for one covariance.
+/// Memory of [`Gp::variance_bounds`].
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Horizon {
-    /// Queries, z-scored; filled by the caller.
+    /// Z-scored queries, filled by the caller.
     pub z: Vec<GpInput>,
     queries: Points,
     norms: Vec<Lanes>,
-    /// Stages taken as nodes, in their order.
+    /// Stages used as nodes, in the order of selection.
     nodes: Vec<usize>,
-    /// `l(z)`: for each node a row over the stages.
+    /// `l(z)`: a row over the stages for each node.
     factor: Vec<f64>,
     /// `rho(z)` of each stage.
     residual: Vec<f64>,
@@ -33,30 +33,30 @@ pub(crate) struct Horizon {
     /// Covariances of a node with the stages.
     row: Vec<Lanes>,
     /// `k(X, z)` of the nodes of a pass.
-    covariances: [Vec<Lanes>; PASS],
+    covariances: [Vec<Lanes>; NODES_PER_PASS],
     /// `w` of all nodes, one after the other.
     directions: Vec<Lanes>,
-    /// `H`, rows of as many places as there are stages.
+    /// `H`; rows are as long as the number of stages.
     gram: Vec<f64>,
     /// One component of `(I - H) l` at all stages.
     unexplained: Vec<f64>,
 }
 
 impl Gp {
-    /// Upper bounds of the variances at the z-scored inputs `scratch.z`, in z-scored units, each at most
-    /// `TOLERANCE · (σ² + floor)` above the exact `σ²`: `floor` is the variance that the caller adds anyway, of
-    /// outputs that share a covariance the smallest.
+    /// Upper bounds of the variances at the z-scored inputs `scratch.z`, in z-scored units, each at most `TOLERANCE ·
+    /// (σ² + floor)` above the exact `σ²`, where `floor` is the variance that the caller adds to the bound. Outputs
+    /// that share a covariance use the smallest of their floors.
     ///
-    /// Stages lie on a curve, so the latent function at a few of them, the nodes `N`, nearly determines it at the
-    /// others. Given noise-free values `f_N`, at any stage `f(z) = k(z, N) K_NN⁻¹ f_N + e`, where `e` has the prior
-    /// variance `ρ(z) = k(z, z) - k(z, N) K_NN⁻¹ k(N, z)`. The data can only lower that, and by Cauchy-Schwarz
+    /// Stages lie on a curve, so the values of the latent function at a few of them, the nodes `N`, nearly determine
+    /// the others. Given noise-free values `f_N`, at any stage `f(z) = k(z, N) K_NN⁻¹ f_N + e`, where `e` has the prior
+    /// variance `ρ(z) = k(z, z) - k(z, N) K_NN⁻¹ k(N, z)`. Data can only lower this variance, and by Cauchy-Schwarz
     /// ```text
     /// √q - √ρ <= σ(z) <= √q + √ρ,     q = l(z)ᵀ (I - H) l(z),
     /// R Rᵀ = K_NN,   l(z) = R⁻¹ k(N, z),   w = L⁻¹ k(X, N) R⁻ᵀ,   H = wᵀ w
     /// ```
-    /// `q` is the posterior variance of the first term, `ρ = k(z, z) - |l(z)|²`. Nodes are taken where `ρ` is
-    /// largest, four at a time, until `2 √(q ρ) + ρ` is below the tolerance everywhere; with all stages as nodes the
-    /// result is exact.
+    /// `q` is the posterior variance of the first term, and `ρ = k(z, z) - |l(z)|²`. Nodes are added where `ρ` relative
+    /// to the known variance is largest, four at a time, until `2 √(q ρ) + ρ` is below the tolerance at all stages.
+    /// With all stages as nodes the result is exact.
     pub(crate) fn variance_bounds(
         &self,
         floor: &[GpOutput],
@@ -74,16 +74,16 @@ impl Gp {
             };
             while scratch.exceeds(floor) {
                 let before = scratch.nodes.len();
-                for slot in 0..PASS {
+                for slot in 0..NODES_PER_PASS {
                     match scratch.next_node(covariance.outputscale, floor) {
-                        Some(node) => self.take_node(covariance, node, slot, scratch),
+                        Some(node) => self.add_node(covariance, node, slot, scratch),
                         None => scratch.covariances[slot].fill([0.0; LANES]),
                     }
                 }
                 if scratch.nodes.len() == before {
                     break;
                 }
-                scratch.learn(covariance, before);
+                scratch.add_data(covariance, before);
             }
             for (t, out) in out.iter_mut().enumerate() {
                 let bound = scratch.variance[t] + scratch.excess(t);
@@ -92,8 +92,8 @@ impl Gp {
         }
     }
 
-    /// Conditions the prior at the stages on a node, and computes the node's covariances with the training points.
-    fn take_node(&self, covariance: &Covariance, node: usize, slot: usize, scratch: &mut Horizon) {
+    /// Conditions the prior at the stages on a node and computes the node's covariances with the training points.
+    fn add_node(&self, covariance: &Covariance, node: usize, slot: usize, scratch: &mut Horizon) {
         let query = covariance.metric.query(&scratch.z[node]);
         let row = CovarianceRow {
             kernel: self.kernel,
@@ -117,7 +117,7 @@ impl Gp {
 }
 
 impl Horizon {
-    /// The prior at the stages; no nodes.
+    /// Sets the prior at the stages, without nodes.
     fn start(&mut self, covariance: &Covariance, blocks: usize) {
         let stages = self.z.len();
         covariance.metric.norms_of(&self.z, &mut self.norms);
@@ -126,7 +126,7 @@ impl Horizon {
             covariances.resize(blocks, [0.0; LANES]);
         }
         self.directions
-            .resize((stages + PASS) * blocks, [0.0; LANES]);
+            .resize((stages + NODES_PER_PASS) * blocks, [0.0; LANES]);
         for square in [&mut self.factor, &mut self.gram] {
             square.resize(stages * stages, 0.0);
         }
@@ -141,7 +141,7 @@ impl Horizon {
         self.nodes.reserve(stages); // a later horizon may need more nodes than the first
     }
 
-    /// What the bound adds to `q` at a stage.
+    /// Excess of the bound over `q` at a stage.
     fn excess(&self, t: usize) -> f64 {
         2.0 * (self.variance[t] * self.residual[t]).sqrt() + self.residual[t]
     }
@@ -150,7 +150,7 @@ impl Horizon {
         (0..self.z.len()).any(|t| self.excess(t) > TOLERANCE * (self.variance[t] + floor(t)))
     }
 
-    /// The stage that the nodes say least about, relative to what is known of its variance.
+    /// The stage with the largest residual prior variance relative to its known variance.
     fn next_node(&self, outputscale: f64, floor: impl Fn(usize) -> f64) -> Option<usize> {
         let score = |t: usize| self.residual[t] / (self.variance[t] + floor(t));
         (0..self.z.len())
@@ -158,7 +158,7 @@ impl Horizon {
             .max_by(|&a, &b| score(a).total_cmp(&score(b)))
     }
 
-    /// One more row of `l`, and `ρ` with it.
+    /// Adds the row of `l` of a new node and updates `ρ`.
     fn condition(&mut self, node: usize) {
         let stages = self.z.len();
         let (earlier, new) = self.factor.split_at_mut(self.nodes.len() * stages);
@@ -177,11 +177,11 @@ impl Horizon {
         self.nodes.push(node);
     }
 
-    /// What the data say about the nodes from `first` on: their columns of `w`, rows of `H`, and `q` at all stages.
-    fn learn(&mut self, covariance: &Covariance, first: usize) {
+    /// Conditions the nodes from `first` on the training data: columns of `w`, rows of `H`, and `q` at all stages.
+    fn add_data(&mut self, covariance: &Covariance, first: usize) {
         let (stages, blocks) = (self.z.len(), self.covariances[0].len());
         let new = &mut self.directions[first * blocks..];
-        let (ab, cd) = new[..PASS * blocks].split_at_mut(2 * blocks);
+        let (ab, cd) = new[..NODES_PER_PASS * blocks].split_at_mut(2 * blocks);
         let ((a, b), (c, d)) = (ab.split_at_mut(blocks), cd.split_at_mut(blocks));
         let covariances = self.covariances.each_ref().map(Vec::as_slice);
         covariance.inverse.products(covariances, [a, b, c, d]);

@@ -1,4 +1,4 @@
-//! The loops over training points: mean, Jacobian and covariances.
+//! Loops over training points: mean, Jacobian and covariances.
 
 use super::{Covariance, Gp};
 use crate::kernel::{Kernel, Lanes, Matern52, Metric, Points, Profile, Query, Rbf};
@@ -12,7 +12,7 @@ pub(super) struct Mean<'a> {
 }
 
 impl Mean<'_> {
-    /// All outputs in one sweep.
+    /// All outputs in one loop over the points.
     #[inline(always)]
     fn with<P: Profile, S: Simd>(self, simd: S) -> GpOutput {
         let Self { gp, z } = self;
@@ -85,7 +85,7 @@ pub(super) fn mean_jacobian(gp: &Gp, z: &GpInput, jacobian: &mut GpJacobian) -> 
 /// `Σ w φ`, `Σ w φ'` and `Σ w φ' x_d` over the training points.
 const SUMS: usize = 2 + NZ;
 
-/// The sums of outputs that share a covariance.
+/// These sums for outputs that share a covariance.
 fn weighted_sums<const N: usize>(
     gp: &Gp,
     metric: &Metric,
@@ -122,7 +122,7 @@ impl<const N: usize> WeightedSums<'_, N> {
                 sums[o][0] = simd.mul_add(value, weights, sums[o][0]);
                 sums[o][1] = simd.add(sums[o][1], slopes[o]);
             }
-            // Each coordinate is loaded once for all outputs: of three, loads are the limit.
+            // Each coordinate is loaded once for all outputs: with three outputs, loads limit the speed.
             for (d, x) in block.iter().enumerate() {
                 let x = simd.load(x);
                 for o in 0..N {
@@ -154,12 +154,12 @@ impl<const N: usize> Wide for WeightedSums<'_, N> {
     }
 }
 
-/// `k(z, X)`, block by block.
+/// Writes `k(z, X)` to `row`, block by block.
 pub(super) struct CovarianceRow<'a> {
     pub kernel: Kernel,
     pub outputscale: f64,
     pub points: &'a Points,
-    /// Of the points.
+    /// Norms of the points.
     pub norms: &'a [Lanes],
     pub query: &'a Query,
     pub row: &'a mut [Lanes],

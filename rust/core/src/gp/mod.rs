@@ -8,8 +8,8 @@
 //! ```
 //! The variance is that of the latent function: measurement noise is not included.
 //!
-//! Outputs may have hyperparameters of their own. Where all but `m` agree, as in libraries trained with one kernel
-//! for all outputs, `K + s² I` is factored once, and distances, exponentials and variances are computed once.
+//! Each output may have its own hyperparameters. If all but `m` agree, as in libraries trained with one kernel for all
+//! outputs, `K + s² I` is factored once, and distances, exponentials and variances are computed once.
 
 mod horizon;
 mod mean;
@@ -44,17 +44,17 @@ pub struct VarianceScratch {
     covariances: [Vec<Lanes>; 2],
 }
 
-/// Three independent exact GPs, one for each output, over the same training inputs and perhaps of one covariance.
+/// Three independent exact GPs, one for each output, over the same training inputs.
 #[derive(Clone, Debug)]
 pub struct Gp {
     kernel: Kernel,
     points: Points,
-    /// One for all outputs or one for each.
+    /// One covariance for all outputs, or one for each output.
     covariances: Vec<Covariance>,
     outputs: [Output; NY],
 }
 
-/// `K + s² I`, and what else does not depend on the targets.
+/// Data of a GP that do not depend on the targets: kernel parameters and the inverse factor of `K + s² I`.
 #[derive(Clone, Debug)]
 struct Covariance {
     metric: Metric,
@@ -72,14 +72,14 @@ struct Output {
 /// `K + s² I` of one output is not positive definite: its factorisation failed at a training point.
 #[derive(Debug)]
 pub struct SingularCovariance {
-    /// Index of the output; the first of those that share it.
+    /// Index of the first output with this covariance.
     pub output: usize,
     /// Index of the training point.
     pub point: usize,
 }
 
 impl Gp {
-    /// Lays out the training inputs (z-scored) and factors the covariances; `alpha` is taken as it is.
+    /// A GP over z-scored training inputs; factors the covariances. `alpha` is not checked against them.
     ///
     /// Cost: `n³/3` multiplications and `n²/2` numbers of memory for each covariance.
     ///
@@ -93,7 +93,7 @@ impl Gp {
     ) -> Result<Self, SingularCovariance> {
         let points = Points::new(inputs);
         let [first, others @ ..] = hyperparameters;
-        let shared = others.iter().all(|other| first.covary_as(other));
+        let shared = others.iter().all(|other| first.same_covariance(other));
         let distinct = if shared { 1 } else { NY };
         let covariances = hyperparameters.iter().take(distinct).enumerate();
         let covariances = covariances
@@ -155,14 +155,14 @@ impl Gp {
             });
             covariance.inverse.products([covariances], [product]);
             let explained = dot(product, product);
-            // Rounding may leave a tiny negative number next to a training point.
-            let left = (covariance.outputscale - explained).max(0.0);
-            outputs.for_each(|o| variance[o] = left);
+            // Rounding may give a tiny negative number near a training point.
+            let remaining = (covariance.outputscale - explained).max(0.0);
+            outputs.for_each(|o| variance[o] = remaining);
         }
         variance
     }
 
-    /// The covariances with the outputs that have them.
+    /// Each covariance with the outputs that share it.
     fn by_covariance(&self) -> impl Iterator<Item = (Range<usize>, &Covariance)> {
         let width = NY / self.covariances.len();
         let outputs = (0..NY).step_by(width).map(move |o| o..o + width);
@@ -171,8 +171,8 @@ impl Gp {
 }
 
 impl Hyperparameters {
-    /// Whether two outputs' targets have the same covariance.
-    fn covary_as(&self, other: &Self) -> bool {
+    /// Whether the targets of two outputs have the same covariance.
+    fn same_covariance(&self, other: &Self) -> bool {
         let covariance = |hyper: &Self| (hyper.lengthscales, hyper.outputscale, hyper.noise);
         covariance(self) == covariance(other)
     }

@@ -1,19 +1,19 @@
-//! Powers of two of a block of numbers that are not positive.
+//! `2^x` for a block of non-positive numbers.
 
 use super::Lanes;
 use crate::simd::Simd;
 
-/// `2^x` for `x <= 0` (and for the rounding errors above it), to 2e-15; less than 2^-1022 from -1022 down, 0 from -1023
-/// down, and NaN stays NaN.
+/// `2^x` for `x <= 0` (and for rounding errors above 0) with relative error 2e-15. The result is below 2^-1022 for
+/// `x <= -1022`, 0 for `x <= -1023`, and NaN for NaN.
 ///
-/// `x = k/8 + f`, `|f| <= 1/16`: exact, unlike the range reduction of `exp`, which is why kernels scale their exponents
-/// to base 2. `2^(k/8)` comes from a table of eight and integer arithmetic, beside the polynomial: degree 6 through
-/// the Chebyshev nodes, relative error 9.3e-16. No branch and no access to memory.
+/// The range reduction `x = k/8 + f`, `|f| <= 1/16`, is exact, unlike that of `exp`; kernels therefore scale their
+/// exponents to base 2. `2^(k/8)` comes from a table of eight and integer arithmetic. `2^f` is a polynomial of degree 6
+/// through the Chebyshev nodes with relative error 9.3e-16. The function has no branch and no access to memory.
 #[inline(always)]
 pub(super) fn exp2<S: Simd>(simd: S, x: S::V) -> S::V {
-    /// Adding this rounds to eighths and leaves their number in the low bits.
+    /// Adding this number rounds `x` to eighths and leaves `k` in the low bits.
     const ROUND: f64 = 844_424_930_131_968.0; // 1.5 · 2⁴⁹
-    /// The exponent bits of `2^(k/8)` are then zero, and with them the number.
+    /// The exponent bits of `2^(k/8)` are zero here, and so is the number.
     const LOWEST: f64 = -1023.0;
     let clamped = simd.max(simd.splat(LOWEST), x);
     let shifted = simd.add(clamped, simd.splat(ROUND));
@@ -25,7 +25,8 @@ pub(super) fn exp2<S: Simd>(simd: S, x: S::V) -> S::V {
     simd.mul(p, simd.add_exponent(simd.load(&EIGHTHS), shifted))
 }
 
-/// Of `2^f`, highest power first: interpolation at the 7 Chebyshev nodes of [-1/16, 1/16] in 60 digits.
+/// Coefficients of `2^f`, highest power first: interpolation at the 7 Chebyshev nodes of [-1/16, 1/16], computed with
+/// 60 digits.
 const COEFFICIENTS: [f64; 7] = [
     1.540_443_381_934_758_2e-4,
     1.333_460_084_775_199_5e-3,
@@ -36,7 +37,7 @@ const COEFFICIENTS: [f64; 7] = [
     1.0,
 ];
 
-/// `2^(k/8)`, less the bits of `k` where [`Simd::add_exponent`] adds them again.
+/// `2^(k/8)` for `k` in `0..8`, less the bits that [`Simd::add_exponent`] adds for `k`.
 const EIGHTHS: Lanes = {
     let mut powers = [
         1.0,
@@ -87,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn at_the_ends() {
+    fn limits_and_nan() {
         let x = [
             0.0,
             -1.0,

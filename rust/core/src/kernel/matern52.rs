@@ -8,7 +8,7 @@ use crate::simd::Simd;
 
 /// `φ(r²) = (1 + a + a²/3) exp(-a)`, `a = √t`, `t = 5 r²`; Rasmussen & Williams (2006), eq. (4.17).
 ///
-/// Its slope `dφ/d(r²) = -5/6 (1 + a) exp(-a)` has no division by `r`.
+/// The slope `dφ/d(r²) = -5/6 (1 + a) exp(-a)` needs no division by `r`.
 #[derive(Debug)]
 pub(crate) struct Matern52;
 
@@ -23,7 +23,7 @@ impl Profile for Matern52 {
 
     #[inline(always)]
     fn value_slope<S: Simd>(simd: S, t: S::V) -> (S::V, S::V) {
-        // Rounding may leave a tiny negative number where the points coincide.
+        // Rounding may give a tiny negative number where points coincide.
         let t = simd.max(simd.splat(0.0), t);
         let a = simd.sqrt(t);
         let decay = exp2(simd, simd.mul(simd.splat(-LOG2_E), a));

@@ -1,9 +1,9 @@
 //! Stationary kernels with one lengthscale per input dimension (ARD).
 //!
-//! `k(z, x) = outputscale · φ(r²)` with `r² = Σ_d (z_d - x_d)² / ℓ_d²`. A kernel is its profile `φ`; everything
-//! around it (distances, sums over training points, gradients by the chain rule) is shared.
+//! `k(z, x) = outputscale · φ(r²)` with `r² = Σ_d (z_d - x_d)² / ℓ_d²`. A kernel is defined by its profile
+//! `φ`; distances, sums over training points and gradients by the chain rule are shared by all kernels.
 //!
-//! Adding a kernel: one file that implements `Profile`, one variant and its name in [`Kernel`].
+//! To add a kernel, write a file that implements `Profile` and add a variant and its name to [`Kernel`].
 
 mod exp;
 mod matern52;
@@ -16,19 +16,19 @@ pub(crate) use rbf::Rbf;
 
 use crate::simd::Simd;
 
-/// Training points handled together, so that the compiler vectorises the arithmetic over them.
+/// Number of training points in a block, over which the arithmetic is vectorised.
 pub(crate) const LANES: usize = 8;
 /// One number for each point of a block.
 pub(crate) type Lanes = [f64; LANES];
 
 /// The radial profile `φ` of a kernel, `φ(0) = 1`, as a function of the squared scaled distance.
 ///
-/// The argument is `t = SCALE · r²` and not `r`, because then value and slope are smooth where the points coincide,
-/// and constant factors go into the metric and out of the loop over points.
+/// The argument is `t = SCALE · r²` instead of `r`: value and slope are then smooth where points coincide, and constant
+/// factors are part of the metric instead of the loop over points.
 pub(crate) trait Profile {
     /// `t / r²`.
     const SCALE: f64;
-    /// The constant in front of the slope.
+    /// Constant factor of the slope.
     const SLOPE: f64;
     /// `φ` for a block of points.
     fn value<S: Simd>(simd: S, t: S::V) -> S::V;
@@ -49,7 +49,7 @@ impl Kernel {
     /// Every kernel.
     pub const ALL: [Self; 2] = [Self::Rbf, Self::Matern52];
 
-    /// The name in library files.
+    /// Name in library files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Rbf => "rbf",
@@ -57,7 +57,7 @@ impl Kernel {
         }
     }
 
-    /// The kernel of that name, if there is one.
+    /// The kernel with this name, if it exists.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kernel| kernel.name() == name)
     }

@@ -1,4 +1,4 @@
-//! Training inputs laid out for the kernel's inner loop.
+//! Memory layout of training inputs for the kernel's inner loop.
 
 use super::{LANES, Lanes};
 use crate::simd::Simd;
@@ -6,8 +6,8 @@ use crate::{GpInput, NZ};
 
 /// Training inputs in blocks of [`LANES`] points, dimension by dimension inside a block.
 ///
-/// One copy serves all outputs of a GP. The last block is filled up with zeros; whoever sums over points gives those
-/// lanes the weight zero.
+/// All outputs of a GP share one copy. The last block is padded with zeros; sums over points must give the padding the
+/// weight zero.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Points {
     len: usize,
@@ -15,14 +15,14 @@ pub(crate) struct Points {
 }
 
 impl Points {
-    /// Lays out training inputs.
+    /// Copies inputs into blocks.
     pub fn new(inputs: &[GpInput]) -> Self {
         let mut points = Self::default();
         points.assign(inputs);
         points
     }
 
-    /// Lays out other inputs in the same memory.
+    /// Replaces the inputs, reusing the memory.
     pub fn assign(&mut self, inputs: &[GpInput]) {
         let block = |chunk: &[GpInput]| {
             std::array::from_fn(|d| {
@@ -45,7 +45,7 @@ impl Points {
     }
 }
 
-/// Numbers, one for each point, in blocks of [`LANES`]; padding is zero.
+/// Writes one number for each point in blocks of [`LANES`], padded with zeros.
 pub(crate) fn in_blocks(values: impl ExactSizeIterator<Item = f64>, blocks: &mut Vec<Lanes>) {
     blocks.clear();
     blocks.resize(values.len().div_ceil(LANES), [0.0; LANES]);
@@ -58,9 +58,9 @@ pub(crate) fn in_blocks(values: impl ExactSizeIterator<Item = f64>, blocks: &mut
 /// the kernel's [`Profile::SCALE`](super::Profile::SCALE).
 ///
 /// Computed as `t = norm(x) + norm(z) + Σ_d c_d x_d`, `c_d = -2 scale z_d / ℓ_d²`, `norm(v) = scale Σ_d v_d² / ℓ_d²`:
-/// half the operations of the textbook's form, on points that all outputs share. The rounding error is at most
-/// `5 eps (|norm(x)| + |norm(z)|)`, about 1e-14 for z-scored points a few lengthscales from the origin, and it becomes
-/// the kernel's relative error.
+/// this takes half the operations of the sum of squares and uses points that all outputs share. The rounding error is
+/// at most `5 eps (|norm(x)| + |norm(z)|)`, about 1e-14 for z-scored points a few lengthscales from the origin, and it
+/// becomes the kernel's relative error.
 #[derive(Clone, Debug)]
 pub(crate) struct Metric {
     scale: f64,
@@ -68,7 +68,7 @@ pub(crate) struct Metric {
     norms: Vec<Lanes>,
 }
 
-/// A query as [`Metric`] needs it.
+/// Coefficients of the distances to one query point, see [`Metric`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Query {
     coefficients: [f64; NZ],
@@ -109,7 +109,7 @@ impl Metric {
         &self.norms
     }
 
-    /// Prepares a query.
+    /// Coefficients of the distances to `z`.
     #[inline(always)]
     pub fn query(&self, z: &GpInput) -> Query {
         Query {
@@ -122,7 +122,7 @@ impl Metric {
 }
 
 impl Query {
-    /// `t` to a block of points with their norms, in two sums: one would keep the processor waiting.
+    /// `t` for a block of points with their norms. Two running sums halve the chain of dependent additions.
     #[inline(always)]
     pub fn distances<S: Simd>(&self, simd: S, block: &[Lanes; NZ], norms: &Lanes) -> S::V {
         let mut even = simd.add(simd.load(norms), simd.splat(self.norm));

@@ -1,14 +1,15 @@
-//! Hard bounds that can always be met, and soft bounds on states and track edges.
+//! Hard bounds that are always feasible, and soft bounds on states and track edges.
 
 use crate::qp::{MAX_SOFT, OcpQp, SoftRow};
 use crate::settings::{Limits, Penalty, Soft};
 use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, SLOWEST, V_X, V_Y};
 use crate::{Input, NU, State};
 
-/// Share of a slew step by which a bound that cannot be met yet stays open: an interior-point method needs one.
+/// Share of a slew step by which a bound that cannot be met yet is opened beyond the reachable input, because
+/// interior-point methods need an interior.
 const INTERIOR: f64 = 0.01;
 
-/// Soft rows the settings ask for; the rows of the envelope come last.
+/// Number of soft rows for these settings; the rows of the envelope are the last ones.
 pub fn soft_rows(soft: &Soft) -> usize {
     if soft.envelope.is_some() {
         MAX_SOFT
@@ -30,9 +31,10 @@ pub(super) fn penalties(soft: &Soft) -> [Penalty; MAX_SOFT] {
 
 /// Bounds on inputs and their rates.
 ///
-/// An applied input outside the bounds (after a change of limits, or a drive-power bound that fell with rising
-/// speed) is led back as fast as the slew limit allows: forward through the stages, each bound is opened just enough
-/// to touch what is reachable. Hence some input sequence satisfies all of them, whatever is applied now.
+/// The applied input may lie outside the bounds, after a change of limits or because the drive-power bound fell with
+/// rising speed. Each bound is therefore opened, stage by stage, just enough to contain a reachable input. Some input
+/// sequence thus satisfies all bounds for every applied input, and the inputs return to the original bounds as fast as
+/// the slew limit allows.
 pub(super) fn hard(limits: &Limits, dt: f64, operating: &[State], qp: &mut OcpQp) {
     let slew = Input::new(limits.a_slew * dt, limits.delta_dot_slew * dt);
     let (mut low, mut high) = (qp.u_prev, qp.u_prev);
@@ -56,7 +58,7 @@ pub(super) fn hard(limits: &Limits, dt: f64, operating: &[State], qp: &mut OcpQp
 
 /// Soft rows of one stage, in the order of [`crate::qp::SOFT_PATTERN`].
 ///
-/// `operating` and `reference` belong to the state that the rows bound.
+/// `operating` and `reference` belong to the stage of the bounded state.
 pub(super) fn soft(
     soft: &Soft,
     friction: f64,
@@ -86,13 +88,14 @@ fn interval(state: usize, lower: f64, upper: f64) -> SoftRow {
 }
 
 /// The steering angles at which the front tyres slip by at most `soft.slip` times the friction while they move as in
-/// the operating state; any angle when they hardly move.
+/// the operating state; at very low speed only the largest steering angle is bounded.
 ///
-/// Beyond the peak of the tyres' force more steering brings less: a model linearised there, or a little wrong about
-/// where it is, turns the wheel until nothing is left to steer with (Beal and Gerdes, *Model Predictive Control for
-/// Vehicle Stabilization at the Limits of Handling*, IEEE Transactions on Control Systems Technology 21(4), 2013).
-/// Stiffness hardly depends on the surface but the largest force does, so the peak moves in proportion to friction
-/// (Pacejka, *Tire and Vehicle Dynamics*, 3rd ed., section 1.2.1).
+/// Beyond the peak of the tyres' force more steering gives less force. A controller whose model is linearised there, or
+/// predicts the peak at a wrong angle, steers to the limit and loses the remaining force (Beal and Gerdes, *Model
+/// Predictive Control for Vehicle Stabilization at the Limits of Handling*, IEEE Transactions on Control Systems
+/// Technology 21(4), 2013). The slope of the force at small slip hardly depends on the surface but the largest force is
+/// proportional to the friction, and so is the slip angle of the peak (Pacejka, *Tire and Vehicle Dynamics*, 3rd ed.,
+/// section 1.2.1).
 fn steering(soft: &Soft, friction: f64, operating: &State) -> SoftRow {
     if operating[V_X] < SLOWEST {
         return interval(DELTA, -soft.delta, soft.delta);
@@ -104,8 +107,8 @@ fn steering(soft: &Soft, friction: f64, operating: &State) -> SoftRow {
     interval(DELTA, bound(direction - slip), bound(direction + slip))
 }
 
-/// The strip between the track edges, as half-planes normal to the reference yaw. Where the track is narrower than
-/// the margins it is the middle between the edges.
+/// The strip between the track edges, bounded by half-planes normal to the reference yaw. Where the track is narrower
+/// than both margins, the strip is the centre line between the edges.
 fn track(reference: &State, [left, right]: &[f64; 2], margin: f64) -> SoftRow {
     let (sin, cos) = reference[PSI].sin_cos();
     let mut normal = State::zeros();
@@ -126,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn some_input_sequence_meets_all_bounds_whatever_is_applied() {
+    fn some_input_sequence_meets_all_bounds_for_every_applied_input() {
         let (limits, dt) = (Limits::default(), 0.05);
         for a in [-40.0, -8.0, 0.0, 5.9, 12.0, 49.0] {
             for rate in [-3.0, 0.0, 0.41, 9.0] {
@@ -146,14 +149,14 @@ mod tests {
                 }
                 assert!(
                     high[0] <= limits.power / 59.0 + 1e-12,
-                    "led back in the end: {high}"
+                    "the drive-power bound holds at the end: {high}"
                 );
             }
         }
     }
 
     #[test]
-    fn the_wheels_point_near_to_where_they_travel() {
+    fn the_front_slip_angle_is_bounded() {
         let soft = Soft {
             slip: 0.2,
             front: 1.0,
@@ -166,11 +169,11 @@ mod tests {
         assert_eq!(row.normal, State::ith(DELTA, 1.0));
         assert!((row.lower - (direction - 0.1)).abs() < 1e-15);
         assert!((row.upper - (direction + 0.1)).abs() < 1e-15);
-        // Parking takes what steering there is.
+        // At parking speed the full steering angle is allowed.
         let mut parking = State::zeros();
         (parking[V_X], parking[OMEGA]) = (1.0, 0.3);
         assert_eq!(steering(&soft, 0.5, &parking).upper, soft.delta);
-        // Sliding sideways, the wheel cannot turn as far as the slip would ask for.
+        // In a slide the bound on slip exceeds the largest steering angle.
         x[V_Y] = 60.0;
         let row = steering(&soft, 0.5, &x);
         assert!(row.lower == soft.delta && row.upper == soft.delta);

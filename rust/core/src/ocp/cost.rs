@@ -1,4 +1,4 @@
-//! State weights in the frame of the path.
+//! State weights in the frame of the reference.
 
 use nalgebra::SMatrix;
 
@@ -6,7 +6,8 @@ use crate::settings::Cost;
 use crate::vehicle::{P_X, P_Y, PSI, V_X};
 use crate::{NX, State};
 
-/// `Q` for a reference state: position errors along and across the reference yaw, speed and yaw errors.
+/// `Q` for a reference state: weights of the position errors along and across the reference yaw and of speed and yaw
+/// errors.
 pub fn state_weight(cost: &Cost, reference: &State, last: bool) -> SMatrix<f64, NX, NX> {
     let factor = if last { cost.terminal } else { 1.0 };
     let (along, across) = (factor * cost.longitudinal, factor * cost.lateral);
@@ -26,7 +27,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_along_and_across_are_weighted_apart() {
+    fn longitudinal_and_lateral_errors_have_separate_weights() {
         let cost = Cost::default();
         let psi: f64 = 0.7;
         let mut reference = State::zeros();

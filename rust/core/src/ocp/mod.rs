@@ -1,7 +1,7 @@
-//! From reference, bounds and affine dynamics to the QP, eq. (18).
+//! The QP of eq. (18) from reference, bounds and affine dynamics.
 //!
-//! Inputs are scaled to `[a, delta_dot]` with `a = F_x/m`, so that both are of order one: newtons beside radians
-//! would spoil the QP's conditioning.
+//! Inputs are scaled to `[a, delta_dot]` with `a = F_x/m`, so that both are of order one. In newtons and radians the QP
+//! would be badly conditioned.
 
 mod bounds;
 mod cost;
@@ -13,20 +13,20 @@ use crate::{Input, Settings, State};
 
 pub use bounds::soft_rows;
 
-/// The road over the horizon: what to follow in the vehicle's frame, rows `0..=T`, and on what.
+/// Reference, track edges and friction along the horizon, in the vehicle's frame, rows `0..=T`.
 #[derive(Debug, Clone, Copy)]
 pub struct Road<'a> {
-    /// `[p_x, p_y, v_x, psi]` in their places of a state, zero elsewhere.
+    /// Reference states: `[p_x, p_y, v_x, psi]` at their indices of a state, other entries zero.
     pub x: &'a [State],
     /// Distances `[left, right]` in m from the reference point to the track edges; empty if unknown.
     pub widths: &'a [[f64; 2]],
-    /// Friction coefficient of the surface that the dynamics are those of.
+    /// Friction coefficient of the surface described by the dynamics.
     pub friction: f64,
 }
 
 /// Fills `qp` for the measured state `x0` and the input now applied, both in the vehicle's frame and SI units.
 ///
-/// All slices must have the horizon of `qp`.
+/// All slices must have the length of the horizon of `qp`.
 pub fn assemble(
     settings: &Settings,
     dt: f64,

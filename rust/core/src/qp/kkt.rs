@@ -1,19 +1,19 @@
-//! Our own check of a solution: the KKT conditions of [`OcpQp`], computed from its stages alone.
+//! The KKT residual of a solution, computed from the stages of [`OcpQp`] alone and thus independently of the solver.
 
 use super::{OcpQp, OcpSolution, SoftRow};
 use crate::settings::Penalty;
 use crate::{Input, State};
 
-/// How far a solution is from the KKT conditions, each part relative to the size of its own terms (at least 1).
+/// Residual of the KKT conditions, each part relative to the size of its terms (at least 1).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KktResidual {
     /// Largest component of the Lagrangian's gradient in the inputs.
     pub stationarity: f64,
-    /// Largest violation of a hard bound, in scaled units. Soft bounds and dynamics hold by construction.
+    /// Largest violation of a hard bound, in scaled units. Soft rows and dynamics hold by construction.
     pub primal: f64,
-    /// Most negative multiplier, with its sign turned.
+    /// Largest violation of the multipliers' sign: minus the most negative multiplier.
     pub dual: f64,
-    /// Sum of |multiplier · distance to its bound|, which bounds the loss of cost.
+    /// Sum of |multiplier · distance to the bound|, which bounds the suboptimality of the cost.
     pub complementarity: f64,
 }
 
@@ -29,7 +29,7 @@ impl Default for KktResidual {
 }
 
 impl KktResidual {
-    /// The largest of the four; infinite when any number was not finite.
+    /// The largest of the four; infinite if one of them is NaN.
     pub fn worst(&self) -> f64 {
         let parts = [
             self.stationarity,
@@ -45,7 +45,7 @@ impl KktResidual {
     }
 }
 
-/// Running maxima and sums over stages.
+/// Maxima and sums over the stages.
 #[derive(Default)]
 struct Tally {
     gradient: f64,
@@ -58,7 +58,7 @@ struct Tally {
 }
 
 impl Tally {
-    /// One inequality `distance >= 0` with its multiplier.
+    /// Adds an inequality `distance >= 0` with its multiplier.
     fn inequality(&mut self, multiplier: f64, distance: f64) {
         self.dual = max(self.dual, -multiplier);
         self.multiplier_scale = max(self.multiplier_scale, multiplier.abs());
@@ -66,7 +66,7 @@ impl Tally {
     }
 }
 
-/// `f64::max`, but NaN wins: a check must not lose one.
+/// Like `f64::max`, but NaN if either argument is: a residual must not hide NaN.
 fn max(a: f64, b: f64) -> f64 {
     if a.is_nan() || b.is_nan() {
         f64::NAN
@@ -76,11 +76,12 @@ fn max(a: f64, b: f64) -> f64 {
 }
 
 impl OcpQp {
-    /// Rolls the states out from `solution.u`, then fills `solution.kkt`.
+    /// Rolls the states out from `solution.u`, then computes `solution.kkt`.
     ///
-    /// Slacks are the violations themselves, their best value for given states; the multipliers of the dynamics
-    /// are the adjoint `p_t = ∇_x + A_tᵀ p_{t+1}`, which makes the gradient in the states vanish. What is left to
-    /// check is the gradient in the inputs, the bounds, the signs and the products.
+    /// Slacks are the violations of the soft rows, which is optimal for given states. The multipliers of the dynamics
+    /// are the adjoint states `p_t = ∇_x + A_tᵀ p_{t+1}`, for which the gradient in the states is zero. The residual
+    /// therefore consists of the gradient in the inputs, the hard bounds, the signs of the multipliers and the
+    /// products.
     pub fn check(&self, solution: &mut OcpSolution) {
         self.roll_out(&solution.u, &mut solution.x);
         let mut tally = Tally::default();
@@ -96,7 +97,7 @@ impl OcpQp {
         };
     }
 
-    /// Backward recursion; `adjoint[t+1]` is the multiplier of transition `t`.
+    /// Computes the adjoint states backwards; `adjoint[t+1]` is the multiplier of transition `t`.
     fn adjoint(&self, solution: &mut OcpSolution, tally: &mut Tally) {
         let horizon = self.horizon();
         for t in (0..horizon).rev() {
@@ -153,7 +154,7 @@ impl OcpQp {
     }
 }
 
-/// One soft row: slack from the state, its own multiplier from stationarity in the slack.
+/// Adds a soft row: the slack follows from the state, and the multiplier of `s >= 0` from stationarity in the slack.
 fn soft(row: &SoftRow, penalty: &Penalty, x: &State, lower: f64, upper: f64, tally: &mut Tally) {
     let value = row.normal.dot(x);
     let slack = max(max(row.lower - value, value - row.upper), 0.0);
@@ -166,7 +167,7 @@ fn soft(row: &SoftRow, penalty: &Penalty, x: &State, lower: f64, upper: f64, tal
     );
 }
 
-/// Largest absolute component; NaN if any is.
+/// Largest absolute component; NaN if any component is NaN.
 fn largest(v: &Input) -> f64 {
     v.iter().fold(0.0, |m, x| max(m, x.abs()))
 }

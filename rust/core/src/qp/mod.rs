@@ -1,4 +1,4 @@
-//! The QP of eq. (18) as a solver sees it: an optimal control problem, stage by stage.
+//! The QP of eq. (18): an optimal control problem, stage by stage.
 //!
 //! With scaled inputs `u = [a, delta_dot]` and states `x_0` given,
 //!
@@ -10,8 +10,8 @@
 //!      lower_j - s_j <= g_jᵀ x_{t+1} <= upper_j + s_j,   s_j >= 0             (soft)
 //! ```
 //!
-//! with `penalty(s) = linear·s + ½ quadratic·s²`. One slack serves both sides since at most one can be violated.
-//! Everything a stage needs is in fixed arrays, so that a structured solver can run through it.
+//! with `penalty(s) = linear·s + ½ quadratic·s²`. Both sides of a row share a slack because at most one can be
+//! violated. The data of a stage are in arrays of fixed size, for solvers that exploit the structure.
 
 mod kkt;
 mod solution;
@@ -27,13 +27,14 @@ use crate::settings::Penalty;
 use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, V_X, V_Y};
 use crate::{Input, NU, NX, State};
 
-/// Most soft rows a stage can have: speed, steering angle, track edges, lateral speed, yaw rate.
+/// Largest number of soft rows of a stage: speed, steering angle, track edges, lateral speed, yaw rate.
 pub const MAX_SOFT: usize = 5;
 
-/// States each soft row may involve; the rest of its normal is zero.
+/// States that each soft row may involve; the rest of its normal is zero.
 pub const SOFT_PATTERN: [&[usize]; MAX_SOFT] = [&[V_X], &[DELTA], &[P_X, P_Y], &[V_Y], &[OMEGA]];
 
-/// States (as columns) that each row of `A` may involve, by eq. (11) with positions along the yaw of any moment.
+/// States (as columns) that each row of `A` may involve, by eq. (11) with positions along the yaw at any time of the
+/// period.
 pub const A_PATTERN: [&[usize]; NX] = [
     &[P_X, V_X, PSI, V_Y, OMEGA],
     &[P_Y, V_X, PSI, V_Y, OMEGA],
@@ -71,7 +72,7 @@ pub struct SoftRow {
 }
 
 impl SoftRow {
-    /// A bound nothing violates, with the same shape as any other: keeps the pattern when a bound is absent.
+    /// A row that is never violated, which keeps the pattern when a bound is absent.
     pub fn inactive() -> Self {
         Self {
             normal: State::zeros(),
@@ -102,7 +103,7 @@ pub struct Stage {
     pub du_min: Input,
     /// Upper bound of `u_t - u_{t-1}`.
     pub du_max: Input,
-    /// Soft rows on `x_{t+1}`, row `j` within [`SOFT_PATTERN`]`[j]`; the first [`OcpQp::n_soft`] count.
+    /// Soft rows on `x_{t+1}`, row `j` within [`SOFT_PATTERN`]`[j]`; only the first [`OcpQp::n_soft`] are used.
     pub soft: [SoftRow; MAX_SOFT],
 }
 
@@ -143,7 +144,7 @@ pub struct OcpQp {
 }
 
 impl OcpQp {
-    /// A neutral problem with the pattern that later data must keep: `horizon` stages, the first `n_soft` soft rows.
+    /// A placeholder problem that fixes the pattern of later data: `horizon` stages with `n_soft` soft rows.
     pub fn new(horizon: usize, n_soft: usize) -> Self {
         Self {
             x0: State::zeros(),
@@ -171,7 +172,7 @@ impl OcpQp {
         &self.stages
     }
 
-    /// The stages, to fill in.
+    /// The stages, mutable.
     pub fn stages_mut(&mut self) -> &mut [Stage] {
         &mut self.stages
     }
@@ -189,7 +190,7 @@ impl OcpQp {
         }
     }
 
-    /// True if every number is finite and every bound leaves something between lower and upper.
+    /// True if every number is finite and no lower bound exceeds its upper bound.
     pub fn is_well_posed(&self) -> bool {
         let finite = |m: &[f64]| m.iter().all(|v| v.is_finite());
         finite(self.x0.as_slice())

@@ -1,29 +1,30 @@
-//! What a solver hands back.
+//! The solution of an [`OcpQp`](super::OcpQp).
 
 use super::{KktResidual, MAX_SOFT};
 use crate::solver::Status;
 use crate::{Input, State};
 
-/// Lagrange multipliers of one stage's inequalities, all meant to be >= 0.
+/// Lagrange multipliers of one stage's inequalities, all >= 0 at a solution.
 ///
-/// Those of the dynamics follow from these by the adjoint recursion and those of `s >= 0` by stationarity in `s`.
+/// The multipliers of the dynamics follow from them by the adjoint recursion, and those of `s >= 0` by stationarity in
+/// `s`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Multipliers {
-    /// Of `u_min <= u`.
+    /// Multiplier of `u_min <= u`.
     pub u_lower: Input,
-    /// Of `u <= u_max`.
+    /// Multiplier of `u <= u_max`.
     pub u_upper: Input,
-    /// Of `du_min <= u_t - u_{t-1}`.
+    /// Multiplier of `du_min <= u_t - u_{t-1}`.
     pub du_lower: Input,
-    /// Of `u_t - u_{t-1} <= du_max`.
+    /// Multiplier of `u_t - u_{t-1} <= du_max`.
     pub du_upper: Input,
-    /// Of `lower - s <= gᵀx`.
+    /// Multipliers of `lower - s <= gᵀx`.
     pub soft_lower: [f64; MAX_SOFT],
-    /// Of `gᵀx <= upper + s`.
+    /// Multipliers of `gᵀx <= upper + s`.
     pub soft_upper: [f64; MAX_SOFT],
 }
 
-/// Inputs, the states that follow from them, multipliers, and how well all of it fits.
+/// Inputs, the states that follow from them, multipliers and KKT residual.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OcpSolution {
     /// States `x_0..=x_T`, rolled out from the inputs: the dynamics hold to rounding.
@@ -32,18 +33,18 @@ pub struct OcpSolution {
     pub u: Vec<Input>,
     /// Multipliers of stages `0..T`.
     pub multipliers: Vec<Multipliers>,
-    /// What became of it.
+    /// Outcome of the solve.
     pub status: Status,
-    /// Iterations the solver took.
+    /// Iterations of the solver.
     pub iterations: u32,
-    /// Our own check.
+    /// KKT residual computed by [`OcpQp::check`](super::OcpQp::check).
     pub kkt: KktResidual,
-    /// Adjoint states, scratch of the check.
+    /// Adjoint states, memory of the check.
     pub(super) adjoint: Vec<State>,
 }
 
 impl OcpSolution {
-    /// Space for a horizon of `horizon` inputs.
+    /// Memory for a horizon of `horizon` inputs.
     pub fn new(horizon: usize) -> Self {
         Self {
             x: vec![State::zeros(); horizon + 1],

@@ -1,8 +1,8 @@
-//! The same problem as one sparse QP: `min ½ zᵀPz + qᵀz` subject to `l <= Az <= u`.
+//! An [`OcpQp`] as one sparse QP: `min ½ zᵀPz + qᵀz` subject to `l <= Az <= u`.
 //!
-//! Stage `t` holds `[u_t, e_{t+1}, s_{t+1}]` with `e = x - r`: as deviations from the reference the objective is the
-//! tracking cost itself, so that relative tolerances mean something. The pattern is fixed at construction;
-//! [`SparseQp::update`] rewrites values in place.
+//! The variables of stage `t` are `[u_t, e_{t+1}, s_{t+1}]` with `e = x - r`. With deviations from the reference the
+//! objective is the tracking cost without a large constant, which relative tolerances require. The pattern is fixed at
+//! construction; [`SparseQp::update`] replaces values in place.
 
 use super::{A_PATTERN, B_PATTERN, OcpQp, Q_PATTERN, SOFT_PATTERN};
 use crate::{Input, NU, NX};
@@ -14,7 +14,7 @@ pub struct Csc {
     pub rows: usize,
     /// Number of columns.
     pub columns: usize,
-    /// Where each column starts in `row_index` and `values`, `columns + 1` entries.
+    /// Start of each column in `row_index` and `values`, `columns + 1` entries.
     pub column_start: Vec<usize>,
     /// Row of each entry.
     pub row_index: Vec<usize>,
@@ -23,7 +23,7 @@ pub struct Csc {
 }
 
 impl Csc {
-    /// The pattern of `entries` (row, column), and for each entry its place in `values`.
+    /// The pattern of `entries` (row, column), and the index of each entry in `values`.
     pub(crate) fn from_entries(
         rows: usize,
         columns: usize,
@@ -63,16 +63,16 @@ pub struct SparseQp {
     pub q: Vec<f64>,
     /// Constraint matrix.
     pub a: Csc,
-    /// Lower bounds, `-∞` where there is none; which those are is part of the pattern.
+    /// Lower bounds, `-∞` for none; which bounds are infinite is part of the pattern.
     pub l: Vec<f64>,
-    /// Upper bounds, `∞` where there is none.
+    /// Upper bounds, `∞` for none.
     pub u: Vec<f64>,
     p_slots: Vec<usize>,
     a_slots: Vec<usize>,
     layout: Layout,
 }
 
-/// Where variables and rows of a stage stand.
+/// Indices of the variables and rows of a stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Layout {
     n_soft: usize,
@@ -145,7 +145,7 @@ impl SparseQp {
         sparse
     }
 
-    /// Takes over the values of `qp`, which must have the horizon and soft rows given at construction.
+    /// Copies the values of `qp`, which must have the horizon and number of soft rows given at construction.
     pub fn update(&mut self, qp: &OcpQp) {
         let (values, mut slots) = (&mut self.p.values, self.p_slots.iter());
         quadratic(qp, self.layout, |_, _, value| {
@@ -162,7 +162,7 @@ impl SparseQp {
         self.update_vectors(qp);
     }
 
-    /// Where things stand in `z` and in the rows.
+    /// Indices of variables and rows.
     pub(crate) fn layout(&self) -> Layout {
         self.layout
     }

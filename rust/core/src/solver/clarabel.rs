@@ -1,9 +1,9 @@
 //! Clarabel, an interior-point solver for sparse conic problems.
 //!
-//! Set up once and updated in place. That needs presolve and the dropping of zeros off (both change the pattern) and
-//! finite bounds only. Equilibration is off as well: its scaling would come from the problem of the set-up, and the
-//! inputs are scaled already. Iterations are capped, time is not: a time limit would make results depend on the
-//! machine. The same problem gives the same bits, whatever was solved before.
+//! The solver is set up once and updated in place. Updates require a constant pattern and finite bounds, so presolve
+//! and the dropping of zeros are off. Equilibration is off because it would scale every problem by the first one, and
+//! the inputs are scaled already. The number of iterations is limited, but not the time: a time limit would make
+//! results depend on the machine. The same problem gives the same bits, whatever was solved before.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
@@ -18,13 +18,13 @@ use crate::{Input, NU};
 
 const NAME: &str = "clarabel 0.11";
 
-/// The duality gap must be this much smaller than the other residuals: where a bound is only just active, the
-/// solution is off by its square root.
-const SHARPNESS: f64 = 1e-3;
+/// Tolerance of the duality gap relative to the tolerance of the other residuals. It is smaller because the error of a
+/// solution with a weakly active bound is as large as the square root of the gap.
+const GAP_FACTOR: f64 = 1e-3;
 
-/// Linear systems are solved this much more precisely than the problem: with Clarabel's default, problems of large cost
-/// end at a residual of 1e-5, whatever is asked.
-const REFINEMENT: f64 = 1e-4;
+/// Tolerance of the linear systems relative to the tolerance of the problem. With Clarabel's default, problems of large
+/// cost end at a residual of 1e-5 for any tolerance.
+const REFINEMENT_FACTOR: f64 = 1e-4;
 
 /// One row `sign · (a z) <= sign · bound` of Clarabel's one-sided form.
 #[derive(Clone, Copy)]
@@ -39,9 +39,9 @@ pub struct ClarabelSolver {
     solver: DefaultSolver<f64>,
     /// Clarabel's rows: equalities, then inequalities.
     rows: Vec<Row>,
-    /// Clarabel's row for the lower and upper bound of each row of `sparse`.
-    place: Vec<[Option<usize>; 2]>,
-    /// Where each entry of Clarabel's matrix comes from in `sparse.a.values`, and its sign.
+    /// Clarabel's row for the lower and the upper bound of each row of `sparse`.
+    row_of_side: Vec<[Option<usize>; 2]>,
+    /// For each entry of Clarabel's matrix, its source in `sparse.a.values` and its sign.
     entries: Vec<(usize, f64)>,
     a_values: Vec<f64>,
     b: Vec<f64>,
@@ -51,11 +51,11 @@ impl ClarabelSolver {
     /// A solver for problems with the horizon and soft rows of `pattern`.
     ///
     /// # Errors
-    /// [`SolverSetupError`] if Clarabel refuses settings or dimensions.
+    /// [`SolverSetupError`] if Clarabel rejects settings or dimensions.
     pub fn new(pattern: &OcpQp, settings: &SolverSettings) -> Result<Self, SolverSetupError> {
         let sparse = SparseQp::new(pattern);
-        let (rows, place, equalities) = split_rows(&sparse);
-        let (a, entries) = split_matrix(&sparse.a, &place, rows.len());
+        let (rows, row_of_side, equalities) = split_rows(&sparse);
+        let (a, entries) = split_matrix(&sparse.a, &row_of_side, rows.len());
         let cones: [SupportedConeT<f64>; 2] = [
             ZeroConeT(equalities),
             NonnegativeConeT(rows.len() - equalities),
@@ -77,14 +77,14 @@ impl ClarabelSolver {
             sparse,
             solver,
             rows,
-            place,
+            row_of_side,
             a_values: vec![0.0; entries.len()],
             entries,
             b,
         })
     }
 
-    /// Hands the values of `self.sparse` to Clarabel; false if it refused them.
+    /// Passes the values of `self.sparse` to Clarabel; false if Clarabel rejects them.
     fn update(&mut self) -> bool {
         for (value, &(slot, sign)) in self.a_values.iter_mut().zip(&self.entries) {
             *value = sign * self.sparse.a.values[slot];
@@ -107,11 +107,12 @@ impl ClarabelSolver {
             .is_ok()
     }
 
-    /// Inputs and multipliers out of Clarabel's vectors.
+    /// Copies inputs and multipliers from Clarabel's vectors.
     fn read(&self, qp: &OcpQp, out: &mut OcpSolution) {
         let (x, z) = (&self.solver.solution.x, &self.solver.solution.z);
         let layout = self.sparse.layout();
-        let multiplier = |row: usize, side: usize| self.place[row][side].map_or(0.0, |k| z[k]);
+        let multiplier =
+            |row: usize, side: usize| self.row_of_side[row][side].map_or(0.0, |k| z[k]);
         for (t, (u, multipliers)) in out.u.iter_mut().zip(&mut out.multipliers).enumerate() {
             for i in 0..NU {
                 u[i] = x[layout.input(t, i)];
@@ -152,38 +153,39 @@ impl QpSolver for ClarabelSolver {
     }
 }
 
-/// Clarabel's rows for the finite sides of `l <= Az <= u`: equalities first, their number last.
+/// Clarabel's rows for the finite sides of `l <= Az <= u`, equalities first; the row of each side; the number of
+/// equalities.
 fn split_rows(sparse: &SparseQp) -> (Vec<Row>, Vec<[Option<usize>; 2]>, usize) {
     let mut rows = Vec::new();
-    let mut place = vec![[None, None]; sparse.l.len()];
+    let mut row_of_side = vec![[None, None]; sparse.l.len()];
     let is_equality = |source: usize| sparse.l[source] == sparse.u[source];
     for source in (0..sparse.l.len()).filter(|&row| is_equality(row)) {
-        place[source][1] = Some(rows.len());
+        row_of_side[source][1] = Some(rows.len());
         rows.push(Row { source, sign: 1.0 });
     }
     let equalities = rows.len();
     for source in (0..sparse.l.len()).filter(|&row| !is_equality(row)) {
         for (side, bound, sign) in [(0, sparse.l[source], -1.0), (1, sparse.u[source], 1.0)] {
             if bound.is_finite() {
-                place[source][side] = Some(rows.len());
+                row_of_side[source][side] = Some(rows.len());
                 rows.push(Row { source, sign });
             }
         }
     }
-    (rows, place, equalities)
+    (rows, row_of_side, equalities)
 }
 
-/// The matrix with those rows, and where each of its entries comes from.
+/// The matrix with these rows, and the source and sign of each of its entries.
 fn split_matrix(
     a: &Csc,
-    place: &[[Option<usize>; 2]],
+    row_of_side: &[[Option<usize>; 2]],
     rows: usize,
 ) -> (CscMatrix<f64>, Vec<(usize, f64)>) {
     let (mut coordinates, mut sources) = (Vec::new(), Vec::new());
     for column in 0..a.columns {
         for slot in a.column_start[column]..a.column_start[column + 1] {
             for (side, sign) in [(0, -1.0), (1, 1.0)] {
-                if let Some(row) = place[a.row_index[slot]][side] {
+                if let Some(row) = row_of_side[a.row_index[slot]][side] {
                     coordinates.push((row, column));
                     sources.push((slot, sign));
                 }
@@ -209,12 +211,15 @@ fn to_clarabel(m: &Csc) -> CscMatrix<f64> {
 }
 
 fn options(settings: &SolverSettings) -> DefaultSettings<f64> {
-    let (defaults, refined) = (DefaultSettings::default(), REFINEMENT * settings.tolerance);
+    let (defaults, refined) = (
+        DefaultSettings::default(),
+        REFINEMENT_FACTOR * settings.tolerance,
+    );
     DefaultSettings {
         verbose: false,
         max_iter: settings.max_iterations,
-        tol_gap_abs: SHARPNESS * settings.tolerance,
-        tol_gap_rel: SHARPNESS * settings.tolerance,
+        tol_gap_abs: GAP_FACTOR * settings.tolerance,
+        tol_gap_rel: GAP_FACTOR * settings.tolerance,
         tol_feas: settings.tolerance,
         equilibrate_enable: false,
         presolve_enable: false,

@@ -1,4 +1,4 @@
-//! QP solvers behind one trait. A solver proposes, [`solve_checked`] decides.
+//! QP solvers behind one trait. [`solve_checked`] accepts a solution only if its KKT residual is small.
 
 mod clarabel;
 mod riccati;
@@ -10,78 +10,78 @@ use crate::Input;
 use crate::qp::{KktResidual, OcpQp, OcpSolution};
 use crate::settings::{SolverKind, SolverSettings};
 
-/// What became of a problem. Only [`Status::Solved`] comes with a plan.
+/// Outcome of a solve. Only [`Status::Solved`] comes with a plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
-    /// Solved, and our own check agrees.
+    /// Solved, and the KKT residual is within the tolerance.
     Solved,
-    /// The iteration limit came first.
+    /// The iteration limit was reached before convergence.
     IterationLimit,
     /// No point satisfies the hard bounds; cannot happen for problems built by [`crate::ocp`].
     Infeasible,
-    /// The solver lost its way, or the problem held a number that is not finite.
+    /// The solver broke down, or the problem contains a number that is not finite.
     NumericalError,
-    /// The solver reported success, our own check did not agree.
+    /// The solver reported success, but the KKT residual exceeds the tolerance.
     CheckFailed,
 }
 
 /// A solver for [`OcpQp`] problems of the pattern it was constructed with.
 pub trait QpSolver {
-    /// Writes inputs, multipliers and iterations of the proposed solution to `out` and returns the solver's own
-    /// opinion. `guess` holds inputs that may be near the solution, one a stage, or nothing. The result depends on
-    /// `qp` and `guess` alone, never on problems solved before.
+    /// Writes inputs, multipliers and iterations of the solution to `out` and returns the status that the solver
+    /// reports. `guess` contains inputs near the solution, one for each stage, or is empty. The result depends on `qp`
+    /// and `guess` alone, never on problems solved before.
     fn solve(&mut self, qp: &OcpQp, guess: &[Input], out: &mut OcpSolution) -> Status;
 
     /// Name and version, for replies and reports.
     fn name(&self) -> &'static str;
 }
 
-/// Why a solver could not be set up.
+/// A solver that could not be set up.
 #[derive(Debug, thiserror::Error)]
-#[error("{solver} refused its set-up: {reason}")]
+#[error("the QP solver {solver} cannot be set up: {reason}")]
 pub struct SolverSetupError {
     /// The solver's name.
     pub solver: &'static str,
-    /// What it said.
+    /// Reason given by the solver.
     pub reason: String,
 }
 
-/// The solvers to ask, in this order, for problems of the pattern of `qp`.
+/// The chosen solver followed by its fallback solvers, for problems with the pattern of `qp`.
 ///
 /// # Errors
-/// [`SolverSetupError`] if one refuses.
-pub fn rungs(
+/// [`SolverSetupError`] if a solver cannot be set up.
+pub fn solvers(
     qp: &OcpQp,
     settings: &SolverSettings,
 ) -> Result<Vec<Box<dyn QpSolver + Send>>, SolverSetupError> {
-    let mut rungs: Vec<Box<dyn QpSolver + Send>> = Vec::new();
+    let mut solvers: Vec<Box<dyn QpSolver + Send>> = Vec::new();
     if settings.kind == SolverKind::Riccati {
-        rungs.push(Box::new(RiccatiSolver::new(qp.horizon(), settings)));
+        solvers.push(Box::new(RiccatiSolver::new(qp.horizon(), settings)));
     }
-    rungs.push(Box::new(ClarabelSolver::new(qp, settings)?));
-    Ok(rungs)
+    solvers.push(Box::new(ClarabelSolver::new(qp, settings)?));
+    Ok(solvers)
 }
 
-/// Asks one solver after the other until a solution passes the check; returns the name of the last one asked.
-pub fn solve_first(
-    rungs: &mut [Box<dyn QpSolver + Send>],
+/// Runs the solvers in their order until a solution passes the check. Returns the name of the last solver run.
+pub fn solve_with_fallback(
+    solvers: &mut [Box<dyn QpSolver + Send>],
     qp: &OcpQp,
     guess: &[Input],
     kkt_tolerance: f64,
     out: &mut OcpSolution,
 ) -> &'static str {
-    let mut asked = "";
-    for solver in rungs {
-        asked = solver.name();
+    let mut last = "";
+    for solver in solvers {
+        last = solver.name();
         if solve_checked(solver.as_mut(), qp, guess, kkt_tolerance, out) == Status::Solved {
             break;
         }
     }
-    asked
+    last
 }
 
 /// Solves and checks: `out.status` is [`Status::Solved`] exactly if the KKT residual computed from `qp` is at most
-/// `kkt_tolerance`, whatever the solver thought of its result.
+/// `kkt_tolerance`, whatever status the solver reports.
 pub fn solve_checked(
     solver: &mut dyn QpSolver,
     qp: &OcpQp,

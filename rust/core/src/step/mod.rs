@@ -1,7 +1,7 @@
 //! The control step: from a measured state to a plan, as one pure function.
 //!
-//! No clock, no randomness, no state between calls: the same library, settings and request give the same bits,
-//! whatever the workspace did before. See `NOTATION.md` for the symbols.
+//! There is no clock, no randomness and no state between calls: the same library, settings and request give the same
+//! bits with any workspace. `NOTATION.md` lists the symbols.
 
 mod request;
 mod validate;
@@ -14,21 +14,22 @@ pub use workspace::{SetupError, Workspace};
 use validate::Rows;
 use workspace::SigmaMemory;
 
-use crate::crew::each;
+use crate::executor::for_each;
 use crate::ocp::{self, Road};
-use crate::solver::{Status, solve_first};
+use crate::solver::{Status, solve_with_fallback};
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, gp_input, wrap};
 use crate::weights::select_active;
-use crate::{Crew, Ensemble, GpInput, Input, Library, Member, NY, Settings, State};
+use crate::{Ensemble, Executor, GpInput, Input, Library, Member, NY, Settings, State};
 
 /// One control step: weights, eq. (6); linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
 ///
-/// After the first call with a workspace nothing is allocated here (the QP solver may, and a crew that shares parts
-/// out). A reply whose status is not [`Status::Solved`] holds weights and history for the next request, and no plan.
+/// After the first call with a workspace nothing is allocated here, but the QP solver and a parallel executor may
+/// allocate. A reply whose status is not [`Status::Solved`] contains weights and history for the next request but no
+/// plan.
 ///
 /// # Errors
-/// [`StepError`] if the request is malformed, or if the workspace was made for another library or other settings.
-/// The reply is then empty.
+/// [`StepError`] if the request is malformed, or if the workspace belongs to another library or to other settings. The
+/// reply is then empty.
 pub fn step(
     library: &Library,
     settings: &Settings,
@@ -88,7 +89,7 @@ pub fn step(
         let scaled = |u: &Input| Input::new(u[FORCE] / settings.mass, u[DELTA_DOT]);
         ws.warm.extend(ws.guess.u.iter().map(scaled));
     }
-    ws.asked = solve_first(
+    ws.solver_name = solve_with_fallback(
         &mut ws.solvers,
         &ws.qp,
         &ws.warm,
@@ -101,20 +102,20 @@ pub fn step(
     if reply.status == Status::Solved {
         write_plan(settings, &frame, &rows, ws, reply);
         if request.want_sigma {
-            write_sigma(&ensemble, &mut ws.sigma, &*ws.crew, reply);
+            write_sigma(&ensemble, &mut ws.sigma, &*ws.executor, reply);
         }
     }
     Ok(())
 }
 
-/// The measured state in its own frame.
+/// The measured state in the vehicle's frame.
 fn local_state(x: &State) -> State {
     let mut local = *x;
     (local[P_X], local[P_Y], local[PSI]) = (0.0, 0.0, 0.0);
     local
 }
 
-/// The reference in the vehicle's frame; its yaw starts within half a turn of the vehicle's and is continuous.
+/// Writes the reference in the vehicle's frame. Its yaw starts within half a turn of the vehicle's and is continuous.
 fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
     let mut psi = 0.0;
     for (t, (row, x)) in rows.reference.iter().zip(out).enumerate() {
@@ -127,7 +128,7 @@ fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
     }
 }
 
-/// Weights from the window; predictions the client did not carry are computed, for all members, and returned.
+/// Estimates the weights from the window. Predictions that the request lacks are computed for all members and returned.
 fn estimate_weights(
     library: &Library,
     settings: &Settings,
@@ -141,7 +142,7 @@ fn estimate_weights(
     reply.history_f.resize(missing.len() * width, 0.0);
     let points: usize = members.iter().map(Member::n_points).sum();
     let parts = reply.history_f.chunks_exact_mut(width).zip(missing);
-    each(&*ws.crew, missing.len() * points, parts, |(row, z)| {
+    for_each(&*ws.executor, missing.len() * points, parts, |(row, z)| {
         let z = GpInput::from(*z);
         for (out, member) in row.as_chunks_mut().0.iter_mut().zip(members) {
             *out = <[f64; NY]>::from(member.mean(&z));
@@ -160,7 +161,7 @@ fn estimate_weights(
     );
 }
 
-/// The plan on the map and in newtons.
+/// Writes the plan in map coordinates and newtons.
 fn write_plan(
     settings: &Settings,
     frame: &Frame,
@@ -168,7 +169,7 @@ fn write_plan(
     ws: &Workspace,
     reply: &mut StepReply,
 ) {
-    reply.plan_x.extend_from_slice(rows.x.as_slice()); // row 0 is the measurement, bit for bit
+    reply.plan_x.extend_from_slice(rows.x.as_slice()); // row 0 equals the measurement to the bit
     for x in &ws.solution.x[1..] {
         reply.plan_x.extend_from_slice(frame.to_map(x).as_slice());
     }
@@ -179,12 +180,12 @@ fn write_plan(
     }
 }
 
-/// Standard deviations of `[v_x, v_y, omega]` one step ahead of each plan stage, at most 5 % too large; row 0, the
-/// measurement, is zero.
+/// Writes the one-step-ahead standard deviations of `[v_x, v_y, omega]` along the plan, at most 5 % too large. Row 0,
+/// the measurement, is zero.
 fn write_sigma(
     ensemble: &Ensemble,
     memory: &mut SigmaMemory,
-    crew: &dyn Crew,
+    executor: &dyn Executor,
     reply: &mut StepReply,
 ) {
     reply.sigma.extend([0.0; NY]);
@@ -198,7 +199,7 @@ fn write_sigma(
         .queries
         .extend(stages.map(|(x, u)| gp_input(&State::from(*x), &Input::from(*u))));
     let (scratch, variances) = (&mut memory.scratch, &mut memory.variances);
-    ensemble.mixture_bounds(&memory.queries, scratch, variances, crew);
+    ensemble.mixture_bounds(&memory.queries, scratch, variances, executor);
     let sigma = memory
         .variances
         .iter()

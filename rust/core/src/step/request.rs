@@ -1,42 +1,42 @@
-//! What goes into a step and what comes out. All matrices are flat and row-major.
+//! Input and output of a step. All matrices are flat and row-major.
 
 use crate::solver::Status;
 
-/// A step's input, borrowed. `T` is the horizon of the settings, `N` the number of members, `k <= K` the number of
+/// Input of a step, borrowed. `T` is the horizon of the settings, `N` the number of members, `k <= K` the number of
 /// transitions sent.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct StepRequest<'a> {
     /// Measured state, `[7]`.
     pub x: &'a [f64],
-    /// Input now applied, `[2]`, in N and rad/s.
+    /// Applied input, `[2]`, in N and rad/s.
     pub u_prev: &'a [f64],
-    /// Weights of the last reply, `[N]`; empty means uniform.
+    /// Weights of the last reply, `[N]`; empty for uniform weights.
     pub weights: &'a [f64],
-    /// States of the last plan, `[T+1, 7]`; empty means a cold start.
+    /// States of the last plan, `[T+1, 7]`; empty for a cold start.
     pub plan_x: &'a [f64],
-    /// Inputs of the last plan, `[T, 2]`; empty exactly if `plan_x` is.
+    /// Inputs of the last plan, `[T, 2]`; empty exactly if `plan_x` is empty.
     pub plan_u: &'a [f64],
-    /// Periods since the plan was made: 1 in steady operation, more after misses.
+    /// Number of periods since the plan was made: 1 in steady operation, more after missed replies.
     pub plan_shift: u32,
     /// GP inputs of the last transitions, consecutive, newest first, `[k, 6]`.
     pub history_z: &'a [f64],
     /// Measured changes of `[v_x, v_y, omega]` over those transitions, newest first, `[k, 3]`.
     pub history_y: &'a [f64],
-    /// What the members predicted for the *oldest* `k'` of those transitions, newest first, `[k', N, 3]`: the last
-    /// reply's rows without those that left the window. The newest `k - k'` are computed.
+    /// Predictions of the members for the *oldest* `k'` of those transitions, newest first, `[k', N, 3]`: the rows of
+    /// the last reply without those that left the window. Predictions for the newest `k - k'` transitions are computed.
     pub history_f: &'a [f64],
-    /// Reference `[p_x, p_y, v_x, psi]` now and at each stage, `[T+1, 4]`. Yaw may be wrapped.
+    /// Reference `[p_x, p_y, v_x, psi]` now and after each period, `[T+1, 4]`. Yaw may be wrapped.
     pub reference: &'a [f64],
     /// Distances `[left, right]` in m from each reference point to the track edges, `[T+1, 2]`; empty if unknown.
     pub widths: &'a [f64],
-    /// Whether to compute standard deviations along the plan, which costs about three more steps.
+    /// Whether to compute standard deviations along the plan, which takes about three times as long as the step itself.
     pub want_sigma: bool,
 }
 
-/// A step's output, reused from step to step.
+/// Output of a step, reused from step to step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepReply {
-    /// What became of the QP. Only [`Status::Solved`] comes with a plan.
+    /// Outcome of the QP. Only [`Status::Solved`] comes with a plan.
     pub status: Status,
     /// Planned states, `[T+1, 7]`; row 0 is the measured state. Empty without a plan.
     pub plan_x: Vec<f64>,
@@ -44,16 +44,16 @@ pub struct StepReply {
     pub plan_u: Vec<f64>,
     /// Weights, `[N]`, on the simplex.
     pub weights: Vec<f64>,
-    /// Standard deviation of `[v_x, v_y, omega]` at each stage, given the stage before, `[T+1, 3]`: noise and the
-    /// members' disagreement included. Empty unless asked for.
+    /// Standard deviation of `[v_x, v_y, omega]` at each stage given the previous stage, `[T+1, 3]`; it includes noise
+    /// and disagreement of the members. Empty unless requested.
     pub sigma: Vec<f64>,
-    /// Predictions for all transitions sent, newest first, `[k, N, 3]`, to be carried to the next request.
+    /// Predictions for all transitions of the request, newest first, `[k, N, 3]`, for the next request.
     pub history_f: Vec<f64>,
-    /// Weight of the members left out of the control model.
+    /// Sum of the weights of the members that are not in the control model.
     pub dropped_mass: f64,
     /// Iterations of the QP solver.
     pub iterations: u32,
-    /// Largest KKT residual of the solution by our own check; infinite if there was none to check.
+    /// KKT residual of the solution; infinite without a solution.
     pub kkt_residual: f64,
 }
 
@@ -74,7 +74,7 @@ impl Default for StepReply {
 }
 
 impl StepReply {
-    /// Empties everything but keeps the memory.
+    /// Clears all fields but keeps the memory.
     pub(super) fn clear(&mut self) {
         for field in [
             &mut self.plan_x,

@@ -1,14 +1,14 @@
-//! A request is refused, with a reason, unless every number in it can be meant.
+//! Checks of a request: shapes, finite numbers and the domain of the controller.
 
 use super::StepRequest;
 use crate::vehicle::{DELTA, DELTA_DOT, FORCE, OMEGA, P_X, P_Y, V_X, V_Y};
 use crate::{EnsembleError, Input, Library, NU, NX, NY, NZ, Settings, State};
 
-/// Why a step was refused.
+/// A request that is invalid or does not belong to the workspace.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StepError {
     /// A field with the wrong number of values.
-    #[error("`{field}` must hold {expected} values ({shape}), got {found}")]
+    #[error("`{field}` must have {expected} values ({shape}), got {found}")]
     Shape {
         /// The field.
         field: &'static str,
@@ -16,23 +16,23 @@ pub enum StepError {
         shape: &'static str,
         /// Number of values expected.
         expected: usize,
-        /// Number of values that came.
+        /// Number of values in the request.
         found: usize,
     },
-    /// More transitions than the window holds.
+    /// More transitions than the window has.
     #[error(
-        "`{field}` holds {found} transitions, the window is {window}; send only the newest {window}"
+        "`{field}` has {found} transitions, but the window is {window}; send only the newest {window}"
     )]
     Window {
         /// The field.
         field: &'static str,
         /// `K` of the settings.
         window: usize,
-        /// Number of rows that came.
+        /// Number of rows in the request.
         found: usize,
     },
     /// A number that is NaN, infinite, or larger than any quantity of a road vehicle in SI units.
-    #[error("`{field}`[{index}] is {value}; expected a finite number of at most 1e7")]
+    #[error("`{field}`[{index}] is {value}; expected a finite number of magnitude at most 1e7")]
     NotFinite {
         /// The field.
         field: &'static str,
@@ -41,7 +41,7 @@ pub enum StepError {
         /// The value that came.
         value: f64,
     },
-    /// A quantity outside the domain of the controller; usually a wrong unit, sign or frame.
+    /// A quantity outside the domain of the controller, usually because of a wrong unit, sign or frame.
     #[error("{quantity} is {value}, outside [{min}, {max}]; check unit, sign and frame")]
     Domain {
         /// The quantity, with its field and unit.
@@ -55,7 +55,8 @@ pub enum StepError {
     },
     /// Weights that are negative or do not sum to 1.
     #[error(
-        "`weights` must be >= 0 and sum to 1, got a sum of {sum} and a smallest of {smallest}; send those of the last reply, or none"
+        "`weights` must be >= 0 and sum to 1, but their sum is {sum} and the smallest is {smallest}; send the weights of \
+         the last reply or an empty list"
     )]
     Weights {
         /// Their sum.
@@ -63,19 +64,19 @@ pub enum StepError {
         /// The smallest.
         smallest: f64,
     },
-    /// The workspace was made for another library or other settings.
+    /// The workspace belongs to another library or to other settings.
     #[error(
-        "the workspace belongs to another library or other settings; make a new one with `Workspace::new`"
+        "the workspace belongs to another library or to other settings; create a new one with `Workspace::new`"
     )]
     Workspace,
-    /// The weights do not make an ensemble.
+    /// The weights do not define an ensemble.
     #[error(transparent)]
     Ensemble(EnsembleError),
 }
 
-/// No quantity of a road vehicle in SI units is larger.
+/// Largest accepted magnitude; no quantity of a road vehicle in SI units is larger.
 const MAX_MAGNITUDE: f64 = 1e7;
-/// Weights may miss the simplex by this much before they are put back on it.
+/// Largest accepted distance of weights from the simplex, onto which they are then projected.
 const SIMPLEX_TOLERANCE: f64 = 1e-6;
 
 /// A validated request as rows.
@@ -267,7 +268,7 @@ fn domains(settings: &Settings, rows: &Rows) -> Result<(), StepError> {
     Ok(())
 }
 
-/// The previous weights exactly on the simplex; uniform if none came.
+/// Writes the previous weights, normalised to the simplex; uniform weights if the request has none.
 pub(super) fn starting_weights(weights: &[f64], out: &mut [f64]) {
     if weights.is_empty() {
         out.fill(1.0 / out.len() as f64);

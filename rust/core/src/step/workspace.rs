@@ -1,9 +1,9 @@
-//! Memory of the control step, made once for a library and settings.
+//! Memory of the control step for one library and settings.
 
 use std::sync::Arc;
 
 use super::StepError;
-use crate::crew::{Alone, Crew};
+use crate::executor::{Executor, Sequential};
 use crate::linearisation::Linearisation;
 use crate::ocp::soft_rows;
 use crate::qp::{OcpQp, OcpSolution};
@@ -13,18 +13,18 @@ use crate::trajectory::Guess;
 use crate::weights::{WeightEstimator, WindowNoise};
 use crate::{GpInput, GpOutput, Input, Library, MixtureScratch, Settings, State};
 
-/// Why a workspace could not be made.
+/// A workspace that could not be created.
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
     /// Settings out of range.
     #[error(transparent)]
     Settings(#[from] SettingsError),
-    /// The QP solver refused its set-up.
+    /// The QP solver could not be set up.
     #[error(transparent)]
     Solver(#[from] SolverSetupError),
 }
 
-/// Memory for one step at a time; each worker has its own. It carries nothing from one step to the next.
+/// Memory for one step at a time; each worker needs its own. No result of a step depends on earlier steps.
 pub struct Workspace {
     library: [u8; 32],
     settings: Settings,
@@ -37,12 +37,12 @@ pub struct Workspace {
     pub(super) dynamics: Linearisation,
     pub(super) qp: OcpQp,
     pub(super) solvers: Vec<Box<dyn QpSolver + Send>>,
-    /// Inputs of the last plan, scaled and shifted to now; empty without one.
+    /// Inputs of the last plan, scaled and shifted to the current time; empty without a plan.
     pub(super) warm: Vec<Input>,
-    pub(super) asked: &'static str,
+    pub(super) solver_name: &'static str,
     pub(super) solution: OcpSolution,
     pub(super) sigma: SigmaMemory,
-    pub(super) crew: Arc<dyn Crew>,
+    pub(super) executor: Arc<dyn Executor>,
 }
 
 /// Memory for the standard deviations along the plan.
@@ -53,16 +53,16 @@ pub(super) struct SigmaMemory {
 }
 
 impl Workspace {
-    /// Allocates everything a step needs and sets the QP solver up.
+    /// Allocates the memory of a step and sets the QP solver up.
     ///
     /// # Errors
-    /// [`SetupError`] for settings out of range, or if the QP solver refuses.
+    /// [`SetupError`] if settings are out of range or the QP solver cannot be set up.
     pub fn new(library: &Library, settings: &Settings) -> Result<Self, SetupError> {
         settings.validate()?;
         let (n, dt) = (library.members().len(), library.dt());
         let horizon = settings.horizon(dt);
         let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
-        let solvers = solver::rungs(&qp, &settings.solver)?;
+        let solvers = solver::solvers(&qp, &settings.solver)?;
         Ok(Self {
             library: library.id(),
             settings: settings.clone(),
@@ -76,28 +76,28 @@ impl Workspace {
             qp,
             solvers,
             warm: Vec::with_capacity(horizon),
-            asked: "",
+            solver_name: "",
             solution: OcpSolution::new(horizon),
             sigma: SigmaMemory {
                 queries: Vec::with_capacity(horizon),
                 variances: vec![GpOutput::zeros(); horizon],
                 scratch: MixtureScratch::default(),
             },
-            crew: Arc::new(Alone),
+            executor: Arc::new(Sequential),
         })
     }
 
-    /// Lets members be evaluated at once by `crew`, which may be shared with other workspaces; without one the caller
-    /// does everything. The bits of a reply do not depend on it.
+    /// Sets the executor that evaluates members, which other workspaces may share. The default is [`Sequential`]. The
+    /// bits of a reply do not depend on the executor.
     #[must_use]
-    pub fn with_crew(mut self, crew: Arc<dyn Crew>) -> Self {
-        self.crew = crew;
+    pub fn with_executor(mut self, executor: Arc<dyn Executor>) -> Self {
+        self.executor = executor;
         self
     }
 
-    /// Name of the QP solver that the last step ended with; empty before the first.
+    /// Name of the QP solver that the last step ran last; empty before the first step.
     pub fn solver_name(&self) -> &'static str {
-        self.asked
+        self.solver_name
     }
 
     pub(super) fn belongs_to(

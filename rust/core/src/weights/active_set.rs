@@ -4,33 +4,32 @@
 //! min  ½ wᵀHw + gᵀw + alpha ||w - p||_1   s.t.  w >= 0,  Σ w = 1        (H symmetric positive definite)
 //! ```
 //!
-//! A primal active-set method. Along each coordinate the cost is quadratic between the points where it has a kink:
-//! 0 and, if alpha > 0, `p_i`. Held coordinates sit on such a point, free ones strictly between two. Each round
-//! minimises over the free ones and either stops at the first kink it meets, which is then held, or reaches the
-//! minimum, and then frees the held coordinate whose one-sided slope promises most. Every round lowers the cost,
-//! so no set of held coordinates comes twice and the method ends; started at the previous weights it usually does
-//! after two or three rounds.
+//! A primal active-set method. Along each coordinate the cost is piecewise quadratic with kinks at 0 and, if alpha > 0,
+//! at `p_i`. Fixed coordinates are at a kink, free ones strictly between two kinks. Each iteration minimises over the
+//! free coordinates. It either stops at the first kink, where a coordinate becomes fixed, or reaches the minimum and
+//! then frees the fixed coordinate with the steepest one-sided descent. Every iteration lowers the cost, so no working
+//! set repeats and the method terminates; from the previous weights it usually takes two or three iterations.
 
 use crate::cholesky::{add_scaled, sum_of_products};
 use crate::simd::{Vectorised, vectorised_loops};
 
-/// Whether a coordinate moves.
+/// Position of a coordinate relative to the kinks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Place {
-    /// On a kink.
-    Held,
+    /// At a kink.
+    Fixed,
     /// Between kinks, below `p_i` if alpha > 0.
     Below,
     /// Between kinks, above `p_i`.
     Above,
 }
 
-/// A coordinate closer than this to a kink is put on it.
+/// A coordinate closer than this to a kink is moved to the kink.
 const SNAP: f64 = 1e-14;
 /// Slopes are compared with this tolerance, relative to the size of the problem's numbers.
 const SLOPE_TOLERANCE: f64 = 1e-12;
 
-/// Solver and its memory, for `n` coordinates.
+/// Solver for `n` coordinates, with its memory.
 #[derive(Debug, Clone)]
 pub struct ActiveSet {
     place: Vec<Place>,
@@ -59,7 +58,7 @@ impl ActiveSet {
     /// Memory for `n` coordinates.
     pub fn new(n: usize) -> Self {
         Self {
-            place: vec![Place::Held; n],
+            place: vec![Place::Fixed; n],
             free: Vec::with_capacity(n),
             gradient: vec![0.0; n],
             factor: vec![0.0; n * n],
@@ -68,28 +67,28 @@ impl ActiveSet {
         }
     }
 
-    /// Moves `w`, which must be on the simplex, to the minimum. Returns the number of rounds, or `None` if rounding
-    /// kept it from ending within `50 + 20 n`; then `w` is on the simplex and no worse than it was.
+    /// Moves `w`, which must be on the simplex, to the minimum. Returns the number of iterations, or `None` if rounding
+    /// errors prevent termination within `50 + 20 n`; then `w` is on the simplex and its cost has not risen.
     pub fn solve(&mut self, qp: &SimplexQp, w: &mut [f64]) -> Option<usize> {
         let n = w.len();
         for ((place, &wi), &centre) in self.place.iter_mut().zip(w.iter()).zip(qp.centre) {
             let on_kink = wi <= SNAP || (qp.alpha > 0.0 && (wi - centre).abs() <= SNAP);
             *place = if on_kink {
-                Place::Held
+                Place::Fixed
             } else {
                 side(wi > centre)
             };
         }
         let tolerance = SLOPE_TOLERANCE * scale(qp);
         let mut outcome = None;
-        for round in 1..=50 + 20 * n {
+        for iteration in 1..=50 + 20 * n {
             self.update(qp, w);
             if self.free.len() > 1 && self.minimise_free(qp, w) == Stop::Kink {
                 continue;
             }
             self.update(qp, w);
             if !self.release(qp, w, tolerance) {
-                outcome = Some(round);
+                outcome = Some(iteration);
                 break;
             }
         }
@@ -100,13 +99,13 @@ impl ActiveSet {
         outcome
     }
 
-    /// Free coordinates and gradient `Hw + g` at `w`.
+    /// Updates the list of free coordinates and the gradient `Hw + g` at `w`.
     fn update(&mut self, qp: &SimplexQp, w: &[f64]) {
         let n = w.len();
         self.free.clear();
         self.free
-            .extend((0..n).filter(|&i| self.place[i] != Place::Held));
-        // By the rows, which are the columns, of the few weights that are not zero.
+            .extend((0..n).filter(|&i| self.place[i] != Place::Fixed));
+        // Sums the rows of `H`, which equal its columns, of the few nonzero weights.
         self.gradient.copy_from_slice(qp.linear);
         for (wi, row) in w.iter().zip(qp.hessian.chunks_exact(n)) {
             if *wi != 0.0 {
@@ -115,7 +114,7 @@ impl ActiveSet {
         }
     }
 
-    /// Slope of the cost along a free coordinate.
+    /// Derivative of the cost along a free coordinate.
     fn slope(&self, qp: &SimplexQp, i: usize) -> f64 {
         self.gradient[i]
             + if self.place[i] == Place::Above {
@@ -125,8 +124,8 @@ impl ActiveSet {
             }
     }
 
-    /// Slope for growing `w_i`.
-    fn right(&self, qp: &SimplexQp, w: &[f64], i: usize) -> f64 {
+    /// Right derivative of the cost in `w_i`.
+    fn right_slope(&self, qp: &SimplexQp, w: &[f64], i: usize) -> f64 {
         self.gradient[i]
             + if w[i] >= qp.centre[i] {
                 qp.alpha
@@ -135,8 +134,8 @@ impl ActiveSet {
             }
     }
 
-    /// Slope of the cost for shrinking `w_i`, as a derivative (a gain if positive).
-    fn left(&self, qp: &SimplexQp, w: &[f64], i: usize) -> f64 {
+    /// Left derivative of the cost in `w_i`; decreasing `w_i` lowers the cost if it is positive.
+    fn left_slope(&self, qp: &SimplexQp, w: &[f64], i: usize) -> f64 {
         self.gradient[i]
             + if w[i] > qp.centre[i] {
                 qp.alpha
@@ -145,7 +144,7 @@ impl ActiveSet {
             }
     }
 
-    /// Newton step over the free coordinates within `Σ d = 0`, cut at the first kink.
+    /// Newton step over the free coordinates subject to `Σ d = 0`, truncated at the first kink.
     fn minimise_free(&mut self, qp: &SimplexQp, w: &mut [f64]) -> Stop {
         self.factorise(qp.hessian, w.len());
         let m = self.free.len();
@@ -177,25 +176,26 @@ impl ActiveSet {
                 && (w[i] - kink) * d.signum() >= -SNAP
             {
                 w[i] = kink;
-                self.place[i] = Place::Held;
+                self.place[i] = Place::Fixed;
                 stop = Stop::Kink;
             }
         }
         stop
     }
 
-    /// Frees what promises descent at a minimum over the free coordinates; false if nothing does.
+    /// At a minimum over the free coordinates, frees the fixed coordinates with the steepest descent; false if none
+    /// descends.
     fn release(&mut self, qp: &SimplexQp, w: &[f64], tolerance: f64) -> bool {
-        let growing = best((0..w.len()).map(|i| -self.right(qp, w, i)));
+        let growing = best((0..w.len()).map(|i| -self.right_slope(qp, w, i)));
         let shrinking = best((0..w.len()).map(|i| {
             if w[i] > 0.0 {
-                self.left(qp, w, i)
+                self.left_slope(qp, w, i)
             } else {
                 f64::NEG_INFINITY
             }
         }));
-        let ((up, up_gain), (down, down_gain)) = (growing, shrinking);
-        if up_gain + down_gain <= tolerance {
+        let ((up, up_descent), (down, down_descent)) = (growing, shrinking);
+        if up_descent + down_descent <= tolerance {
             return false;
         }
         if self.free.is_empty() {
@@ -203,13 +203,13 @@ impl ActiveSet {
             self.place[down] = side(w[down] > qp.centre[down]);
             return true;
         }
-        // One at a time, so that the next Newton step is sure to move it the way its slope points.
+        // Only one coordinate is freed, so that the next Newton step moves it in its descent direction.
         let level =
             self.free.iter().map(|&i| self.slope(qp, i)).sum::<f64>() / self.free.len() as f64;
-        let up_first = up_gain + level >= down_gain - level;
+        let up_first = up_descent + level >= down_descent - level;
         for grow in [up_first, !up_first] {
             let i = if grow { up } else { down };
-            if self.place[i] == Place::Held {
+            if self.place[i] == Place::Fixed {
                 self.place[i] = side(if grow {
                     w[i] >= qp.centre[i]
                 } else {
@@ -232,7 +232,7 @@ impl ActiveSet {
     }
 }
 
-/// [`ActiveSet::factorise`].
+/// Computation of [`ActiveSet::factorise`].
 struct Factorise<'a> {
     hessian: &'a [f64],
     n: usize,
@@ -277,14 +277,14 @@ fn side(above: bool) -> Place {
     if above { Place::Above } else { Place::Below }
 }
 
-/// Size of the numbers in gradients.
+/// Scale of the gradient's terms.
 fn scale(qp: &SimplexQp) -> f64 {
     let largest = |m: f64, v: &f64| m.max(v.abs());
-    let diagonal = qp.hessian.iter().step_by(qp.linear.len() + 1); // has the largest of a definite matrix
+    let diagonal = qp.hessian.iter().step_by(qp.linear.len() + 1); // contains the largest entry of a definite matrix
     diagonal.fold(0.0, largest) + qp.linear.iter().fold(0.0, largest) + qp.alpha
 }
 
-/// Index and value of the largest, the first of equals.
+/// Index and value of the first largest number.
 fn best(values: impl Iterator<Item = f64>) -> (usize, f64) {
     values.enumerate().fold(
         (0, f64::NEG_INFINITY),

@@ -1,4 +1,4 @@
-//! Products of all pairs of columns of a tall matrix.
+//! Gram matrix of a tall matrix.
 
 use crate::kernel::{LANES, Lanes};
 use crate::simd::{Simd, Wide, wide};
@@ -9,12 +9,12 @@ pub(super) struct Gram {
     columns: usize,
     /// Rows in blocks; padding is zero.
     rows: Vec<Lanes>,
-    /// `AᵀA`, padded likewise in both directions.
+    /// `AᵀA`, padded with zeros in both directions.
     products: Vec<Lanes>,
 }
 
 impl Gram {
-    /// A matrix of that many columns, without rows, and memory for `rows`.
+    /// An empty matrix with `columns` columns and memory for `rows` rows.
     pub fn new(columns: usize, rows: usize) -> Self {
         let blocks = columns.div_ceil(LANES);
         Self {
@@ -33,7 +33,7 @@ impl Gram {
         self.rows.clear();
     }
 
-    /// Adds a copy of the row `back` rows before, or of zeros before the first, and returns it.
+    /// Appends a copy of the row `back` rows before, or a row of zeros if it does not exist, and returns it.
     pub fn repeat(&mut self, back: usize) -> &mut [f64] {
         let (blocks, end) = (self.blocks(), self.rows.len());
         match end.checked_sub(back * blocks) {

@@ -1,12 +1,12 @@
-//! Weights, eq. (6): which blend of members explains the last transitions best.
+//! Weights, eq. (6): the blend of members that explains the last transitions best.
 //!
 //! ```text
 //! w = argmin ||S (Y - F w)||² + prior(w - w_prev)   on the simplex
 //! ```
 //!
-//! `Y` are the measured changes of the last `K` periods, column `n` of `F` what member `n` predicted for them. `SᵀS`
-//! is the inverse covariance of the errors ([`WindowNoise`]): without it m/s would be added to rad/s, and noise of
-//! the measured states, which one change gains and the next loses, be taken for news.
+//! `Y` are the measured changes of the last `K` periods, and column `n` of `F` contains the predictions of member `n`
+//! for them. `SᵀS` is the inverse covariance of the errors ([`WindowNoise`]). It makes m/s and rad/s comparable and
+//! accounts for the noise of the measured states, which enters consecutive changes with opposite signs.
 
 mod active_set;
 mod gram;
@@ -21,14 +21,14 @@ use noise::Row;
 use crate::settings::Prior;
 use crate::{GpOutput, NY};
 
-/// Ridge on `H` relative to its largest entry: with identical members and no quadratic prior it picks, of all
-/// minima, the one nearest to the previous weights.
+/// Ridge on `H` relative to its largest entry. With identical members and no quadratic prior it selects the minimiser
+/// nearest to the previous weights.
 const RIDGE: f64 = 1e-10;
 
-/// Estimator and its memory, for `N` members.
+/// Estimator of the weights of `N` members, with its memory.
 #[derive(Debug, Clone)]
 pub struct WeightEstimator {
-    /// `S [F Y]`: for each output of each transition what the members predicted, then what was measured.
+    /// `S [F Y]`: a row for each output of each transition, the members' predictions before the measurement.
     whitened: Gram,
     hessian: Vec<f64>,
     linear: Vec<f64>,
@@ -46,16 +46,16 @@ impl WeightEstimator {
         }
     }
 
-    /// The weights, eq. (6), written to `w`, which is on the simplex to rounding.
+    /// Writes the weights, eq. (6), to `w`; they are on the simplex up to rounding.
     ///
     /// * `predictions`: rows `[N * 3]` of `F`, one for each of consecutive transitions, newest or oldest first,
     ///   member after member
     /// * `measured`: rows `[3]` of `Y`
-    /// * `noise`: covariances of the errors, of which the likeliest for those that `previous` leaves counts;
-    ///   transitions beyond its window are ignored
+    /// * `noise`: covariances of the errors, of which the one with the largest likelihood for the errors of `previous`
+    ///   is used; transitions beyond its window are ignored
     /// * `previous`: `w_prev`, on the simplex
     ///
-    /// Without transitions the weights stay as they are. Returns the solver's rounds, see [`ActiveSet::solve`].
+    /// Without transitions the weights equal `previous`. Returns the solver's iterations, see [`ActiveSet::solve`].
     pub fn estimate(
         &mut self,
         predictions: &[f64],
@@ -116,7 +116,7 @@ impl WeightEstimator {
     }
 }
 
-/// What the blend of a transition's predictions leaves of the measured change.
+/// Error of the blended prediction of a transition.
 fn error(predicted: &[f64], measured: &[f64; NY], weights: &[f64]) -> GpOutput {
     let predicted = predicted.as_chunks::<NY>().0.iter().zip(weights);
     predicted.fold(GpOutput::from(*measured), |error, (f, w)| {
@@ -124,8 +124,8 @@ fn error(predicted: &[f64], measured: &[f64; NY], weights: &[f64]) -> GpOutput {
     })
 }
 
-/// Keeps the weights of at most `max_active` members above `threshold` (always the heaviest), scaled up to sum to 1,
-/// zero elsewhere. Returns the mass that was dropped.
+/// Writes the largest `max_active` weights above `threshold`, scaled to sum to 1, to `active`; the other entries are
+/// zero. The largest weight is always kept. Returns the sum of the dropped weights.
 pub fn select_active(
     weights: &[f64],
     threshold: f64,
@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn selection_keeps_the_heaviest() {
+    fn selection_keeps_the_largest_weights() {
         let mut active = [0.0; 4];
         let dropped = select_active(&[0.5, 0.0004, 0.2996, 0.2], 1e-3, 2, &mut active);
         assert!((dropped - 0.2004).abs() < 1e-15);

@@ -1,12 +1,11 @@
-//! Noise of the window's errors, which decides how much each says: `S` of eq. (6), and what neighbours share.
+//! Covariance of the errors in the window, from which `S` of eq. (6) follows.
 
 use crate::settings::WeightSettings;
 use crate::{GpOutput, Library};
 
-/// Fractions of the members' noise that are considered: over all their training data members err more than in a
-/// steady bend.
+/// Candidate fractions of the members' noise: errors over all training data are larger than errors in a steady bend.
 const MODEL: [f64; 2] = [1.0, 0.5];
-/// Fractions of the measured states' noise that are considered: sensors are at times better than they are said to be.
+/// Candidate fractions of the measurement noise of the states: sensors may be better than specified.
 const STATE: [f64; 3] = [1.0, 0.3, 0.1];
 const LEVELS: usize = MODEL.len() * STATE.len();
 
@@ -19,46 +18,47 @@ const LEVELS: usize = MODEL.len() * STATE.len();
 /// cov(e_k, e_k) = q + 2 r,    cov(e_k, e_{k+1}) = -r
 /// ```
 ///
-/// and generalised least squares applies (Aitken 1935). What one state's noise adds to one change, it takes from the
-/// next: over a window, a lasting difference between members is seen against the noise of its two ends, not of all
-/// its states. Measured states with noise of 0.03 m/s hide single changes of 0.01 m/s; a window of 25 shows them.
+/// and generalised least squares applies (Aitken 1935). The noise of a state enters consecutive changes with opposite
+/// signs and cancels in their sum, so that a persistent difference between members competes with the noise of the
+/// window's two end states only. With noise of 0.03 m/s, changes of 0.01 m/s are not visible in one transition but are
+/// in a window of 25.
 ///
-/// `q` and `r` may have several levels, of which each window takes the likeliest (multiple-model estimation, Magill
-/// 1965): the one, for all outputs, of largest Gaussian likelihood for the errors that the previous weights leave.
+/// `q` and `r` may have several candidate levels. Each window uses the level, for all outputs, with the largest
+/// Gaussian likelihood of the errors under the previous weights (multiple-model estimation, Magill 1965).
 #[derive(Debug, Clone)]
 pub struct WindowNoise {
     levels: usize,
-    /// For each transition a row of each level.
+    /// A row for each level of each transition, level by level within a transition.
     rows: Vec<Row>,
 }
 
 /// One transition's row of `L` for each output: bidiagonal, with `L Lᵀ` the covariance of consecutive errors.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Row {
-    /// One over the diagonal.
+    /// Reciprocal diagonal.
     inverse: GpOutput,
-    /// Beside the diagonal; zero for the first transition.
+    /// Entry left of the diagonal; zero for the first transition.
     below: GpOutput,
     /// Logarithm of the covariance's determinant up to this transition, over all outputs.
     log_det: f64,
 }
 
 impl Row {
-    /// One output's white error, from the error and the white one of the transition before.
+    /// Whitened error of one output, from the error and the whitened error of the previous transition.
     pub fn whiten(&self, output: usize, error: f64, before: f64) -> f64 {
         (error - self.below[output] * before) * self.inverse[output]
     }
 }
 
 impl WindowNoise {
-    /// One level, from standard deviations of the model's one-step predictions, positive, and of the measured
-    /// `[v_x, v_y, omega]`, at least zero, for windows of at most `window` transitions.
+    /// A single level for windows of at most `window` transitions, from standard deviations of the model's one-step
+    /// predictions (positive) and of the measured `[v_x, v_y, omega]` (at least zero).
     pub fn new(model_std: &GpOutput, state_std: &GpOutput, window: usize) -> Self {
         Self::with_levels(&[[*model_std, *state_std]], window)
     }
 
-    /// Of the members' root-mean-square noise and the setting `measurement`, and of less than these; with `whiten`
-    /// off the paper's `S = I`.
+    /// Levels from the members' root-mean-square noise, the setting `measurement`, and fractions of both. Without
+    /// `whiten` this is the paper's `S = I`.
     pub fn of(library: &Library, settings: &WeightSettings) -> Self {
         let window = settings.window(library.dt());
         if !settings.whiten {
@@ -75,7 +75,7 @@ impl WindowNoise {
         Self::with_levels(levels.as_flattened(), window)
     }
 
-    /// At most [`LEVELS`] of them, by standard deviations of model and states.
+    /// At most [`LEVELS`] levels, given as standard deviations of model and states.
     fn with_levels(levels: &[[GpOutput; 2]], window: usize) -> Self {
         let variances = levels
             .iter()
@@ -107,8 +107,8 @@ impl WindowNoise {
         }
     }
 
-    /// Rows of the level with the largest likelihood for `errors`, one for each of consecutive transitions; of the
-    /// first level without errors, and where no likelihood is finite.
+    /// Rows of the level with the largest likelihood of `errors`, one error for each of consecutive transitions. Rows
+    /// of the first level if there are no errors or if no likelihood is finite.
     pub(super) fn likeliest(
         &self,
         errors: impl Iterator<Item = GpOutput>,
@@ -143,7 +143,7 @@ impl WindowNoise {
 mod tests {
     use super::*;
 
-    /// Errors with the given noise of model and states, from waves without a common period.
+    /// Errors with the given noise of model and states, made from waves without a common period.
     fn errors(model: f64, state: f64, n: usize) -> Vec<GpOutput> {
         let wave = |k: usize, o: usize| {
             let k = (7 * k + 3 * o) as f64;
@@ -159,14 +159,14 @@ mod tests {
             .collect()
     }
 
-    /// The mark of the level taken, its first row's.
+    /// The first row of the chosen level, which identifies the level.
     fn chosen(noise: &WindowNoise, errors: Vec<GpOutput>) -> GpOutput {
         let mut rows = noise.likeliest(errors.into_iter());
         rows.next().map_or(GpOutput::zeros(), |row| row.inverse)
     }
 
     #[test]
-    fn the_likeliest_level_is_the_one_that_made_the_errors() {
+    fn the_likeliest_level_is_the_one_that_generated_the_errors() {
         let levels = [[1.0, 3.0], [0.3, 3.0], [1.0, 0.3], [0.3, 0.3]]
             .map(|level| level.map(GpOutput::repeat));
         let noise = WindowNoise::with_levels(&levels, 200);
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fits_no_level_gets_the_first() {
+    fn without_finite_likelihood_the_first_level_is_used() {
         let noise = WindowNoise::with_levels(&[1.0, 0.5].map(|std| [GpOutput::repeat(std); 2]), 2);
         for errors in [vec![], vec![GpOutput::repeat(f64::MAX); 2]] {
             assert_eq!(chosen(&noise, errors), noise.rows[0].inverse);

@@ -10,15 +10,15 @@ use rand_chacha::ChaCha8Rng;
 const DT: f64 = 0.05;
 const SLEW: [f64; NU] = [3.0, 0.4];
 
-/// A car on a road that bends now and then. A tenth starts far outside of its soft bounds, a tenth with an applied
-/// input that the bounds do not allow.
+/// A car on a road with occasional bends. A tenth of the drives start far outside the soft bounds, and a tenth with an
+/// applied input outside the hard bounds.
 pub struct Drive {
     rng: ChaCha8Rng,
     v: f64,
     bend: f64,
     damping: f64,
     stiffness: f64,
-    /// Where the road ends so far: position and heading.
+    /// Position and heading of the current end of the road.
     end: [f64; 3],
 }
 
@@ -76,8 +76,8 @@ impl Drive {
         qp
     }
 
-    /// The problem one period after `qp`, whose solution was applied with a little noise: the road goes on, the
-    /// dynamics are linearised anew.
+    /// The problem one period after `qp`, whose solution was applied with a little noise: the road continues and the
+    /// dynamics are linearised again.
     pub fn successor(&mut self, qp: &mut OcpQp, solution: &OcpSolution) {
         if self.chance(0.05) {
             self.bend = 0.5 * self.unit() * (8.0 / self.v).min(1.0);
@@ -100,7 +100,7 @@ impl Drive {
         finish(qp);
     }
 
-    /// The next stage of the road.
+    /// The next stage along the road.
     fn stage(&mut self) -> Stage {
         let mut stage = OcpQp::new(1, MAX_SOFT).stages()[0].clone();
         let v = self.v;
@@ -130,7 +130,7 @@ impl Drive {
         stage.b[(4, 1)] = 0.05;
         stage.b[(5, 1)] = 0.05;
         stage.b[(6, 1)] = DT;
-        // Makes the kinematics exact about the reference.
+        // This makes the kinematics exact at the reference.
         stage.c = State::from([
             DT * v * psi * sin,
             -DT * v * psi * cos,
@@ -177,7 +177,7 @@ impl Drive {
     }
 }
 
-/// The terminal weight, and bounds widened to what the slew limits let the applied input reach.
+/// Sets the terminal weight and widens the bounds to the inputs that the slew limits let the applied input reach.
 fn finish(qp: &mut OcpQp) {
     let horizon = qp.horizon();
     let (mut low, mut high) = (qp.u_prev, qp.u_prev);
@@ -196,7 +196,7 @@ fn finish(qp: &mut OcpQp) {
     qp.stages_mut()[horizon - 1].q *= 2.0;
 }
 
-/// Inputs of a solution, one period on: the last one is held.
+/// Inputs of a solution shifted by one period; the last input is repeated.
 pub fn shifted(u: &[Input]) -> Vec<Input> {
     let mut guess = u[1..].to_vec();
     guess.push(u[u.len() - 1]);

@@ -1,6 +1,6 @@
-//! Libraries for tests: GPs on samples of a smooth function, predicted by a second, dense implementation.
+//! Libraries for tests: GPs on samples of a smooth function, with predictions of an independent dense implementation.
 //!
-//! The dense formulas below share nothing with the crate; they fill the golden predictions that loading checks.
+//! The dense formulas share no code with the crate. They give the golden predictions that are checked at loading.
 #![allow(clippy::unwrap_used, dead_code)]
 
 pub mod request;
@@ -22,22 +22,22 @@ pub fn library(kernel: Kernel, frictions: &[f64], n: usize, seed: u64) -> Librar
     Library::from_bytes(&encode(&spec(kernel, frictions, n, seed)).unwrap()).unwrap()
 }
 
-/// What [`library`] is made from: one kernel for all outputs, as in trained libraries.
+/// The content of [`library`], with one kernel for all outputs as in trained libraries.
 pub fn spec(kernel: Kernel, frictions: &[f64], n: usize, seed: u64) -> LibrarySpec {
     spec_of(&Outputs::OneKernel, kernel, frictions, n, seed)
 }
 
-/// Who has a kernel.
+/// Which outputs share a kernel.
 pub enum Outputs {
-    /// All outputs the same.
+    /// All outputs share one kernel.
     OneKernel,
-    /// The first two the same.
+    /// The first two outputs share a kernel.
     TwoKernels,
-    /// Each its own.
+    /// Each output has its own kernel.
     OwnKernels,
 }
 
-/// [`spec`], for any outputs.
+/// [`spec`] with a choice of shared kernels.
 pub fn spec_of(
     outputs: &Outputs,
     kernel: Kernel,
@@ -60,7 +60,7 @@ pub fn gp_input(rng: &mut ChaCha8Rng, spread: f64) -> [f64; NZ] {
     std::array::from_fn(|d| CENTRE[d] + spread * HALF_WIDTH[d] * rng.random_range(-1.0..1.0))
 }
 
-/// A caricature of a vehicle over one period, saturating in the slip angle with the friction.
+/// Change of a simplified vehicle over one period; its lateral force saturates in the slip angle by the friction.
 fn change(z: &[f64; NZ], friction: f64) -> [f64; NY] {
     let [v_x, v_y, omega, delta, force, delta_dot] = *z;
     let front = friction * (5.0 * (delta - (v_y + 0.9 * omega) / v_x)).tanh();

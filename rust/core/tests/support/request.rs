@@ -1,18 +1,18 @@
-//! Requests that own their numbers.
+//! Requests that own their data.
 #![allow(clippy::unwrap_used, dead_code)]
 
 use std::sync::OnceLock;
 
 use egp_core::{Kernel, Library, Settings, StepReply, StepRequest, Workspace, step};
 
-/// Two surfaces, small.
+/// A small library of two surfaces.
 pub fn library() -> &'static Library {
     static LIBRARY: OnceLock<Library> = OnceLock::new();
     LIBRARY.get_or_init(|| super::library(Kernel::Rbf, &[0.5, 1.1], 250, 3))
 }
 
-/// The defaults over a horizon of 20 and a window of 10: enough to show everything, and quick. The vehicle of
-/// [`super::change`] needs slip angles of 0.3 rad for its grip on any surface.
+/// The default settings with a horizon of 20 and a window of 10, for short run times. The vehicle of [`super::change`]
+/// reaches its largest force at slip angles of 0.3 rad on every surface.
 pub fn settings() -> Settings {
     let mut settings = Settings {
         horizon: Some(20),
@@ -23,7 +23,7 @@ pub fn settings() -> Settings {
     settings
 }
 
-/// A request that owns its numbers: driving a left-hand circle of 60 m radius at 14 m/s, half a metre beside it.
+/// A request that owns its data: a vehicle on a left-hand circle of 60 m radius at 14 m/s, half a metre off the circle.
 #[derive(Clone)]
 pub struct Request {
     pub x: [f64; 7],
@@ -112,7 +112,7 @@ impl Request {
         moved
     }
 
-    /// Takes over what a client carries.
+    /// Copies the fields that a client carries from a reply to its next request.
     pub fn carry(&mut self, reply: &StepReply) {
         self.plan_x.clone_from(&reply.plan_x);
         self.plan_u.clone_from(&reply.plan_u);

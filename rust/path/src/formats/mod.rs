@@ -1,4 +1,4 @@
-//! Readers for the track files of other projects, from their text.
+//! Readers of other projects' track files.
 
 mod centre_line;
 mod raceline;
@@ -6,20 +6,19 @@ mod raceline;
 use crate::error::{PathError, check};
 use crate::path::Path;
 
-/// Reads a closed track in either format: columns separated by `;` make a raceline, by `,` a centre
-/// line. Lines that start with `#` are comments.
+/// Reads a closed track in either format: `;` separates the columns of a raceline, `,` those of a centre line. Lines
+/// that start with `#` are comments.
 ///
 /// * Raceline (TUM, F1TENTH): `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`. The path goes
-///   through the positions and has no widths; psi must fit them, measured from +x or from +y.
+///   through the positions and has no widths; psi must agree with them, measured from +x or from +y.
 /// * Centre line: `x_m,y_m,w_tr_right_m,w_tr_left_m`.
 ///
-/// Lengths are multiplied by `scale`: 10 drives a track of 1:10 cars with a real one.
+/// Lengths are multiplied by `scale`; 10 enlarges a track of 1:10 cars to the size of real ones.
 ///
 /// # Errors
-/// A scale that is not positive;
-/// The line and what is wrong there: a missing or additional column, something that isn't a finite
-/// number, an end far from the start, psi that fits neither convention; or what
-/// [`Path::from_points`] refuses.
+/// [`PathError`] if the scale is not positive, a line has too few or too many columns or a value that is not a finite
+/// number, the end is far from the start, psi agrees with neither convention, or [`Path::from_points`] fails. The error
+/// names the line where possible.
 pub fn read_track(text: &str, scale: f64) -> Result<Path, PathError> {
     check("scale", scale, "a positive number", |scale| scale > 0.0)?;
     let first = text.lines().find(|line| is_row(line));
@@ -36,8 +35,8 @@ struct Row<const N: usize> {
     values: [f64; N],
 }
 
-/// The rows of a table with these columns. Its cells are bare numbers, so they are split by hand: a
-/// CSV reader would lose count of the lines at comments.
+/// The rows of a table with these columns. Cells are plain numbers, so they are split here; a CSV reader would miscount
+/// lines because of comments.
 fn table<const N: usize>(
     text: &str,
     delimiter: char,
@@ -54,7 +53,7 @@ fn table<const N: usize>(
         .collect()
 }
 
-/// Neither blank nor a comment.
+/// Whether a line is neither blank nor a comment.
 fn is_row(line: &str) -> bool {
     !line.trim().is_empty() && !line.trim_start().starts_with('#')
 }
@@ -88,7 +87,7 @@ fn numbers<const N: usize>(
     Ok(values)
 }
 
-/// Drops a last row that repeats the first, and refuses a lap whose end lies far from its start.
+/// Drops a last row that repeats the first. Errors if the end of the lap is far from its start.
 fn close<const N: usize>(
     rows: &mut Vec<Row<N>>,
     position: fn(&[f64; N]) -> [f64; 2],
@@ -105,15 +104,15 @@ fn close<const N: usize>(
         return Ok(());
     };
     let gap = apart(first, last);
-    // Files repeat the first point with the rounding of their decimals.
+    // Files repeat the first point with the rounding error of their decimals.
     if gap < 1e-3 * longest {
         rows.pop();
     } else if gap > 5.0 * longest {
         return Err(PathError::Format {
             line: last.line,
             problem: format!(
-                "the last point lies {gap:.2} m from the first, but neighbours at most {longest:.2} m; \
-                 these formats describe closed tracks"
+                "the last point is {gap:.2} m from the first, but adjacent points are at most {longest:.2} m \
+                 apart; these formats describe closed tracks"
             ),
         });
     }

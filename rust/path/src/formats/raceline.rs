@@ -6,9 +6,9 @@ use super::{Row, close, table};
 use crate::error::PathError;
 use crate::path::Path;
 
-/// Largest mean error in rad between psi and the direction of travel; the wrong convention is off by
-/// a quarter turn.
-const FITS: f64 = 0.2;
+/// Largest mean error in rad between psi and the direction of travel; with the wrong convention the error is a quarter
+/// turn.
+const HEADING_TOLERANCE: f64 = 0.2;
 
 pub(super) fn read(text: &str, scale: f64) -> Result<Path, PathError> {
     let columns = [
@@ -29,7 +29,7 @@ pub(super) fn read(text: &str, scale: f64) -> Result<Path, PathError> {
         return Err(PathError::Format {
             line: pair[1].line,
             problem: format!(
-                "s_m doesn't rise: {} after {}",
+                "s_m must increase, got {} after {}",
                 pair[1].values[0], pair[0].values[0]
             ),
         });
@@ -43,9 +43,9 @@ pub(super) fn read(text: &str, scale: f64) -> Result<Path, PathError> {
     Ok(path)
 }
 
-/// Compares psi with the direction between each point's neighbours, measured from +x (as here) and
-/// from +y (as the trajectory tools of TUM do). Only the positions make the path; headings that fit
-/// neither show that the columns or the order of the points are not what they seem.
+/// Compares psi with the direction between the points before and after each point, measured from +x (as here) and from
+/// +y (as in the trajectory tools of TUM). The path uses the positions only; headings that agree with neither
+/// convention indicate wrong columns or a wrong order of the points.
 fn check_heading(rows: &[Row<7>]) -> Result<(), PathError> {
     let count = rows.len();
     let mean_error = |quarter: f64| {
@@ -61,7 +61,7 @@ fn check_heading(rows: &[Row<7>]) -> Result<(), PathError> {
         errors.sum::<f64>() / count as f64
     };
     let (from_x, from_y) = (mean_error(0.0), mean_error(FRAC_PI_2));
-    if from_x.min(from_y) <= FITS {
+    if from_x.min(from_y) <= HEADING_TOLERANCE {
         Ok(())
     } else {
         Err(PathError::Heading { from_x, from_y })

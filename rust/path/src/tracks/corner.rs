@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 use super::{SPACING, check_length};
 use crate::error::{PathError, check};
 
-/// A turn by 90°: a clothoid in, an arc, a clothoid out, so that curvature is continuous.
+/// A turn by 90°: clothoid, arc, clothoid, so that curvature is continuous.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Corner {
     /// Radius of the arc in m.
@@ -39,7 +39,7 @@ impl Corner {
         self.radius * FRAC_PI_2 + self.transition
     }
 
-    /// Yaw after arc length `s`: the integral of a curvature that rises, stays and falls.
+    /// Yaw after arc length `s`: the integral of a curvature that rises linearly, is constant, and falls linearly.
     fn yaw(&self, s: f64) -> f64 {
         let rising = |s: f64| s * s / (2.0 * self.radius * self.transition);
         let end = self.length() - self.transition;
@@ -52,8 +52,8 @@ impl Corner {
         }
     }
 
-    /// Points along a left turn that starts in the origin along +x, without it, by Simpson's rule on
-    /// the yaw. The corner is symmetric: it reaches as far along either side.
+    /// Points along a left turn from the origin (excluded) in the direction +x, by Simpson's rule on the yaw. The
+    /// corner is symmetric, so it has the same extent along both sides.
     pub(super) fn sample(&self) -> Vec<[f64; 2]> {
         const PARTS: u32 = 8;
         let count = (self.length() / SPACING).ceil().max(8.0) as usize;

@@ -4,15 +4,15 @@ use super::{SPACING, check_length};
 use crate::error::{PathError, check};
 use crate::path::Path;
 
-/// Obstacle avoidance as in ISO 3888-2: three lanes of cones, 12, 11 and 12 m long, with gaps of
-/// 13.5 and 12.5 m; the second lane is displaced so far to the left that its right cones stand 1 m
-/// beside the first one's left. The path through them is the one of least curvature that keeps the
-/// vehicle inside: driven along the middle of the lanes, the course takes twice the lateral grip.
+/// Obstacle avoidance of ISO 3888-2: three lanes of cones, 12, 11 and 12 m long, with gaps of 13.5 and 12.5 m. The
+/// right cones of the second lane are 1 m to the left of the first lane's left cones. The path is the one of least
+/// curvature that keeps the vehicle between the cones; along the middle of the lanes the course would need twice the
+/// lateral grip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DoubleLaneChange {
-    /// Width of the vehicle in m without mirrors; the lanes are as wide as it demands.
+    /// Width of the vehicle in m without mirrors, which determines the widths of the lanes.
     pub vehicle_width: f64,
-    /// Distance in m that the path keeps between the vehicle's side and the cones.
+    /// Smallest distance in m between the vehicle's side and the cones.
     pub margin: f64,
     /// Straight before the first cones in m, as wide as the first lane.
     pub lead_in: f64,
@@ -23,17 +23,17 @@ pub struct DoubleLaneChange {
 /// One lane of cones; `y` is 0 in the middle of the first lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Section {
-    /// Where it starts, in m from the first cones.
+    /// Start, in m from the first cones.
     pub start: f64,
-    /// Where it ends, in m from the first cones.
+    /// End, in m from the first cones.
     pub end: f64,
-    /// y of its left cones.
+    /// y of the left cones.
     pub left: f64,
-    /// y of its right cones.
+    /// y of the right cones.
     pub right: f64,
 }
 
-/// y of what bounds the road on both sides.
+/// y of both edges of the road.
 #[derive(Clone, Copy)]
 struct Bounds {
     left: f64,
@@ -54,7 +54,7 @@ impl Default for DoubleLaneChange {
 
 impl DoubleLaneChange {
     /// The three lanes. Their widths follow the vehicle's width `b`: `1.1 b + 0.25`, `b + 1`,
-    /// `1.3 b + 0.25` but at least 3 m; the right cones of the first and the last stand in line.
+    /// `1.3 b + 0.25` but at least 3 m. The right cones of the first and the last lane are in line.
     pub fn sections(&self) -> [Section; 3] {
         let b = self.vehicle_width;
         let (first, second, third) = (1.1 * b + 0.25, b + 1.0, (1.3 * b + 0.25).max(3.0));
@@ -71,11 +71,11 @@ impl DoubleLaneChange {
         ]
     }
 
-    /// The path, from `lead_in` before the first cones. Its widths reach to the cones and, in the gaps,
-    /// to the outermost of the two lanes.
+    /// The path, which starts `lead_in` before the first cones. Its widths extend to the cones and, in the gaps, to the
+    /// outer edges of both lanes.
     ///
     /// # Errors
-    /// A dimension out of range, or a margin that leaves no room in the first lane.
+    /// [`PathError`] if a dimension is out of range or the margin leaves no room in the first lane.
     pub fn path(&self) -> Result<Path, PathError> {
         check(
             "vehicle_width",
@@ -103,7 +103,8 @@ impl DoubleLaneChange {
                 right: edge.right + room,
             })
             .collect();
-        // A clamped start leaves along +x; the end is only held in the middle, so its curvature fades.
+        // Three fixed points give the start the direction +x. The end has one fixed point, so its curvature tends to
+        // zero.
         for i in [0, 1, 2, count - 1] {
             let middle = f64::midpoint(edges[i].left, edges[i].right);
             corridor[i] = Bounds {
@@ -125,7 +126,7 @@ impl DoubleLaneChange {
         Path::from_points(&points, false, Some(&widths))
     }
 
-    /// What bounds the road at a distance from the first cones.
+    /// Edges of the road at the distance `x` from the first cones.
     fn edges(&self, x: f64) -> Bounds {
         let [first, second, third] = self.sections();
         let of = |lane: Section| Bounds {
@@ -150,16 +151,16 @@ impl DoubleLaneChange {
     }
 }
 
-/// Lateral positions in steps of [`SPACING`] that minimise the sum of squared second differences
-/// between soft walls: each wall that is crossed pulls back with a spring, and Newton's method solves
-/// for the positions until the set of crossed walls stays. The springs grow stiff in stages, which
-/// keeps those sets from alternating; at last they give way by a few micrometres.
+/// Lateral positions in steps of [`SPACING`] that minimise the sum of squared second differences subject to the
+/// corridor, by a quadratic penalty method: violated bounds are penalised, and an active-set Newton method repeats
+/// until the set of violated bounds no longer changes. The penalty weight increases in stages, which prevents cycling;
+/// the remaining violation is a few micrometres.
 fn least_curvature(corridor: &[Bounds]) -> Vec<f64> {
     let mut lateral: Vec<f64> = corridor
         .iter()
         .map(|b| f64::midpoint(b.left, b.right))
         .collect();
-    let wall = |y: f64, b: &Bounds| {
+    let violated_bound = |y: f64, b: &Bounds| {
         if y >= b.left {
             Some(b.left)
         } else if y <= b.right {
@@ -168,16 +169,16 @@ fn least_curvature(corridor: &[Bounds]) -> Vec<f64> {
             None
         }
     };
-    let mut walls: Vec<Option<f64>> = vec![None; corridor.len()];
-    for stiffness in [1e-4, 1e-2, 1.0, 1e2] {
+    let mut active: Vec<Option<f64>> = vec![None; corridor.len()];
+    for weight in [1e-4, 1e-2, 1.0, 1e2] {
         for _ in 0..50 {
-            let crossed: Vec<_> = lateral
+            let violated: Vec<_> = lateral
                 .iter()
                 .zip(corridor)
-                .map(|(&y, b)| wall(y, b))
+                .map(|(&y, b)| violated_bound(y, b))
                 .collect();
-            lateral = pulled_beam(&crossed, stiffness);
-            if crossed == std::mem::replace(&mut walls, crossed.clone()) {
+            lateral = penalised_minimum(&violated, weight);
+            if violated == std::mem::replace(&mut active, violated.clone()) {
                 break;
             }
         }
@@ -185,17 +186,17 @@ fn least_curvature(corridor: &[Bounds]) -> Vec<f64> {
     lateral
 }
 
-/// Minimises `sum (y[i-1] - 2 y[i] + y[i+1])² + stiffness sum (y[i] - wall[i])²`: five diagonals,
-/// factorised as `L D Lᵀ`. Two walls at least must pull.
-fn pulled_beam(walls: &[Option<f64>], stiffness: f64) -> Vec<f64> {
-    let n = walls.len();
+/// Minimises `sum (y[i-1] - 2 y[i] + y[i+1])² + weight sum (y[i] - bound[i])²` over the violated bounds, by an `L D Lᵀ`
+/// factorisation of the pentadiagonal system. At least two bounds must be violated.
+fn penalised_minimum(bounds: &[Option<f64>], weight: f64) -> Vec<f64> {
+    let n = bounds.len();
     let mut bands = vec![[0.0; 3]; n]; // entries (i, i), (i, i-1), (i, i-2)
-    let mut y: Vec<f64> = walls
+    let mut y: Vec<f64> = bounds
         .iter()
-        .map(|wall| wall.map_or(0.0, |at| stiffness * at))
+        .map(|bound| bound.map_or(0.0, |at| weight * at))
         .collect();
-    for (band, wall) in bands.iter_mut().zip(walls) {
-        band[0] = if wall.is_some() { stiffness } else { 0.0 };
+    for (band, bound) in bands.iter_mut().zip(bounds) {
+        band[0] = if bound.is_some() { weight } else { 0.0 };
     }
     for i in 2..n {
         for (row, weight) in [

@@ -1,12 +1,12 @@
-//! A straight road on which one changes lanes over and over.
+//! A straight road with repeated lane changes.
 
 use super::{SPACING, check_length};
 use crate::error::PathError;
 use crate::path::Path;
 
-/// Lane changes to the left and back along +x, as often as they fit, between straights. The lateral
-/// position over a transition is the fifth-order polynomial that starts and ends without slope and
-/// curvature, `offset (10 u³ - 15 u⁴ + 6 u⁵)`, with curvatures up to `5.8 offset / transition²`.
+/// Lane changes to the left and back along +x with straights between them, as many as the length allows. The lateral
+/// position in a transition is the fifth-order polynomial with zero slope and curvature at both ends,
+/// `offset (10 u³ - 15 u⁴ + 6 u⁵)`, whose curvature is at most `5.8 offset / transition²`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LaneChanges {
     /// Length of the road in m.
@@ -22,7 +22,7 @@ pub struct LaneChanges {
 }
 
 impl Default for LaneChanges {
-    /// 3.6 m/s² sideways at 15 m/s.
+    /// Dimensions that need a lateral acceleration of 3.6 m/s² at 15 m/s.
     fn default() -> Self {
         Self {
             length: 500.0,
@@ -38,7 +38,7 @@ impl LaneChanges {
     /// The path.
     ///
     /// # Errors
-    /// A dimension that isn't positive, or a road too short for one change and back.
+    /// [`PathError`] if a dimension is not positive or the road is too short for a lane change and back.
     pub fn path(&self) -> Result<Path, PathError> {
         for (name, value) in [
             ("length", self.length),
@@ -53,7 +53,7 @@ impl LaneChanges {
         let pairs = ((self.length - self.hold) / (2.0 * period)).floor();
         if pairs < 1.0 {
             return Err(PathError::Track(format!(
-                "a road of {} m is too short for a lane change and back; it takes {} m",
+                "a road of {} m is too short for a lane change and back, which takes {} m",
                 self.length,
                 2.0 * period + self.hold
             )));

@@ -1,4 +1,4 @@
-//! Built-in tracks, computed from their definition. All start at the origin along +x.
+//! Built-in tracks, computed from their definitions. All start at the origin in the direction +x.
 
 mod corner;
 mod double_lane_change;
@@ -17,7 +17,7 @@ use crate::error::{PathError, check};
 /// Distance between waypoints in m.
 const SPACING: f64 = 0.5;
 
-/// Refuses a length that isn't positive or would need millions of waypoints.
+/// Errors if a length is not positive or would need too many waypoints.
 fn check_length(name: &'static str, value: f64) -> Result<(), PathError> {
     check(name, value, "a length in (0, 50000] m", |x| {
         x > 0.0 && x <= 50_000.0

@@ -14,13 +14,13 @@ pub struct RoundedRectangle {
     pub length: f64,
     /// Side along y in m.
     pub width: f64,
-    /// How corners are driven.
+    /// Shape of the corners.
     pub corner: Corner,
     /// Width of the track in m.
     pub track_width: f64,
 }
 
-/// An L, driven counter-clockwise from the middle of its lower side; five left turns and a right one.
+/// An L, driven counter-clockwise from the middle of its lower side, with five left turns and one right turn.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LShape {
     /// Lower side along x in m.
@@ -29,14 +29,14 @@ pub struct LShape {
     pub width: f64,
     /// Width of both arms of the L in m.
     pub arm: f64,
-    /// How corners are driven.
+    /// Shape of the corners.
     pub corner: Corner,
     /// Width of the track in m.
     pub track_width: f64,
 }
 
 impl Default for RoundedRectangle {
-    /// A lap of half a minute on mixed surfaces.
+    /// Dimensions for a lap of half a minute on mixed surfaces.
     fn default() -> Self {
         Self {
             length: 120.0,
@@ -63,7 +63,7 @@ impl RoundedRectangle {
     /// The path.
     ///
     /// # Errors
-    /// Dimensions that aren't positive, or sides too short for their corners.
+    /// [`PathError`] if a dimension is not positive or a side is too short for its corners.
     pub fn path(&self) -> Result<Path, PathError> {
         let Self { length, width, .. } = *self;
         outline(
@@ -78,7 +78,7 @@ impl LShape {
     /// The path.
     ///
     /// # Errors
-    /// Dimensions that aren't positive, or sides too short for their corners.
+    /// [`PathError`] if a dimension is not positive or a side is too short for its corners.
     pub fn path(&self) -> Result<Path, PathError> {
         let Self {
             length, width, arm, ..
@@ -109,7 +109,7 @@ fn outline(sides: &[(f64, f64)], corner: Corner, track_width: f64) -> Result<Pat
             if straight < SPACING {
                 return Err(PathError::Track(format!(
                     "a side of {side} m is too short for its two corners of {reach:.1} m; \
-                     make it longer, or the radius or the transition shorter"
+                     lengthen the side, or shorten the radius or the transition"
                 )));
             }
             Ok(straight)
@@ -122,12 +122,12 @@ fn outline(sides: &[(f64, f64)], corner: Corner, track_width: f64) -> Result<Pat
         pen.turn(&turn, left);
         pen.straight(straights.get(i + 1).copied().unwrap_or(straights[0] / 2.0));
     }
-    pen.points.rotate_right(1); // the last point, back in the origin, is the first of the lap
+    pen.points.rotate_right(1); // the last point is the origin, where the lap starts
     let widths = vec![[track_width / 2.0; 2]; pen.points.len()];
     Path::from_points(&pen.points, true, Some(&widths))
 }
 
-/// Draws waypoints from the origin, at first along +x.
+/// Appends waypoints, from the origin in the direction +x.
 #[derive(Default)]
 struct Pen {
     points: Vec<[f64; 2]>,
@@ -146,7 +146,7 @@ impl Pen {
         self.quarter_turns += left;
     }
 
-    /// Points relative to where the pen is and heads.
+    /// Appends points given relative to the pen's position and heading.
     fn draw(&mut self, points: impl Iterator<Item = [f64; 2]>) {
         let [x, y] = self.at;
         let (sin, cos) = (self.quarter_turns * FRAC_PI_2).sin_cos();

@@ -1,4 +1,4 @@
-//! Closed tracks drawn from a seed.
+//! Random closed tracks.
 
 use std::f64::consts::TAU;
 
@@ -9,18 +9,17 @@ use super::check_length;
 use crate::error::{PathError, check};
 use crate::path::Path;
 
-/// Points at which a candidate is judged.
-const JUDGED: usize = 720;
-/// Lowest and highest harmonic; the first would only move the track.
+/// Number of points at which a candidate is checked.
+const CHECKED: usize = 720;
+/// Lowest and highest harmonic; the first would only translate the track.
 const HARMONICS: std::ops::RangeInclusive<u32> = 2..=7;
 
-/// A random lap, the same for the same seed. In polar coordinates its radius is
-/// `r(t) = 1 + c sum a_k cos(k t + phase_k)`, scaled to the length asked for. It can't cross itself, as
-/// every direction is passed once, and the largest `c <= 1` is taken at which no turn is tighter than
-/// `min_radius` and no two stretches are nearer than a track's width and a half.
+/// A random lap, determined by its seed. In polar coordinates its radius is `r(t) = 1 + c sum a_k cos(k t + phase_k)`,
+/// scaled to the given length. It cannot cross itself because each direction occurs once. `c <= 1` is reduced until no
+/// turn is tighter than `min_radius` and no two stretches are closer than one and a half track widths.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RandomTrack {
-    /// What the track is drawn from.
+    /// Seed of the random numbers.
     pub seed: u64,
     /// Length of the lap in m.
     pub length: f64,
@@ -41,10 +40,11 @@ impl RandomTrack {
         }
     }
 
-    /// The path, driven counter-clockwise from where it is straightest.
+    /// The path, counter-clockwise from its point of least curvature.
     ///
     /// # Errors
-    /// A dimension that isn't positive, a lap too short for its radius, or a radius within the track.
+    /// [`PathError`] if a dimension is not positive, the lap is too short for its radius, or the radius is at most half
+    /// the track's width.
     pub fn path(&self) -> Result<Path, PathError> {
         check_length("length", self.length)?;
         check_length("track_width", self.track_width)?;
@@ -56,7 +56,7 @@ impl RandomTrack {
         )?;
         if self.length < 1.5 * TAU * self.min_radius {
             return Err(PathError::Track(format!(
-                "a lap of {} m is too short for turns of {} m; it takes {:.0} m",
+                "a lap of {} m is too short for turns of radius {} m, which need {:.0} m",
                 self.length,
                 self.min_radius,
                 1.5 * TAU * self.min_radius
@@ -71,38 +71,38 @@ impl RandomTrack {
         Path::from_points(&points, true, Some(&widths))
     }
 
-    /// Scale from the shape's length to the lap's.
+    /// Ratio of the lap's length to the shape's length.
     fn scale(&self, shape: &Shape) -> f64 {
         let length: f64 =
-            angles(JUDGED).map(|t| shape.at(t).speed()).sum::<f64>() * TAU / JUDGED as f64;
+            angles(CHECKED).map(|t| shape.at(t).speed()).sum::<f64>() * TAU / CHECKED as f64;
         self.length / length
     }
 
     fn accepts(&self, shape: &Shape) -> bool {
         let scale = self.scale(shape);
-        let polar: Vec<_> = angles(JUDGED).map(|t| shape.at(t)).collect();
+        let polar: Vec<_> = angles(CHECKED).map(|t| shape.at(t)).collect();
         if polar
             .iter()
             .any(|at| at.radius < 0.1 || at.curvature().abs() * self.min_radius > scale)
         {
             return false;
         }
-        let points: Vec<_> = angles(JUDGED)
+        let points: Vec<_> = angles(CHECKED)
             .zip(&polar)
             .map(|(t, at)| [scale * at.radius * t.cos(), scale * at.radius * t.sin()])
             .collect();
         let apart = 1.5 * self.track_width;
-        // Neighbours along the track are near by nature: half a turn of the tightest radius away is not.
+        // Points closer along the track than half a turn of the tightest radius are not compared.
         let neighbours =
-            (TAU / 2.0 * self.min_radius.max(apart) / self.length * JUDGED as f64).ceil() as usize;
-        (0..JUDGED).all(|i| {
-            (i + neighbours..JUDGED.min(i + JUDGED - neighbours))
+            (TAU / 2.0 * self.min_radius.max(apart) / self.length * CHECKED as f64).ceil() as usize;
+        (0..CHECKED).all(|i| {
+            (i + neighbours..CHECKED.min(i + CHECKED - neighbours))
                 .all(|j| (points[j][0] - points[i][0]).hypot(points[j][1] - points[i][1]) > apart)
         })
     }
 
-    /// Points about a metre apart, moved and turned so that the first, the straightest, lies in the
-    /// origin and the path leaves it along +x.
+    /// Points about a metre apart, transformed so that the path starts at its point of least curvature in the origin in
+    /// the direction +x.
     fn waypoints(&self, shape: &Shape) -> Vec<[f64; 2]> {
         let scale = self.scale(shape);
         let count = self.length.ceil() as usize;
@@ -125,19 +125,19 @@ impl RandomTrack {
     }
 }
 
-/// Evenly spaced angles of a turn.
+/// Evenly spaced angles of a full turn.
 fn angles(count: usize) -> impl Iterator<Item = f64> {
     (0..count).map(move |i| TAU * i as f64 / count as f64)
 }
 
-/// The radius over the angle.
+/// The radius as a function of the angle.
 struct Shape {
     contrast: f64,
     /// Harmonic, amplitude, phase.
     waves: Vec<(f64, f64, f64)>,
 }
 
-/// Radius and its derivatives by the angle.
+/// Radius and its derivatives with respect to the angle.
 struct Polar {
     radius: f64,
     slope: f64,
@@ -179,7 +179,7 @@ impl Shape {
 }
 
 impl Polar {
-    /// Length per angle.
+    /// Arc length per angle.
     fn speed(&self) -> f64 {
         self.radius.hypot(self.slope)
     }

@@ -1,7 +1,7 @@
 //! CommonRoad vehicle 1, a Ford Escort.
 
 use super::{Axle, Joint, Parameters, SprungMass, Wheel};
-use crate::{Limits, TyreParameters};
+use crate::{ActuatorLimits, TyreParameters};
 
 pub(super) const PARAMETERS: Parameters = Parameters {
     mass: 1_225.887_846_725_334_4,
@@ -49,7 +49,7 @@ pub(super) const PARAMETERS: Parameters = Parameters {
         stiffness: 175_186.659_437_007_88,
         damping: 10_215.732_056_044_453,
     },
-    limits: Limits {
+    limits: ActuatorLimits {
         steering_angle: 0.91,
         steering_rate: 0.4,
         acceleration: 11.5,

@@ -1,13 +1,13 @@
-//! What distinguishes one vehicle from another.
+//! Vehicle parameters.
 //!
 //! Values from `commonroad-vehicle-models` 3.0.2 (BSD licence, TUM Cyber-Physical Systems Group), SI units.
 
 mod bmw_320i;
 mod ford_escort;
 
-use crate::{GRAVITY, Limits, PlantError, TyreParameters};
+use crate::{ActuatorLimits, GRAVITY, PlantError, TyreParameters};
 
-/// The vehicles of the CommonRoad benchmarks known here, by their CommonRoad number.
+/// The available vehicles of the CommonRoad benchmarks, with their CommonRoad numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VehicleId {
     /// Vehicle 1, front-wheel drive.
@@ -45,19 +45,19 @@ pub struct Parameters {
     pub mass: f64,
     /// Yaw inertia of the whole vehicle, kg m².
     pub yaw_inertia: f64,
-    /// Everything on the springs.
+    /// The mass above the springs.
     pub sprung: SprungMass,
     /// The steered axle.
     pub front: Axle,
     /// The other axle.
     pub rear: Axle,
-    /// Each of the four wheels.
+    /// Parameters of each of the four wheels.
     pub wheel: Wheel,
     /// The compliant pin joint between the sprung mass and each axle.
     pub joint: Joint,
-    /// What the actuators can do.
-    pub limits: Limits,
-    /// The tyre on all four wheels.
+    /// Limits of the actuators.
+    pub limits: ActuatorLimits,
+    /// Parameters of each of the four tyres.
     pub tyre: TyreParameters,
 }
 
@@ -94,38 +94,38 @@ impl Parameters {
 /// The body above the suspension.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SprungMass {
-    /// kg.
+    /// Mass, kg.
     pub mass: f64,
-    /// About the longitudinal axis, kg m².
+    /// Inertia about the longitudinal axis, kg m².
     pub roll_inertia: f64,
-    /// About the lateral axis, kg m².
+    /// Inertia about the lateral axis, kg m².
     pub pitch_inertia: f64,
     /// Product of inertia of roll and yaw, kg m².
     pub roll_yaw_product: f64,
-    /// Centre of mass above ground, m.
+    /// Height of the centre of mass above ground, m.
     pub height: f64,
 }
 
 /// One axle with its suspension.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axle {
-    /// Distance ahead of the centre of mass, m; negative behind it.
+    /// Longitudinal position relative to the centre of mass, m; positive ahead of it.
     pub position: f64,
-    /// Between the two contact points, m.
+    /// Distance between the two contact points, m.
     pub track_width: f64,
-    /// kg.
+    /// Mass of axle and wheels below the springs, kg.
     pub unsprung_mass: f64,
     /// Roll inertia of the unsprung mass, kg m².
     pub roll_inertia: f64,
-    /// Per wheel, N/m.
+    /// Spring rate per wheel, N/m.
     pub spring: f64,
-    /// Per wheel, N s/m.
+    /// Damping per wheel, N s/m.
     pub damper: f64,
     /// Auxiliary torsional roll stiffness, N m/rad, negative for an anti-roll bar.
     pub torsion: f64,
     /// Height of the roll axis above ground, m.
     pub roll_axis_height: f64,
-    /// Camber gained per suspension travel, rad/m.
+    /// Change of camber per suspension travel, rad/m.
     pub camber_gain: f64,
     /// Share of the brake torque on this axle.
     pub brake_share: f64,
@@ -138,7 +138,7 @@ pub struct Axle {
 pub struct Wheel {
     /// Effective rolling radius, m.
     pub radius: f64,
-    /// About its axis, kg m².
+    /// Inertia about the wheel's axis, kg m².
     pub inertia: f64,
     /// Vertical spring rate of the tyre, N/m.
     pub vertical_stiffness: f64,
@@ -149,8 +149,8 @@ pub struct Wheel {
 /// The lateral pin joint between the sprung mass and an axle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Joint {
-    /// N/m.
+    /// Stiffness, N/m.
     pub stiffness: f64,
-    /// N s/m.
+    /// Damping, N s/m.
     pub damping: f64,
 }

@@ -1,27 +1,28 @@
-//! From an iterate of the interior point to a start of the active set.
+//! Crossover: from an iterate of the interior-point method to a start of the active-set method.
 
 use super::active_set::ActiveSet;
-use super::band::Pressing;
 use super::interior_point::Point;
 use super::stage::{PAIRS, Stage};
+use super::two_sided::WorkingSet;
 
-/// A row presses if its multiplier is larger than its slack, and yields if its price does not keep the slack down.
+/// Starts the active-set method. A row is taken as active if its multiplier exceeds its slack, and an active soft row
+/// as violated if its violation `ε` exceeds the multiplier `γ` of `ε >= 0`.
 #[inline(always)]
-pub(super) fn hand_over(stages: &[Stage], points: &[Point], end: &mut ActiveSet) {
+pub(super) fn crossover(stages: &[Stage], points: &[Point], active_set: &mut ActiveSet) {
     for (t, (stage, point)) in stages.iter().zip(points).enumerate() {
         let rows = &point.rows;
-        let mut pressing = Pressing::default();
+        let mut set = WorkingSet::default();
         let mut lambda = [0.0; PAIRS];
         for k in 0..PAIRS {
             for (side, sign) in [(k, 1.0), (PAIRS + k, -1.0)] {
                 if rows.lambda[side] > rows.slack[side] {
-                    pressing.side[k] = sign;
-                    pressing.yielding[k] =
-                        rows.epsilon[side] > rows.gamma[side] && stage.band.limit[k].is_finite();
+                    set.side[k] = sign;
+                    set.violated[k] =
+                        rows.epsilon[side] > rows.gamma[side] && stage.rows.linear[k].is_finite();
                     lambda[k] = sign * rows.lambda[side];
                 }
             }
         }
-        end.start_stage(t, &stage.band, (point.v, point.s), lambda, &pressing);
+        active_set.start_stage(t, &stage.rows, (point.v, point.s), lambda, &set);
     }
 }

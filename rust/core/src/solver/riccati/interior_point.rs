@@ -1,32 +1,34 @@
-//! Mehrotra's predictor-corrector on the stage-wise problem (Nocedal & Wright, *Numerical
-//! Optimization*, 2nd ed., algorithm 16.4; Rao, Wright & Rawlings, JOTA 99, 1998).
+//! Mehrotra's predictor-corrector method on the stage-wise problem (Nocedal & Wright, *Numerical Optimization*, 2nd
+//! ed., algorithm 16.4; Rao, Wright & Rawlings, JOTA 99, 1998).
 //!
-//! States are always rolled out from the controls, so the dynamics hold at every iterate and the
-//! only stationarity left is that of the controls, taken through the adjoint.
+//! States are rolled out from the controls, so the dynamics hold at every iterate and stationarity is required of the
+//! controls only. Its residual is computed with the adjoint states.
 
 use super::active_set::ActiveSet;
-use super::crossover::hand_over;
-use super::recursion::{Aug, Factor, Symmetric, backward, factorise, forward};
-use super::rows::{
-    Bounds, Iterate, Push, ROWS, Residual, Rows, Scaling, Targets, larger, largest, signed_values,
+use super::crossover::crossover;
+use super::one_sided::{
+    Iterate, OneSided, ROWS, Residual, RightHandSide, Rows, Scaling, Targets, larger, largest,
+    signed_values,
 };
+use super::recursion::{Aug, Factor, Symmetric, backward, factorise, forward};
 use super::stage::Stage;
 use crate::NU;
 
-/// What an iteration keeps of a stage between its passes.
+/// Intermediate results of an iteration for one stage.
 #[derive(Clone, Copy, Debug)]
-struct Pass {
-    bounds: Bounds,
+struct StageWork {
+    rows: OneSided,
     y: Rows,
     residual: Residual,
     scaling: Scaling,
     factor: Factor,
     /// `L⁻¹ q_v` of the current right-hand side.
-    lead: [f64; NU],
+    feedforward: [f64; NU],
     targets: Targets,
-    push: Push,
+    rhs: RightHandSide,
+    /// Newton direction of the control and of the rows.
     dv: [f64; NU],
-    step: Iterate,
+    direction: Iterate,
 }
 
 /// Primal-dual point of a stage.
@@ -48,54 +50,56 @@ fn roll_out(initial: &Aug, stages: &[Stage], points: &mut [Point]) {
     }
 }
 
-/// How an attempt ended.
+/// How a solve ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Outcome {
-    /// The active set ended it.
-    Ended,
+    /// The active-set method found the solution.
+    SolvedByActiveSet,
     /// Residuals and complementarity are below the tolerance.
     Converged,
-    /// The iteration limit came first.
+    /// The iteration limit was reached before convergence.
     IterationLimit,
-    /// The factorisation broke down or the iterate left the finite numbers.
+    /// A factorisation failed or the iterate is no longer finite.
     Breakdown,
 }
 
-/// Optimality of a point: the largest entry of each residual.
+/// Residuals of the optimality conditions at a point: the largest entry of each.
 #[derive(Clone, Copy, Debug)]
 struct Optimality {
-    /// Stationarity of the controls relative to its largest term (at least 1), and of the slack prices.
+    /// Stationarity in the controls and in `ε`, relative to the largest term in the controls (at least 1).
     stationarity: f64,
     /// Violation of the rows.
     primal: f64,
-    /// Mean product of slack and multiplier.
+    /// Duality measure: mean product of slack and multiplier.
     mu: f64,
 }
 
-/// Memory and method of the interior point.
+/// The interior-point method and its memory.
 #[derive(Clone, Debug)]
 pub(super) struct InteriorPoint {
-    passes: Vec<Pass>,
-    /// Products of slack and multiplier; every stage has hard rows.
-    products: f64,
+    work: Vec<StageWork>,
+    /// Number of complementary pairs, at least one because every stage has hard rows.
+    n_pairs: f64,
 }
 
-/// Complementarity of the start: large, so that a start far from the solution has room to move.
-const START: f64 = 1e4;
+/// Initial barrier parameter. It is large so that the first steps from a distant start are not short.
+const INITIAL_MU: f64 = 1e4;
 
-/// Complementarity must be this much smaller than the other residuals: where a bound is only just
-/// active, the solution is off by its square root.
-const SHARPNESS: f64 = 1e-4;
+/// Tolerance of the duality measure relative to the tolerance of the other residuals. It is smaller because the error
+/// of a solution with a weakly active bound is as large as the square root of the duality measure.
+const COMPLEMENTARITY_FACTOR: f64 = 1e-4;
 
-/// Share of the way to the boundary that a step may go.
+/// Step length as a share of the largest that keeps slacks and multipliers positive.
 const FRACTION_TO_BOUNDARY: f64 = 0.995;
 
-/// Complementarity at which the rows that press are told apart for the first time, and the factor to each next time.
-const END: f64 = 1e-3;
-const END_AGAIN: f64 = 0.03;
+/// Barrier parameter below which the active-set method is first tried.
+const CROSSOVER_MU: f64 = 1e-3;
 
-/// Violation of the rows at which it is worth while.
-const END_PRIMAL: f64 = 1e-2;
+/// Factor by which the barrier parameter decreases between one trial of the active-set method and the next.
+const CROSSOVER_DECREASE: f64 = 0.03;
+
+/// Primal residual below which the active-set method is tried.
+const CROSSOVER_PRIMAL: f64 = 1e-2;
 
 impl InteriorPoint {
     pub fn new(horizon: usize) -> Self {
@@ -106,49 +110,50 @@ impl InteriorPoint {
             epsilon: rows,
             gamma: rows,
         };
-        let pass = Pass {
-            bounds: Bounds::default(),
+        let work = StageWork {
+            rows: OneSided::default(),
             y: rows,
             residual: Residual {
                 primal: rows,
-                price: rows,
+                epsilon: rows,
             },
             scaling: Scaling::default(),
             factor: Factor::default(),
-            lead: [0.0; NU],
+            feedforward: [0.0; NU],
             targets: Targets {
                 first: rows,
                 second: rows,
             },
-            push: Push {
-                shift: rows,
-                drive: rows,
+            rhs: RightHandSide {
+                lambda: rows,
+                epsilon: rows,
             },
             dv: [0.0; NU],
-            step: iterate,
+            direction: iterate,
         };
         Self {
-            passes: vec![pass; horizon],
-            products: 1.0,
+            work: vec![work; horizon],
+            n_pairs: 1.0,
         }
     }
 
-    /// Improves `points` until `tolerance` or `limit`; returns the outcome and the iterations spent.
+    /// Iterates on `points` until the residuals are below `tolerance`, the active-set method converges, or `limit`
+    /// iterations are spent. Returns the outcome and the number of iterations.
     #[inline(always)]
     pub fn run(
         &mut self,
         initial: &Aug,
         stages: &[Stage],
         points: &mut [Point],
-        end: &mut ActiveSet,
+        active_set: &mut ActiveSet,
         tolerance: f64,
         limit: u32,
     ) -> (Outcome, u32) {
-        for (stage, pass) in stages.iter().zip(&mut self.passes) {
-            pass.bounds = Bounds::of(&stage.band);
+        for (stage, work) in stages.iter().zip(&mut self.work) {
+            work.rows = OneSided::of(&stage.rows);
         }
-        self.products = self.passes.iter().map(|pass| pass.bounds.products()).sum();
-        let mut next_end = END;
+        self.n_pairs = self.work.iter().map(|work| work.rows.n_pairs()).sum();
+        let mut next_crossover = CROSSOVER_MU;
         if !self.start(initial, stages, points) {
             return (Outcome::Breakdown, 0);
         }
@@ -159,32 +164,32 @@ impl InteriorPoint {
                 primal,
                 mu,
             } = self.residuals(stages, points);
-            let worst = stationarity.max(primal).max(mu / SHARPNESS);
+            let worst = stationarity.max(primal).max(mu / COMPLEMENTARITY_FACTOR);
             if !(stationarity + primal + mu).is_finite() {
                 return (Outcome::Breakdown, iteration);
             }
             if worst <= tolerance {
                 return (Outcome::Converged, iteration);
             }
-            if mu < next_end && primal < END_PRIMAL {
-                next_end = mu * END_AGAIN;
-                hand_over(stages, points, end);
-                if end.finish(stages, tolerance) {
-                    return (Outcome::Ended, iteration);
+            if mu < next_crossover && primal < CROSSOVER_PRIMAL {
+                next_crossover = mu * CROSSOVER_DECREASE;
+                crossover(stages, points, active_set);
+                if active_set.solve(stages, tolerance) {
+                    return (Outcome::SolvedByActiveSet, iteration);
                 }
             }
             if iteration < limit {
                 if !self.factorise(stages, points) {
                     return (Outcome::Breakdown, iteration);
                 }
-                self.improve(stages, points, mu, 0.1 * SHARPNESS * tolerance);
+                self.step(stages, points, mu, 0.1 * COMPLEMENTARITY_FACTOR * tolerance);
             }
         }
         (Outcome::IterationLimit, limit)
     }
 
-    /// A start inside all hard rows: the LQ regulator without rows, its controls saturated on the
-    /// way, and each row placed on its own central path.
+    /// Sets the initial iterate: the controls of the LQ regulator without inequalities, moved inside all hard bounds
+    /// stage by stage, and each row on its own central path. False if the factorisation fails.
     #[inline(always)]
     fn start(&mut self, initial: &Aug, stages: &[Stage], points: &mut [Point]) -> bool {
         for point in points.iter_mut() {
@@ -194,21 +199,22 @@ impl InteriorPoint {
         roll_out(initial, stages, points);
         let mut p = Symmetric::default();
         let mut gradient = Aug::default();
-        for ((stage, point), pass) in stages.iter().zip(points.iter()).zip(&mut self.passes).rev() {
+        for ((stage, point), work) in stages.iter().zip(points.iter()).zip(&mut self.work).rev() {
             p.add(&stage.cost);
             gradient.add(&stage.cost_gradient(&point.s));
             let Some((factor, previous)) = factorise(&stage.dynamics, &stage.rate, &p) else {
                 return false;
             };
-            pass.factor = factor;
+            work.factor = factor;
             p = previous;
-            (gradient, pass.lead) = backward(&stage.dynamics, &pass.factor, &gradient, &[0.0; NU]);
+            (gradient, work.feedforward) =
+                backward(&stage.dynamics, &work.factor, &gradient, &[0.0; NU]);
         }
         let mut s = *initial;
         let mut ds = Aug::default();
-        for ((stage, point), pass) in stages.iter().zip(points.iter_mut()).zip(&self.passes) {
-            let (v, _) = forward(&stage.dynamics, &pass.factor, &pass.lead, &ds);
-            point.v = pass.bounds.inside(&v, &s.u);
+        for ((stage, point), work) in stages.iter().zip(points.iter_mut()).zip(&self.work) {
+            let (v, _) = forward(&stage.dynamics, &work.factor, &work.feedforward, &ds);
+            point.v = work.rows.interior_control(&v, &s.u);
             let free = point.s;
             s = stage.successor(&s, &point.v);
             point.s = s;
@@ -219,33 +225,33 @@ impl InteriorPoint {
                 *d = a - b;
             }
         }
-        for ((stage, point), pass) in stages.iter().zip(points.iter_mut()).zip(&self.passes) {
-            let y = signed_values(&point.v, &point.s, &stage.band.normal);
-            point.rows = pass.bounds.centred(&y, START);
+        for ((stage, point), work) in stages.iter().zip(points.iter_mut()).zip(&self.work) {
+            let y = signed_values(&point.v, &point.s, &stage.rows.normal);
+            point.rows = work.rows.centred(&y, INITIAL_MU);
         }
         true
     }
 
-    /// Row values, residuals, and stationarity of the controls by the adjoint.
+    /// Computes row values and residuals; stationarity in the controls uses the adjoint states.
     #[inline(always)]
     fn residuals(&mut self, stages: &[Stage], points: &[Point]) -> Optimality {
         let mut adjoint = Aug::default();
         let mut scale = 1.0_f64;
         let mut stationarity = 0.0_f64;
-        let (mut primal, mut price, mut products) = ([0.0; ROWS], [0.0; ROWS], [0.0; ROWS]);
-        for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes).rev() {
-            let bounds = &pass.bounds;
-            pass.y = signed_values(&point.v, &point.s, &bounds.normal);
-            bounds.residual(&pass.y, &point.rows, &mut pass.residual);
+        let (mut primal, mut epsilon, mut products) = ([0.0; ROWS], [0.0; ROWS], [0.0; ROWS]);
+        for ((stage, point), work) in stages.iter().zip(points).zip(&mut self.work).rev() {
+            let rows = &work.rows;
+            work.y = signed_values(&point.v, &point.s, &rows.normal);
+            rows.residual(&work.y, &point.rows, &mut work.residual);
             for k in 0..ROWS {
-                primal[k] = larger(primal[k], pass.residual.primal[k].abs());
-                price[k] = larger(price[k], pass.residual.price[k].abs());
+                primal[k] = larger(primal[k], work.residual.primal[k].abs());
+                epsilon[k] = larger(epsilon[k], work.residual.epsilon[k].abs());
             }
-            bounds.add_products(&point.rows, 0.0, &point.rows, &mut products);
+            rows.add_products(&point.rows, 0.0, &point.rows, &mut products);
 
             let mut next = stage.cost_gradient(&point.s);
             next.add(&adjoint);
-            let (own, rate) = bounds.gradient(&point.rows.lambda);
+            let (own, rate) = rows.gradient(&point.rows.lambda);
             next.add(&own);
             adjoint = stage.dynamics.apply_transposed(&next);
             for i in 0..NU {
@@ -255,7 +261,7 @@ impl InteriorPoint {
                     .max(own.abs())
                     .max(rate[i].abs())
                     .max(adjoint.u[i].abs());
-                // `max` forgets NaN, a sum does not.
+                // `f64::max` ignores NaN, but the residual must not.
                 stationarity = if g.is_nan() {
                     g
                 } else {
@@ -264,27 +270,27 @@ impl InteriorPoint {
             }
         }
         Optimality {
-            stationarity: larger(largest(&price), stationarity) / scale,
+            stationarity: larger(largest(&epsilon), stationarity) / scale,
             primal: largest(&primal),
-            mu: products.iter().sum::<f64>() / self.products,
+            mu: products.iter().sum::<f64>() / self.n_pairs,
         }
     }
 
-    /// The Riccati recursion with the rows' curvature.
+    /// Backward sweep of the Riccati recursion with the Hessian of the rows. False if a factorisation fails.
     #[inline(always)]
     fn factorise(&mut self, stages: &[Stage], points: &[Point]) -> bool {
         let mut p = Symmetric::default();
-        for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes).rev() {
-            pass.bounds.scale(&point.rows, &mut pass.scaling);
+        for ((stage, point), work) in stages.iter().zip(points).zip(&mut self.work).rev() {
+            work.rows.scale(&point.rows, &mut work.scaling);
             p.add(&stage.cost);
-            let (curvature, mut rate) = pass.bounds.curvature(&pass.scaling.weight);
+            let (curvature, mut rate) = work.rows.curvature(&work.scaling.weight);
             p.add(&curvature);
             for (rate, weight) in rate.iter_mut().zip(&stage.rate) {
                 *rate += weight;
             }
             match factorise(&stage.dynamics, &rate, &p) {
                 Some((factor, previous)) => {
-                    pass.factor = factor;
+                    work.factor = factor;
                     p = previous;
                 }
                 None => return false,
@@ -293,89 +299,89 @@ impl InteriorPoint {
         true
     }
 
-    /// Predictor, centring, corrector and the step.
+    /// Predictor, centring and corrector, then the step. `floor` is the smallest barrier parameter aimed at.
     #[inline(always)]
-    fn improve(&mut self, stages: &[Stage], points: &mut [Point], mu: f64, floor: f64) {
+    fn step(&mut self, stages: &[Stage], points: &mut [Point], mu: f64, floor: f64) {
         self.newton(stages, points, |rows, _| Targets::affine(rows));
-        let affine = self.longest(points);
+        let affine = self.max_step(points);
         let mut products = [0.0; ROWS];
-        for (point, pass) in points.iter().zip(&self.passes) {
-            pass.bounds
-                .add_products(&point.rows, affine, &pass.step, &mut products);
+        for (point, work) in points.iter().zip(&self.work) {
+            work.rows
+                .add_products(&point.rows, affine, &work.direction, &mut products);
         }
-        let after = products.iter().sum::<f64>() / self.products;
+        let after = products.iter().sum::<f64>() / self.n_pairs;
         let ratio = (after / mu).clamp(0.0, 1.0);
         let target = (ratio * ratio * ratio * mu).max(floor);
-        self.newton(stages, points, |rows, step| {
-            Targets::corrected(rows, step, target)
+        self.newton(stages, points, |rows, affine| {
+            Targets::corrected(rows, affine, target)
         });
-        let longest = self.longest(points);
-        let step = if longest < 1.0 {
-            FRACTION_TO_BOUNDARY * longest
+        let max_step = self.max_step(points);
+        let step = if max_step < 1.0 {
+            FRACTION_TO_BOUNDARY * max_step
         } else {
             1.0
         };
-        for (point, pass) in points.iter_mut().zip(&self.passes) {
-            for (v, dv) in point.v.iter_mut().zip(&pass.dv) {
+        for (point, work) in points.iter_mut().zip(&self.work) {
+            for (v, dv) in point.v.iter_mut().zip(&work.dv) {
                 *v = step.mul_add(*dv, *v);
             }
-            point.rows.advance(step, &pass.step);
+            point.rows.advance(step, &work.direction);
         }
     }
 
-    /// Solves the Newton system for the targets of complementarity that `aim` names from the
-    /// iterate and the last step.
+    /// Solves the Newton system. `targets` gives the right-hand sides of the complementarity conditions from the
+    /// iterate and the previous direction.
     #[inline(always)]
     fn newton(
         &mut self,
         stages: &[Stage],
         points: &[Point],
-        aim: impl Fn(&Iterate, &Iterate) -> Targets,
+        targets: impl Fn(&Iterate, &Iterate) -> Targets,
     ) {
         let mut p = Aug::default();
-        for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes).rev() {
-            pass.targets = aim(&point.rows, &pass.step);
-            pass.scaling
-                .push(&point.rows, &pass.residual, &pass.targets, &mut pass.push);
-            let mut force = [0.0; ROWS];
-            for (f, (lambda, shift)) in force
+        for ((stage, point), work) in stages.iter().zip(points).zip(&mut self.work).rev() {
+            work.targets = targets(&point.rows, &work.direction);
+            work.scaling
+                .right_hand_side(&point.rows, &work.residual, &work.targets, &mut work.rhs);
+            let mut lambda = [0.0; ROWS];
+            for (sum, (lambda, step)) in lambda
                 .iter_mut()
-                .zip(point.rows.lambda.iter().zip(&pass.push.shift))
+                .zip(point.rows.lambda.iter().zip(&work.rhs.lambda))
             {
-                *f = lambda + shift;
+                *sum = lambda + step;
             }
             let mut next = stage.cost_gradient(&point.s);
             next.add(&p);
-            let (own, mut g_v) = pass.bounds.gradient(&force);
+            let (own, mut g_v) = work.rows.gradient(&lambda);
             next.add(&own);
             for i in 0..NU {
                 g_v[i] = stage.rate[i].mul_add(point.v[i], g_v[i]);
             }
-            (p, pass.lead) = backward(&stage.dynamics, &pass.factor, &next, &g_v);
+            (p, work.feedforward) = backward(&stage.dynamics, &work.factor, &next, &g_v);
         }
         let mut ds = Aug::default();
-        for ((stage, point), pass) in stages.iter().zip(points).zip(&mut self.passes) {
-            (pass.dv, ds) = forward(&stage.dynamics, &pass.factor, &pass.lead, &ds);
-            let dy = signed_values(&pass.dv, &ds, &stage.band.normal);
-            pass.bounds.recover(
-                &pass.scaling,
-                &pass.push,
+        for ((stage, point), work) in stages.iter().zip(points).zip(&mut self.work) {
+            (work.dv, ds) = forward(&stage.dynamics, &work.factor, &work.feedforward, &ds);
+            let dy = signed_values(&work.dv, &ds, &stage.rows.normal);
+            work.rows.recover(
+                &work.scaling,
+                &work.rhs,
                 &point.rows,
-                &pass.residual,
-                &pass.targets,
+                &work.residual,
+                &work.targets,
                 &dy,
-                &mut pass.step,
+                &mut work.direction,
             );
         }
     }
 
-    /// Longest step that keeps slacks and multipliers positive.
+    /// Largest step length, at most 1, that keeps slacks and multipliers nonnegative.
     #[inline(always)]
-    fn longest(&self, points: &[Point]) -> f64 {
+    fn max_step(&self, points: &[Point]) -> f64 {
         let mut worst = [1.0; ROWS];
-        for (point, pass) in points.iter().zip(&self.passes) {
-            pass.bounds
-                .raise_decrease(&point.rows, &pass.step, &mut worst);
+        for (point, work) in points.iter().zip(&self.work) {
+            work.rows
+                .max_decrease(&point.rows, &work.direction, &mut worst);
         }
         1.0 / largest(&worst)
     }

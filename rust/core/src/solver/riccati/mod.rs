@@ -1,34 +1,35 @@
 //! Structure-exploiting solver for [`OcpQp`] over stage-wise Riccati recursions, on fixed arrays.
 //!
-//! An active set first, from the guess or from the saturated LQ regulator: a few recursions when it knows the rows
-//! that press. Where it does not settle, Mehrotra's interior point goes on until the rows that press stand out, and
-//! the active set ends it, exactly.
+//! The solver first tries an active-set method from the guess or from the saturated LQ regulator, which takes a few
+//! recursions if the initial working set is nearly right. If this method does not converge, Mehrotra's interior-point
+//! method iterates until slacks and multipliers identify the active rows, and the active-set method solves the problem
+//! from there exactly (crossover).
 //!
 //! - [`recursion`]: the LQ problem augmented by the applied input, one stage at a time;
-//! - [`stage`]: its data and the rows bounded in it;
-//! - [`band`], [`active_set`]: the rows as two-sided ones, and the method that guesses which of them press;
-//! - [`rows`], [`interior_point`]: the rows as one-sided ones, eliminated row by row, and the method;
-//! - [`crossover`]: from the latter to the former;
-//! - this file: from [`OcpQp`] and back.
+//! - [`stage`]: data and order of the rows of a stage;
+//! - [`two_sided`], [`active_set`]: the active-set method and its form of the rows;
+//! - [`one_sided`], [`interior_point`]: the interior-point method and its form of the rows;
+//! - [`crossover`]: from the interior-point method to the active-set method;
+//! - this file: conversion from and to [`OcpQp`].
 //!
-//! Time grows linearly with the horizon, nothing is allocated after construction, and the result is a function of
-//! problem and guess alone.
+//! Time grows linearly with the horizon, nothing is allocated after construction, and the result depends on problem and
+//! guess alone.
 
-#![allow(clippy::needless_range_loop)] // loops over lanes read like the formulas, and vectorise
+#![allow(clippy::needless_range_loop)] // index loops read like the formulas and are vectorised
 
 mod active_set;
-mod band;
 mod crossover;
 mod interior_point;
+mod one_sided;
 mod recursion;
-mod rows;
 mod stage;
+mod two_sided;
 
 use active_set::ActiveSet;
-use band::Band;
 use interior_point::{InteriorPoint, Outcome, Point};
 use recursion::Aug;
 use stage::{INPUT, PAIRS, STATE, Stage, TRACK};
+use two_sided::TwoSided;
 
 use super::{QpSolver, Status};
 use crate::qp::{self, MAX_SOFT, Multipliers, OcpQp, OcpSolution};
@@ -37,10 +38,10 @@ use crate::simd::{Vectorised, vectorised};
 use crate::vehicle::{P_X, P_Y};
 use crate::{Input, NU, NX};
 
-/// The row that each soft row of [`OcpQp`] becomes.
+/// Row of a stage for each soft row of [`OcpQp`].
 const SOFT_ROW: [usize; MAX_SOFT] = [STATE, STATE + 1, TRACK, STATE + 2, STATE + 3];
 
-/// The structured solver.
+/// Solver that exploits the stage-wise structure of the problem.
 #[derive(Debug)]
 pub struct RiccatiSolver {
     tolerance: f64,
@@ -52,7 +53,7 @@ pub struct RiccatiSolver {
 }
 
 impl RiccatiSolver {
-    /// Memory for problems of that horizon.
+    /// A solver for problems with this horizon.
     pub fn new(horizon: usize, settings: &SolverSettings) -> Self {
         Self {
             tolerance: settings.tolerance,
@@ -72,7 +73,7 @@ impl QpSolver for RiccatiSolver {
             ..Aug::default()
         };
         initial.x[..NX].copy_from_slice(qp.x0.as_slice());
-        let outcome = vectorised(Attempt {
+        let outcome = vectorised(Solve {
             solver: self,
             qp,
             initial,
@@ -80,11 +81,11 @@ impl QpSolver for RiccatiSolver {
             iterations: &mut out.iterations,
         });
         let proposed = out.u.iter_mut().zip(&mut out.multipliers);
-        if outcome == Outcome::Ended {
-            for (pass, (u, multipliers)) in self.active_set.passes.iter().zip(proposed) {
-                *u = pass.s.u.into();
-                let upper = pass.lambda.map(|value| value.max(0.0));
-                let lower = pass.lambda.map(|value| (-value).max(0.0));
+        if outcome == Outcome::SolvedByActiveSet {
+            for (work, (u, multipliers)) in self.active_set.work.iter().zip(proposed) {
+                *u = work.s.u.into();
+                let upper = work.lambda.map(|value| value.max(0.0));
+                let lower = work.lambda.map(|value| (-value).max(0.0));
                 *multipliers = multipliers_of(&upper, &lower);
             }
         } else {
@@ -95,7 +96,7 @@ impl QpSolver for RiccatiSolver {
             }
         }
         match outcome {
-            Outcome::Ended | Outcome::Converged => Status::Solved,
+            Outcome::SolvedByActiveSet | Outcome::Converged => Status::Solved,
             Outcome::IterationLimit => Status::IterationLimit,
             Outcome::Breakdown => Status::NumericalError,
         }
@@ -106,8 +107,8 @@ impl QpSolver for RiccatiSolver {
     }
 }
 
-/// One attempt at a problem.
-struct Attempt<'a> {
+/// One solve, compiled for the available instruction sets.
+struct Solve<'a> {
     solver: &'a mut RiccatiSolver,
     qp: &'a OcpQp,
     initial: Aug,
@@ -115,7 +116,7 @@ struct Attempt<'a> {
     iterations: &'a mut u32,
 }
 
-impl Vectorised for Attempt<'_> {
+impl Vectorised for Solve<'_> {
     type Output = Outcome;
 
     #[inline(always)]
@@ -131,16 +132,16 @@ impl Vectorised for Attempt<'_> {
         for (stage, source) in stages.iter_mut().zip(self.qp.stages()) {
             load(stage, source, self.qp);
         }
-        active_set.scale(stages);
+        active_set.reset(stages);
         let started = if self.guess.len() == stages.len() {
             active_set.start_warm(&self.initial, stages, self.guess);
             true
         } else {
             active_set.start_cold(&self.initial, stages)
         };
-        if started && active_set.finish(stages, *tolerance) {
+        if started && active_set.solve(stages, *tolerance) {
             *self.iterations = active_set.iterations;
-            return Outcome::Ended;
+            return Outcome::SolvedByActiveSet;
         }
         let (outcome, iterations) = interior_point.run(
             &self.initial,
@@ -155,7 +156,7 @@ impl Vectorised for Attempt<'_> {
     }
 }
 
-/// Lays one stage out for the recursion.
+/// Copies one stage into the form of the recursion.
 #[inline(always)]
 fn load(stage: &mut Stage, source: &qp::Stage, qp: &OcpQp) {
     for i in 0..NX {
@@ -175,13 +176,13 @@ fn load(stage: &mut Stage, source: &qp::Stage, qp: &OcpQp) {
     stage.gradient[P_Y] -= stage.cost.cross * source.reference[P_X];
     stage.cost.u = qp.r.into();
     stage.rate = qp.r_d.into();
-    stage.band = load_rows(source, qp);
+    stage.rows = load_rows(source, qp);
 }
 
-/// A soft row without a normal bounds nothing and is left out.
+/// Rows of a stage. A soft row whose normal is zero bounds nothing and stays absent.
 #[inline(always)]
-fn load_rows(source: &qp::Stage, qp: &OcpQp) -> Band {
-    let mut rows = Band::default();
+fn load_rows(source: &qp::Stage, qp: &OcpQp) -> TwoSided {
+    let mut rows = TwoSided::default();
     for i in 0..NU {
         rows.hard(i, source.du_min[i], source.du_max[i]);
         rows.hard(INPUT + i, source.u_min[i], source.u_max[i]);

@@ -8,12 +8,11 @@
 //! min Σ ½ vᵀ D v + gᵥᵀ v  +  Σ ½ sᵀ H s + gₛᵀ s
 //! ```
 //!
-//! so one product `M = Āᵀ P Ā` holds all three blocks that the recursion needs:
+//! so the product `M = Āᵀ P Ā` contains all three blocks that the recursion needs:
 //! `Q_ss = M`, `Q_vs = M[u, :]`, `Q_vv = D + M[u, u]` (Rawlings, Mayne, Diehl, *Model Predictive
 //! Control*, 2nd ed., section 8.8). The bottom rows of `Ā` are never stored.
 //!
-//! State rows are padded to `LANES` so that a row is whole vector registers; the padding is zero
-//! on the way in and stays zero.
+//! State rows are padded with zeros to `LANES`, so that a row fills whole vector registers.
 
 use crate::{NU, NX};
 
@@ -156,7 +155,7 @@ pub(super) struct Symmetric {
 }
 
 impl Symmetric {
-    /// Adds a cost's curvature.
+    /// Adds the Hessian of a stage.
     #[inline(always)]
     pub fn add(&mut self, cost: &Curvature) {
         for (i, column) in self.xx.iter_mut().enumerate() {
@@ -170,7 +169,7 @@ impl Symmetric {
     }
 }
 
-/// Curvature that a stage can have, of cost and rows alike: a diagonal and the cross term of the position.
+/// Hessian of a stage's cost or of its rows: a diagonal and the cross term of the position.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Curvature {
     pub x: Row,
@@ -195,12 +194,12 @@ impl Curvature {
     }
 }
 
-/// What the factorisation leaves behind for one stage: `Q_vv = L Lᵀ` and `Y = L⁻¹ Q_vs`.
+/// Factors of one stage: `Q_vv = L Lᵀ` and `Y = L⁻¹ Q_vs`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Factor {
     /// Reciprocal diagonal of `L`.
     inverse_diagonal: [f64; NU],
-    /// The one entry of `L` below its diagonal.
+    /// The entry of `L` below its diagonal.
     below: f64,
     y_x: [Row; NU],
     y_u: [[f64; NU]; NU],
@@ -222,8 +221,8 @@ impl Factor {
     }
 }
 
-/// One backward step: factorises the stage and returns its `P`, to which the caller adds the
-/// stage's own Hessian. `None` when `Q_vv` is not positive definite to working precision.
+/// One stage of the backward sweep: factorises `Q_vv` and returns the `P` of the previous stage, to which the caller
+/// adds that stage's Hessian. `None` if `Q_vv` is not positive definite to working precision.
 #[inline(always)]
 pub(super) fn factorise(
     dynamics: &Dynamics,
@@ -308,8 +307,8 @@ pub(super) fn factorise(
     Some((factor, m))
 }
 
-/// One backward step of a right-hand side: from the gradient of the cost-to-go at the next stage
-/// to the gradient at this one (without its own `gₛ`), and `L⁻¹ q_v` for the forward step.
+/// One stage of the backward sweep for a right-hand side: from the gradient of the cost-to-go after the stage to the
+/// gradient before it (without `gₛ` of the previous stage), and the feedforward term `L⁻¹ q_v` of the forward sweep.
 #[inline(always)]
 pub(super) fn backward(
     dynamics: &Dynamics,
@@ -328,7 +327,7 @@ pub(super) fn backward(
     (p, y)
 }
 
-/// One forward step: the control `v` and the next augmented state from this one.
+/// One stage of the forward sweep: the control `v` and the next augmented state.
 #[inline(always)]
 pub(super) fn forward(
     dynamics: &Dynamics,

@@ -1,7 +1,7 @@
-//! One stage of the problem.
+//! One stage of the problem and the order of its inequality rows.
 
-use super::band::Band;
 use super::recursion::{Aug, Curvature, Dynamics, Row};
+use super::two_sided::TwoSided;
 use crate::{NU, NX};
 
 /// One stage of the problem: from `s` at its start to `s⁺` at its end.
@@ -12,11 +12,11 @@ pub(super) struct Stage {
     pub offset: Row,
     /// Curvature of the cost of `s⁺`.
     pub cost: Curvature,
-    /// Gradient of the cost of `s⁺` at zero; none in the input.
+    /// Gradient of the cost of `s⁺` at zero; the input part is zero.
     pub gradient: Row,
     /// Diagonal weight of `v`.
     pub rate: [f64; NU],
-    pub band: Band,
+    pub rows: TwoSided,
 }
 
 /// Two-sided rows of a stage: rate (2), input (2), v_x, delta, v_y, omega, track, padding (3).
@@ -30,7 +30,7 @@ pub(super) const BOXED: [usize; 4] = [2, 6, 4, 5];
 /// The track row.
 pub(super) const TRACK: usize = STATE + BOXED.len();
 
-/// `a·w` of all pairs.
+/// The value `a·w` of each two-sided row, where `w = (v, s⁺)`.
 #[inline(always)]
 pub(super) fn row_values(v: &[f64; NU], s: &Aug, normal: &[f64; 2]) -> [f64; PAIRS] {
     let track = normal[0].mul_add(s.x[0], normal[1] * s.x[1]);
@@ -39,7 +39,7 @@ pub(super) fn row_values(v: &[f64; NU], s: &Aug, normal: &[f64; 2]) -> [f64; PAI
     ]
 }
 
-/// The curvature `Σ weight a aᵀ` of the rows on `s⁺`; that of the rate rows is their weight itself.
+/// Hessian `Σ weight a aᵀ` of the rows on `s⁺`. The Hessian of the rate rows is their weight itself.
 #[inline(always)]
 pub(super) fn row_curvature(weight: &[f64; PAIRS], normal: &[f64; 2]) -> Curvature {
     let (track, w) = (weight[TRACK], weight);
@@ -60,22 +60,22 @@ pub(super) fn row_curvature(weight: &[f64; PAIRS], normal: &[f64; 2]) -> Curvatu
     }
 }
 
-/// The gradient `Σ force a` of the rows on `s⁺`; that of the rate rows is their force itself.
+/// Gradient `Σ λ a` of the rows on `s⁺`. The gradient of the rate rows is their multiplier itself.
 #[inline(always)]
-pub(super) fn row_gradient(force: &[f64; PAIRS], normal: &[f64; 2]) -> Aug {
-    let (track, f) = (force[TRACK], force);
+pub(super) fn row_gradient(lambda: &[f64; PAIRS], normal: &[f64; 2]) -> Aug {
+    let (track, l) = (lambda[TRACK], lambda);
     Aug {
         x: [
             track * normal[0],
             track * normal[1],
-            f[4],
+            l[4],
             0.0,
-            f[6],
-            f[7],
-            f[5],
+            l[6],
+            l[7],
+            l[5],
             0.0,
         ],
-        u: [f[INPUT], f[INPUT + 1]],
+        u: [l[INPUT], l[INPUT + 1]],
     }
 }
 

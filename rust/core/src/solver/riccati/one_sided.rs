@@ -1,37 +1,36 @@
-//! The inequalities of one stage: values, slacks, multipliers and what they add to the LQ problem.
+//! The inequality rows of a stage in the form of the interior-point method: one-sided, with slacks and multipliers.
 //!
-//! Every row is two-sided, `lower ≤ a·w ≤ upper`, and is kept as two one-sided rows of sign `σ`,
+//! Every row is two-sided, `lower ≤ a·w ≤ upper`, and is split into two one-sided rows of sign `σ`,
 //!
 //! ```text
 //! σ a·w − ε + s = b,   s ≥ 0, λ ≥ 0,   s λ → μ          (λ: multiplier of the row)
-//! soft rows:  price ρ₁ ε + ½ ρ₂ ε²,   ε ≥ 0, γ ≥ 0,   ε γ → μ          (hard rows: ε = 0)
+//! soft rows:  penalty ρ₁ ε + ½ ρ₂ ε²,   ε ≥ 0, γ ≥ 0,   ε γ → μ          (hard rows: ε = 0)
 //! ```
 //!
-//! A Newton step eliminates `s, ε, γ` of each row on its own, which leaves
-//! `Δλ = W (σ a·Δw + q)`: the row adds `W a aᵀ` to the Hessian and `σ a (λ + W q)` to the
-//! gradient. Written without a division by `λ` or by `1/ε`, so that rows far from their bound and
-//! rows exactly on it need no special case.
+//! A Newton step eliminates `s, ε, γ` row by row, which leaves `Δλ = W (σ a·Δw + q)`: the row adds `W a aᵀ` to the
+//! Hessian and `σ a (λ + W q)` to the gradient of the LQ problem. The formulas divide neither by `λ` nor by `1/ε`, so
+//! that rows far from their bound and rows exactly on it need no special case.
 
-use super::band::Band;
 use super::recursion::{Aug, Curvature};
 use super::stage::{INPUT, PAIRS, row_curvature, row_gradient, row_values};
+use super::two_sided::TwoSided;
 use crate::NU;
 
 /// One-sided rows: all upper sides, then all lower sides.
 pub(super) const ROWS: usize = 2 * PAIRS;
 pub(super) type Rows = [f64; ROWS];
 
-/// Slack a hard row starts with when its bounds leave no room inside.
+/// Smallest initial slack of a hard row.
 const SMALLEST_SLACK: f64 = 0.01;
 
-/// What the rows of a stage are.
+/// Rows of a stage.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Bounds {
-    /// `b`: upper bounds, then negated lower bounds; zero where a row is switched off.
+pub(super) struct OneSided {
+    /// `b`: upper bounds, then negated lower bounds; zero for absent rows.
     pub b: Rows,
-    /// 1 for a row that exists, 0 for one that does not.
-    pub on: Rows,
-    /// 1 for a soft row that exists, 0 for any other.
+    /// 1 for a present row, 0 for an absent one.
+    pub present: Rows,
+    /// 1 for a present soft row, 0 for any other.
     pub soft: Rows,
     /// `ρ₁`.
     pub linear: Rows,
@@ -41,8 +40,8 @@ pub(super) struct Bounds {
     pub normal: [f64; 2],
 }
 
-/// The primal-dual iterate of a stage's rows. Rows that do not exist keep `s = 1, λ = 0`, rows that
-/// are not soft `ε = 1, γ = 0`, so that no loop over rows needs a branch.
+/// Primal-dual iterate of a stage's rows. Absent rows keep `s = 1, λ = 0` and rows that are not soft keep
+/// `ε = 1, γ = 0`, so that no loop over rows needs a branch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Iterate {
     pub slack: Rows,
@@ -51,15 +50,15 @@ pub(super) struct Iterate {
     pub gamma: Rows,
 }
 
-/// What a factorisation needs of the rows; both right-hand sides of an iteration share it.
+/// Coefficients of the elimination that depend on the iterate alone; both right-hand sides of an iteration use them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Scaling {
     /// `W`.
     pub weight: Rows,
     /// `1/(λ/D + s)`.
-    stiffness: Rows,
+    inverse_pivot: Rows,
     /// `1/D = 1/(ρ₂ + γ/ε)`, zero for hard rows.
-    compliance: Rows,
+    inverse_d: Rows,
     inverse_epsilon: Rows,
 }
 
@@ -68,50 +67,56 @@ impl Default for Scaling {
         let zero = [0.0; ROWS];
         Self {
             weight: zero,
-            stiffness: zero,
-            compliance: zero,
+            inverse_pivot: zero,
+            inverse_d: zero,
             inverse_epsilon: zero,
         }
     }
 }
 
 impl Scaling {
-    /// The part of the elimination that depends on the targets.
+    /// Eliminates `Δs, Δε, Δγ`: the terms that depend on the targets.
     #[inline(always)]
-    pub fn push(&self, it: &Iterate, r: &Residual, targets: &Targets, p: &mut Push) {
+    pub fn right_hand_side(
+        &self,
+        it: &Iterate,
+        r: &Residual,
+        targets: &Targets,
+        rhs: &mut RightHandSide,
+    ) {
         for k in 0..ROWS {
-            let drive = targets.second[k].mul_add(self.inverse_epsilon[k], -r.price[k]);
-            let gap = self.compliance[k].mul_add(drive, r.primal[k]);
-            p.shift[k] = self.stiffness[k] * it.lambda[k].mul_add(-gap, targets.first[k]);
-            p.drive[k] = drive;
+            let epsilon = targets.second[k].mul_add(self.inverse_epsilon[k], -r.epsilon[k]);
+            let gap = self.inverse_d[k].mul_add(epsilon, r.primal[k]);
+            rhs.lambda[k] = self.inverse_pivot[k] * it.lambda[k].mul_add(-gap, targets.first[k]);
+            rhs.epsilon[k] = epsilon;
         }
     }
 }
 
-/// What one right-hand side adds.
+/// Terms of the elimination that depend on the targets.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Push {
+pub(super) struct RightHandSide {
     /// `W q`.
-    pub shift: Rows,
-    /// `r₂/ε − r_ε`.
-    pub drive: Rows,
+    pub lambda: Rows,
+    /// `second/ε − r_ε`.
+    pub epsilon: Rows,
 }
 
 /// `r_p = b − σ a·w + ε − s` and `r_ε = ρ₁ + ρ₂ ε − λ − γ`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Residual {
     pub primal: Rows,
-    pub price: Rows,
+    pub epsilon: Rows,
 }
 
-/// Targets of complementarity, `s Δλ + λ Δs = first` and `ε Δγ + γ Δε = second`.
+/// Right-hand sides of the linearised complementarity conditions, `s Δλ + λ Δs = first` and `ε Δγ + γ Δε = second`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Targets {
     pub first: Rows,
     pub second: Rows,
 }
 
-/// `a·w` of all pairs, repeated with the opposite sign for the lower sides.
+/// The values `σ a·w` of all one-sided rows.
 #[inline(always)]
 pub(super) fn signed_values(v: &[f64; NU], s: &Aug, normal: &[f64; 2]) -> Rows {
     let values = row_values(v, s, normal);
@@ -123,12 +128,12 @@ pub(super) fn signed_values(v: &[f64; NU], s: &Aug, normal: &[f64; 2]) -> Rows {
     y
 }
 
-impl Default for Bounds {
+impl Default for OneSided {
     fn default() -> Self {
         let zero = [0.0; ROWS];
         Self {
             b: zero,
-            on: zero,
+            present: zero,
             soft: zero,
             linear: zero,
             quadratic: [1.0; ROWS],
@@ -149,20 +154,21 @@ impl Default for Iterate {
     }
 }
 
-impl Bounds {
+impl OneSided {
     /// The one-sided form of a stage's rows.
-    pub fn of(band: &Band) -> Self {
+    pub fn of(rows: &TwoSided) -> Self {
         let mut out = Self {
-            normal: band.normal,
+            normal: rows.normal,
             ..Self::default()
         };
         for k in 0..PAIRS {
-            for (side, bound) in [(k, band.upper[k]), (PAIRS + k, -band.lower[k])] {
+            for (side, bound) in [(k, rows.upper[k]), (PAIRS + k, -rows.lower[k])] {
                 if bound.is_finite() {
-                    (out.b[side], out.on[side]) = (bound, 1.0);
-                    if band.limit[k].is_finite() {
+                    (out.b[side], out.present[side]) = (bound, 1.0);
+                    if rows.linear[k].is_finite() {
                         out.soft[side] = 1.0;
-                        (out.linear[side], out.quadratic[side]) = (band.limit[k], band.beyond[k]);
+                        (out.linear[side], out.quadratic[side]) =
+                            (rows.linear[k], rows.quadratic[k]);
                     }
                 }
             }
@@ -170,22 +176,22 @@ impl Bounds {
         out
     }
 
-    /// Slacks, prices and multipliers on the central path for row values `y` and complementarity `mu`. For a soft row
-    /// that is a quadratic in `ε`, once its price is taken at the violation.
+    /// The iterate on the central path for row values `y` and barrier parameter `mu`. For a soft row this is the root
+    /// of a quadratic in `ε`, with the derivative of the penalty taken at the present violation.
     #[inline(always)]
     pub fn centred(&self, y: &Rows, mu: f64) -> Iterate {
         let mut it = Iterate::default();
         for k in 0..ROWS {
             let distance = self.b[k] - y[k];
             if self.soft[k] > 0.0 {
-                let price = self.quadratic[k].mul_add((-distance).max(0.0), self.linear[k]);
-                let (middle, reach) = (2.0 * mu, price * distance);
+                let slope = self.quadratic[k].mul_add((-distance).max(0.0), self.linear[k]);
+                let (middle, reach) = (2.0 * mu, slope * distance);
                 let root = (middle * middle + reach * reach).sqrt();
-                it.epsilon[k] = (middle - reach + root) / (2.0 * price);
-                it.slack[k] = (middle + reach + root) / (2.0 * price);
+                it.epsilon[k] = (middle - reach + root) / (2.0 * slope);
+                it.slack[k] = (middle + reach + root) / (2.0 * slope);
                 it.lambda[k] = mu / it.slack[k];
                 it.gamma[k] = mu / it.epsilon[k];
-            } else if self.on[k] > 0.0 {
+            } else if self.present[k] > 0.0 {
                 it.slack[k] = distance.max(SMALLEST_SLACK);
                 it.lambda[k] = mu / it.slack[k];
             }
@@ -193,10 +199,10 @@ impl Bounds {
         it
     }
 
-    /// The control nearest to `v` that keeps a tenth of the width from each hard bound, the bounds
-    /// on the input first and those on its rate last.
+    /// The control nearest to `v` that keeps a tenth of the interval's width from each hard bound. The bounds on the
+    /// rate take precedence over the bounds on the input.
     #[inline(always)]
-    pub fn inside(&self, v: &[f64; NU], u: &[f64; NU]) -> [f64; NU] {
+    pub fn interior_control(&self, v: &[f64; NU], u: &[f64; NU]) -> [f64; NU] {
         let within = |k: usize, value: f64| {
             let (lower, upper) = (-self.b[PAIRS + k], self.b[k]);
             let room = 0.1 * (upper - lower);
@@ -209,36 +215,37 @@ impl Bounds {
         out
     }
 
-    /// Residuals of the rows and of the prices at row values `y`; zero where there is none.
+    /// Residuals at row values `y`; zero for absent rows.
     #[inline(always)]
     pub fn residual(&self, y: &Rows, it: &Iterate, r: &mut Residual) {
         for k in 0..ROWS {
             let epsilon = self.soft[k] * it.epsilon[k];
-            r.primal[k] = self.on[k] * (self.b[k] - y[k] + epsilon - it.slack[k]);
-            let price = self.quadratic[k].mul_add(it.epsilon[k], self.linear[k]);
-            r.price[k] = self.soft[k] * (price - it.lambda[k] - it.gamma[k]);
+            r.primal[k] = self.present[k] * (self.b[k] - y[k] + epsilon - it.slack[k]);
+            let slope = self.quadratic[k].mul_add(it.epsilon[k], self.linear[k]);
+            r.epsilon[k] = self.soft[k] * (slope - it.lambda[k] - it.gamma[k]);
         }
     }
 
-    /// Eliminates `Δs, Δε, Δγ`: the part that does not depend on the targets.
+    /// Eliminates `Δs, Δε, Δγ`: the coefficients that depend on the iterate alone.
     #[inline(always)]
     pub fn scale(&self, it: &Iterate, c: &mut Scaling) {
         for k in 0..ROWS {
             c.inverse_epsilon[k] = 1.0 / it.epsilon[k];
-            c.compliance[k] =
+            c.inverse_d[k] =
                 self.soft[k] / it.gamma[k].mul_add(c.inverse_epsilon[k], self.quadratic[k]);
-            c.stiffness[k] = self.on[k] / it.lambda[k].mul_add(c.compliance[k], it.slack[k]);
-            c.weight[k] = it.lambda[k] * c.stiffness[k];
+            c.inverse_pivot[k] =
+                self.present[k] / it.lambda[k].mul_add(c.inverse_d[k], it.slack[k]);
+            c.weight[k] = it.lambda[k] * c.inverse_pivot[k];
         }
     }
 
-    /// The steps of all four quantities from the step of the row values.
+    /// Recovers the steps of slacks, multipliers, `ε` and `γ` from the step of the row values.
     #[allow(clippy::too_many_arguments)] // a Newton step has as many parts
     #[inline(always)]
     pub fn recover(
         &self,
         c: &Scaling,
-        p: &Push,
+        rhs: &RightHandSide,
         it: &Iterate,
         r: &Residual,
         targets: &Targets,
@@ -246,17 +253,17 @@ impl Bounds {
         d: &mut Iterate,
     ) {
         for k in 0..ROWS {
-            let lambda = c.weight[k].mul_add(dy[k], p.shift[k]);
-            let epsilon = c.compliance[k] * (lambda + p.drive[k]);
+            let lambda = c.weight[k].mul_add(dy[k], rhs.lambda[k]);
+            let epsilon = c.inverse_d[k] * (lambda + rhs.epsilon[k]);
             d.lambda[k] = lambda;
             d.epsilon[k] = epsilon;
-            d.slack[k] = self.on[k] * (r.primal[k] - dy[k] + epsilon);
+            d.slack[k] = self.present[k] * (r.primal[k] - dy[k] + epsilon);
             d.gamma[k] =
                 self.soft[k] * ((targets.second[k] - it.gamma[k] * epsilon) * c.inverse_epsilon[k]);
         }
     }
 
-    /// Curvature `Σ W a aᵀ` on the next augmented state, and the rate part.
+    /// Hessian `Σ W a aᵀ` in the next augmented state, and in the rate.
     #[inline(always)]
     pub fn curvature(&self, weight: &Rows) -> (Curvature, [f64; NU]) {
         let mut pair = [0.0; PAIRS];
@@ -266,17 +273,17 @@ impl Bounds {
         (row_curvature(&pair, &self.normal), [pair[0], pair[1]])
     }
 
-    /// Gradient `Σ σ a f` in the next augmented state, and the rate part.
+    /// Gradient `Σ σ a λ` in the next augmented state, and in the rate.
     #[inline(always)]
-    pub fn gradient(&self, force: &Rows) -> (Aug, [f64; NU]) {
+    pub fn gradient(&self, lambda: &Rows) -> (Aug, [f64; NU]) {
         let mut pair = [0.0; PAIRS];
         for k in 0..PAIRS {
-            pair[k] = force[k] - force[PAIRS + k];
+            pair[k] = lambda[k] - lambda[PAIRS + k];
         }
         (row_gradient(&pair, &self.normal), [pair[0], pair[1]])
     }
 
-    /// Adds `s λ + ε γ` of each row to `sums`, after a step of that length.
+    /// Adds `s λ + ε γ` of each row, after a step of that length, to `sums`.
     #[inline(always)]
     pub fn add_products(&self, it: &Iterate, length: f64, step: &Iterate, sums: &mut Rows) {
         for k in 0..ROWS {
@@ -284,21 +291,21 @@ impl Bounds {
             let lambda = length.mul_add(step.lambda[k], it.lambda[k]);
             let epsilon = length.mul_add(step.epsilon[k], it.epsilon[k]);
             let gamma = length.mul_add(step.gamma[k], it.gamma[k]);
-            sums[k] += self.on[k] * slack * lambda + self.soft[k] * epsilon * gamma;
+            sums[k] += self.present[k] * slack * lambda + self.soft[k] * epsilon * gamma;
         }
     }
 
-    /// The number of products in these sums.
-    pub fn products(&self) -> f64 {
-        self.on.iter().sum::<f64>() + self.soft.iter().sum::<f64>()
+    /// Number of complementary pairs `s, λ` and `ε, γ`.
+    pub fn n_pairs(&self) -> f64 {
+        self.present.iter().sum::<f64>() + self.soft.iter().sum::<f64>()
     }
 
-    /// Raises `worst` to the relative rate of decrease of each row's slacks and multipliers, `max −Δ/value`.
+    /// Raises `worst` to the largest relative decrease `−Δ/value` of each row's slacks and multipliers.
     #[inline(always)]
-    pub fn raise_decrease(&self, it: &Iterate, step: &Iterate, worst: &mut Rows) {
+    pub fn max_decrease(&self, it: &Iterate, step: &Iterate, worst: &mut Rows) {
         for k in 0..ROWS {
-            // One division for two; rows that do not exist have multipliers, and steps, of zero.
-            let hard = 1.0 / (it.slack[k] * it.lambda[k] + (1.0 - self.on[k]));
+            // One division serves two ratios; absent rows have multipliers and steps of zero.
+            let hard = 1.0 / (it.slack[k] * it.lambda[k] + (1.0 - self.present[k]));
             let soft = 1.0 / (it.epsilon[k] * it.gamma[k] + (1.0 - self.soft[k]));
             let ratios = [
                 -step.slack[k] * it.lambda[k] * hard,
@@ -306,7 +313,7 @@ impl Bounds {
                 -step.epsilon[k] * it.gamma[k] * soft,
                 -step.gamma[k] * it.epsilon[k] * soft,
             ];
-            let hard = self.on[k] * larger(ratios[0], ratios[1]);
+            let hard = self.present[k] * larger(ratios[0], ratios[1]);
             let soft = self.soft[k] * larger(ratios[2], ratios[3]);
             worst[k] = larger(worst[k], larger(hard, soft));
         }
@@ -319,7 +326,7 @@ pub(super) fn larger(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
-/// The largest of all rows, zero at least.
+/// The largest entry, at least zero.
 #[inline(always)]
 pub(super) fn largest(rows: &Rows) -> f64 {
     rows.iter().fold(0.0, |a, b| larger(a, *b))
@@ -339,7 +346,7 @@ impl Iterate {
 }
 
 impl Targets {
-    /// The predictor's: complementarity zero.
+    /// Targets of the predictor: complementarity zero.
     #[inline(always)]
     pub fn affine(it: &Iterate) -> Self {
         let mut t = Self {
@@ -353,7 +360,7 @@ impl Targets {
         t
     }
 
-    /// The corrector's: complementarity `mu`, second-order term of the predictor included.
+    /// Targets of the corrector: complementarity `mu` less the second-order term of the predictor.
     #[inline(always)]
     pub fn corrected(it: &Iterate, step: &Iterate, mu: f64) -> Self {
         let mut t = Self {
