@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import Carry, EgpError, Engine, Library
-from egp_service.controller import Controller
-from egp_service.course import build_path
+from egp_service.control.controller import Controller
+from egp_service.control.toml_text import dumps
 from egp_service.evaluation.predictive_control import PredictiveController
 from egp_service.evaluation.single_track import (
     CHASSIS,
@@ -26,18 +26,18 @@ from egp_service.evaluation.single_track import (
     linearise,
 )
 from egp_service.evaluation.window_noise import WindowNoise
-from egp_service.scenario import library_path
-from egp_service.toml_text import dumps
+from egp_service.simulation.course import build_path
+from egp_service.simulation.scenario import library_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
-    from egp_service.closed_loop import Drives
+    from egp_service.control.stepper import Step
     from egp_service.evaluation.single_track import Prediction
-    from egp_service.scenario import Scenario
-    from egp_service.stepper import Step
+    from egp_service.simulation.closed_loop import Drives
+    from egp_service.simulation.scenario import Scenario
 
 # The paper's weights: errors of m/s and rad/s added up, and no pull towards the previous weights.
 PAPER_WEIGHTS: Final = {"whiten": False, "prior": {"kind": "l1", "alpha": 1e-5}}

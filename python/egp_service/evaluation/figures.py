@@ -11,7 +11,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE
+from egp_service.simulation.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

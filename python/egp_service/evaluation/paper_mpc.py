@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import cvxpy as cp
 import numpy as np
 
-from egp_service import EgpError
-from egp_service.prior_mean import SLOWEST
+from egp_service._core import EgpError
+from egp_service.training.prior_mean import SLOWEST
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -20,9 +20,9 @@ import cvxpy as cp
 import numpy as np
 import torch
 
-from egp_service import prior_mean
 from egp_service.evaluation.paper_mpc import Mpc
 from egp_service.evaluation.window_noise import WindowNoise
+from egp_service.training import prior_mean
 
 with warnings.catch_warnings():  # linear_operator still uses it when imported
     warnings.filterwarnings("ignore", ".torch.jit.script. is ", FutureWarning)

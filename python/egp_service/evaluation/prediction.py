@@ -16,20 +16,20 @@ import numpy as np
 import torch
 
 from egp_service._core import Library, solve_weights
+from egp_service.data.experiment import Experiment
+from egp_service.data.sampling import sample
 from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.window_noise import model_noise
-from egp_service.experiment import Experiment
-from egp_service.export import export
-from egp_service.sampling import sample
-from egp_service.training import TrainingSettings, train
+from egp_service.training.export import export
+from egp_service.training.train import TrainingSettings, train
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from egp_service.dataset import Dataset
+    from egp_service.data.dataset import Dataset
 
 SURFACES: Final = {"A": 0.3, "B": 0.6, "T": 0.7, "C": 0.8, "D": 1.0}
 _DT: Final = 0.02

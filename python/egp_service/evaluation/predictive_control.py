@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from egp_service._core import AffineOcp, Gate
-from egp_service.stepper import Step, Timings
-from egp_service.toml_text import dumps
+from egp_service.control.stepper import Step, Timings
+from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

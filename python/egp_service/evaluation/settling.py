@@ -9,12 +9,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from egp_service._core import Engine, Library
+from egp_service.control.toml_text import dumps
 from egp_service.evaluation.window_noise import LEAST_MODEL_NOISE, covariance, model_noise
-from egp_service.scenario import library_path
-from egp_service.toml_text import dumps
+from egp_service.simulation.scenario import library_path
 
 if TYPE_CHECKING:
-    from egp_service.closed_loop import Run
+    from egp_service.simulation.closed_loop import Run
 
 EXCITATION: Final = 1.8  # m/s² of lateral acceleration; without it measurements say nothing
 _LOOK: Final = 2.0  # s after the change
