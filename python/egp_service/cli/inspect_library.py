@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from egp_service._core import Library
+from egp_service.quantities import GP_INPUT, GP_OUTPUT
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -20,10 +21,8 @@ if TYPE_CHECKING:
 
     from egp_service._core import Member
 
-INPUTS: Final = ("v_x m/s", "v_y m/s", "omega rad/s", "delta rad", "F_x N", "delta_dot rad/s")
 BODY: Final = ("m kg", "l_f m", "l_r m", "k² m²", "h m", "D_x drive", "D_x brake")
 AXLE: Final = ("e drive", "e brake", "D", "B", "C")
-OUTPUTS: Final = ("dv_x m/s", "dv_y m/s", "domega rad/s")
 
 
 def inspect(path: Path, console: Console | None = None) -> None:
@@ -78,14 +77,14 @@ def hyperparameters(member: Member) -> Table:
     """
     table = Table(
         "output",
-        *(name.split()[0] for name in INPUTS),
+        *GP_INPUT,
         "scale",
         "noise",
         title=f"{member.label}: lengthscales (in standard deviations of the input)",
         box=box.SIMPLE_HEAD,
     )
     values = zip(
-        OUTPUTS,
+        (f"{name} {unit}" for name, unit in GP_OUTPUT.items()),
         member.lengthscales,
         member.outputscale,
         member.noise,
@@ -115,7 +114,10 @@ def vehicle(label: str, parameters: NDArray[np.float64]) -> tuple[Table, Table]:
 def envelope(member: Member) -> Table:
     """Return the range of the training inputs."""
     table = Table(
-        "", *INPUTS, title=f"{member.label}: envelope of the training inputs", box=box.SIMPLE_HEAD
+        "",
+        *(f"{name} {unit}" for name, unit in GP_INPUT.items()),
+        title=f"{member.label}: envelope of the training inputs",
+        box=box.SIMPLE_HEAD,
     )
     for name, bound in zip(("min", "max"), member.envelope, strict=True):
         table.add_row(name, *(f"{value:.4g}" for value in bound))

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Self
 from rich.live import Live
 from rich.text import Text
 
+from egp_service.quantities import V_X
+
 if TYPE_CHECKING:
     from types import TracebackType
 
@@ -45,7 +47,7 @@ class StatusLine:
         bars = "".join(BLOCKS[round(w * (len(BLOCKS) - 1))] for w in step.weights)
         line = Text.assemble(
             (f"{label}  ", "bold"),
-            f"{truth.time:6.2f} s  {truth.distance:6.1f} m  {truth.x[2]:5.1f} m/s  ",
+            f"{truth.time:6.2f} s  {truth.distance:6.1f} m  {truth.x[V_X]:5.1f} m/s  ",
             f"lateral {truth.lateral_error:+.2f} m  μ {truth.friction:.2f}  weights ",
             (bars, "cyan"),
             f"  step {1e3 * step.timings.total:5.1f} ms  ",

@@ -11,6 +11,7 @@ import polars as pl
 
 from egp_service._core import EgpError
 from egp_service.data.dataset import Dataset, Provenance
+from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,16 +38,17 @@ UNITS: Final = {
     "g": ("m/s2", 9.80665),
 }
 
-# quantity: (SI unit, largest believable magnitude); beyond it the unit is wrong, not the car fast.
-_QUANTITIES: Final = {
-    "time": ("s", np.inf),
-    "v_x": ("m/s", 100.0),
-    "v_y": ("m/s", 40.0),
-    "omega": ("rad/s", 6.0),
-    "delta": ("rad", 1.2),
-    "F_x": ("N", 1e5),
-    "a_x": ("m/s2", 30.0),
-    "delta_dot": ("rad/s", 6.0),
+_SI_UNITS: Final = {"time": "s", "a_x": "m/s2"} | GP_INPUT
+# Largest believable magnitude of each quantity; beyond it the unit is wrong, not the car fast.
+_LARGEST: Final = {
+    "time": np.inf,
+    "v_x": 100.0,
+    "v_y": 40.0,
+    "omega": 6.0,
+    "delta": 1.2,
+    "F_x": 1e5,
+    "a_x": 30.0,
+    "delta_dot": 6.0,
 }
 # Unbroken logs are cut into trajectories of this length, so that validation can hold some out.
 _TRAJECTORY_SECONDS: Final = 10.0
@@ -91,7 +93,7 @@ def import_csv(
             that are not finite.
 
     """
-    missing = [q for q in ("time", "v_x", "v_y", "omega", "delta") if q not in columns]
+    missing = [q for q in ("time", *GP_STATE_NAMES) if q not in columns]
     if missing or ("F_x" in columns) == ("a_x" in columns):
         raise EgpError(
             f"columns for {', '.join(sorted(columns))}: expected time, v_x, v_y, omega, delta and "
@@ -106,13 +108,13 @@ def import_csv(
     z, y, trajectory, step = [], [], [], []
     for number, (first, last) in enumerate(pieces):
         ends = np.arange(first, last, every)
-        state = np.column_stack([log[q][ends] for q in ("v_x", "v_y", "omega", "delta")])
+        state = np.column_stack([log[q][ends] for q in GP_STATE_NAMES])
         force = np.add.reduceat(log["F_x"][first : ends[-1]], ends[:-1] - first) / every
-        delta_dot = np.diff(state[:, 3]) / provenance.dt
+        delta_dot = np.diff(log["delta"][ends]) / provenance.dt
         if "delta_dot" in log:
             _check_rate(delta_dot, log["delta_dot"][ends[:-1]], columns["delta_dot"])
         z.append(np.column_stack([state[:-1], force, delta_dot]))
-        y.append(np.diff(state[:, :3], axis=0))
+        y.append(np.diff(state[:, :NY], axis=0))
         trajectory.append(np.full(len(force), number, dtype=np.uint32))
         step.append(np.arange(len(force), dtype=np.uint32))
     return Dataset(
@@ -135,11 +137,11 @@ def _read(
         raise EgpError(f"{path}: not a readable CSV file ({error})") from error
     log = {}
     for quantity, column in columns.items():
-        if quantity not in _QUANTITIES:
-            raise EgpError(f"unknown quantity '{quantity}': expected {', '.join(_QUANTITIES)}")
-        expected, largest = _QUANTITIES[quantity]
+        if quantity not in _LARGEST:
+            raise EgpError(f"unknown quantity '{quantity}': expected {', '.join(_LARGEST)}")
+        largest = _LARGEST[quantity]
         unit, factor = UNITS[column.unit]
-        if unit != expected:
+        if unit != _SI_UNITS[quantity]:
             raise EgpError(f"{quantity} from '{column.name}' in {column.unit}: not a unit of it")
         if column.name not in frame.columns:
             raise EgpError(f"{path}: no column '{column.name}', found {', '.join(frame.columns)}")

@@ -17,6 +17,7 @@ import numpy as np
 import polars as pl
 
 from egp_service._core import EgpError
+from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,15 +27,6 @@ if TYPE_CHECKING:
 
 SCHEMA: Final = 1
 METADATA_KEY: Final = "egp"
-INPUTS: Final = {
-    "v_x": "m/s",
-    "v_y": "m/s",
-    "omega": "rad/s",
-    "delta": "rad",
-    "F_x": "N",
-    "delta_dot": "rad/s",
-}
-OUTPUTS: Final = {"d_v_x": "m/s", "d_v_y": "m/s", "d_omega": "rad/s"}
 _INDEX: Final = ("trajectory", "step")
 
 
@@ -77,8 +69,8 @@ class Dataset:
         """Check shapes and values once, so that nobody downstream has to."""
         n = len(self.z)
         shapes: dict[str, tuple[NDArray[Any], tuple[int, ...]]] = {
-            "z": (self.z, (n, len(INPUTS))),
-            "y": (self.y, (n, len(OUTPUTS))),
+            "z": (self.z, (n, NZ)),
+            "y": (self.y, (n, NY)),
             "trajectory": (self.trajectory, (n,)),
             "step": (self.step, (n,)),
         }
@@ -87,7 +79,7 @@ class Dataset:
                 raise EgpError(f"{name} has shape {array.shape}: expected {shape}")
         if n == 0:
             raise EgpError("the dataset is empty: expected at least one transition")
-        for names, values in ((INPUTS, self.z), (OUTPUTS, self.y)):
+        for names, values in ((GP_INPUT, self.z), (GP_OUTPUT, self.y)):
             bad = np.argwhere(~np.isfinite(values))
             if len(bad):
                 row, column = bad[0]
@@ -123,13 +115,13 @@ class Dataset:
     def write(self, path: Path) -> None:
         """Write the file in one step: a reader sees the old one or the new one, never half."""
         frame = pl.DataFrame(
-            {name: self.z[:, i] for i, name in enumerate(INPUTS)}
-            | {name: self.y[:, i] for i, name in enumerate(OUTPUTS)}
+            {name: self.z[:, i] for i, name in enumerate(GP_INPUT)}
+            | {name: self.y[:, i] for i, name in enumerate(GP_OUTPUT)}
             | {"trajectory": self.trajectory, "step": self.step}
         )
         metadata = {
             "schema": SCHEMA,
-            "units": INPUTS | OUTPUTS,
+            "units": GP_INPUT | GP_OUTPUT,
             **dataclasses.asdict(self.provenance),
         }
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -157,8 +149,8 @@ class Dataset:
             frame = pl.read_parquet(path)
             _check_columns(frame)
             return Dataset(
-                z=frame.select(*INPUTS).to_numpy().astype(np.float64),
-                y=frame.select(*OUTPUTS).to_numpy().astype(np.float64),
+                z=frame.select(*GP_INPUT).to_numpy().astype(np.float64),
+                y=frame.select(*GP_OUTPUT).to_numpy().astype(np.float64),
                 trajectory=frame["trajectory"].to_numpy().astype(np.uint32),
                 step=frame["step"].to_numpy().astype(np.uint32),
                 provenance=provenance,
@@ -214,8 +206,8 @@ def _provenance(metadata: dict[str, str]) -> Provenance:
     schema, units = fields.pop("schema", None), fields.pop("units", None)
     if schema != SCHEMA:
         raise EgpError(f"dataset schema {schema}: this version reads schema {SCHEMA}")
-    if units != INPUTS | OUTPUTS:
-        raise EgpError(f"units are {units}: expected {INPUTS | OUTPUTS}")
+    if units != GP_INPUT | GP_OUTPUT:
+        raise EgpError(f"units are {units}: expected {GP_INPUT | GP_OUTPUT}")
     expected = {field.name for field in dataclasses.fields(Provenance)}
     if fields.keys() != expected:
         raise EgpError(f"metadata keys {sorted(fields)}: expected {sorted(expected)}")
@@ -223,7 +215,7 @@ def _provenance(metadata: dict[str, str]) -> Provenance:
 
 
 def _check_columns(frame: pl.DataFrame) -> None:
-    for name in (*INPUTS, *OUTPUTS):
+    for name in (*GP_INPUT, *GP_OUTPUT):
         if name not in frame.columns:
             raise EgpError(f"column {name} is missing: found {frame.columns}")
         if not frame[name].dtype.is_float():
@@ -233,6 +225,6 @@ def _check_columns(frame: pl.DataFrame) -> None:
             raise EgpError(f"column {name} is missing: found {frame.columns}")
         if not frame[name].dtype.is_integer():
             raise EgpError(f"column {name} is {frame[name].dtype}: expected integers")
-    for name in (*INPUTS, *OUTPUTS, *_INDEX):
+    for name in (*GP_INPUT, *GP_OUTPUT, *_INDEX):
         if frame[name].null_count():
             raise EgpError(f"column {name} has {frame[name].null_count()} empty values")

@@ -23,6 +23,7 @@ from egp_service.data.experiment import (
     POWER,
     WHEELBASE,
 )
+from egp_service.quantities import P_X, P_Y, V_X
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -56,15 +57,15 @@ class Driver:
         """Return `[F_x, delta_dot]` at state (7,) for reference rows `[p_x, p_y, v_x, psi]`."""
         p_x, p_y, v_x, psi, _, omega, delta = x.tolist()
         aim = reference[min(len(reference) - 1, max(1, round(_PREVIEW / self.dt)))]
-        ahead = math.cos(psi) * (aim[0] - p_x) + math.sin(psi) * (aim[1] - p_y)
-        left = -math.sin(psi) * (aim[0] - p_x) + math.cos(psi) * (aim[1] - p_y)
+        ahead = math.cos(psi) * (aim[P_X] - p_x) + math.sin(psi) * (aim[P_Y] - p_y)
+        left = -math.sin(psi) * (aim[P_X] - p_x) + math.cos(psi) * (aim[P_Y] - p_y)
         curvature = 2.0 * left / max(ahead * ahead + left * left, 1.0)
         wanted = math.atan(WHEELBASE * curvature) + _UNDERSTEER * v_x * v_x * curvature
         wanted += _YAW_GAIN * (v_x * curvature - omega)
         wanted = min(_MAX_STEERING, max(-_MAX_STEERING, wanted))
-        forward = (reference[1, 2] - reference[0, 2]) / self.dt
+        forward = (reference[1, V_X] - reference[0, V_X]) / self.dt
         noise_a, noise_delta_dot = self._advance_noise()
-        a = forward + (reference[0, 2] - v_x) / _SPEED_TIME + noise_a
+        a = forward + (reference[0, V_X] - v_x) / _SPEED_TIME + noise_a
         self._a = _limit(a, self._a, A_SLEW * self.dt, MIN_A, min(MAX_A, POWER / max(v_x, 1.0)))
         self._delta_dot = _limit(
             (wanted - delta) / _STEERING_TIME + noise_delta_dot,

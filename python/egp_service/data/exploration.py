@@ -17,6 +17,7 @@ import numpy as np
 from egp_service._core import EgpError, Plant
 from egp_service.data.dataset import Dataset
 from egp_service.data.driver import Driver
+from egp_service.quantities import DELTA, MOTION, NU, NX, OMEGA, P_X, P_Y, PSI, V_X, V_Y, gp_input
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,8 +68,8 @@ def explore(
         count = len(inputs)
         if count == 0:
             continue
-        z.append(np.hstack([states[:-1, (2, 4, 5, 6)], inputs]))
-        y.append(np.diff(states[:, (2, 4, 5)], axis=0))
+        z.append(gp_input(states[:-1], inputs))
+        y.append(np.diff(states[:, MOTION], axis=0))
         trajectory.append(np.full(count, episode, dtype=np.uint32))
         step.append(np.arange(count, dtype=np.uint32))
     if not z:
@@ -97,14 +98,14 @@ def _episode(
     reaction = rng.uniform(*settings.reaction) if arrives else 0.0
     plant = Plant(experiment.vehicle)
     x = track.start(rng.uniform(0.0, track.length), before, grip)
-    plant.reset(x[0], x[1], x[3], x[2], x[5], x[4], x[6])
+    plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], x[OMEGA], x[V_Y], x[DELTA])
     driver = Driver(rng, experiment.dt, experiment.mass, rng.uniform(*settings.noise))
 
     def drive(seconds: float, surface: float, believed: Callable[[float], float]) -> bool:
         for k in range(round(seconds / experiment.dt)):
             x = plant.vehicle_state
             reference, on_track = track.look(x, believed(k * experiment.dt), grip, experiment.dt)
-            if not on_track or x[2] < _MIN_SPEED:
+            if not on_track or x[V_X] < _MIN_SPEED:
                 return False
             u = driver.input(x, reference)
             try:
@@ -118,11 +119,11 @@ def _episode(
     inputs: list[NDArray[np.float64]] = []
     states: list[NDArray[np.float64]] = []
     if not drive(settings.warm_up, before, lambda _: before):
-        return np.empty((1, 7)), np.empty((0, 2))
+        return np.empty((1, NX)), np.empty((0, NU))
     inputs, states = [], [plant.vehicle_state]
     drive(
         settings.seconds,
         experiment.friction,
         lambda t: before if t < reaction else experiment.friction,
     )
-    return np.array(states), np.array(inputs).reshape(-1, 2)
+    return np.array(states), np.array(inputs).reshape(-1, NU)

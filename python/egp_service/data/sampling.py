@@ -22,6 +22,7 @@ from egp_service.data.experiment import (
     Experiment,
     largest_acceleration,
 )
+from egp_service.quantities import F_X, NY, NZ
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,7 +67,7 @@ def sample(
     bounds = bounds or SamplingBounds()
     rng = np.random.default_rng(experiment.seed)
     start, inputs = _draw(experiment.friction, count, bounds, rng)
-    inputs[:, 0] *= experiment.mass
+    inputs[:, F_X] *= experiment.mass
     states = plant_initial_states(start, experiment.vehicle)
     friction = np.full(count, experiment.friction)
     alive = np.ones(count, dtype=bool)
@@ -84,8 +85,8 @@ def sample(
     repeated = np.repeat(inputs[alive][:, None, :], keep, axis=1)
     z = np.concatenate([visible[:, :-1], repeated], axis=2)
     return Dataset(
-        z=z.reshape(-1, 6),
-        y=np.diff(visible[:, :, :3], axis=1).reshape(-1, 3),
+        z=z.reshape(-1, NZ),
+        y=np.diff(visible[:, :, :NY], axis=1).reshape(-1, NY),
         trajectory=np.repeat(np.arange(survivors, dtype=np.uint32), keep),
         step=np.tile(np.arange(keep, dtype=np.uint32), survivors),
         provenance=experiment.provenance("random sampling"),

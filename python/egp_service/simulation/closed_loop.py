@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from egp_service._core import EgpError, Library, Plant, horizon_reference
+from egp_service.quantities import NU, NX, POSITION, PSI, V_X
 from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.scenario import library_path
 from egp_service.simulation.summary import Ending, Summary, summarise
@@ -123,7 +124,7 @@ class _Loop:
         self._random = np.random.default_rng(scenario.seed)
         self._plant = Plant(scenario.vehicle)
         # What was commanded and has not yet reached the wheels.
-        self._pending = deque([np.zeros(2)] * scenario.actuator_delay)
+        self._pending = deque([np.zeros(NU)] * scenario.actuator_delay)
         self._s = 0.0
         self._distance = 0.0
         self._ticks = 0
@@ -150,10 +151,10 @@ class _Loop:
             distance=self._distance,
             path_s=projection.s,
             lateral_error=projection.lateral,
-            heading_error=_wrap(x[3] - projection.yaw),
+            heading_error=_wrap(x[PSI] - projection.yaw),
             speed_reference=float(self._profile.speed(np.array([projection.s]))[0]),
         )
-        measured = x + self._noise * self._random.standard_normal(7)
+        measured = x + self._noise * self._random.standard_normal(NX)
         reference, widths, _ = horizon_reference(
             self.path, self._profile, measured, self._stepper.dt, self._stepper.horizon, self._s
         )
@@ -176,7 +177,7 @@ class _Loop:
             return self._ending("completed")
         if abs(period.truth.lateral_error) > self._scenario.leave_distance:
             return self._ending(f"left the road: {period.truth.lateral_error:+.1f} m off the path")
-        if period.step.mode == "stop" and self._plant.vehicle_state[2] < STANDSTILL:
+        if period.step.mode == "stop" and self._plant.vehicle_state[V_X] < STANDSTILL:
             return self._ending(f"stopped by the gate: {period.step.detail or period.step.status}")
         if self._time > self._time_limit:
             return self._ending("took too long")
@@ -184,7 +185,7 @@ class _Loop:
 
     def _project(self, x: NDArray[np.float64]) -> Projection:
         """Project the vehicle on the path and count the distance driven."""
-        projection = self.path.project(x[:2], self._s)
+        projection = self.path.project(x[POSITION], self._s)
         advanced = projection.s - self._s
         if self.path.closed:
             advanced -= self.path.length * round(advanced / self.path.length)
@@ -193,7 +194,7 @@ class _Loop:
         return projection
 
     def _ending(self, reason: str) -> Ending:
-        p_x, p_y = self._plant.vehicle_state[:2]
+        p_x, p_y = self._plant.vehicle_state[POSITION]
         return Ending(
             completed=reason == "completed",
             reason=reason,

@@ -15,6 +15,7 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.ticker import MaxNLocator
 
 from egp_service.files import replacing
+from egp_service.quantities import OMEGA, POSITION, V_X
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -79,7 +80,7 @@ def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath
     with plt.style.context(STYLE):
         figure = plt.figure(figsize=(4.2 * len(runs), 5.8))
         rows = figure.add_gridspec(2, len(runs), height_ratios=(1.25, 1.0))
-        driven = np.concatenate([run.trace.x[:, 2] for _, run in runs])
+        driven = np.concatenate([run.trace.x[:, V_X] for _, run in runs])
         speeds = Normalize(float(driven.min()), float(driven.max()))
         axes = [figure.add_subplot(rows[0, column]) for column in range(len(runs))]
         for ax, (label, run) in zip(axes, runs, strict=True):
@@ -122,10 +123,10 @@ def draw_track(ax: Axes, run: Run, speeds: Normalize | None = None) -> LineColle
     road.set(array=friction[:-1], cmap=SURFACE, norm=FRICTION_RANGE, snap=False)
     ax.add_collection(road)
     ax.plot(x, y, color="white", linewidth=0.7, linestyle=(0, (6, 6)))
-    points = trace.x[:, :2]
+    points = trace.x[:, POSITION]
     lines = LineCollection(
         list(np.stack([points[:-1], points[1:]], axis=1)),
-        array=trace.x[:-1, 2],
+        array=trace.x[:-1, V_X],
         cmap=SPEED,
         norm=speeds,
         linewidths=2.0,
@@ -191,7 +192,7 @@ def _weights_figure(run: Run) -> Figure:
     middle.plot(distance, weights @ run.frictions, color=ALARM, label="the members', weighted")
     middle.set(ylabel="μ", ylim=(0.2, 1.35))
     middle.legend(loc="lower right", ncols=2)
-    grip = np.abs(trace.x[:, 2] * trace.x[:, 5]) / (GRAVITY * trace.friction)
+    grip = np.abs(trace.x[:, V_X] * trace.x[:, OMEGA]) / (GRAVITY * trace.friction)
     bottom.fill_between(trace.distance, grip, color=MUTED, linewidth=0)
     bottom.set(xlabel="distance [m]", ylabel="grip used\nin corners", ylim=(0.0, 1.0))
     bottom.set_title("Only where grip is used do measurements tell surfaces apart", weight="normal")
@@ -209,9 +210,9 @@ def _errors_figure(run: Run) -> Figure:
     lateral.set(ylabel="beside the path [m]", title="Tracking errors over the surfaces")
     heading.plot(trace.distance, np.rad2deg(trace.heading_error), color=INK)
     heading.set(ylabel="heading error [°]")
-    reference = trace.x[:, 2] - trace.speed_error
+    reference = trace.x[:, V_X] - trace.speed_error
     speed.plot(trace.distance, reference, color=MUTED, linestyle="--", label="reference")
-    speed.plot(trace.distance, trace.x[:, 2], color=INK, label="driven")
+    speed.plot(trace.distance, trace.x[:, V_X], color=INK, label="driven")
     speed.set(ylabel="speed [m/s]", xlabel="distance [m]")
     speed.legend(loc="lower right", ncols=2)
     return figure

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from egp_service.quantities import V_X
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -85,7 +87,7 @@ def summarise(
         dt=dt,
         lateral_error=Error.of(trace.lateral_error),
         speed_error=Error.of(trace.speed_error),
-        mean_speed=float(np.mean(trace.x[:, 2])),
+        mean_speed=float(np.mean(trace.x[:, V_X])),
         step_time_ms={
             "p50": float(p50),
             "p90": float(p90),

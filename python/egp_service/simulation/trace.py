@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from egp_service.quantities import NU, NX, V_X
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -70,13 +72,13 @@ class Trace:
         unknown = np.full(members, np.nan)
         columns = {
             "time": [truth.time for truth in truths],
-            "x": np.array([truth.x for truth in truths]).reshape(-1, 7),
-            "u": np.array([step.u for step in steps]).reshape(-1, 2),
+            "x": np.array([truth.x for truth in truths]).reshape(-1, NX),
+            "u": np.array([step.u for step in steps]).reshape(-1, NU),
             "friction": [truth.friction for truth in truths],
             "distance": [truth.distance for truth in truths],
             "lateral_error": [truth.lateral_error for truth in truths],
             "heading_error": [truth.heading_error for truth in truths],
-            "speed_error": [truth.x[2] - truth.speed_reference for truth in truths],
+            "speed_error": [truth.x[V_X] - truth.speed_reference for truth in truths],
             "weights": np.array(
                 [step.weights if step.weights.size else unknown for step in steps]
             ).reshape(len(steps), members),

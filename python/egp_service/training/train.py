@@ -18,7 +18,8 @@ import numpy as np
 import torch
 
 from egp_service._core import EgpError
-from egp_service.data.dataset import INPUTS, OUTPUTS, Dataset, merge
+from egp_service.data.dataset import Dataset, merge
+from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ
 from egp_service.training import prior_mean
 from egp_service.training.gaussian_process import (
     CORRECTIONS,
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-NX: Final = len(INPUTS)
-NY: Final = len(OUTPUTS)
 _ONE_THREAD: Final = 1000
 
 
@@ -75,7 +74,7 @@ class TrainingSettings:
             raise EgpError(f"kernel is {self.kernel!r}: expected 'rbf' or 'matern52'")
         if self.mean not in ("single-track", "constant"):
             raise EgpError(f"mean is {self.mean!r}: expected 'single-track' or 'constant'")
-        least = 2 * NX
+        least = 2 * NZ
         for name in ("max_points", "first_points"):
             if getattr(self, name) < least:
                 raise EgpError(f"{name} is {getattr(self, name)}: expected at least {least}")
@@ -125,7 +124,7 @@ class TrainedMember:
         query = torch.tensor(z, dtype=torch.float64, device=device, requires_grad=True)
         scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
         mean, variance = np.empty((len(z), NY)), np.empty((len(z), NY))
-        jacobian = np.empty((len(z), NY, NX))
+        jacobian = np.empty((len(z), NY, NZ))
         known = query.new_zeros((len(z), NY))
         if self.single_track is not None:
             vehicle, dt = query.new_tensor(self.single_track), self.dataset.provenance.dt
@@ -223,14 +222,14 @@ def _train_member(
 ) -> TrainedMember:
     data, validation = split(dataset, settings.validation_fraction, rng)
     label = dataset.provenance.surface
-    input_mean, input_std = data.z.mean(axis=0), _spread(data.z, INPUTS, label)
-    _spread(data.y, OUTPUTS, label)
+    input_mean, input_std = data.z.mean(axis=0), _spread(data.z, GP_INPUT, label)
+    _spread(data.y, GP_OUTPUT, label)
     vehicle, rest, bounds = None, data.y, WHOLE_CHANGES
     if settings.mean == "single-track":
         vehicle = prior_mean.fit(data.z, data.y, data.provenance.dt, rng)
         rest = data.y - prior_mean.predict(data.z, vehicle, data.provenance.dt)
         bounds = CORRECTIONS
-    target_mean, target_std = rest.mean(axis=0), _spread(rest, OUTPUTS, label)
+    target_mean, target_std = rest.mean(axis=0), _spread(rest, GP_OUTPUT, label)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     z = torch.tensor((data.z - input_mean) / input_std, dtype=torch.float64, device=device)
     y = torch.tensor((rest - target_mean) / target_std, dtype=torch.float64, device=device)
@@ -248,7 +247,7 @@ def _train_member(
             group = [processes[j] for j in outputs]
             share_kernel(group)
             before = number * len(starts) * settings.max_iterations
-            names = ", ".join(list(OUTPUTS)[j] for j in outputs)
+            names = ", ".join(list(GP_OUTPUT)[j] for j in outputs)
 
             def on_step(step: FitStep, before: int = before, names: str = names) -> None:
                 at = before + step.start * settings.max_iterations + step.iteration
@@ -283,12 +282,12 @@ def _train_member(
 
 # What is left over one period is close to linear in z: long lengthscales, little noise. Bounds move
 # this and the random starts inside.
-_START: Final = Hyperparameters(lengthscales=(3.0,) * NX, outputscale=3.0, noise=1e-2, constant=0.0)
+_START: Final = Hyperparameters(lengthscales=(3.0,) * NZ, outputscale=3.0, noise=1e-2, constant=0.0)
 
 
 def _random_start(rng: np.random.Generator) -> Hyperparameters:
     return Hyperparameters(
-        lengthscales=tuple(np.exp(rng.uniform(np.log(1.0), np.log(10.0), NX))),
+        lengthscales=tuple(np.exp(rng.uniform(np.log(1.0), np.log(10.0), NZ))),
         outputscale=float(np.exp(rng.uniform(0.0, np.log(10.0)))),
         noise=float(np.exp(rng.uniform(np.log(1e-4), np.log(1e-1)))),
         constant=0.0,

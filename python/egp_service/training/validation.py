@@ -9,11 +9,9 @@ import dataclasses
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from rich import box
-from rich.table import Table
 
 from egp_service._core import EgpError
-from egp_service.data.dataset import OUTPUTS
+from egp_service.quantities import NY
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,7 +24,6 @@ if TYPE_CHECKING:
 # Exact variances cost a triangular solve each; more rows than this change the third digit.
 _MAX_ROWS: Final = 3000
 _QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
-_NX_GP: Final = 4  # v_x, v_y, omega, delta
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -98,45 +95,11 @@ def rollout_error(
     )
     start = first[unbroken][::5][:_MAX_ROWS]
     if len(start) == 0:
-        return np.full(len(OUTPUTS), np.nan)
-    state = dataset.z[start, :3]
+        return np.full(NY, np.nan)
+    state = dataset.z[start, :NY]
     for k in range(periods):
-        z = np.hstack([state, dataset.z[start + k, _NX_GP - 1 :]])
+        z = np.hstack([state, dataset.z[start + k, NY:]])
         state = state + library.predict(z, index)[0]
     end = start + periods - 1
-    error = state - (dataset.z[end, :3] + dataset.y[end])
+    error = state - (dataset.z[end, :NY] + dataset.y[end])
     return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
-
-
-def validation_table(matrix: list[list[Cell]]) -> Table:
-    """Return the matrix for the terminal, a row for each member, surface and output."""
-    table = Table(
-        "member",
-        "on surface",
-        "output",
-        "RMSE",
-        "NLPD",
-        "in 95 %",
-        f"after {ROLLOUT:g} s",
-        title="Validation on held-out trajectories (m/s, rad/s)",
-        box=box.SIMPLE_HEAD,
-    )
-    for row in matrix:
-        for cell in row:
-            names = (cell.member, cell.surface)
-            for output, *values in zip(
-                OUTPUTS, cell.rmse, cell.nlpd, cell.coverage, cell.rollout, strict=True
-            ):
-                rmse, nlpd, coverage, rollout = values
-                table.add_row(
-                    *names,
-                    output,
-                    f"{rmse:.4f}",
-                    f"{nlpd:.2f}",
-                    f"{coverage:.2f}",
-                    f"{rollout:.3f}",
-                    style="bold" if cell.member == cell.surface else "",
-                )
-                names = ("", "")
-        table.add_section()
-    return table

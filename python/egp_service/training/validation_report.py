@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from egp_service.data.dataset import OUTPUTS
+from egp_service.quantities import GP_OUTPUT
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,8 +24,8 @@ def draw_validation(matrix: list[list[Cell]], path: Path) -> None:
     Colours compare within one panel; for coverage they show the distance from 0.95.
     """
     figure = Figure(figsize=(2.2 + 1.0 * 3 * len(matrix[0]), 2.0 + 1.8 * len(matrix)))
-    axes = figure.subplots(3, len(OUTPUTS), squeeze=False)
-    for column, (name, unit) in enumerate(OUTPUTS.items()):
+    axes = figure.subplots(3, len(GP_OUTPUT), squeeze=False)
+    for column, (name, unit) in enumerate(GP_OUTPUT.items()):
         label = name.replace("d_", "Δ")
         rmse = np.array([[cell.rmse[column] for cell in row] for row in matrix])
         nlpd = np.array([[cell.nlpd[column] for cell in row] for row in matrix])

@@ -44,12 +44,13 @@ def train(
     """
     from egp_service._core import EgpError, Library
     from egp_service.cli.progress import collecting, fitting
+    from egp_service.cli.tables import validation_table
     from egp_service.data.dataset import Dataset
     from egp_service.training.export import export
     from egp_service.training.recipe import Displays, Recipe, follow, training_provenance
     from egp_service.training.train import TrainingSettings
     from egp_service.training.train import train as train_members
-    from egp_service.training.validation import validate, validation_table
+    from egp_service.training.validation import validate
 
     console = Console()
     if (recipe is None) == (not data):
