@@ -14,8 +14,9 @@ import numpy as np
 
 from egp_service._core import EgpError
 from egp_service.data.dataset import Dataset
-from egp_service.simulation.backends import in_process_stepper
+from egp_service.quantities import MOTION, gp_input
 from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.in_process import in_process_stepper
 from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track, Zone
 from egp_service.workers import in_order, workers
 
@@ -129,8 +130,8 @@ def _on_surface(laps: Sequence[_Driven], surface: Experiment) -> Dataset | None:
         rows = np.flatnonzero(on[:-1] & on[1:])
         if len(rows) == 0:
             continue
-        z.append(np.hstack([lap.x[rows][:, (2, 4, 5, 6)], lap.u[rows]]))
-        y.append((lap.x[rows + 1] - lap.x[rows])[:, (2, 4, 5)])
+        z.append(gp_input(lap.x[rows], lap.u[rows]))
+        y.append((lap.x[rows + 1] - lap.x[rows])[:, MOTION])
         stretch = np.cumsum(np.concatenate([[0], np.diff(rows) > 1]))
         begin = np.flatnonzero(np.diff(stretch, prepend=-1))[stretch]
         position = np.arange(len(rows)) - begin

@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 if TYPE_CHECKING:
-    from egp_service.simulation.demo import Lap
+    from egp_service.cli.demo import Lap
 
 
 def demo(
@@ -31,9 +31,9 @@ def demo(
     ensemble of both, then with each of them alone; a service in its own process
     computes every control step.
     """
+    from egp_service.cli.demo import drive_laps
     from egp_service.cli.status_line import StatusLine
     from egp_service.cli.tables import summary_table
-    from egp_service.simulation.demo import drive_laps
     from egp_service.simulation.report import draw_comparison, draw_run
     from egp_service.simulation.runs import new_folder
 

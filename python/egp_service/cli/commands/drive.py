@@ -76,7 +76,8 @@ def drive(
 def _stepper(
     scenario: "Scenario", *, in_process: bool, connect: str | None
 ) -> "AbstractContextManager[Stepper]":
-    from egp_service.simulation.backends import in_process_stepper, remote_stepper, service_stepper
+    from egp_service.cli.backends import remote_stepper, service_stepper
+    from egp_service.simulation.in_process import in_process_stepper
 
     if in_process:
         return in_process_stepper(scenario)

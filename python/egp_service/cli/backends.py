@@ -1,4 +1,4 @@
-"""Where control steps are computed: here, in a service of our own, or in a running one."""
+"""Control steps asked of a service: one that is started for the purpose, or a running one."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from egp_service.control.client import VehicleClient
-from egp_service.control.controller import Controller
 from egp_service.control.service_process import ServiceProcess
-from egp_service.control.toml_text import dumps
 from egp_service.simulation.scenario import library_path
 
 if TYPE_CHECKING:
@@ -16,11 +14,6 @@ if TYPE_CHECKING:
 
     from egp_service.control.stepper import Stepper
     from egp_service.simulation.scenario import Scenario
-
-
-def in_process_stepper(scenario: Scenario) -> Controller:
-    """Compute the steps in this process."""
-    return Controller(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
 
 
 def remote_stepper(scenario: Scenario, endpoint: str) -> VehicleClient:

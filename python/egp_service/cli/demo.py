@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from egp_service._core import Library, write_library_subset
-from egp_service.simulation.backends import service_stepper
+from egp_service.cli.backends import service_stepper
 from egp_service.simulation.runs import record_run
 from egp_service.simulation.scenario import library_path, load_scenario
 
