@@ -1,9 +1,35 @@
-"""Ensemble Gaussian-process model predictive control for roads of unknown friction."""
+"""Ensemble Gaussian-process model predictive control for roads of unknown friction.
+
+The public names are imported when they are first used, so that importing one room of the package
+(`control`, `simulation`, `data`, `training`, `evaluation`, `cli`) does not import the libraries
+that only another room needs.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 from egp_service._core import EgpError, Library, Path, Plant, SpeedProfile, horizon_reference
-from egp_service.client import VehicleClient
-from egp_service.controller import Controller
-from egp_service.stepper import Step
+
+if TYPE_CHECKING:
+    from egp_service.control.client import VehicleClient
+    from egp_service.control.controller import Controller
+    from egp_service.control.stepper import Step
+else:
+    _MODULES: Final = {
+        "Controller": "egp_service.control.controller",
+        "Step": "egp_service.control.stepper",
+        "VehicleClient": "egp_service.control.client",
+    }
+
+    def __getattr__(name: str) -> object:
+        """Import a public name from its module when it is first used (PEP 562)."""
+        if name not in _MODULES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_MODULES[name]), name)
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *_MODULES})
+
 
 __all__ = [
     "Controller",

@@ -446,7 +446,7 @@ class Library:
 
         >>> import numpy as np
         >>> from egp_service._core import Library
-        >>> from egp_service.scenario import library_path, load_scenario
+        >>> from egp_service.simulation.scenario import library_path, load_scenario
         >>> library = Library.load(library_path(load_scenario("rounded-rectangle")))
         >>> z = np.array([[15.0, 0.1, 0.2, 0.03, 500.0, 0.0]])
         >>> mean, jacobian, variance = library.predict(z)

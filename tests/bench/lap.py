@@ -14,10 +14,10 @@ from rich.table import Table
 from timing import microseconds, percentiles
 
 from egp_service._core import Engine, Library, decode_reply, decode_request
-from egp_service.closed_loop import drive
-from egp_service.controller import Controller
+from egp_service.control.controller import Controller
 from egp_service.evaluation.paper_stack import PaperStack
-from egp_service.scenario import library_path, load_scenario
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.scenario import library_path, load_scenario
 
 if TYPE_CHECKING:
     from pathlib import Path

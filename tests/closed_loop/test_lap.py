@@ -14,15 +14,15 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from egp_service import Controller
 from egp_service._core import Engine
-from egp_service.report import draw_comparison, draw_run
-from egp_service.runs import record_run
-from egp_service.scenario import library_path, load_scenario, parse_scenario
+from egp_service.simulation.report import draw_comparison, draw_run
+from egp_service.simulation.runs import record_run
+from egp_service.simulation.scenario import library_path, load_scenario, parse_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from egp_service.closed_loop import Run
-    from egp_service.trace import Period
+    from egp_service.simulation.closed_loop import Run
+    from egp_service.simulation.trace import Period
 
 SCENARIO = load_scenario("rounded-rectangle")
 

@@ -16,8 +16,9 @@ import zenoh
 
 from egp_service import Controller
 from egp_service._core import LIVE_KEYS, Engine, decode_reply, step_key
-from egp_service.closed_loop import drive
-from egp_service.scenario import (
+from egp_service.control.service_process import ServiceProcess
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.scenario import (
     Measurement,
     Scenario,
     Speed,
@@ -26,12 +27,11 @@ from egp_service.scenario import (
     library_path,
     load_scenario,
 )
-from egp_service.service_process import ServiceProcess
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from egp_service.stepper import Step
+    from egp_service.control.stepper import Step
 
 # Of inputs in m/s^2 and rad/s.
 TOLERANCE = 1e-6

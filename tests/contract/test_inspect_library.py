@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from egp_service._core import Library
-from egp_service.inspect_library import inspect
+from egp_service.cli.inspect_library import inspect
 from library_example import write_example
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from typer.main import get_command
 
 from egp_service.cli import app
-from egp_service.scenario import library_path, load_scenario
+from egp_service.simulation.scenario import library_path, load_scenario
 
 README = Path(__file__).parents[2] / "README.md"
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from egp_service.configuration import ConfigurationError
-from egp_service.course import build_path, build_profile
-from egp_service.scenario import (
+from egp_service.simulation.configuration import ConfigurationError
+from egp_service.simulation.course import build_path, build_profile
+from egp_service.simulation.scenario import (
     Scenario,
     ScenarioError,
     built_in_names,

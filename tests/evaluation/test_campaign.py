@@ -13,7 +13,6 @@ from egp_service import EgpError
 from egp_service._core import write_library_subset
 from egp_service.evaluation.batch import finish
 from egp_service.evaluation.campaign import (
-    SHIPPED,
     Campaign,
     Outcome,
     drive_trial,
@@ -27,7 +26,15 @@ from egp_service.evaluation.experiments import EXPERIMENTS, NOISE, OBSTACLE_AVOI
 from egp_service.evaluation.prediction import PredictionOutcome
 from egp_service.evaluation.settling import settling_times
 from egp_service.evaluation.statistics import Interval, grouped, mean, median, wilson
-from egp_service.scenario import Scenario, Speed, Track, Zone, library_path, load_scenario
+from egp_service.shipped import EVALUATION_LIBRARY as SHIPPED
+from egp_service.simulation.scenario import (
+    Scenario,
+    Speed,
+    Track,
+    Zone,
+    library_path,
+    load_scenario,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable

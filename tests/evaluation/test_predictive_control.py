@@ -18,11 +18,11 @@ from egp_service._core import (
     horizon_reference,
     write_library_subset,
 )
-from egp_service.controller import Controller
-from egp_service.course import build_path, build_profile
+from egp_service.control.controller import Controller
 from egp_service.evaluation.predictive_control import PredictiveController
 from egp_service.evaluation.single_track import CHASSIS, Kinematic, SingleTrack, linearise
-from egp_service.scenario import Zone, library_path, load_scenario
+from egp_service.simulation.course import build_path, build_profile
+from egp_service.simulation.scenario import Zone, library_path, load_scenario
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -21,9 +21,9 @@ from egp_service._core import (
     decode_request,
     solve_weights,
 )
-from egp_service.closed_loop import drive
 from egp_service.evaluation.window_noise import WindowNoise
-from egp_service.scenario import Measurement, library_path, load_scenario
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.scenario import Measurement, library_path, load_scenario
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

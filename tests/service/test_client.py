@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from egp_service import Controller, VehicleClient
-from egp_service.client import ServiceUnreachableError
-from egp_service.closed_loop import drive
-from egp_service.scenario import library_path, load_scenario
-from egp_service.service_process import ServiceProcess, ServiceStartError
+from egp_service.control.client import ServiceUnreachableError
+from egp_service.control.service_process import ServiceProcess, ServiceStartError
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.scenario import library_path, load_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from egp_service.closed_loop import Run
-    from egp_service.stepper import Step, Stepper
-    from egp_service.trace import Period
+    from egp_service.control.stepper import Step, Stepper
+    from egp_service.simulation.closed_loop import Run
+    from egp_service.simulation.trace import Period
 
 SCENARIO = load_scenario("rounded-rectangle")
 LIBRARY = library_path(SCENARIO)

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 import tomllib
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,13 +15,14 @@ import pytest
 import zenoh
 
 from egp_service import _core
+from egp_service.shipped import DEMO_LIBRARY
 from library_example import write_example
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-LIBRARY = str(files("egp_service") / "data" / "demo-library.safetensors")
+LIBRARY = str(DEMO_LIBRARY)
 
 
 @pytest.fixture

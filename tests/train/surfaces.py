@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from egp_service.dataset import Dataset, Provenance
+from egp_service.data.dataset import Dataset, Provenance
 
 NOISE = 0.002
 STEPS = 20

@@ -9,14 +9,14 @@ import pytest
 
 from egp_service import EgpError
 from egp_service._core import Plant
-from egp_service.collect import CollectionSettings, collect
-from egp_service.experiment import A_SLEW, DELTA_DOT_SLEW, MAX_DELTA_DOT, MIN_A, Experiment
-from egp_service.exploration import ExplorationSettings, explore
-from egp_service.exploration_track import ExplorationTrack
-from egp_service.sampling import sample
+from egp_service.data.collect import CollectionSettings, collect
+from egp_service.data.experiment import A_SLEW, DELTA_DOT_SLEW, MAX_DELTA_DOT, MIN_A, Experiment
+from egp_service.data.exploration import ExplorationSettings, explore
+from egp_service.data.exploration_track import ExplorationTrack
+from egp_service.data.sampling import sample
 
 if TYPE_CHECKING:
-    from egp_service.dataset import Dataset
+    from egp_service.data.dataset import Dataset
 
 WET = Experiment(friction=0.5, label="wet", seed=3)
 SHORT = CollectionSettings(runs=2, samples=20, exploration=ExplorationSettings(episodes=4))

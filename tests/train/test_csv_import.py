@@ -10,14 +10,14 @@ import pytest
 from surfaces import provenance
 
 from egp_service import EgpError
-from egp_service.csv_import import Column, import_csv
+from egp_service.data.csv_import import Column, import_csv
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from egp_service.dataset import Dataset
+    from egp_service.data.dataset import Dataset
 
 MASS = 1400.0
 COLUMNS = {

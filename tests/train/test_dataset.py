@@ -12,7 +12,7 @@ import pytest
 from surfaces import provenance, surface
 
 from egp_service import EgpError
-from egp_service.dataset import METADATA_KEY, Dataset, Provenance, merge
+from egp_service.data.dataset import METADATA_KEY, Dataset, Provenance, merge
 
 if TYPE_CHECKING:
     from collections.abc import Callable

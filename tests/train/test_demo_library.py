@@ -10,11 +10,12 @@ import pytest
 
 from egp_service import Controller, EgpError
 from egp_service._core import Library
-from egp_service.closed_loop import drive
-from egp_service.export import export
-from egp_service.recipe import DEMO_RECIPE, Recipe, follow, training_provenance
-from egp_service.scenario import load_scenario
-from egp_service.validation import validate
+from egp_service.shipped import DEMO_RECIPE
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.scenario import load_scenario
+from egp_service.training.export import export
+from egp_service.training.recipe import Recipe, follow, training_provenance
+from egp_service.training.validation import validate
 
 if TYPE_CHECKING:
     from pathlib import Path

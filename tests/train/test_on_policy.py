@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from egp_service import EgpError
-from egp_service.experiment import Experiment
-from egp_service.on_policy import OnPolicySettings, drive_laps
-from egp_service.scenario import library_path, load_scenario
+from egp_service.data.experiment import Experiment
+from egp_service.simulation.scenario import library_path, load_scenario
+from egp_service.training.on_policy import OnPolicySettings, drive_laps
 
 LIBRARY = library_path(load_scenario("rounded-rectangle"))
 SURFACES = [

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from egp_service.gaussian_process import WHOLE_CHANGES, Hyperparameters, OutputProcess
-from egp_service.subset import select
+from egp_service.training.gaussian_process import WHOLE_CHANGES, Hyperparameters, OutputProcess
+from egp_service.training.subset import select
 
 
 def _processes(z: torch.Tensor) -> list[OutputProcess]:

@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 from surfaces import NOISE, provenance, surface
 
-from egp_service import EgpError, prior_mean
+from egp_service import EgpError
 from egp_service._core import Library
-from egp_service.export import export
-from egp_service.training import FitProgress, TrainedMember, TrainingSettings, split, train
-from egp_service.validation import rollout_error, validate
-from egp_service.validation_report import draw_validation
+from egp_service.training import prior_mean
+from egp_service.training.export import export
+from egp_service.training.train import FitProgress, TrainedMember, TrainingSettings, split, train
+from egp_service.training.validation import rollout_error, validate
+from egp_service.training.validation_report import draw_validation
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from egp_service.dataset import Dataset
-    from egp_service.gaussian_process import KernelName
+    from egp_service.data.dataset import Dataset
+    from egp_service.training.gaussian_process import KernelName
 
 # The law of `surfaces` is no vehicle's.
 SETTINGS = TrainingSettings(

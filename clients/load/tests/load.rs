@@ -9,7 +9,7 @@ use serde_json::Value;
 
 const LIBRARY: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
-    "/../../python/egp_service/data/demo-library.safetensors"
+    "/../../python/egp_service/shipped/demo-library.safetensors"
 );
 
 #[test]

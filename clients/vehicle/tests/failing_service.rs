@@ -9,7 +9,7 @@ use egp_vehicle::{GateLimits, Mode, Outcome, Step, VehicleClient, VehicleConfig}
 
 const LIBRARY: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
-    "/../../python/egp_service/data/demo-library.safetensors"
+    "/../../python/egp_service/shipped/demo-library.safetensors"
 );
 
 fn free_endpoint() -> String {

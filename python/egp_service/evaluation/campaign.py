@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass, replace
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,12 +12,12 @@ import numpy as np
 
 from egp_service import _core
 from egp_service._core import EgpError, Engine, Library, write_library_subset
-from egp_service.closed_loop import drive
-from egp_service.course import build_path
 from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.contenders import ENSEMBLE, make
 from egp_service.evaluation.experiments import HALF_WIDTH
 from egp_service.evaluation.settling import resolution, settling_times
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.course import build_path
 from egp_service.workers import in_order, workers
 
 if TYPE_CHECKING:
@@ -26,11 +25,10 @@ if TYPE_CHECKING:
 
     from _typeshed import DataclassInstance
 
-    from egp_service.closed_loop import Run
     from egp_service.evaluation.experiments import Experiment, Trial
-    from egp_service.scenario import Scenario
+    from egp_service.simulation.closed_loop import Run
+    from egp_service.simulation.scenario import Scenario
 
-SHIPPED = Path(str(resources.files("egp_service"))) / "data" / "evaluation-library.safetensors"
 SHOWN_CONTENDERS = (ENSEMBLE, "pooled GP", "nominal single-track")
 
 Result = TypeVar("Result", bound="DataclassInstance")

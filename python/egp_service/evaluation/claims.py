@@ -10,6 +10,7 @@ import numpy as np
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.experiments import EXACT
 from egp_service.evaluation.statistics import grouped, mean
+from egp_service.quantities import MOTION_LABELS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +32,6 @@ MIXED: Final = ("varying-speed", "unseen-track", "lane-change", "four-members", 
 _SHARE: Final = 0.95
 _REGRET: Final = 1.2
 _SETTLED: Final = 0.5  # s
-_OUTPUTS: Final = ("v_x, m/s", "v_y, m/s", "ω, rad/s")
 _EXCITED: Final = tuple(
     f"{acceleration} m/s² lateral{sensors}" for sensors in ("", EXACT) for acceleration in (2, 3, 4)
 )
@@ -218,11 +218,11 @@ def _ordered(
     ]
     if len(gaps) > 1:  # one seed has no spread
         means = [mean(gap) for gap in gaps.T]
-        outputs = len(_OUTPUTS)
+        outputs = len(MOTION_LABELS)
         least = [min(means[o::outputs], key=lambda gap: gap.low) for o in range(outputs)]
         found = [
             f"{name} {gap.value:.4f} ({gap.low:.4f} to {gap.high:.4f})"
-            for name, gap in zip(_OUTPUTS, least, strict=True)
+            for name, gap in zip(MOTION_LABELS, least, strict=True)
         ]
         claims.append(
             Claim(

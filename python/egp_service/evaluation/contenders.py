@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import Carry, EgpError, Engine, Library
-from egp_service.controller import Controller
-from egp_service.course import build_path
+from egp_service.control.controller import Controller
+from egp_service.control.toml_text import dumps
 from egp_service.evaluation.predictive_control import PredictiveController
 from egp_service.evaluation.single_track import (
     CHASSIS,
@@ -26,18 +26,20 @@ from egp_service.evaluation.single_track import (
     linearise,
 )
 from egp_service.evaluation.window_noise import WindowNoise
-from egp_service.scenario import library_path
-from egp_service.toml_text import dumps
+from egp_service.quantities import MOTION, POSITION, gp_input
+from egp_service.simulation.course import build_path
+from egp_service.simulation.in_process import in_process_stepper
+from egp_service.simulation.scenario import library_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
-    from egp_service.closed_loop import Drives
+    from egp_service.control.stepper import Step
     from egp_service.evaluation.single_track import Prediction
-    from egp_service.scenario import Scenario
-    from egp_service.stepper import Step
+    from egp_service.simulation.closed_loop import Drives
+    from egp_service.simulation.scenario import Scenario
 
 # The paper's weights: errors of m/s and rad/s added up, and no pull towards the previous weights.
 PAPER_WEIGHTS: Final = {"whiten": False, "prior": {"kind": "l1", "alpha": 1e-5}}
@@ -65,7 +67,7 @@ class _Oracle(Controller):
         deadline: float | None = None,
     ) -> Step:
         """Set the weights, then step."""
-        projection = self._path.project(np.asarray(x, dtype=np.float64)[:2], self._s)
+        projection = self._path.project(np.asarray(x, dtype=np.float64)[POSITION], self._s)
         self._s = projection.s
         self._carry.weights = interpolated_weights(self._frictions, projection.friction)
         return super().step(x, reference, widths, deadline=deadline)
@@ -97,8 +99,8 @@ class _Selection(Controller):
         state = np.asarray(x, dtype=np.float64)
         if self._before is not None:
             before, u = self._before
-            z = np.concatenate([before[[2, 4, 5, 6]], u])[None]
-            y = (state - before)[[2, 4, 5]]
+            z = gp_input(before, u)[None]
+            y = (state - before)[MOTION]
             members = range(len(self.members))
             predicted = np.array([self._library.predict(z, m)[0][0] for m in members])
             self._errors.append(predicted - y)
@@ -131,9 +133,7 @@ def make(contender: Contender, scenario: Scenario) -> Drives:
     Raises `EgpError` for an unknown kind.
     """
     makers: dict[str, Callable[[], Drives]] = {
-        "ensemble": lambda: Controller(
-            library_path(scenario), dumps(scenario.control), gate=scenario.gate
-        ),
+        "ensemble": lambda: in_process_stepper(scenario),
         "oracle": lambda: _Oracle(scenario),
         "selection": lambda: _Selection(scenario),
         "kinematic": lambda: _predictive(scenario, Kinematic(CHASSIS[scenario.vehicle])),

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from egp_service.evaluation.campaign import drive_trial, off_track
-from egp_service.scenario import Speed
+from egp_service.simulation.scenario import Speed
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.course import build_path
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, PAPER_WEIGHTS, Contender
-from egp_service.scenario import Measurement, Scenario, Speed, Track, Zone
+from egp_service.simulation.course import build_path
+from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track, Zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -11,7 +11,8 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE
+from egp_service.quantities import MOTION_LABELS
+from egp_service.simulation.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from egp_service.evaluation.scaling import StepTime
     from egp_service.evaluation.statistics import Group, Interval
 
-_OUTPUTS: Final = ("Δv_x, m/s", "Δv_y, m/s", "Δω, rad/s")
 _BARS: Final = (
     ("A", "A", 0),
     ("D", "D", 0),
@@ -68,8 +68,8 @@ def draw_prediction(outcomes: Sequence[PredictionOutcome], path: Path) -> Path:
                         ms=4,
                         mfc="none" if marker == "s" else shade,
                     )
-        for column, output in enumerate(_OUTPUTS):
-            axes[0, column].set_title(output)
+        for column, label in enumerate(MOTION_LABELS):
+            axes[0, column].set_title(f"Δ{label}")
             axes[1, column].axhline(0.95, color=MUTED, lw=0.8)
             axes[1, column].set_xticks(range(len(labels)), labels, fontsize=6.5, rotation=60)
         axes[0, 0].set_ylabel("RMS error (line: seeds)")

@@ -1,33 +1,32 @@
 """The evaluation's library: four surfaces, and what the ensemble of the outer two is compared with.
 
-`data/evaluation-library.safetensors` was made by this file from `data/evaluation-recipe.toml`;
-`egp evaluate --train` makes it again.
+`shipped/evaluation-library.safetensors` was made by this file from
+`shipped/evaluation-recipe.toml`; `egp evaluate --train` makes it again.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from importlib import resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service import EgpError, prior_mean
-from egp_service.export import export
-from egp_service.gaussian_process import CORRECTIONS, OutputProcess
-from egp_service.recipe import Displays, Recipe, follow, training_provenance
-from egp_service.training import train
+from egp_service._core import EgpError
+from egp_service.shipped import EVALUATION_RECIPE
+from egp_service.training import prior_mean
+from egp_service.training.export import export
+from egp_service.training.gaussian_process import CORRECTIONS, OutputProcess
+from egp_service.training.recipe import Displays, Recipe, follow, training_provenance
+from egp_service.training.train import train
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
-    from egp_service.dataset import Dataset
-    from egp_service.gaussian_process import KernelName
-    from egp_service.training import TrainedMember
+    from egp_service.data.dataset import Dataset
+    from egp_service.training.gaussian_process import KernelName
+    from egp_service.training.train import TrainedMember
 
-_DATA: Final = Path(str(resources.files("egp_service"))) / "data"
-RECIPE: Final = _DATA / "evaluation-recipe.toml"
 _OUTER: Final = (0.5, 1.1)
 _BARE_POINTS: Final = 20
 _WHOLE_CHANGE_POINTS: Final = 700  # without a vehicle more points helped, up to these
@@ -39,7 +38,7 @@ def make(displays: Displays) -> list[TrainedMember]:
     These are one GP of both surfaces' pooled data, which keeps as many transitions as both members
     together; the paper's members, whose GPs have constant means; and vehicles without GPs.
     """
-    recipe = Recipe.read(RECIPE)
+    recipe = Recipe.read(EVALUATION_RECIPE)
     datasets, members = follow(recipe, displays=displays)
     settings = recipe.training
     outer = [data for data in datasets if data.provenance.friction in _OUTER]
@@ -88,5 +87,5 @@ def _bare(member: TrainedMember, kernel: KernelName) -> TrainedMember:
 
 def write(path: Path, members: Sequence[TrainedMember]) -> None:
     """Write the library file."""
-    settings = Recipe.read(RECIPE).training
+    settings = Recipe.read(EVALUATION_RECIPE).training
     export(path, members, settings, training_provenance(settings))

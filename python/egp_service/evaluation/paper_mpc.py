@@ -11,16 +11,14 @@ from typing import TYPE_CHECKING, Any
 import cvxpy as cp
 import numpy as np
 
-from egp_service import EgpError
-from egp_service.prior_mean import SLOWEST
+from egp_service._core import EgpError
+from egp_service.quantities import DELTA, NU, NX, OMEGA, V_X, V_Y
+from egp_service.training.prior_mean import SLOWEST
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
-
-NX, NU = 7, 2
-V_X, V_Y, OMEGA, DELTA = 2, 4, 5, 6
 
 
 class Mpc:

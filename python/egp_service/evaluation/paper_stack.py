@@ -20,9 +20,25 @@ import cvxpy as cp
 import numpy as np
 import torch
 
-from egp_service import prior_mean
 from egp_service.evaluation.paper_mpc import Mpc
 from egp_service.evaluation.window_noise import WindowNoise
+from egp_service.quantities import (
+    DELTA,
+    GP_STATE,
+    MOTION,
+    NU,
+    NX,
+    NY,
+    OMEGA,
+    P_X,
+    P_Y,
+    POSITION,
+    PSI,
+    V_X,
+    V_Y,
+    gp_input,
+)
+from egp_service.training import prior_mean
 
 with warnings.catch_warnings():  # linear_operator still uses it when imported
     warnings.filterwarnings("ignore", ".torch.jit.script. is ", FutureWarning)
@@ -37,9 +53,6 @@ if TYPE_CHECKING:
     from egp_service._core import Library, Request
 
     Array = NDArray[np.float64]
-
-NX, NU, NY = 7, 2, 3
-P_X, P_Y, V_X, PSI, V_Y, OMEGA, DELTA = range(NX)
 
 
 def read_tensors(path: Path) -> dict[str, Array]:
@@ -261,14 +274,14 @@ class PaperStack:
         for _ in range(shift):
             last = last.copy()
             yaw = last[PSI] + self.yaw_at * self.dt * last[OMEGA]
-            last[[P_X, P_Y]] += self.dt * last[V_X] * np.array([np.cos(yaw), np.sin(yaw)])
+            last[POSITION] += self.dt * last[V_X] * np.array([np.cos(yaw), np.sin(yaw)])
             last[PSI] += self.dt * last[OMEGA]
             x = np.concatenate([x, last[None]])
         return x, u
 
     def _linearise(self, x: Array, u: Array, w: Array) -> tuple[Array, Array, Array]:
         """Blend the tangents, eqs. (15)-(17), along our yaw; inputs of ``B`` are scaled."""
-        z = np.concatenate([x[:-1, [V_X, V_Y, OMEGA, DELTA]], u], axis=1)
+        z = gp_input(x[:-1], u)
         parts = [member.mean_jacobian(z) for member in self.members]
         mean = sum(wn * m for wn, (m, _) in zip(w, parts, strict=True))
         jacobian = sum(wn * j for wn, (_, j) in zip(w, parts, strict=True))
@@ -286,16 +299,16 @@ class PaperStack:
         a[:, PSI, OMEGA] = dt
         b = np.zeros((len(z), NX, NU))
         b[:, DELTA, 1] = dt
-        for o, row in enumerate((V_X, V_Y, OMEGA)):
-            for d, column in enumerate((V_X, V_Y, OMEGA, DELTA)):
+        for o, row in enumerate(MOTION):
+            for d, column in enumerate(GP_STATE):
                 a[:, row, column] += jacobian[:, o, d]
-            b[:, row] = jacobian[:, o, 4:]
+            b[:, row] = jacobian[:, o, len(GP_STATE) :]
         following = states.copy()
         following[:, P_X] += dt * (v_x * cos - v_y * sin)
         following[:, P_Y] += dt * (v_x * sin + v_y * cos)
         following[:, PSI] += dt * states[:, OMEGA]
         following[:, DELTA] += dt * u[:, 1]
-        following[:, [V_X, V_Y, OMEGA]] += mean
+        following[:, MOTION] += mean
         c = following - np.einsum("tij,tj->ti", a, states) - np.einsum("tij,tj->ti", b, u)
         b[:, :, 0] *= self.mass
         return a, b, c

@@ -16,20 +16,21 @@ import numpy as np
 import torch
 
 from egp_service._core import Library, solve_weights
+from egp_service.data.experiment import Experiment
+from egp_service.data.sampling import sample
 from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.window_noise import model_noise
-from egp_service.experiment import Experiment
-from egp_service.export import export
-from egp_service.sampling import sample
-from egp_service.training import TrainingSettings, train
+from egp_service.quantities import NY, NZ
+from egp_service.training.export import export
+from egp_service.training.train import TrainingSettings, train
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from egp_service.dataset import Dataset
+    from egp_service.data.dataset import Dataset
 
 SURFACES: Final = {"A": 0.3, "B": 0.6, "T": 0.7, "C": 0.8, "D": 1.0}
 _DT: Final = 0.02
@@ -173,7 +174,7 @@ def _test_set(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Whole trajectories: inputs (n, _KEEP, 6) and changes (n, _KEEP, 3)."""
     data = _sampled(friction, seed, _TEST_TRAJECTORIES, label, keep=_KEEP)
-    return data.z.reshape(-1, _KEEP, 6), data.y.reshape(-1, _KEEP, 3)
+    return data.z.reshape(-1, _KEEP, NZ), data.y.reshape(-1, _KEEP, NY)
 
 
 def _score(
@@ -225,9 +226,9 @@ def _weights(
     members' noise alone, as states are exact here, and with a weak quadratic prior.
     """
     n, window = z.shape[:2]
-    flat = np.ascontiguousarray(z.reshape(-1, 6))
+    flat = np.ascontiguousarray(z.reshape(-1, NZ))
     predicted = np.stack([library.predict(flat, m)[0] for m in members], axis=1)
-    predicted = predicted.reshape(n, window, len(members), 3)
+    predicted = predicted.reshape(n, window, len(members), NY)
     paper = window == 1
     noise = np.ones(3) if paper else model_noise([library.members[m] for m in members])
     uniform = np.full(len(members), 1.0 / len(members))

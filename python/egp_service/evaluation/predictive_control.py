@@ -8,23 +8,37 @@ from __future__ import annotations
 
 import time
 import tomllib
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from egp_service._core import AffineOcp, Gate
-from egp_service.stepper import Step, Timings
-from egp_service.toml_text import dumps
+from egp_service.control.stepper import Step, Timings
+from egp_service.control.toml_text import dumps
+from egp_service.quantities import (
+    DELTA,
+    DELTA_DOT,
+    F_X,
+    GP_STATE,
+    MOTION,
+    NU,
+    NX,
+    NY,
+    NZ,
+    OMEGA,
+    P_X,
+    P_Y,
+    POSITION,
+    PSI,
+    V_X,
+    V_Y,
+    gp_input,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
-
-# Columns of the state.
-_V_X, _PSI, _OMEGA, _DELTA = 2, 3, 5, 6
-_MOTION: Final = (2, 4, 5)  # v_x, v_y, omega
-_PREDICTED_FROM: Final = (2, 4, 5, 6)  # of the state; the inputs follow
 
 
 class PredictiveController:
@@ -57,7 +71,7 @@ class PredictiveController:
         self.horizon = int(self._settings["horizon"])
         self._gate = Gate(dt, dict(gate or {}))
         self._tick = 0
-        self._u = np.zeros(2)
+        self._u = np.zeros(NU)
         self._plan: tuple[NDArray[np.float64], NDArray[np.float64], int] | None = None
 
     def step(
@@ -75,21 +89,21 @@ class PredictiveController:
         rows = np.asarray(reference, dtype=np.float64)
         self._tick += 1
         x0, local = state.copy(), rows.copy()
-        x0[:2] = 0.0
-        local[:, :2] -= state[:2]
-        local[:, 3] = np.unwrap(np.concatenate([state[3:4], rows[:, 3]]))[1:]
+        x0[POSITION] = 0.0
+        local[:, POSITION] -= state[POSITION]
+        local[:, PSI] = np.unwrap(np.concatenate([[state[PSI]], rows[:, PSI]]))[1:]
         edges = None if widths is None else np.ascontiguousarray(widths, dtype=np.float64)
-        operating = self._dynamics(x0, state[:2])
+        operating = self._dynamics(x0, state[POSITION])
         solution = self._ocp.solve(x0, self._u, *operating, local, edges)
         status = solution.status.replace(" ", "_")
         solved = status == "solved"
         plan_x, plan_u = solution.x, solution.u * (self._settings["mass"], 1.0)
         if solved:
-            plan_x[:, :2] += state[:2]
+            plan_x[:, POSITION] += state[POSITION]
             self._plan = (plan_x, plan_u, self._tick)
             if self._gate.mode != "stop":
                 self._gate.accept(self._tick, plan_u)
-        command = self._gate.command(self._tick, float(state[_V_X]), float(state[_DELTA]))
+        command = self._gate.command(self._tick, float(state[V_X]), float(state[DELTA]))
         self._u = np.array(command.u)
         return Step(
             u=self._u,
@@ -110,13 +124,13 @@ class PredictiveController:
 
     def _guess(self, x0: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Give states (at most T+1) and inputs (T, 2) of the last plan from now on."""
-        u = np.zeros((self.horizon, 2))
+        u = np.zeros((self.horizon, NU))
         shift = self.horizon if self._plan is None else self._tick - self._plan[2]
         if self._plan is None or shift >= self.horizon:
             return x0[None], u
         plan_x, plan_u, _ = self._plan
         u[: self.horizon - shift] = plan_u[shift:]
-        u[self.horizon - shift :, 0] = plan_u[-1, 0]
+        u[self.horizon - shift :, F_X] = plan_u[-1, F_X]
         return plan_x[shift:], u
 
     def _dynamics(
@@ -131,12 +145,12 @@ class PredictiveController:
         """Operating states (T+1, 7), inputs (T, 2), and `A`, `B`, `c` along them, in SI units."""
         guess_x, u = self._guess(x0 + np.concatenate([origin, np.zeros(5)]))
         guess_x = guess_x - np.concatenate([origin, np.zeros(5)])
-        x = np.empty((self.horizon + 1, 7))
+        x = np.empty((self.horizon + 1, NX))
         x[0] = self._inside(x0)
         known = min(len(guess_x), self.horizon + 1)
         x[1:known] = self._inside(guess_x[1:known])
-        change = np.empty((self.horizon, 3))
-        jacobian = np.empty((self.horizon, 3, 6))
+        change = np.empty((self.horizon, NY))
+        jacobian = np.empty((self.horizon, NY, NZ))
         together = min(known, self.horizon)
         change[:together], jacobian[:together] = self._predict(x[:together], u[:together])
         for t in range(known - 1, self.horizon):
@@ -152,13 +166,13 @@ class PredictiveController:
     def _predict(
         self, x: NDArray[np.float64], u: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        return self._linearise(np.ascontiguousarray(np.hstack([x[:, _PREDICTED_FROM], u])))
+        return self._linearise(np.ascontiguousarray(gp_input(x, u)))
 
     def _inside(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Clamp to the operating box; positions and yaw are free."""
         box = self._settings["operating"]
-        high = np.full(7, np.inf)
-        high[2:] = (
+        high = np.full(NX, np.inf)
+        high[V_X:] = (
             max(self._settings["soft"]["v_x_max"], box["v_x_min"]),
             np.inf,
             box["v_y"],
@@ -166,7 +180,7 @@ class PredictiveController:
             self._settings["soft"]["delta"],
         )
         low = -high
-        low[_V_X] = box["v_x_min"]
+        low[V_X] = box["v_x_min"]
         return np.clip(x, low, high)
 
 
@@ -178,14 +192,14 @@ def _successor(
     yaw_at: float,
 ) -> NDArray[np.float64]:
     """Next states (n, 7), eqs. (10)-(11) along the yaw at `yaw_at` of the period."""
-    yaw = x[:, _PSI] + yaw_at * dt * x[:, _OMEGA]
+    yaw = x[:, PSI] + yaw_at * dt * x[:, OMEGA]
     cos, sin = np.cos(yaw), np.sin(yaw)
     following = x.copy()
-    following[:, 0] += (x[:, 2] * cos - x[:, 4] * sin) * dt
-    following[:, 1] += (x[:, 2] * sin + x[:, 4] * cos) * dt
-    following[:, _PSI] += x[:, _OMEGA] * dt
-    following[:, 6] += u[:, 1] * dt
-    following[:, _MOTION] += change
+    following[:, P_X] += (x[:, V_X] * cos - x[:, V_Y] * sin) * dt
+    following[:, P_Y] += (x[:, V_X] * sin + x[:, V_Y] * cos) * dt
+    following[:, PSI] += x[:, OMEGA] * dt
+    following[:, DELTA] += u[:, DELTA_DOT] * dt
+    following[:, MOTION] += change
     return following
 
 
@@ -193,18 +207,18 @@ def _jacobians(
     x: NDArray[np.float64], jacobian: NDArray[np.float64], dt: float, yaw_at: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Give `A` (n, 7, 7) and `B` (n, 7, 2), eqs. (15)-(17), of `_successor`."""
-    yaw = x[:, _PSI] + yaw_at * dt * x[:, _OMEGA]
+    yaw = x[:, PSI] + yaw_at * dt * x[:, OMEGA]
     cos, sin = np.cos(yaw), np.sin(yaw)
-    A = np.tile(np.eye(7), (len(x), 1, 1))
-    B = np.zeros((len(x), 7, 2))
-    A[:, 0, 2], A[:, 0, 4] = cos * dt, -sin * dt
-    A[:, 0, 3] = (-x[:, 2] * sin - x[:, 4] * cos) * dt
-    A[:, 1, 2], A[:, 1, 4] = sin * dt, cos * dt
-    A[:, 1, 3] = (x[:, 2] * cos - x[:, 4] * sin) * dt
-    A[:, :2, _OMEGA] = yaw_at * dt * A[:, :2, 3]
-    A[:, _PSI, _OMEGA] = dt
-    B[:, 6, 1] = dt
-    for row, output in enumerate(_MOTION):
-        A[:, output, _PREDICTED_FROM] += jacobian[:, row, :4]
-        B[:, output] = jacobian[:, row, 4:]
+    A = np.tile(np.eye(NX), (len(x), 1, 1))
+    B = np.zeros((len(x), NX, NU))
+    A[:, P_X, V_X], A[:, P_X, V_Y] = cos * dt, -sin * dt
+    A[:, P_X, PSI] = (-x[:, V_X] * sin - x[:, V_Y] * cos) * dt
+    A[:, P_Y, V_X], A[:, P_Y, V_Y] = sin * dt, cos * dt
+    A[:, P_Y, PSI] = (x[:, V_X] * cos - x[:, V_Y] * sin) * dt
+    A[:, POSITION, OMEGA] = yaw_at * dt * A[:, POSITION, PSI]
+    A[:, PSI, OMEGA] = dt
+    B[:, DELTA, DELTA_DOT] = dt
+    for row, output in enumerate(MOTION):
+        A[:, output, GP_STATE] += jacobian[:, row, : len(GP_STATE)]
+        B[:, output] = jacobian[:, row, len(GP_STATE) :]
     return A, B

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import Engine, Library, decode_request, write_library_subset
-from egp_service.closed_loop import drive
-from egp_service.controller import Controller
+from egp_service.control.controller import Controller
+from egp_service.control.toml_text import dumps
 from egp_service.evaluation.experiments import FOUR
-from egp_service.toml_text import dumps
+from egp_service.simulation.closed_loop import drive
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from egp_service.scenario import Scenario
-    from egp_service.trace import Period
+    from egp_service.simulation.scenario import Scenario
+    from egp_service.simulation.trace import Period
 
 MEMBERS: Final = (1, 2, 4, 8, 16, 32, 64)
 OURS: Final = "this system"

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from egp_service._core import Engine, Library
+from egp_service.control.toml_text import dumps
 from egp_service.evaluation.window_noise import LEAST_MODEL_NOISE, covariance, model_noise
-from egp_service.scenario import library_path
-from egp_service.toml_text import dumps
+from egp_service.quantities import OMEGA, V_X, gp_input
+from egp_service.simulation.scenario import library_path
 
 if TYPE_CHECKING:
-    from egp_service.closed_loop import Run
+    from egp_service.simulation.closed_loop import Run
 
 EXCITATION: Final = 1.8  # m/s² of lateral acceleration; without it measurements say nothing
 _LOOK: Final = 2.0  # s after the change
@@ -36,7 +37,7 @@ def settling_times(run: Run) -> list[float]:
     if trace.weights.shape[1] < _MIN_MEMBERS:
         return []
     apparent = trace.weights @ run.frictions
-    acceleration = np.abs(trace.x[:, 2] * trace.x[:, 5])
+    acceleration = np.abs(trace.x[:, V_X] * trace.x[:, OMEGA])
     look, settled = round(_LOOK / run.dt), round(_SETTLED_FROM / run.dt)
     times = []
     for change in np.flatnonzero(np.diff(trace.friction) != 0.0) + 1:
@@ -73,7 +74,7 @@ def resolution(run: Run) -> float:
         settings["weights"]["window"],
     )
     root = np.linalg.inv(np.linalg.cholesky(noise))
-    z = np.concatenate([trace.x[:, [2, 4, 5, 6]], trace.u], axis=1)
+    z = gp_input(trace.x, trace.u)
     first, second = (library.predict(z, member)[0] for member in range(2))
     windows = sliding_window_view(second - first, root.shape[-1], axis=0)
     information = np.sum(np.einsum("okj,noj->nok", root, windows) ** 2, axis=(1, 2))

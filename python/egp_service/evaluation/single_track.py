@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from egp_service.quantities import NY, NZ
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -89,7 +91,7 @@ class SingleTrack:
         """Predict over `dt` seconds by Runge-Kutta of order 4."""
         count = max(1, round(dt / _SUBSTEP))
         h = dt / count
-        motion, delta, force, delta_dot = z[:, :3].T, z[:, 3], z[:, 4], z[:, 5]
+        motion, (delta, force, delta_dot) = z[:, :NY].T, z[:, NY:].T
         start = motion
         for k in range(count):
             at = delta + k * h * delta_dot
@@ -139,7 +141,9 @@ def linearise(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Predictions (n, 3) and their Jacobians (n, 3, 6) by central differences."""
     n = len(z)
-    shifts = np.vstack([np.zeros(6), np.diag(_STEPS), -np.diag(_STEPS)])
-    shifted = prediction((z[None] + shifts[:, None]).reshape(-1, 6), dt).reshape(13, n, 3)
-    jacobian = (shifted[1:7] - shifted[7:]) / (2.0 * _STEPS[:, None, None])
+    shifts = np.vstack([np.zeros(NZ), np.diag(_STEPS), -np.diag(_STEPS)])
+    shifted = prediction((z[None] + shifts[:, None]).reshape(-1, NZ), dt).reshape(
+        len(shifts), n, NY
+    )
+    jacobian = (shifted[1 : NZ + 1] - shifted[NZ + 1 :]) / (2.0 * _STEPS[:, None, None])
     return shifted[0], jacobian.transpose(1, 2, 0)

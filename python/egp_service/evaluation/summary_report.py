@@ -27,7 +27,7 @@ from egp_service.evaluation.html import (
 from egp_service.evaluation.scaling import PAPER
 from egp_service.evaluation.statistics import grouped, median
 from egp_service.files import write_text
-from egp_service.report import draw_comparison, draw_errors, draw_weights
+from egp_service.simulation.report import draw_comparison, draw_errors, draw_weights
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

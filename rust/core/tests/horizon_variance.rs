@@ -18,7 +18,7 @@ const TOLERANCE: f64 = 0.1;
 fn demo() -> Library {
     let path = concat!(
         env!("CARGO_MANIFEST_DIR"),
-        "/../../python/egp_service/data/demo-library.safetensors"
+        "/../../python/egp_service/shipped/demo-library.safetensors"
     );
     Library::from_bytes(&std::fs::read(path).unwrap()).unwrap()
 }

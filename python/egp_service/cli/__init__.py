@@ -1,0 +1,82 @@
+"""The command line, `egp`. Each command lives in its own module under `commands`."""
+
+from __future__ import annotations
+
+import sys
+from typing import NoReturn
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from egp_service._core import EgpError
+from egp_service.cli.commands.collect import collect
+from egp_service.cli.commands.demo import demo
+from egp_service.cli.commands.drive import drive
+from egp_service.cli.commands.evaluate import evaluate
+from egp_service.cli.commands.inspect import inspect
+from egp_service.cli.commands.serve import serve
+from egp_service.cli.commands.train import train
+
+HELP = """
+Drive on roads of unknown friction: an ensemble of Gaussian processes inside an MPC.
+
+A first look:
+  egp demo
+
+The chain, step by step:
+  egp collect --friction 0.5 -o data/wet.parquet
+  egp collect --friction 1.1 -o data/dry.parquet
+  egp train data/*.parquet -o library.safetensors
+  egp inspect library.safetensors
+  egp drive --library library.safetensors
+
+The paper's experiments, with baselines:
+  egp evaluate --quick
+
+As a service for vehicles:
+  egp serve library.safetensors --listen tcp/0.0.0.0:7447
+"""
+# Extras by a package that only they install.
+EXTRAS = {
+    "torch": "train",
+    "gpytorch": "train",
+    "botorch": "train",
+    "polars": "train",
+    "scipy": "train",
+    "matplotlib": "viz",
+    "cvxpy": "paper",
+    "osqp": "paper",
+}
+REFUSED = 1
+
+app = typer.Typer(
+    name="egp",
+    help=HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+for command in (collect, train, inspect, serve, drive, demo, evaluate):
+    app.command(no_args_is_help=False)(command)
+
+
+def main() -> None:
+    """Run the command line; what goes wrong is one line on stderr and an exit code."""
+    try:
+        app()
+    except ModuleNotFoundError as error:
+        extra = EXTRAS.get((error.name or "").partition(".")[0])
+        if extra is None:
+            raise
+        _fail(f"{error.name} is not installed; try `pip install 'egp-service[{extra}]'`")
+    except EgpError as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+
+
+def _fail(message: str) -> NoReturn:
+    console = Console(stderr=True, soft_wrap=True)
+    console.print(Text.assemble(("egp: ", "bold red"), message))
+    sys.exit(REFUSED)

@@ -1,0 +1,31 @@
+"""Control steps asked of a service: one that is started for the purpose, or a running one."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from egp_service.control.client import VehicleClient
+from egp_service.control.service_process import ServiceProcess
+from egp_service.simulation.scenario import library_path
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from egp_service.control.stepper import Stepper
+    from egp_service.simulation.scenario import Scenario
+
+
+def remote_stepper(scenario: Scenario, endpoint: str) -> VehicleClient:
+    """Ask a running service; its library and settings count, not the scenario's."""
+    return VehicleClient.connect([endpoint], gate=scenario.gate)
+
+
+@contextmanager
+def service_stepper(scenario: Scenario) -> Iterator[Stepper]:
+    """Ask a service started for this purpose in its own process."""
+    with (
+        ServiceProcess(library_path(scenario), scenario.control) as service,
+        VehicleClient.connect([service.endpoint], gate=scenario.gate) as client,
+    ):
+        yield client

@@ -1,0 +1,89 @@
+"""`egp collect`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+
+def collect(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Parquet file to write.")],
+    friction: Annotated[
+        float, typer.Option(help="Friction coefficient; for a log, the nominal one.")
+    ],
+    surface: Annotated[
+        str | None, typer.Option(help="Name of the surface; files of one name make one member.")
+    ] = None,
+    dt: Annotated[float, typer.Option(help="Control period, s.")] = 0.02,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    vehicle: Annotated[
+        str, typer.Option(help="CommonRoad number of the simulated car; for a log, its name.")
+    ] = "1",
+    runs: Annotated[int, typer.Option(help="Runs on tracks, at rising speed.")] = 6,
+    samples: Annotated[int, typer.Option(help="Cars put into random states.")] = 300,
+    track: Annotated[
+        list[str] | None, typer.Option(help="Track of the runs; repeat for more, taken in turn.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes; one per core by default.")] = None,
+    from_csv: Annotated[
+        Path | None, typer.Option(help="Import this log instead of driving the simulated car.")
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(help="For a log: QUANTITY=COLUMN:UNIT, for example v_x=speed:km/h."),
+    ] = None,
+    mass: Annotated[
+        float | None, typer.Option(help="For a log with a_x instead of F_x: mass, kg.")
+    ] = None,
+    separator: Annotated[str, typer.Option(help="For a log: what separates its columns.")] = ",",
+) -> None:
+    """Collect drive data of one surface into a dataset.
+
+    Drives the simulated car: on tracks, at rising speed and with exploration
+    noise, and from random states. Or imports a log with --from-csv; it needs
+    time, v_x, v_y, omega, delta, and F_x or a_x.
+
+    For example:
+      egp collect -o data/wet.parquet --friction 0.5 --surface wet
+      egp collect -o data/ice.parquet --friction 0.2 --surface ice
+          --from-csv drive.csv --mass 1400 --column time=t:s
+          --column v_x=speed:km/h --column v_y=lateral_speed:m/s
+          --column omega=yaw_rate:deg/s --column delta=wheel_angle:deg
+          --column a_x=accel:g
+    """
+    from egp_service._core import EgpError
+    from egp_service.cli.progress import collecting
+    from egp_service.data.collect import CollectionSettings
+    from egp_service.data.collect import collect as collect_dataset
+    from egp_service.data.csv_import import Column, import_csv
+    from egp_service.data.dataset import Provenance
+    from egp_service.data.experiment import Experiment, tool
+
+    console = Console()
+    label = surface or f"mu {friction:g}"
+    if from_csv is not None:
+        columns = {}
+        for text in column or []:
+            quantity, equals, rest = text.partition("=")
+            if not equals:
+                raise EgpError(f"--column {text}: expected QUANTITY=COLUMN:UNIT")
+            columns[quantity] = Column.parse(rest)
+        provenance = Provenance(dt, vehicle, label, friction, seed, f"log {from_csv.name}", tool())
+        dataset = import_csv(from_csv, columns, provenance, mass=mass, separator=separator)
+    else:
+        if not vehicle.isdecimal():
+            raise EgpError(f"vehicle {vehicle}: expected a CommonRoad number, 1 or 2")
+        settings = CollectionSettings(runs=runs, samples=samples)
+        if track:
+            settings = CollectionSettings(tuple(track), runs, samples)
+        experiment = Experiment(friction, label, seed, dt, int(vehicle))
+        with collecting(console) as report:
+            dataset = collect_dataset(
+                experiment,
+                settings,
+                jobs=jobs,
+                report=lambda done, total: report(label, done, total),
+            )
+    dataset.write(output)
+    console.print(f"{output}: {len(dataset)} transitions of {dt:g} s on {label}")

@@ -1,0 +1,249 @@
+"""`egp evaluate`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from egp_service.shipped import EVALUATION_LIBRARY
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from egp_service.evaluation.batch import Batch
+    from egp_service.evaluation.campaign import Campaign, Outcome
+    from egp_service.evaluation.entry_speed import EntrySpeed
+    from egp_service.evaluation.experiments import Experiment
+    from egp_service.evaluation.prediction import SeedOutcomes
+
+_SHOWN = ("varying-speed", "unseen-track", "lane-change", "four-members")
+_QUICK_TRANSITIONS = 200
+_QUICK_ITERATIONS = 20
+_QUICK_MEMBERS = (1, 2, 4, 8)
+
+
+def evaluate(
+    *,
+    full: Annotated[
+        bool, typer.Option("--full/--quick", help="All seeds, or a few: minutes instead of hours.")
+    ] = False,
+    experiment: Annotated[
+        list[str] | None, typer.Option("--experiment", "-e", help="Only this one; repeat for more.")
+    ] = None,
+    library: Annotated[
+        Path | None, typer.Option(help="Library instead of the shipped one, with the same members.")
+    ] = None,
+    train: Annotated[
+        bool, typer.Option("--train", help="Train the library first, as the shipped one was.")
+    ] = False,
+    track: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True,
+            dir_okay=False,
+            help="Your circuit for unseen-track: a raceline or centre line of F1TENTH or TUM.",
+        ),
+    ] = None,
+    scale: Annotated[
+        float, typer.Option(help="Of the track's lengths; 10 for tracks of 1:10 cars.")
+    ] = 1.0,
+    jobs: Annotated[int | None, typer.Option(help="Processes; one per core by default.")] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder; what is there already is not run again.")
+    ] = Path("runs/evaluation"),
+) -> None:
+    """Rerun the paper's experiments, with baselines, and write report.html.
+
+    Experiments: prediction, varying-speed, lane-change, four-members,
+    random-roads, friction-step, unseen-track, hard-roads, iso-3888-2,
+    step-times.
+
+    An interrupted evaluation goes on where it stopped when it is called again.
+    Needs the extras train and viz; with the extra paper, step-times has the
+    paper's own stack too.
+
+    For example:
+      egp evaluate --quick
+      egp evaluate --full -o runs/full
+      egp evaluate --full -e varying-speed -e random-roads
+      egp evaluate -e unseen-track --track Interlagos_centerline.csv --scale 10
+    """
+    import shlex
+    import sys
+
+    from egp_service._core import EgpError
+    from egp_service.evaluation import scaling
+    from egp_service.evaluation.batch import finish
+    from egp_service.evaluation.campaign import Campaign, require_members
+    from egp_service.evaluation.experiments import (
+        CUSTOM_TRACK,
+        EXPERIMENTS,
+        OBSTACLE_AVOIDANCE,
+        on_track,
+    )
+    from egp_service.evaluation.summary_report import headline, write_report
+    from egp_service.simulation.scenario import Scenario, Zone
+
+    console = Console()
+    names = [e.name for e in EXPERIMENTS]
+    avoidance = OBSTACLE_AVOIDANCE.name
+    chosen = _chosen(experiment, ["prediction", *names, avoidance, "step-times"])
+    if track and "unseen-track" not in chosen:
+        raise EgpError("--track is driven in unseen-track: choose that too")
+    if scale != 1.0 and not track:
+        raise EgpError("--scale enlarges the --track: give both")
+    driven = [
+        on_track(e, track, scale) if track and e.name == "unseen-track" else e
+        for e in EXPERIMENTS
+        if e.name in chosen
+    ]
+    source = _train(console, output) if train else library or EVALUATION_LIBRARY
+    require_members(source, [*driven, *([OBSTACLE_AVOIDANCE] if avoidance in chosen else [])])
+    campaign = Campaign(output, source)
+    if campaign.of_another_build:
+        console.print(f"{output} holds runs of another build, which are kept.", highlight=False)
+        console.print("Choose another --output to drive them all with this one.", highlight=False)
+    with _progress(console) as progress:
+        predictions = _predictions(progress, output, full=full) if "prediction" in chosen else None
+        runs = _runs(progress, campaign, driven, full=full)
+        speeds = _entry_speeds(progress, campaign, full=full) if avoidance in chosen else None
+        try:
+            finish([batch for batch in (predictions, runs, speeds) if batch is not None], jobs)
+        except KeyboardInterrupt:
+            progress.console.print("Interrupted. The same command goes on with what is missing.")
+            raise
+    outcomes = runs.results()
+    seeds = predictions.results() if predictions else []
+    scenario = Scenario("step-times", CUSTOM_TRACK, (Zone(0.0, 0.8),))
+    times = []
+    if "step-times" in chosen:
+        with console.status("Timing the control step ..."):
+            members = scaling.MEMBERS if full else _QUICK_MEMBERS
+            periods = 200 if full else 60
+            times = scaling.measure(source, scenario, periods=periods, members=members)
+    with console.status("Drawing ..."):
+        shown = campaign.drives([e for e in driven if e.name in _SHOWN], jobs=jobs)
+        command = shlex.join(["egp", *sys.argv[1:]])
+        report = write_report(
+            output,
+            command,
+            outcomes=outcomes,
+            predictions=[outcome for seed in seeds for outcome in seed.outcomes],
+            speeds=speeds.results() if speeds else [],
+            times=times,
+            drives=shown,
+        )
+    if outcomes:
+        _print(console, headline(outcomes))
+    console.print(f"Look at {report}", highlight=False)
+
+
+def _chosen(experiment: list[str] | None, known: list[str]) -> list[str]:
+    from egp_service._core import EgpError
+
+    for name in experiment or []:
+        if name not in known:
+            raise EgpError(f"no experiment {name!r}; known: {', '.join(known)}")
+    return experiment or known
+
+
+def _train(console: Console, output: Path) -> Path:
+    from egp_service.cli.progress import collecting, fitting
+    from egp_service.evaluation.library import make, write
+    from egp_service.training.recipe import Displays
+
+    path = output / "library.safetensors"
+    if not path.exists():
+        output.mkdir(parents=True, exist_ok=True)
+        displays = Displays(lambda: collecting(console), lambda: fitting(console))
+        write(path, make(displays))
+    return path
+
+
+def _predictions(progress: "Progress", output: Path, *, full: bool) -> "Batch[Any, SeedOutcomes]":
+    from egp_service.evaluation.prediction import PredictionSettings, SeedOutcomes, seeds
+
+    settings = (
+        PredictionSettings()
+        if full
+        else PredictionSettings(1, _QUICK_TRANSITIONS, _QUICK_ITERATIONS)
+    )
+    task = progress.add_task("prediction: training and testing seeds", total=settings.seeds)
+
+    def report(_: SeedOutcomes) -> None:
+        progress.advance(task)
+
+    return seeds(settings, output, report)
+
+
+def _runs(
+    progress: "Progress", campaign: "Campaign", experiments: "list[Experiment]", *, full: bool
+) -> "Batch[Any, Outcome]":
+    trials = {
+        e.name: list(e.trials(range(e.seeds if full else e.quick_seeds))) for e in experiments
+    }
+    lost = dict.fromkeys(trials, 0)
+    tasks = {
+        name: progress.add_task(name, start=False, total=len(own)) for name, own in trials.items()
+    }
+
+    def report(outcome: "Outcome") -> None:
+        name = outcome.experiment
+        lost[name] += not outcome.completed
+        progress.start_task(tasks[name])
+        text = f"{name}: {lost[name]} not completed"
+        progress.update(tasks[name], advance=1, description=text)
+
+    return campaign.runs([trial for own in trials.values() for trial in own], report)
+
+
+def _entry_speeds(
+    progress: "Progress", campaign: "Campaign", *, full: bool
+) -> "Batch[Any, EntrySpeed]":
+    from egp_service.evaluation.entry_speed import EntrySpeed, find
+    from egp_service.evaluation.experiments import OBSTACLE_AVOIDANCE
+
+    last = OBSTACLE_AVOIDANCE.conditions[-1][0]
+    seeds = range(OBSTACLE_AVOIDANCE.seeds if full else OBSTACLE_AVOIDANCE.quick_seeds)
+    trials = [t for t in OBSTACLE_AVOIDANCE.trials(seeds) if full or t.condition == last]
+    name = f"{OBSTACLE_AVOIDANCE.name}: bisecting entry speeds"
+    task = progress.add_task(name, start=False, total=len(trials))
+
+    def report(_: EntrySpeed) -> None:
+        progress.start_task(task)
+        progress.advance(task)
+
+    return campaign.batch("entry-speeds", trials, find, EntrySpeed, report)
+
+
+def _progress(console: Console) -> "Progress":
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+def _print(console: Console, rows: list[tuple[str, ...]]) -> None:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for head in ("experiment", "condition", "ensemble", "best baseline", "oracle"):
+        table.add_column(head)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)

@@ -1,0 +1,57 @@
+"""`egp serve`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def serve(
+    library: Annotated[
+        Path | None, typer.Argument(help="Library file; or give --config.", show_default=False)
+    ] = None,
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(help="Where to listen, such as tcp/0.0.0.0:7447; may be given repeatedly."),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="Service configuration (TOML).")
+    ] = None,
+    replica: Annotated[
+        str | None, typer.Option(help="Name of this replica, unique in the fleet.")
+    ] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="Settings of the control step (TOML).")
+    ] = None,
+) -> None:
+    """Serve control steps to vehicles until SIGTERM or Ctrl-C, then drain.
+
+    For example:
+      egp serve library.safetensors --listen tcp/0.0.0.0:7447
+      egp serve --config service.toml
+    """
+    import tomllib
+
+    from egp_service._core import EgpError
+    from egp_service._core import serve as serve_until_signal
+    from egp_service.control.toml_text import dumps
+
+    if config is not None:
+        if any(value is not None for value in (library, listen, replica, settings)):
+            raise typer.BadParameter("--config stands alone: put the rest into the file")
+        text, folder = config.read_text(encoding="utf-8"), config.parent
+        table = tomllib.loads(text)
+        if "library" in table:
+            table["library"] = str(folder / table["library"])
+    elif library is not None:
+        table = {"library": str(library)}
+        if replica is not None:
+            table["replica"] = replica
+        if listen:
+            table["zenoh"] = {"listen/endpoints": json.dumps(listen)}
+        if settings is not None:
+            table["settings"] = tomllib.loads(settings.read_text(encoding="utf-8"))
+    else:
+        raise EgpError("nothing to serve: give a library file, or --config service.toml")
+    serve_until_signal(dumps(table))

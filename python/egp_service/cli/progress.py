@@ -1,0 +1,74 @@
+"""Progress bars of collecting and training."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING
+
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rich.console import Console
+
+    from egp_service.training.train import FitProgress
+
+
+@contextlib.contextmanager
+def collecting(console: Console) -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar for each surface; the callable takes label, runs done and runs in all."""
+    with Progress(
+        TextColumn("collecting {task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("runs"),
+        TimeRemainingColumn(),
+        console=console,
+    ) as progress:
+        tasks = {}
+
+        def report(label: str, done: int, total: int) -> None:
+            if label not in tasks:
+                tasks[label] = progress.add_task(label, total=total)
+            progress.update(tasks[label], completed=done)
+
+        yield report
+
+
+@contextlib.contextmanager
+def fitting(console: Console) -> Iterator[Callable[[FitProgress], None]]:
+    """Show one bar over all fits with the present loss and the time left.
+
+    Fits that converge early make the bar jump; the estimate is an upper bound.
+    """
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("loss {task.fields[loss]:8.4f}"),
+        TimeElapsedColumn(),
+        TextColumn("at most"),
+        TimeRemainingColumn(),
+        console=console,
+    ) as progress:
+        task = progress.add_task("training", total=None, loss=float("nan"))
+
+        def report(step: FitProgress) -> None:
+            progress.update(
+                task,
+                description=step.stage,
+                completed=step.done,
+                total=step.total,
+                loss=step.loss,
+            )
+
+        yield report
+        shown = progress.tasks[0]
+        progress.update(task, description="trained", completed=shown.total or 1, total=shown.total)

@@ -1,0 +1,121 @@
+"""A service of our own, in its own process on this machine."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Self
+
+from egp_service._core import EgpError
+from egp_service.control.toml_text import dumps
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import TracebackType
+
+START_SECONDS = 20.0
+DRAIN_SECONDS = 5.0
+
+
+class ServiceStartError(EgpError):
+    """The service did not come up; the message ends with what it said last."""
+
+
+class ServiceProcess:
+    """`egp serve` on a free loopback port; `endpoint` is where to connect.
+
+    `stop` drains it as SIGTERM does in production, `kill` and `freeze` are accidents,
+    `start` brings it back at the same endpoint.
+    """
+
+    def __init__(self, library: Path, settings: Mapping[str, object]) -> None:
+        """Prepare to serve `library` with `settings` of the control step."""
+        self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        self._config = {
+            "library": str(library.resolve()),
+            "settings": settings,
+            "zenoh": {"listen/endpoints": json.dumps([self.endpoint])},
+        }
+        self._cleanup = ExitStack()
+        self._folder = Path()
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start it and wait until it listens. Raises `ServiceStartError` when it does not."""
+        config, log_file = self._folder / "service.toml", self._folder / "log.txt"
+        config.write_text(dumps(self._config), encoding="utf-8")
+        command = [sys.executable, "-m", "egp_service", "serve", "--config", str(config)]
+        with log_file.open("ab") as log:
+            self._process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+        deadline = time.monotonic() + START_SECONDS
+        while not _listens(self.endpoint):
+            if self._process.poll() is not None or time.monotonic() > deadline:
+                self.kill()
+                said = log_file.read_text(encoding="utf-8", errors="replace").strip()
+                last = said[-2000:].removeprefix("egp: ")
+                raise ServiceStartError(f"the service did not start: {last}")
+            time.sleep(0.02)
+
+    def stop(self) -> None:
+        """Drain and end it."""
+        if self._process is None:
+            return
+        self._process.terminate()
+        try:
+            self._process.wait(DRAIN_SECONDS)
+        except subprocess.TimeoutExpired:
+            self.kill()
+        self._process = None
+
+    def kill(self) -> None:
+        """End it at once."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    def freeze(self) -> None:
+        """Stop it where it is, as a machine does that hangs; `kill` still ends it."""
+        if self._process is not None:
+            self._process.send_signal(signal.SIGSTOP)
+
+    def __enter__(self) -> Self:
+        """Start it, its files in a temporary folder."""
+        with ExitStack() as started:
+            self._folder = Path(started.enter_context(TemporaryDirectory(prefix="egp-service-")))
+            started.callback(self.stop)
+            self.start()
+            self._cleanup = started.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop it and remove its files."""
+        self._cleanup.close()
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _listens(endpoint: str) -> bool:
+    host, port = endpoint.removeprefix("tcp/").split(":")
+    try:
+        with socket.create_connection((host, int(port)), timeout=0.2):
+            return True
+    except OSError:
+        return False

@@ -1,0 +1,203 @@
+"""A user's own log as a dataset: columns named and converted, period checked, units doubted."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import polars as pl
+
+from egp_service._core import EgpError
+from egp_service.data.dataset import Dataset, Provenance
+from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+# unit: (SI unit, factor)
+UNITS: Final = {
+    "s": ("s", 1.0),
+    "ms": ("s", 1e-3),
+    "us": ("s", 1e-6),
+    "ns": ("s", 1e-9),
+    "m/s": ("m/s", 1.0),
+    "km/h": ("m/s", 1.0 / 3.6),
+    "mph": ("m/s", 0.44704),
+    "rad": ("rad", 1.0),
+    "deg": ("rad", np.pi / 180.0),
+    "rad/s": ("rad/s", 1.0),
+    "deg/s": ("rad/s", np.pi / 180.0),
+    "N": ("N", 1.0),
+    "kN": ("N", 1e3),
+    "m/s2": ("m/s2", 1.0),
+    "g": ("m/s2", 9.80665),
+}
+
+_SI_UNITS: Final = {"time": "s", "a_x": "m/s2"} | GP_INPUT
+# Largest believable magnitude of each quantity; beyond it the unit is wrong, not the car fast.
+_LARGEST: Final = {
+    "time": np.inf,
+    "v_x": 100.0,
+    "v_y": 40.0,
+    "omega": 6.0,
+    "delta": 1.2,
+    "F_x": 1e5,
+    "a_x": 30.0,
+    "delta_dot": 6.0,
+}
+# Unbroken logs are cut into trajectories of this length, so that validation can hold some out.
+_TRAJECTORY_SECONDS: Final = 10.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """A column of the log and the unit it is in."""
+
+    name: str
+    unit: str
+
+    @staticmethod
+    def parse(text: str) -> Column:
+        """Read `name:unit`, for example `speed:km/h`."""
+        name, separator, unit = text.rpartition(":")
+        if not separator or not name:
+            raise EgpError(f"'{text}': expected COLUMN:UNIT, for example speed:km/h")
+        if unit not in UNITS:
+            raise EgpError(f"'{text}': unknown unit '{unit}', expected one of {', '.join(UNITS)}")
+        return Column(name, unit)
+
+
+def import_csv(
+    path: Path,
+    columns: Mapping[str, Column],
+    provenance: Provenance,
+    *,
+    mass: float | None = None,
+    separator: str = ",",
+) -> Dataset:
+    """Turn a log into transitions of `provenance.dt` seconds.
+
+    `columns` maps `time, v_x, v_y, omega, delta` and `F_x`, or `a_x` (commanded acceleration,
+    multiplied by `mass` in kg), to the log's columns. Faster logs are thinned: states are taken at
+    the period's ends, the force is averaged over it and the steering rate is the change of
+    `delta`, so that it fits the steering angle exactly. A `delta_dot` column is used only to check
+    that. A gap in time starts a new trajectory.
+
+    Raises:
+        EgpError: for missing columns, unbelievable magnitudes, uneven or unsuitable periods, values
+            that are not finite.
+
+    """
+    missing = [q for q in ("time", *GP_STATE_NAMES) if q not in columns]
+    if missing or ("F_x" in columns) == ("a_x" in columns):
+        raise EgpError(
+            f"columns for {', '.join(sorted(columns))}: expected time, v_x, v_y, omega, delta and "
+            "exactly one of F_x and a_x"
+        )
+    log = _read(path, columns, separator)
+    if "a_x" in log:
+        if mass is None or mass <= 0.0:
+            raise EgpError("a_x needs the vehicle's mass in kg, to become the force F_x = mass a_x")
+        log["F_x"] = mass * log["a_x"]
+    pieces, every = _pieces(log["time"], provenance.dt)
+    z, y, trajectory, step = [], [], [], []
+    for number, (first, last) in enumerate(pieces):
+        ends = np.arange(first, last, every)
+        state = np.column_stack([log[q][ends] for q in GP_STATE_NAMES])
+        force = np.add.reduceat(log["F_x"][first : ends[-1]], ends[:-1] - first) / every
+        delta_dot = np.diff(log["delta"][ends]) / provenance.dt
+        if "delta_dot" in log:
+            _check_rate(delta_dot, log["delta_dot"][ends[:-1]], columns["delta_dot"])
+        z.append(np.column_stack([state[:-1], force, delta_dot]))
+        y.append(np.diff(state[:, :NY], axis=0))
+        trajectory.append(np.full(len(force), number, dtype=np.uint32))
+        step.append(np.arange(len(force), dtype=np.uint32))
+    return Dataset(
+        z=np.concatenate(z),
+        y=np.concatenate(y),
+        trajectory=np.concatenate(trajectory),
+        step=np.concatenate(step),
+        provenance=provenance,
+    )
+
+
+def _read(
+    path: Path, columns: Mapping[str, Column], separator: str
+) -> dict[str, NDArray[np.float64]]:
+    if not path.is_file():
+        raise EgpError(f"{path}: no such file")
+    try:
+        frame = pl.read_csv(path, separator=separator, comment_prefix="#", infer_schema_length=None)
+    except pl.exceptions.PolarsError as error:
+        raise EgpError(f"{path}: not a readable CSV file ({error})") from error
+    log = {}
+    for quantity, column in columns.items():
+        if quantity not in _LARGEST:
+            raise EgpError(f"unknown quantity '{quantity}': expected {', '.join(_LARGEST)}")
+        largest = _LARGEST[quantity]
+        unit, factor = UNITS[column.unit]
+        if unit != _SI_UNITS[quantity]:
+            raise EgpError(f"{quantity} from '{column.name}' in {column.unit}: not a unit of it")
+        if column.name not in frame.columns:
+            raise EgpError(f"{path}: no column '{column.name}', found {', '.join(frame.columns)}")
+        if not frame[column.name].dtype.is_numeric():
+            raise EgpError(f"{path}: column '{column.name}' holds text, expected numbers")
+        values = frame[column.name].cast(pl.Float64).to_numpy() * factor
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise EgpError(f"{path}: column '{column.name}', row {bad[0]} is empty or not finite")
+        peak = float(np.abs(values).max(initial=0.0))
+        if peak > largest:
+            raise EgpError(
+                f"{quantity} reaches {peak:.4g} {unit} when '{column.name}' is read in "
+                f"{column.unit}: more than {largest:g} {unit} is not believable, check the unit"
+            )
+        log[quantity] = values
+    return log
+
+
+def _pieces(time: NDArray[np.float64], dt: float) -> tuple[list[tuple[int, int]], int]:
+    """Cut at gaps and by length: row ranges [first, last), and how many rows make one dt."""
+    if len(time) < 2:  # noqa: PLR2004
+        raise EgpError(f"the log has {len(time)} rows: expected at least two")
+    gaps = np.diff(time)
+    period = float(np.median(gaps))
+    if period <= 0.0 or gaps.min() <= 0.0:
+        raise EgpError("time does not increase: sort the log and remove doubled rows")
+    every = max(1, round(dt / period))
+    if abs(every * period - dt) > 0.02 * dt:
+        raise EgpError(
+            f"the log's period is {period:.6g} s: dt {dt:g} s is no multiple of it; "
+            "choose another dt or resample the log"
+        )
+    steady = np.abs(gaps - period) < 0.2 * period
+    if steady.mean() < 0.9:  # noqa: PLR2004
+        raise EgpError(
+            f"only {100 * steady.mean():.0f} % of the time steps are within 20 % of the median "
+            f"{period:.6g} s: resample the log evenly"
+        )
+    breaks = [0, *(np.flatnonzero(~steady) + 1), len(time)]
+    longest = round(_TRAJECTORY_SECONDS / dt) * every
+    pieces = [
+        (first, min(first + longest + 1, last))
+        for start, last in itertools.pairwise(breaks)
+        for first in range(start, last - every, longest)
+    ]
+    if not pieces:
+        raise EgpError(f"no unbroken stretch of the log is longer than dt {dt:g} s")
+    return pieces, every
+
+
+def _check_rate(change: NDArray[np.float64], logged: NDArray[np.float64], column: Column) -> None:
+    """Compare the size of delta's change with the logged rate; 57 between them is a unit."""
+    ours, theirs = float(np.std(change)), float(np.std(logged))
+    if ours > 1e-3 and not 0.2 < theirs / ours < 5.0:  # noqa: PLR2004
+        raise EgpError(
+            f"'{column.name}' in {column.unit} is {theirs / ours:.3g} times the change of the "
+            "steering angle: check both units"
+        )

@@ -1,0 +1,230 @@
+"""Drive data of one surface: one Parquet file whose metadata say what the numbers mean.
+
+A row is one control period: the GP input `z` at its start, the change `y` of `[v_x, v_y, omega]`
+over it, and where it belongs (`trajectory`, `step`). Rows of one trajectory with consecutive steps
+follow each other in time, so a rollout can be replayed from the file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import polars as pl
+
+from egp_service._core import EgpError
+from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+SCHEMA: Final = 1
+METADATA_KEY: Final = "egp"
+_INDEX: Final = ("trajectory", "step")
+
+
+@dataclasses.dataclass(frozen=True)
+class Provenance:
+    """Where a dataset comes from; stored as JSON in the Parquet key-value metadata.
+
+    `friction` is the surface's nominal coefficient; it labels the member and enters no equation.
+    """
+
+    dt: float
+    vehicle: str
+    surface: str
+    friction: float
+    seed: int
+    method: str
+    tool: str
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot be meant."""
+        if not (0.0 < self.dt < 1.0):
+            raise EgpError(f"dt is {self.dt} s: expected a period between 0 and 1 s")
+        if not (0.0 < self.friction < 3.0):  # noqa: PLR2004 - no tyre reaches 3
+            raise EgpError(f"friction is {self.friction}: expected a coefficient between 0 and 3")
+        if not self.surface:
+            raise EgpError("the surface label is empty: name the surface, for example 'wet'")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Dataset:
+    """Transitions `z` (n, 6) to `y` (n, 3) with their trajectory and step, in SI units."""
+
+    z: NDArray[np.float64]
+    y: NDArray[np.float64]
+    trajectory: NDArray[np.uint32]
+    step: NDArray[np.uint32]
+    provenance: Provenance
+
+    def __post_init__(self) -> None:
+        """Check shapes and values once, so that nobody downstream has to."""
+        n = len(self.z)
+        shapes: dict[str, tuple[NDArray[Any], tuple[int, ...]]] = {
+            "z": (self.z, (n, NZ)),
+            "y": (self.y, (n, NY)),
+            "trajectory": (self.trajectory, (n,)),
+            "step": (self.step, (n,)),
+        }
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape:
+                raise EgpError(f"{name} has shape {array.shape}: expected {shape}")
+        if n == 0:
+            raise EgpError("the dataset is empty: expected at least one transition")
+        for names, values in ((GP_INPUT, self.z), (GP_OUTPUT, self.y)):
+            bad = np.argwhere(~np.isfinite(values))
+            if len(bad):
+                row, column = bad[0]
+                value = values[row, column]
+                raise EgpError(f"column {list(names)[column]}, row {row} is {value}: not finite")
+
+    def __len__(self) -> int:
+        """Count the transitions."""
+        return len(self.z)
+
+    def select(self, rows: NDArray[Any]) -> Dataset:
+        """Return the given rows (indices or mask) as a dataset of the same provenance."""
+        return dataclasses.replace(
+            self,
+            z=self.z[rows],
+            y=self.y[rows],
+            trajectory=self.trajectory[rows],
+            step=self.step[rows],
+        )
+
+    def digest(self) -> str:
+        """Hash the numbers, not the file: SHA-256 over z, y, trajectory and step."""
+        sha = hashlib.sha256()
+        for array, kind in (
+            (self.z, "<f8"),
+            (self.y, "<f8"),
+            (self.trajectory, "<u4"),
+            (self.step, "<u4"),
+        ):
+            sha.update(np.ascontiguousarray(array, dtype=kind).tobytes())
+        return sha.hexdigest()
+
+    def write(self, path: Path) -> None:
+        """Write the file in one step: a reader sees the old one or the new one, never half."""
+        frame = pl.DataFrame(
+            {name: self.z[:, i] for i, name in enumerate(GP_INPUT)}
+            | {name: self.y[:, i] for i, name in enumerate(GP_OUTPUT)}
+            | {"trajectory": self.trajectory, "step": self.step}
+        )
+        metadata = {
+            "schema": SCHEMA,
+            "units": GP_INPUT | GP_OUTPUT,
+            **dataclasses.asdict(self.provenance),
+        }
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            frame.write_parquet(
+                partial, metadata={METADATA_KEY: json.dumps(metadata, sort_keys=True)}
+            )
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+
+    @staticmethod
+    def read(path: Path) -> Dataset:
+        """Read and check a file that `write` or another tool with the same schema made.
+
+        Raises:
+            EgpError: naming the file and what is wrong with it.
+
+        """
+        if not path.is_file():
+            raise EgpError(f"{path}: no such file")
+        try:
+            provenance = _provenance(pl.read_parquet_metadata(path))
+            frame = pl.read_parquet(path)
+            _check_columns(frame)
+            return Dataset(
+                z=frame.select(*GP_INPUT).to_numpy().astype(np.float64),
+                y=frame.select(*GP_OUTPUT).to_numpy().astype(np.float64),
+                trajectory=frame["trajectory"].to_numpy().astype(np.uint32),
+                step=frame["step"].to_numpy().astype(np.uint32),
+                provenance=provenance,
+            )
+        except pl.exceptions.PolarsError as error:
+            raise EgpError(f"{path}: not a readable Parquet file ({error})") from error
+        except EgpError as error:
+            raise EgpError(f"{path}: {error}") from error
+
+
+def merge(datasets: Sequence[Dataset]) -> Dataset:
+    """Join datasets of one surface; trajectories are renumbered so that they stay distinct.
+
+    Raises:
+        EgpError: when they differ in dt, vehicle, surface or friction.
+
+    """
+    first = datasets[0].provenance
+    for other in (dataset.provenance for dataset in datasets[1:]):
+        for field in ("dt", "vehicle", "surface", "friction"):
+            ours, theirs = getattr(first, field), getattr(other, field)
+            if ours != theirs:
+                raise EgpError(f"cannot merge: {field} is {ours} in one and {theirs} in another")
+    numbers: list[NDArray[np.uint32]] = []
+    used = 0
+    for dataset in datasets:
+        distinct, number = np.unique(dataset.trajectory, return_inverse=True)
+        numbers.append((number + used).astype(np.uint32))
+        used += len(distinct)
+    return Dataset(
+        z=np.concatenate([dataset.z for dataset in datasets]),
+        y=np.concatenate([dataset.y for dataset in datasets]),
+        trajectory=np.concatenate(numbers),
+        step=np.concatenate([dataset.step for dataset in datasets]),
+        provenance=dataclasses.replace(
+            first, method=" + ".join(dict.fromkeys(d.provenance.method for d in datasets))
+        ),
+    )
+
+
+def _provenance(metadata: dict[str, str]) -> Provenance:
+    """Read the metadata of `Dataset.write`, refusing other schemas, units and missing keys."""
+    text = metadata.get(METADATA_KEY)
+    if text is None:
+        raise EgpError(
+            f"no '{METADATA_KEY}' metadata: not written by `egp collect`; "
+            "import other logs with `egp collect --from-csv`"
+        )
+    try:
+        fields = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise EgpError(f"the '{METADATA_KEY}' metadata are not JSON ({error})") from error
+    schema, units = fields.pop("schema", None), fields.pop("units", None)
+    if schema != SCHEMA:
+        raise EgpError(f"dataset schema {schema}: this version reads schema {SCHEMA}")
+    if units != GP_INPUT | GP_OUTPUT:
+        raise EgpError(f"units are {units}: expected {GP_INPUT | GP_OUTPUT}")
+    expected = {field.name for field in dataclasses.fields(Provenance)}
+    if fields.keys() != expected:
+        raise EgpError(f"metadata keys {sorted(fields)}: expected {sorted(expected)}")
+    return Provenance(**fields)
+
+
+def _check_columns(frame: pl.DataFrame) -> None:
+    for name in (*GP_INPUT, *GP_OUTPUT):
+        if name not in frame.columns:
+            raise EgpError(f"column {name} is missing: found {frame.columns}")
+        if not frame[name].dtype.is_float():
+            raise EgpError(f"column {name} is {frame[name].dtype}: expected floating point")
+    for name in _INDEX:
+        if name not in frame.columns:
+            raise EgpError(f"column {name} is missing: found {frame.columns}")
+        if not frame[name].dtype.is_integer():
+            raise EgpError(f"column {name} is {frame[name].dtype}: expected integers")
+    for name in (*GP_INPUT, *GP_OUTPUT, *_INDEX):
+        if frame[name].null_count():
+            raise EgpError(f"column {name} has {frame[name].null_count()} empty values")

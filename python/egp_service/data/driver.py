@@ -1,0 +1,96 @@
+"""A driver for data collection: follows a reference well enough to reach the tyres' limit.
+
+Pure pursuit with yaw-rate feedback for steering, feed-forward and proportional for speed, and
+coloured noise on both inputs. It knows nothing of friction; it fails beyond the limit, which is
+what the data are to show.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service.data.experiment import (
+    A_SLEW,
+    DELTA_DOT_SLEW,
+    MAX_A,
+    MAX_DELTA,
+    MAX_DELTA_DOT,
+    MIN_A,
+    POWER,
+    WHEELBASE,
+)
+from egp_service.quantities import P_X, P_Y, V_X
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_PREVIEW: Final = 0.5  # s, where pure pursuit aims
+_MAX_STEERING: Final = 0.45  # rad; more only slides the front wheels harder
+_UNDERSTEER: Final = 0.0035  # rad s²/m, extra steering per lateral acceleration
+_YAW_GAIN: Final = 0.15  # s, steering per yaw-rate error
+_STEERING_TIME: Final = 0.1  # s, to close a steering error
+_SPEED_TIME: Final = 0.5  # s, to close a speed error
+_A_TIME: Final = 0.4  # s, correlation time of the noise on acceleration
+_DELTA_DOT_TIME: Final = 0.15  # s, correlation time of the noise on steering rate
+
+
+@dataclasses.dataclass
+class Driver:
+    """Drives one vehicle; remembers its last input and its noise.
+
+    `noise` scales the excitation: at 1 the standard deviations are 2 m/s² and 0.15 rad/s.
+    """
+
+    rng: np.random.Generator
+    dt: float
+    mass: float
+    noise: float
+    _a: float = 0.0
+    _delta_dot: float = 0.0
+    _noise: tuple[float, float] = (0.0, 0.0)
+
+    def input(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return `[F_x, delta_dot]` at state (7,) for reference rows `[p_x, p_y, v_x, psi]`."""
+        p_x, p_y, v_x, psi, _, omega, delta = x.tolist()
+        aim = reference[min(len(reference) - 1, max(1, round(_PREVIEW / self.dt)))]
+        ahead = math.cos(psi) * (aim[P_X] - p_x) + math.sin(psi) * (aim[P_Y] - p_y)
+        left = -math.sin(psi) * (aim[P_X] - p_x) + math.cos(psi) * (aim[P_Y] - p_y)
+        curvature = 2.0 * left / max(ahead * ahead + left * left, 1.0)
+        wanted = math.atan(WHEELBASE * curvature) + _UNDERSTEER * v_x * v_x * curvature
+        wanted += _YAW_GAIN * (v_x * curvature - omega)
+        wanted = min(_MAX_STEERING, max(-_MAX_STEERING, wanted))
+        forward = (reference[1, V_X] - reference[0, V_X]) / self.dt
+        noise_a, noise_delta_dot = self._advance_noise()
+        a = forward + (reference[0, V_X] - v_x) / _SPEED_TIME + noise_a
+        self._a = _limit(a, self._a, A_SLEW * self.dt, MIN_A, min(MAX_A, POWER / max(v_x, 1.0)))
+        self._delta_dot = _limit(
+            (wanted - delta) / _STEERING_TIME + noise_delta_dot,
+            self._delta_dot,
+            DELTA_DOT_SLEW * self.dt,
+            max(-MAX_DELTA_DOT, (-MAX_DELTA - delta) / self.dt),
+            min(MAX_DELTA_DOT, (MAX_DELTA - delta) / self.dt),
+        )
+        return np.array([self.mass * self._a, self._delta_dot])
+
+    def _advance_noise(self) -> tuple[float, float]:
+        """Ornstein-Uhlenbeck processes, exact for the period."""
+        first, second = self.rng.standard_normal(2).tolist()
+        self._noise = (
+            _coloured(self._noise[0], first, self.dt / _A_TIME),
+            _coloured(self._noise[1], second, self.dt / _DELTA_DOT_TIME),
+        )
+        return 2.0 * self.noise * self._noise[0], 0.15 * self.noise * self._noise[1]
+
+
+def _coloured(value: float, white: float, ratio: float) -> float:
+    decay = math.exp(-ratio)
+    return decay * value + math.sqrt(1.0 - decay * decay) * white
+
+
+def _limit(wanted: float, last: float, slew: float, low: float, high: float) -> float:
+    """Limit the rate first, the value last, so that the value's bounds always hold."""
+    return min(high, max(low, min(last + slew, max(last - slew, wanted))))

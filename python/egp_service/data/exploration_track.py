@@ -1,0 +1,76 @@
+"""A track as the exploring driver meets it: start states, reference ahead, where it ends."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service._core import EgpError, Path, SpeedProfile, horizon_reference
+from egp_service.data.experiment import WHEELBASE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+# Of a seed, which all but one ignore.
+TRACKS: Final[dict[str, Callable[[int], Path]]] = {
+    "rounded-rectangle": lambda _: Path.rounded_rectangle(),
+    "l-shape": lambda _: Path.l_shape(),
+    "random": Path.random,
+}
+# Farther out than any track's edge: sliding wide is worth recording, driving on a meadow is not.
+_LEAVE: Final = 6.0
+_PREVIEW: Final = 0.6  # s of reference the driver sees
+_GRIP_STEP: Final = 0.05  # speed profiles are made for multiples of it
+
+
+class ExplorationTrack:
+    """A closed track with a speed profile for every friction and grip asked of it."""
+
+    def __init__(self, name: str, seed: int = 0, *, reverse: bool = False) -> None:
+        """Build a track of `TRACKS`; `reverse` drives it the other way, turning right."""
+        if name not in TRACKS:
+            raise EgpError(f"no track '{name}' to collect on: expected one of {', '.join(TRACKS)}")
+        path = TRACKS[name](seed)
+        self._path = _reversed(path) if reverse else path
+        self._profiles: dict[tuple[float, int], SpeedProfile] = {}
+
+    @property
+    def length(self) -> float:
+        """Length of a lap, m."""
+        return self._path.length
+
+    def start(self, s: float, friction: float, grip: float) -> NDArray[np.float64]:
+        """Return the state `[p_x, p_y, v_x, psi, v_y, omega, delta]` on the profile at `s`."""
+        at = np.array([s])
+        x, y, yaw, curvature = (column[0] for column in self._path.sample(at)[:4])
+        v = self._profile(friction, grip).speed(at)[0]
+        return np.array([x, y, v, yaw, 0.0, v * curvature, math.atan(WHEELBASE * curvature)])
+
+    def look(
+        self, x: NDArray[np.float64], friction: float, grip: float, dt: float
+    ) -> tuple[NDArray[np.float64], bool]:
+        """Return reference rows `[p_x, p_y, v_x, psi]` ahead, and whether x is near the track."""
+        profile = self._profile(friction, grip)
+        preview = math.ceil(_PREVIEW / dt)
+        reference, _, projection = horizon_reference(self._path, profile, x, dt, preview)
+        return reference, abs(projection.lateral) < _LEAVE
+
+    def _profile(self, friction: float, grip: float) -> SpeedProfile:
+        steps = max(1, round(grip / _GRIP_STEP))
+        key = (friction, steps)
+        if key not in self._profiles:
+            # As much of a scaled friction, since profiles themselves stop at the whole of it.
+            path = self._path.with_friction([(0.0, steps * _GRIP_STEP * friction)])
+            self._profiles[key] = SpeedProfile(path, 1.0)
+        return self._profiles[key]
+
+
+def _reversed(path: Path) -> Path:
+    """Return the same line driven the other way."""
+    s = np.arange(0.0, path.length - 1.0, 2.0)
+    x, y = path.sample(s)[:2]
+    return Path.from_points(np.column_stack([x, y])[::-1].copy(), closed=True)

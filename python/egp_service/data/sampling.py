@@ -1,0 +1,111 @@
+"""Random states and inputs, as in the paper's comparison with the standard GP.
+
+A vehicle is put into a sampled state, driven for a few periods with a sampled constant input, and
+the transitions are kept. Bounds follow the surface: yaw rate and sideslip are drawn beyond what it
+can hold, since a member must also know a car that arrives too fast from a better surface.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service._core import EgpError, plant_initial_states, plant_step_batch
+from egp_service.data.dataset import Dataset
+from egp_service.data.experiment import (
+    GRAVITY,
+    MAX_DELTA_DOT,
+    MIN_A,
+    WHEELBASE,
+    Experiment,
+    largest_acceleration,
+)
+from egp_service.quantities import F_X, NY, NZ
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Columns of the 29 states: v_x, v_y, omega, delta.
+_VISIBLE: Final = (3, 10, 5, 2)
+
+
+@dataclasses.dataclass(frozen=True)
+class SamplingBounds:
+    """Subsets of the state and input spaces; uniform within."""
+
+    v_x: tuple[float, float] = (2.0, 27.0)
+    """Speed, m/s."""
+    sideslip: float = 0.2
+    """Largest angle between heading and course, rad."""
+    lateral: float = 1.2
+    """Largest lateral acceleration v_x * omega, in units of mu * g."""
+    steering: float = 0.15
+    """Largest steering beyond what the yaw rate asks of a vehicle without slip, rad."""
+    omega: float = 1.2
+    """Largest yaw rate, rad/s."""
+
+
+def sample(
+    experiment: Experiment,
+    count: int,
+    bounds: SamplingBounds | None = None,
+    *,
+    settle: int = 2,
+    keep: int = 3,
+) -> Dataset:
+    """Drive `count` vehicles from random states for `settle + keep` periods; keep the last ones.
+
+    The first `settle` periods belong to the suspension, which starts at rest. Vehicles that spin
+    are left out.
+
+    Raises:
+        EgpError: when the vehicle is not one of the plant's, or every sample spun.
+
+    """
+    bounds = bounds or SamplingBounds()
+    rng = np.random.default_rng(experiment.seed)
+    start, inputs = _draw(experiment.friction, count, bounds, rng)
+    inputs[:, F_X] *= experiment.mass
+    states = plant_initial_states(start, experiment.vehicle)
+    friction = np.full(count, experiment.friction)
+    alive = np.ones(count, dtype=bool)
+    history = [states]
+    for _ in range(settle + keep):
+        states, completed = plant_step_batch(
+            states, inputs, experiment.dt, friction, experiment.vehicle
+        )
+        alive &= completed & (states[:, _VISIBLE[0]] > 0.5)  # noqa: PLR2004 - standing still
+        history.append(states)
+    visible = np.stack(history, axis=1)[alive][:, settle:, _VISIBLE]
+    survivors = len(visible)
+    if survivors == 0:
+        raise EgpError(f"all {count} samples spun or stopped: narrow the bounds {bounds}")
+    repeated = np.repeat(inputs[alive][:, None, :], keep, axis=1)
+    z = np.concatenate([visible[:, :-1], repeated], axis=2)
+    return Dataset(
+        z=z.reshape(-1, NZ),
+        y=np.diff(visible[:, :, :NY], axis=1).reshape(-1, NY),
+        trajectory=np.repeat(np.arange(survivors, dtype=np.uint32), keep),
+        step=np.tile(np.arange(keep, dtype=np.uint32), survivors),
+        provenance=experiment.provenance("random sampling"),
+    )
+
+
+def _draw(
+    friction: float, count: int, bounds: SamplingBounds, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Draw vehicle states (count, 7) and inputs [a, delta_dot] (count, 2)."""
+    v_x = rng.uniform(*bounds.v_x, count)
+    lateral = bounds.lateral * friction * GRAVITY * rng.uniform(-1.0, 1.0, count)
+    omega = np.clip(lateral / v_x, -bounds.omega, bounds.omega)
+    # Less sideslip at walking pace, where a rolling wheel cannot hold it for a period.
+    sideslip = bounds.sideslip * rng.uniform(-1.0, 1.0, count) * np.minimum(1.0, v_x / 8.0)
+    delta = np.arctan(WHEELBASE * omega / v_x)
+    delta += bounds.steering * rng.uniform(-1.0, 1.0, count)
+    zero = np.zeros(count)
+    states = np.column_stack([zero, zero, v_x, zero, v_x * np.tan(sideslip), omega, delta])
+    a = rng.uniform(MIN_A, largest_acceleration(v_x))
+    delta_dot = rng.uniform(-MAX_DELTA_DOT, MAX_DELTA_DOT, count)
+    return states, np.column_stack([a, delta_dot])

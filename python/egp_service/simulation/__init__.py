@@ -1,0 +1,1 @@
+"""Simulation: scenarios, the closed loop around a simulated vehicle, recordings and pictures."""

@@ -1,0 +1,215 @@
+"""The closed loop: simulated vehicle, reference and control step in lockstep.
+
+Each period the plant waits for the step, which has `dt` of real time; then the plant is driven by
+what left the gate for `dt` of simulated time. So a slow machine costs patience, not realism, and a
+missed deadline means what it means on a vehicle: the tail of the last plan.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import astuple, dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from egp_service._core import EgpError, Library, Plant, horizon_reference
+from egp_service.quantities import NU, NX, POSITION, PSI, V_X
+from egp_service.simulation.course import build_path, build_profile
+from egp_service.simulation.scenario import library_path
+from egp_service.simulation.summary import Ending, Summary, summarise
+from egp_service.simulation.trace import Period, Trace, Truth
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from egp_service._core import Path, Projection
+    from egp_service.control.stepper import Step
+    from egp_service.simulation.scenario import Measurement, Scenario
+
+# The friction under the wheels is looked up this often within a control period.
+FRICTION_UPDATES = 10
+# Before the vehicle is released the first answer may take longer: connections and caches are cold.
+FIRST_DEADLINE = 2.0
+# A run that takes this many times the reference's time is not coming through.
+PATIENCE = 2.0
+STANDSTILL = 0.3
+
+
+class Drives(Protocol):
+    """What can drive: every `Stepper`, and whatever else turns states into commands."""
+
+    dt: float
+    horizon: int
+
+    @property
+    def library(self) -> bytes:
+        """SHA-256 of the library, empty without one."""
+
+    @property
+    def members(self) -> Sequence[str]:
+        """Surfaces behind the weights."""
+
+    def step(
+        self,
+        x: ArrayLike,
+        reference: ArrayLike,
+        widths: ArrayLike | None = None,
+        *,
+        deadline: float | None = None,
+    ) -> Step:
+        """Give the command for a measured state and a reference; see `Stepper.step`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A finished run."""
+
+    scenario: Scenario
+    members: Sequence[str]
+    frictions: NDArray[np.float64]
+    """(N,) friction coefficients of the members' surfaces."""
+    dt: float
+    trace: Trace
+    summary: Summary
+
+    @property
+    def path(self) -> Path:
+        """Where it drove; made anew, so that a run can go from process to process."""
+        return build_path(self.scenario)
+
+
+def drive(scenario: Scenario, stepper: Drives, observe: Callable[[Period], None]) -> Run:
+    """Drive the scenario with `stepper`, showing each period to `observe`.
+
+    The scenario's library file is read for the members' friction coefficients, which the pictures
+    show beside the true ones; the step itself is the stepper's.
+
+    Raises `EgpError` for a scenario whose track cannot be built. What goes wrong on the road is the
+    run's ending, not an exception.
+    """
+    loop = _Loop(scenario, stepper)
+    periods: list[Period] = []
+    ending = None
+    while ending is None:
+        period = loop.period()
+        periods.append(period)
+        observe(period)
+        ending = loop.advance(period)
+    trace = Trace.of(periods, len(stepper.members))
+    summary = summarise(
+        trace,
+        ending,
+        scenario=scenario.name,
+        library=stepper.library.hex(),
+        members=stepper.members,
+        dt=stepper.dt,
+    )
+    members = Library.load(library_path(scenario)).members
+    frictions = np.array([member.friction for member in members])
+    return Run(scenario, stepper.members, frictions, stepper.dt, trace, summary)
+
+
+class _Loop:
+    """The vehicle on its course, between periods."""
+
+    def __init__(self, scenario: Scenario, stepper: Drives) -> None:
+        self._scenario = scenario
+        self._stepper = stepper
+        self.path = build_path(scenario)
+        self._profile = build_profile(scenario, self.path)
+        self._noise = _noise(scenario.measurement)
+        self._random = np.random.default_rng(scenario.seed)
+        self._plant = Plant(scenario.vehicle)
+        # What was commanded and has not yet reached the wheels.
+        self._pending = deque([np.zeros(NU)] * scenario.actuator_delay)
+        self._s = 0.0
+        self._distance = 0.0
+        self._ticks = 0
+        laps = scenario.laps if self.path.closed else 1.0
+        self._goal = laps * self.path.length
+        self._time_limit = 10.0 + PATIENCE * laps * self._profile.lap_time
+        x, y, yaw, *_ = (column[0] for column in self.path.sample(np.zeros(1)))
+        v_start = scenario.speed.v_start
+        speed = self._profile.speed(np.zeros(1))[0] if v_start is None else v_start
+        self._plant.reset(x, y, yaw, speed)
+
+    @property
+    def _time(self) -> float:
+        return self._ticks * self._stepper.dt
+
+    def period(self) -> Period:
+        """Ask for the step of this period."""
+        x = self._plant.vehicle_state
+        projection = self._project(x)
+        truth = Truth(
+            time=self._time,
+            x=x,
+            friction=projection.friction,
+            distance=self._distance,
+            path_s=projection.s,
+            lateral_error=projection.lateral,
+            heading_error=_wrap(x[PSI] - projection.yaw),
+            speed_reference=float(self._profile.speed(np.array([projection.s]))[0]),
+        )
+        measured = x + self._noise * self._random.standard_normal(NX)
+        reference, widths, _ = horizon_reference(
+            self.path, self._profile, measured, self._stepper.dt, self._stepper.horizon, self._s
+        )
+        deadline = FIRST_DEADLINE if self._ticks == 0 else None
+        step = self._stepper.step(measured, reference, widths, deadline=deadline)
+        return Period(truth, step)
+
+    def advance(self, period: Period) -> Ending | None:
+        """Drive one period on; gives the ending when there is one."""
+        dt = self._stepper.dt
+        self._pending.append(period.step.u)
+        u = self._pending.popleft()
+        for _ in range(FRICTION_UPDATES):
+            try:
+                self._plant.step(u, dt / FRICTION_UPDATES, self.path, self._s)
+            except EgpError as error:
+                return self._ending(f"lost control: {error}")
+        self._ticks += 1
+        if self._distance >= self._goal:
+            return self._ending("completed")
+        if abs(period.truth.lateral_error) > self._scenario.leave_distance:
+            return self._ending(f"left the road: {period.truth.lateral_error:+.1f} m off the path")
+        if period.step.mode == "stop" and self._plant.vehicle_state[V_X] < STANDSTILL:
+            return self._ending(f"stopped by the gate: {period.step.detail or period.step.status}")
+        if self._time > self._time_limit:
+            return self._ending("took too long")
+        return None
+
+    def _project(self, x: NDArray[np.float64]) -> Projection:
+        """Project the vehicle on the path and count the distance driven."""
+        projection = self.path.project(x[POSITION], self._s)
+        advanced = projection.s - self._s
+        if self.path.closed:
+            advanced -= self.path.length * round(advanced / self.path.length)
+        self._distance += advanced
+        self._s = projection.s
+        return projection
+
+    def _ending(self, reason: str) -> Ending:
+        p_x, p_y = self._plant.vehicle_state[POSITION]
+        return Ending(
+            completed=reason == "completed",
+            reason=reason,
+            time=self._time,
+            distance=self._distance,
+            position=(float(p_x), float(p_y)),
+        )
+
+
+def _noise(measurement: Measurement) -> NDArray[np.float64]:
+    """Put the standard deviations in the order of the state."""
+    position, *rest = astuple(measurement)
+    return np.array([position, position, *rest])
+
+
+def _wrap(angle: float) -> float:
+    """Angle in [-pi, pi)."""
+    return float((angle + np.pi) % (2.0 * np.pi) - np.pi)

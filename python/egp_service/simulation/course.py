@@ -1,0 +1,72 @@
+"""The course of a scenario: its path with friction zones, and the reference speed along it."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egp_service._core import Path, SpeedProfile
+from egp_service.simulation.scenario import Scenario, ScenarioError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+# A long lap with fast and slow corners of both directions.
+_CIRCUIT_SEED = 11
+
+
+def _circle(radius: float = 50.0, track_width: float = 7.0) -> Path:
+    """Make a counter-clockwise circle that starts along +x."""
+    angle = np.linspace(-0.5 * np.pi, 1.5 * np.pi, 72, endpoint=False)
+    points = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    return Path.from_points(points, closed=True, widths=np.full((72, 2), 0.5 * track_width))
+
+
+TRACKS: dict[str, Callable[..., Path]] = {
+    "circle": _circle,
+    "circuit": partial(Path.random, _CIRCUIT_SEED),
+    "rounded-rectangle": Path.rounded_rectangle,
+    "l-shape": Path.l_shape,
+    "lane-change": Path.lane_changes,
+    "iso-3888-2": Path.iso_3888_2,
+    "random": Path.random,
+    "csv": Path.from_csv,
+}
+
+
+def build_path(scenario: Scenario) -> Path:
+    """Path of the scenario's track, with widths and friction zones.
+
+    Raises `ScenarioError` for an unknown track or measure, `EgpError` for measures that don't fit.
+    """
+    track = scenario.track
+    if track.kind not in TRACKS:
+        raise ScenarioError(f"no track {track.kind!r}; known: {', '.join(TRACKS)}")
+    parameters: dict[str, object] = dict(track.parameters)
+    if track.kind == "csv":
+        if track.file is None:
+            raise ScenarioError("track kind csv needs the field `file`")
+        parameters["file"] = track.file
+    if track.kind == "random":
+        parameters["seed"] = scenario.seed
+    try:
+        path = TRACKS[track.kind](**parameters)
+    except TypeError as error:
+        raise ScenarioError(f"track {track.kind}: {error}") from error
+    return path.with_friction(
+        [
+            (zone.start, zone.friction)
+            if zone.right is None
+            else (zone.start, zone.friction, zone.right)
+            for zone in scenario.zones
+        ]
+    )
+
+
+def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:
+    """Plan the reference speed: `speed.grip` of what each zone holds, at most `speed.v_max`."""
+    if scenario.speed.constant:
+        return SpeedProfile.constant(path, scenario.speed.v_max)
+    return SpeedProfile(path, scenario.speed.grip, scenario.speed.v_max)

@@ -1,0 +1,17 @@
+"""A scenario's control steps computed in this process."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from egp_service.control.controller import Controller
+from egp_service.control.toml_text import dumps
+from egp_service.simulation.scenario import library_path
+
+if TYPE_CHECKING:
+    from egp_service.simulation.scenario import Scenario
+
+
+def in_process_stepper(scenario: Scenario) -> Controller:
+    """Compute the steps in this process."""
+    return Controller(library_path(scenario), dumps(scenario.control), gate=scenario.gate)

@@ -1,0 +1,275 @@
+"""Pictures of a run. The only module of the closed loop that draws, with the `[viz]` extra."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.ticker import MaxNLocator
+
+from egp_service.files import replacing
+from egp_service.quantities import OMEGA, POSITION, V_X
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path as FilePath
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from egp_service._core import Path
+    from egp_service.simulation.closed_loop import Run
+
+STYLE = {
+    "figure.dpi": 150,
+    "figure.constrained_layout.use": True,
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#8a8f98",
+    "axes.labelcolor": "#30343b",
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10.0,
+    "axes.titleweight": "bold",
+    "axes.titlecolor": "#1f2937",
+    "xtick.color": "#5a606b",
+    "ytick.color": "#5a606b",
+    "legend.frameon": False,
+    "lines.linewidth": 1.4,
+    "savefig.facecolor": "white",
+}
+INK, MUTED, ALARM = "#1f2937", "#8a8f98", "#c2410c"
+MEMBER_COLOURS = ("#4ba3c7", "#e0a13a", "#6a994e", "#9d6bb0", "#c8553d", "#5c677d")
+# Ice to dry asphalt.
+SURFACE = LinearSegmentedColormap.from_list("surface", ["#cfe6f5", "#b9c2c9", "#82878d"])
+FRICTION_RANGE = Normalize(0.4, 1.2)
+SPEED = mpl.colormaps["plasma"]
+GRAVITY = 9.81
+
+
+def draw_run(run: Run, folder: FilePath) -> list[FilePath]:
+    """Draw all pictures of a run into `folder`; gives their paths."""
+    return [
+        _save(_track_figure, run, folder / "track.png"),
+        draw_weights(run, folder / "weights.png"),
+        draw_errors(run, folder / "errors.png"),
+        _save(_step_times_figure, run, folder / "step-times.png"),
+    ]
+
+
+def draw_weights(run: Run, path: FilePath, title: str | None = None) -> FilePath:
+    """Draw weights, the friction they say beside the true one, and the grip used in corners."""
+    return _save(_weights_figure, run, path, title)
+
+
+def draw_errors(run: Run, path: FilePath, title: str | None = None) -> FilePath:
+    """Draw lateral and heading errors, and the speed beside its reference."""
+    return _save(_errors_figure, run, path, title)
+
+
+def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath:
+    """Draw several runs of one scenario side by side, and their errors on top of each other."""
+    with plt.style.context(STYLE):
+        figure = plt.figure(figsize=(4.2 * len(runs), 5.8))
+        rows = figure.add_gridspec(2, len(runs), height_ratios=(1.25, 1.0))
+        driven = np.concatenate([run.trace.x[:, V_X] for _, run in runs])
+        speeds = Normalize(float(driven.min()), float(driven.max()))
+        axes = [figure.add_subplot(rows[0, column]) for column in range(len(runs))]
+        for ax, (label, run) in zip(axes, runs, strict=True):
+            lines = draw_track(ax, run, speeds)
+            ending = run.summary.ending
+            verdict = (
+                f"max {run.summary.lateral_error.max:.2f} m beside the path"
+                if ending.completed
+                else ending.reason.split(":")[0]
+            )
+            ax.set_title(f"{label}\n{verdict}", color=INK if ending.completed else ALARM)
+        figure.colorbar(lines, ax=axes, label="speed [m/s]", shrink=0.7, aspect=20)
+        ax = figure.add_subplot(rows[1, :])
+        draw_zones(ax, runs[0][1].path, max(float(run.trace.distance[-1]) for _, run in runs))
+        for index, (label, run) in enumerate(runs):
+            colour = INK if index == 0 else MEMBER_COLOURS[(index - 1) % len(MEMBER_COLOURS)]
+            ax.plot(run.trace.distance, run.trace.lateral_error, color=colour, label=label)
+            if not run.summary.ending.completed:
+                ax.plot(run.trace.distance[-1], run.trace.lateral_error[-1], "X", color=ALARM)
+        ax.axhline(0.0, color=MUTED, linewidth=0.6)
+        ax.set(xlabel="distance [m]", ylabel="beside the path [m]", title="Lateral error")
+        ax.legend(loc="upper left", ncols=len(runs))
+        with replacing(path) as beside:
+            figure.savefig(beside)
+        plt.close(figure)
+    return path
+
+
+def draw_track(ax: Axes, run: Run, speeds: Normalize | None = None) -> LineCollection:
+    """Road coloured by friction, reference dashed, driven line coloured by speed."""
+    path, trace = run.path, run.trace
+    s = np.linspace(0.0, path.length, max(200, int(path.length)))
+    x, y, yaw, _, left, right, friction = path.sample(s)
+    normal = np.column_stack([-np.sin(yaw), np.cos(yaw)])
+    centre = np.column_stack([x, y])
+    lefts = centre + normal * np.where(np.isfinite(left), left, 2.0)[:, None]
+    rights = centre - normal * np.where(np.isfinite(right), right, 2.0)[:, None]
+    quads = np.stack([lefts[:-1], lefts[1:], rights[1:], rights[:-1]], axis=1)
+    road = PolyCollection(list(quads), edgecolors="face", linewidths=0.4)
+    road.set(array=friction[:-1], cmap=SURFACE, norm=FRICTION_RANGE, snap=False)
+    ax.add_collection(road)
+    ax.plot(x, y, color="white", linewidth=0.7, linestyle=(0, (6, 6)))
+    points = trace.x[:, POSITION]
+    lines = LineCollection(
+        list(np.stack([points[:-1], points[1:]], axis=1)),
+        array=trace.x[:-1, V_X],
+        cmap=SPEED,
+        norm=speeds,
+        linewidths=2.0,
+        capstyle="round",
+    )
+    ax.add_collection(lines)
+    ax.plot(*points[0], marker="o", color="white", markeredgecolor=INK, markersize=6)
+    if not run.summary.ending.completed:
+        ax.plot(*run.summary.ending.position, marker="X", color=ALARM, markersize=9)
+    labels = []
+    for start, end, mu in _zones(path, path.length):
+        p_x, p_y, angle, _, _, reach, _ = (
+            column[0] for column in path.sample(np.array([0.5 * (start + end)]))
+        )
+        offset = (reach if np.isfinite(reach) else 2.0) + 0.022 * path.length
+        labels.append((p_x + np.sin(angle) * offset, p_y - np.cos(angle) * offset))
+        ax.text(*labels[-1], f"μ {mu:g}", ha="center", va="center", color="#5a606b")
+    ax.update_datalim(labels)
+    ax.margins(0.04)
+    ax.set_aspect("equal")
+    ax.autoscale_view()
+    ax.axis("off")
+    return lines
+
+
+def draw_zones(ax: Axes, path: Path, distance: float) -> None:
+    """Surfaces as bands behind a plot over distance."""
+    for start, end, mu in _zones(path, distance):
+        ax.axvspan(start, end, color=SURFACE(FRICTION_RANGE(mu)), alpha=0.45, linewidth=0)
+    ax.set_xlim(0.0, distance)
+
+
+def _track_figure(run: Run) -> Figure:
+    figure, ax = plt.subplots(figsize=(8.0, 5.2))
+    lines = draw_track(ax, run)
+    figure.colorbar(lines, ax=ax, label="speed [m/s]", shrink=0.75, aspect=30)
+    ending = run.summary.ending
+    how = "completed" if ending.completed else ending.reason
+    ax.set_title(
+        f"{run.scenario.name}: {how} in {ending.time:.1f} s\n"
+        f"at most {run.summary.lateral_error.max:.2f} m beside the path, "
+        f"{run.summary.lateral_error.rms:.2f} m RMS",
+        color=INK if ending.completed else ALARM,
+    )
+    return figure
+
+
+def _weights_figure(run: Run) -> Figure:
+    figure, (top, middle, bottom) = plt.subplots(
+        3, 1, figsize=(8.0, 6.0), sharex=True, height_ratios=(1.4, 1.0, 0.5)
+    )
+    trace = run.trace
+    known = np.isfinite(trace.weights[:, 0])
+    distance, weights = trace.distance[known], trace.weights[known]
+    colours = [MEMBER_COLOURS[i % len(MEMBER_COLOURS)] for i in range(len(run.members))]
+    top.stackplot(distance, weights.T, labels=run.members, colors=colours, alpha=0.9, linewidth=0)
+    top.set(ylim=(0.0, 1.0), ylabel="weight", title="Which surface the ensemble believes to be on")
+    legend = top.legend(loc="upper right", ncols=len(run.members), frameon=True, framealpha=0.9)
+    legend.get_frame().set(facecolor="white", linewidth=0)
+    for ax in (middle, bottom):
+        draw_zones(ax, run.path, float(trace.distance[-1]))
+    middle.step(trace.distance, trace.friction, color=INK, where="post", label="true friction")
+    middle.plot(distance, weights @ run.frictions, color=ALARM, label="the members', weighted")
+    middle.set(ylabel="μ", ylim=(0.2, 1.35))
+    middle.legend(loc="lower right", ncols=2)
+    grip = np.abs(trace.x[:, V_X] * trace.x[:, OMEGA]) / (GRAVITY * trace.friction)
+    bottom.fill_between(trace.distance, grip, color=MUTED, linewidth=0)
+    bottom.set(xlabel="distance [m]", ylabel="grip used\nin corners", ylim=(0.0, 1.0))
+    bottom.set_title("Only where grip is used do measurements tell surfaces apart", weight="normal")
+    return figure
+
+
+def _errors_figure(run: Run) -> Figure:
+    figure, (lateral, heading, speed) = plt.subplots(3, 1, figsize=(8.0, 6.4), sharex=True)
+    trace = run.trace
+    for ax in (lateral, heading, speed):
+        draw_zones(ax, run.path, float(trace.distance[-1]))
+    for ax in (lateral, heading):
+        ax.axhline(0.0, color=MUTED, linewidth=0.6)
+    lateral.plot(trace.distance, trace.lateral_error, color=INK)
+    lateral.set(ylabel="beside the path [m]", title="Tracking errors over the surfaces")
+    heading.plot(trace.distance, np.rad2deg(trace.heading_error), color=INK)
+    heading.set(ylabel="heading error [°]")
+    reference = trace.x[:, V_X] - trace.speed_error
+    speed.plot(trace.distance, reference, color=MUTED, linestyle="--", label="reference")
+    speed.plot(trace.distance, trace.x[:, V_X], color=INK, label="driven")
+    speed.set(ylabel="speed [m/s]", xlabel="distance [m]")
+    speed.legend(loc="lower right", ncols=2)
+    return figure
+
+
+def _step_times_figure(run: Run) -> Figure:
+    figure, ax = plt.subplots(figsize=(8.0, 3.2))
+    milliseconds, deadline = 1e3 * run.trace.step_time[1:], 1e3 * run.dt
+    if len(milliseconds) == 0:
+        milliseconds = 1e3 * run.trace.step_time
+    low = 0.8 * float(np.min(milliseconds))
+    high = 1.25 * max(deadline, float(np.max(milliseconds)))
+    ax.hist(milliseconds, bins=list(np.geomspace(low, high, 60)), color=MEMBER_COLOURS[0])
+    ax.set_xscale("log")
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_major_locator(MaxNLocator(integer=True))
+    for value, name, colour in (
+        (float(np.median(milliseconds)), "median", INK),
+        (float(np.percentile(milliseconds, 99)), "p99", INK),
+        (deadline, "deadline", ALARM),
+    ):
+        ax.axvline(
+            value, color=colour, linewidth=1.0, linestyle="-" if name == "deadline" else "--"
+        )
+        ax.annotate(
+            f"{name} {value:.3g} ms",
+            (value, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(3, -2),
+            textcoords="offset points",
+            va="top",
+            rotation=90,
+            color=colour,
+            fontsize=8,
+        )
+    ax.set(xlabel="request to command [ms]", ylabel="periods", title="Time of a control step")
+    return figure
+
+
+def _zones(path: Path, distance: float) -> list[tuple[float, float, float]]:
+    """Stretches of one friction up to `distance`, (start, end, mu), laps included."""
+    s = np.arange(0.0, distance, 0.25)
+    friction: NDArray[np.float64] = path.sample(s % path.length if path.closed else s)[-1]
+    borders = np.flatnonzero(np.diff(friction)) + 1
+    starts = [0, *borders.tolist()]
+    ends = [*(s[borders].tolist()), distance]
+    return [(float(s[i]), end, float(friction[i])) for i, end in zip(starts, ends, strict=True)]
+
+
+def _save(
+    draw: Callable[[Run], Figure], run: Run, path: FilePath, title: str | None = None
+) -> FilePath:
+    with plt.style.context(STYLE):
+        figure = draw(run)
+        if title:
+            figure.suptitle(title, x=0.01, ha="left")
+        with replacing(path) as beside:
+            figure.savefig(beside)
+        plt.close(figure)
+    return path

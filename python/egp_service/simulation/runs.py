@@ -1,0 +1,48 @@
+"""A run's folder: resolved scenario, recording, summary, pictures."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime
+from typing import TYPE_CHECKING
+
+from egp_service.files import write_text
+from egp_service.simulation.closed_loop import Run, drive
+from egp_service.simulation.recording import Recording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from egp_service.control.stepper import Stepper
+    from egp_service.simulation.scenario import Scenario
+    from egp_service.simulation.trace import Period
+
+
+def new_folder(root: Path, name: str) -> Path:
+    """Make `root/<stamp>-<name>`, a new folder each time."""
+    stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
+    for count in range(1, 1000):
+        folder = root / (f"{stamp}-{name}" if count == 1 else f"{stamp}-{name}-{count}")
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return folder
+    raise FileExistsError(f"{root} already has a thousand runs of this second")
+
+
+def record_run(
+    scenario: Scenario, stepper: Stepper, folder: Path, observe: Callable[[Period], None]
+) -> Run:
+    """Drive the scenario and leave `scenario.toml`, `run.mcap` and `summary.json` in `folder`."""
+    write_text(folder / "scenario.toml", scenario.toml())
+    with Recording.create(folder / "run.mcap") as recording:
+
+        def both(period: Period) -> None:
+            recording.add(period)
+            observe(period)
+
+        run = drive(scenario, stepper, both)
+    write_text(folder / "summary.json", json.dumps(run.summary.as_json(), indent=2) + "\n")
+    return run

@@ -1,0 +1,183 @@
+"""Scenarios: what is driven, where, how fast, on which surfaces and with which library.
+
+A scenario is one TOML file. The built-in ones lie beside this module in `scenarios/` and are the
+reference for every field; unknown fields are refused.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, dataclass, field, replace
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+
+from egp_service import shipped
+from egp_service.control.toml_text import dumps
+from egp_service.simulation.configuration import ConfigurationError, build, without_none
+
+BUILT_IN = resources.files("egp_service.simulation") / "scenarios"
+DEMO_LIBRARY = "demo"
+MAX_DELAY = 100
+
+
+class ScenarioError(ConfigurationError):
+    """A scenario that does not exist or says something unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Zone:
+    """A stretch of road with its own friction; zones are given in order of `start`."""
+
+    start: float
+    """Where it begins, as a fraction of the path's length; it ends where the next one begins."""
+    friction: float
+    """Friction coefficient mu."""
+    right: float | None = None
+    """Friction right of the path, where the road is split; `friction` is then the left side's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Where to drive: a built-in kind with its measures, or a CSV file."""
+
+    kind: str
+    """`rounded-rectangle`, `l-shape`, `circle`, `circuit`, `lane-change`, `iso-3888-2`, `random`,
+    or `csv`."""
+    file: str | None = None
+    """Raceline or centre line, for kind `csv`; relative to the scenario file."""
+    parameters: dict[str, float] = field(default_factory=dict)
+    """Measures of the kind, as the constructors of `_core.Path` name them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """The reference speed: as fast as `grip` of what the surface holds, up to `v_max`."""
+
+    grip: float = 0.85
+    """Fraction of the friction that the speed profile uses; on a split road, of the mean of both
+    sides. The profile knows the zones, the controller does not."""
+    v_max: float = 20.0
+    """m/s."""
+    constant: bool = False
+    """Drive at `v_max` throughout, whatever the surface holds."""
+    v_start: float | None = None
+    """Speed at the start, m/s; by default the profile's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """Standard deviations of the measurement noise; zero by default."""
+
+    position: float = 0.0
+    v_x: float = 0.0
+    psi: float = 0.0
+    v_y: float = 0.0
+    omega: float = 0.0
+    delta: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A scenario, validated."""
+
+    name: str
+    track: Track
+    zones: tuple[Zone, ...]
+    description: str = ""
+    library: str = DEMO_LIBRARY
+    """`demo` for the one shipped, or a path relative to the scenario file."""
+    vehicle: int = 1
+    """CommonRoad number of the simulated vehicle."""
+    seed: int = 0
+    """Of the measurement noise, and of the track for kind `random`."""
+    laps: float = 1.0
+    """How often to drive round a closed track."""
+    leave_distance: float = 3.0
+    """The run ends when the vehicle is farther than this from the reference, m."""
+    actuator_delay: int = 0
+    """Control periods from the command to the wheels, beyond the plant's own."""
+    speed: Speed = field(default_factory=Speed)
+    measurement: Measurement = field(default_factory=Measurement)
+    control: dict[str, object] = field(default_factory=dict)
+    """Settings of the control step, handed to the service or engine as they are."""
+    gate: dict[str, float] = field(default_factory=dict)
+    """Settings of the gate."""
+
+    def toml(self) -> str:
+        """Everything resolved, as a scenario file that drives the same run again."""
+        return dumps(without_none(asdict(self)))
+
+
+def built_in_names() -> list[str]:
+    """Names of the scenarios shipped with the package."""
+    files = (entry.name for entry in BUILT_IN.iterdir())
+    return sorted(name.removesuffix(".toml") for name in files if name.endswith(".toml"))
+
+
+def load_scenario(name_or_file: str) -> Scenario:
+    """Load a built-in scenario by name, or a scenario file by path.
+
+    Raises `ScenarioError` when there is none, or when it says something unknown.
+    """
+    if name_or_file in built_in_names():
+        text = (BUILT_IN / f"{name_or_file}.toml").read_text(encoding="utf-8")
+        return parse_scenario(text, Path.cwd(), name_or_file)
+    file = Path(name_or_file)
+    if not file.is_file():
+        raise ScenarioError(
+            f"no scenario {name_or_file!r}: "
+            f"give a TOML file or one of {', '.join(built_in_names())}"
+        )
+    return parse_scenario(file.read_text(encoding="utf-8"), file.parent, str(file))
+
+
+def parse_scenario(text: str, folder: Path, origin: str) -> Scenario:
+    """Parse a scenario file's text; paths in it are relative to `folder`."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{origin} is not TOML: {error}") from error
+    scenario = build(Scenario, table, origin)
+    _check(scenario, origin)
+    if scenario.track.file is not None:
+        track = replace(scenario.track, file=str(folder / scenario.track.file))
+        scenario = replace(scenario, track=track)
+    if scenario.library != DEMO_LIBRARY:
+        scenario = replace(scenario, library=str(folder / scenario.library))
+    return scenario
+
+
+def library_path(scenario: Scenario) -> Path:
+    """Path of the scenario's library file."""
+    if scenario.library != DEMO_LIBRARY:
+        return Path(scenario.library)
+    return shipped.DEMO_LIBRARY
+
+
+def _check(scenario: Scenario, origin: str) -> None:
+    """Refuse what types cannot."""
+    if not scenario.zones or scenario.zones[0].start != 0.0:
+        raise ScenarioError(f"{origin}: zones must begin with one at start = 0.0")
+    starts = [zone.start for zone in scenario.zones]
+    if any(later <= earlier for earlier, later in pairwise(starts)):
+        raise ScenarioError(f"{origin}: zones must be in order of start")
+    if not 0 <= scenario.actuator_delay <= MAX_DELAY:
+        raise ScenarioError(
+            f"{origin}: actuator_delay must be in 0..={MAX_DELAY}, got {scenario.actuator_delay}"
+        )
+    positive = {
+        "speed.grip": scenario.speed.grip,
+        "speed.v_max": scenario.speed.v_max,
+        "laps": scenario.laps,
+        "leave_distance": scenario.leave_distance,
+        **{f"zones[{i}].friction": zone.friction for i, zone in enumerate(scenario.zones)},
+        **{
+            f"zones[{i}].right": zone.right
+            for i, zone in enumerate(scenario.zones)
+            if zone.right is not None
+        },
+    }
+    for name, value in positive.items():
+        if not 0.0 < value < float("inf"):
+            raise ScenarioError(f"{origin}: {name} must be positive and finite, got {value}")

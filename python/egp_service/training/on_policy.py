@@ -1,0 +1,152 @@
+"""Collecting where the controller goes: laps of the ensemble itself, over alternating surfaces.
+
+A member must know the states that the MPC visits, not only those of one driver, and those in which
+a car arrives from a better surface (Ross, Gordon and Bagnell, 2011: dataset aggregation). Each lap
+has its own track, zones and speed; what was driven on a surface goes to that surface's data.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service._core import EgpError
+from egp_service.data.dataset import Dataset
+from egp_service.quantities import MOTION, gp_input
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.in_process import in_process_stepper
+from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track, Zone
+from egp_service.workers import in_order, workers
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from egp_service.data.experiment import Experiment
+
+_TRACKS: Final = ("rounded-rectangle", "random", "l-shape", "random")
+# Of the rounded rectangle, m: straights long enough for the speeds that braking from is hard.
+_LENGTH: Final = (80.0, 240.0)
+_FIRST_SEED: Final = 10_000  # tracks and noise that nobody else draws
+# Makes the inputs vary; the true states are recorded.
+_NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
+_LEAVE: Final = 4.0  # m; sliding wide is worth recording
+_TRAJECTORY: Final = 100  # transitions; pieces of a lap are held out for validation one by one
+
+
+@dataclasses.dataclass(frozen=True)
+class OnPolicySettings:
+    """How laps are driven for data."""
+
+    rounds: int = 0
+    """How often to train, drive and train again."""
+    laps: int = 24
+    """Laps of a round."""
+    grip: tuple[float, float] = (0.75, 1.0)
+    """Fraction of the available grip that the speed profile uses, first and last lap."""
+
+
+def drive_laps(
+    library: Path,
+    surfaces: Sequence[Experiment],
+    settings: OnPolicySettings,
+    round_number: int = 0,
+    *,
+    jobs: int | None = None,
+    report: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[Dataset]:
+    """Drive the laps of a round with `library`; one dataset for each surface that was met.
+
+    Raises:
+        EgpError: when there are no surfaces or no lap brought data.
+
+    """
+    if not surfaces:
+        raise EgpError("no surfaces to drive on")
+    grips = np.linspace(*settings.grip, settings.laps)
+    first = _FIRST_SEED + round_number * settings.laps
+    scenarios = [
+        _scenario(library, surfaces, first + lap, float(grip)) for lap, grip in enumerate(grips)
+    ]
+    driven: list[_Driven] = []
+    with workers(jobs) as pool:
+        for done, lap in enumerate(in_order(pool, _drive, scenarios), start=1):
+            driven.append(lap)
+            report(done, settings.laps)
+    datasets = [_on_surface(driven, surface) for surface in surfaces]
+    found = [dataset for dataset in datasets if dataset is not None]
+    if not found:
+        raise EgpError(f"no lap of {library} brought data: it leaves the road at once")
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class _Driven:
+    """A lap: states (n, 7), inputs (n, 2), friction (n,)."""
+
+    x: NDArray[np.float64]
+    u: NDArray[np.float64]
+    friction: NDArray[np.float64]
+
+
+def _scenario(library: Path, surfaces: Sequence[Experiment], seed: int, grip: float) -> Scenario:
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(3, 7))
+    starts = [0.0, *np.sort(rng.uniform(0.05, 0.95, count - 1)).tolist()]
+    order = rng.permutation(len(surfaces))
+    zones = tuple(
+        Zone(start, surfaces[order[i % len(order)]].friction) for i, start in enumerate(starts)
+    )
+    kind = _TRACKS[seed % len(_TRACKS)]
+    measures = {"length": float(rng.uniform(*_LENGTH))} if kind == "rounded-rectangle" else {}
+    return Scenario(
+        name="on-policy",
+        track=Track(kind, parameters=measures),
+        zones=zones,
+        library=str(library),
+        vehicle=surfaces[0].vehicle,
+        seed=seed,
+        leave_distance=_LEAVE,
+        speed=Speed(grip=grip, v_max=25.0),
+        measurement=_NOISE,
+    )
+
+
+def _drive(scenario: Scenario) -> _Driven:
+    trace = drive(scenario, in_process_stepper(scenario), lambda _: None).trace
+    return _Driven(trace.x, trace.u, trace.friction)
+
+
+def _on_surface(laps: Sequence[_Driven], surface: Experiment) -> Dataset | None:
+    """Every transition that began and ended on the surface, in pieces of `_TRAJECTORY`."""
+    z, y, trajectory, step = [], [], [], []
+    pieces = 0
+    for lap in laps:
+        on = lap.friction == surface.friction
+        rows = np.flatnonzero(on[:-1] & on[1:])
+        if len(rows) == 0:
+            continue
+        z.append(gp_input(lap.x[rows], lap.u[rows]))
+        y.append((lap.x[rows + 1] - lap.x[rows])[:, MOTION])
+        stretch = np.cumsum(np.concatenate([[0], np.diff(rows) > 1]))
+        begin = np.flatnonzero(np.diff(stretch, prepend=-1))[stretch]
+        position = np.arange(len(rows)) - begin
+        _, piece = np.unique(
+            np.column_stack([stretch, position // _TRAJECTORY]), axis=0, return_inverse=True
+        )
+        trajectory.append((pieces + piece).astype(np.uint32))
+        step.append((position % _TRAJECTORY).astype(np.uint32))
+        pieces += int(piece.max()) + 1
+    if not z:
+        return None
+    return Dataset(
+        z=np.concatenate(z),
+        y=np.concatenate(y),
+        trajectory=np.concatenate(trajectory),
+        step=np.concatenate(step),
+        provenance=surface.provenance("closed loop"),
+    )

@@ -1,0 +1,303 @@
+"""From datasets to a library: one member per surface, one exact process per output.
+
+With a vehicle as prior mean the outputs' processes share kernel and noise.
+
+Per surface: split off trajectories for validation, fit a single-track vehicle (`prior_mean`) and
+z-score what it leaves, fit on a random subset to learn the lengthscales, choose `max_points`
+transitions with them (`subset`), fit again on those.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+import torch
+
+from egp_service._core import EgpError
+from egp_service.data.dataset import Dataset, merge
+from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ
+from egp_service.training import prior_mean
+from egp_service.training.gaussian_process import (
+    CORRECTIONS,
+    WHOLE_CHANGES,
+    FitStep,
+    Hyperparameters,
+    KernelName,
+    OutputProcess,
+    exact,
+    fit,
+    share_kernel,
+)
+from egp_service.training.subset import select
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+_ONE_THREAD: Final = 1000
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingSettings:
+    """How a library is trained. Same data, same settings, same machine: same bytes."""
+
+    kernel: KernelName = "matern52"
+    """Covariance function of every process: "rbf" or "matern52"."""
+    mean: Literal["single-track", "constant"] = "single-track"
+    """What the GPs are added to: a vehicle fitted to the surface, or constants as in the paper.
+
+    What a vehicle leaves is small and hardly tells kernels apart, so that one kernel and noise
+    serve all (z-scored) outputs, and a prediction costs about half. With constants each has its
+    own.
+    """
+    max_points: int = 400
+    """Transitions a member keeps; the control step's time grows with it."""
+    first_points: int = 400
+    """Random transitions of the first fit, whose lengthscales choose the final ones."""
+    restarts: int = 1
+    """Further starts of the final fit from random hyperparameters."""
+    max_iterations: int = 150
+    """L-BFGS iterations per start."""
+    validation_fraction: float = 0.2
+    """Share of each surface's trajectories kept out of training."""
+    seed: int = 0
+    """Seed of the split, the subset and the random starts."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that cannot train."""
+        if self.kernel not in ("rbf", "matern52"):
+            raise EgpError(f"kernel is {self.kernel!r}: expected 'rbf' or 'matern52'")
+        if self.mean not in ("single-track", "constant"):
+            raise EgpError(f"mean is {self.mean!r}: expected 'single-track' or 'constant'")
+        least = 2 * NZ
+        for name in ("max_points", "first_points"):
+            if getattr(self, name) < least:
+                raise EgpError(f"{name} is {getattr(self, name)}: expected at least {least}")
+        if self.restarts < 0 or self.max_iterations < 1:
+            raise EgpError("restarts must be 0 or more and max_iterations 1 or more")
+        if not (0.0 < self.validation_fraction < 1.0):
+            raise EgpError(
+                f"validation_fraction is {self.validation_fraction}: expected between 0 and 1"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class FitProgress:
+    """One L-BFGS step of one fit: `done` of `total` iterations budgeted for the whole library."""
+
+    stage: str
+    loss: float
+    done: int
+    total: int
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TrainedMember:
+    """One surface's processes with the scaling around them."""
+
+    dataset: Dataset
+    """The training part of the data (before the subset), whose hash and bounds are exported."""
+    validation: Dataset
+    """The trajectories held out."""
+    inputs: NDArray[np.float64]
+    """The chosen transitions' inputs (M, 6) and targets (M, 3), physical units."""
+    targets: NDArray[np.float64]
+    input_mean: NDArray[np.float64]
+    input_std: NDArray[np.float64]
+    target_mean: NDArray[np.float64]
+    """Of the targets less the vehicle's part, like their standard deviations."""
+    target_std: NDArray[np.float64]
+    processes: tuple[OutputProcess, ...]
+    single_track: NDArray[np.float64] | None
+    """Parameters (17,) of the vehicle that the processes are added to."""
+
+    def predict(
+        self, z: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Mean (n, 3), autograd Jacobian (n, 3, 6) and latent variance (n, 3), physical units."""
+        device = self.processes[0].inputs.device
+        query = torch.tensor(z, dtype=torch.float64, device=device, requires_grad=True)
+        scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
+        mean, variance = np.empty((len(z), NY)), np.empty((len(z), NY))
+        jacobian = np.empty((len(z), NY, NZ))
+        known = query.new_zeros((len(z), NY))
+        if self.single_track is not None:
+            vehicle, dt = query.new_tensor(self.single_track), self.dataset.provenance.dt
+            known = prior_mean.change(query, vehicle, dt)
+        with exact():
+            for j, process in enumerate(self.processes):
+                posterior = process(scaled)
+                f = posterior.mean * self.target_std[j] + self.target_mean[j] + known[:, j]
+                # Row i of the mean depends on row i of the query only, so one backward pass of
+                # the sum gives all rows' gradients.
+                (gradient,) = torch.autograd.grad(f.sum(), query, retain_graph=True)
+                mean[:, j] = f.detach().cpu().numpy()
+                variance[:, j] = posterior.variance.detach().cpu().numpy() * self.target_std[j] ** 2
+                jacobian[:, j] = gradient.cpu().numpy()
+        return mean, jacobian, variance
+
+
+def split(dataset: Dataset, fraction: float, rng: np.random.Generator) -> tuple[Dataset, Dataset]:
+    """Split by trajectory into training and validation; neighbours in time stay together.
+
+    Raises:
+        EgpError: when there are fewer than two trajectories.
+
+    """
+    trajectories = np.unique(dataset.trajectory)
+    if len(trajectories) < 2:  # noqa: PLR2004
+        raise EgpError(
+            f"surface {dataset.provenance.surface} has one trajectory: validation needs at least "
+            "two (collect more seeds, or split the log where it was interrupted)"
+        )
+    count = min(max(1, round(fraction * len(trajectories))), len(trajectories) - 1)
+    held_out = np.isin(dataset.trajectory, rng.choice(trajectories, count, replace=False))
+    return dataset.select(~held_out), dataset.select(held_out)
+
+
+def train(
+    datasets: Sequence[Dataset],
+    settings: TrainingSettings,
+    report: Callable[[FitProgress], None] = lambda _: None,
+) -> list[TrainedMember]:
+    """Train one member per surface label, ordered by friction and label.
+
+    Raises:
+        EgpError: when datasets differ in dt or vehicle, or the fit fails.
+
+    """
+    surfaces: dict[tuple[float, str], list[Dataset]] = {}
+    for dataset in datasets:
+        key = (dataset.provenance.friction, dataset.provenance.surface)
+        surfaces.setdefault(key, []).append(dataset)
+    _check_consistent([parts[0].provenance.surface for parts in surfaces.values()], datasets)
+    budget = len(surfaces) * (settings.restarts + 2) * settings.max_iterations
+    members: list[TrainedMember] = []
+    with _threads(settings.max_points):
+        for number, (_, parts) in enumerate(sorted(surfaces.items())):
+            rng = np.random.default_rng([settings.seed, number])
+            offset = number * budget // len(surfaces)
+            members.append(_train_member(merge(parts), settings, rng, (offset, budget), report))
+    return members
+
+
+@contextlib.contextmanager
+def _threads(points: int) -> Iterator[None]:
+    """Factor small matrices on one thread: the others would only spin, and cost other programs."""
+    before = torch.get_num_threads()
+    if points <= _ONE_THREAD:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _check_consistent(labels: list[str], datasets: Sequence[Dataset]) -> None:
+    if not labels:
+        raise EgpError("no datasets: give at least one Parquet file")
+    if len(set(labels)) < len(labels):
+        raise EgpError("two frictions share a surface label: give each surface its own label")
+    first = datasets[0].provenance
+    for other in (dataset.provenance for dataset in datasets):
+        if (other.dt, other.vehicle) != (first.dt, first.vehicle):
+            raise EgpError(
+                f"surface {other.surface} was recorded at dt {other.dt} with vehicle "
+                f"{other.vehicle}, surface {first.surface} at dt {first.dt} with vehicle "
+                f"{first.vehicle}: one library has one dt and one vehicle"
+            )
+
+
+def _train_member(
+    dataset: Dataset,
+    settings: TrainingSettings,
+    rng: np.random.Generator,
+    progress: tuple[int, int],
+    report: Callable[[FitProgress], None],
+) -> TrainedMember:
+    data, validation = split(dataset, settings.validation_fraction, rng)
+    label = dataset.provenance.surface
+    input_mean, input_std = data.z.mean(axis=0), _spread(data.z, GP_INPUT, label)
+    _spread(data.y, GP_OUTPUT, label)
+    vehicle, rest, bounds = None, data.y, WHOLE_CHANGES
+    if settings.mean == "single-track":
+        vehicle = prior_mean.fit(data.z, data.y, data.provenance.dt, rng)
+        rest = data.y - prior_mean.predict(data.z, vehicle, data.provenance.dt)
+        bounds = CORRECTIONS
+    target_mean, target_std = rest.mean(axis=0), _spread(rest, GP_OUTPUT, label)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    z = torch.tensor((data.z - input_mean) / input_std, dtype=torch.float64, device=device)
+    y = torch.tensor((rest - target_mean) / target_std, dtype=torch.float64, device=device)
+    offset, total = progress
+
+    def fit_all(
+        rows: NDArray[np.int64], starts: list[list[Hyperparameters]], done: int, stage: str
+    ) -> list[OutputProcess]:
+        processes = [
+            OutputProcess(z[rows], y[rows, j].contiguous(), settings.kernel, bounds)
+            for j in range(NY)
+        ]
+        together = [range(NY)] if vehicle is not None else [range(j, j + 1) for j in range(NY)]
+        for number, outputs in enumerate(together):
+            group = [processes[j] for j in outputs]
+            share_kernel(group)
+            before = number * len(starts) * settings.max_iterations
+            names = ", ".join(list(GP_OUTPUT)[j] for j in outputs)
+
+            def on_step(step: FitStep, before: int = before, names: str = names) -> None:
+                at = before + step.start * settings.max_iterations + step.iteration
+                at = done + math.ceil(at / len(together))
+                report(FitProgress(f"{label}: {stage} fit of {names}", step.loss, at, total))
+
+            own = [[start[j] for j in outputs] for start in starts]
+            fit(group, own, settings.max_iterations, on_step)
+        return processes
+
+    first_rows = np.sort(rng.permutation(len(data))[: settings.first_points])
+    first = fit_all(first_rows, [[_START] * NY], offset, "first")
+    rows = select(z, first, settings.max_points, rng)
+    starts = [
+        [process.hyperparameters for process in first],
+        *([_random_start(rng) for _ in range(NY)] for _ in range(settings.restarts)),
+    ]
+    processes = fit_all(rows, starts, offset + settings.max_iterations, "final")
+    return TrainedMember(
+        dataset=data,
+        validation=validation,
+        inputs=data.z[rows],
+        targets=data.y[rows],
+        input_mean=input_mean,
+        input_std=input_std,
+        target_mean=target_mean,
+        target_std=target_std,
+        processes=tuple(processes),
+        single_track=vehicle,
+    )
+
+
+# What is left over one period is close to linear in z: long lengthscales, little noise. Bounds move
+# this and the random starts inside.
+_START: Final = Hyperparameters(lengthscales=(3.0,) * NZ, outputscale=3.0, noise=1e-2, constant=0.0)
+
+
+def _random_start(rng: np.random.Generator) -> Hyperparameters:
+    return Hyperparameters(
+        lengthscales=tuple(np.exp(rng.uniform(np.log(1.0), np.log(10.0), NZ))),
+        outputscale=float(np.exp(rng.uniform(0.0, np.log(10.0)))),
+        noise=float(np.exp(rng.uniform(np.log(1e-4), np.log(1e-1)))),
+        constant=0.0,
+    )
+
+
+def _spread(values: NDArray[np.float64], names: dict[str, str], label: str) -> NDArray[np.float64]:
+    """Return the standard deviation per column; a constant column teaches nothing."""
+    std: NDArray[np.float64] = values.std(axis=0)
+    for name, s in zip(names, std, strict=True):
+        if not s > 1e-9:  # noqa: PLR2004 - rounding noise of a constant
+            raise EgpError(f"surface {label}: {name} never changes; the data must excite it")
+    return std

@@ -1,0 +1,105 @@
+"""The validation matrix: how well each member of a library predicts each surface.
+
+Computed from the library file itself, by the code that will control with it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service._core import EgpError
+from egp_service.quantities import NY
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from egp_service._core import Library
+    from egp_service.data.dataset import Dataset
+
+# Exact variances cost a triangular solve each; more rows than this change the third digit.
+_MAX_ROWS: Final = 3000
+_QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Cell:
+    """One member on one surface; arrays hold one value per output."""
+
+    member: str
+    surface: str
+    rmse: NDArray[np.float64]
+    """Root mean square error over one period, output units."""
+    nlpd: NDArray[np.float64]
+    """Mean negative log predictive density, nats; lower is better."""
+    coverage: NDArray[np.float64]
+    """Share of outcomes inside the 95 % interval; 0.95 is right."""
+    rollout: NDArray[np.float64]
+    """Root mean square error of `[v_x, v_y, omega]` after `ROLLOUT` seconds of own predictions."""
+
+
+ROLLOUT: Final = 1.0
+
+
+def validate(library: Library, surfaces: Mapping[str, Dataset]) -> list[list[Cell]]:
+    """Judge every member (rows) on every surface's held-out data (columns).
+
+    Raises:
+        EgpError: when a dataset's dt is not the library's.
+
+    """
+    for name, dataset in surfaces.items():
+        if dataset.provenance.dt != library.dt:
+            raise EgpError(
+                f"surface {name} has dt {dataset.provenance.dt:g} s, the library {library.dt:g} s"
+            )
+    return [
+        [_cell(library, index, name, dataset) for name, dataset in surfaces.items()]
+        for index in range(len(library.members))
+    ]
+
+
+def _cell(library: Library, index: int, surface: str, dataset: Dataset) -> Cell:
+    member = library.members[index]
+    rows = np.linspace(0, len(dataset) - 1, min(len(dataset), _MAX_ROWS)).astype(int)
+    mean, _, variance = library.predict(dataset.z[rows], index)
+    variance = variance + member.noise_std**2
+    error = dataset.y[rows] - mean
+    nlpd = 0.5 * (np.log(2.0 * np.pi * variance) + error**2 / variance)
+    return Cell(
+        member=member.label,
+        surface=surface,
+        rmse=np.sqrt(np.mean(error**2, axis=0)),
+        nlpd=nlpd.mean(axis=0),
+        coverage=np.mean(np.abs(error) < _QUANTILE * np.sqrt(variance), axis=0),
+        rollout=rollout_error(library, index, dataset, round(ROLLOUT / library.dt)),
+    )
+
+
+def rollout_error(
+    library: Library, index: int, dataset: Dataset, periods: int
+) -> NDArray[np.float64]:
+    """Return the RMS error of `[v_x, v_y, omega]` after `periods` of prediction upon prediction.
+
+    Inputs and steering angles are those of the data. Starts are every fifth row whose trajectory
+    goes on long enough; without any the result is NaN.
+    """
+    last = np.arange(periods - 1, len(dataset))
+    first = last - (periods - 1)
+    unbroken = (dataset.trajectory[first] == dataset.trajectory[last]) & (
+        dataset.step[last].astype(np.int64) - dataset.step[first] == periods - 1
+    )
+    start = first[unbroken][::5][:_MAX_ROWS]
+    if len(start) == 0:
+        return np.full(NY, np.nan)
+    state = dataset.z[start, :NY]
+    for k in range(periods):
+        z = np.hstack([state, dataset.z[start + k, NY:]])
+        state = state + library.predict(z, index)[0]
+    end = start + periods - 1
+    error = state - (dataset.z[end, :NY] + dataset.y[end])
+    return np.asarray(np.sqrt(np.mean(error**2, axis=0)))

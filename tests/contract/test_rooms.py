@@ -1,0 +1,92 @@
+"""Importing one room of the Python package loads only the libraries that this room needs."""
+
+from __future__ import annotations
+
+import json
+import pkgutil
+import subprocess
+import sys
+
+import pytest
+
+import egp_service
+
+# Libraries that take long to import or come with an extra.
+WATCHED = {
+    "botorch", "cvxpy", "gpytorch", "joblib", "matplotlib", "mcap", "osqp", "polars", "ray", "rich",
+    "scipy", "torch", "typer", "zenoh",
+}  # fmt: skip
+TRAINING = {"torch", "gpytorch", "botorch", "scipy", "polars", "joblib"}
+TERMINAL = {"rich", "typer"}
+# What each room may load. A module in a line of its own is an exception in its room.
+MAY_LOAD = {
+    "egp_service": set(),
+    "egp_service.quantities": set(),
+    "egp_service.files": set(),
+    "egp_service.shipped": set(),
+    "egp_service.workers": {"joblib"},
+    "egp_service.control": set(),
+    "egp_service.control.client": {"zenoh"},
+    "egp_service.simulation": {"mcap"},
+    "egp_service.simulation.report": {"matplotlib"},
+    "egp_service.data": {"polars", "joblib"},
+    "egp_service.training": TRAINING | {"mcap"},
+    "egp_service.training.validation_report": {"matplotlib"},
+    "egp_service.evaluation": TRAINING | {"mcap", "matplotlib", "cvxpy", "osqp"},
+    "egp_service.cli": TERMINAL,
+    "egp_service.cli.backends": TERMINAL | {"zenoh"},
+    "egp_service.cli.demo": TERMINAL | {"zenoh", "mcap"},
+}
+
+LOAD = """
+import importlib, json, sys
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})))
+"""
+
+
+def loaded_by(modules: list[str]) -> set[str]:
+    """Import modules in a fresh interpreter: the watched libraries that this loads."""
+    command = [sys.executable, "-c", LOAD, *modules]
+    output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return WATCHED & set(json.loads(output))
+
+
+def rule_of(module: str) -> str:
+    """Find the most specific line of `MAY_LOAD` for a module."""
+    while module not in MAY_LOAD:
+        module = module.rpartition(".")[0]
+    return module
+
+
+def modules_by_rule() -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {"egp_service": ["egp_service"]}
+    for module in pkgutil.walk_packages(egp_service.__path__, "egp_service."):
+        if module.name not in {"egp_service.__main__", "egp_service._core"}:
+            found.setdefault(rule_of(module.name), []).append(module.name)
+    return found
+
+
+MODULES = modules_by_rule()
+
+
+def test_every_room_has_its_own_rule() -> None:
+    assert set(MODULES) == set(MAY_LOAD)
+    assert MODULES["egp_service"] == ["egp_service"], "a new room needs its rule here"
+
+
+@pytest.mark.parametrize("rule", MODULES)
+def test_a_room_loads_only_what_it_needs(rule: str) -> None:
+    assert loaded_by(MODULES[rule]) <= MAY_LOAD[rule]
+
+
+@pytest.mark.parametrize("name", egp_service.__all__)
+def test_every_public_name_is_there(name: str) -> None:
+    assert getattr(egp_service, name).__name__ == name
+    assert name in dir(egp_service)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="nonsense"):
+        getattr(egp_service, "nonsense")  # noqa: B009 - mypy would see a missing attribute
