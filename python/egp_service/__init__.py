@@ -13,11 +13,11 @@ from egp_service._core import EgpError, Library, Path, Plant, SpeedProfile, hori
 if TYPE_CHECKING:
     from egp_service.control.client import VehicleClient
     from egp_service.control.controller import Controller
-    from egp_service.control.stepper import Step
+    from egp_service.control.step import Step
 else:
     _MODULES: Final = {
         "Controller": "egp_service.control.controller",
-        "Step": "egp_service.control.stepper",
+        "Step": "egp_service.control.step",
         "VehicleClient": "egp_service.control.client",
     }
 

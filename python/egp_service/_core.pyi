@@ -10,12 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = [
     "LIVE_KEYS",
     "AffineOcp",
-    "Carry",
     "Command",
+    "Decision",
+    "Discovery",
+    "Driver",
     "EgpError",
     "Engine",
     "FrictionMap",
     "Gate",
+    "InProcessDriver",
+    "InvalidArgumentError",
     "Library",
     "LibraryError",
     "Member",
@@ -26,8 +30,10 @@ __all__ = [
     "Path",
     "Plant",
     "Projection",
+    "Query",
     "Ready",
     "Refusal",
+    "RefusedError",
     "Reply",
     "Request",
     "Server",
@@ -47,7 +53,6 @@ __all__ = [
     "plant_derivative",
     "plant_initial_states",
     "plant_step_batch",
-    "rank_replicas",
     "ready_key",
     "replica_of_live",
     "serve",
@@ -61,7 +66,167 @@ __all__ = [
 # error.rs
 
 class EgpError(ValueError):
-    """A refused input or a failed computation; the message says what was expected and what came."""
+    """An input that cannot be used or a computation that failed; the message says why."""
+
+class InvalidArgumentError(EgpError):
+    """An argument of the wrong shape, or with a value outside its domain."""
+
+class RefusedError(EgpError):
+    """The control step answered a request with an error; the message begins with its code."""
+
+# driver.rs
+
+@final
+class Query:
+    """A question to a replica, to be sent as it is; its answer is told with its `id`."""
+
+    @property
+    def id(self) -> int:
+        """Names the query to the driver."""
+    @property
+    def replica(self) -> str:
+        """Who is asked."""
+    @property
+    def key(self) -> str:
+        """Key of the zenoh query."""
+    @property
+    def payload(self) -> bytes:
+        """Bytes to send."""
+    @property
+    def listen(self) -> float:
+        """How long to listen for the answer, s."""
+
+@final
+class Decision:
+    """What one control period brought; `egp_service.Step` has the same fields and more."""
+
+    @property
+    def u(self) -> NDArray[np.float64]:
+        """Force [N] and steering rate [rad/s] for the actuators (2,)."""
+    @property
+    def mode(self) -> Literal["normal", "tail", "stop", "waiting"]:
+        """Where the command comes from."""
+    @property
+    def limited(self) -> bool:
+        """Whether a limit changed what the plan asked for."""
+    @property
+    def status(self) -> str:
+        """The outcome in one word."""
+    @property
+    def detail(self) -> str:
+        """Why there is no plan, or why the vehicle counts as lost; empty otherwise."""
+    @property
+    def lost(self) -> bool:
+        """Whether the vehicle counts as lost and is therefore stopped."""
+    @property
+    def envelope_distance(self) -> float:
+        """Distance of the state from the library's training data, in half widths; 0 inside."""
+    @property
+    def plan_x(self) -> NDArray[np.float64] | None:
+        """States of the new plan (T+1, 7)."""
+    @property
+    def plan_u(self) -> NDArray[np.float64] | None:
+        """Inputs of the new plan (T, 2)."""
+    @property
+    def sigma(self) -> NDArray[np.float64] | None:
+        """Standard deviations along the plan (T+1, 3)."""
+    @property
+    def replica(self) -> str:
+        """Who replied, or who was asked last."""
+    @property
+    def request(self) -> bytes:
+        """Bytes of the request; empty when none was made."""
+    @property
+    def reply(self) -> bytes | None:
+        """Bytes of this period's reply."""
+    @property
+    def late(self) -> list[bytes]:
+        """Replies to earlier requests that came since the last step."""
+    @property
+    def service_time(self) -> tuple[float, float]:
+        """Seconds in the service's queue and in its worker; zeros when unknown."""
+    @property
+    def asked(self) -> int:
+        """Number of replicas that were asked."""
+
+@final
+class Driver:
+    """Decides for one vehicle: which replica to ask, how long to wait, which replies to use.
+
+    A state machine without clock, network or threads. Tell it what happened, each time with the
+    time in s of a clock that does not run backwards, and carry out its actions. `ready` is what a
+    replica answered on its `ready` key, `gate` the settings of the gate, `budget` the part of the
+    control period that an answer may take. Raises `InvalidArgumentError` for values out of range.
+    """
+
+    def __new__(
+        cls,
+        ready: bytes,
+        *,
+        fleet: str,
+        vehicle: str,
+        gate: Mapping[str, float],
+        budget: float = 0.8,
+        want_sigma: bool = False,
+    ) -> Driver: ...
+    def replica_appeared(self, now: float, replica: str) -> None:
+        """Note that a replica announces itself."""
+    def replica_gone(self, now: float, replica: str) -> None:
+        """Note that a replica withdrew its announcement or was lost."""
+    def tick(
+        self,
+        now: float,
+        deadline: float,
+        x: NDArray[np.float64],
+        reference: NDArray[np.float64],
+        widths: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Open a control period at the measured state (7,), with a command due by `deadline`.
+
+        `reference` has rows [p_x, p_y, v_x, psi] (T+1, 4), `widths` rows [left, right] (T+1, 2).
+        Raises `InvalidArgumentError` when no request can be made of the arguments.
+        """
+    def wake(self, now: float) -> None:
+        """Decide the open period if its deadline has passed."""
+    def replied(self, now: float, query: int, payload: bytes, attachment: bytes) -> None:
+        """Note a reply and its attachment."""
+    def refused(self, now: float, query: int, error: bytes) -> None:
+        """Note an error reply."""
+    def ended(self, now: float, query: int) -> None:
+        """Note that no more answers to a query come."""
+    def next_action(self) -> Query | Decision | None:
+        """Give the next thing to do: a question to send, or the period's decision."""
+    @property
+    def budget(self) -> float:
+        """Seconds that an answer may take unless a period states its deadline."""
+    @property
+    def mode(self) -> Literal["normal", "tail", "stop", "waiting"]:
+        """Where the last command came from."""
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """Weights of the newest reply (N,); empty before the first."""
+    def hold_weights(self, weights: NDArray[np.float64]) -> None:
+        """Start the next request from these weights and carry no history from now on."""
+    def reset(self) -> None:
+        """Leave STOP and forget history, weights, plan and outstanding requests."""
+
+@final
+class Discovery:
+    """Finds a replica that is ready, asking those that announce themselves in turn."""
+
+    def __new__(cls, fleet: str, vehicle: str) -> Discovery: ...
+    def replica_appeared(self, replica: str) -> None:
+        """Note that a replica announces itself."""
+    def replica_gone(self, replica: str) -> None:
+        """Note that a replica withdrew its announcement or was lost."""
+    @property
+    def live(self) -> list[str]:
+        """The replicas that announce themselves."""
+    def next_question(self) -> tuple[str, str] | None:
+        """Give a replica to ask and the key; none when every one was asked in this round."""
+    @staticmethod
+    def is_ready(replica: str, answer: bytes) -> bool:
+        """Whether an answer describes a replica that is ready; `EgpError` when malformed."""
 
 # gate.rs
 
@@ -73,7 +238,7 @@ class Command:
     def u(self) -> tuple[float, float]:
         """Force [N] and steering rate [rad/s]."""
     @property
-    def mode(self) -> Literal["normal", "tail", "stop"]:
+    def mode(self) -> Literal["normal", "tail", "stop", "waiting"]:
         """Where it comes from."""
     @property
     def limited(self) -> bool:
@@ -81,7 +246,10 @@ class Command:
 
 @final
 class Gate:
-    """NORMAL → TAIL (rest of the last plan) → STOP (brakes, latched), with hard limits."""
+    """WAITING (brakes) → NORMAL → TAIL (rest of the last plan) → STOP (brakes, latched).
+
+    Every command lies inside hard limits of value and slew.
+    """
 
     def __new__(cls, dt: float, settings: Mapping[str, float] = ...) -> Gate: ...
     def accept(
@@ -93,7 +261,7 @@ class Gate:
     def reset(self) -> None:
         """Leave STOP and forget the old plan."""
     @property
-    def mode(self) -> Literal["normal", "tail", "stop"]:
+    def mode(self) -> Literal["normal", "tail", "stop", "waiting"]:
         """Where the last command came from."""
 
 # path.rs
@@ -800,7 +968,7 @@ class Engine:
         cls, library_path: str | PathLike[str], settings_toml: str = "", *, cores: int = 1
     ) -> Engine: ...
     def step(self, request: bytes) -> bytes:
-        """Answer one request, without the GIL; `EgpError` begins with the code of the refusal."""
+        """Answer one request, without the GIL; `RefusedError` begins with the code of the error."""
     @property
     def dt(self) -> float:
         """Control period in s."""
@@ -817,8 +985,42 @@ class Engine:
     def members(self) -> list[str]:
         """Surfaces, in the order of the weights."""
     @property
+    def ready(self) -> bytes:
+        """Bytes of the Ready message that a replica with this engine would answer."""
+    @property
     def settings_toml(self) -> str:
         """All settings, defaults included."""
+
+@final
+class InProcessDriver:
+    """A `Driver` whose answers an engine of this process computes."""
+
+    def __new__(
+        cls, engine: Engine, *, gate: Mapping[str, float], want_sigma: bool = False
+    ) -> InProcessDriver: ...
+    def step(
+        self,
+        budget: float,
+        x: NDArray[np.float64],
+        reference: NDArray[np.float64],
+        widths: NDArray[np.float64] | None = None,
+    ) -> Decision:
+        """Decide one control period; see `Driver.tick`. `budget` is only stated in the request."""
+    @property
+    def budget(self) -> float:
+        """Seconds that requests state unless a period has its own."""
+    @property
+    def mode(self) -> Literal["normal", "tail", "stop", "waiting"]:
+        """Where the last command came from."""
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """Weights of the newest reply (N,); empty before the first."""
+    def start_from(self, weights: NDArray[np.float64]) -> None:
+        """Start the next request from these weights instead of the last reply's."""
+    def hold_weights(self, weights: NDArray[np.float64]) -> None:
+        """Start the next request from these weights and carry no history from now on."""
+    def reset(self) -> None:
+        """Leave STOP and forget history, weights and plan."""
 
 @final
 class Server:
@@ -840,48 +1042,6 @@ def serve(config_toml: str) -> None:
 
 LIVE_KEYS: str
 """Key expression of the liveliness tokens of all replicas."""
-
-@final
-class Carry:
-    """What a client keeps between steps: history, weights, plan and the input being applied.
-
-    Once per control period: `request` with the measured state, `accept` when a reply comes (late
-    ones too), `applied` with what went to the actuators. `library` is the SHA-256 of the library
-    file, `history` the number of transitions to keep.
-    """
-
-    def __new__(cls, library: bytes, history: int = 25) -> Carry: ...
-    def request(
-        self,
-        x: NDArray[np.float64],
-        reference: NDArray[np.float64],
-        widths: NDArray[np.float64] | None = None,
-        *,
-        budget_us: int,
-        want_sigma: bool = False,
-    ) -> bytes:
-        """Open a control period and give the request's bytes; call it exactly once a period.
-
-        `x` is the measured state (7), `reference` has rows [p_x, p_y, v_x, psi] (T+1, 4), `widths`
-        rows [left, right] in m (T+1, 2). Raises `EgpError` naming a field that is refused.
-        """
-    def accept(self, reply: bytes) -> bool:
-        """Take over what a reply brings; false when it is older than the last one."""
-    def applied(self, u: Sequence[float]) -> None:
-        """Note the input [F_x, delta_dot] that goes to the actuators for the period that begins."""
-    def reset(self) -> None:
-        """Forget everything but the sequence number, as after the vehicle was moved."""
-    @property
-    def sequence(self) -> int:
-        """Number of the last request."""
-    @property
-    def weights(self) -> NDArray[np.float64]:
-        """Weights of the newest reply (N,); empty before the first.
-
-        Set them to start from others; without history (K = 0) they then stay as they are.
-        """
-    @weights.setter
-    def weights(self, weights: NDArray[np.float64]) -> None: ...
 
 @final
 class Request:
@@ -1005,6 +1165,9 @@ class Ready:
     @property
     def members(self) -> list[str]:
         """Surfaces, in the order of the weights."""
+    @property
+    def envelope(self) -> list[list[float]]:
+        """Smallest and largest GP input [v_x, v_y, omega, delta, F_x, delta_dot] trained on."""
 
 def decode_request(data: bytes) -> Request:
     """Read and validate a StepRequest; `EgpError` names the field at fault."""
@@ -1057,5 +1220,3 @@ def live_key(replica: str) -> str:
 def replica_of_live(key: str) -> str | None:
     """Name of the replica a liveliness token belongs to."""
 
-def rank_replicas(fleet: str, vehicle: str, replicas: Sequence[str]) -> list[str]:
-    """Order the replicas as this vehicle tries them (rendezvous hashing)."""

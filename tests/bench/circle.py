@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import Carry, Engine, Library, MemberData, decode_reply, write_library
+from egp_service._core import Engine, InProcessDriver, Library, MemberData, write_library
 
 sys.path.append(str(Path(__file__).parents[1]))
 from library_example import member_arrays
@@ -77,8 +77,8 @@ def drive(
     library, engine = Library.load(path), Engine(str(path), settings)
     if weights is None:
         weights = blend(len(library.members))
-    carry = Carry(bytes.fromhex(library.id), WINDOW)
-    carry.weights = weights
+    driver = InProcessDriver(engine, gate={}, want_sigma=want_sigma)
+    driver.start_from(weights)
     x = np.array([0.0, -0.5, 13.0, 0.0, 0.0, 0.2, 0.03])
     stages = np.arange(HORIZON + 1)
     requests = []
@@ -86,16 +86,10 @@ def drive(
         ahead = np.arctan2(x[0], RADIUS - x[1]) + SPEED * library.dt * stages / RADIUS
         place = RADIUS * np.stack([np.sin(ahead), 1.0 - np.cos(ahead)])
         reference = np.stack([*place, np.full(HORIZON + 1, SPEED), ahead], axis=1)
-        request = carry.request(
-            x, reference, np.full((HORIZON + 1, 2), 3.0), budget_us=1_000_000, want_sigma=want_sigma
-        )
-        reply = engine.step(request)
-        carry.accept(reply)
+        decision = driver.step(1.0, x, reference, np.full((HORIZON + 1, 2), 3.0))
         if period > WINDOW:
-            requests.append(request)
-        u = decode_reply(reply).plan_u[0]
-        carry.applied((float(u[0]), float(u[1])))
-        x = follow(library, weights, x, u)
+            requests.append(decision.request)
+        x = follow(library, weights, x, decision.u)
     return requests
 
 

@@ -31,7 +31,7 @@ from egp_service.simulation.scenario import (
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from egp_service.control.stepper import Step
+    from egp_service.control.step import Step
 
 # Of inputs in m/s^2 and rad/s.
 TOLERANCE = 1e-6

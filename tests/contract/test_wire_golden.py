@@ -93,6 +93,9 @@ READY = {
     "horizon": 20,
     "history": 10,
     "members": ["dry", "wet"],
+    "envelope": np.array(
+        [[1.0, -5.0, -1.5, -0.5, -8192.0, -0.5], [30.0, 5.0, 1.5, 0.5, 4096.0, 0.5]]
+    ),
 }
 TIMING = {"queue_us": 120, "step_us": 2400}
 
@@ -137,9 +140,8 @@ def test_the_extension_reads_the_small_messages() -> None:
     refusal = _core.decode_error(golden("error"))
     assert (refusal.code, refusal.field, refusal.retryable) == ("invalid_field", "x", False)
     ready = _core.decode_ready(golden("ready"))
-    assert {name: getattr(ready, name) for name in READY if name != "version"} == {
-        name: value for name, value in READY.items() if name != "version"
-    }
+    for field in READY.keys() - {"version"}:
+        np.testing.assert_array_equal(getattr(ready, field), READY[field])
     assert _core.decode_timing(golden("timing")) == (120, 2400)
 
 
@@ -149,17 +151,29 @@ def test_a_client_in_another_language_is_told_which_field_is_wrong() -> None:
         _core.decode_request(request.SerializeToString())
 
 
-def test_the_carry_makes_requests_that_google_protobuf_reads() -> None:
-    carry = _core.Carry(LIBRARY, history=3)
-    reference = ramp((5, 4), 10.0, 0.5)
-    carry.request(np.array([0, 0, 10.0, 0, 0, 0, 0]), reference, budget_us=1000)
-    carry.applied([100.0, 0.5])
-    data = carry.request(np.array([0, 0, 10.5, 0, 0, 0, 0]), reference, budget_us=1000)
-    history = message("StepRequest").FromString(data).history_z
+def test_the_driver_makes_requests_that_google_protobuf_reads() -> None:
+    driver = _core.Driver(golden("ready"), fleet="depot", vehicle="car-7", gate={})
+    driver.replica_appeared(0.0, "garage-1")
+    reference = np.zeros((21, 4))
+    reference[:, 0] = 0.5 * np.arange(21)
+    requests = []
+    for tick, v_x in enumerate((10.0, 10.5)):
+        driver.tick(0.05 * tick, 0.05 * tick + 0.04, np.array([0, 0, v_x, 0, 0, 0, 0]), reference)
+        query = driver.next_action()
+        assert isinstance(query, _core.Query)
+        assert query.key == "egp/v1/r/garage-1/depot/car-7/step"
+        requests.append(message("StepRequest").FromString(query.payload))
+        driver.wake(0.05 * tick + 0.04)
+        decision = driver.next_action()
+        assert isinstance(decision, _core.Decision)
+        assert (decision.mode, decision.status) == ("waiting", "late")
+    history = requests[1].history_z
     assert list(history.shape) == [1, 6]
-    assert np.frombuffer(history.data, "<f8").tolist() == [10.0, 0.0, 0.0, 0.0, 100.0, 0.5]
-    with pytest.raises(_core.EgpError, match="reference"):
-        carry.request(np.zeros(7), reference[:1], budget_us=1000)
+    force = decision.u[0] / 2  # the stop approaches its force by equal steps
+    assert np.frombuffer(history.data, "<f8").tolist() == [10.0, 0.0, 0.0, 0.0, force, 0.0]
+    assert [request.budget_us for request in requests] == [40_000, 40_000]
+    with pytest.raises(_core.InvalidArgumentError, match="reference: expected 21 rows"):
+        driver.tick(1.0, 1.04, np.zeros(7), reference[:1])
 
 
 def test_plant_truth_is_plain_numbers() -> None:

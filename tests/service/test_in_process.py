@@ -60,11 +60,10 @@ def wait_until_alive(session: Any) -> None:  # noqa: ANN401
 
 
 def first_request(engine: _core.Engine) -> bytes:
-    carry = _core.Carry(engine.library_id, engine.history)
     way = 12.0 * engine.dt * np.arange(engine.horizon + 1)
     reference = np.column_stack([way, 0 * way, 12.0 + 0 * way, 0 * way])
     x = np.array([0.0, 0.3, 12.0, 0.0, 0.0, 0.0, 0.0])
-    return carry.request(x, reference, budget_us=5_000_000)
+    return _core.InProcessDriver(engine, gate={}).step(5.0, x, reference).request
 
 
 def test_the_service_replies_with_the_engines_bytes(endpoint: str, client: Any) -> None:  # noqa: ANN401
@@ -98,7 +97,7 @@ def test_refusals_are_typed(endpoint: str, client: Any) -> None:  # noqa: ANN401
 
 def test_the_engine_raises_what_the_service_would_answer() -> None:
     engine = _core.Engine(LIBRARY, "horizon = 15")
-    with pytest.raises(_core.EgpError, match=r"invalid_field: reference: .*\[T\+1, 4\]"):
+    with pytest.raises(_core.RefusedError, match=r"invalid_field: reference: .*\[T\+1, 4\]"):
         engine.step(first_request(_core.Engine(LIBRARY)))
     with pytest.raises(_core.EgpError, match="horizn"):
         _core.Engine(LIBRARY, "horizn = 15")

@@ -12,17 +12,17 @@ from egp_service.simulation.scenario import library_path
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from egp_service.control.stepper import Stepper
+    from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
 
 
-def remote_stepper(scenario: Scenario, endpoint: str) -> VehicleClient:
+def remote_controller(scenario: Scenario, endpoint: str) -> VehicleClient:
     """Ask a running service; its library and settings count, not the scenario's."""
     return VehicleClient.connect([endpoint], gate=scenario.gate)
 
 
 @contextmanager
-def service_stepper(scenario: Scenario) -> Iterator[Stepper]:
+def service_controller(scenario: Scenario) -> Iterator[StepController]:
     """Ask a service started for this purpose in its own process."""
     with (
         ServiceProcess(library_path(scenario), scenario.control) as service,

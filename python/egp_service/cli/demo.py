@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from egp_service._core import Library, write_library_subset
-from egp_service.cli.backends import service_stepper
+from egp_service.cli.backends import service_controller
 from egp_service.simulation.runs import record_run
 from egp_service.simulation.scenario import library_path, load_scenario
 
@@ -51,7 +51,7 @@ def drive_laps(
             place.mkdir(parents=True)
             write_library_subset(source, path, [number - 1])
         chosen = replace(scenario, library=str(path))
-        with service_stepper(chosen) as stepper:
-            run = record_run(chosen, stepper, place, partial(observe, label))
+        with service_controller(chosen) as controller:
+            run = record_run(chosen, controller, place, partial(observe, label))
         laps.append(Lap(label, run, place))
     return laps

@@ -1,240 +1,238 @@
-"""The control step asked of the service over zenoh."""
+"""The control step asked of the service over zenoh.
+
+The driver of the Rust core decides; here its actions are carried out and it is told what happened.
+"""
 
 from __future__ import annotations
 
 import json
 import queue
-import threading
 import time
-from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import zenoh
 
 from egp_service._core import (
     LIVE_KEYS,
+    Decision,
+    Discovery,
+    Driver,
     EgpError,
-    decode_error,
+    InvalidArgumentError,
     decode_ready,
-    decode_timing,
-    rank_replicas,
-    ready_key,
     replica_of_live,
-    step_key,
 )
-from egp_service.control.stepper import MICROSECONDS, Answer, Stepper
+from egp_service.control.step import Step, StepController, rows
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from egp_service._core import Ready, Refusal
+    from numpy.typing import ArrayLike
+
+    from egp_service._core import Query
 
 REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
-
-# A reply later than this and the deadline is of no use to anybody: the plan's tail has ended.
-_QUERY_SECONDS = 1.0
+# How long a replica may take to say what it serves, and time between two rounds of asking.
+_QUESTION_SECONDS = 1.0
+_POLL_SECONDS = 0.05
+# Larger than any message of the service; a larger one must not take the time of a deadline.
+_MAX_MESSAGE_BYTES = 1 << 20
 
 
 class ServiceUnreachableError(EgpError):
     """No replica of the service answered."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Message:
-    """What zenoh's thread hands over: a reply, an error, or the end of a query."""
-
-    sequence: int
-    replica: str
-    kind: str
-    payload: bytes = b""
-    attachment: bytes = b""
-    refusal: Refusal | None = None
-
-
-class VehicleClient(Stepper):
+class VehicleClient(StepController):
     """Drive with the service; make one with `VehicleClient.connect`.
 
-    Asks the replica that a rendezvous hash of the vehicle prefers among those alive, and the
-    next one when nobody is there. A missing answer costs at most the deadline of the step, then the
-    gate takes over; when the service returns it is found again by itself, and `reset()` drives on.
+    A missing answer costs at most the deadline of the step, then the gate takes over. When the
+    service returns it is found again by itself, and `reset()` drives on.
     """
 
-    def __init__(
-        self,
-        session: zenoh.Session,
-        replicas: Replicas,
-        ready: Ready,
-        *,
-        fleet: str,
-        vehicle: str,
-        gate: Mapping[str, float] | None = None,
-        want_sigma: bool = False,
-    ) -> None:
-        """Take over an open session; `ready` is what a replica said about its library."""
-        super().__init__(
-            library=ready.library,
-            dt=ready.dt,
-            horizon=ready.horizon,
-            history=ready.history,
-            members=ready.members,
-            gate=gate or {},
-            want_sigma=want_sigma,
-        )
-        self._session = session
-        self._replicas = replicas
-        self._fleet, self._vehicle = fleet, vehicle
-        self._inbox: queue.SimpleQueue[_Message] = queue.SimpleQueue()
+    def __init__(self, network: Network, ready: bytes, driver: Driver) -> None:
+        """Take over an open network; `ready` is what a replica said about its library."""
+        served = decode_ready(ready)
+        self.library, self.members = served.library, served.members
+        self.dt, self.horizon = served.dt, served.horizon
+        self._network = network
+        self._driver = driver
 
     @classmethod
     def connect(
         cls,
-        endpoints: Sequence[str],
+        endpoints: str | Sequence[str],
         *,
         fleet: str = "default",
         vehicle: str = "vehicle-1",
         gate: Mapping[str, float] | None = None,
+        budget: float = 0.8,
         want_sigma: bool = False,
         timeout: float = 10.0,
         zenoh_config: Mapping[str, object] | None = None,
     ) -> Self:
         """Connect to zenoh at `endpoints`, such as `tcp/127.0.0.1:7447`, and ask for the library.
 
+        `budget` is the part of the control period that an answer may take, in (0, 1].
         `zenoh_config` holds more of zenoh's configuration by path, such as
-        `{"transport/link/tls/root_ca_certificate": "ca.pem"}`. Raises `ServiceUnreachableError`
+        `{"transport/link/tls/root_ca_certificate": "ca.pem"}`. Raises `InvalidArgumentError` for
+        names, gate settings or a configuration that cannot be used, and `ServiceUnreachableError`
         when no replica answers within `timeout` seconds.
         """
+        names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         deadline = time.monotonic() + timeout
+        discovery = Discovery(fleet, vehicle)
+        network = Network(names, timeout, zenoh_config or {})
         try:
-            session = zenoh.open(_session_config(endpoints, timeout, zenoh_config or {}))
-        except zenoh.ZError as error:
-            raise _unreachable(endpoints) from error
-        replicas = Replicas(session)
-        try:
-            ready = _first_ready(session, replicas, endpoints, deadline)
-            return cls(
-                session,
-                replicas,
+            ready = _first_ready(network, discovery, deadline)
+            if ready is None:
+                raise _unreachable(names)
+            driver = Driver(
                 ready,
                 fleet=fleet,
                 vehicle=vehicle,
-                gate=gate,
+                gate=dict(gate or {}),
+                budget=budget,
                 want_sigma=want_sigma,
             )
+            for replica in discovery.live:
+                driver.replica_appeared(time.monotonic(), replica)
+            return cls(network, ready, driver)
         except BaseException:
-            session.close()  # type: ignore[no-untyped-call]
+            network.close()
             raise
+
+    def step(
+        self,
+        x: ArrayLike,
+        reference: ArrayLike,
+        widths: ArrayLike | None = None,
+        *,
+        deadline: float | None = None,
+    ) -> Step:
+        """Give the command; see `StepController.step`."""
+        start = time.monotonic()
+        due = start + (self._driver.budget if deadline is None else deadline)
+        while (happened := self._network.next(0.0)) is not None:
+            happened(self._driver)
+        edges = None if widths is None else rows(widths)
+        self._driver.tick(start, due, rows(x), rows(reference), edges)
+        while True:
+            while (action := self._driver.next_action()) is not None:
+                if isinstance(action, Decision):
+                    total = time.monotonic() - start
+                    return Step.of(action, self._driver.weights, total)
+                self._network.ask(action)
+            happened = self._network.next(due - time.monotonic())
+            if happened is None:
+                self._driver.wake(time.monotonic())
+            else:
+                happened(self._driver)
+
+    def reset(self) -> None:
+        """Leave STOP and forget the past."""
+        self._driver.reset()
 
     def close(self) -> None:
         """Close the zenoh session."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        self._network.close()
 
-    def _ask(self, request: bytes, sequence: int, deadline: float) -> Answer:
-        late: list[bytes] = []
-        detail, refused = "no replica of the service is alive", False
-        for replica in rank_replicas(self._fleet, self._vehicle, self._replicas.alive()):
-            self._send(replica, request, sequence, deadline)
-            message = self._await(replica, sequence, deadline, late)
-            if message is None:
-                detail = f"replica {replica} did not answer in time"
-                break
-            if message.kind == "reply":
-                queue_us, step_us = decode_timing(message.attachment)
-                return Answer(
-                    message.payload,
-                    late=tuple(late),
-                    queue=queue_us / MICROSECONDS,
-                    compute=step_us / MICROSECONDS,
-                    replica=replica,
-                )
-            if message.refusal is not None:
-                error = message.refusal
-                detail, refused = f"replica {replica}: {error.code}: {error.detail}", True
-                if not error.retryable:
-                    break
-            else:
-                detail = f"replica {replica} is gone"
-        return Answer(None, late=tuple(late), detail=detail, refused=refused)
 
-    def _send(self, replica: str, request: bytes, sequence: int, deadline: float) -> None:
+class Network:
+    """A zenoh session, and what happens on it as calls for a driver, in order."""
+
+    def __init__(
+        self, endpoints: Sequence[str], timeout: float, more: Mapping[str, object]
+    ) -> None:
+        """Open the session and follow the replicas that announce themselves."""
+        config = _session_config(endpoints, timeout, more)
+        self._inbox: queue.SimpleQueue[Callable[[Driver], None]] = queue.SimpleQueue()
+        self._tokens: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
+        try:
+            self.session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise _unreachable(endpoints) from error
+        self._subscriber = self.session.liveliness().declare_subscriber(
+            LIVE_KEYS, zenoh.handlers.Callback(self._on_token, indirect=False), history=True
+        )
+
+    def next(self, patience: float) -> Callable[[Driver], None] | None:
+        """Give the next event, or none when nothing happens within `patience` seconds."""
+        try:
+            return self._inbox.get(timeout=max(patience, 0.0))
+        except queue.Empty:
+            return None
+
+    def tokens(self) -> list[tuple[str, bool]]:
+        """Replicas that appeared (true) or went (false) since the last call, in order."""
+        return [self._tokens.get() for _ in range(self._tokens.qsize())]
+
+    def ask(self, query: Query) -> None:
+        """Send a query, whose answers become events; one that cannot be sent ends at once."""
+
         def deliver(reply: zenoh.Reply) -> None:
-            sample, error = reply.ok, reply.err
+            now, sample, error = time.monotonic(), reply.ok, reply.err
             if sample is not None:
                 attachment = sample.attachment
                 extra = b"" if attachment is None else attachment.to_bytes()
                 payload = sample.payload.to_bytes()
-                self._inbox.put(_Message(sequence, replica, "reply", payload, extra))
+                self._inbox.put(lambda driver: driver.replied(now, query.id, payload, extra))
             elif error is not None:
-                # zenoh's own errors, a timeout above all, are silence, like an empty answer.
-                with suppress(EgpError):
-                    refusal = decode_error(error.payload.to_bytes())
-                    self._inbox.put(_Message(sequence, replica, "error", refusal=refusal))
+                payload = error.payload.to_bytes()
+                self._inbox.put(lambda driver: driver.refused(now, query.id, payload))
 
         def end() -> None:
-            self._inbox.put(_Message(sequence, replica, "end"))
+            now = time.monotonic()
+            self._inbox.put(lambda driver: driver.ended(now, query.id))
 
-        self._session.get(
-            step_key(replica, self._fleet, self._vehicle),
-            zenoh.handlers.Callback(deliver, end, indirect=False),
-            payload=request,
-            encoding=REQUEST_ENCODING,
-            timeout=max(_QUERY_SECONDS, deadline - time.perf_counter()),
-        )
+        try:
+            self.session.get(
+                query.key,
+                zenoh.handlers.Callback(deliver, end, indirect=False),
+                payload=query.payload,
+                encoding=REQUEST_ENCODING,
+                timeout=query.listen,
+            )
+        except zenoh.ZError:
+            end()
 
-    def _await(
-        self, replica: str, sequence: int, deadline: float, late: list[bytes]
-    ) -> _Message | None:
-        """First message about this request; replies to earlier ones go to `late`."""
-        while True:
-            remaining = deadline - time.perf_counter()
-            try:
-                message = self._inbox.get(timeout=max(remaining, 0.0))
-            except queue.Empty:
-                return None
-            if message.sequence == sequence and message.replica == replica:
-                return message
-            if message.kind == "reply":
-                late.append(message.payload)
+    def ask_and_wait(self, key: str) -> bytes | None:
+        """Give the payload of the first answer to a question, if one comes."""
+        for reply in self.session.get(key, timeout=_QUESTION_SECONDS):
+            if reply.ok is not None:
+                payload: bytes = reply.ok.payload.to_bytes()
+                return payload
+        return None
 
-
-class Replicas:
-    """The replicas alive now, by their liveliness tokens."""
-
-    def __init__(self, session: zenoh.Session) -> None:
-        """Follow the tokens of `session`, those already there included."""
-        self._lock = threading.Lock()
-        self._alive: set[str] = set()
-        self._subscriber = session.liveliness().declare_subscriber(
-            LIVE_KEYS, zenoh.handlers.Callback(self._on_token, indirect=False), history=True
-        )
-
-    def alive(self) -> list[str]:
-        """Names of the replicas, sorted."""
-        with self._lock:
-            return sorted(self._alive)
+    def close(self) -> None:
+        """Close the session."""
+        self.session.close()  # type: ignore[no-untyped-call]
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         replica = replica_of_live(str(sample.key_expr))
         if replica is None:
             return
-        with self._lock:
-            if sample.kind == zenoh.SampleKind.PUT:
-                self._alive.add(replica)
-            else:
-                self._alive.discard(replica)
+        appeared = sample.kind == zenoh.SampleKind.PUT
+        self._tokens.put((replica, appeared))
+        event = Driver.replica_appeared if appeared else Driver.replica_gone
+        now = time.monotonic()
+        self._inbox.put(lambda driver: event(driver, now, replica))
 
 
 def _session_config(
     endpoints: Sequence[str], timeout: float, more: Mapping[str, object]
 ) -> zenoh.Config:
-    """Configure a client that gives up a first connection after `timeout`, and a lost one never.
+    """Configure a peer with a link to every endpoint, so that no replica is behind another.
 
-    No shared memory: it slows the first queries down and can drop one in silence.
+    A session in zenoh's client mode holds one link: while the replica at its end is frozen, the
+    others cannot be reached. Shared memory slows the first queries down and can drop one in silence.
     """
     settings: dict[str, object] = {
-        "mode": "client",
+        "mode": "peer",
+        "listen/endpoints": [],
         "connect/endpoints": list(endpoints),
         "connect/timeout_ms": int(1000 * timeout),
+        "connect/exit_on_failure": False,
         "connect/retry": {
             "period_init_ms": 50,
             "period_max_ms": 200,
@@ -243,28 +241,33 @@ def _session_config(
         "scouting/multicast/enabled": False,
         "transport/shared_memory/enabled": False,
         "transport/link/tx/lease": 2000,
+        "transport/link/rx/max_message_size": _MAX_MESSAGE_BYTES,
         **more,
     }
     config = zenoh.Config()
     for path, value in settings.items():
-        config.insert_json5(path, json.dumps(value))
+        try:
+            config.insert_json5(path, json.dumps(value))
+        except zenoh.ZError as error:
+            raise InvalidArgumentError(f"zenoh setting {path} = {value!r}: {error}") from error
     return config
 
 
-def _first_ready(
-    session: zenoh.Session, replicas: Replicas, endpoints: Sequence[str], deadline: float
-) -> Ready:
-    """Ask until the first replica says what it serves."""
+def _first_ready(network: Network, discovery: Discovery, deadline: float) -> bytes | None:
+    """Ask the live replicas in turn until one says what it serves."""
     while time.monotonic() < deadline:
-        for replica in replicas.alive():
-            replies: Any = session.get(ready_key(replica), timeout=_QUERY_SECONDS)
-            for reply in replies:
-                if reply.ok is not None:
-                    ready = decode_ready(reply.ok.payload.to_bytes())
-                    if ready.ready:
-                        return ready
-        time.sleep(0.02)
-    raise _unreachable(endpoints)
+        for replica, appeared in network.tokens():
+            note = discovery.replica_appeared if appeared else discovery.replica_gone
+            note(replica)
+        question = discovery.next_question()
+        if question is None:
+            time.sleep(_POLL_SECONDS)
+            continue
+        replica, key = question
+        answer = network.ask_and_wait(key)
+        if answer is not None and Discovery.is_ready(replica, answer):
+            return answer
+    return None
 
 
 def _unreachable(endpoints: Sequence[str]) -> ServiceUnreachableError:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from egp_service._core import EgpError, Engine
-from egp_service.control.stepper import Answer, Stepper
+from egp_service._core import Engine, InProcessDriver
+from egp_service.control.step import Step, StepController, rows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from numpy.typing import ArrayLike
 
-class Controller(Stepper):
+
+class Controller(StepController):
     """Drive with a library file, computed here; the README shows a lap with it."""
 
     def __init__(
@@ -26,24 +28,28 @@ class Controller(Stepper):
     ) -> None:
         """Load and verify a library; `settings` is TOML over the control step's defaults.
 
-        Raises `EgpError` for a library, settings or gate settings that are refused.
+        Raises `EgpError` for a library, settings or gate settings that cannot be used.
         """
-        self._engine = Engine(str(library), settings)
-        super().__init__(
-            library=self._engine.library_id,
-            dt=self._engine.dt,
-            horizon=self._engine.horizon,
-            history=self._engine.history,
-            members=self._engine.members,
-            gate=gate or {},
-            want_sigma=want_sigma,
-        )
+        engine = Engine(str(library), settings)
+        self.library, self.members = engine.library_id, engine.members
+        self.dt, self.horizon = engine.dt, engine.horizon
+        self._driver = InProcessDriver(engine, gate=dict(gate or {}), want_sigma=want_sigma)
 
-    def _ask(self, request: bytes, sequence: int, deadline: float) -> Answer:
-        del sequence, deadline  # the answer is this request's, and there is nobody else to ask
+    def step(
+        self,
+        x: ArrayLike,
+        reference: ArrayLike,
+        widths: ArrayLike | None = None,
+        *,
+        deadline: float | None = None,
+    ) -> Step:
+        """Give the command; see `StepController.step`. `deadline` is only stated in the request."""
         start = time.perf_counter()
-        try:
-            reply = self._engine.step(request)
-        except EgpError as error:
-            return Answer(None, detail=str(error), refused=True)
-        return Answer(reply, compute=time.perf_counter() - start, replica="in-process")
+        budget = self._driver.budget if deadline is None else deadline
+        edges = None if widths is None else rows(widths)
+        decision = self._driver.step(budget, rows(x), rows(reference), edges)
+        return Step.of(decision, self._driver.weights, time.perf_counter() - start)
+
+    def reset(self) -> None:
+        """Leave STOP and forget the past."""
+        self._driver.reset()

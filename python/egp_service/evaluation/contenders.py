@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import Carry, EgpError, Engine, Library
+from egp_service._core import EgpError, Engine, Library
 from egp_service.control.controller import Controller
 from egp_service.control.toml_text import dumps
 from egp_service.evaluation.predictive_control import PredictiveController
@@ -28,7 +28,7 @@ from egp_service.evaluation.single_track import (
 from egp_service.evaluation.window_noise import WindowNoise
 from egp_service.quantities import MOTION, POSITION, gp_input
 from egp_service.simulation.course import build_path
-from egp_service.simulation.in_process import in_process_stepper
+from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.scenario import library_path
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from egp_service.control.stepper import Step
+    from egp_service.control.step import Step
     from egp_service.evaluation.single_track import Prediction
     from egp_service.simulation.closed_loop import Drives
     from egp_service.simulation.scenario import Scenario
@@ -52,7 +52,6 @@ class _Oracle(Controller):
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
-        self._carry = Carry(self.library, 0)
         self._path = build_path(scenario)
         self._s = 0.0
         members = Library.load(library_path(scenario)).members
@@ -69,7 +68,8 @@ class _Oracle(Controller):
         """Set the weights, then step."""
         projection = self._path.project(np.asarray(x, dtype=np.float64)[POSITION], self._s)
         self._s = projection.s
-        self._carry.weights = interpolated_weights(self._frictions, projection.friction)
+        weights = interpolated_weights(self._frictions, projection.friction)
+        self._driver.hold_weights(weights)
         return super().step(x, reference, widths, deadline=deadline)
 
 
@@ -78,7 +78,6 @@ class _Selection(Controller):
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
-        self._carry = Carry(self.library, 0)
         self._library = Library.load(library_path(scenario))
         self._noise = WindowNoise(
             self._library.members, tomllib.loads(_engine(scenario).settings_toml)
@@ -109,7 +108,7 @@ class _Selection(Controller):
             root = self._noise.whitening(level, len(errors))
             whitened = np.einsum("okj,jno->kno", root, errors)
             self._best = int(np.argmin(np.sum(whitened**2, axis=(0, 2))))
-            self._carry.weights = np.eye(len(self.members))[self._best]
+            self._driver.hold_weights(np.eye(len(self.members))[self._best])
         step = super().step(state, reference, widths, deadline=deadline)
         self._before = (state, step.u)
         return step
@@ -128,12 +127,12 @@ class Contender:
 
 
 def make(contender: Contender, scenario: Scenario) -> Drives:
-    """Make the contender's stepper; `scenario.library` holds its members already.
+    """Make the contender's controller; `scenario.library` holds its members already.
 
     Raises `EgpError` for an unknown kind.
     """
     makers: dict[str, Callable[[], Drives]] = {
-        "ensemble": lambda: in_process_stepper(scenario),
+        "ensemble": lambda: in_process_controller(scenario),
         "oracle": lambda: _Oracle(scenario),
         "selection": lambda: _Selection(scenario),
         "kinematic": lambda: _predictive(scenario, Kinematic(CHASSIS[scenario.vehicle])),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from egp_service._core import AffineOcp, Gate
-from egp_service.control.stepper import Step, Timings
+from egp_service.control.step import Step, Timings
 from egp_service.control.toml_text import dumps
 from egp_service.quantities import (
     DELTA,

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from egp_service._core import Path, Projection
-    from egp_service.control.stepper import Step
+    from egp_service.control.step import Step
     from egp_service.simulation.scenario import Measurement, Scenario
 
 # The friction under the wheels is looked up this often within a control period.
@@ -39,7 +39,7 @@ STANDSTILL = 0.3
 
 
 class Drives(Protocol):
-    """What can drive: every `Stepper`, and whatever else turns states into commands."""
+    """What can drive: every `StepController`, and whatever else turns states into commands."""
 
     dt: float
     horizon: int
@@ -60,7 +60,7 @@ class Drives(Protocol):
         *,
         deadline: float | None = None,
     ) -> Step:
-        """Give the command for a measured state and a reference; see `Stepper.step`."""
+        """Give the command for a measured state and a reference; see `StepController.step`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,16 +81,16 @@ class Run:
         return build_path(self.scenario)
 
 
-def drive(scenario: Scenario, stepper: Drives, observe: Callable[[Period], None]) -> Run:
-    """Drive the scenario with `stepper`, showing each period to `observe`.
+def drive(scenario: Scenario, controller: Drives, observe: Callable[[Period], None]) -> Run:
+    """Drive the scenario with `controller`, showing each period to `observe`.
 
     The scenario's library file is read for the members' friction coefficients, which the pictures
-    show beside the true ones; the step itself is the stepper's.
+    show beside the true ones; the step itself is the controller's.
 
     Raises `EgpError` for a scenario whose track cannot be built. What goes wrong on the road is the
     run's ending, not an exception.
     """
-    loop = _Loop(scenario, stepper)
+    loop = _Loop(scenario, controller)
     periods: list[Period] = []
     ending = None
     while ending is None:
@@ -98,26 +98,26 @@ def drive(scenario: Scenario, stepper: Drives, observe: Callable[[Period], None]
         periods.append(period)
         observe(period)
         ending = loop.advance(period)
-    trace = Trace.of(periods, len(stepper.members))
+    trace = Trace.of(periods, len(controller.members))
     summary = summarise(
         trace,
         ending,
         scenario=scenario.name,
-        library=stepper.library.hex(),
-        members=stepper.members,
-        dt=stepper.dt,
+        library=controller.library.hex(),
+        members=controller.members,
+        dt=controller.dt,
     )
     members = Library.load(library_path(scenario)).members
     frictions = np.array([member.friction for member in members])
-    return Run(scenario, stepper.members, frictions, stepper.dt, trace, summary)
+    return Run(scenario, controller.members, frictions, controller.dt, trace, summary)
 
 
 class _Loop:
     """The vehicle on its course, between periods."""
 
-    def __init__(self, scenario: Scenario, stepper: Drives) -> None:
+    def __init__(self, scenario: Scenario, controller: Drives) -> None:
         self._scenario = scenario
-        self._stepper = stepper
+        self._controller = controller
         self.path = build_path(scenario)
         self._profile = build_profile(scenario, self.path)
         self._noise = _noise(scenario.measurement)
@@ -138,7 +138,7 @@ class _Loop:
 
     @property
     def _time(self) -> float:
-        return self._ticks * self._stepper.dt
+        return self._ticks * self._controller.dt
 
     def period(self) -> Period:
         """Ask for the step of this period."""
@@ -156,15 +156,15 @@ class _Loop:
         )
         measured = x + self._noise * self._random.standard_normal(NX)
         reference, widths, _ = horizon_reference(
-            self.path, self._profile, measured, self._stepper.dt, self._stepper.horizon, self._s
+            self.path, self._profile, measured, self._controller.dt, self._controller.horizon, self._s
         )
         deadline = FIRST_DEADLINE if self._ticks == 0 else None
-        step = self._stepper.step(measured, reference, widths, deadline=deadline)
+        step = self._controller.step(measured, reference, widths, deadline=deadline)
         return Period(truth, step)
 
     def advance(self, period: Period) -> Ending | None:
         """Drive one period on; gives the ending when there is one."""
-        dt = self._stepper.dt
+        dt = self._controller.dt
         self._pending.append(period.step.u)
         u = self._pending.popleft()
         for _ in range(FRICTION_UPDATES):

@@ -12,6 +12,6 @@ if TYPE_CHECKING:
     from egp_service.simulation.scenario import Scenario
 
 
-def in_process_stepper(scenario: Scenario) -> Controller:
+def in_process_controller(scenario: Scenario) -> Controller:
     """Compute the steps in this process."""
     return Controller(library_path(scenario), dumps(scenario.control), gate=scenario.gate)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from egp_service.control.stepper import Stepper
+    from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
     from egp_service.simulation.trace import Period
 
@@ -33,7 +33,7 @@ def new_folder(root: Path, name: str) -> Path:
 
 
 def record_run(
-    scenario: Scenario, stepper: Stepper, folder: Path, observe: Callable[[Period], None]
+    scenario: Scenario, controller: StepController, folder: Path, observe: Callable[[Period], None]
 ) -> Run:
     """Drive the scenario and leave `scenario.toml`, `run.mcap` and `summary.json` in `folder`."""
     write_text(folder / "scenario.toml", scenario.toml())
@@ -43,6 +43,6 @@ def record_run(
             recording.add(period)
             observe(period)
 
-        run = drive(scenario, stepper, both)
+        run = drive(scenario, controller, both)
     write_text(folder / "summary.json", json.dumps(run.summary.as_json(), indent=2) + "\n")
     return run

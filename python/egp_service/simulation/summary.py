@@ -94,7 +94,7 @@ def summarise(
             "p99": float(p99),
             "max": float(np.max(milliseconds)),
         },
-        deadline_misses=int(np.sum(trace.status == "no_reply")),
+        deadline_misses=int(np.isin(trace.status, ("late", "unreachable")).sum()),
         tail_ticks=int(np.sum(trace.mode == "tail")),
         stop_ticks=int(np.sum(trace.mode == "stop")),
         solver_statuses=dict(sorted(Counter(trace.status.tolist()).items())),

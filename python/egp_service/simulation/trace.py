@@ -12,7 +12,7 @@ from egp_service.quantities import NU, NX, V_X
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from egp_service.control.stepper import Step
+    from egp_service.control.step import Step
 
 
 @dataclass(frozen=True, slots=True)

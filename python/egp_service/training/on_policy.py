@@ -16,7 +16,7 @@ from egp_service._core import EgpError
 from egp_service.data.dataset import Dataset
 from egp_service.quantities import MOTION, gp_input
 from egp_service.simulation.closed_loop import drive
-from egp_service.simulation.in_process import in_process_stepper
+from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track, Zone
 from egp_service.workers import in_order, workers
 
@@ -117,7 +117,7 @@ def _scenario(library: Path, surfaces: Sequence[Experiment], seed: int, grip: fl
 
 
 def _drive(scenario: Scenario) -> _Driven:
-    trace = drive(scenario, in_process_stepper(scenario), lambda _: None).trace
+    trace = drive(scenario, in_process_controller(scenario), lambda _: None).trace
     return _Driven(trace.x, trace.u, trace.friction)
 
 

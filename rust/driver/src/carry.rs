@@ -76,9 +76,13 @@ impl Carry {
         &self.weights
     }
 
-    /// Lets the next request start from these weights, for a caller that knows the surface; the service checks them.
-    ///
-    /// From now on requests carry no history, so that the service returns the weights as they are.
+    /// Lets the next request start from these weights; the service checks them.
+    pub fn start_from(&mut self, weights: Vec<f64>) {
+        self.weights = weights;
+    }
+
+    /// As [`start_from`](Self::start_from), for a caller that knows the surface: from now on requests carry no history,
+    /// so that the service returns the weights as they are.
     pub fn hold_weights(&mut self, weights: Vec<f64>) {
         self.weights = weights;
         self.capacity = 0;

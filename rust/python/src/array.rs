@@ -6,7 +6,7 @@ use numpy::{IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use numpy::{PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 
-use crate::error::EgpError;
+use crate::error::InvalidArgumentError;
 
 /// A vector from Python.
 pub type Vector<'py> = PyReadonlyArray1<'py, f64>;
@@ -99,7 +99,7 @@ pub fn array<S: IntoDimension>(
 /// The refusal of an array by its shape, shown as Python shows shapes.
 pub fn wrong_shape(name: &str, expected: &str, found: &[usize]) -> PyErr {
     let found = shown(found);
-    EgpError::new_err(format!("expected {name} of shape {expected}, got {found}"))
+    InvalidArgumentError::new_err(format!("expected {name} of shape {expected}, got {found}"))
 }
 
 /// A shape as Python shows it.

@@ -1,4 +1,4 @@
-//! The one exception class that everything in `_core` raises for refused input or a failed computation.
+//! The exceptions that `_core` raises, all under `EgpError`.
 
 use std::fmt::Display;
 
@@ -10,20 +10,45 @@ create_exception!(
     egp_service._core,
     EgpError,
     PyValueError,
-    "A refused input or a failed computation; the message says what was expected and what came."
+    "An input that cannot be used or a computation that failed; the message says what was expected and what came."
+);
+create_exception!(
+    egp_service._core,
+    InvalidArgumentError,
+    EgpError,
+    "An argument of the wrong shape, or with a value outside its domain."
+);
+create_exception!(
+    egp_service._core,
+    RefusedError,
+    EgpError,
+    "The control step answered a request with an error; the message begins with the error's code."
 );
 
-/// A typed Rust error as the Python exception, keeping its message.
+/// A typed Rust error as `EgpError`, keeping its message.
 ///
 /// Used as `.map_err(raise)?` at the boundary.
 pub fn raise(error: impl Display) -> PyErr {
     EgpError::new_err(error.to_string())
 }
 
-/// Adds the exception to the module.
+impl InvalidArgumentError {
+    /// A typed Rust error as this exception, keeping its message.
+    pub fn raise(error: impl Display) -> PyErr {
+        Self::new_err(error.to_string())
+    }
+}
+
+/// Adds the exceptions to the module.
 ///
 /// # Errors
-/// When Python refuses the attribute.
+/// When Python refuses an attribute.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add("EgpError", module.py().get_type::<EgpError>())
+    let py = module.py();
+    module.add("EgpError", py.get_type::<EgpError>())?;
+    module.add(
+        "InvalidArgumentError",
+        py.get_type::<InvalidArgumentError>(),
+    )?;
+    module.add("RefusedError", py.get_type::<RefusedError>())
 }

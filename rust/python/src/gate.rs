@@ -13,7 +13,7 @@ use crate::error::{EgpError, raise};
 struct Command {
     /// Force [N] and steering rate [rad/s].
     u: (f64, f64),
-    /// "normal", "tail" or "stop".
+    /// "normal", "tail", "stop" or "waiting".
     mode: &'static str,
     /// Whether a limit changed what the plan asked for.
     limited: bool,
@@ -24,7 +24,7 @@ struct Command {
 struct Gate(egp_gate::Gate);
 
 /// `settings` over the defaults; unknown names are refused.
-fn configure(settings: &BTreeMap<String, f64>) -> PyResult<(Limits, u64, f64)> {
+pub fn configure(settings: &BTreeMap<String, f64>) -> PyResult<(Limits, u64, f64)> {
     let mut limits = Limits::default();
     let (mut max_tail_ticks, mut stop_deceleration) = (25.0, 3.0);
     for (name, value) in settings {
@@ -80,7 +80,7 @@ impl Gate {
         let [force, steering_rate] = command.u;
         Command {
             u: (force, steering_rate),
-            mode: name(command.mode),
+            mode: mode_name(command.mode),
             limited: command.limited,
         }
     }
@@ -90,19 +90,20 @@ impl Gate {
         self.0.reset();
     }
 
-    /// Where the last command came from: "normal", "tail" or "stop".
+    /// Where the last command came from: "normal", "tail", "stop" or "waiting".
     #[getter]
     fn mode(&self) -> &'static str {
-        name(self.0.mode())
+        mode_name(self.0.mode())
     }
 }
 
 /// The mode as Python sees it.
-fn name(mode: Mode) -> &'static str {
+pub fn mode_name(mode: Mode) -> &'static str {
     match mode {
         Mode::Normal => "normal",
         Mode::Tail => "tail",
         Mode::Stop => "stop",
+        Mode::Waiting => "waiting",
     }
 }
 

@@ -4,7 +4,7 @@
 
 mod affine;
 mod array;
-mod carry;
+mod driver;
 mod error;
 mod gate;
 mod library;
@@ -23,7 +23,7 @@ use pyo3::prelude::*;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     affine::register(module)?;
-    carry::register(module)?;
+    driver::register(module)?;
     error::register(module)?;
     gate::register(module)?;
     library::register(module)?;

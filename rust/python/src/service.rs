@@ -1,34 +1,51 @@
 //! The service inside a Python process: one control step by itself, or a whole server.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use egp_core::Settings;
 use egp_engine::EngineWorkspace;
 use egp_service::ServiceConfig;
-use egp_wire::{Ready, WireError};
+use egp_wire::{Ready, Timing, WireError};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use crate::error::raise;
+use crate::array::{Matrix, NewVector, Vector, vector};
+use crate::driver::{Decision, driver_config, measurement};
+use crate::error::{InvalidArgumentError, RefusedError, raise};
+use crate::gate::mode_name;
 
 /// The control step of the service, in-process: the same bytes in, the same bytes out.
-#[pyclass(name = "Engine", module = "egp_service._core", frozen)]
-struct Controller {
+#[pyclass(module = "egp_service._core", frozen)]
+struct Engine {
     engine: egp_engine::Engine,
     workspace: Mutex<EngineWorkspace>,
     served: Ready,
 }
 
 fn refused(error: &WireError) -> PyErr {
-    let code = error.code.as_str_name().trim_start_matches("CODE_");
-    raise(format!("{}: {error}", code.to_ascii_lowercase()))
+    RefusedError::new_err(format!("{}: {error}", error.code_name()))
+}
+
+impl Engine {
+    fn answer(&self, request: &[u8]) -> Result<Vec<u8>, WireError> {
+        let mut reply = Vec::new();
+        // A step that panicked left numbers behind that the next one overwrites before use.
+        let mut workspace = self
+            .workspace
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        self.engine.step(&mut workspace, request, &mut reply)?;
+        Ok(reply)
+    }
 }
 
 #[pymethods]
-impl Controller {
+impl Engine {
     #[new]
     #[pyo3(signature = (library_path, settings_toml = "", *, cores = 1))]
     fn new(
@@ -53,17 +70,9 @@ impl Controller {
     }
 
     fn step(&self, py: Python<'_>, request: &[u8]) -> PyResult<Cow<'static, [u8]>> {
-        let mut reply = Vec::new();
-        py.detach(|| {
-            // A step that panicked left numbers behind that the next one overwrites before use.
-            let mut workspace = self
-                .workspace
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner);
-            self.engine.step(&mut workspace, request, &mut reply)
-        })
-        .map(|_| reply.into())
-        .map_err(|error| refused(&error))
+        py.detach(|| self.answer(request))
+            .map(Into::into)
+            .map_err(|error| refused(&error))
     }
 
     #[getter]
@@ -92,8 +101,92 @@ impl Controller {
     }
 
     #[getter]
+    fn ready<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
+        PyBytes::new(py, &self.served.encode())
+    }
+
+    #[getter]
     fn settings_toml(&self) -> PyResult<String> {
         self.engine.settings().to_toml().map_err(raise)
+    }
+}
+
+/// A driver whose answers an engine of this process computes.
+#[pyclass(module = "egp_service._core")]
+struct InProcessDriver {
+    driver: egp_driver::InProcessDriver,
+    engine: Py<Engine>,
+}
+
+#[pymethods]
+impl InProcessDriver {
+    #[new]
+    #[pyo3(signature = (engine, *, gate, want_sigma = false))]
+    fn new(engine: Py<Engine>, gate: BTreeMap<String, f64>, want_sigma: bool) -> PyResult<Self> {
+        let config = driver_config("in-process", "vehicle", &gate, 0.8, want_sigma)?;
+        let served = engine.get().served.clone();
+        let driver = egp_driver::InProcessDriver::new(config, served)
+            .map_err(InvalidArgumentError::raise)?;
+        Ok(Self { driver, engine })
+    }
+
+    #[pyo3(signature = (budget, x, reference, widths = None))]
+    fn step(
+        &mut self,
+        py: Python<'_>,
+        budget: f64,
+        x: Vector<'_>,
+        reference: Matrix<'_>,
+        widths: Option<Matrix<'_>>,
+    ) -> PyResult<Decision> {
+        let measurement = measurement(&x, &reference, widths.as_ref())?;
+        let budget = Duration::try_from_secs_f64(budget).map_err(InvalidArgumentError::raise)?;
+        let (driver, engine) = (&mut self.driver, self.engine.get());
+        py.detach(|| {
+            driver.step(measurement, budget, |request| {
+                let start = Instant::now();
+                let reply = engine.answer(request)?;
+                let step_us = u32::try_from(start.elapsed().as_micros()).unwrap_or(u32::MAX);
+                Ok((
+                    reply,
+                    Timing {
+                        queue_us: 0,
+                        step_us,
+                    },
+                ))
+            })
+        })
+        .map(Decision)
+        .map_err(InvalidArgumentError::raise)
+    }
+
+    #[getter]
+    fn budget(&self) -> f64 {
+        self.driver.driver().budget().as_secs_f64()
+    }
+
+    #[getter]
+    fn mode(&self) -> &'static str {
+        mode_name(self.driver.driver().mode())
+    }
+
+    #[getter]
+    fn weights<'py>(&self, py: Python<'py>) -> NewVector<'py> {
+        vector(py, self.driver.driver().weights().iter().copied())
+    }
+
+    fn start_from(&mut self, weights: Vector<'_>) {
+        let weights = weights.as_array().iter().copied().collect();
+        self.driver.driver_mut().start_from(weights);
+    }
+
+    fn hold_weights(&mut self, weights: Vector<'_>) {
+        let weights = weights.as_array().iter().copied().collect();
+        self.driver.driver_mut().hold_weights(weights);
+    }
+
+    fn reset(&mut self) {
+        self.driver.driver_mut().reset();
     }
 }
 
@@ -145,7 +238,8 @@ fn serve(py: Python<'_>, config_toml: &str) -> PyResult<()> {
 /// # Errors
 /// When Python refuses one.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<Controller>()?;
+    module.add_class::<Engine>()?;
+    module.add_class::<InProcessDriver>()?;
     module.add_class::<Server>()?;
     module.add_function(wrap_pyfunction!(serve, module)?)
 }

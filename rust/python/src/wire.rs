@@ -10,7 +10,7 @@ use pyo3::types::PyBytes;
 use crate::array::{NewCube, NewMatrix, NewVector, Vector, array, fixed, vector};
 use crate::error::raise;
 
-fn matrix<'py, const W: usize>(py: Python<'py>, rows: &[[f64; W]]) -> PyResult<NewMatrix<'py>> {
+pub fn matrix<'py, const W: usize>(py: Python<'py>, rows: &[[f64; W]]) -> PyResult<NewMatrix<'py>> {
     array(py, rows.as_flattened().to_vec(), [rows.len(), W])
 }
 
@@ -188,6 +188,7 @@ struct Replica {
     horizon: u32,
     history: u32,
     members: Vec<String>,
+    envelope: [[f64; 6]; 2],
 }
 
 #[pyfunction]
@@ -207,9 +208,8 @@ fn decode_reply(data: &[u8]) -> PyResult<Reply> {
 #[pyfunction]
 fn decode_error(data: &[u8]) -> PyResult<Refusal> {
     let error = egp_wire::WireError::decode(data).map_err(raise)?;
-    let code = error.code.as_str_name().trim_start_matches("CODE_");
     Ok(Refusal {
-        code: code.to_ascii_lowercase(),
+        code: error.code_name(),
         retryable: error.retryable,
         retry_after_us: error.retry_after_us,
         field: error.field,
@@ -227,6 +227,7 @@ fn decode_ready(data: &[u8]) -> PyResult<Replica> {
         horizon: ready.horizon,
         history: ready.history,
         members: ready.members,
+        envelope: ready.envelope,
     })
 }
 
@@ -316,16 +317,6 @@ fn replica_of_live(key: &str) -> Option<String> {
     keys::replica_of_live(key).map(|replica| replica.to_string())
 }
 
-#[pyfunction]
-fn rank_replicas(fleet: &str, vehicle: &str, replicas: Vec<String>) -> PyResult<Vec<String>> {
-    let replicas: Vec<_> = replicas
-        .iter()
-        .map(|text| name(text))
-        .collect::<PyResult<_>>()?;
-    let ranked = egp_wire::rank(&name(fleet)?, &name(vehicle)?, replicas);
-    Ok(ranked.iter().map(ToString::to_string).collect())
-}
-
 /// Adds the classes and functions to the module.
 ///
 /// # Errors
@@ -346,7 +337,6 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(health_key, module)?)?;
     module.add_function(wrap_pyfunction!(live_key, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_key, module)?)?;
-    module.add_function(wrap_pyfunction!(rank_replicas, module)?)?;
     module.add_function(wrap_pyfunction!(ready_key, module)?)?;
     module.add_function(wrap_pyfunction!(replica_of_live, module)?)?;
     module.add_function(wrap_pyfunction!(step_key, module)?)

@@ -10,7 +10,7 @@ from rich.console import Console
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
-    from egp_service.control.stepper import Stepper
+    from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
 
 NOT_COMPLETED = 3
@@ -59,10 +59,10 @@ def drive(
         chosen = replace(chosen, library=str(library))
     if seed is not None:
         chosen = replace(chosen, seed=seed)
-    with _stepper(chosen, in_process=in_process, connect=connect) as stepper:
+    with _controller(chosen, in_process=in_process, connect=connect) as controller:
         folder = new_folder(output, chosen.name)
         with StatusLine(console) as line:
-            run = record_run(chosen, stepper, folder, partial(line.show, chosen.name))
+            run = record_run(chosen, controller, folder, partial(line.show, chosen.name))
     console.print(summary_table([(chosen.name, run.summary)]))
     if pictures:
         from egp_service.simulation.report import draw_run
@@ -73,12 +73,12 @@ def drive(
         raise typer.Exit(NOT_COMPLETED)
 
 
-def _stepper(
+def _controller(
     scenario: "Scenario", *, in_process: bool, connect: str | None
-) -> "AbstractContextManager[Stepper]":
-    from egp_service.cli.backends import remote_stepper, service_stepper
-    from egp_service.simulation.in_process import in_process_stepper
+) -> "AbstractContextManager[StepController]":
+    from egp_service.cli.backends import remote_controller, service_controller
+    from egp_service.simulation.in_process import in_process_controller
 
     if in_process:
-        return in_process_stepper(scenario)
-    return service_stepper(scenario) if connect is None else remote_stepper(scenario, connect)
+        return in_process_controller(scenario)
+    return service_controller(scenario) if connect is None else remote_controller(scenario, connect)

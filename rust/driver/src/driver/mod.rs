@@ -111,9 +111,14 @@ impl Driver {
         self.carry.weights()
     }
 
+    /// Lets the next request start from these weights instead of the last reply's.
+    pub fn start_from(&mut self, weights: Vec<f64>) {
+        self.carry.start_from(weights);
+    }
+
     /// Lets the next request start from these weights and carry no history, so that the service keeps them; for a caller
     /// that knows the surface.
-    pub fn set_weights(&mut self, weights: Vec<f64>) {
+    pub fn hold_weights(&mut self, weights: Vec<f64>) {
         self.carry.hold_weights(weights);
     }
 

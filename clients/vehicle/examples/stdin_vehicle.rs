@@ -1,0 +1,79 @@
+//! A vehicle whose control periods come as JSON lines on standard input, for the conformance suite in
+//! `tests/conformance`: `{"deadline": s, "x": [7], "reference": [[4], ...]}` opens a period, `{"reset": true}` resets. Each
+//! line is answered by one line.
+
+use std::error::Error;
+use std::io::{BufRead as _, Write as _, stdin, stdout};
+use std::time::{Duration, Instant};
+
+use egp_vehicle::{GateLimits, Mode, Step, VehicleClient, VehicleConfig};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+/// One line of input.
+#[derive(Deserialize)]
+#[serde(untagged, deny_unknown_fields)]
+enum Command {
+    Step {
+        deadline: f64,
+        x: [f64; 7],
+        reference: Vec<[f64; 4]>,
+    },
+    Reset {
+        #[serde(rename = "reset")]
+        _reset: bool,
+    },
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let endpoints: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let mut config = VehicleConfig::new("conformance", "car", GateLimits::default(), &endpoints)?;
+    config.driver.max_tail_ticks = 5;
+    let mut vehicle = VehicleClient::connect(&config)?;
+    answer(&json!({ "dt": vehicle.dt(), "horizon": vehicle.horizon() }))?;
+    for line in stdin().lock().lines() {
+        match serde_json::from_str(&line?)? {
+            Command::Reset { .. } => {
+                vehicle.reset();
+                answer(&json!({}))?;
+            }
+            Command::Step {
+                deadline,
+                x,
+                reference,
+            } => {
+                let due = Instant::now() + Duration::try_from_secs_f64(deadline)?;
+                match vehicle.step_by(due, x, &reference, &[]) {
+                    Ok(step) => answer(&describe(&step, vehicle.weights()))?,
+                    Err(error) => answer(&json!({ "error": error.to_string() }))?,
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn describe(step: &Step, weights: &[f64]) -> Value {
+    let mode = match step.command.mode {
+        Mode::Normal => "normal",
+        Mode::Tail => "tail",
+        Mode::Stop => "stop",
+        Mode::Waiting => "waiting",
+    };
+    json!({
+        "mode": mode,
+        "status": step.outcome.name(),
+        "replica": step.replica.as_ref().map_or_else(String::new, ToString::to_string),
+        "lost": step.lost.is_some(),
+        "u": step.command.u,
+        "weights": weights,
+        "request": step.request,
+    })
+}
+
+fn answer(value: &Value) -> Result<(), Box<dyn Error>> {
+    let mut out = stdout().lock();
+    writeln!(out, "{value}")?;
+    Ok(out.flush()?)
+}

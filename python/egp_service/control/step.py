@@ -1,0 +1,157 @@
+"""What one control period brings, and the interface of whatever computes one."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Self
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import TracebackType
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from egp_service._core import Decision
+
+
+@dataclass(frozen=True, slots=True)
+class Timings:
+    """Where the time of a step went, in seconds."""
+
+    total: float
+    """From the call to the command."""
+    queue: float = 0.0
+    """Waiting in the service."""
+    compute: float = 0.0
+    """Decoding, control step and encoding in the service or engine."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One control period: the command, where it comes from, and all that was exchanged."""
+
+    u: NDArray[np.float64]
+    """Force [N] and steering rate [rad/s] for the actuators, inside all limits."""
+    mode: Literal["normal", "tail", "stop", "waiting"]
+    """A plan made now, the rest of an older one, a latched stop, or braking until the first plan."""
+    limited: bool
+    """Whether the gate had to change what the plan asked for."""
+    status: str
+    """The solver's status (`solved`, `iteration_limit`, `infeasible`, `numerical_error`,
+    `check_failed`), or why there is none: `refused`, `unusable` (a reply that failed its check),
+    `late`, `unreachable`, `invalid_state`."""
+    detail: str
+    """Why there is no plan, or why the vehicle counts as lost; empty otherwise."""
+    weights: NDArray[np.float64]
+    """(N,) of the newest reply; empty before the first."""
+    plan_x: NDArray[np.float64] | None
+    """(T+1, 7), from the measured state on."""
+    plan_u: NDArray[np.float64] | None
+    """(T, 2)."""
+    sigma: NDArray[np.float64] | None
+    """(T+1, 3) standard deviations of `[v_x, v_y, omega]` along the plan, when asked for."""
+    timings: Timings
+    replica: str
+    """Who replied, or who was asked last; empty when no replica was asked."""
+    request: bytes
+    """The bytes sent; empty when nothing was."""
+    reply: bytes | None
+    """The bytes of this period's reply."""
+    late: tuple[bytes, ...]
+    """Replies to earlier requests that came in the meantime."""
+    envelope_distance: float = float("nan")
+    """How far `[v_x, v_y, omega, delta]` lies outside the library's training data: the largest
+    excess of a component over its range, in half widths of that range; 0 inside."""
+    lost: bool = False
+    """Whether the vehicle counts as lost (far outside the training data, far from the reference, or
+    pointing away from it) and is therefore stopped."""
+
+    @classmethod
+    def of(cls, decision: Decision, weights: NDArray[np.float64], total: float) -> Self:
+        """Make the step of a driver's decision that took `total` seconds."""
+        queue, compute = decision.service_time
+        return cls(
+            u=decision.u,
+            mode=decision.mode,
+            limited=decision.limited,
+            status=decision.status,
+            detail=decision.detail,
+            weights=weights,
+            plan_x=decision.plan_x,
+            plan_u=decision.plan_u,
+            sigma=decision.sigma,
+            timings=Timings(total, queue, compute),
+            replica=decision.replica,
+            request=decision.request,
+            reply=decision.reply,
+            late=tuple(decision.late),
+            envelope_distance=decision.envelope_distance,
+            lost=decision.lost,
+        )
+
+
+class StepController(ABC):
+    """Turns a measured state and a reference into a command that the actuators may get::
+
+        step = controller.step(x, reference, widths)
+        vehicle.apply(step.u)
+
+    `Controller` computes the step in this process, `VehicleClient` asks the service; both send the
+    same request, get the same bytes back, and leave every decision to the driver of the Rust core.
+    """
+
+    library: bytes
+    """SHA-256 of the library file."""
+    dt: float
+    """Control period in s."""
+    horizon: int
+    """Inputs in a plan, T."""
+    members: Sequence[str]
+    """Surfaces behind the weights."""
+
+    @abstractmethod
+    def step(
+        self,
+        x: ArrayLike,
+        reference: ArrayLike,
+        widths: ArrayLike | None = None,
+        *,
+        deadline: float | None = None,
+    ) -> Step:
+        """Give the command for a measured state (7,), a reference (T+1, 4) and widths (T+1, 2).
+
+        `x` is `[p_x, p_y, v_x, psi, v_y, omega, delta]`, `reference` has rows
+        `[p_x, p_y, v_x, psi]` from now on, `widths` rows `[left, right]`, all in SI units and rad.
+        Call it once each period. It returns within `deadline` seconds (default: 0.8 `dt`), with a
+        command whatever happens to the service. Raises `InvalidArgumentError` when arguments have
+        the wrong shape or the reference cannot be meant; a measured state that is not finite is no
+        error but a stop.
+        """
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Leave STOP and forget the past, for instance after the vehicle was moved."""
+
+    def close(self) -> None:  # noqa: B027 - most have nothing to close
+        """Release what the controller holds."""
+
+    def __enter__(self) -> Self:
+        """Use as a context manager to close at the end."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+        self.close()
+
+
+def rows(values: ArrayLike) -> NDArray[np.float64]:
+    """Give values as the contiguous float64 array that the core reads."""
+    return np.ascontiguousarray(values, dtype=np.float64)

@@ -1,0 +1,77 @@
+//! A driver whose answers are computed in the vehicle's own process.
+
+use std::time::Duration;
+
+use egp_wire::keys::Name;
+use egp_wire::{Ready, Timing, WireError};
+use prost::Message as _;
+
+use crate::{Action, Driver, DriverConfig, DriverError, InvalidArgument, Measurement, Step, Time};
+
+/// The answer to one request: the reply's bytes and where the time went.
+pub type Answer = Result<(Vec<u8>, Timing), WireError>;
+
+/// A [`Driver`] whose only replica is a function, such as an engine's step.
+///
+/// An answer counts whenever it comes: there is no one else to ask, so waiting for it costs the same as giving it up.
+#[derive(Clone, Debug)]
+pub struct InProcessDriver {
+    driver: Driver,
+    ticks: u32,
+}
+
+impl InProcessDriver {
+    /// A driver for the library that `served` describes.
+    ///
+    /// # Errors
+    /// [`DriverError`] when budget, limits or gate settings are out of range.
+    pub fn new(config: DriverConfig, served: Ready) -> Result<Self, DriverError> {
+        let mut driver = Driver::new(config, served)?;
+        if let Ok(replica) = "in-process".parse::<Name>() {
+            driver.replica_appeared(Time::ZERO, replica);
+        }
+        Ok(Self { driver, ticks: 0 })
+    }
+
+    /// The driver behind it, for what does not concern time or replicas.
+    pub fn driver(&self) -> &Driver {
+        &self.driver
+    }
+
+    /// The same, to be changed.
+    pub fn driver_mut(&mut self) -> &mut Driver {
+        &mut self.driver
+    }
+
+    /// One control period with the time `budget` stated in the request; `answer` computes the reply's bytes from the
+    /// request's.
+    ///
+    /// # Errors
+    /// [`InvalidArgument`] when no request can be made of reference or widths.
+    pub fn step(
+        &mut self,
+        measurement: Measurement,
+        budget: Duration,
+        mut answer: impl FnMut(&[u8]) -> Answer,
+    ) -> Result<Step, InvalidArgument> {
+        // The driver's time is counted in periods and stands still while an answer is computed.
+        self.ticks += 1;
+        let now = Duration::from_secs_f64(self.driver.served().dt) * self.ticks;
+        self.driver.tick(now, now + budget, measurement)?;
+        loop {
+            match self.driver.next_action() {
+                Some(Action::Command(step)) => return Ok(*step),
+                Some(Action::Ask(query)) => match answer(&query.payload) {
+                    Ok((reply, timing)) => {
+                        let timing = timing.encode_to_vec();
+                        self.driver.replied(now, query.id, &reply, &timing);
+                    }
+                    Err(error) => self.driver.refused(now, query.id, &error.encode()),
+                },
+                Some(Action::Probe(query)) => self.driver.ended(now, query.id),
+                // Every query above is answered at once, so the period is decided before there is nothing to do.
+                None => self.driver.wake(now + budget),
+            }
+        }
+    }
+}

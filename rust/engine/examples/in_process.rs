@@ -1,0 +1,60 @@
+//! A lap with the controller inside the vehicle's own process:
+//! `cargo run --release -p egp-engine --example in_process -- LIBRARY.safetensors`.
+
+use egp_core::Settings;
+use egp_driver::{DriverConfig, InProcessDriver, Measurement};
+use egp_engine::Engine;
+use egp_path::{SpeedLimits, SpeedProfile, horizon_reference, tracks::RoundedRectangle};
+use egp_plant::{Plant, Uniform, VehicleId, VehicleState};
+use egp_wire::Timing;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let library = std::env::args().nth(1).ok_or("which library file?")?;
+    let engine = Engine::load(library.as_ref(), Settings::default())?;
+    let config = DriverConfig::new("depot", "car-7", egp_gate::Limits::default())?;
+    let mut driver = InProcessDriver::new(config, engine.describe())?;
+    let (mut workspace, dt) = (engine.workspace()?, engine.library().dt());
+
+    let path = RoundedRectangle::default().path()?;
+    let profile = SpeedProfile::new(&path, &SpeedLimits::default())?;
+    let mut car = Plant::new(VehicleId::FordEscort.parameters());
+    let (start, v_x) = (path.sample(0.0), profile.speed(0.0));
+    car.reset(&VehicleState {
+        p_x: start.x,
+        p_y: start.y,
+        psi: start.yaw,
+        v_x,
+        ..VehicleState::default()
+    })?;
+
+    let stages = engine.describe().horizon as usize + 1;
+    let (mut reference, mut widths) = (vec![[0.0; 4]; stages], vec![[0.0; 2]; stages]);
+    let (mut s, mut worst) = (0.0, 0.0_f64);
+    while s < path.length() - 1.0 {
+        let x = car.vehicle_state();
+        let projection = horizon_reference(
+            &path,
+            &profile,
+            [x.p_x, x.p_y],
+            x.psi,
+            dt,
+            Some(s),
+            &mut reference,
+            &mut widths,
+        )?;
+        (s, worst) = (projection.s.max(s), worst.max(projection.lateral.abs()));
+        let measurement = Measurement {
+            x: x.to_array(),
+            reference: reference.clone(),
+            widths: widths.clone(),
+        };
+        let step = driver.step(measurement, driver.driver().budget(), |request| {
+            let mut reply = Vec::new();
+            engine.step(&mut workspace, request, &mut reply)?;
+            Ok((reply, Timing::default()))
+        })?;
+        car.step(step.command.u, dt, &Uniform::new(0.8)?)?;
+    }
+    println!("largest lateral error {worst:.2} m");
+    Ok(())
+}

@@ -1,0 +1,159 @@
+"""A replica that answers with the real control step, and misbehaves where its script says so.
+
+As a program it is a replica on the network::
+
+    python tests/conformance/replica.py NAME ENDPOINT SCRIPT.json
+
+A script maps the name of a fault to the sequence numbers of the requests that it befalls.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import sys
+import threading
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+from egp_service import _core
+
+LIBRARY = str(files("egp_service") / "shipped" / "demo-library.safetensors")
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a replica sends; neither payload nor error means silence, `ended` a closed query."""
+
+    payload: bytes = b""
+    attachment: bytes = b""
+    error: bytes = b""
+    ended: bool = False
+
+
+def message(name: str) -> Any:  # noqa: ANN401 - classes made at run time
+    """Make an empty message of the wire."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(_core.file_descriptor_set()).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"egp.v1.{name}"))()
+
+
+class ScriptedReplica:
+    """Answers requests; `script` maps faults to sequence numbers."""
+
+    def __init__(self, script: dict[str, list[int]]) -> None:
+        """Load the library."""
+        self.engine = _core.Engine(LIBRARY)
+        self._script = {fault: set(numbers) for fault, numbers in script.items()}
+        self._replies: dict[int, bytes] = {}
+        self._noise = random.Random(0)  # noqa: S311 - not for secrets
+
+    def ready(self) -> bytes:
+        """Describe the library, as the service's `ready` key does."""
+        return self.engine.ready
+
+    def answer(self, request: bytes) -> Answer:
+        """Answer one request, rightly or as its fault says."""
+        sequence = _core.decode_request(request).sequence
+        fault = next((name for name, hit in self._script.items() if sequence in hit), "")
+        reply = self.engine.step(request)
+        self._replies[sequence] = reply
+        match fault:
+            case "":
+                return Answer(reply, _timing())
+            case "silence":
+                return Answer()
+            case "empty":
+                return Answer(ended=True)
+            case "noise":
+                return Answer(self._noise.randbytes(500))
+            case "noise_in_error":
+                return Answer(error=b"\xff" * 40)
+            case "noise_in_attachment":
+                return Answer(reply, b"\xff" * 9)
+            case "internal_error":
+                error = message("Error")
+                error.code, error.detail = 9, "a defect"
+                return Answer(error=error.SerializeToString())
+            case "old_reply":
+                return Answer(self._replies[sequence - 2], _timing())
+            case "large":
+                return Answer(bytes(30_000_000))
+        return Answer(_changed(reply, fault), _timing())
+
+
+def _changed(reply: bytes, fault: str) -> bytes:
+    changed = message("StepReply")
+    changed.ParseFromString(reply)
+    if fault == "three_weights":
+        _fill(changed.weights, np.array([0.5, 0.25, 0.25]))
+    elif fault == "far_plan":
+        _fill(changed.plan_x, np.full(tuple(changed.plan_x.shape), 1e8))
+    elif fault == "huge_predictions":
+        shape = tuple(changed.history_f.shape) or (1, 2, 3)
+        _fill(changed.history_f, np.full(shape, 1e308))
+    elif fault == "other_plan":
+        plan = np.frombuffer(changed.plan_x.data, "<f8").reshape(tuple(changed.plan_x.shape))
+        _fill(changed.plan_x, plan + 1.0)
+    elif fault == "other_library":
+        changed.library = bytes(32)
+    else:
+        raise ValueError(f"no fault {fault!r}")
+    data: bytes = changed.SerializeToString()
+    return data
+
+
+def _fill(tensor: Any, values: Any) -> None:  # noqa: ANN401
+    tensor.shape[:] = values.shape
+    tensor.data = values.astype("<f8").tobytes()
+
+
+def _timing() -> bytes:
+    timing = message("Timing")
+    timing.step_us = 250
+    data: bytes = timing.SerializeToString()
+    return data
+
+
+def serve(name: str, endpoint: str, script: dict[str, list[int]]) -> None:
+    """Be a replica on the network until the process is killed."""
+    import zenoh  # noqa: PLC0415 - the in-process transport does without
+
+    replica = ScriptedReplica(script)
+    config = zenoh.Config()
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("transport/shared_memory/enabled", "false")
+    config.insert_json5("transport/link/tx/lease", "2000")
+    session = zenoh.open(config)
+
+    def on_query(query: Any) -> None:  # noqa: ANN401
+        key = str(query.key_expr)
+        if key == _core.ready_key(name):
+            query.reply(key, replica.ready())
+            return
+        answer = replica.answer(query.payload.to_bytes())
+        if answer.error:
+            query.reply_err(answer.error)
+        elif answer.payload:
+            query.reply(key, answer.payload, attachment=answer.attachment or None)
+        elif not answer.ended:
+            kept.append(query)  # a query that is never dropped is never answered
+
+    kept: list[Any] = []
+    session.declare_queryable(
+        f"egp/v1/r/{name}/**", zenoh.handlers.Callback(on_query, indirect=True), complete=True
+    )
+    session.liveliness().declare_token(_core.live_key(name))
+    print("serving", flush=True)
+    threading.Event().wait()
+
+
+if __name__ == "__main__":
+    serve(sys.argv[1], sys.argv[2], json.loads(Path(sys.argv[3]).read_text(encoding="utf-8")))

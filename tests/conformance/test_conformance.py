@@ -1,0 +1,133 @@
+"""The same schedules over every transport: one driver, so one behaviour."""
+
+from __future__ import annotations
+
+import time
+import tomllib
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from conformance.vehicles import (
+    FLEET,
+    VEHICLE,
+    InProcess,
+    Outcome,
+    OverZenohInPython,
+    OverZenohInRust,
+)
+from egp_service._core import Discovery, decode_request
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from conformance.vehicles import Vehicle
+
+SCHEDULES = tomllib.loads((Path(__file__).parent / "schedules.toml").read_text(encoding="utf-8"))
+TRANSPORTS = {
+    "in-process": InProcess,
+    "zenoh-python": OverZenohInPython,
+    "zenoh-rust": OverZenohInRust,
+}
+SPEED = 15.0
+
+
+def named_by_preference() -> dict[str, str]:
+    """Names of the two replicas: the one that the vehicle asks first, and the other."""
+    discovery = Discovery(FLEET, VEHICLE)
+    for name in ("north", "south"):
+        discovery.replica_appeared(name)
+    questions = [discovery.next_question(), discovery.next_question()]
+    names = [question[0] for question in questions if question is not None]
+    return dict(zip(("first", "second"), names, strict=True))
+
+
+def measured(
+    vehicle: Vehicle, state: dict[str, list[int]], period: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """State and reference of one period on a straight road, as the schedule changes them."""
+    s = SPEED * vehicle.dt * np.arange(vehicle.horizon + 1)
+    zero = np.zeros_like(s)
+    reference = np.column_stack([s, zero, zero + SPEED, zero])
+    x = np.array([0.0, 0.3, SPEED, 0.0, 0.0, 0.0, 0.0])
+    for change in (name for name, periods in state.items() if period in periods):
+        match change:
+            case "short_reference":
+                reference = reference[:-1]
+            case "yaw_in_degrees":
+                turned = np.deg2rad(90.0)
+                reference = np.column_stack([zero, s, zero + SPEED, zero + 90.0])
+                x[3] = turned
+            case "far_reference":
+                reference[:, 1] += 100.0
+            case "spin":
+                x[4] = -9.0
+            case "not_finite":
+                x[2] = np.nan
+            case _:
+                raise ValueError(change)
+    return x, reference
+
+
+def run(vehicle: Vehicle, schedule: dict[str, Any], names: dict[str, str]) -> list[Outcome]:
+    """Drive the schedule."""
+    outcomes = []
+    for period in range(1, schedule["periods"] + 1):
+        begun = time.monotonic()
+        for replica, (first, last) in schedule.get("freeze", {}).items():
+            if period == first:
+                vehicle.freeze(names[replica])
+            if period == last:
+                vehicle.thaw(names[replica])
+        if period in schedule.get("reset_before", []):
+            vehicle.reset()
+        outcomes.append(vehicle.step(*measured(vehicle, schedule.get("state", {}), period)))
+        if "freeze" in schedule and not isinstance(vehicle, InProcess):
+            time.sleep(max(0.0, vehicle.dt - (time.monotonic() - begun)))
+    return outcomes
+
+
+def check(expected: dict[str, Any], outcomes: list[Outcome], names: dict[str, str]) -> None:
+    """Hold the outcomes against what the schedule expects."""
+    story = "\n".join(f"{period}: {outcome}" for period, outcome in enumerate(outcomes, 1))
+    modes = Counter(outcome.mode for outcome in outcomes if not outcome.error)
+    statuses = Counter(outcome.status for outcome in outcomes if not outcome.error)
+    answered = Counter(outcome.replica for outcome in outcomes if outcome.status == "solved")
+    if "modes" in expected:
+        assert modes == expected["modes"], story
+    for mode, most in expected.get("modes_at_most", {}).items():
+        assert modes[mode] <= most, story
+    if "statuses" in expected:
+        assert statuses == expected["statuses"], story
+    if "answered_by" in expected:
+        assert answered == {names[who]: n for who, n in expected["answered_by"].items()}, story
+    if "last_mode" in expected:
+        assert outcomes[-1].mode == expected["last_mode"], story
+    errors = {str(period): o.error for period, o in enumerate(outcomes, 1) if o.error}
+    assert errors.keys() == expected.get("errors", {}).keys(), story
+    for period, words in expected.get("errors", {}).items():
+        assert words in errors[period], story
+    lost = [period for period, outcome in enumerate(outcomes, 1) if outcome.lost]
+    assert lost == expected.get("lost", []), story
+    for period in expected.get("fresh_request", []):
+        request = decode_request(outcomes[period - 1].request)
+        assert (len(request.plan_u), len(request.history_z), len(request.weights)) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES["schedule"], ids=lambda schedule: schedule["name"])
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_every_transport_behaves_the_same(transport: str, schedule: dict[str, Any]) -> None:
+    names = named_by_preference()
+    present = list(names.values())[: schedule.get("replicas", 2)]
+    faults = schedule.get("faults", {})
+    scripts = {names[who]: faults.get(who, {}) for who in names if names[who] in present}
+    vehicle: Vehicle = TRANSPORTS[transport](scripts)
+    try:
+        outcomes = run(vehicle, schedule, names)
+    finally:
+        vehicle.close()
+    assert schedule["expect"], "a schedule must expect something"
+    check(schedule["expect"], outcomes, names)

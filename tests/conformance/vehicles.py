@@ -1,0 +1,283 @@
+"""One vehicle for each transport of the driver, all with the same interface."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from signal import SIGCONT, SIGSTOP
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from conformance.replica import ScriptedReplica
+from egp_service._core import Decision, Driver, EgpError, Query
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    Script = Mapping[str, list[int]]
+
+FLEET, VEHICLE = "conformance", "car"
+GATE = {"max_tail_ticks": 5.0}
+ROOT = Path(__file__).parents[2]
+# Far longer than a healthy replica needs on a busy machine: what is asked here is who answers.
+DEADLINE = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What one period brought; `error` is set when it was not opened."""
+
+    mode: str = ""
+    status: str = ""
+    replica: str = ""
+    lost: bool = False
+    request: bytes = b""
+    error: str = ""
+
+
+class Vehicle(Protocol):
+    """A vehicle under test."""
+
+    dt: float
+    horizon: int
+
+    def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
+        """Drive one period."""
+
+    def reset(self) -> None:
+        """Reset the driver."""
+
+    def freeze(self, replica: str) -> None:
+        """Stop a replica where it is."""
+
+    def thaw(self, replica: str) -> None:
+        """Let it go on."""
+
+    def close(self) -> None:
+        """Release everything."""
+
+
+class InProcess:
+    """The driver with replicas as plain objects; time is counted, nothing waits."""
+
+    def __init__(self, scripts: Mapping[str, Script]) -> None:
+        """Make the replicas and the driver."""
+        self._replicas = {name: ScriptedReplica(dict(faults)) for name, faults in scripts.items()}
+        engine = next(iter(self._replicas.values())).engine
+        self.dt, self.horizon = engine.dt, engine.horizon
+        self._driver = Driver(engine.ready, fleet=FLEET, vehicle=VEHICLE, gate=GATE)
+        for name in scripts:
+            self._driver.replica_appeared(0.0, name)
+        self._frozen: dict[str, list[Callable[[], None]]] = {}
+        self._now = 0.0
+
+    def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
+        """Drive one period."""
+        self._now += self.dt
+        deadline = self._now + 0.8 * self.dt
+        try:
+            self._driver.tick(self._now, deadline, x, reference)
+        except EgpError as error:
+            return Outcome(error=str(error))
+        while True:
+            action = self._driver.next_action()
+            if isinstance(action, Decision):
+                return Outcome(
+                    action.mode, action.status, action.replica, action.lost, action.request
+                )
+            if action is None:
+                self._now = deadline
+                self._driver.wake(self._now)
+            elif action.replica in self._frozen:
+                held = self._frozen[action.replica]
+                held.append(lambda query=action: self._deliver(query))  # type: ignore[misc]
+            else:
+                self._deliver(action)
+
+    def _deliver(self, query: Query) -> None:
+        replica = self._replicas[query.replica]
+        if query.key.endswith("/ready"):
+            self._driver.replied(self._now, query.id, replica.ready(), b"")
+            return
+        answer = replica.answer(query.payload)
+        if answer.error:
+            self._driver.refused(self._now, query.id, answer.error)
+        elif answer.payload:
+            self._driver.replied(self._now, query.id, answer.payload, answer.attachment)
+        elif answer.ended:
+            self._driver.ended(self._now, query.id)
+
+    def reset(self) -> None:
+        """Reset the driver."""
+        self._driver.reset()
+
+    def freeze(self, replica: str) -> None:
+        """Hold its answers back."""
+        self._frozen[replica] = []
+
+    def thaw(self, replica: str) -> None:
+        """Deliver what was held back."""
+        for deliver in self._frozen.pop(replica):
+            deliver()
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class Processes:
+    """The replicas of a vehicle on the network, each a process of its own."""
+
+    def __init__(self, scripts: Mapping[str, Script]) -> None:
+        """Start them and wait until they serve."""
+        self._cleanup = ExitStack()
+        folder = Path(self._cleanup.enter_context(TemporaryDirectory(prefix="egp-conformance-")))
+        self.endpoints = [f"tcp/127.0.0.1:{_free_port()}" for _ in scripts]
+        self._running: dict[str, subprocess.Popen[str]] = {}
+        for (name, script), endpoint in zip(scripts.items(), self.endpoints, strict=True):
+            file = folder / f"{name}.json"
+            file.write_text(json.dumps(script), encoding="utf-8")
+            process = subprocess.Popen(
+                [sys.executable, "-m", "conformance.replica", name, endpoint, str(file)],
+                stdout=subprocess.PIPE,
+                text=True,
+                cwd=ROOT / "tests",
+            )
+            self._cleanup.callback(process.wait)
+            self._cleanup.callback(process.kill)
+            self._running[name] = process
+        for process in self._running.values():
+            assert process.stdout is not None
+            assert process.stdout.readline().strip() == "serving"
+
+    def freeze(self, replica: str) -> None:
+        """Stop a replica as a machine does that hangs."""
+        self._running[replica].send_signal(SIGSTOP)
+
+    def thaw(self, replica: str) -> None:
+        """Let it go on."""
+        self._running[replica].send_signal(SIGCONT)
+
+    def close(self) -> None:
+        """End them."""
+        self._cleanup.close()
+
+
+class OverZenohInPython(Processes):
+    """`VehicleClient`."""
+
+    def __init__(self, scripts: Mapping[str, Script]) -> None:
+        """Connect to the replicas."""
+        super().__init__(scripts)
+        from egp_service import VehicleClient  # noqa: PLC0415 - the in-process transport does without
+
+        self._client = VehicleClient.connect(
+            self.endpoints, fleet=FLEET, vehicle=VEHICLE, gate=GATE
+        )
+        self.dt, self.horizon = self._client.dt, self._client.horizon
+        _wait_for_all(self, len(scripts))
+
+    def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
+        """Drive one period."""
+        try:
+            step = self._client.step(x, reference, deadline=DEADLINE)
+        except EgpError as error:
+            return Outcome(error=str(error))
+        return Outcome(step.mode, step.status, step.replica, step.lost, step.request)
+
+    def reset(self) -> None:
+        """Reset the driver."""
+        self._client.reset()
+
+    def close(self) -> None:
+        """Close the client, then the replicas."""
+        self._client.close()
+        super().close()
+
+
+class OverZenohInRust(Processes):
+    """The onboard client of `clients/vehicle`, as a program."""
+
+    def __init__(self, scripts: Mapping[str, Script]) -> None:
+        """Build it, start it, and connect."""
+        super().__init__(scripts)
+        self._process = subprocess.Popen(
+            [_built_example(), *self.endpoints],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self._cleanup.callback(self._process.wait)
+        self._cleanup.callback(self._process.kill)
+        served = self._read()
+        self.dt, self.horizon = float(served["dt"]), int(served["horizon"])
+        _wait_for_all(self, len(scripts))
+
+    def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
+        """Drive one period."""
+        # JSON knows no number that is not finite; a number beyond the domain stands for it.
+        state = np.nan_to_num(x, nan=1e300)
+        answer = self._call(
+            {"deadline": DEADLINE, "x": state.tolist(), "reference": reference.tolist()}
+        )
+        if "error" in answer:
+            return Outcome(error=answer["error"])
+        return Outcome(
+            answer["mode"],
+            answer["status"],
+            answer["replica"],
+            answer["lost"],
+            bytes(answer["request"]),
+        )
+
+    def reset(self) -> None:
+        """Reset the driver."""
+        self._call({"reset": True})
+
+    def _call(self, command: object) -> dict[str, Any]:
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(command) + "\n")
+        self._process.stdin.flush()
+        return self._read()
+
+    def _read(self) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        assert line, "the vehicle's program has ended"
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+
+def _wait_for_all(vehicle: OverZenohInPython | OverZenohInRust, count: int) -> None:
+    """Give the announcements of the other replicas time to come; they are on their own links."""
+    if count > 1:
+        time.sleep(1.0)
+
+
+def _built_example() -> str:
+    """Build the Rust vehicle and give the path of its program."""
+    command = ["cargo", "build", "--locked", "--message-format=json", "-p", "egp-vehicle"]
+    output = subprocess.run(
+        [*command, "--example", "stdin_vehicle"], cwd=ROOT, check=True, capture_output=True
+    ).stdout
+    for line in output.splitlines():
+        built = json.loads(line)
+        if built.get("target", {}).get("name") == "stdin_vehicle" and built.get("executable"):
+            return str(built["executable"])
+    raise AssertionError("cargo built no stdin_vehicle")
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
