@@ -96,7 +96,7 @@ def _interruptions_deferred() -> Iterator[None]:
 
 
 def _begin(parent: int) -> None:
-    """Prepare a worker: leave interruptions to the parent, and do not outlive it."""
+    """Have this worker ignore interruptions, which its parent handles, and end with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
@@ -117,7 +117,7 @@ class _Cluster(Executor):
 
         host, _, port = address.rpartition(":")
         try:
-            # Ray itself would wait for minutes.
+            # Without this check Ray waits for minutes for a cluster that is not there.
             socket.create_connection((host, int(port)), _CONNECT_SECONDS).close()
             ray.init(address, log_to_driver=False, logging_level="ERROR")
         except (OSError, ValueError, OverflowError, RuntimeError) as error:

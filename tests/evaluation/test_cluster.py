@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import pytest
+from typer.testing import CliRunner
 
 from egp_service import EgpError
+from egp_service.cli import app
 from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.experiment import Experiment
 from egp_service.data.exploration import ExplorationSettings
@@ -91,3 +93,10 @@ def test_an_address_without_a_cluster_is_an_error() -> None:
 def test_a_cluster_leaves_no_choice_of_processes() -> None:
     with pytest.raises(EgpError, match="leave out --jobs"), workers(2, "127.0.0.1:6379"):
         pass
+
+
+def test_training_on_given_data_needs_no_cluster() -> None:
+    command = ["train", "wet.parquet", "-o", "wet.safetensors", "--cluster", "127.0.0.1:6379"]
+    error = CliRunner().invoke(app, command).exception
+    assert isinstance(error, EgpError)
+    assert "--recipe" in str(error)
