@@ -47,8 +47,8 @@ clean: ## Remove what these commands built
 	rm -rf .venv target
 
 EXTRAS_viz := viz
-EXTRAS_dev := train,viz,paper,dev
-EXTRAS_bench := train,viz,paper,dev,bench
+EXTRAS_dev := train,viz,paper,cluster,dev
+EXTRAS_bench := train,viz,paper,cluster,dev,bench
 
 # One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension.
 .venv/bin/python:

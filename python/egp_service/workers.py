@@ -1,44 +1,62 @@
-"""Processes that work in parallel and end with what they work for."""
+"""Processes that work in parallel, on this machine or on a Ray cluster, and end with this one."""
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
+import socket
 import threading
-from concurrent.futures import ProcessPoolExecutor
+import time
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TypeVar
+from multiprocessing import resource_tracker
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
+
+from loky import ProcessPoolExecutor
+
+from egp_service._core import EgpError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from concurrent.futures import Executor
-
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")
+Arguments = ParamSpec("Arguments")
+_LOOK_SECONDS = 0.2
+_CONNECT_SECONDS = 5.0
 
 
 @contextmanager
-def workers(jobs: int | None = None) -> Iterator[ProcessPoolExecutor]:
-    """Open a pool of `jobs` processes, one per core by default.
+def workers(jobs: int | None = None, cluster: str | None = None) -> Iterator[Executor]:
+    """Open a pool of `jobs` processes, one per core by default, or one on a cluster.
 
-    An exception inside, such as Ctrl-C raises, ends them at once. A bare pool would first finish
-    what its processes have taken up, and Ctrl-C, which a terminal sends to all of them, would only
-    make each of them take up the next. Killed, this process takes them along.
+    `cluster` is the address `HOST:PORT` of a Ray cluster to which this machine belongs. Machines of
+    it need this version of the package, and the files that the work reads, in the same places.
+
+    An exception inside, such as Ctrl-C raises, ends the processes and what they work on at once. If
+    this process is killed, they end, too.
+
+    Raises:
+        EgpError: when both `jobs` and `cluster` are given, or there is no cluster at that address.
+
     """
-    others = set(multiprocessing.active_children())
-    # Spawned, not forked: a fork would copy thread pools half.
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs or os.cpu_count(), spawn, _begin) as pool:
+    if cluster is not None:
+        if jobs is not None:
+            raise EgpError(
+                "the cores of the cluster decide how much runs at once: leave out --jobs"
+            )
+        with _Cluster(cluster) as pool:
+            yield pool
+        return
+    with ProcessPoolExecutor(
+        jobs or os.cpu_count(), initializer=_begin, initargs=(os.getpid(),)
+    ) as pool:
         try:
+            with _interruptions_deferred():
+                pool.submit(os.getpid)  # the first call starts all processes
             yield pool
         except BaseException:
-            # The pool's thread fails what is queued and reaps them; reaping here would race it.
-            # With a writer left it would wait for ever for the rest of a result cut off.
-            pool._result_queue._writer.close()  # type: ignore[attr-defined]  # noqa: SLF001
-            for process in set(multiprocessing.active_children()) - others:
-                process.terminate()
+            pool.shutdown(kill_workers=True)
             raise
 
 
@@ -47,23 +65,87 @@ def in_order(
 ) -> Iterator[Result]:
     """Give the results of `work` on `parts`, in their order.
 
-    As `pool.map` does, which however cancels what is left when interrupted, and a pool whose
-    processes end then fails at that (CPython 3.11).
+    Unlike `pool.map` it does not cancel futures when it is interrupted: a pool that is shut down
+    sets an exception on each of them, which fails for a cancelled one.
     """
     for future in [pool.submit(work, part) for part in parts]:
         yield future.result()
 
 
-def _begin() -> None:
-    """Leave interruptions to the parent, and do not outlive it."""
+@contextmanager
+def _interruptions_deferred() -> Iterator[None]:
+    """Start processes that Ctrl-C does not reach, although a terminal sends it to all of them.
+
+    A signal that is blocked here is blocked in new processes from their first moment on. Another
+    thread may receive it meanwhile: it is raised in this process at the end.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread is interrupted, and only it may set a handler
+        return
+    received: list[int] = []
+    resource_tracker.ensure_running()  # unblocks the signal when it starts its process
+    handler = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        signal.signal(signal.SIGINT, handler)
+    if received:
+        raise KeyboardInterrupt
+
+
+def _begin(parent: int) -> None:
+    """Have this worker ignore interruptions, which its parent handles, and end with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(signal, "SIGPIPE"):
-        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a result that nobody takes is no news
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+def _end_with(parent: int) -> None:
+    """Exit when the parent has ended, which gives this process another parent."""
+    while os.getppid() == parent:
+        time.sleep(_LOOK_SECONDS)
+    os._exit(1)
+
+
+class _Cluster(Executor):
+    """The processes of a Ray cluster. Ray ends what they work on when this process disconnects."""
+
+    def __init__(self, address: str) -> None:
+        """Connect to the cluster at `address`, `HOST:PORT`."""
+        import ray  # noqa: PLC0415 - comes with an extra
+
+        host, _, port = address.rpartition(":")
+        try:
+            # Without this check Ray waits for minutes for a cluster that is not there.
+            socket.create_connection((host, int(port)), _CONNECT_SECONDS).close()
+            ray.init(address, log_to_driver=False, logging_level="ERROR")
+        except (OSError, ValueError, OverflowError, RuntimeError) as error:
+            raise EgpError(
+                f"no Ray cluster at {address!r} ({error}): give the HOST:PORT that "
+                "`ray start --head` printed, or leave out --cluster to work on this machine alone"
+            ) from error
+        self._disconnect = ray.shutdown
+        self._call = ray.remote(_call)
+
+    def submit(
+        self,
+        work: Callable[Arguments, Result],
+        /,
+        *args: Arguments.args,
+        **kwargs: Arguments.kwargs,
+    ) -> Future[Result]:
+        """Have the cluster call `work`."""
+        future: Future[Result] = self._call.remote(work, args, kwargs).future()
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: FBT001, FBT002
+        """Disconnect, which also ends what is not finished."""
+        del wait, cancel_futures
+        self._disconnect()
+
+
+def _call(
+    work: Callable[..., Result], args: tuple[object, ...], kwargs: dict[str, object]
+) -> Result:
+    return work(*args, **kwargs)

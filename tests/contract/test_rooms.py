@@ -13,10 +13,10 @@ import egp_service
 
 # Libraries that take long to import or come with an extra.
 WATCHED = {
-    "botorch", "cvxpy", "gpytorch", "joblib", "matplotlib", "mcap", "osqp", "polars", "ray", "rich",
+    "botorch", "cvxpy", "gpytorch", "loky", "matplotlib", "mcap", "osqp", "polars", "ray", "rich",
     "scipy", "torch", "typer", "zenoh",
 }  # fmt: skip
-TRAINING = {"torch", "gpytorch", "botorch", "scipy", "polars", "joblib"}
+TRAINING = {"torch", "gpytorch", "botorch", "scipy", "polars", "loky"}
 TERMINAL = {"rich", "typer"}
 # What each room may load. A module in a line of its own is an exception in its room.
 MAY_LOAD = {
@@ -24,12 +24,12 @@ MAY_LOAD = {
     "egp_service.quantities": set(),
     "egp_service.files": set(),
     "egp_service.shipped": set(),
-    "egp_service.workers": {"joblib"},
+    "egp_service.workers": {"loky"},
     "egp_service.control": set(),
     "egp_service.control.client": {"zenoh"},
     "egp_service.simulation": {"mcap"},
     "egp_service.simulation.report": {"matplotlib"},
-    "egp_service.data": {"polars", "joblib"},
+    "egp_service.data": {"polars", "loky"},
     "egp_service.training": TRAINING | {"mcap"},
     "egp_service.training.validation_report": {"matplotlib"},
     "egp_service.evaluation": TRAINING | {"mcap", "matplotlib", "cvxpy", "osqp"},

@@ -9,11 +9,11 @@ import subprocess
 import sys
 import time
 from concurrent.futures import CancelledError
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, NoReturn
 
 import pytest
+from loky.process_executor import ShutdownExecutorError
 
 from egp_service.workers import workers
 
@@ -51,7 +51,7 @@ def test_an_exception_ends_workers_and_what_they_have_queued(tmp_path: Path) -> 
         interrupt_when_busy(pool)
     assert set(multiprocessing.active_children()) <= others
     for future in futures:
-        with pytest.raises((CancelledError, BrokenProcessPool)):
+        with pytest.raises((CancelledError, ShutdownExecutorError)):
             future.result(PATIENCE)
     assert len(list(tmp_path.iterdir())) == 2
 

@@ -47,6 +47,7 @@ EXTRAS = {
     "matplotlib": "viz",
     "cvxpy": "paper",
     "osqp": "paper",
+    "ray": "cluster",
 }
 REFUSED = 1
 

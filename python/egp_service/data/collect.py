@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from contextlib import ExitStack
+from functools import partial
 from typing import TYPE_CHECKING
 
 from egp_service._core import EgpError
@@ -15,10 +17,10 @@ from egp_service.data.dataset import Dataset, merge
 from egp_service.data.exploration import ExplorationSettings, explore
 from egp_service.data.exploration_track import ExplorationTrack
 from egp_service.data.sampling import SamplingBounds, sample
-from egp_service.workers import workers
+from egp_service.workers import in_order, workers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from egp_service.data.experiment import Experiment
 
@@ -50,9 +52,10 @@ def collect(
     settings: CollectionSettings,
     *,
     jobs: int | None = None,
+    cluster: str | None = None,
     report: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Dataset:
-    """Collect on one surface, in `jobs` processes (one per core by default).
+    """Collect on one surface, in the processes that `workers` gives for `jobs` and `cluster`.
 
     Run `i` has the seed `[experiment.seed, i]` in effect; `report(done, total)` follows the runs.
 
@@ -66,16 +69,14 @@ def collect(
     if settings.samples:
         parts.append(sample(experiment, settings.samples, settings.sampling))
         report(len(parts), total)
-    jobs = min(jobs or os.cpu_count() or 1, max(1, settings.runs))
-    if jobs == 1:
-        for number in numbers:
-            parts.append(_run(experiment, settings, number))
-            report(len(parts), total)
-        return merge(parts)
-    with workers(jobs) as pool:
-        pending = [pool.submit(_run, experiment, settings, number) for number in numbers]
-        for future in pending:
-            parts.append(future.result())
+    run = partial(_run, experiment, settings)
+    with ExitStack() as stack:
+        if cluster is None and (jobs := min(jobs or os.cpu_count() or 1, settings.runs)) <= 1:
+            runs: Iterable[Dataset] = map(run, numbers)
+        else:
+            runs = in_order(stack.enter_context(workers(jobs, cluster)), run, numbers)
+        for part in runs:
+            parts.append(part)
             report(len(parts), total)
     return merge(parts)
 

@@ -70,10 +70,14 @@ class Batch(Generic[Part, Result]):
         return known
 
 
-def finish(batches: Iterable[Batch[Any, Any]], jobs: int | None = None) -> None:
+def finish(
+    batches: Iterable[Batch[Any, Any]], jobs: int | None = None, cluster: str | None = None
+) -> None:
     """Do what is missing of all batches in one go, so that no process waits at the end of each."""
     missing = [(batch, mark) for batch in batches for mark in batch.resume()]
-    with workers(jobs) as pool:
+    if not missing:
+        return
+    with workers(jobs, cluster) as pool:
         pending = {
             pool.submit(batch.work, batch.parts[mark]): (batch, mark) for batch, mark in missing
         }

@@ -119,14 +119,18 @@ class Campaign:
         return Batch(self._folder / f"{name}.jsonl", parts, work, _reader(kind), report)
 
     def drives(
-        self, experiments: Iterable[Experiment], *, jobs: int | None = None
+        self,
+        experiments: Iterable[Experiment],
+        *,
+        jobs: int | None = None,
+        cluster: str | None = None,
     ) -> dict[str, list[Drive]]:
         """Drive what is worth looking at, by experiment.
 
         Of the first seed the ensemble at every condition, and at one the others beside it.
         """
         shown = [t for e in experiments for t in _shown(e)]
-        with workers(jobs) as pool:
+        with workers(jobs, cluster) as pool:
             runs = list(in_order(pool, drive_trial, [self._with_library(t) for t in shown]))
         found: dict[str, list[Drive]] = {}
         for trial, run in zip(shown, runs, strict=True):

@@ -32,14 +32,14 @@ _BARE_POINTS: Final = 20
 _WHOLE_CHANGE_POINTS: Final = 700  # without a vehicle more points helped, up to these
 
 
-def make(displays: Displays) -> list[TrainedMember]:
+def make(displays: Displays, *, cluster: str | None = None) -> list[TrainedMember]:
     """Train a member for each surface, and from the outer two surfaces' data those to compare with.
 
     These are one GP of both surfaces' pooled data, which keeps as many transitions as both members
     together; the paper's members, whose GPs have constant means; and vehicles without GPs.
     """
     recipe = Recipe.read(EVALUATION_RECIPE)
-    datasets, members = follow(recipe, displays=displays)
+    datasets, members = follow(recipe, cluster=cluster, displays=displays)
     settings = recipe.training
     outer = [data for data in datasets if data.provenance.friction in _OUTER]
     middle = sum(_OUTER) / len(_OUTER)

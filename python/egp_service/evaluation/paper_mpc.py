@@ -12,7 +12,7 @@ import cvxpy as cp
 import numpy as np
 
 from egp_service._core import EgpError
-from egp_service.quantities import DELTA, NU, NX, OMEGA, V_X, V_Y
+from egp_service.quantities import DELTA, NU, NX, OMEGA, PSI, V_X, V_Y
 from egp_service.training.prior_mean import SLOWEST
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class Mpc:
         for t in range(self.horizon):
             self.a[t].value, self.b[t].value = a[t], b[t]
             factor = cost["terminal"] if t + 1 == self.horizon else 1.0
-            sin, cos = np.sin(reference[t + 1, 3]), np.cos(reference[t + 1, 3])
+            sin, cos = np.sin(reference[t + 1, PSI]), np.cos(reference[t + 1, PSI])
             root = np.diag(
                 np.sqrt(
                     factor
@@ -114,7 +114,7 @@ class Mpc:
         direction = np.arctan(sideways / np.maximum(operating[1:, V_X], SLOWEST))
         slip = np.where(moving, soft["slip"] * friction, np.inf)[:, None] * np.array([-1.0, 1.0])
         self.steering.value = np.clip(direction[:, None] + slip, -soft["delta"], soft["delta"])
-        self.normal.value = np.stack([-np.sin(reference[1:, 3]), np.cos(reference[1:, 3])], -1)
+        self.normal.value = np.stack([-np.sin(reference[1:, PSI]), np.cos(reference[1:, PSI])], -1)
         self.edges.value = edges
         self.problem.solve(solver=cp.OSQP, warm_start=True, ignore_dpp=False)
         if self.e.value is None:

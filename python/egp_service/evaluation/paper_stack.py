@@ -249,7 +249,7 @@ class PaperStack:
         dynamics = self._linearise(x, u, w)
         phases.linearise = clock.lap()
         reference = request.reference.copy()
-        reference[:, 3] = np.unwrap(np.concatenate([[request.x[3]], reference[:, 3]]))[1:]
+        reference[:, PSI] = np.unwrap(np.concatenate([[request.x[PSI]], reference[:, PSI]]))[1:]
         edges = np.maximum(request.widths[1:] - self.margin, 0.0)
         scaled = request.u_prev / [self.mass, 1.0]
         plan_x, plan_u = self.mpc.solve(

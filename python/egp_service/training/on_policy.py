@@ -57,6 +57,7 @@ def drive_laps(
     round_number: int = 0,
     *,
     jobs: int | None = None,
+    cluster: str | None = None,
     report: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[Dataset]:
     """Drive the laps of a round with `library`; one dataset for each surface that was met.
@@ -73,7 +74,7 @@ def drive_laps(
         _scenario(library, surfaces, first + lap, float(grip)) for lap, grip in enumerate(grips)
     ]
     driven: list[_Driven] = []
-    with workers(jobs) as pool:
+    with workers(jobs, cluster) as pool:
         for done, lap in enumerate(in_order(pool, _drive, scenarios), start=1):
             driven.append(lap)
             report(done, settings.laps)

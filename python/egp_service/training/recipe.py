@@ -70,7 +70,11 @@ class Recipe:
 
 
 def collect_all(
-    recipe: Recipe, *, jobs: int | None = None, report: Callable[[str, int, int], None]
+    recipe: Recipe,
+    *,
+    jobs: int | None = None,
+    cluster: str | None = None,
+    report: Callable[[str, int, int], None],
 ) -> list[Dataset]:
     """Collect every surface of the recipe; `report(label, done, total)` follows the runs."""
     datasets = []
@@ -79,7 +83,8 @@ def collect_all(
         def on_run(done: int, total: int, label: str = experiment.label) -> None:
             report(label, done, total)
 
-        datasets.append(collect(experiment, recipe.collection, jobs=jobs, report=on_run))
+        settings = recipe.collection
+        datasets.append(collect(experiment, settings, jobs=jobs, cluster=cluster, report=on_run))
     return datasets
 
 
@@ -96,7 +101,11 @@ class Displays:
 
 
 def follow(
-    recipe: Recipe, *, jobs: int | None = None, displays: Displays | None = None
+    recipe: Recipe,
+    *,
+    jobs: int | None = None,
+    cluster: str | None = None,
+    displays: Displays | None = None,
 ) -> tuple[list[Dataset], list[TrainedMember]]:
     """Collect and train as the recipe says: all data, and the members trained on them.
 
@@ -105,7 +114,7 @@ def follow(
     """
     show = displays or Displays()
     with show.collecting() as report:
-        datasets = collect_all(recipe, jobs=jobs, report=report)
+        datasets = collect_all(recipe, jobs=jobs, cluster=cluster, report=report)
     with show.fitting() as report_fit:
         members = train(datasets, recipe.training, report_fit)
     for number in range(recipe.on_policy.rounds):
@@ -119,7 +128,13 @@ def follow(
                 report("by driving itself", done, total)
 
             datasets += drive_laps(
-                library, recipe.experiments, recipe.on_policy, number, jobs=jobs, report=on_lap
+                library,
+                recipe.experiments,
+                recipe.on_policy,
+                number,
+                jobs=jobs,
+                cluster=cluster,
+                report=on_lap,
             )
         with show.fitting() as report_fit:
             members = train(datasets, recipe.training, report_fit)

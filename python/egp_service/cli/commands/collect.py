@@ -6,6 +6,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from egp_service.cli.options import Cluster, Jobs
+
 
 def collect(
     output: Annotated[Path, typer.Option("--output", "-o", help="Parquet file to write.")],
@@ -25,7 +27,8 @@ def collect(
     track: Annotated[
         list[str] | None, typer.Option(help="Track of the runs; repeat for more, taken in turn.")
     ] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes; one per core by default.")] = None,
+    jobs: Jobs = None,
+    cluster: Cluster = None,
     from_csv: Annotated[
         Path | None, typer.Option(help="Import this log instead of driving the simulated car.")
     ] = None,
@@ -83,6 +86,7 @@ def collect(
                 experiment,
                 settings,
                 jobs=jobs,
+                cluster=cluster,
                 report=lambda done, total: report(label, done, total),
             )
     dataset.write(output)

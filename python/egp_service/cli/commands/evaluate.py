@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from egp_service.cli.options import Cluster, Jobs
 from egp_service.shipped import EVALUATION_LIBRARY
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ def evaluate(
     scale: Annotated[
         float, typer.Option(help="Of the track's lengths; 10 for tracks of 1:10 cars.")
     ] = 1.0,
-    jobs: Annotated[int | None, typer.Option(help="Processes; one per core by default.")] = None,
+    jobs: Jobs = None,
+    cluster: Cluster = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder; what is there already is not run again.")
     ] = Path("runs/evaluation"),
@@ -98,7 +100,7 @@ def evaluate(
         for e in EXPERIMENTS
         if e.name in chosen
     ]
-    source = _train(console, output) if train else library or EVALUATION_LIBRARY
+    source = _train(console, output, cluster) if train else library or EVALUATION_LIBRARY
     require_members(source, [*driven, *([OBSTACLE_AVOIDANCE] if avoidance in chosen else [])])
     campaign = Campaign(output, source)
     if campaign.of_another_build:
@@ -109,7 +111,9 @@ def evaluate(
         runs = _runs(progress, campaign, driven, full=full)
         speeds = _entry_speeds(progress, campaign, full=full) if avoidance in chosen else None
         try:
-            finish([batch for batch in (predictions, runs, speeds) if batch is not None], jobs)
+            finish(
+                [batch for batch in (predictions, runs, speeds) if batch is not None], jobs, cluster
+            )
         except KeyboardInterrupt:
             progress.console.print("Interrupted. The same command goes on with what is missing.")
             raise
@@ -123,7 +127,7 @@ def evaluate(
             periods = 200 if full else 60
             times = scaling.measure(source, scenario, periods=periods, members=members)
     with console.status("Drawing ..."):
-        shown = campaign.drives([e for e in driven if e.name in _SHOWN], jobs=jobs)
+        shown = campaign.drives([e for e in driven if e.name in _SHOWN], jobs=jobs, cluster=cluster)
         command = shlex.join(["egp", *sys.argv[1:]])
         report = write_report(
             output,
@@ -148,7 +152,7 @@ def _chosen(experiment: list[str] | None, known: list[str]) -> list[str]:
     return experiment or known
 
 
-def _train(console: Console, output: Path) -> Path:
+def _train(console: Console, output: Path, cluster: str | None) -> Path:
     from egp_service.cli.progress import collecting, fitting
     from egp_service.evaluation.library import make, write
     from egp_service.training.recipe import Displays
@@ -157,7 +161,7 @@ def _train(console: Console, output: Path) -> Path:
     if not path.exists():
         output.mkdir(parents=True, exist_ok=True)
         displays = Displays(lambda: collecting(console), lambda: fitting(console))
-        write(path, make(displays))
+        write(path, make(displays, cluster=cluster))
     return path
 
 

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 import typer
 from rich.console import Console
 
+from egp_service.cli.options import Cluster
+
 
 def train(
     output: Annotated[Path, typer.Option("--output", "-o", help="Library file to write.")],
@@ -28,6 +30,7 @@ def train(
         float, typer.Option(help="Share of the trajectories kept for validation.")
     ] = 0.2,
     seed: Annotated[int, typer.Option(help="Seed of split, subset and starts.")] = 0,
+    cluster: Cluster = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the validation matrix into this file.")
     ] = None,
@@ -55,11 +58,13 @@ def train(
     console = Console()
     if (recipe is None) == (not data):
         raise EgpError("expected datasets or --recipe, one of them")
+    if cluster is not None and recipe is None:
+        raise EgpError("--cluster collects what --recipe says: give a recipe, or leave it out")
     if recipe is not None:
         plan = Recipe.read(recipe)
         settings = plan.training
         displays = Displays(lambda: collecting(console), lambda: fitting(console))
-        _, members = follow(plan, displays=displays)
+        _, members = follow(plan, cluster=cluster, displays=displays)
     else:
         settings = TrainingSettings(
             kernel=kernel,
