@@ -1,4 +1,4 @@
-"""Where control steps are computed: here, in a service of our own, or in a running one."""
+"""Steppers that compute in this process, in a service started here, or in a running service."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 
 def in_process_stepper(scenario: Scenario) -> Controller:
-    """Compute the steps in this process."""
+    """Return a stepper that computes in this process."""
     return Controller(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
 
 
 def remote_stepper(scenario: Scenario, endpoint: str) -> VehicleClient:
-    """Ask a running service; its library and settings count, not the scenario's."""
+    """Return a stepper for a running service, which uses its own library and settings."""
     return VehicleClient.connect([endpoint], gate=scenario.gate)
 
 
 @contextmanager
 def service_stepper(scenario: Scenario) -> Iterator[Stepper]:
-    """Ask a service started for this purpose in its own process."""
+    """Start a service in its own process and yield a stepper for it."""
     with (
         ServiceProcess(library_path(scenario), scenario.control) as service,
         VehicleClient.connect([service.endpoint], gate=scenario.gate) as client,

@@ -21,10 +21,10 @@ from egp_service.commands.train import train
 HELP = """
 Drive on roads of unknown friction: an ensemble of Gaussian processes inside an MPC.
 
-A first look:
+Demo:
   egp demo
 
-The chain, step by step:
+From data to driving:
   egp collect --friction 0.5 -o data/wet.parquet
   egp collect --friction 1.1 -o data/dry.parquet
   egp train data/*.parquet -o library.safetensors
@@ -37,7 +37,7 @@ The paper's experiments, with baselines:
 As a service for vehicles:
   egp serve library.safetensors --listen tcp/0.0.0.0:7447
 """
-# Extras by a package that only they install.
+# Packages that only an extra installs, with this extra.
 EXTRAS = {
     "torch": "train",
     "gpytorch": "train",
@@ -48,7 +48,7 @@ EXTRAS = {
     "cvxpy": "paper",
     "osqp": "paper",
 }
-REFUSED = 1
+FAILED = 1
 
 app = typer.Typer(
     name="egp",
@@ -62,7 +62,7 @@ for command in (collect, train, inspect, serve, drive, demo, evaluate):
 
 
 def main() -> None:
-    """Run the command line; what goes wrong is one line on stderr and an exit code."""
+    """Run the command line; errors give one line on stderr and an exit code."""
     try:
         app()
     except ModuleNotFoundError as error:
@@ -79,4 +79,4 @@ def main() -> None:
 def _fail(message: str) -> NoReturn:
     console = Console(stderr=True, soft_wrap=True)
     console.print(Text.assemble(("egp: ", "bold red"), message))
-    sys.exit(REFUSED)
+    sys.exit(FAILED)

@@ -1,8 +1,9 @@
 """The closed loop: simulated vehicle, reference and control step in lockstep.
 
-Each period the plant waits for the step, which has `dt` of real time; then the plant is driven by
-what left the gate for `dt` of simulated time. So a slow machine costs patience, not realism, and a
-missed deadline means what it means on a vehicle: the tail of the last plan.
+In each period the plant waits for the step, which has `dt` of real time, and is then driven with
+the gate's command for `dt` of simulated time. A slow machine therefore slows the simulation down
+without changing it, and a missed deadline has the same effect as on a vehicle: the tail of the last
+plan.
 """
 
 from __future__ import annotations
@@ -28,28 +29,28 @@ if TYPE_CHECKING:
     from egp_service.scenario import Measurement, Scenario
     from egp_service.stepper import Step
 
-# The friction under the wheels is looked up this often within a control period.
+# Number of updates of the friction under the wheels within a control period.
 FRICTION_UPDATES = 10
-# Before the vehicle is released the first answer may take longer: connections and caches are cold.
+# s; the first step may take longer because connections and caches are cold.
 FIRST_DEADLINE = 2.0
-# A run that takes this many times the reference's time is not coming through.
+# A run ends after this multiple of the reference's time.
 PATIENCE = 2.0
 STANDSTILL = 0.3
 
 
 class Drives(Protocol):
-    """What can drive: every `Stepper`, and whatever else turns states into commands."""
+    """A controller in the closed loop: every `Stepper`, and other sources of commands."""
 
     dt: float
     horizon: int
 
     @property
     def library(self) -> bytes:
-        """SHA-256 of the library, empty without one."""
+        """SHA-256 of the library; empty without a library."""
 
     @property
     def members(self) -> Sequence[str]:
-        """Surfaces behind the weights."""
+        """Surfaces of the weights."""
 
     def step(
         self,
@@ -59,7 +60,7 @@ class Drives(Protocol):
         *,
         deadline: float | None = None,
     ) -> Step:
-        """Give the command for a measured state and a reference; see `Stepper.step`."""
+        """Return the command for a measured state and a reference; see `Stepper.step`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,18 +77,18 @@ class Run:
 
     @property
     def path(self) -> Path:
-        """Where it drove; made anew, so that a run can go from process to process."""
+        """The path, built on access because runs are passed between processes."""
         return build_path(self.scenario)
 
 
 def drive(scenario: Scenario, stepper: Drives, observe: Callable[[Period], None]) -> Run:
-    """Drive the scenario with `stepper`, showing each period to `observe`.
+    """Drive the scenario with `stepper` and call `observe` with each period.
 
-    The scenario's library file is read for the members' friction coefficients, which the pictures
-    show beside the true ones; the step itself is the stepper's.
+    The members' friction coefficients, which pictures show, are read from the scenario's library
+    file; the stepper may use another one.
 
-    Raises `EgpError` for a scenario whose track cannot be built. What goes wrong on the road is the
-    run's ending, not an exception.
+    Raises `EgpError` if the scenario's track cannot be built. A loss of control is not an exception
+    but the run's ending.
     """
     loop = _Loop(scenario, stepper)
     periods: list[Period] = []
@@ -112,7 +113,7 @@ def drive(scenario: Scenario, stepper: Drives, observe: Callable[[Period], None]
 
 
 class _Loop:
-    """The vehicle on its course, between periods."""
+    """State of the closed loop between periods."""
 
     def __init__(self, scenario: Scenario, stepper: Drives) -> None:
         self._scenario = scenario
@@ -122,7 +123,7 @@ class _Loop:
         self._noise = _noise(scenario.measurement)
         self._random = np.random.default_rng(scenario.seed)
         self._plant = Plant(scenario.vehicle)
-        # What was commanded and has not yet reached the wheels.
+        # Commands that have not yet reached the wheels.
         self._pending = deque([np.zeros(2)] * scenario.actuator_delay)
         self._s = 0.0
         self._distance = 0.0
@@ -140,7 +141,7 @@ class _Loop:
         return self._ticks * self._stepper.dt
 
     def period(self) -> Period:
-        """Ask for the step of this period."""
+        """Compute the step of this period."""
         x = self._plant.vehicle_state
         projection = self._project(x)
         truth = Truth(
@@ -162,7 +163,7 @@ class _Loop:
         return Period(truth, step)
 
     def advance(self, period: Period) -> Ending | None:
-        """Drive one period on; gives the ending when there is one."""
+        """Drive one period; return the ending if the run ends."""
         dt = self._stepper.dt
         self._pending.append(period.step.u)
         u = self._pending.popleft()
@@ -183,7 +184,7 @@ class _Loop:
         return None
 
     def _project(self, x: NDArray[np.float64]) -> Projection:
-        """Project the vehicle on the path and count the distance driven."""
+        """Project the vehicle onto the path and update the driven distance."""
         projection = self.path.project(x[:2], self._s)
         advanced = projection.s - self._s
         if self.path.closed:
