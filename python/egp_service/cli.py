@@ -1,4 +1,4 @@
-"""The command line, `egp`. Each command lives in its own module under `commands`."""
+"""The command line `egp`. Each command has its own module in `commands`."""
 
 from __future__ import annotations
 

@@ -13,8 +13,7 @@ def collect(
         float, typer.Option(help="Friction coefficient; for a log, its nominal value.")
     ],
     surface: Annotated[
-        str | None,
-        typer.Option(help="Name of the surface; datasets of one name are merged into one member."),
+        str | None, typer.Option(help="Name of the surface; one name gives one member.")
     ] = None,
     dt: Annotated[float, typer.Option(help="Control period, s.")] = 0.02,
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
@@ -24,13 +23,10 @@ def collect(
     runs: Annotated[int, typer.Option(help="Number of runs on tracks, at increasing speed.")] = 6,
     samples: Annotated[int, typer.Option(help="Number of cars that start in random states.")] = 300,
     track: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Track of the runs; repeat the option for more tracks, which are used in turn."
-        ),
+        list[str] | None, typer.Option(help="Track of the runs; repeat for more, used in turn.")
     ] = None,
     jobs: Annotated[
-        int | None, typer.Option(help="Number of processes; one per core by default.")
+        int | None, typer.Option(help="Process count; one per core by default.")
     ] = None,
     from_csv: Annotated[
         Path | None, typer.Option(help="Import this log instead of driving the simulated car.")

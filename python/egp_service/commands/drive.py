@@ -21,20 +21,16 @@ def drive(
         str, typer.Option("--scenario", "-s", help="Name of a built-in scenario, or a TOML file.")
     ] = "rounded-rectangle",
     library: Annotated[
-        Path | None,
-        typer.Option("--library", "-l", help="Library to use instead of the scenario's."),
+        Path | None, typer.Option("--library", "-l", help="Library in place of the scenario's.")
     ] = None,
     *,
     in_process: Annotated[
-        bool,
-        typer.Option(
-            "--in-process", help="Compute the steps in this process instead of a service."
-        ),
+        bool, typer.Option("--in-process", help="Compute in this process, not in a service.")
     ] = False,
     connect: Annotated[
         str | None, typer.Option(help="Endpoint of a running service, such as tcp/127.0.0.1:7447.")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed to use instead of the scenario's.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed in place of the scenario's.")] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
         "runs"
     ),

@@ -27,20 +27,13 @@ def evaluate(
         bool, typer.Option("--full/--quick", help="All seeds (hours), or a few (minutes).")
     ] = False,
     experiment: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--experiment", "-e", help="Run only this experiment; repeat the option for more."
-        ),
+        list[str] | None, typer.Option("--experiment", "-e", help="Experiment; repeat for more.")
     ] = None,
     library: Annotated[
-        Path | None,
-        typer.Option(help="Library to use instead of the shipped one, with the same members."),
+        Path | None, typer.Option(help="Library instead of the shipped one, with the same members.")
     ] = None,
     train: Annotated[
-        bool,
-        typer.Option(
-            "--train", help="Train the library first, in the same way as the shipped one."
-        ),
+        bool, typer.Option("--train", help="Train the library first, like the shipped one.")
     ] = False,
     track: Annotated[
         Path | None,
@@ -54,13 +47,10 @@ def evaluate(
         float, typer.Option(help="Scale of the track's lengths; 10 for tracks of 1:10 cars.")
     ] = 1.0,
     jobs: Annotated[
-        int | None, typer.Option(help="Number of processes; one per core by default.")
+        int | None, typer.Option(help="Process count; one per core by default.")
     ] = None,
     output: Annotated[
-        Path,
-        typer.Option(
-            "--output", "-o", help="Output folder; outcomes in it are not computed again."
-        ),
+        Path, typer.Option("--output", "-o", help="Folder; outcomes in it are not run again.")
     ] = Path("runs/evaluation"),
 ) -> None:
     """Run the paper's experiments with baselines, and write report.html.
@@ -187,15 +177,9 @@ def _predictions(progress: "Progress", output: Path, *, full: bool) -> "Batch[An
 
 
 def _runs(
-    progress: "Progress",
-    campaign: "Campaign",
-    experiments: "list[ClosedLoopExperiment]",
-    *,
-    full: bool,
+    progress: "Progress", campaign: "Campaign", chosen: "list[ClosedLoopExperiment]", *, full: bool
 ) -> "Batch[Any, Outcome]":
-    trials = {
-        e.name: list(e.trials(range(e.seeds if full else e.quick_seeds))) for e in experiments
-    }
+    trials = {e.name: list(e.trials(range(e.seeds if full else e.quick_seeds))) for e in chosen}
     lost = dict.fromkeys(trials, 0)
     tasks = {
         name: progress.add_task(name, start=False, total=len(own)) for name, own in trials.items()

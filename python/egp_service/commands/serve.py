@@ -14,9 +14,7 @@ def serve(
     ] = None,
     listen: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Endpoint to listen on, such as tcp/0.0.0.0:7447; repeat the option for more."
-        ),
+        typer.Option(help="Endpoint to listen on, such as tcp/0.0.0.0:7447; repeat for more."),
     ] = None,
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Service configuration (TOML).")

@@ -23,9 +23,7 @@ def train(
         typer.Option(help="Prior mean of the GPs: a vehicle fitted to the surface, or a constant."),
     ] = "single-track",
     max_points: Annotated[int, typer.Option(help="Number of transitions of a member.")] = 400,
-    restarts: Annotated[
-        int, typer.Option(help="Number of additional random starts of each fit.")
-    ] = 1,
+    restarts: Annotated[int, typer.Option(help="Additional random starts of each fit.")] = 1,
     validation: Annotated[
         float, typer.Option(help="Share of the trajectories for validation.")
     ] = 0.2,
