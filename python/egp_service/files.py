@@ -1,4 +1,4 @@
-"""Files that are complete or not there: written beside their place, then renamed."""
+"""Atomic writing of files: a temporary file is renamed when it is complete."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a path in the same folder; what was written there replaces `path` at the end."""
+    """Yield a temporary path next to `path`; the file there replaces `path` at the end."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         beside = Path(folder) / path.name
@@ -22,6 +22,6 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a whole text file."""
+    """Write a text file atomically."""
     with replacing(path) as beside:
         beside.write_text(text, encoding="utf-8")

@@ -147,12 +147,13 @@ def serve(name: str, endpoint: str, script: dict[str, list[int]]) -> None:
             kept.append(query)  # a query that is never dropped is never answered
 
     kept: list[Any] = []
-    session.declare_queryable(
-        f"egp/v1/r/{name}/**", zenoh.handlers.Callback(on_query, indirect=True), complete=True
-    )
-    session.liveliness().declare_token(_core.live_key(name))
+    answering = zenoh.handlers.Callback(on_query, indirect=True)
+    # Both declarations end when they are garbage-collected.
+    queryable = session.declare_queryable(f"egp/v1/r/{name}/**", answering, complete=True)
+    token = session.liveliness().declare_token(_core.live_key(name))
     print("serving", flush=True)
     threading.Event().wait()
+    del queryable, token
 
 
 if __name__ == "__main__":

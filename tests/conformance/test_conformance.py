@@ -58,9 +58,8 @@ def measured(
             case "short_reference":
                 reference = reference[:-1]
             case "yaw_in_degrees":
-                turned = np.deg2rad(90.0)
-                reference = np.column_stack([zero, s, zero + SPEED, zero + 90.0])
-                x[3] = turned
+                reference = np.column_stack([-s, zero, zero + SPEED, zero + 180.0])
+                x[3] = np.pi
             case "far_reference":
                 reference[:, 1] += 100.0
             case "spin":

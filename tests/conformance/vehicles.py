@@ -7,8 +7,8 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from signal import SIGCONT, SIGSTOP
 from tempfile import TemporaryDirectory
@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from conformance.replica import ScriptedReplica
+from egp_service import VehicleClient
 from egp_service._core import Decision, Driver, EgpError, Query
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -41,7 +42,7 @@ class Outcome:
     status: str = ""
     replica: str = ""
     lost: bool = False
-    request: bytes = b""
+    request: bytes = field(default=b"", repr=False)
     error: str = ""
 
 
@@ -146,18 +147,28 @@ class Processes:
         for (name, script), endpoint in zip(scripts.items(), self.endpoints, strict=True):
             file = folder / f"{name}.json"
             file.write_text(json.dumps(script), encoding="utf-8")
-            process = subprocess.Popen(
-                [sys.executable, "-m", "conformance.replica", name, endpoint, str(file)],
-                stdout=subprocess.PIPE,
-                text=True,
-                cwd=ROOT / "tests",
-            )
-            self._cleanup.callback(process.wait)
-            self._cleanup.callback(process.kill)
-            self._running[name] = process
-        for process in self._running.values():
-            assert process.stdout is not None
-            assert process.stdout.readline().strip() == "serving"
+            command = [sys.executable, "-m", "conformance.replica", name, endpoint, str(file)]
+            self._running[name] = self._started(command)
+        with self._closed_on_error():
+            for process in self._running.values():
+                assert process.stdout is not None
+                assert process.stdout.readline().strip() == "serving"
+
+    def _started(self, command: list[str], stdin: int | None = None) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            command, stdin=stdin, stdout=subprocess.PIPE, text=True, cwd=ROOT / "tests"
+        )
+        self._cleanup.enter_context(process)  # closes the pipes and waits
+        self._cleanup.callback(process.kill)
+        return process
+
+    @contextmanager
+    def _closed_on_error(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException:
+            self._cleanup.close()
+            raise
 
     def freeze(self, replica: str) -> None:
         """Stop a replica as a machine does that hangs."""
@@ -178,13 +189,12 @@ class OverZenohInPython(Processes):
     def __init__(self, scripts: Mapping[str, Script]) -> None:
         """Connect to the replicas."""
         super().__init__(scripts)
-        from egp_service import VehicleClient  # noqa: PLC0415 - the in-process transport does without
-
-        self._client = VehicleClient.connect(
-            self.endpoints, fleet=FLEET, vehicle=VEHICLE, gate=GATE
-        )
+        with self._closed_on_error():
+            self._client = VehicleClient.connect(
+                self.endpoints, fleet=FLEET, vehicle=VEHICLE, gate=GATE
+            )
         self.dt, self.horizon = self._client.dt, self._client.horizon
-        _wait_for_all(self, len(scripts))
+        _wait_for_all(len(scripts))
 
     def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
         """Drive one period."""
@@ -210,17 +220,13 @@ class OverZenohInRust(Processes):
     def __init__(self, scripts: Mapping[str, Script]) -> None:
         """Build it, start it, and connect."""
         super().__init__(scripts)
-        self._process = subprocess.Popen(
-            [_built_example(), *self.endpoints],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self._cleanup.callback(self._process.wait)
-        self._cleanup.callback(self._process.kill)
-        served = self._read()
+        with self._closed_on_error():
+            self._process = self._started(
+                [_built_example(), *self.endpoints], stdin=subprocess.PIPE
+            )
+            served = self._read()
         self.dt, self.horizon = float(served["dt"]), int(served["horizon"])
-        _wait_for_all(self, len(scripts))
+        _wait_for_all(len(scripts))
 
     def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
         """Drive one period."""
@@ -257,7 +263,7 @@ class OverZenohInRust(Processes):
         return answer
 
 
-def _wait_for_all(vehicle: OverZenohInPython | OverZenohInRust, count: int) -> None:
+def _wait_for_all(count: int) -> None:
     """Give the announcements of the other replicas time to come; they are on their own links."""
     if count > 1:
         time.sleep(1.0)

@@ -111,7 +111,7 @@ def test_an_evaluation_ends_with_its_processes_and_goes_on(
         output, _ = process.communicate(timeout=PATIENCE)  # until all have closed it
     assert process.returncode == code, output
     assert "Traceback" not in output
-    assert sent == signal.SIGKILL or "The same command goes on" in output
+    assert sent == signal.SIGKILL or "The same command continues" in output
     finished = log.read_text(encoding="utf-8")
     with evaluation(tmp_path) as again:
         output, _ = again.communicate(timeout=5 * PATIENCE)

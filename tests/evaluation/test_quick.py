@@ -39,13 +39,13 @@ def test_the_report_stands_alone(folder: Path) -> None:
     sources = re.findall(r'src="([^"]{0,30})', report)
     assert len(sources) > 10
     assert all(source.startswith("data:image/png;base64,") for source in sources)
-    assert "What was claimed" in report
+    assert "<h2>Claims</h2>" in report
     # The paper's pictures of the ensemble, with changes in corners and on straights among them.
     for kind in ("weights", "errors"):
         for condition in ("changes-in-corners", "changes-on-straights"):
             assert (folder / "drives" / f"four-members-{condition}.{kind}.png").exists()
             assert f'alt="four-members-{condition}.{kind}"' in report
-    assert "How well the friction can be known" in report
+    assert "Accuracy of the friction from one window" in report
 
 
 def test_the_ensemble_completes_the_papers_scenarios_up_to_nine_tenths_of_the_grip(

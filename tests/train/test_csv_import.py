@@ -92,7 +92,7 @@ def test_doubts_units(tmp_path: Path) -> None:
     _write(tmp_path / "drive.csv", _log())
     with pytest.raises(EgpError, match=r"delta reaches 5\.73 rad .* check the unit"):
         _import(tmp_path / "drive.csv", delta="wheel:rad")
-    with pytest.raises(EgpError, match="v_x from 'speed' in rad: not a unit of it"):
+    with pytest.raises(EgpError, match="v_x from 'speed': rad is not a unit of v_x"):
         _import(tmp_path / "drive.csv", v_x="speed:rad")
     with pytest.raises(EgpError, match="unknown unit 'kmh'"):
         Column.parse("speed:kmh")

@@ -1,4 +1,4 @@
-"""The command line, `egp`. Each command lives in its own module under `commands`."""
+"""The command line `egp`. Each command has its own module in `commands`."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from egp_service.cli.commands.train import train
 HELP = """
 Drive on roads of unknown friction: an ensemble of Gaussian processes inside an MPC.
 
-A first look:
+Demo:
   egp demo
 
-The chain, step by step:
+From data to driving:
   egp collect --friction 0.5 -o data/wet.parquet
   egp collect --friction 1.1 -o data/dry.parquet
   egp train data/*.parquet -o library.safetensors
@@ -37,7 +37,7 @@ The paper's experiments, with baselines:
 As a service for vehicles:
   egp serve library.safetensors --listen tcp/0.0.0.0:7447
 """
-# Extras by a package that only they install.
+# Packages that only an extra installs, with this extra.
 EXTRAS = {
     "torch": "train",
     "gpytorch": "train",
@@ -49,7 +49,7 @@ EXTRAS = {
     "osqp": "paper",
     "ray": "cluster",
 }
-REFUSED = 1
+FAILED = 1
 
 app = typer.Typer(
     name="egp",
@@ -63,7 +63,7 @@ for command in (collect, train, inspect, serve, drive, demo, evaluate):
 
 
 def main() -> None:
-    """Run the command line; what goes wrong is one line on stderr and an exit code."""
+    """Run the command line; errors give one line on stderr and an exit code."""
     try:
         app()
     except ModuleNotFoundError as error:
@@ -80,4 +80,4 @@ def main() -> None:
 def _fail(message: str) -> NoReturn:
     console = Console(stderr=True, soft_wrap=True)
     console.print(Text.assemble(("egp: ", "bold red"), message))
-    sys.exit(REFUSED)
+    sys.exit(FAILED)

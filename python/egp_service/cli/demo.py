@@ -1,4 +1,4 @@
-"""The demo: a lap over three surfaces by the ensemble, and the same with each member alone."""
+"""The demo: a lap over three surfaces with the ensemble, and with each single member."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SCENARIO = "rounded-rectangle"
 
 @dataclass(frozen=True, slots=True)
 class Lap:
-    """One of the demo's laps."""
+    """A lap of the demo."""
 
     label: str
     run: Run
@@ -33,10 +33,10 @@ class Lap:
 def drive_laps(
     library: Path | None, folder: Path, observe: Callable[[str, Period], None]
 ) -> list[Lap]:
-    """Drive the ensemble's lap and one with each member alone, each with its own service.
+    """Drive a lap with the ensemble and one with each single member, each with its own service.
 
-    A member alone is a library of one, its GPs taken over bit for bit; everything else is equal.
-    `library` is the shipped one by default. Results go to one folder a lap inside `folder`.
+    The library of a single member contains the same bits of its GPs; everything else is equal.
+    `library` is the shipped one by default. Each lap has its own folder in `folder`.
     """
     scenario = load_scenario(SCENARIO)
     source = library_path(scenario) if library is None else library

@@ -1,4 +1,4 @@
-"""What is inside a library file: `egp inspect`."""
+"""Display of a library file: `egp inspect`."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def inspect(path: Path, console: Console | None = None) -> None:
     """Print surfaces, sizes, hyperparameters, envelopes and the identity of a library.
 
     Raises:
-        LibraryError: when the file fails a check.
-        OSError: when it cannot be read.
+        LibraryError: if the file fails a check.
+        OSError: if it cannot be read.
 
     """
     console = console or Console()
@@ -43,7 +43,7 @@ def inspect(path: Path, console: Console | None = None) -> None:
 
 
 def summary(path: Path, library: Library) -> Table:
-    """Return what holds for the whole library."""
+    """Return the properties of the whole library."""
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="bold")
     table.add_column(overflow="fold")
@@ -61,7 +61,7 @@ def summary(path: Path, library: Library) -> Table:
 
 
 def members(members: Iterable[Member]) -> Table:
-    """Return one row for each surface."""
+    """Return a table with a row for each surface."""
     table = Table("member", "friction", "points", "dataset", title="Surfaces", box=box.SIMPLE_HEAD)
     for member in members:
         table.add_row(
@@ -71,9 +71,10 @@ def members(members: Iterable[Member]) -> Table:
 
 
 def hyperparameters(member: Member) -> Table:
-    """Return one row for each output; a long lengthscale means an input that hardly matters.
+    """Return a table with a row for each output.
 
-    `scale` is the prior standard deviation, `noise` that of the measurement, in output units.
+    Inputs with long lengthscales have little effect. `scale` is the prior standard deviation and
+    `noise` that of the noise, in output units.
     """
     table = Table(
         "output",
@@ -99,7 +100,7 @@ def hyperparameters(member: Member) -> Table:
 
 
 def vehicle(label: str, parameters: NDArray[np.float64]) -> tuple[Table, Table]:
-    """Return the single-track vehicle that the GPs correct: its body, and its axles' tyres."""
+    """Return tables of the single-track vehicle that the GPs correct: body and axles."""
     title = f"{label}: the vehicle that the GPs correct"
     body = Table(*BODY, title=title, box=box.SIMPLE_HEAD)
     values = [f"{value:.4g}" for value in parameters]
@@ -112,7 +113,7 @@ def vehicle(label: str, parameters: NDArray[np.float64]) -> tuple[Table, Table]:
 
 
 def envelope(member: Member) -> Table:
-    """Return the range of the training inputs."""
+    """Return a table with the ranges of the training inputs."""
     table = Table(
         "",
         *(f"{name} {unit}" for name, unit in GP_INPUT.items()),

@@ -1,4 +1,4 @@
-"""Progress bars of collecting and training."""
+"""Progress bars of collection and training."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def collecting(console: Console) -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar for each surface; the callable takes label, runs done and runs in all."""
+    """Show a bar for each surface; the callable takes label, completed runs and all runs."""
     with Progress(
         TextColumn("collecting {task.description}"),
         BarColumn(),
@@ -45,9 +45,9 @@ def collecting(console: Console) -> Iterator[Callable[[str, int, int], None]]:
 
 @contextlib.contextmanager
 def fitting(console: Console) -> Iterator[Callable[[FitProgress], None]]:
-    """Show one bar over all fits with the present loss and the time left.
+    """Show one bar over all fits with the present loss and the remaining time.
 
-    Fits that converge early make the bar jump; the estimate is an upper bound.
+    The bar jumps when a fit converges early, so the remaining time is an upper bound.
     """
     with Progress(
         TextColumn("{task.description}"),

@@ -1,4 +1,4 @@
-"""One line that tells how a run is going, while it goes."""
+"""Status line of a run in progress."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ BLOCKS = " ▁▂▃▄▅▆▇█"
 
 
 class StatusLine:
-    """A live line on a terminal; nothing elsewhere."""
+    """A live line on a terminal; there is no output elsewhere."""
 
     def __init__(self, console: Console) -> None:
-        """Show on `console`."""
+        """Create a line on `console`."""
         self._live = Live(console=console, refresh_per_second=10, transient=True)
 
     def __enter__(self) -> Self:
-        """Start showing."""
+        """Show the line."""
         self._live.start()
         return self
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
-    """One row a run: did it come through, how precisely, how fast."""
+    """Return a table with a row for each run: result, errors and times."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("run", no_wrap=True)
     table.add_column("result")

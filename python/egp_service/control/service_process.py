@@ -1,4 +1,4 @@
-"""A service of our own, in its own process on this machine."""
+"""A service in its own process on this machine."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ DRAIN_SECONDS = 5.0
 
 
 class ServiceStartError(EgpError):
-    """The service did not come up; the message ends with what it said last."""
+    """The service did not start; the message ends with its last output."""
 
 
 class ServiceProcess:
-    """`egp serve` on a free loopback port; `endpoint` is where to connect.
+    """`egp serve` on a free loopback port; clients connect to `endpoint`.
 
-    `stop` drains it as SIGTERM does in production, `kill` and `freeze` are accidents,
-    `start` brings it back at the same endpoint.
+    `stop` drains the service as SIGTERM does in production, `kill` and `freeze` simulate failures,
+    and `start` starts it again at the same endpoint.
     """
 
     def __init__(self, library: Path, settings: Mapping[str, object]) -> None:
@@ -48,7 +48,7 @@ class ServiceProcess:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Start it and wait until it listens. Raises `ServiceStartError` when it does not."""
+        """Start the service and wait until it listens, or raise `ServiceStartError`."""
         config, log_file = self._folder / "service.toml", self._folder / "log.txt"
         config.write_text(dumps(self._config), encoding="utf-8")
         command = [sys.executable, "-m", "egp_service", "serve", "--config", str(config)]
@@ -64,7 +64,7 @@ class ServiceProcess:
             time.sleep(0.02)
 
     def stop(self) -> None:
-        """Drain and end it."""
+        """Drain and end the service."""
         if self._process is None:
             return
         self._process.terminate()
@@ -75,19 +75,19 @@ class ServiceProcess:
         self._process = None
 
     def kill(self) -> None:
-        """End it at once."""
+        """End the service immediately."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()
             self._process = None
 
     def freeze(self) -> None:
-        """Stop it where it is, as a machine does that hangs; `kill` still ends it."""
+        """Suspend the process like a hanging machine; `kill` still ends it."""
         if self._process is not None:
             self._process.send_signal(signal.SIGSTOP)
 
     def __enter__(self) -> Self:
-        """Start it, its files in a temporary folder."""
+        """Start the service with its files in a temporary folder."""
         with ExitStack() as started:
             self._folder = Path(started.enter_context(TemporaryDirectory(prefix="egp-service-")))
             started.callback(self.stop)
@@ -101,7 +101,7 @@ class ServiceProcess:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop it and remove its files."""
+        """Stop the service and remove its files."""
         self._cleanup.close()
 
 

@@ -1,6 +1,6 @@
-"""TOML text of plain values, for configurations that are written to be read again.
+"""TOML text of configurations.
 
-The standard library reads TOML but does not write it; what is written here is the subset that
+The standard library reads TOML but does not write it. This module writes the subset that
 configurations use: tables, arrays of tables, and arrays of scalars.
 """
 
@@ -15,7 +15,7 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def dumps(table: Mapping[str, object]) -> str:
-    """TOML document of `table`; `tomllib.loads` gives the same values back."""
+    """Return the TOML document of `table`; `tomllib.loads` returns the same values."""
     return "\n".join(_lines(table, ())).strip() + "\n"
 
 
@@ -38,7 +38,7 @@ def _lines(table: Mapping[str, object], path: tuple[str, ...]) -> list[str]:
 
 
 def _table_rows(value: object) -> list[Mapping[str, object]]:
-    """Give the tables of an array of tables; nothing for anything else."""
+    """Return the tables of an array of tables, or an empty list for any other value."""
     if isinstance(value, str) or not isinstance(value, Sequence):
         return []
     rows = [item for item in value if isinstance(item, Mapping)]
@@ -56,10 +56,10 @@ def _inline(value: object) -> str:
         return json.dumps(value)
     if isinstance(value, float):
         if not math.isfinite(value):
-            raise ValueError(f"a configuration holds finite numbers, got {value}")
+            raise ValueError(f"expected a finite number in a configuration, got {value}")
         return repr(value)
     if isinstance(value, int):
         return str(value)
     if isinstance(value, Sequence):
         return f"[{', '.join(map(_inline, value))}]"
-    raise TypeError(f"no TOML form for {type(value).__name__}")
+    raise TypeError(f"{type(value).__name__} has no TOML representation")

@@ -1,6 +1,6 @@
-"""Collecting a dataset of one surface on the plant: many runs in parallel, one result.
+"""Collection of a dataset of one surface on the plant, in parallel processes.
 
-Runs on tracks show where vehicles usually are, random states what they should never do but might.
+Runs on tracks give the usual states of vehicles, and random states give unusual but possible ones.
 The result does not depend on the number of processes.
 """
 
@@ -27,20 +27,20 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class CollectionSettings:
-    """What is collected on one surface."""
+    """Amount and kind of the data of one surface."""
 
     tracks: tuple[str, ...] = ("rounded-rectangle", "random")
-    """Tracks of the runs, in turn; every second round in the other direction. "random" is another
-    one each time."""
+    """Tracks of the runs, used in turn; every second round is in the opposite direction. "random"
+    is a different track each time."""
     runs: int = 6
-    """Runs on tracks."""
+    """Number of runs on tracks."""
     samples: int = 300
-    """Vehicles put into random states."""
+    """Number of vehicles that start in random states."""
     exploration: ExplorationSettings = dataclasses.field(default_factory=ExplorationSettings)
     sampling: SamplingBounds = dataclasses.field(default_factory=SamplingBounds)
 
     def __post_init__(self) -> None:
-        """Refuse an empty collection."""
+        """Check that something is collected."""
         if self.runs < 0 or self.samples < 0 or self.runs + self.samples == 0:
             raise EgpError("nothing to collect: ask for runs, samples or both")
         if self.runs and not self.tracks:
@@ -57,10 +57,11 @@ def collect(
 ) -> Dataset:
     """Collect on one surface, in the processes that `workers` gives for `jobs` and `cluster`.
 
-    Run `i` has the seed `[experiment.seed, i]` in effect; `report(done, total)` follows the runs.
+    Run `i` has a seed derived from `experiment.seed` and `i`. `report(done, total)` is called after
+    each run.
 
     Raises:
-        EgpError: for an unknown vehicle or track, or when nothing could be recorded.
+        EgpError: if vehicle or track are unknown, or if nothing could be recorded.
 
     """
     numbers = range(settings.runs)
@@ -82,7 +83,7 @@ def collect(
 
 
 def _run(experiment: Experiment, settings: CollectionSettings, number: int) -> Dataset:
-    """Drive run `number`; its seed is far from those of other experiments."""
+    """Drive run `number`, whose seed differs from those of other experiments."""
     count = len(settings.tracks)
     seed = 1_000_003 * (experiment.seed + 1) + number
     name, reverse = settings.tracks[number % count], number // count % 2 == 1

@@ -1,4 +1,4 @@
-"""A user's own log as a dataset: columns named and converted, period checked, units doubted."""
+"""Import of a user's log as a dataset: conversion of units, and checks of period and magnitudes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ UNITS: Final = {
 }
 
 _SI_UNITS: Final = {"time": "s", "a_x": "m/s2"} | GP_INPUT
-# Largest believable magnitude of each quantity; beyond it the unit is wrong, not the car fast.
+# Largest plausible magnitude of each quantity; larger values indicate a wrong unit.
 _LARGEST: Final = {
     "time": np.inf,
     "v_x": 100.0,
@@ -50,13 +50,13 @@ _LARGEST: Final = {
     "a_x": 30.0,
     "delta_dot": 6.0,
 }
-# Unbroken logs are cut into trajectories of this length, so that validation can hold some out.
+# Logs without gaps are split into trajectories of this length for the validation split.
 _TRAJECTORY_SECONDS: Final = 10.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """A column of the log and the unit it is in."""
+    """A column of the log and its unit."""
 
     name: str
     unit: str
@@ -80,17 +80,17 @@ def import_csv(
     mass: float | None = None,
     separator: str = ",",
 ) -> Dataset:
-    """Turn a log into transitions of `provenance.dt` seconds.
+    """Convert a log into transitions of `provenance.dt` seconds.
 
     `columns` maps `time, v_x, v_y, omega, delta` and `F_x`, or `a_x` (commanded acceleration,
-    multiplied by `mass` in kg), to the log's columns. Faster logs are thinned: states are taken at
-    the period's ends, the force is averaged over it and the steering rate is the change of
-    `delta`, so that it fits the steering angle exactly. A `delta_dot` column is used only to check
-    that. A gap in time starts a new trajectory.
+    multiplied by `mass` in kg), to the log's columns. Faster logs are thinned: states are those at
+    the ends of a period, the force is its mean over the period, and the steering rate is the change
+    of `delta`, so that it is consistent with the steering angle. A `delta_dot` column is only
+    compared with this rate. A gap in time starts a new trajectory.
 
     Raises:
-        EgpError: for missing columns, unbelievable magnitudes, uneven or unsuitable periods, values
-            that are not finite.
+        EgpError: if columns are missing, magnitudes are implausible, the period is uneven or not
+            suitable, or values are not finite.
 
     """
     missing = [q for q in ("time", *GP_STATE_NAMES) if q not in columns]
@@ -102,7 +102,7 @@ def import_csv(
     log = _read(path, columns, separator)
     if "a_x" in log:
         if mass is None or mass <= 0.0:
-            raise EgpError("a_x needs the vehicle's mass in kg, to become the force F_x = mass a_x")
+            raise EgpError("a_x requires the vehicle's mass in kg for the force F_x = mass a_x")
         log["F_x"] = mass * log["a_x"]
     pieces, every = _pieces(log["time"], provenance.dt)
     z, y, trajectory, step = [], [], [], []
@@ -142,7 +142,9 @@ def _read(
         largest = _LARGEST[quantity]
         unit, factor = UNITS[column.unit]
         if unit != _SI_UNITS[quantity]:
-            raise EgpError(f"{quantity} from '{column.name}' in {column.unit}: not a unit of it")
+            raise EgpError(
+                f"{quantity} from '{column.name}': {column.unit} is not a unit of {quantity}"
+            )
         if column.name not in frame.columns:
             raise EgpError(f"{path}: no column '{column.name}', found {', '.join(frame.columns)}")
         if not frame[column.name].dtype.is_numeric():
@@ -155,20 +157,20 @@ def _read(
         if peak > largest:
             raise EgpError(
                 f"{quantity} reaches {peak:.4g} {unit} when '{column.name}' is read in "
-                f"{column.unit}: more than {largest:g} {unit} is not believable, check the unit"
+                f"{column.unit}: more than {largest:g} {unit} is implausible, check the unit"
             )
         log[quantity] = values
     return log
 
 
 def _pieces(time: NDArray[np.float64], dt: float) -> tuple[list[tuple[int, int]], int]:
-    """Cut at gaps and by length: row ranges [first, last), and how many rows make one dt."""
+    """Split at gaps and by length; return row ranges [first, last) and the rows per dt."""
     if len(time) < 2:  # noqa: PLR2004
         raise EgpError(f"the log has {len(time)} rows: expected at least two")
     gaps = np.diff(time)
     period = float(np.median(gaps))
     if period <= 0.0 or gaps.min() <= 0.0:
-        raise EgpError("time does not increase: sort the log and remove doubled rows")
+        raise EgpError("time does not increase: sort the log and remove duplicate rows")
     every = max(1, round(dt / period))
     if abs(every * period - dt) > 0.02 * dt:
         raise EgpError(
@@ -194,7 +196,7 @@ def _pieces(time: NDArray[np.float64], dt: float) -> tuple[list[tuple[int, int]]
 
 
 def _check_rate(change: NDArray[np.float64], logged: NDArray[np.float64], column: Column) -> None:
-    """Compare the size of delta's change with the logged rate; 57 between them is a unit."""
+    """Compare the change of delta with the logged rate; a factor of 57 is a wrong unit."""
     ours, theirs = float(np.std(change)), float(np.std(logged))
     if ours > 1e-3 and not 0.2 < theirs / ours < 5.0:  # noqa: PLR2004
         raise EgpError(

@@ -1,8 +1,8 @@
-"""Drive data of one surface: one Parquet file whose metadata say what the numbers mean.
+"""Drive data of one surface: a Parquet file with metadata that describe units and origin.
 
 A row is one control period: the GP input `z` at its start, the change `y` of `[v_x, v_y, omega]`
-over it, and where it belongs (`trajectory`, `step`). Rows of one trajectory with consecutive steps
-follow each other in time, so a rollout can be replayed from the file.
+over it, and its position (`trajectory`, `step`). Rows of one trajectory with consecutive steps are
+consecutive in time, so a rollout can be replayed from the file.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _INDEX: Final = ("trajectory", "step")
 
 @dataclasses.dataclass(frozen=True)
 class Provenance:
-    """Where a dataset comes from; stored as JSON in the Parquet key-value metadata.
+    """Origin of a dataset, stored as JSON in the Parquet key-value metadata.
 
-    `friction` is the surface's nominal coefficient; it labels the member and enters no equation.
+    `friction` is the surface's nominal coefficient. It labels the member; training does not use it.
     """
 
     dt: float
@@ -46,7 +46,7 @@ class Provenance:
     tool: str
 
     def __post_init__(self) -> None:
-        """Refuse values that cannot be meant."""
+        """Check the ranges of the values."""
         if not (0.0 < self.dt < 1.0):
             raise EgpError(f"dt is {self.dt} s: expected a period between 0 and 1 s")
         if not (0.0 < self.friction < 3.0):  # noqa: PLR2004 - no tyre reaches 3
@@ -66,7 +66,7 @@ class Dataset:
     provenance: Provenance
 
     def __post_init__(self) -> None:
-        """Check shapes and values once, so that nobody downstream has to."""
+        """Check shapes and values; users of a dataset need no further checks."""
         n = len(self.z)
         shapes: dict[str, tuple[NDArray[Any], tuple[int, ...]]] = {
             "z": (self.z, (n, NZ)),
@@ -101,7 +101,7 @@ class Dataset:
         )
 
     def digest(self) -> str:
-        """Hash the numbers, not the file: SHA-256 over z, y, trajectory and step."""
+        """Return the SHA-256 hash of z, y, trajectory and step, independent of the file format."""
         sha = hashlib.sha256()
         for array, kind in (
             (self.z, "<f8"),
@@ -113,7 +113,7 @@ class Dataset:
         return sha.hexdigest()
 
     def write(self, path: Path) -> None:
-        """Write the file in one step: a reader sees the old one or the new one, never half."""
+        """Write the file atomically."""
         frame = pl.DataFrame(
             {name: self.z[:, i] for i, name in enumerate(GP_INPUT)}
             | {name: self.y[:, i] for i, name in enumerate(GP_OUTPUT)}
@@ -136,10 +136,10 @@ class Dataset:
 
     @staticmethod
     def read(path: Path) -> Dataset:
-        """Read and check a file that `write` or another tool with the same schema made.
+        """Read and check a file of `write` or of another tool with the same schema.
 
         Raises:
-            EgpError: naming the file and what is wrong with it.
+            EgpError: if the file is missing or invalid; the message names the file and the problem.
 
         """
         if not path.is_file():
@@ -165,7 +165,7 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
     """Join datasets of one surface; trajectories are renumbered so that they stay distinct.
 
     Raises:
-        EgpError: when they differ in dt, vehicle, surface or friction.
+        EgpError: if they differ in dt, vehicle, surface or friction.
 
     """
     first = datasets[0].provenance
@@ -192,7 +192,7 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
 
 
 def _provenance(metadata: dict[str, str]) -> Provenance:
-    """Read the metadata of `Dataset.write`, refusing other schemas, units and missing keys."""
+    """Read the metadata of `Dataset.write`; other schemas, units or keys are errors."""
     text = metadata.get(METADATA_KEY)
     if text is None:
         raise EgpError(

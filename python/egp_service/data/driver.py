@@ -1,8 +1,8 @@
-"""A driver for data collection: follows a reference well enough to reach the tyres' limit.
+"""A driver for data collection that follows a reference up to the tyres' limit.
 
-Pure pursuit with yaw-rate feedback for steering, feed-forward and proportional for speed, and
-coloured noise on both inputs. It knows nothing of friction; it fails beyond the limit, which is
-what the data are to show.
+Steering is pure pursuit with yaw-rate feedback, speed control is feed-forward plus proportional,
+and both inputs have coloured noise. The driver has no information about friction; beyond the limit
+it loses control, which the data should contain.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from egp_service.quantities import P_X, P_Y, V_X
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_PREVIEW: Final = 0.5  # s, where pure pursuit aims
-_MAX_STEERING: Final = 0.45  # rad; more only slides the front wheels harder
+_PREVIEW: Final = 0.5  # s, preview time of pure pursuit
+_MAX_STEERING: Final = 0.45  # rad; larger angles only increase the slip of the front wheels
 _UNDERSTEER: Final = 0.0035  # rad s²/m, extra steering per lateral acceleration
 _YAW_GAIN: Final = 0.15  # s, steering per yaw-rate error
-_STEERING_TIME: Final = 0.1  # s, to close a steering error
-_SPEED_TIME: Final = 0.5  # s, to close a speed error
+_STEERING_TIME: Final = 0.1  # s, time constant of the steering control
+_SPEED_TIME: Final = 0.5  # s, time constant of the speed control
 _A_TIME: Final = 0.4  # s, correlation time of the noise on acceleration
 _DELTA_DOT_TIME: Final = 0.15  # s, correlation time of the noise on steering rate
 
 
 @dataclasses.dataclass
 class Driver:
-    """Drives one vehicle; remembers its last input and its noise.
+    """The driver of one vehicle, with its last input and the state of its noise.
 
     `noise` scales the excitation: at 1 the standard deviations are 2 m/s² and 0.15 rad/s.
     """
@@ -77,7 +77,7 @@ class Driver:
         return np.array([self.mass * self._a, self._delta_dot])
 
     def _advance_noise(self) -> tuple[float, float]:
-        """Ornstein-Uhlenbeck processes, exact for the period."""
+        """Advance the Ornstein-Uhlenbeck processes by a period, exactly."""
         first, second = self.rng.standard_normal(2).tolist()
         self._noise = (
             _coloured(self._noise[0], first, self.dt / _A_TIME),
@@ -92,5 +92,5 @@ def _coloured(value: float, white: float, ratio: float) -> float:
 
 
 def _limit(wanted: float, last: float, slew: float, low: float, high: float) -> float:
-    """Limit the rate first, the value last, so that the value's bounds always hold."""
+    """Limit the rate, then the value; the bounds of the value take precedence."""
     return min(high, max(low, min(last + slew, max(last - slew, wanted))))

@@ -1,4 +1,4 @@
-"""What a collection run is about: vehicle, surface, period, and how hard it may steer and brake."""
+"""Parameters of data collection: vehicle, surface, period and actuator limits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 GRAVITY: Final = 9.81
-# Limits of the controller that will use the data; it must not plan what the data do not show.
+# Limits of the controller that uses the data; it must not plan inputs that the data lack.
 MIN_A: Final = -8.0
 MAX_A: Final = 6.0
 POWER: Final = 54.7  # m²/s³, largest a * v_x
@@ -23,12 +23,12 @@ MAX_DELTA_DOT: Final = 0.4
 MAX_DELTA: Final = 0.91
 A_SLEW: Final = 60.0
 DELTA_DOT_SLEW: Final = 8.0
-# Both CommonRoad cars are within 8 % of it; it only shapes the excitation.
+# m, within 8 % of both CommonRoad cars; it is used for the excitation only.
 WHEELBASE: Final = 2.5
 
 
 def largest_acceleration(v_x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Largest forward acceleration at speed `v_x`, m/s²: traction, above it engine power."""
+    """Largest forward acceleration at speed `v_x`, m/s², by traction or engine power."""
     return np.minimum(MAX_A, POWER / np.maximum(v_x, 1.0))
 
 
@@ -44,9 +44,9 @@ class Experiment:
     friction: float
     """Friction coefficient mu of the whole surface."""
     label: str
-    """The surface's name; files of the same name become one member."""
+    """The surface's name; datasets of the same name are merged into one member."""
     seed: int = 0
-    """Seed of everything random."""
+    """Seed of all random numbers."""
     dt: float = 0.02
     """Control period, s."""
     vehicle: int = 1
@@ -58,7 +58,7 @@ class Experiment:
         return Plant(self.vehicle).mass
 
     def provenance(self, method: str) -> Provenance:
-        """Describe data of this experiment that `method` made."""
+        """Return the provenance of data that `method` collected in this experiment."""
         return Provenance(
             dt=self.dt,
             vehicle=f"commonroad-{self.vehicle}",

@@ -1,10 +1,10 @@
-"""Driving a track at rising speed with exploration noise, on one surface.
+"""Data collection on a track at increasing speed with exploration noise, on one surface.
 
-A run is a number of episodes. Each begins somewhere on the track with a moment that is not
-recorded, in which suspension and tyres find their state: on the surface itself, or on a better one
-from which the vehicle then arrives too fast. The fraction of grip that the speed asks for rises
-from episode to episode, to beyond what the surface holds; an episode ends early when the vehicle
-leaves the track or spins.
+A run consists of episodes. Each starts at a random point of the track with a warm-up that is not
+recorded, in which suspension and tyres reach their state. The warm-up is on the surface itself or
+on a surface with higher friction, from which the vehicle then arrives too fast. The fraction of
+grip that the reference speed needs increases from episode to episode beyond the friction of the
+surface. An episode ends early if the vehicle leaves the track or spins.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ if TYPE_CHECKING:
     from egp_service.data.experiment import Experiment
     from egp_service.data.exploration_track import ExplorationTrack
 
-_MIN_SPEED: Final = 1.0  # m/s; slower is standing
+_MIN_SPEED: Final = 1.0  # m/s; slower vehicles count as standing
 
 
 @dataclasses.dataclass(frozen=True)
 class ExplorationSettings:
-    """How a run explores."""
+    """Settings of a run."""
 
     episodes: int = 40
-    """Episodes of a run."""
+    """Number of episodes of a run."""
     seconds: float = 3.0
     """Recorded length of an episode, s."""
     warm_up: float = 0.8
-    """Driving before recording begins, s."""
+    """Duration of driving before recording, s."""
     grip: tuple[float, float] = (0.25, 1.1)
     """Fraction of the available grip that the speed profile uses, first and last episode."""
     arrivals: float = 0.25
-    """Share of episodes that arrive from the better surface."""
+    """Share of episodes that arrive from the surface with higher friction."""
     arrival_friction: float = 1.1
     """Friction coefficient of that surface."""
     reaction: tuple[float, float] = (0.0, 1.0)
@@ -58,7 +58,7 @@ def explore(
     """Drive one run.
 
     Raises:
-        EgpError: when no episode survived its first periods.
+        EgpError: if every episode ended in its first periods.
 
     """
     rng = np.random.default_rng(experiment.seed)
@@ -73,7 +73,9 @@ def explore(
         trajectory.append(np.full(count, episode, dtype=np.uint32))
         step.append(np.arange(count, dtype=np.uint32))
     if not z:
-        raise EgpError(f"all {settings.episodes} episodes left the track at once: lower the grip")
+        raise EgpError(
+            f"all {settings.episodes} episodes left the track at their start: lower the grip"
+        )
     return Dataset(
         z=np.concatenate(z),
         y=np.concatenate(y),
@@ -90,7 +92,7 @@ def _episode(
     number: int,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Drive one episode: recorded states (n + 1, 7) and inputs (n, 2)."""
+    """Drive one episode; return the recorded states (n + 1, 7) and inputs (n, 2)."""
     low, high = settings.grip
     grip = low + (high - low) * (number + rng.uniform()) / settings.episodes
     arrives = rng.uniform() < settings.arrivals
@@ -110,7 +112,7 @@ def _episode(
             u = driver.input(x, reference)
             try:
                 plant.step(u, experiment.dt, surface)
-            except EgpError:  # it spun
+            except EgpError:  # the vehicle spun
                 return False
             inputs.append(u)
             states.append(plant.vehicle_state)

@@ -1,4 +1,4 @@
-"""A track as the exploring driver meets it: start states, reference ahead, where it ends."""
+"""Tracks for data collection: start states, reference ahead and distance from the track."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Of a seed, which all but one ignore.
+# Functions of a seed, which only the random track uses.
 TRACKS: Final[dict[str, Callable[[int], Path]]] = {
     "rounded-rectangle": lambda _: Path.rounded_rectangle(),
     "l-shape": lambda _: Path.l_shape(),
     "random": Path.random,
 }
-# Farther out than any track's edge: sliding wide is worth recording, driving on a meadow is not.
+# m from the path; beyond all track edges, so that slides beyond the edge are recorded.
 _LEAVE: Final = 6.0
-_PREVIEW: Final = 0.6  # s of reference the driver sees
-_GRIP_STEP: Final = 0.05  # speed profiles are made for multiples of it
+_PREVIEW: Final = 0.6  # s of reference for the driver
+_GRIP_STEP: Final = 0.05  # speed profiles exist for its multiples
 
 
 class ExplorationTrack:
-    """A closed track with a speed profile for every friction and grip asked of it."""
+    """A closed track with speed profiles for the requested frictions and grips."""
 
     def __init__(self, name: str, seed: int = 0, *, reverse: bool = False) -> None:
-        """Build a track of `TRACKS`; `reverse` drives it the other way, turning right."""
+        """Build a track of `TRACKS`; `reverse` reverses its direction, so that it turns right."""
         if name not in TRACKS:
             raise EgpError(f"no track '{name}' to collect on: expected one of {', '.join(TRACKS)}")
         path = TRACKS[name](seed)
@@ -63,14 +63,14 @@ class ExplorationTrack:
         steps = max(1, round(grip / _GRIP_STEP))
         key = (friction, steps)
         if key not in self._profiles:
-            # As much of a scaled friction, since profiles themselves stop at the whole of it.
+            # Profiles accept a grip of at most 1, so the friction is scaled instead.
             path = self._path.with_friction([(0.0, steps * _GRIP_STEP * friction)])
             self._profiles[key] = SpeedProfile(path, 1.0)
         return self._profiles[key]
 
 
 def _reversed(path: Path) -> Path:
-    """Return the same line driven the other way."""
+    """Return the path in the opposite direction."""
     s = np.arange(0.0, path.length - 1.0, 2.0)
     x, y = path.sample(s)[:2]
     return Path.from_points(np.column_stack([x, y])[::-1].copy(), closed=True)

@@ -1,8 +1,8 @@
 """Random states and inputs, as in the paper's comparison with the standard GP.
 
-A vehicle is put into a sampled state, driven for a few periods with a sampled constant input, and
-the transitions are kept. Bounds follow the surface: yaw rate and sideslip are drawn beyond what it
-can hold, since a member must also know a car that arrives too fast from a better surface.
+A vehicle starts in a sampled state and is driven for a few periods with a sampled constant input;
+the transitions are kept. Bounds depend on the surface. Yaw rate and sideslip exceed its friction,
+because a member must also predict a car that arrives too fast from a surface with higher friction.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _VISIBLE: Final = (3, 10, 5, 2)
 
 @dataclasses.dataclass(frozen=True)
 class SamplingBounds:
-    """Subsets of the state and input spaces; uniform within."""
+    """Bounds of the uniform distributions of states and inputs."""
 
     v_x: tuple[float, float] = (2.0, 27.0)
     """Speed, m/s."""
@@ -42,7 +42,7 @@ class SamplingBounds:
     lateral: float = 1.2
     """Largest lateral acceleration v_x * omega, in units of mu * g."""
     steering: float = 0.15
-    """Largest steering beyond what the yaw rate asks of a vehicle without slip, rad."""
+    """Largest deviation from the steering angle of a vehicle without slip, rad."""
     omega: float = 1.2
     """Largest yaw rate, rad/s."""
 
@@ -57,11 +57,11 @@ def sample(
 ) -> Dataset:
     """Drive `count` vehicles from random states for `settle + keep` periods; keep the last ones.
 
-    The first `settle` periods belong to the suspension, which starts at rest. Vehicles that spin
-    are left out.
+    In the first `settle` periods the suspension, which starts at rest, reaches its state. Vehicles
+    that spin are left out.
 
     Raises:
-        EgpError: when the vehicle is not one of the plant's, or every sample spun.
+        EgpError: if the vehicle is unknown to the plant, or if every sample spun.
 
     """
     bounds = bounds or SamplingBounds()
@@ -100,7 +100,7 @@ def _draw(
     v_x = rng.uniform(*bounds.v_x, count)
     lateral = bounds.lateral * friction * GRAVITY * rng.uniform(-1.0, 1.0, count)
     omega = np.clip(lateral / v_x, -bounds.omega, bounds.omega)
-    # Less sideslip at walking pace, where a rolling wheel cannot hold it for a period.
+    # Sideslip is reduced at low speed, where it decays within a period.
     sideslip = bounds.sideslip * rng.uniform(-1.0, 1.0, count) * np.minimum(1.0, v_x / 8.0)
     delta = np.arctan(WHEELBASE * omega / v_x)
     delta += bounds.steering * rng.uniform(-1.0, 1.0, count)

@@ -1,4 +1,4 @@
-"""Work in parts, in parallel; every finished part is a line in a file, to go on from later."""
+"""Parallel work in parts; each result is a line of a file, so that interrupted work can resume."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ Result = TypeVar("Result", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Batch(Generic[Part, Result]):
-    """Parts of one kind, by fingerprints that tell them from all others."""
+    """Parts of one kind with unique fingerprints."""
 
     log: Path
-    """Results so far, a JSON object on each line."""
+    """File of the results so far, one JSON object per line."""
     parts: Mapping[str, Part]
     work: Callable[[Part], Result]
-    """Done in another process, so it and the parts have to be picklable."""
+    """Computes a part's result in another process; it and the parts must be picklable."""
     read: Callable[[dict[str, Any]], Result]
-    """Makes a result of its fields; raises `KeyError` or `TypeError` of another version's."""
+    """Creates a result from its fields; raises `KeyError` or `TypeError` for another version's."""
     report: Callable[[Result], None]
-    """Follows the results, first those that are in the log."""
+    """Called with each result, first with those in the log."""
 
     def results(self) -> list[Result]:
-        """Give the results of all parts in their order, once they are finished."""
+        """Return the results of all parts in order; all parts must be finished."""
         known = self._known()
         return [known[mark] for mark in self.parts]
 
     def resume(self) -> list[str]:
-        """Report what is known; gives the fingerprints of what is not."""
+        """Report the known results; return the fingerprints of the missing parts."""
         known = self._known()
         for mark in self.parts:
             if mark in known:
@@ -48,12 +48,12 @@ class Batch(Generic[Part, Result]):
         return [mark for mark in self.parts if mark not in known]
 
     def keep(self, mark: str, result: Result) -> None:
-        """Write down and report a result."""
+        """Append a result to the log and report it."""
         with self.log.open("a+b") as log:
             if log.tell():
                 log.seek(-1, os.SEEK_END)
                 if log.read() != b"\n":
-                    log.write(b"\n")  # after the line that an interruption tore
+                    log.write(b"\n")  # ends a line that an interruption left incomplete
             log.write(json.dumps({"trial": mark, "outcome": asdict(result)}).encode() + b"\n")
         self.report(result)
 
@@ -73,7 +73,7 @@ class Batch(Generic[Part, Result]):
 def finish(
     batches: Iterable[Batch[Any, Any]], jobs: int | None = None, cluster: str | None = None
 ) -> None:
-    """Do what is missing of all batches in one go, so that no process waits at the end of each."""
+    """Compute the missing parts of all batches in one pool, so that all processes stay busy."""
     missing = [(batch, mark) for batch in batches for mark in batch.resume()]
     if not missing:
         return

@@ -1,4 +1,4 @@
-"""A folder of trials, each driven with the library of its contender's members."""
+"""Trials whose outcomes are stored in a folder, with libraries of the contenders' members."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from _typeshed import DataclassInstance
 
-    from egp_service.evaluation.experiments import Experiment, Trial
+    from egp_service.evaluation.experiments import ClosedLoopExperiment, Trial
     from egp_service.simulation.closed_loop import Run
     from egp_service.simulation.scenario import Scenario
 
@@ -36,7 +36,7 @@ Result = TypeVar("Result", bound="DataclassInstance")
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """A finished trial. Errors of a run that did not come through count up to where it ended."""
+    """A finished trial. Errors of an incomplete run are those up to its end."""
 
     experiment: str
     condition: str
@@ -45,31 +45,31 @@ class Outcome:
     completed: bool
     reason: str
     time: float
-    """s."""
+    """Duration, s."""
     distance: float
-    """m."""
+    """Distance driven, m."""
     lateral_max: float
-    """m."""
+    """Largest lateral error, m."""
     lateral_rms: float
     speed_rms: float
     """m/s."""
     off_track: float
     """Time in which a side of the vehicle was beyond the track's edge, s."""
     settling: tuple[float, ...]
-    """Time from each friction change under excitation until the weights stay, s."""
+    """Settling time of the weights after each friction change under excitation, s."""
     resolution: float | None
-    """How well a window tells the friction; the ensemble's on a friction step."""
+    """Bound on the accuracy of the friction from one window, for the ensemble's friction steps."""
     misses: int
-    """Periods without a usable plan."""
+    """Number of periods without a usable plan."""
     late: int
-    """Periods whose step took longer than the period, on a machine as busy as this one was."""
+    """Number of periods whose step took longer than the period, on the shared machine."""
     step_ms: float
-    """Median time of a step, likewise."""
+    """Median time of a step on the shared machine, ms."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A run to look at."""
+    """A run to draw."""
 
     condition: str
     contender: str
@@ -77,12 +77,12 @@ class Drive:
 
 
 class Campaign:
-    """Trials in a folder: libraries of the contenders, outcomes so far."""
+    """Trials with a folder for the contenders' libraries and the outcomes so far."""
 
     def __init__(self, folder: Path, library: Path) -> None:
-        """Take up the campaign in `folder`, or begin one with the members of `library`.
+        """Resume the campaign in `folder`, or start one with the members of `library`.
 
-        Raises `EgpError` when the folder belongs to another library.
+        Raises `EgpError` if the folder belongs to another library.
         """
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
@@ -91,18 +91,18 @@ class Campaign:
         self._defaults = Engine(str(library)).settings_toml
         mark = folder / "library.sha256"
         if mark.exists() and mark.read_text(encoding="utf-8") != self._id:
-            raise EgpError(f"{folder} holds runs of another library: choose another --output")
+            raise EgpError(f"{folder} contains runs of another library: choose another --output")
         mark.write_text(self._id, encoding="utf-8")
         program, build = folder / "program.sha256", _build()
         self.of_another_build = program.exists() and program.read_text(encoding="utf-8") != build
-        """Whether some outcomes so far may be those of another build of the extension."""
+        """Whether outcomes so far may come from another build of the extension."""
         if not self.of_another_build:
             program.write_text(build, encoding="utf-8")
 
     def runs(
         self, trials: Iterable[Trial], report: Callable[[Outcome], None]
     ) -> Batch[Trial, Outcome]:
-        """Every trial driven once."""
+        """All trials, each driven once."""
         return self.batch("runs", trials, run_trial, Outcome, report)
 
     def batch(
@@ -113,21 +113,22 @@ class Campaign:
         kind: type[Result],
         report: Callable[[Result], None],
     ) -> Batch[Trial, Result]:
-        """Trials to `work` on, whose results of this `kind` go to `{name}.jsonl`."""
+        """Trials for the function `work`, whose results of this `kind` go to `{name}.jsonl`."""
         wanted = [self._with_library(trial) for trial in trials]
         parts = {fingerprint(trial, self._id + self._defaults): trial for trial in wanted}
         return Batch(self._folder / f"{name}.jsonl", parts, work, _reader(kind), report)
 
     def drives(
         self,
-        experiments: Iterable[Experiment],
+        experiments: Iterable[ClosedLoopExperiment],
         *,
         jobs: int | None = None,
         cluster: str | None = None,
     ) -> dict[str, list[Drive]]:
-        """Drive what is worth looking at, by experiment.
+        """Drive the runs to draw, by experiment.
 
-        Of the first seed the ensemble at every condition, and at one the others beside it.
+        These are the ensemble at every condition and the others at one condition, for the first
+        seed.
         """
         shown = [t for e in experiments for t in _shown(e)]
         with workers(jobs, cluster) as pool:
@@ -139,7 +140,7 @@ class Campaign:
         return found
 
     def _with_library(self, trial: Trial) -> Trial:
-        """Give the trial the library of its contender's members, made when it is first needed."""
+        """Return the trial with the library of its contender's members, writing it if necessary."""
         members = trial.contender.members
         path = self._folder / "libraries" / f"{'-'.join(map(str, members))}.safetensors"
         if not path.exists():
@@ -149,7 +150,7 @@ class Campaign:
         return replace(trial, scenario=replace(trial.scenario, library=str(path), control=control))
 
 
-def _shown(experiment: Experiment) -> list[Trial]:
+def _shown(experiment: ClosedLoopExperiment) -> list[Trial]:
     return [
         trial
         for trial in experiment.trials([0])
@@ -158,19 +159,19 @@ def _shown(experiment: Experiment) -> list[Trial]:
     ]
 
 
-def require_members(library: Path, experiments: Iterable[Experiment]) -> None:
-    """Raise `EgpError` unless the library has all members that the experiments drive with."""
+def require_members(library: Path, experiments: Iterable[ClosedLoopExperiment]) -> None:
+    """Raise `EgpError` unless the library has all members that the experiments need."""
     wanted = [m for e in experiments for c in e.contenders for m in c.members]
     found = len(Library.load(library).members)
     if max(wanted, default=-1) >= found:
         raise EgpError(
-            f"{library} has {found} members, these experiments need {max(wanted) + 1}, in the "
+            f"{library} has {found} members, these experiments need {max(wanted) + 1} in the "
             "shipped library's order: egp evaluate --train makes such a library"
         )
 
 
 def fingerprint(trial: Trial, library: str) -> str:
-    """Identify a trial by what its outcome depends on, `library` with all settings included."""
+    """Hash everything on which a trial's outcome depends; `library` includes all settings."""
     track = trial.scenario.track
     if track.file is not None:
         track = replace(track, file=hashlib.sha256(Path(track.file).read_bytes()).hexdigest())
@@ -180,12 +181,12 @@ def fingerprint(trial: Trial, library: str) -> str:
 
 
 def _build() -> str:
-    """Identify the compiled extension, which holds vehicle and controller."""
+    """Hash the compiled extension, which contains vehicle and controller."""
     return hashlib.sha256(Path(_core.__file__).read_bytes()).hexdigest()
 
 
 def _reader(kind: type[Result]) -> Callable[[dict[str, Any]], Result]:
-    """Make results of what JSON leaves of them."""
+    """Return a function that creates results from their JSON fields."""
 
     def read(values: dict[str, Any]) -> Result:
         return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
@@ -199,7 +200,7 @@ def run_trial(trial: Trial) -> Outcome:
 
 
 def drive_trial(trial: Trial) -> Run:
-    """Drive one trial and keep its trace; its scenario names its library."""
+    """Drive one trial with the library of its scenario and return the run."""
     return drive(trial.scenario, make(trial.contender, trial.scenario), lambda _: None)
 
 

@@ -1,4 +1,4 @@
-"""What the controller is meant to do, checked against the outcomes; failures stay failures."""
+"""Claims about the controller, checked against the outcomes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _EXCITED: Final = tuple(
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A claim and whether the outcomes bear it out."""
+    """A claim and whether the outcomes support it."""
 
     text: str
     holds: bool
@@ -122,7 +122,7 @@ def _regret(outcomes: Sequence[Outcome]) -> list[Claim]:
 
 
 def _best(outcomes: Sequence[Outcome]) -> list[Claim]:
-    """Completion first, then the error: a run that ends early has no error worth comparing."""
+    """Compare completions first, then errors; errors of incomplete runs are not comparable."""
     groups = [g for g in grouped(outcomes) if g.experiment in MIXED and g.contender != ORACLE]
     lost = []
     for own in (g for g in groups if g.contender == ENSEMBLE):
@@ -131,7 +131,7 @@ def _best(outcomes: Sequence[Outcome]) -> list[Claim]:
             if not same or other is own:
                 continue
             more = other.completed > own.completed
-            # Better beyond doubt: the intervals of the medians do not touch.
+            # Significantly better: the intervals of the medians do not overlap.
             closer = other.completed == own.completed and (
                 other.lateral_rms.high < own.lateral_rms.low
             )
@@ -178,7 +178,7 @@ def _settling(outcomes: Sequence[Outcome]) -> list[Claim]:
 
 
 def _ordering(predictions: Sequence[PredictionOutcome]) -> list[Claim]:
-    """Compare as the paper's figure does: ensemble, pooled, wrong surface; two to four members."""
+    """Compare as in the paper's figure: ensemble, pooled, wrong surface; two to four members."""
 
     def error(predictor: str, on: str, window: int) -> NDArray[np.float64]:
         rows = [
@@ -206,7 +206,7 @@ def _ordering(predictions: Sequence[PredictionOutcome]) -> list[Claim]:
 def _ordered(
     text: str, pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]
 ) -> list[Claim]:
-    """Claim it of each output's mean over the seeds, beyond doubt, and of every single seed."""
+    """Claim the order for each seed, and significantly for each output's mean over the seeds."""
     gaps = np.concatenate([more - less for less, more in pairs], axis=1)
     every = np.all(gaps > 0.0, axis=1)
     claims = [

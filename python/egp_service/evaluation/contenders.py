@@ -1,7 +1,7 @@
-"""Who drives: the ensemble, its members alone, and the baselines.
+"""The compared controllers: the ensemble, its single members, and the baselines.
 
 All solve the same optimal control problem with the same solver, settings and gate; they differ in
-what predicts the vehicle.
+the model that predicts the vehicle.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ if TYPE_CHECKING:
     from egp_service.simulation.closed_loop import Drives
     from egp_service.simulation.scenario import Scenario
 
-# The paper's weights: errors of m/s and rad/s added up, and no pull towards the previous weights.
+# The paper's weights: m/s and rad/s are added without scaling, and the prior is very weak.
 PAPER_WEIGHTS: Final = {"whiten": False, "prior": {"kind": "l1", "alpha": 1e-5}}
 ENSEMBLE: Final = "ensemble"
 ORACLE: Final = "oracle"
 
 
 class _Oracle(Controller):
-    """Knows the friction under the vehicle: weights interpolated between the nearest members."""
+    """A controller that knows the true friction and interpolates between the nearest members."""
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
@@ -65,7 +65,7 @@ class _Oracle(Controller):
         *,
         deadline: float | None = None,
     ) -> Step:
-        """Set the weights, then step."""
+        """Set the weights from the true friction, then step."""
         projection = self._path.project(np.asarray(x, dtype=np.float64)[POSITION], self._s)
         self._s = projection.s
         weights = interpolated_weights(self._frictions, projection.friction)
@@ -74,7 +74,7 @@ class _Oracle(Controller):
 
 
 class _Selection(Controller):
-    """Takes the one member that predicted the window best, instead of blending."""
+    """A controller that uses the member with the smallest error in the window, without blending."""
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
@@ -94,7 +94,7 @@ class _Selection(Controller):
         *,
         deadline: float | None = None,
     ) -> Step:
-        """Select, then step."""
+        """Select a member, then step."""
         state = np.asarray(x, dtype=np.float64)
         if self._before is not None:
             before, u = self._before
@@ -116,20 +116,20 @@ class _Selection(Controller):
 
 @dataclass(frozen=True, slots=True)
 class Contender:
-    """One way to drive. `members` are the library's it may use (by index)."""
+    """A compared controller. `members` are indices of the library's members that it uses."""
 
     name: str
     kind: str
     """`ensemble`, `oracle`, `selection`, `kinematic` or `single-track`."""
     members: tuple[int, ...] = ()
     control: Mapping[str, object] | None = None
-    """Settings over the scenario's."""
+    """Settings that override the scenario's."""
 
 
 def make(contender: Contender, scenario: Scenario) -> Drives:
-    """Make the contender's controller; `scenario.library` holds its members already.
+    """Create the contender's controller; `scenario.library` contains exactly its members.
 
-    Raises `EgpError` for an unknown kind.
+    Raises `EgpError` if the kind is unknown.
     """
     makers: dict[str, Callable[[], Drives]] = {
         "ensemble": lambda: in_process_controller(scenario),
@@ -144,7 +144,10 @@ def make(contender: Contender, scenario: Scenario) -> Drives:
 
 
 def interpolated_weights(frictions: NDArray[np.float64], friction: float) -> NDArray[np.float64]:
-    """Weights (N,) of the two members around `friction`, linear in between; the nearest outside."""
+    """Weights (N,) by linear interpolation between the two members around `friction`.
+
+    Outside the members' frictions the nearest member has the weight 1.
+    """
     order = np.argsort(frictions)
     weights = np.zeros(len(frictions))
     position = np.interp(friction, frictions[order], np.arange(len(frictions)))

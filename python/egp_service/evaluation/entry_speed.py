@@ -1,8 +1,8 @@
-"""The highest speed at which a contender comes through the cones of ISO 3888-2, by bisection.
+"""The highest speed at which a contender passes the cones of ISO 3888-2, by bisection.
 
-The car enters at a speed that its reference keeps throughout; the standard lets it coast, so speeds
-here are lower than those of a test report. It comes through when it completes the course and the
-sides of its middle stay inside the cones.
+The reference speed is constant, whereas the standard lets the car coast; speeds here are therefore
+lower than those of test reports. A run passes if it completes the course and the sides of the car,
+measured at its centre of mass, stay between the cones.
 """
 
 from __future__ import annotations
@@ -20,39 +20,39 @@ if TYPE_CHECKING:
 
 SLOWEST: Final = 7.0  # m/s
 RESOLUTION: Final = 0.25
-_SPEEDS: Final = 63  # of the grid, up to 22.5 m/s, where even mu 1.1 falls short; six runs
+_SPEEDS: Final = 63  # grid up to 22.5 m/s, too fast even for mu 1.1; bisection takes six runs
 
 
 @dataclass(frozen=True, slots=True)
 class EntrySpeed:
-    """What one contender survives on one surface with one seed."""
+    """Result of one contender on one surface with one seed."""
 
     experiment: str
     condition: str
     contender: str
     seed: int
     speed: float
-    """Highest one survived of a grid of `RESOLUTION`, m/s; 0 when not even `SLOWEST` is."""
+    """Highest passed speed on a grid of `RESOLUTION`, m/s; 0 if `SLOWEST` is not passed."""
 
 
 def find(trial: Trial) -> EntrySpeed:
-    """Bisect the entry speed of a trial, whose own speed does not matter."""
+    """Bisect the entry speed of a trial; the trial's own speed is ignored."""
 
-    def survives(speed: float) -> bool:
+    def passes(speed: float) -> bool:
         scenario = replace(trial.scenario, speed=Speed(v_max=speed, constant=True))
         run = drive_trial(replace(trial, scenario=scenario))
         return run.summary.ending.completed and off_track(scenario, run) == 0.0
 
-    return EntrySpeed(*trial.key, speed=highest(survives))
+    return EntrySpeed(*trial.key, speed=highest(passes))
 
 
-def highest(survives: Callable[[float], bool]) -> float:
-    """Highest speed that is survived, if whoever survives one also survives all below it."""
-    survived, failed = -1, _SPEEDS
-    while failed - survived > 1:
-        middle = (survived + failed) // 2
-        if survives(SLOWEST + RESOLUTION * middle):
-            survived = middle
+def highest(passes: Callable[[float], bool]) -> float:
+    """Return the highest passed speed, assuming that all lower speeds are passed, too."""
+    passed, failed = -1, _SPEEDS
+    while failed - passed > 1:
+        middle = (passed + failed) // 2
+        if passes(SLOWEST + RESOLUTION * middle):
+            passed = middle
         else:
             failed = middle
-    return 0.0 if survived < 0 else SLOWEST + RESOLUTION * survived
+    return 0.0 if passed < 0 else SLOWEST + RESOLUTION * passed

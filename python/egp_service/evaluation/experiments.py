@@ -1,7 +1,8 @@
-"""The closed-loop experiments: which scenarios, at which conditions, driven by whom.
+"""The closed-loop experiments: their scenarios, conditions and contenders.
 
-Numbers of the paper's experiments in section "Multi-surface driving and generalization"; those
-beyond it say so. Every run is one `Trial`, reproducible from itself and the libraries.
+Numbers in titles are those of the paper's section "Multi-surface driving and generalization"; other
+experiments are marked as beyond the paper. Each run is one `Trial`, which together with the
+libraries determines it.
 """
 
 from __future__ import annotations
@@ -22,42 +23,42 @@ if TYPE_CHECKING:
 # Members of the evaluation library, by friction.
 M05, M06, M09, M11, POOLED = 0, 1, 2, 3, 4
 TWO: Final = (M05, M11)
-# Of the same two surfaces: GPs with constant means as in the paper, and vehicles without GPs.
+# Members of the same two surfaces: GPs with constant means as in the paper; vehicles without GPs.
 CONSTANT_MEAN: Final = (5, 6)
 VEHICLES: Final = (7, 8)
 FOUR: Final = (M05, M06, M09, M11)
 # A survey-grade satellite receiver with a good inertial unit and a steering encoder.
 NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
-# The same road without it.
+# Suffix of conditions without measurement noise.
 EXACT: Final = ", exact sensors"
 FASTEST: Final = 25.0
-HALF_WIDTH: Final = 0.837  # of the vehicle, m
+HALF_WIDTH: Final = 0.837  # half of the vehicle's width, m
 CUSTOM_TRACK: Final = Track(
     "rounded-rectangle",
     parameters={"length": 140.0, "width": 80.0, "radius": 20.0, "transition": 12.0},
 )
-_ZONE_JITTER: Final = 0.02  # of the path's length
+_ZONE_JITTER: Final = 0.02  # largest shift of zones as a share of the path's length
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One run: who drives what."""
+    """One run: a contender in a scenario."""
 
     experiment: str
     condition: str
     contender: Contender
     scenario: Scenario
-    """Its library is filled in when the run starts; its seed is the run's."""
+    """Scenario with the run's seed; its library is set when the run starts."""
 
     @property
     def key(self) -> tuple[str, str, str, int]:
-        """What tells it from all others."""
+        """Unique key of the trial."""
         return self.experiment, self.condition, self.contender.name, self.scenario.seed
 
 
 @dataclass(frozen=True, slots=True)
-class Experiment:
-    """One experiment: its trials for any seeds."""
+class ClosedLoopExperiment:
+    """One experiment: all contenders at all conditions, for any seeds."""
 
     name: str
     title: str
@@ -73,17 +74,17 @@ class Experiment:
         return self.conditions[min(1, len(self.conditions) - 1)][0]
 
     def trials(self, seeds: Iterable[int]) -> Iterator[Trial]:
-        """Every contender at every condition, seed by seed."""
+        """Yield every contender at every condition for each seed."""
         for seed in seeds:
             for condition, scenario in self.conditions:
-                # The same seed gives every contender the same road and the same noise.
+                # All contenders have the same road and noise for the same seed.
                 driven = _jittered(replace(scenario, seed=seed), seed)
                 for contender in self.contenders:
                     yield Trial(self.name, condition, contender, driven)
 
 
 def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender, ...]:
-    """Give the ensemble of `members` and everyone it is compared with."""
+    """Return the ensemble of `members` and its baselines."""
     return (
         Contender(ENSEMBLE, "ensemble", tuple(members)),
         Contender("paper's weights", "ensemble", tuple(members), {"weights": PAPER_WEIGHTS}),
@@ -97,7 +98,7 @@ def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender
 
 
 LABELS: Final = ("μ 0.5", "μ 0.6", "μ 0.9", "μ 1.1", "pooled")
-# What the ensemble would be without a part of it; not a baseline of another kind.
+# Variants of the ensemble with one part changed; they are not baselines.
 VARIANTS: Final = ("paper's weights", "constant mean", "fitted single-track", "forward Euler")
 _ALL_OF_TWO: Final = (
     *contenders(TWO, LABELS),
@@ -112,7 +113,7 @@ _AVOIDING: Final = {ENSEMBLE, "pooled GP", "nominal single-track", "kinematic", 
 def _scenario(
     track: Track, zones: Sequence[tuple[float, float]], grip: float, v_max: float = FASTEST
 ) -> Scenario:
-    """Drive as fast as `grip` of the friction allows."""
+    """Return a scenario with a speed profile that uses the fraction `grip` of the friction."""
     return Scenario(
         name="evaluation",
         track=track,
@@ -123,13 +124,13 @@ def _scenario(
 
 
 def _steady(track: Track, zones: Sequence[tuple[float, float]], speed: float) -> Scenario:
-    """Drive at a constant speed, whatever the surface."""
+    """Return a scenario with a constant speed on all surfaces."""
     return replace(_scenario(track, zones, 1.0), speed=Speed(v_max=speed, constant=True))
 
 
-def _varying_speed() -> Experiment:
+def _varying_speed() -> ClosedLoopExperiment:
     zones = ((0.0, 0.5), (0.33, 1.1), (0.65, 0.8))
-    return Experiment(
+    return ClosedLoopExperiment(
         "varying-speed",
         "Track with varying speed (paper, experiment 2)",
         "At which fraction of the grip does each controller begin to fail?",
@@ -143,13 +144,13 @@ def _varying_speed() -> Experiment:
     )
 
 
-def _unseen_track() -> Experiment:
+def _unseen_track() -> ClosedLoopExperiment:
     zones = ((0.0, 1.1), (0.15, 0.6), (0.32, 0.9), (0.5, 0.5), (0.68, 1.1), (0.84, 0.75))
     circuit = Track("circuit", parameters={"length": 1200.0, "min_radius": 24.0})
-    return Experiment(
+    return ClosedLoopExperiment(
         "unseen-track",
         "Unseen long circuit at 14 m/s (paper, experiment 3)",
-        "Does the library carry over to a track nobody trained on?",
+        "Does the library generalise to a track without training data?",
         (("14 m/s", _scenario(circuit, zones, 0.9, 14.0)),),
         _ALL_OF_TWO,
         seeds=20,
@@ -157,10 +158,10 @@ def _unseen_track() -> Experiment:
     )
 
 
-def _lane_change() -> Experiment:
+def _lane_change() -> ClosedLoopExperiment:
     repeated = Track("lane-change", parameters={"length": 500.0, "offset": 2.75})
     zones = ((0.0, 1.1), (0.25, 0.7), (0.5, 0.5), (0.75, 1.1))
-    return Experiment(
+    return ClosedLoopExperiment(
         "lane-change",
         "Repeated lane changes at 15 m/s (paper, experiment 4)",
         "Changing lanes of 2.75 m over 500 m while the surface changes.",
@@ -171,7 +172,7 @@ def _lane_change() -> Experiment:
     )
 
 
-def _obstacle_avoidance() -> Experiment:
+def _obstacle_avoidance() -> ClosedLoopExperiment:
     surfaces: dict[str, tuple[tuple[float, float], ...]] = {
         "μ 1.1": ((0.0, 1.1),),
         "μ 0.8": ((0.0, 0.8),),
@@ -179,9 +180,9 @@ def _obstacle_avoidance() -> Experiment:
         "μ 1.1 to 0.5": ((0.0, 1.1), (0.5, 0.5)),
     }
     course = Track("iso-3888-2", parameters={"lead_in": 25.0, "lead_out": 15.0})
-    # Between the cones fits the car and nothing else: a wider margin would forbid all positions.
+    # The cones leave room for the car only; a wider margin would exclude all positions.
     control: dict[str, object] = {"soft": {"edge_margin": HALF_WIDTH}}
-    return Experiment(
+    return ClosedLoopExperiment(
         "iso-3888-2",
         "Obstacle avoidance of ISO 3888-2 (paper, experiment 4)",
         "The highest entry speed at which each controller comes through without touching a cone, "
@@ -196,12 +197,12 @@ def _obstacle_avoidance() -> Experiment:
     )
 
 
-def _four_members() -> Experiment:
+def _four_members() -> ClosedLoopExperiment:
     frictions = (1.1, 0.5, 0.8, 0.6, 1.0)
-    # Of the lap: middles of corners, and middles of straights.
+    # Middles of corners and of straights, as fractions of the lap.
     corners = (0.0, 0.20, 0.30, 0.70, 0.80)
     straights = (0.0, 0.245, 0.44, 0.56, 0.745)
-    return Experiment(
+    return ClosedLoopExperiment(
         "four-members",
         "Four members, five zones (paper, experiment 5)",
         "How fast do the weights follow, with and without excitation?",
@@ -218,8 +219,8 @@ def _four_members() -> Experiment:
     )
 
 
-def _random_roads() -> Experiment:
-    return Experiment(
+def _random_roads() -> ClosedLoopExperiment:
+    return ClosedLoopExperiment(
         "random-roads",
         "Random tracks with random frictions (beyond the paper)",
         "A new track and a new friction map for every seed.",
@@ -230,7 +231,7 @@ def _random_roads() -> Experiment:
     )
 
 
-def _hard_roads() -> Experiment:
+def _hard_roads() -> ClosedLoopExperiment:
     base = ((0.0, 1.1), (0.33, 0.6), (0.65, 0.9))
     icy: list[tuple[float, float]] = []
     length = 399.0  # of the custom track, about
@@ -243,14 +244,14 @@ def _hard_roads() -> Experiment:
         icy += [(start, 0.25), (start + patch / length, around)]
     plain = _scenario(CUSTOM_TRACK, base, 0.85)
     loud = Measurement(position=0.06, v_x=0.09, psi=0.006, v_y=0.09, omega=0.015, delta=0.003)
-    # A profile that knew the patches would brake for each.
+    # The speed is constant because a profile with the patches would brake for each of them.
     dry = _steady(CUSTOM_TRACK, ((0.0, 1.1), *icy), 11.0)
-    # The lap turns left, so the slippery right side carries most of the load.
+    # In the left turns of this lap the slippery right side has most of the load.
     split = (Zone(0.0, 1.1, right=0.5),)
     partly = (Zone(0.0, 1.1), Zone(0.33, 1.1, right=0.5), Zone(0.65, 0.8))
-    return Experiment(
+    return ClosedLoopExperiment(
         "hard-roads",
-        "What the library was not made for (beyond the paper)",
+        "Conditions outside the training data (beyond the paper)",
         "Noise, delay, another car, ice, roads whose sides differ, and frictions outside the "
         "library's range.",
         (
@@ -274,7 +275,7 @@ def _hard_roads() -> Experiment:
     )
 
 
-def _friction_step() -> Experiment:
+def _friction_step() -> ClosedLoopExperiment:
     circle = Track("circle", parameters={"radius": 50.0})
     zones = ((0.0, 1.1), (0.5, 0.5))
     conditions = [
@@ -286,9 +287,9 @@ def _friction_step() -> Experiment:
     ]
     conditions += [
         (name + EXACT, replace(scenario, measurement=Measurement()))
-        for name, scenario in conditions[1:]  # at 1 m/s² there is nothing to see
+        for name, scenario in conditions[1:]  # at 1 m/s² the friction is hardly observable
     ]
-    return Experiment(
+    return ClosedLoopExperiment(
         "friction-step",
         "Friction step under steady lateral acceleration (beyond the paper)",
         "On a circle of 50 m radius: how long until the weights have settled, with the noise of "
@@ -300,10 +301,10 @@ def _friction_step() -> Experiment:
     )
 
 
-def on_track(experiment: Experiment, file: Path, scale: float) -> Experiment:
-    """Put an experiment on a track from a CSV file, whose lengths are multiplied by `scale`.
+def on_track(experiment: ClosedLoopExperiment, file: Path, scale: float) -> ClosedLoopExperiment:
+    """Return the experiment on a track from a CSV file with lengths multiplied by `scale`.
 
-    Raises `EgpError` for a file that is no track.
+    Raises `EgpError` if the file is not a track.
     """
     track = Track("csv", str(file.resolve()), {"scale": scale})
     conditions = tuple(
@@ -311,12 +312,12 @@ def on_track(experiment: Experiment, file: Path, scale: float) -> Experiment:
         for condition, scenario in experiment.conditions
     )
     for _, scenario in conditions:
-        build_path(scenario)  # refused now, not after hours
+        build_path(scenario)  # reports an invalid file before the runs start
     return replace(experiment, conditions=conditions)
 
 
 def _jittered(scenario: Scenario, seed: int) -> Scenario:
-    """Move zone borders a little, or draw zones anew on a random track."""
+    """Shift zone borders randomly, or draw new zones on a random track."""
     rng = np.random.default_rng([seed, 7])
     if scenario.track.kind == "random":
         count = int(rng.integers(3, 7))
@@ -340,5 +341,5 @@ EXPERIMENTS: Final = (
     _unseen_track(),
     _hard_roads(),
 )
-# Its trials are worked by `entry_speed.find`, which gives one speed for each.
+# `entry_speed.find` turns each of its trials into a highest entry speed.
 OBSTACLE_AVOIDANCE: Final = _obstacle_avoidance()

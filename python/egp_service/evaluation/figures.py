@@ -39,13 +39,13 @@ _BARS: Final = (
 
 
 def colours(contenders: Sequence[str]) -> dict[str, str]:
-    """Ink for the ensemble, a muted tone for the oracle, one colour for each of the others."""
+    """Colours of the contenders: dark for the ensemble, grey for the oracle."""
     others = [name for name in contenders if name not in {ENSEMBLE, ORACLE}]
     return {ENSEMBLE: INK, ORACLE: MUTED} | dict(zip(others, cycle(MEMBER_COLOURS), strict=False))
 
 
 def draw_prediction(outcomes: Sequence[PredictionOutcome], path: Path) -> Path:
-    """RMS errors as in the paper's bar chart, and coverage of both variances below."""
+    """Draw RMS errors as in the paper's bar chart, and the coverage of both variances."""
     with plt.style.context(STYLE):
         figure, axes = plt.subplots(2, 3, figsize=(11.0, 6.0), sharex=True)
         labels = [f"{predictor}\non {on}" for predictor, on, _ in _BARS]
@@ -78,7 +78,7 @@ def draw_prediction(outcomes: Sequence[PredictionOutcome], path: Path) -> Path:
 
 
 def draw_completion(groups: Sequence[Group], path: Path) -> Path:
-    """Completed runs and lateral errors: a row for each contender, a column for each condition."""
+    """Draw completed runs and lateral errors of each contender at each condition."""
     conditions = list(dict.fromkeys(g.condition for g in groups))
     names = list(dict.fromkeys(g.contender for g in groups))
     with plt.style.context(STYLE):
@@ -112,7 +112,7 @@ def draw_completion(groups: Sequence[Group], path: Path) -> Path:
 
 
 def draw_entry_speeds(medians: Mapping[tuple[str, str], Interval], path: Path) -> Path:
-    """Highest entry speeds with their intervals, by `(contender, surface)`."""
+    """Draw the highest entry speeds with their intervals, by `(contender, surface)`."""
     surfaces = list(dict.fromkeys(surface for _, surface in medians))
     names = list(dict.fromkeys(contender for contender, _ in medians))
     colour = colours(names)
@@ -132,7 +132,7 @@ def draw_entry_speeds(medians: Mapping[tuple[str, str], Interval], path: Path) -
 
 
 def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
-    """Distribution of settling times by lateral acceleration."""
+    """Draw the distribution of settling times by lateral acceleration."""
     runs = [o for o in outcomes if o.experiment == "friction-step"]
     conditions = list(dict.fromkeys(o.condition for o in runs))
     names = list(dict.fromkeys(o.contender for o in runs))
@@ -164,7 +164,7 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
         ax.set_xlim(-0.5, len(conditions) - 0.5)
         ax.set_ylim(-0.25, 2.1)
         ax.set_title(
-            "Below: runs whose step moved the weights, of all. At 2 s: not settled within 2 s"
+            "Below: runs in which the weights moved, of all. At 2 s: not settled within 2 s"
         )
         ax.set_ylabel("settling time, s")
         ax.legend(loc="upper right")
@@ -172,7 +172,7 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
 
 
 def draw_scaling(times: Sequence[StepTime], path: Path) -> Path:
-    """Step time over the number of members."""
+    """Draw the step time over the number of members."""
     with plt.style.context(STYLE):
         figure, ax = plt.subplots(figsize=(6.0, 3.4))
         for name in dict.fromkeys(t.program for t in times):

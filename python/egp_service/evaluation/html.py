@@ -1,4 +1,4 @@
-"""The evaluation as one HTML file that stands alone."""
+"""The evaluation report as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ p.note { color: #5a606b; }
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A chapter: figures and tables below a question."""
+    """A section: text, figures and tables."""
 
     title: str
     text: str
@@ -40,7 +40,7 @@ class Section:
 
 
 def page(title: str, introduction: str, sections: Sequence[Section]) -> str:
-    """Put the page together; pictures are embedded."""
+    """Return the page with embedded pictures."""
     body = [f"<h1>{html.escape(title)}</h1>", f"<p>{introduction}</p>"]
     for section in sections:
         body += [f"<h2>{html.escape(section.title)}</h2>", f"<p>{section.text}</p>"]
@@ -53,7 +53,7 @@ def page(title: str, introduction: str, sections: Sequence[Section]) -> str:
 
 
 def claim_table(claims: Iterable[Claim]) -> str:
-    """One row a claim: whether it holds, and the evidence."""
+    """Return a table with a row for each claim: whether it holds, and the evidence."""
     rows = [
         f"<tr><td class=text>{html.escape(c.text)}</td>"
         f"<td class={'yes' if c.holds else 'no'}>{'holds' if c.holds else 'fails'}</td>"
@@ -65,7 +65,7 @@ def claim_table(claims: Iterable[Claim]) -> str:
 
 
 def group_table(groups: Iterable[Group]) -> str:
-    """One row for each contender and condition."""
+    """Return a table with a row for each contender and condition."""
     heads = (
         "contender", "condition", "completed", "lateral RMS, m", "lateral max, m",
         "speed RMS, m/s", "lap time, s", "off track, s", "settling, s", "RMS / oracle's",
@@ -105,7 +105,7 @@ def group_table(groups: Iterable[Group]) -> str:
 
 
 def plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Any table of texts."""
+    """Return a table of texts."""
     header = "".join(f"<th>{html.escape(head)}</th>" for head in heads)
     body = "".join(
         "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
@@ -114,7 +114,7 @@ def plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def interval(found: Interval, digits: int = 3) -> str:
-    """Write a value and its interval."""
+    """Format a value and its interval."""
     if math.isnan(found.value):
         return "-"
     low, high = f"{found.low:.{digits}f}", f"{found.high:.{digits}f}"

@@ -1,4 +1,4 @@
-"""The evaluation's library: four surfaces, and what the ensemble of the outer two is compared with.
+"""The evaluation's library: members of four surfaces and the members of the baselines.
 
 `shipped/evaluation-library.safetensors` was made by this file from
 `shipped/evaluation-recipe.toml`; `egp evaluate --train` makes it again.
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
 _OUTER: Final = (0.5, 1.1)
 _BARE_POINTS: Final = 20
-_WHOLE_CHANGE_POINTS: Final = 700  # without a vehicle more points helped, up to these
+_WHOLE_CHANGE_POINTS: Final = 700  # more points did not improve GPs without a vehicle
 
 
 def make(displays: Displays, *, cluster: str | None = None) -> list[TrainedMember]:
-    """Train a member for each surface, and from the outer two surfaces' data those to compare with.
+    """Train a member for each surface, and the baselines on the data of the outer two surfaces.
 
-    These are one GP of both surfaces' pooled data, which keeps as many transitions as both members
-    together; the paper's members, whose GPs have constant means; and vehicles without GPs.
+    The baselines are one GP on both surfaces' pooled data, with as many transitions as both members
+    together; members with constant means as in the paper; and vehicles without GPs.
     """
     recipe = Recipe.read(EVALUATION_RECIPE)
     datasets, members = follow(recipe, cluster=cluster, displays=displays)
@@ -62,7 +62,7 @@ def _as(data: Dataset, surface: str, friction: float) -> Dataset:
 
 
 def _bare(member: TrainedMember, kernel: KernelName) -> TrainedMember:
-    """Give the member's vehicle alone: GPs of a few points at which it is right."""
+    """Return the member's vehicle without GP corrections: GPs of a few points with zero targets."""
     provenance = member.dataset.provenance
     if member.single_track is None:
         raise EgpError(f"{provenance.surface} has no vehicle: train with mean = 'single-track'")

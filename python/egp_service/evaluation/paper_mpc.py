@@ -1,7 +1,7 @@
 """The paper's optimal control problem, eq. (18), as a DPP-parametrised CVXPY problem for OSQP.
 
-Costs, bounds and prices are those of our step, so that both solve the same problem; states are
-deviations from the reference and inputs are scaled, so that OSQP is not hampered by bad scaling.
+Costs, bounds and penalties are those of this system's step, so that both solve the same problem.
+For the conditioning of OSQP, states are deviations from the reference and inputs are scaled.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 
 class Mpc:
-    """Built once for a horizon, solved again and again with new parameter values."""
+    """The problem, built once for a horizon and solved with new parameter values."""
 
     def __init__(self, horizon: int, dt: float, settings: dict[str, Any]) -> None:
-        """Build the problem; `settings` are those of our step."""
+        """Build the problem from the settings of this system's step."""
         self.horizon, self.settings = horizon, settings
         cost, limits, soft = settings["cost"], settings["limits"], settings["soft"]
         self.a = [cp.Parameter((NX, NX)) for _ in range(horizon)]
@@ -86,7 +86,7 @@ class Mpc:
         """Plan ``(T+1, 7)`` and scaled inputs ``(T, 2)``.
 
         Dynamics are ``A (T, 7, 7)``, ``B (T, 7, 2)`` for scaled inputs and ``c (T, 7)`` along the
-        operating states ``(T+1, 7)``, `friction` the surface's coefficient. Raises `EgpError` when
+        operating states ``(T+1, 7)``, `friction` the surface's coefficient. Raises `EgpError` if
         OSQP finds no plan.
         """
         cost, limits, soft = (self.settings[name] for name in ("cost", "limits", "soft"))

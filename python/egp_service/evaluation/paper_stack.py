@@ -1,10 +1,10 @@
 """The paper's control step: GPyTorch autograd for the members, CVXPY with OSQP for both QPs.
 
-Built from the same library file and the same request as our step, and written with care: all
-queries of a member go through GPyTorch as one batch, Jacobians take one backward pass an output,
-both problems are DPP-parametrised so that CVXPY canonicalises them once, OSQP starts from its last
-solution, and prediction rows the client carries are not computed again.
-Needs the [train] and [paper] extras.
+Library file and request are those of this system's step. For a fair comparison the implementation
+is efficient: all queries of a member are one batch in GPyTorch, Jacobians take one backward pass
+per output, both problems are DPP-parametrised so that CVXPY canonicalises them once, OSQP starts
+from its last solution, and predictions that the client carries are not computed again.
+Requires the [train] and [paper] extras.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from egp_service.quantities import (
 )
 from egp_service.training import prior_mean
 
-with warnings.catch_warnings():  # linear_operator still uses it when imported
+with warnings.catch_warnings():  # linear_operator uses torch.jit.script when it is imported
     warnings.filterwarnings("ignore", ".torch.jit.script. is ", FutureWarning)
     import gpytorch
 
@@ -69,7 +69,7 @@ def read_tensors(path: Path) -> dict[str, Array]:
 
 
 class ExactGP(gpytorch.models.ExactGP):  # type: ignore[misc]
-    """Outputs of one member that share a kernel, the library's, with constant means."""
+    """Outputs of one member that share the library's kernel, with constant means."""
 
     def __init__(self, kernel: str, x: torch.Tensor, y: torch.Tensor, likelihood: Any) -> None:  # noqa: ANN401
         """Take scaled inputs (n, 6) and a batch of scaled outputs (b, n)."""
@@ -87,7 +87,7 @@ class ExactGP(gpytorch.models.ExactGP):  # type: ignore[misc]
 
 
 class Member:
-    """One surface's three GPs, what they are added to, and mean with Jacobian by autograd."""
+    """One surface's three GPs with their prior mean; mean and Jacobian by autograd."""
 
     def __init__(self, kernel: str, dt: float, tensors: dict[str, Array], index: int) -> None:
         """Take member `index` from a library file's tensors."""
@@ -105,7 +105,7 @@ class Member:
         y = (tensor("targets") - self._known(inputs) - self.target_mean) / self.target_std
         lengthscales, outputscale = tensor("lengthscales"), tensor("outputscale")
         noise, constant = tensor("noise"), tensor("constant")
-        # Where one kernel serves all outputs, they are one batch, for which it is evaluated once.
+        # Outputs that share a kernel are one batch, for which the kernel is evaluated once.
         hyper = torch.cat([lengthscales, outputscale[:, None], noise[:, None]], dim=1)
         together = [[0, 1, 2]] if bool((hyper == hyper[0]).all()) else [[0], [1], [2]]
         self.gps = []
@@ -124,13 +124,13 @@ class Member:
             self.gps.append((outputs, gp))
 
     def _known(self, z: torch.Tensor) -> torch.Tensor:
-        """Predict what the GPs are added to, (n, 3)."""
+        """Return the prior mean (n, 3)."""
         if self._vehicle is None:
             return torch.zeros(len(z), NY, dtype=z.dtype)
         return prior_mean.change(z, self._vehicle, self._dt)
 
     def _means(self, query: torch.Tensor, outputs: Sequence[int]) -> torch.Tensor:
-        """Mean of some outputs at (n, 6), as autograd sees it: (outputs, n)."""
+        """Differentiable mean of some outputs at (n, 6): (outputs, n)."""
         scaled = (query - self.input_mean) / self.input_std
         learned: dict[int, torch.Tensor] = {}
         for together, gp in self.gps:
@@ -147,7 +147,7 @@ class Member:
             return np.asarray(self._means(torch.from_numpy(z), range(NY)).T)
 
     def mean_jacobian(self, z: Array, outputs: Sequence[int] = range(NY)) -> tuple[Array, Array]:
-        """Mean (n, 3) and Jacobian (n, 3, 6); queries are independent, so one sum serves all."""
+        """Mean (n, 3) and Jacobian (n, 3, 6); the sum over queries gives each query's gradient."""
         query = torch.from_numpy(z).requires_grad_()
         with gpytorch.settings.skip_posterior_variances():
             means = self._means(query, outputs)
@@ -167,13 +167,13 @@ class Phases:
 
     @property
     def total(self) -> float:
-        """The whole step."""
+        """Total time."""
         return self.weights + self.linearise + self.mpc
 
 
 @dataclass
 class PaperStep:
-    """What one step returned."""
+    """Result of one step."""
 
     plan_x: Array
     plan_u: Array
@@ -182,7 +182,7 @@ class PaperStep:
 
 
 class Clock:
-    """Laps of ``time.perf_counter``."""
+    """Stopwatch on ``time.perf_counter``."""
 
     def __init__(self) -> None:
         """Start the first lap."""
@@ -214,7 +214,7 @@ class Weights:
 
 
 class PaperStack:
-    """The paper's step for one library and the settings of our step."""
+    """The paper's step for one library and the settings of this system's step."""
 
     def __init__(self, path: Path, library: Library, settings: dict[str, Any]) -> None:
         """Build the stack for the library at `path`."""
@@ -231,7 +231,7 @@ class PaperStack:
         self.friction = np.array([member.friction for member in library.members])
 
     def step(self, request: Request) -> PaperStep:
-        """Compute one step from a request whose window is full and which carries a plan."""
+        """Compute one step from a request with a full window and a plan."""
         phases, clock = Phases(), Clock()
         new = len(request.history_z) - len(request.history_f)
         rows = np.stack([member.mean(request.history_z[:new]) for member in self.members], axis=1)
@@ -265,7 +265,7 @@ class PaperStack:
         return PaperStep(plan_x, plan_u * [self.mass, 1.0], w, phases)
 
     def _operating(self, request: Request) -> tuple[Array, Array]:
-        """Shift the previous plan to now; its last force and the steering angle are held."""
+        """Shift the previous plan to now, holding its last force and steering angle."""
         shift = request.plan_shift
         held = np.array([[request.plan_u[-1, 0], 0.0]])
         u = np.concatenate([request.plan_u[shift:], np.repeat(held, shift, axis=0)])
@@ -280,7 +280,7 @@ class PaperStack:
         return x, u
 
     def _linearise(self, x: Array, u: Array, w: Array) -> tuple[Array, Array, Array]:
-        """Blend the tangents, eqs. (15)-(17), along our yaw; inputs of ``B`` are scaled."""
+        """Blend the tangents, eqs. (15)-(17), for scaled inputs; positions follow ``yaw_at``."""
         z = gp_input(x[:-1], u)
         parts = [member.mean_jacobian(z) for member in self.members]
         mean = sum(wn * m for wn, (m, _) in zip(w, parts, strict=True))

@@ -1,8 +1,9 @@
 """Prediction error of members, pooled GP and ensembles: the paper's "Comparison with standard GP".
 
-Five surfaces are sampled, A 0.3, B 0.6, T 0.7, C 0.8 and D 1.0. Members are trained on A to D, one
-GP on A and D pooled; T stays unseen. An ensemble takes its weights from the transitions just before
-the one it predicts. Members are tested on the kind of data they were trained on, from other seeds.
+Five surfaces are sampled, A 0.3, B 0.6, T 0.7, C 0.8 and D 1.0. One member is trained on each of A
+to D, and one GP on the pooled data of A and D; T is unseen. The weights of an ensemble come from
+the transitions just before the predicted one. Test data are sampled as the training data, with
+other seeds.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ if TYPE_CHECKING:
 SURFACES: Final = {"A": 0.3, "B": 0.6, "T": 0.7, "C": 0.8, "D": 1.0}
 _DT: Final = 0.02
 _KEEP: Final = 6  # transitions of a trajectory: five for the weights, one to predict
-_SETTLE: Final = 2  # periods before them, in which the suspension comes to rest
+_SETTLE: Final = 2  # earlier periods, in which the suspension reaches equilibrium
 _TEST_TRAJECTORIES: Final = 300
-_NOMINAL: Final = 1.959964  # standard deviations around 95 %
-# Of the quadratic prior over a window; small against one whitened squared error.
-_PULL: Final = 1e-3
-# Of the paper's prior, with which the previous transition alone gives the weights.
+_NOMINAL: Final = 1.959964  # half width of the 95 % interval in standard deviations
+# Strength of the quadratic prior over a window; small compared with one whitened squared error.
+_LAMBDA: Final = 1e-3
+# Strength of the paper's prior; the previous transition then determines the weights.
 _PAPER_ALPHA: Final = 1e-5
 
 
@@ -50,25 +51,25 @@ class PredictionSettings:
 
     seeds: int = 10
     transitions: int = 700
-    """Training transitions of a member, as many as the paper's; the pooled GP has all of two."""
+    """Training transitions of a member, as in the paper; the pooled GP has twice as many."""
     iterations: int = 30
 
 
 @dataclasses.dataclass(frozen=True)
 class PredictionOutcome:
-    """How well one predictor did on one test set, for one seed."""
+    """Errors of one predictor on one test set for one seed."""
 
     predictor: str
     tested_on: str
     window: int
-    """Transitions behind the weights; 0 for a single GP."""
+    """Number of transitions from which the weights are estimated; 0 for a single GP."""
     seed: int
     rmse: list[float]
-    """Of the changes of v_x, v_y (m/s) and omega (rad/s)."""
+    """RMS errors of the changes of v_x, v_y (m/s) and omega (rad/s)."""
     coverage: list[float]
-    """Share inside the 95 % interval: variance of eq. (3), members independent."""
+    """Share inside the 95 % interval with the variance of eq. (3), for independent members."""
     coverage_mixture: list[float]
-    """The same for the mixture variance, disagreement included."""
+    """Share inside the 95 % interval with the mixture variance, which includes disagreement."""
     nlpd: list[float]
     """Negative log predictive density under the variance of eq. (3)."""
     nlpd_mixture: list[float]
@@ -76,29 +77,29 @@ class PredictionOutcome:
 
 @dataclasses.dataclass(frozen=True)
 class SeedOutcomes:
-    """What came of one seed."""
+    """Outcomes of one seed."""
 
     outcomes: list[PredictionOutcome]
 
     @classmethod
     def read(cls, values: dict[str, Any]) -> SeedOutcomes:
-        """Make it of what JSON leaves of it."""
+        """Create the outcomes from their JSON fields."""
         return cls([PredictionOutcome(**row) for row in values["outcomes"]])
 
 
 def seeds(
     settings: PredictionSettings, folder: Path, report: Callable[[SeedOutcomes], None]
 ) -> Batch[tuple[PredictionSettings, int], SeedOutcomes]:
-    """All seeds; what came of them goes to `prediction.jsonl`, whatever program it came from."""
+    """All seeds; their outcomes go to `prediction.jsonl` and are kept across builds."""
     size = f"{settings.transitions}-{settings.iterations}"
     parts = {f"{size}-{seed}": (settings, seed) for seed in range(settings.seeds)}
     return Batch(folder / "prediction.jsonl", parts, run_seed, SeedOutcomes.read, report)
 
 
 def run_seed(part: tuple[PredictionSettings, int]) -> SeedOutcomes:
-    """Sample, train and test one seed, with this process's torch on one thread from now on.
+    """Sample, train and test one seed; sets torch in this process to one thread.
 
-    The bits of sums over several threads depend on how many there are.
+    With several threads the bits of sums would depend on their number.
     """
     settings, seed = part
     torch.set_num_threads(1)
@@ -126,8 +127,8 @@ def run_seed(part: tuple[PredictionSettings, int]) -> SeedOutcomes:
 
 
 def _train(settings: PredictionSettings, seed: int) -> Library:
-    """Train A, B, C, D and the pooled GP; through the library file, as everything else."""
-    count = -(-settings.transitions * 5 // 4)  # a fifth is held out
+    """Train A, B, C, D and the pooled GP, and load them from a library file."""
+    count = -(-settings.transitions * 5 // 4)  # a fifth is held out for validation
     data = {
         name: _sampled(mu, 1000 * seed + number, count, name, keep=1)
         for number, (name, mu) in enumerate(SURFACES.items())
@@ -155,15 +156,16 @@ def _train(settings: PredictionSettings, seed: int) -> Library:
 def _sampled(friction: float, seed: int, count: int, label: str, *, keep: int) -> Dataset:
     """Keep the last transitions of `count` trajectories of the same length.
 
-    Members learn from one of each: where several share hidden states and inputs, the likelihood
-    prefers a process that tells trajectories apart to one that predicts others.
+    Members are trained on one transition of each trajectory. Transitions of one trajectory share
+    hidden states and inputs, for which the likelihood would favour a process that fits the known
+    trajectories over one that predicts others.
     """
     experiment = Experiment(friction=friction, label=label, seed=seed, dt=_DT)
     return sample(experiment, count, settle=_SETTLE + _KEEP - keep, keep=keep)
 
 
 def _relabelled(dataset: Dataset) -> Dataset:
-    """Call the surface by the pool's name; its friction is then nobody's."""
+    """Name the surface as pooled, with a friction between those of the two surfaces."""
     middle = 0.5 * (SURFACES["A"] + SURFACES["D"])
     provenance = dataclasses.replace(dataset.provenance, surface=POOLED, friction=middle)
     return dataclasses.replace(dataset, provenance=provenance)
@@ -172,7 +174,7 @@ def _relabelled(dataset: Dataset) -> Dataset:
 def _test_set(
     friction: float, seed: int, label: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Whole trajectories: inputs (n, _KEEP, 6) and changes (n, _KEEP, 3)."""
+    """Return whole trajectories: inputs (n, _KEEP, 6) and changes (n, _KEEP, 3)."""
     data = _sampled(friction, seed, _TEST_TRAJECTORIES, label, keep=_KEEP)
     return data.z.reshape(-1, _KEEP, NZ), data.y.reshape(-1, _KEEP, NY)
 
@@ -220,10 +222,11 @@ def _weights(
     z: NDArray[np.float64],
     y: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Weights (n, N) from the window before each prediction, starting from uniform.
+    """Weights (n, N) from the window before each prediction, with uniform previous weights.
 
-    From one transition as the paper does, S = I and its L1 prior; from more whitened by the
-    members' noise alone, as states are exact here, and with a weak quadratic prior.
+    A window of one transition is treated as in the paper, with S = I and an L1 prior. Longer
+    windows are whitened by the members' noise alone, as the states are exact, with a weak quadratic
+    prior.
     """
     n, window = z.shape[:2]
     flat = np.ascontiguousarray(z.reshape(-1, NZ))
@@ -240,7 +243,7 @@ def _weights(
                 noise,
                 uniform,
                 "l1" if paper else "quadratic",
-                _PAPER_ALPHA if paper else _PULL,
+                _PAPER_ALPHA if paper else _LAMBDA,
             )
             for i in range(n)
         ]

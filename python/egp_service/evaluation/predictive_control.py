@@ -1,7 +1,7 @@
-"""The control step's optimal control problem around any prediction.
+"""The optimal control problem of the control step with dynamics from any prediction.
 
-The cost, bounds, solver, warm start and gate of `Controller`; only where the dynamics come from
-differs. The tests hold it to that: with a member as its prediction it plans what the service plans.
+Cost, bounds, solver, warm start and gate are those of `Controller`; only the dynamics differ. Tests
+verify that the plans agree with those of the service if a member is the prediction.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ if TYPE_CHECKING:
 
 
 class PredictiveController:
-    """Drives with `linearise(z) -> (change (n, 3), Jacobian (n, 3, 6))` as its dynamics.
+    """A controller with the dynamics `linearise(z) -> (change (n, 3), Jacobian (n, 3, 6))`.
 
-    `settings` is the full TOML of a control step (`Engine.settings_toml`), `friction` that of the
-    surface which the driver thinks to be on.
+    `settings` is the full TOML of a control step (`Engine.settings_toml`), `friction` the assumed
+    friction coefficient of the surface.
     """
 
     library = b""
@@ -82,8 +82,8 @@ class PredictiveController:
         *,
         deadline: float | None = None,
     ) -> Step:
-        """Give the command for a measured state (7,), a reference (T+1, 4) and widths (T+1, 2)."""
-        del deadline  # in process: the answer comes when it is ready
+        """Return the command for a measured state (7,), reference (T+1, 4) and widths (T+1, 2)."""
+        del deadline  # a step in this process has no deadline
         start = time.perf_counter()
         state = np.asarray(x, dtype=np.float64)
         rows = np.asarray(reference, dtype=np.float64)
@@ -123,7 +123,7 @@ class PredictiveController:
         )
 
     def _guess(self, x0: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Give states (at most T+1) and inputs (T, 2) of the last plan from now on."""
+        """Return states (at most T+1) and inputs (T, 2) of the rest of the last plan."""
         u = np.zeros((self.horizon, NU))
         shift = self.horizon if self._plan is None else self._tick - self._plan[2]
         if self._plan is None or shift >= self.horizon:

@@ -1,4 +1,4 @@
-"""Time of a control step over the number of members (the paper, experiment 6), ours and theirs."""
+"""Time of a control step over the number of members (experiment 6 of the paper)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MEMBERS: Final = (1, 2, 4, 8, 16, 32, 64)
 OURS: Final = "this system"
 PAPER: Final = "the paper's stack"
-_PAPER_UP_TO: Final = 8  # members; 0.1 s a step
+_PAPER_UP_TO: Final = 8  # members, for which a step takes 0.1 s
 _PAPER_REQUESTS: Final = 20
 _PAPER_WARM_UP: Final = 3  # CVXPY canonicalises on the first solve
 
@@ -46,11 +46,11 @@ class StepTime:
 def measure(
     library: Path, scenario: Scenario, *, periods: int, members: Sequence[int] = MEMBERS
 ) -> list[StepTime]:
-    """Time our step on requests of a recorded drive, for libraries of copies of four members.
+    """Time the step on requests of a recorded drive, for libraries of copies of four members.
 
-    Copies share their weight, so the number of members that count is bounded by the settings; that
-    is what keeps the time flat, and the reply says what was left out. The paper's stack, up to 8
-    members, is timed from the decoded request to its plan, where CVXPY and OSQP are installed.
+    Copies share their weight, and the settings bound the number of active members, which bounds the
+    time; the reply contains the weight of the members left out. The paper's stack is timed with up
+    to 8 members from the decoded request to its plan if CVXPY and OSQP are installed.
     """
     times = []
     with tempfile.TemporaryDirectory() as folder:
@@ -66,12 +66,12 @@ def measure(
 
 
 def paper_installed() -> bool:
-    """Whether the extras that the paper's stack needs are there."""
+    """Whether the extras of the paper's stack are installed."""
     return all(find_spec(package) for package in ("gpytorch", "cvxpy", "osqp"))
 
 
 def _ours(engine: Engine, requests: Sequence[bytes]) -> list[float]:
-    """Seconds of each step, bytes to bytes, after the first ones."""
+    """Seconds of each step from request bytes to reply bytes, without the first tenth."""
     taken = []
     for request in requests:
         start = time.perf_counter()
@@ -81,12 +81,12 @@ def _ours(engine: Engine, requests: Sequence[bytes]) -> list[float]:
 
 
 def _paper(path: Path, engine: Engine, requests: Sequence[bytes]) -> list[float]:
-    """Seconds of each step of the paper's stack, which needs a full window."""
+    """Seconds of each step of the paper's stack, which requires a full window."""
     import torch  # noqa: PLC0415
 
     from egp_service.evaluation.paper_stack import PaperStack  # noqa: PLC0415
 
-    torch.set_num_threads(1)  # as ours; for matrices of this size more gain nothing
+    torch.set_num_threads(1)  # more threads do not speed up matrices of this size
     stack = PaperStack(path, Library.load(path), tomllib.loads(engine.settings_toml))
     full = requests[stack.window + 1 :][:_PAPER_REQUESTS]
     return [stack.step(decode_request(r)).phases.total for r in full][_PAPER_WARM_UP:]
@@ -98,10 +98,10 @@ def _step_time(program: str, members: int, seconds: Sequence[float]) -> StepTime
 
 
 def _record(library: Path, scenario: Scenario, periods: int) -> list[bytes]:
-    """Collect the requests of the first periods of a drive."""
+    """Return the requests of the first periods of a drive."""
     requests: list[bytes] = []
 
-    class Enough(Exception):  # noqa: N818 - ends a drive early, nothing is wrong
+    class Enough(Exception):  # noqa: N818 - ends the drive early, not an error
         pass
 
     def keep(period: Period) -> None:

@@ -1,4 +1,4 @@
-"""How long the weights take to settle after the friction changed, and how well they can know it."""
+"""Settling time of the weights after friction changes, and the bound on their accuracy."""
 
 from __future__ import annotations
 
@@ -17,51 +17,53 @@ from egp_service.simulation.scenario import library_path
 if TYPE_CHECKING:
     from egp_service.simulation.closed_loop import Run
 
-EXCITATION: Final = 1.8  # m/s² of lateral acceleration; without it measurements say nothing
-_LOOK: Final = 2.0  # s after the change
-_SETTLED_FROM: Final = 1.0  # s after the change: from here on the mean is the settled value
-_BAND: Final = 0.25  # of the way from the value before to the settled one
-# Of the friction's own step. Tyres far from their limit hardly tell surfaces apart: weights that
-# move by less than this have not seen the step, and there is nothing to settle from.
-_SMALLEST_WAY: Final = 0.25
+EXCITATION: Final = 1.8  # m/s² of lateral acceleration; with less, friction is not observable
+_DURATION: Final = 2.0  # s after the change that are evaluated
+_SETTLED_FROM: Final = 1.0  # s after the change; the mean from here on is the settled value
+_BAND: Final = 0.25  # of the difference between the previous and the settled value
+# Smallest change of the weighted friction, as a share of the true step. Far from the tyres' limit
+# surfaces are hardly distinguishable, and weights that change less have not detected the step.
+_MIN_CHANGE: Final = 0.25
 _MIN_MEMBERS: Final = 2
 
 
 def settling_times(run: Run) -> list[float]:
     """Seconds from each friction change until `sum w mu` stays near its later mean.
 
-    Near means within a quarter of the way that it goes. Changes without lateral acceleration,
-    without `_LOOK` seconds behind them, or that hardly move the weights do not count.
+    Near means within a quarter of its total change. Friction changes are left out if the lateral
+    acceleration is too small, if fewer than `_DURATION` seconds follow them, or if the weights
+    hardly change.
     """
     trace = run.trace
     if trace.weights.shape[1] < _MIN_MEMBERS:
         return []
     apparent = trace.weights @ run.frictions
     acceleration = np.abs(trace.x[:, V_X] * trace.x[:, OMEGA])
-    look, settled = round(_LOOK / run.dt), round(_SETTLED_FROM / run.dt)
+    duration, settled = round(_DURATION / run.dt), round(_SETTLED_FROM / run.dt)
     times = []
     for change in np.flatnonzero(np.diff(trace.friction) != 0.0) + 1:
-        after = slice(change, change + look)
+        after = slice(change, change + duration)
         constant = np.all(trace.friction[after] == trace.friction[change])
-        if change + look > len(trace) or not constant or acceleration[after].min() < EXCITATION:
+        if change + duration > len(trace) or not constant or acceleration[after].min() < EXCITATION:
             continue
-        value = float(np.mean(apparent[change + settled : change + look]))
-        way = abs(value - apparent[change - 1])
+        value = float(np.mean(apparent[change + settled : change + duration]))
+        difference = abs(value - apparent[change - 1])
         step = abs(trace.friction[change] - trace.friction[change - 1])
-        if not way > _SMALLEST_WAY * step:  # NaN before the first reply
+        if not difference > _MIN_CHANGE * step:  # NaN before the first reply
             continue
-        outside = np.flatnonzero(np.abs(apparent[after] - value) > _BAND * way)
+        outside = np.flatnonzero(np.abs(apparent[after] - value) > _BAND * difference)
         times.append(float((outside[-1] + 1) * run.dt) if len(outside) else 0.0)
     return times
 
 
 def resolution(run: Run) -> float:
-    """Find the standard deviation with which a window of measurements tells the friction.
+    """Return the smallest standard deviation of a friction estimate from one window.
 
-    The Cramér-Rao bound of eq. (6) without a prior, median over the run: with d what two members'
-    predictions of a window differ by and C the covariance of its errors, `|mu_1 - mu_0|` over
-    `sqrt(dᵀ C⁻¹ d)`. No unbiased estimator does better with the same window if the sensors' noise
-    is the run's and members err half as much as in training, the least that the weights consider.
+    This is the Cramér-Rao bound of eq. (6) without a prior, `|mu_1 - mu_0| / sqrt(dᵀ C⁻¹ d)`, as a
+    median over the run. d is the difference of two members' predictions of a window and C the
+    covariance of its errors. C contains the noise of the run's sensors and half of the members'
+    training error, the smallest that the weights consider. No unbiased estimator from the same
+    window has a smaller standard deviation.
     """
     scenario, trace = run.scenario, run.trace
     path = library_path(scenario)

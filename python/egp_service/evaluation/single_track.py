@@ -1,9 +1,10 @@
-"""What an engineer would write down instead of learning: single-track vehicles, two kinds.
+"""Baselines without learning: a kinematic and a dynamic single-track vehicle.
 
-Both predict what a member predicts, the change of `[v_x, v_y, omega]` over one period from
-`z = [v_x, v_y, omega, delta, F_x, delta_dot]`, so that they take a member's place in the same
-optimal control problem. Equations: Rajamani, *Vehicle Dynamics and Control*, 2nd ed., sections 2.2
-and 2.3; Althoff, Koschi and Manzinger, *CommonRoad: vehicle models* (2017), sections 5 and 7.
+Both predict the change of `[v_x, v_y, omega]` over one period from
+`z = [v_x, v_y, omega, delta, F_x, delta_dot]`, as a member does, so that they can replace a member
+in the same optimal control problem. Equations: Rajamani, *Vehicle Dynamics and Control*, 2nd ed.,
+sections 2.2 and 2.3; Althoff, Koschi and Manzinger, *CommonRoad: vehicle models* (2017),
+sections 5 and 7.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 GRAVITY: Final = 9.81
-# The middle of the roads' range: whoever does not adapt can do no better.
+# The middle of the roads' frictions, the best choice without adaptation.
 NOMINAL_FRICTION: Final = 0.8
-_SLOWEST: Final = 1.0  # m/s; slip angles lose their meaning below
+_SLOWEST: Final = 1.0  # m/s; slip angles are computed with at least this speed
 _SUBSTEP: Final = 0.02  # s, of the Runge-Kutta integration
-# Relative to the size of each input; central differences are then right to about 1e-9.
+# Steps of the central differences, whose errors are then about 1e-9.
 _STEPS: Final = np.array([1e-4, 1e-4, 1e-5, 1e-5, 1.0, 1e-5])
 
 
@@ -32,13 +33,13 @@ class Chassis:
     """Mass and geometry as published with CommonRoad."""
 
     mass: float
-    """kg."""
+    """Mass, kg."""
     yaw_inertia: float
-    """kg m²."""
+    """Yaw inertia, kg m²."""
     front: float
-    """Centre of mass to front axle, m."""
+    """Distance from the centre of mass to the front axle, m."""
     rear: float
-    """Centre of mass to rear axle, m."""
+    """Distance from the centre of mass to the rear axle, m."""
     height: float
     """Height of the centre of mass, m."""
 
@@ -58,7 +59,7 @@ class Prediction(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Kinematic:
-    """Wheels roll where they point: no slip, so no friction either."""
+    """A kinematic single-track vehicle: wheels roll without slip, so friction has no effect."""
 
     chassis: Chassis
 
@@ -75,7 +76,7 @@ class Kinematic:
 
 @dataclasses.dataclass(frozen=True)
 class SingleTrack:
-    """Two wheels, load transfer and lateral tyre forces that saturate at a nominal friction.
+    """A single-track vehicle with load transfer and tyre forces saturated at a nominal friction.
 
     `F_y = mu F_z sin(C atan(B alpha))` with `B C` the cornering stiffness per load.
     """
@@ -85,7 +86,7 @@ class SingleTrack:
     stiffness: float = 20.898
     """Cornering stiffness over load, 1/rad, of CommonRoad's single-track vehicle."""
     shape: float = 1.5
-    """C; the force falls off beyond its peak as that of the tyres does."""
+    """C; beyond its peak the force decreases as that of the simulated tyres does."""
 
     def __call__(self, z: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
         """Predict over `dt` seconds by Runge-Kutta of order 4."""

@@ -1,4 +1,4 @@
-"""Outcomes put together: completion, errors, regret, each with a 95 % confidence interval."""
+"""Statistics over seeds: completion, errors and regret with 95 % confidence intervals."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """All seeds of one contender at one condition."""
+    """Statistics of one contender at one condition over all seeds."""
 
     experiment: str
     condition: str
@@ -52,17 +52,17 @@ class Group:
     settling: Interval
     """Median over the friction changes under excitation, s; NaN without one."""
     regret: Interval
-    """Median ratio of lateral RMS errors to the oracle's with the same seed, where both came
-    through; NaN where there is none."""
+    """Median ratio of lateral RMS errors to the oracle's, over the seeds that both completed; NaN
+    without such a seed."""
     time_regret: Interval
-    """The same of lap times."""
+    """Median ratio of lap times, likewise."""
     misses: int
     late: int
     step_ms: float
 
 
 def grouped(outcomes: Iterable[Outcome]) -> list[Group]:
-    """Group outcomes, in the order in which contenders and conditions first appear."""
+    """Group outcomes in the order of the first occurrence of contenders and conditions."""
     groups: dict[tuple[str, str, str], list[Outcome]] = {}
     for outcome in outcomes:
         key = (outcome.experiment, outcome.condition, outcome.contender)
@@ -79,12 +79,12 @@ def wilson(successes: int, runs: int) -> Interval:
 
 
 def median(values: Sequence[float] | NDArray[np.float64]) -> Interval:
-    """Median with its percentile bootstrap interval; the same numbers every time."""
+    """Median with its percentile bootstrap interval; deterministic."""
     return _bootstrap(values, np.median)
 
 
 def mean(values: Sequence[float] | NDArray[np.float64]) -> Interval:
-    """Mean with its percentile bootstrap interval; for what is zero in most runs."""
+    """Mean with its percentile bootstrap interval, for quantities that are zero in most runs."""
     return _bootstrap(values, np.mean)
 
 

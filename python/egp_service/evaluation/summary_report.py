@@ -1,4 +1,4 @@
-"""From outcomes to `report.html`, PNG and CSV."""
+"""The evaluation report: `report.html`, PNG and CSV files from outcomes."""
 
 from __future__ import annotations
 
@@ -39,38 +39,42 @@ if TYPE_CHECKING:
     from egp_service.evaluation.scaling import StepTime
     from egp_service.evaluation.statistics import Group, Interval
 
-_ABOUT = """Everything below was driven on the 29-state multi-body vehicle of CommonRoad, with
-measurement noise unless a condition says otherwise, by controllers that share one optimal control
-problem, solver, tuning and gate and differ only in what predicts the vehicle. Errors are of the
-true state. Runs that ended early count with the error they had until then: read errors and
-completions together. Brackets are 95 % intervals over the seeds: Wilson's for shares, bootstrap
+_ABOUT = """All runs use the 29-state multi-body vehicle of CommonRoad, with measurement noise
+unless a condition says otherwise. The controllers have the same optimal control problem, solver,
+tuning and gate and differ only in the model that predicts the vehicle. Errors are errors of the
+true state. The error of an incomplete run is the error up to its end, so errors and completions
+must be read together. Brackets are 95 % intervals over the seeds: Wilson's for shares, bootstrap
 for medians (off track: for the mean). <i>No plan</i> counts control periods without a usable plan,
-<i>late</i> those whose step took longer than the period while other runs shared the machine.
+and <i>late</i> counts periods whose step took longer than the period while other runs shared the
+machine.
 Command: <code>{command}</code>"""
 
-_CLAIMS = """Below the limit the closest are within millimetres of each other: read such differences
-against the 2 cm to which positions are measured. At 95 and 100 % of the grip two things cost the
-ensemble more than the oracle. On straights surfaces look alike, or a car that accelerates below its
-limit looks as if it had more grip, so that weights drift and have to come back at the next bend. In
-the bend a blend that predicts best at the slip of now overrates how much more the tyres would hold,
-as their force saturates the earlier the lower the friction; a pull to the inside, such as that of
-<i>forward Euler</i>, helps. With noise, weights cannot settle before a window of measurements tells
-the friction; how well it does is shown below the friction steps."""
+_CLAIMS = """Below the limit the errors of the best controllers differ by millimetres, while
+positions are measured to 2 cm. At 95 and 100 % of the grip the ensemble has a larger error than the
+oracle for two reasons. First, on straights surfaces are hardly distinguishable, and a car that
+accelerates below its limit appears to have more grip, so that the weights drift and must return at
+the next bend. Second, in a bend the blend that predicts best at the present slip overestimates the
+additional force at larger slip, because tyre forces saturate at smaller slip on lower friction. A
+bias to the inside of the bend, such as that of <i>forward Euler</i>, reduces this error. With
+noise, the weights cannot settle before a window of measurements determines the friction; the
+section after the friction steps gives the accuracy of this determination."""
 
-_DIFFERENCES = """The paper drives at 30 Hz with OSQP and about zero inputs; this system at 50 Hz
-about the last plan. Its weights add m/s to rad/s, take all errors of the window for independent and
-have no memory, as <i>paper's weights</i> here; ours weigh the window by the covariance that model
-and measurement noise give its errors, each at the level that makes the window likeliest. Its GPs
-predict whole changes and fall back to constants, as <i>constant mean</i> here; ours correct a
-single-track vehicle fitted to the same data, which <i>fitted single-track</i> drives with alone;
-<i>constant mean</i> learned from the laps that the fitted vehicles drove. The paper's positions
-move along the yaw at the start of each period, as with <i>forward Euler</i> here, so that its
-controller believes that it is leaving every bend and drives on the inside; ours along the yaw in
-the middle. Everyone here keeps the front tyres' slip near their peak, which moves with the friction
-they believe in. The paper's reference moves at the present speed, ours along a speed profile, so
-braking is not fought. What a vehicle leaves is learned with one kernel for all three outputs, whole
-changes with a kernel for each, as in the paper. Tracks here are computed from their definition or
-drawn from a seed; frictions are those of the text."""
+_DIFFERENCES = """The paper's controller runs at 30 Hz with OSQP and linearises about zero inputs;
+this system runs at 50 Hz and linearises about the last plan. The paper's weights add m/s to rad/s,
+assume independent errors in the window and have no memory, as <i>paper's weights</i> here; this
+system weights the window by the covariance of its errors due to model and measurement noise, at the
+levels of largest likelihood. The paper's GPs predict whole changes and return to constants without
+data, as <i>constant mean</i> here; the GPs of this system correct a single-track vehicle fitted to
+the same data, and <i>fitted single-track</i> is this vehicle without GPs. The training data of
+<i>constant mean</i> are the laps driven with the fitted vehicles. The paper's positions move along
+the yaw at the start of each period, as with <i>forward Euler</i> here, so that its predictions
+leave every bend to the outside and the vehicle drives on the inside; in this system positions move
+along the yaw in the middle of the period. All controllers here bound the slip of the front tyres
+near their peak, which depends on the estimated friction. The paper's reference moves at the present
+speed; here it follows a speed profile that contains the braking. Corrections of a vehicle are
+learned with one kernel for all three outputs, whole changes with one kernel per output, as in the
+paper. Tracks are computed from their definitions or drawn from a seed; frictions are those of the
+paper's text."""
 
 
 def write_report(
@@ -93,7 +97,7 @@ def write_report(
     _write_csv(folder / "step-times.csv", [asdict(t) for t in times])
     groups = grouped(outcomes)
     sections = [
-        Section("What was claimed", _CLAIMS, tables=(claim_table(check(outcomes, predictions)),)),
+        Section("Claims", _CLAIMS, tables=(claim_table(check(outcomes, predictions)),)),
         Section("Where this differs from the paper", _DIFFERENCES),
     ]
     if regret := _regret_section(groups):
@@ -118,7 +122,7 @@ def write_report(
 
 
 def headline(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
-    """Rows `experiment, condition, ensemble, best baseline, oracle`, for terminal and README."""
+    """Return rows `experiment, condition, ensemble, best baseline, oracle`."""
     groups = grouped(outcomes)
     rows: list[tuple[str, ...]] = []
     for name, condition in dict.fromkeys((g.experiment, g.condition) for g in groups):
@@ -170,7 +174,7 @@ def _section(
         t for o in outcomes if o.experiment == name and o.contender == ENSEMBLE for t in o.settling
     ]
     text = experiment.question
-    if settling and name != "friction-step":  # whose conditions have each their own claim
+    if settling and name != "friction-step":  # which has a claim for each condition
         text += (
             f" The ensemble's weights settled after {np.median(settling):.2f} s (median of "
             f"{len(settling)} friction changes under excitation; 90 % within "
@@ -186,18 +190,18 @@ def _resolution_section(outcomes: Sequence[Outcome]) -> Section:
             found.setdefault(outcome.condition, []).append(outcome.resolution)
     rows = [(condition, f"{np.median(each):.2f}") for condition, each in found.items()]
     return Section(
-        "How well the friction can be known",
-        "Standard deviation with which one window tells the friction (Cramér-Rao bound, median "
-        "over seeds), with the sensors' noise and what members leave as white noise of half the "
-        "size that it has in all of their training, the least that the weights consider. The step "
-        "is from 1.1 to 0.5. Where a window tells no better than a quarter of that, weights "
-        "wander, and a longer window would be late instead.",
-        tables=(plain_table(("condition", "a window tells μ to"), rows),),
+        "Accuracy of the friction from one window",
+        "Smallest standard deviation of an estimate of the friction from one window (Cramér-Rao "
+        "bound, median over seeds). The noise is that of the sensors plus white noise of half of "
+        "the members' training error, the smallest that the weights consider. The friction step "
+        "is from 1.1 to 0.5. If the standard deviation exceeds a quarter of the step, the weights "
+        "drift; a longer window would delay them instead.",
+        tables=(plain_table(("condition", "standard deviation of μ"), rows),),
     )
 
 
 def _regret_section(groups: Sequence[Group]) -> Section | None:
-    """Put the ensemble beside the oracle, a row for each condition that both drove."""
+    """Compare the ensemble with the oracle, with a row for each condition that both drove."""
     oracle = {(g.experiment, g.condition): g for g in groups if g.contender == ORACLE}
     rows = [
         (
@@ -215,10 +219,10 @@ def _regret_section(groups: Sequence[Group]) -> Section | None:
     heads = ("condition", "completed", "oracle completed", "lateral RMS / oracle's")
     return Section(
         "Regret against the oracle",
-        "What not knowing the friction costs the ensemble: median ratios to the oracle, which "
+        "Cost of estimating the friction: median ratios of the ensemble to the oracle, which "
         "interpolates the members at the true friction, over the seeds that both completed. Below "
-        "1 the estimated weights drive better than that interpolation. The tables below have them "
-        "for every controller.",
+        "1 the estimated weights are better than this interpolation. The tables below contain the "
+        "ratios of every controller.",
         tables=(plain_table((*heads, "lap time / oracle's"), rows),),
     )
 
@@ -251,10 +255,10 @@ def _entry_speed_section(folder: Path, speeds: Sequence[EntrySpeed]) -> Section:
 
 
 def _step_time_section(folder: Path, times: Sequence[StepTime]) -> Section:
-    text = "The same recorded requests, libraries of copies of the same members."
+    text = "Both programs get the same requests and libraries of copies of the same members."
     if not any(t.program == PAPER for t in times):
         text += (
-            " The paper's stack is missing: install the extras that it needs with "
+            " The paper's stack was not timed because its extras are missing; install them with "
             "<code>pip install 'egp-service[train,paper]'</code>."
         )
     rows = [(t.program, str(t.members), f"{t.p50_ms:.3f}", f"{t.p95_ms:.3f}") for t in times]

@@ -1,8 +1,9 @@
 """The closed loop: simulated vehicle, reference and control step in lockstep.
 
-Each period the plant waits for the step, which has `dt` of real time; then the plant is driven by
-what left the gate for `dt` of simulated time. So a slow machine costs patience, not realism, and a
-missed deadline means what it means on a vehicle: the tail of the last plan.
+In each period the plant waits for the step, which has `dt` of real time, and is then driven with
+the gate's command for `dt` of simulated time. A slow machine therefore slows the simulation down
+without changing it, and a missed deadline has the same effect as on a vehicle: the tail of the last
+plan.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ if TYPE_CHECKING:
     from egp_service.control.step import Step
     from egp_service.simulation.scenario import Measurement, Scenario
 
-# The friction under the wheels is looked up this often within a control period.
+# Number of updates of the friction under the wheels within a control period.
 FRICTION_UPDATES = 10
-# Before the vehicle is released the first answer may take longer: connections and caches are cold.
+# s; the first step may take longer because connections and caches are cold.
 FIRST_DEADLINE = 2.0
-# A run that takes this many times the reference's time is not coming through.
+# A run ends after this multiple of the reference's time.
 PATIENCE = 2.0
 STANDSTILL = 0.3
 
@@ -46,11 +47,11 @@ class Drives(Protocol):
 
     @property
     def library(self) -> bytes:
-        """SHA-256 of the library, empty without one."""
+        """SHA-256 of the library; empty without a library."""
 
     @property
     def members(self) -> Sequence[str]:
-        """Surfaces behind the weights."""
+        """Surfaces of the weights."""
 
     def step(
         self,
@@ -77,7 +78,7 @@ class Run:
 
     @property
     def path(self) -> Path:
-        """Where it drove; made anew, so that a run can go from process to process."""
+        """The path, built on access because runs are passed between processes."""
         return build_path(self.scenario)
 
 
@@ -87,8 +88,8 @@ def drive(scenario: Scenario, controller: Drives, observe: Callable[[Period], No
     The scenario's library file is read for the members' friction coefficients, which the pictures
     show beside the true ones; the step itself is the controller's.
 
-    Raises `EgpError` for a scenario whose track cannot be built. What goes wrong on the road is the
-    run's ending, not an exception.
+    Raises `EgpError` if the scenario's track cannot be built. A loss of control is not an exception
+    but the run's ending.
     """
     loop = _Loop(scenario, controller)
     periods: list[Period] = []
@@ -113,7 +114,7 @@ def drive(scenario: Scenario, controller: Drives, observe: Callable[[Period], No
 
 
 class _Loop:
-    """The vehicle on its course, between periods."""
+    """State of the closed loop between periods."""
 
     def __init__(self, scenario: Scenario, controller: Drives) -> None:
         self._scenario = scenario
@@ -141,7 +142,7 @@ class _Loop:
         return self._ticks * self._controller.dt
 
     def period(self) -> Period:
-        """Ask for the step of this period."""
+        """Compute the step of this period."""
         x = self._plant.vehicle_state
         projection = self._project(x)
         truth = Truth(

@@ -1,7 +1,6 @@
-"""Dataclasses from TOML tables and back.
+"""Conversion between dataclasses and TOML tables.
 
-Unknown fields, missing fields and wrong types are refused by their full name, so that a typing
-error in a configuration is found before anything runs.
+Unknown fields, missing fields and wrong types are errors that give the full name of the field.
 """
 
 from __future__ import annotations
@@ -16,14 +15,17 @@ from egp_service._core import EgpError
 
 
 class ConfigurationError(EgpError):
-    """A configuration that says something unknown, or lacks something."""
+    """A configuration with unknown, missing or invalid fields."""
 
 
 _T = TypeVar("_T")
 
 
 def build(cls: type[_T], table: Mapping[str, object], where: str) -> _T:
-    """Make a dataclass from a TOML table; unknown fields and wrong types are refused."""
+    """Create a dataclass from a TOML table.
+
+    Raises `ConfigurationError` if a field is unknown, missing or of the wrong type.
+    """
     if not isinstance(table, Mapping):
         raise ConfigurationError(f"{where} must be a table, got {table!r}")
     known = {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
@@ -45,7 +47,7 @@ def build(cls: type[_T], table: Mapping[str, object], where: str) -> _T:
 
 def _value(kind: object, value: object, where: str) -> object:  # noqa: PLR0911
     origin, arguments = get_origin(kind), get_args(kind)
-    if origin in (UnionType, typing.Union):  # the only unions are "or none", and TOML has no none
+    if origin in (UnionType, typing.Union):  # the only unions are optional fields
         return _value(arguments[0], value, where)
     if origin is tuple:
         if not isinstance(value, list):
@@ -75,7 +77,7 @@ def _value(kind: object, value: object, where: str) -> object:  # noqa: PLR0911
 
 
 def without_none(value: object) -> dict[str, object]:
-    """Leave out optional fields that are not set: TOML has no null."""
+    """Return the value without optional fields that are not set, because TOML has no null."""
 
     def strip(item: object) -> object:
         if isinstance(item, dict):

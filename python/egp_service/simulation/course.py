@@ -18,7 +18,7 @@ _CIRCUIT_SEED = 11
 
 
 def _circle(radius: float = 50.0, track_width: float = 7.0) -> Path:
-    """Make a counter-clockwise circle that starts along +x."""
+    """Return a counter-clockwise circle that starts in the direction +x."""
     angle = np.linspace(-0.5 * np.pi, 1.5 * np.pi, 72, endpoint=False)
     points = radius * np.column_stack([np.cos(angle), np.sin(angle)])
     return Path.from_points(points, closed=True, widths=np.full((72, 2), 0.5 * track_width))
@@ -39,7 +39,7 @@ TRACKS: dict[str, Callable[..., Path]] = {
 def build_path(scenario: Scenario) -> Path:
     """Path of the scenario's track, with widths and friction zones.
 
-    Raises `ScenarioError` for an unknown track or measure, `EgpError` for measures that don't fit.
+    Raises `ScenarioError` if track or dimension are unknown, `EgpError` if dimensions are invalid.
     """
     track = scenario.track
     if track.kind not in TRACKS:
@@ -66,7 +66,7 @@ def build_path(scenario: Scenario) -> Path:
 
 
 def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:
-    """Plan the reference speed: `speed.grip` of what each zone holds, at most `speed.v_max`."""
+    """Return the speed profile for `speed.grip` of each zone's friction, at most `speed.v_max`."""
     if scenario.speed.constant:
         return SpeedProfile.constant(path, scenario.speed.v_max)
     return SpeedProfile(path, scenario.speed.grip, scenario.speed.v_max)

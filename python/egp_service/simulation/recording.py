@@ -1,7 +1,7 @@
-"""Recordings: requests and replies as the bytes on the wire, and the plant's truth, in MCAP.
+"""Recordings in MCAP: requests and replies as the bytes on the wire, and the plant's true state.
 
-Foxglove and PlotJuggler open it; the schemas are inside. Since the service keeps no state, the
-recorded requests are also the replay: the same bytes give the same replies.
+The files contain their schemas and open in Foxglove and PlotJuggler. The service keeps no state, so
+sending the recorded requests again gives the same replies.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Recording:
     @classmethod
     @contextmanager
     def create(cls, path: Path) -> Iterator[Self]:
-        """Record to `path`; the file appears there when the recording is complete."""
+        """Record to `path`, where the file is created when the recording is complete."""
         with replacing(path) as beside, beside.open("wb") as stream:
             writer = Writer(stream)
             writer.start(profile="egp.v1", library="egp-service")

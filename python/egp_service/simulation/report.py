@@ -1,4 +1,4 @@
-"""Pictures of a run. The only module of the closed loop that draws, with the `[viz]` extra."""
+"""Pictures of a run; requires the `[viz]` extra."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ STYLE = {
 }
 INK, MUTED, ALARM = "#1f2937", "#8a8f98", "#c2410c"
 MEMBER_COLOURS = ("#4ba3c7", "#e0a13a", "#6a994e", "#9d6bb0", "#c8553d", "#5c677d")
-# Ice to dry asphalt.
+# From ice to dry asphalt.
 SURFACE = LinearSegmentedColormap.from_list("surface", ["#cfe6f5", "#b9c2c9", "#82878d"])
 FRICTION_RANGE = Normalize(0.4, 1.2)
 SPEED = mpl.colormaps["plasma"]
@@ -56,7 +56,7 @@ GRAVITY = 9.81
 
 
 def draw_run(run: Run, folder: FilePath) -> list[FilePath]:
-    """Draw all pictures of a run into `folder`; gives their paths."""
+    """Draw all pictures of a run into `folder`; return their paths."""
     return [
         _save(_track_figure, run, folder / "track.png"),
         draw_weights(run, folder / "weights.png"),
@@ -66,17 +66,17 @@ def draw_run(run: Run, folder: FilePath) -> list[FilePath]:
 
 
 def draw_weights(run: Run, path: FilePath, title: str | None = None) -> FilePath:
-    """Draw weights, the friction they say beside the true one, and the grip used in corners."""
+    """Draw weights, estimated and true friction, and the grip used in corners."""
     return _save(_weights_figure, run, path, title)
 
 
 def draw_errors(run: Run, path: FilePath, title: str | None = None) -> FilePath:
-    """Draw lateral and heading errors, and the speed beside its reference."""
+    """Draw lateral and heading errors, and the speed with its reference."""
     return _save(_errors_figure, run, path, title)
 
 
 def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath:
-    """Draw several runs of one scenario side by side, and their errors on top of each other."""
+    """Draw the tracks of several runs of a scenario side by side, and their errors in one plot."""
     with plt.style.context(STYLE):
         figure = plt.figure(figsize=(4.2 * len(runs), 5.8))
         rows = figure.add_gridspec(2, len(runs), height_ratios=(1.25, 1.0))
@@ -110,7 +110,7 @@ def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath
 
 
 def draw_track(ax: Axes, run: Run, speeds: Normalize | None = None) -> LineCollection:
-    """Road coloured by friction, reference dashed, driven line coloured by speed."""
+    """Draw the road coloured by friction, the reference dashed and the driven line by speed."""
     path, trace = run.path, run.trace
     s = np.linspace(0.0, path.length, max(200, int(path.length)))
     x, y, yaw, _, left, right, friction = path.sample(s)
@@ -153,7 +153,7 @@ def draw_track(ax: Axes, run: Run, speeds: Normalize | None = None) -> LineColle
 
 
 def draw_zones(ax: Axes, path: Path, distance: float) -> None:
-    """Surfaces as bands behind a plot over distance."""
+    """Draw surfaces as bands behind a plot over distance."""
     for start, end, mu in _zones(path, distance):
         ax.axvspan(start, end, color=SURFACE(FRICTION_RANGE(mu)), alpha=0.45, linewidth=0)
     ax.set_xlim(0.0, distance)
@@ -183,7 +183,7 @@ def _weights_figure(run: Run) -> Figure:
     distance, weights = trace.distance[known], trace.weights[known]
     colours = [MEMBER_COLOURS[i % len(MEMBER_COLOURS)] for i in range(len(run.members))]
     top.stackplot(distance, weights.T, labels=run.members, colors=colours, alpha=0.9, linewidth=0)
-    top.set(ylim=(0.0, 1.0), ylabel="weight", title="Which surface the ensemble believes to be on")
+    top.set(ylim=(0.0, 1.0), ylabel="weight", title="Weights of the members")
     legend = top.legend(loc="upper right", ncols=len(run.members), frameon=True, framealpha=0.9)
     legend.get_frame().set(facecolor="white", linewidth=0)
     for ax in (middle, bottom):
@@ -195,7 +195,7 @@ def _weights_figure(run: Run) -> Figure:
     grip = np.abs(trace.x[:, V_X] * trace.x[:, OMEGA]) / (GRAVITY * trace.friction)
     bottom.fill_between(trace.distance, grip, color=MUTED, linewidth=0)
     bottom.set(xlabel="distance [m]", ylabel="grip used\nin corners", ylim=(0.0, 1.0))
-    bottom.set_title("Only where grip is used do measurements tell surfaces apart", weight="normal")
+    bottom.set_title("Surfaces are distinguishable only where grip is used", weight="normal")
     return figure
 
 
@@ -253,7 +253,7 @@ def _step_times_figure(run: Run) -> Figure:
 
 
 def _zones(path: Path, distance: float) -> list[tuple[float, float, float]]:
-    """Stretches of one friction up to `distance`, (start, end, mu), laps included."""
+    """Return stretches (start, end, mu) of constant friction up to `distance`, over all laps."""
     s = np.arange(0.0, distance, 0.25)
     friction: NDArray[np.float64] = path.sample(s % path.length if path.closed else s)[-1]
     borders = np.flatnonzero(np.diff(friction)) + 1

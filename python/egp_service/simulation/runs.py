@@ -1,4 +1,4 @@
-"""A run's folder: resolved scenario, recording, summary, pictures."""
+"""The folder of a run: complete scenario, recording, summary and pictures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def new_folder(root: Path, name: str) -> Path:
-    """Make `root/<stamp>-<name>`, a new folder each time."""
+    """Create and return the new folder `root/<stamp>-<name>`."""
     stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
     for count in range(1, 1000):
         folder = root / (f"{stamp}-{name}" if count == 1 else f"{stamp}-{name}-{count}")
@@ -35,7 +35,7 @@ def new_folder(root: Path, name: str) -> Path:
 def record_run(
     scenario: Scenario, controller: StepController, folder: Path, observe: Callable[[Period], None]
 ) -> Run:
-    """Drive the scenario and leave `scenario.toml`, `run.mcap` and `summary.json` in `folder`."""
+    """Drive the scenario and write `scenario.toml`, `run.mcap` and `summary.json` to `folder`."""
     write_text(folder / "scenario.toml", scenario.toml())
     with Recording.create(folder / "run.mcap") as recording:
 

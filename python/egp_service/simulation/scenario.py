@@ -1,7 +1,7 @@
-"""Scenarios: what is driven, where, how fast, on which surfaces and with which library.
+"""Scenarios: vehicle, track, speed, surfaces and library of a run.
 
-A scenario is one TOML file. The built-in ones lie beside this module in `scenarios/` and are the
-reference for every field; unknown fields are refused.
+A scenario is one TOML file. The built-in scenarios are in `scenarios/` next to this module and
+document every field; unknown fields are errors.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ MAX_DELAY = 100
 
 
 class ScenarioError(ConfigurationError):
-    """A scenario that does not exist or says something unknown."""
+    """A scenario that does not exist or is invalid."""
 
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """A stretch of road with its own friction; zones are given in order of `start`."""
+    """A stretch of road with its own friction; zones are in increasing order of `start`."""
 
     start: float
-    """Where it begins, as a fraction of the path's length; it ends where the next one begins."""
+    """Start as a fraction of the path's length; a zone ends at the start of the next one."""
     friction: float
     """Friction coefficient mu."""
     right: float | None = None
-    """Friction right of the path, where the road is split; `friction` is then the left side's."""
+    """Friction right of the path on a split road; `friction` is then that of the left side."""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Where to drive: a built-in kind with its measures, or a CSV file."""
+    """A track: a built-in kind with its dimensions, or a CSV file."""
 
     kind: str
     """`rounded-rectangle`, `l-shape`, `circle`, `circuit`, `lane-change`, `iso-3888-2`, `random`,
@@ -47,22 +47,22 @@ class Track:
     file: str | None = None
     """Raceline or centre line, for kind `csv`; relative to the scenario file."""
     parameters: dict[str, float] = field(default_factory=dict)
-    """Measures of the kind, as the constructors of `_core.Path` name them."""
+    """Dimensions of the kind, with the names of the constructors of `_core.Path`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Speed:
-    """The reference speed: as fast as `grip` of what the surface holds, up to `v_max`."""
+    """The reference speed, which uses the fraction `grip` of the friction, up to `v_max`."""
 
     grip: float = 0.85
     """Fraction of the friction that the speed profile uses; on a split road, of the mean of both
-    sides. The profile knows the zones, the controller does not."""
+    sides. The profile depends on the zones, which are unknown to the controller."""
     v_max: float = 20.0
-    """m/s."""
+    """Largest speed, m/s."""
     constant: bool = False
-    """Drive at `v_max` throughout, whatever the surface holds."""
+    """Whether the speed is `v_max` on all surfaces."""
     v_start: float | None = None
-    """Speed at the start, m/s; by default the profile's."""
+    """Speed at the start, m/s; by default that of the profile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,33 +79,33 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A scenario, validated."""
+    """A validated scenario."""
 
     name: str
     track: Track
     zones: tuple[Zone, ...]
     description: str = ""
     library: str = DEMO_LIBRARY
-    """`demo` for the one shipped, or a path relative to the scenario file."""
+    """`demo` for the shipped library, or a path relative to the scenario file."""
     vehicle: int = 1
     """CommonRoad number of the simulated vehicle."""
     seed: int = 0
-    """Of the measurement noise, and of the track for kind `random`."""
+    """Seed of the measurement noise, and of the track for kind `random`."""
     laps: float = 1.0
-    """How often to drive round a closed track."""
+    """Number of laps on a closed track."""
     leave_distance: float = 3.0
-    """The run ends when the vehicle is farther than this from the reference, m."""
+    """Distance from the reference, m, beyond which the run ends."""
     actuator_delay: int = 0
-    """Control periods from the command to the wheels, beyond the plant's own."""
+    """Delay from the command to the wheels, in control periods, in addition to the plant's."""
     speed: Speed = field(default_factory=Speed)
     measurement: Measurement = field(default_factory=Measurement)
     control: dict[str, object] = field(default_factory=dict)
-    """Settings of the control step, handed to the service or engine as they are."""
+    """Settings of the control step, passed unchanged to service or engine."""
     gate: dict[str, float] = field(default_factory=dict)
     """Settings of the gate."""
 
     def toml(self) -> str:
-        """Everything resolved, as a scenario file that drives the same run again."""
+        """Return a complete scenario file that reproduces the run."""
         return dumps(without_none(asdict(self)))
 
 
@@ -118,7 +118,7 @@ def built_in_names() -> list[str]:
 def load_scenario(name_or_file: str) -> Scenario:
     """Load a built-in scenario by name, or a scenario file by path.
 
-    Raises `ScenarioError` when there is none, or when it says something unknown.
+    Raises `ScenarioError` if it does not exist or is invalid.
     """
     if name_or_file in built_in_names():
         text = (BUILT_IN / f"{name_or_file}.toml").read_text(encoding="utf-8")
@@ -156,7 +156,7 @@ def library_path(scenario: Scenario) -> Path:
 
 
 def _check(scenario: Scenario, origin: str) -> None:
-    """Refuse what types cannot."""
+    """Check the ranges of the values."""
     if not scenario.zones or scenario.zones[0].start != 0.0:
         raise ScenarioError(f"{origin}: zones must begin with one at start = 0.0")
     starts = [zone.start for zone in scenario.zones]

@@ -1,4 +1,4 @@
-"""The figures of a run: did it come through, how precisely, how fast was the control step."""
+"""The summary of a run: completion, tracking errors and times of the control step."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class Ending:
 
     completed: bool
     reason: str
-    """"completed", or what went wrong."""
+    """"completed", or the cause of an early end."""
     time: float
     distance: float
-    """Where, m along the path from the start."""
+    """Distance along the path from the start, m."""
     position: tuple[float, float]
 
 
@@ -46,7 +46,7 @@ class Error:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Everything worth comparing between runs."""
+    """Results of a run that are compared between runs."""
 
     scenario: str
     library: str
@@ -55,14 +55,14 @@ class Summary:
     periods: int
     dt: float
     lateral_error: Error
-    """m."""
+    """Distance from the path, m."""
     speed_error: Error
-    """m/s."""
+    """Difference from the reference speed, m/s."""
     mean_speed: float
     step_time_ms: dict[str, float]
-    """Percentiles of asking for a step to having the command: p50, p90, p99, max."""
+    """Percentiles of the time from request to command: p50, p90, p99, max."""
     deadline_misses: int
-    """Periods in which no usable plan came within `dt`."""
+    """Number of periods without a usable plan within `dt`."""
     tail_ticks: int
     stop_ticks: int
     solver_statuses: dict[str, int]

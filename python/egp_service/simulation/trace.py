@@ -1,4 +1,4 @@
-"""What happened in a run, one row per control period, as arrays."""
+"""The trace of a run as arrays with one row per control period."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ class Truth:
     """The simulated truth at the start of a control period."""
 
     time: float
-    """s since the start."""
+    """Time since the start, s."""
     x: NDArray[np.float64]
     """`[p_x, p_y, v_x, psi, v_y, omega, delta]`."""
     friction: float
-    """mu under the vehicle; on a split road the mean of both sides."""
+    """Friction coefficient under the vehicle; on a split road the mean of both sides."""
     distance: float
     """Distance driven along the path since the start, m."""
     path_s: float
     """Arc length of the vehicle's projection, m."""
     lateral_error: float
-    """From the reference path, m, left positive."""
+    """Signed distance from the reference path, m, positive to the left."""
     heading_error: float
     """Yaw less the path's direction, rad."""
     speed_reference: float
-    """m/s."""
+    """Reference speed, m/s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +60,13 @@ class Trace:
     weights: NDArray[np.float64]
     """(n, N); NaN before the first reply."""
     step_time: NDArray[np.float64]
-    """Seconds from asking for a step to having the command."""
+    """Time from the request of a step to its command, s."""
     mode: NDArray[np.str_]
     status: NDArray[np.str_]
 
     @classmethod
     def of(cls, periods: list[Period], members: int) -> Trace:
-        """Columns of `periods` for a library of `members` members."""
+        """Return the columns of `periods` for a library with `members` members."""
         truths = [period.truth for period in periods]
         steps = [period.step for period in periods]
         unknown = np.full(members, np.nan)

@@ -1,4 +1,4 @@
-"""Trained members as a library file, with GPyTorch's own predictions as its self-test."""
+"""Export of trained members to a library file, with GPyTorch's predictions for its self-test."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def export(
     """Write the members as one library; the writer verifies it by loading it again.
 
     Raises:
-        LibraryError: when what was trained does not pass the library's own checks.
+        LibraryError: if the members do not pass the checks of the library.
 
     """
     first = members[0].dataset.provenance
@@ -64,7 +64,7 @@ def _member(member: TrainedMember) -> MemberData:
         noise=np.array([v.noise for v in values]),
         constant=np.array([v.constant for v in values]),
         alpha=_alpha(member),
-        # Of all data the subset was chosen from: between its points the member interpolates.
+        # The envelope is that of all training data: between the chosen points GPs interpolate.
         envelope=np.stack([member.dataset.z.min(axis=0), member.dataset.z.max(axis=0)]),
         golden_z=golden_z,
         golden_mean=golden_mean,
@@ -88,7 +88,7 @@ def _alpha(member: TrainedMember) -> NDArray[np.float64]:
 
 
 def _golden_points(inputs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Midpoints between training points, then points up to three ranges outside."""
+    """Return midpoints of training points, then points up to three ranges outside."""
     n = len(inputs)
     at = np.linspace(0, n - 1, _INSIDE).astype(int)
     inside = 0.5 * (inputs[at] + inputs[(at + n // 2) % n])

@@ -1,6 +1,6 @@
 """Exact Gaussian processes with ARD kernel and constant mean: fitting and hyperparameters.
 
-Everything here lives in z-scored space and float64 and is solved by Cholesky factorisation.
+All quantities are z-scored and in float64; systems are solved by Cholesky factorisation.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import torch
 
 from egp_service._core import EgpError
 
-with warnings.catch_warnings():  # linear_operator still uses it when imported
+with warnings.catch_warnings():  # linear_operator uses torch.jit.script when it is imported
     warnings.filterwarnings("ignore", ".torch.jit.script. is ", FutureWarning)
     import gpytorch
     from botorch.models.gpytorch import GPyTorchModel
@@ -33,19 +33,19 @@ KernelName = Literal["rbf", "matern52"]
 
 @dataclasses.dataclass(frozen=True)
 class Bounds:
-    """Where hyperparameters are looked for, in z-scored space."""
+    """Bounds of the hyperparameters in z-scored space."""
 
     noise: float
-    """Smallest noise variance. What the seven states do not show (suspension, wheel speeds) changes
-    the outputs; without a floor, a few hundred points are interpolated as if it did not, and
-    intervals get too narrow (coverage .72 on slides)."""
+    """Smallest noise variance. States outside the seven measured ones (suspension, wheel speeds)
+    change the outputs. Without a lower bound the likelihood neglects this for a few hundred points,
+    and the intervals are too narrow (coverage 0.72 in slides)."""
     lengthscale: float
     """Smallest lengthscale."""
     outputscale: float
     """Largest prior variance."""
 
     def inside(self, values: Hyperparameters) -> Hyperparameters:
-        """Move values a little inside."""
+        """Return the values moved slightly inside the bounds."""
         low, high = 1.1 * self.lengthscale, 0.9 * MAX_LENGTHSCALE
         return Hyperparameters(
             lengthscales=tuple(min(max(length, low), high) for length in values.lengthscales),
@@ -55,22 +55,23 @@ class Bounds:
         )
 
 
-# A lengthscale of 1000 standard deviations is a switched-off input; farther out the likelihood
-# is flat and L-BFGS only wastes steps.
+# An input with a lengthscale of 1000 standard deviations has no effect; beyond it the likelihood is
+# flat and L-BFGS does not converge.
 MAX_LENGTHSCALE: Final = 1e3
 WHOLE_CHANGES: Final = Bounds(noise=1e-3, lengthscale=1e-2, outputscale=math.inf)
-"""For processes that predict the whole change."""
+"""Bounds for processes that predict the whole change."""
 CORRECTIONS: Final = Bounds(noise=0.1, lengthscale=1.0, outputscale=0.2)
-"""For those that correct a vehicle model: smooth and small. They are meant to be active. With those
-above, corrections follow what hidden states did, reach far beyond the data and lead the controller
-astray at the limit. On the evaluation's varying-speed track at 95 and 100 % of grip, 12 seeds, an
-earlier vehicle and a kernel for each output, the median lateral RMS error was 0.046 and 0.118 m
-with these, 0.054 and 0.192 m with (0.1, 2, 1), 0.050 and 0.209 m with hardly any correction."""
+"""Bounds for processes that correct a vehicle model, which must be smooth and small. These bounds
+are usually active. With the bounds above, corrections would fit the effect of hidden states,
+extrapolate far beyond the data and mislead the controller at the limit. On the evaluation's
+varying-speed track at 95 and 100 % of grip (12 seeds, an earlier vehicle and a kernel per output)
+the median lateral RMS error was 0.046 and 0.118 m with these bounds, 0.054 and 0.192 m with (0.1,
+2, 1), and 0.050 and 0.209 m with negligible corrections."""
 
 
 @contextlib.contextmanager
 def exact() -> Iterator[None]:
-    """Switch off every approximation of GPyTorch: no conjugate gradients, no Lanczos, no cache."""
+    """Disable all approximations of GPyTorch: conjugate gradients, Lanczos and caches."""
     with (
         gpytorch_settings.fast_computations(
             covar_root_decomposition=False, log_prob=False, solves=False
@@ -138,7 +139,7 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
 
     @property
     def hyperparameters(self) -> Hyperparameters:
-        """The present values, constraints applied."""
+        """The present values, with constraints applied."""
         return Hyperparameters(
             lengthscales=tuple(self.covar_module.base_kernel.lengthscale.flatten().tolist()),
             outputscale=self.covar_module.outputscale.item(),
@@ -147,7 +148,7 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
         )
 
     def assign(self, values: Hyperparameters) -> None:
-        """Set all hyperparameters, drawn a little inside their bounds."""
+        """Set all hyperparameters, moved slightly inside their bounds."""
         inside = self._bounds.inside(values)
         # As float64 tensors: GPyTorch reads a Python float as float32.
         lengthscales = torch.tensor(inside.lengthscales, dtype=torch.float64)
@@ -159,7 +160,7 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
 
 @dataclasses.dataclass(frozen=True)
 class FitStep:
-    """What a progress bar shows after an L-BFGS step of one output's fit."""
+    """Progress after an L-BFGS iteration."""
 
     start: int
     iteration: int
@@ -167,10 +168,10 @@ class FitStep:
 
 
 def share_kernel(processes: Sequence[OutputProcess]) -> None:
-    """Give all processes the first one's kernel and noise, for whatever is assigned or fitted.
+    """Make all processes share the first one's kernel and noise when they are assigned or fitted.
 
-    Driven like those above, 20 seeds at 95 and 100 % of grip: 0.030 and 0.107 m with one kernel,
-    0.032 and 0.112 m with a kernel for each output.
+    In the experiment above with 20 seeds the errors were 0.030 and 0.107 m with one kernel, and
+    0.032 and 0.112 m with a kernel per output.
     """
     for process in processes[1:]:
         process.covar_module = processes[0].covar_module
@@ -185,10 +186,10 @@ def fit(
 ) -> None:
     """Maximise the sum of the log marginal likelihoods by L-BFGS-B; keep the best start.
 
-    Each start has the hyperparameters of each process.
+    A start consists of the hyperparameters of each process.
 
     Raises:
-        EgpError: when no start ends at a finite loss.
+        EgpError: if no start ends at a finite loss.
 
     """
     models = ModelListGP(*processes)

@@ -1,8 +1,9 @@
-"""Collecting where the controller goes: laps of the ensemble itself, over alternating surfaces.
+"""On-policy data: laps of the ensemble controller over alternating surfaces.
 
-A member must know the states that the MPC visits, not only those of one driver, and those in which
-a car arrives from a better surface (Ross, Gordon and Bagnell, 2011: dataset aggregation). Each lap
-has its own track, zones and speed; what was driven on a surface goes to that surface's data.
+Members need data of the states that the MPC visits, including those after a change to a surface
+with lower friction, and not only of the states of one driver (dataset aggregation; Ross, Gordon and
+Bagnell, 2011). Each lap has its own track, zones and speed; its transitions are added to the data
+of their surface.
 """
 
 from __future__ import annotations
@@ -29,23 +30,23 @@ if TYPE_CHECKING:
     from egp_service.data.experiment import Experiment
 
 _TRACKS: Final = ("rounded-rectangle", "random", "l-shape", "random")
-# Of the rounded rectangle, m: straights long enough for the speeds that braking from is hard.
+# Length of the rounded rectangle, m; long straights allow speeds that need hard braking.
 _LENGTH: Final = (80.0, 240.0)
-_FIRST_SEED: Final = 10_000  # tracks and noise that nobody else draws
-# Makes the inputs vary; the true states are recorded.
+_FIRST_SEED: Final = 10_000  # gives tracks and noise that no other run has
+# Measurement noise, which varies the inputs; the recorded states are the true ones.
 _NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
-_LEAVE: Final = 4.0  # m; sliding wide is worth recording
-_TRAJECTORY: Final = 100  # transitions; pieces of a lap are held out for validation one by one
+_LEAVE: Final = 4.0  # m from the path; slides beyond the edge are recorded
+_TRAJECTORY: Final = 100  # transitions of a trajectory, the unit of the validation split
 
 
 @dataclasses.dataclass(frozen=True)
 class OnPolicySettings:
-    """How laps are driven for data."""
+    """Settings of on-policy collection."""
 
     rounds: int = 0
-    """How often to train, drive and train again."""
+    """Number of rounds; each drives laps and trains again."""
     laps: int = 24
-    """Laps of a round."""
+    """Number of laps of a round."""
     grip: tuple[float, float] = (0.75, 1.0)
     """Fraction of the available grip that the speed profile uses, first and last lap."""
 
@@ -60,10 +61,10 @@ def drive_laps(
     cluster: str | None = None,
     report: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[Dataset]:
-    """Drive the laps of a round with `library`; one dataset for each surface that was met.
+    """Drive the laps of a round with `library`; return a dataset for each driven surface.
 
     Raises:
-        EgpError: when there are no surfaces or no lap brought data.
+        EgpError: if there are no surfaces or no lap gave data.
 
     """
     if not surfaces:
@@ -81,7 +82,7 @@ def drive_laps(
     datasets = [_on_surface(driven, surface) for surface in surfaces]
     found = [dataset for dataset in datasets if dataset is not None]
     if not found:
-        raise EgpError(f"no lap of {library} brought data: it leaves the road at once")
+        raise EgpError(f"no lap with {library} gave data: the vehicle leaves the road at the start")
     return found
 
 
@@ -123,7 +124,7 @@ def _drive(scenario: Scenario) -> _Driven:
 
 
 def _on_surface(laps: Sequence[_Driven], surface: Experiment) -> Dataset | None:
-    """Every transition that began and ended on the surface, in pieces of `_TRAJECTORY`."""
+    """Return all transitions that start and end on the surface, in pieces of `_TRAJECTORY`."""
     z, y, trajectory, step = [], [], [], []
     pieces = 0
     for lap in laps:

@@ -1,9 +1,9 @@
-"""What a member believes where it has no data: a single-track vehicle fitted to its surface.
+"""The prior mean of a member: a single-track vehicle fitted to its surface.
 
-A GP returns to its prior mean away from its data. With a constant there, a car that brakes harder
-or drives faster than the data is predicted to do nothing in particular; with this vehicle it is
-predicted to slide. The same equations as `SingleTrack` in `rust/core/src/vehicle`, in torch, so
-that GPyTorch's predictions and Jacobians include them.
+Far from its data a GP returns to its prior mean. A constant mean predicts no slide for a car that
+brakes harder or drives faster than the data; this vehicle does. The equations are those of
+`SingleTrack` in `rust/core/src/vehicle`, written in torch so that GPyTorch's predictions and
+Jacobians include them.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 GRAVITY: Final = 9.81
-SLOWEST: Final = 3.0  # m/s; slip angles below are taken at it
-# Where the fit starts, and between what it stays: small cars to vans, gravel to racing tyres. A
-# shape above 2 would turn the force around at large slip, one below 1 never reach a peak.
+SLOWEST: Final = 3.0  # m/s; slip angles are computed with at least this speed
+# Start and bounds of the fit: small cars to vans, gravel to racing tyres. A shape above 2 would
+# reverse the force at large slip, and with a shape below 1 the force would have no peak.
 _PARAMETERS: Final = {
     "m": (1300.0, 300.0, 4000.0),
     "l_f": (1.2, 0.3, 3.0),
@@ -44,16 +44,16 @@ _PARAMETERS: Final = {
 }
 _START, _LOWEST, _HIGHEST = (np.array(row) for row in zip(*_PARAMETERS.values(), strict=True))
 _FIT_POINTS: Final = 8000
-# Residuals beyond this many standard deviations of the change pull with constant force only: what a
-# single track cannot explain (a spin, a locked wheel) is for the GPs.
+# Scale of the robust loss in standard deviations of the change. Larger residuals have a bounded
+# influence: effects outside the model (a spin, a locked wheel) are left to the GPs.
 _OUTLIER: Final = 0.1
 
 
 def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
     """Change of `[v_x, v_y, omega]` (n, 3) over `dt` at inputs z (n, 6); parameters (17,).
 
-    One step of explicit Euler with the steering angle in the middle of the period; the equations
-    are those of `SingleTrack` in Rust.
+    This is one explicit Euler step with the steering angle in the middle of the period, by the
+    equations of `SingleTrack` in Rust.
     """
     v_x, v_y, omega, delta, force, delta_dot = z.unbind(-1)
     mass, l_f, l_r, gyration, height, drive, brake, *tyres = parameters.unbind()
@@ -87,7 +87,7 @@ def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor
 def predict(
     z: NDArray[np.float64], parameters: NDArray[np.float64], dt: float
 ) -> NDArray[np.float64]:
-    """Predict as `change` does, on arrays."""
+    """Return `change` for arrays."""
     return change(torch.from_numpy(z), torch.from_numpy(parameters), dt).numpy()
 
 
@@ -97,7 +97,7 @@ def fit(
     """Fit the parameters (17,) to changes y (n, 3) at inputs z (n, 6) by robust least squares.
 
     Raises:
-        EgpError: when the data do not determine a vehicle.
+        EgpError: if the fit does not converge.
 
     """
     rows = rng.permutation(len(z))[:_FIT_POINTS]
@@ -112,6 +112,6 @@ def fit(
     if not (found.success and np.isfinite(found.cost)):
         raise EgpError(
             f"no single-track vehicle fits the data ({found.message}): "
-            'look at their units, or train with mean = "constant"'
+            'check their units, or train with mean = "constant"'
         )
     return np.asarray(_START * np.exp(found.x))

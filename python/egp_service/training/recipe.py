@@ -1,4 +1,4 @@
-"""A library's recipe: everything from collection to training, in one TOML file.
+"""A library's recipe: the settings of collection and training in one TOML file.
 
 The shipped demo library is made by `shipped/demo-recipe.toml`; `egp train --recipe` makes it again.
 """
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Recipe:
-    """What is collected where, and how it is trained."""
+    """Settings of collection and training."""
 
     experiments: tuple[Experiment, ...]
     collection: CollectionSettings
@@ -43,10 +43,10 @@ class Recipe:
 
     @staticmethod
     def read(path: Path) -> Recipe:
-        """Read a recipe; unknown fields are refused.
+        """Read a recipe.
 
         Raises:
-            EgpError: naming the file and the field.
+            EgpError: if the file is not readable or has unknown or invalid fields, which it names.
 
         """
         try:
@@ -65,7 +65,7 @@ class Recipe:
             surfaces = content.pop("surface")
             experiments = tuple(Experiment(**content, **surface) for surface in surfaces)
         except (TypeError, KeyError) as error:
-            raise EgpError(f"{path}: not a recipe, {error}") from error
+            raise EgpError(f"{path}: not a valid recipe: {error}") from error
         return Recipe(experiments, settings, training, on_policy)
 
 
@@ -76,7 +76,7 @@ def collect_all(
     cluster: str | None = None,
     report: Callable[[str, int, int], None],
 ) -> list[Dataset]:
-    """Collect every surface of the recipe; `report(label, done, total)` follows the runs."""
+    """Collect every surface of the recipe, calling `report(label, done, total)` after each run."""
     datasets = []
     for experiment in recipe.experiments:
 
@@ -90,7 +90,7 @@ def collect_all(
 
 @dataclasses.dataclass(frozen=True)
 class Displays:
-    """Where each stage reports its progress; nowhere by default."""
+    """Progress displays of the stages; none by default."""
 
     collecting: Callable[[], AbstractContextManager[Callable[[str, int, int], None]]] = lambda: (
         contextlib.nullcontext(lambda _label, _done, _total: None)
@@ -107,10 +107,10 @@ def follow(
     cluster: str | None = None,
     displays: Displays | None = None,
 ) -> tuple[list[Dataset], list[TrainedMember]]:
-    """Collect and train as the recipe says: all data, and the members trained on them.
+    """Collect and train by the recipe; return all data and the members trained on them.
 
-    After the first training the ensemble itself drives laps, whose data are added before the next
-    one, `on_policy.rounds` times.
+    After the first training, `on_policy.rounds` times, the ensemble drives laps, their data are
+    added and the members are trained again.
     """
     show = displays or Displays()
     with show.collecting() as report:
@@ -125,7 +125,7 @@ def follow(
             def on_lap(
                 done: int, total: int, report: Callable[[str, int, int], None] = report
             ) -> None:
-                report("by driving itself", done, total)
+                report("on-policy laps", done, total)
 
             datasets += drive_laps(
                 library,
@@ -142,7 +142,7 @@ def follow(
 
 
 def training_provenance(settings: TrainingSettings) -> dict[str, str]:
-    """Describe how a library was trained: versions and settings, no clock and no machine."""
+    """Return versions and settings of a training, without time and machine."""
     return {
         "tool": tool(),
         "python": platform.python_version(),

@@ -1,10 +1,10 @@
-"""Which transitions a member keeps when there are more than `max_points`.
+"""Selection of a member's transitions if there are more than `max_points`.
 
-Half of them are drawn uniformly and show where vehicles usually are. The other half covers the
-rest by randomly pivoted Cholesky (Chen, Epperly, Tropp and Webber, 2022): one after the other, with
-probability proportional to the variance that the points drawn so far leave. Choosing the largest
-variance instead would spend everything on outliers. On the demo's surfaces with GPs of whole
-changes, RMS error of v_y after 1 s with all, half and none drawn uniformly: slides after a friction
+Half of them are drawn uniformly and represent the usual states of vehicles. The other half are
+drawn one after the other by randomly pivoted Cholesky (Chen, Epperly, Tropp and Webber, 2022), with
+probability proportional to the variance that remains given the points drawn so far. Choosing the
+largest variance instead would select mostly outliers. RMS errors of v_y after 1 s with all, half
+and none drawn uniformly, on the demo's surfaces with GPs of whole changes: slides after a friction
 drop 0.73, 0.61, 0.45 m/s, driving below the limit 0.02-0.07, 0.02, 0.03 m/s.
 """
 
@@ -29,11 +29,11 @@ def select(
     count: int,
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
-    """Choose `count` rows of the z-scored inputs `z` (n, 6); return them ascending.
+    """Choose `count` rows of the z-scored inputs `z` (n, 6); return them in ascending order.
 
-    The outputs share their inputs, so the variances that noisy observations leave under all
-    `processes` are added; targets are z-scored, which makes the sum the expected squared error in
-    standard deviations.
+    The outputs share their inputs, so the remaining variances given noisy observations are summed
+    over all `processes`. Targets are z-scored, so the sum is the expected squared error in standard
+    deviations.
     """
     n = len(z)
     if n <= count:

@@ -1,10 +1,9 @@
-"""From datasets to a library: one member per surface, one exact process per output.
+"""Training of a library from datasets: one member per surface, one exact process per output.
 
+For each surface: trajectories are split off for validation, a single-track vehicle is fitted
+(`prior_mean`), its residuals are z-scored, the lengthscales are fitted on a random subset,
+`max_points` transitions are chosen with them (`subset`), and the processes are fitted on these.
 With a vehicle as prior mean the outputs' processes share kernel and noise.
-
-Per surface: split off trajectories for validation, fit a single-track vehicle (`prior_mean`) and
-z-score what it leaves, fit on a random subset to learn the lengthscales, choose `max_points`
-transitions with them (`subset`), fit again on those.
 """
 
 from __future__ import annotations
@@ -44,32 +43,32 @@ _ONE_THREAD: Final = 1000
 
 @dataclasses.dataclass(frozen=True)
 class TrainingSettings:
-    """How a library is trained. Same data, same settings, same machine: same bytes."""
+    """Settings of training. The same data, settings and machine give the same bytes."""
 
     kernel: KernelName = "matern52"
     """Covariance function of every process: "rbf" or "matern52"."""
     mean: Literal["single-track", "constant"] = "single-track"
-    """What the GPs are added to: a vehicle fitted to the surface, or constants as in the paper.
+    """Prior mean of the GPs: a vehicle fitted to the surface, or constants as in the paper.
 
-    What a vehicle leaves is small and hardly tells kernels apart, so that one kernel and noise
-    serve all (z-scored) outputs, and a prediction costs about half. With constants each has its
-    own.
+    The residuals of a vehicle are small and hardly determine the kernels, so all (z-scored) outputs
+    share one kernel and noise, which halves the time of a prediction. With constants each output
+    has its own kernel.
     """
     max_points: int = 400
-    """Transitions a member keeps; the control step's time grows with it."""
+    """Number of transitions of a member; the control step's time grows with it."""
     first_points: int = 400
-    """Random transitions of the first fit, whose lengthscales choose the final ones."""
+    """Number of random transitions of the first fit, whose lengthscales choose the final ones."""
     restarts: int = 1
-    """Further starts of the final fit from random hyperparameters."""
+    """Number of additional starts of the final fit from random hyperparameters."""
     max_iterations: int = 150
     """L-BFGS iterations per start."""
     validation_fraction: float = 0.2
-    """Share of each surface's trajectories kept out of training."""
+    """Share of each surface's trajectories that are held out of training."""
     seed: int = 0
     """Seed of the split, the subset and the random starts."""
 
     def __post_init__(self) -> None:
-        """Refuse settings that cannot train."""
+        """Check the ranges of the settings."""
         if self.kernel not in ("rbf", "matern52"):
             raise EgpError(f"kernel is {self.kernel!r}: expected 'rbf' or 'matern52'")
         if self.mean not in ("single-track", "constant"):
@@ -88,7 +87,7 @@ class TrainingSettings:
 
 @dataclasses.dataclass(frozen=True)
 class FitProgress:
-    """One L-BFGS step of one fit: `done` of `total` iterations budgeted for the whole library."""
+    """Progress of a fit: `done` of at most `total` L-BFGS iterations of the whole library."""
 
     stage: str
     loss: float
@@ -98,23 +97,23 @@ class FitProgress:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TrainedMember:
-    """One surface's processes with the scaling around them."""
+    """One surface's processes with their scaling."""
 
     dataset: Dataset
-    """The training part of the data (before the subset), whose hash and bounds are exported."""
+    """The training data before the selection, whose hash and bounds are exported."""
     validation: Dataset
-    """The trajectories held out."""
+    """The held-out trajectories."""
     inputs: NDArray[np.float64]
     """The chosen transitions' inputs (M, 6) and targets (M, 3), physical units."""
     targets: NDArray[np.float64]
     input_mean: NDArray[np.float64]
     input_std: NDArray[np.float64]
     target_mean: NDArray[np.float64]
-    """Of the targets less the vehicle's part, like their standard deviations."""
+    """Mean of the targets less the vehicle's prediction."""
     target_std: NDArray[np.float64]
     processes: tuple[OutputProcess, ...]
     single_track: NDArray[np.float64] | None
-    """Parameters (17,) of the vehicle that the processes are added to."""
+    """Parameters (17,) of the vehicle that is the prior mean, if any."""
 
     def predict(
         self, z: NDArray[np.float64]
@@ -134,7 +133,7 @@ class TrainedMember:
                 posterior = process(scaled)
                 f = posterior.mean * self.target_std[j] + self.target_mean[j] + known[:, j]
                 # Row i of the mean depends on row i of the query only, so one backward pass of
-                # the sum gives all rows' gradients.
+                # the sum gives the gradients of all rows.
                 (gradient,) = torch.autograd.grad(f.sum(), query, retain_graph=True)
                 mean[:, j] = f.detach().cpu().numpy()
                 variance[:, j] = posterior.variance.detach().cpu().numpy() * self.target_std[j] ** 2
@@ -143,10 +142,10 @@ class TrainedMember:
 
 
 def split(dataset: Dataset, fraction: float, rng: np.random.Generator) -> tuple[Dataset, Dataset]:
-    """Split by trajectory into training and validation; neighbours in time stay together.
+    """Split by trajectory into training and validation data.
 
     Raises:
-        EgpError: when there are fewer than two trajectories.
+        EgpError: if there are fewer than two trajectories.
 
     """
     trajectories = np.unique(dataset.trajectory)
@@ -168,7 +167,7 @@ def train(
     """Train one member per surface label, ordered by friction and label.
 
     Raises:
-        EgpError: when datasets differ in dt or vehicle, or the fit fails.
+        EgpError: if datasets differ in dt or vehicle, or a fit fails.
 
     """
     surfaces: dict[tuple[float, str], list[Dataset]] = {}
@@ -188,7 +187,7 @@ def train(
 
 @contextlib.contextmanager
 def _threads(points: int) -> Iterator[None]:
-    """Factor small matrices on one thread: the others would only spin, and cost other programs."""
+    """Use one thread for small matrices, for which further threads would only busy-wait."""
     before = torch.get_num_threads()
     if points <= _ONE_THREAD:
         torch.set_num_threads(1)
@@ -295,9 +294,11 @@ def _random_start(rng: np.random.Generator) -> Hyperparameters:
 
 
 def _spread(values: NDArray[np.float64], names: dict[str, str], label: str) -> NDArray[np.float64]:
-    """Return the standard deviation per column; a constant column teaches nothing."""
+    """Return the standard deviation of each column; a constant column is an error."""
     std: NDArray[np.float64] = values.std(axis=0)
     for name, s in zip(names, std, strict=True):
         if not s > 1e-9:  # noqa: PLR2004 - rounding noise of a constant
-            raise EgpError(f"surface {label}: {name} never changes; the data must excite it")
+            raise EgpError(
+                f"surface {label}: {name} never changes; collect data in which it varies"
+            )
     return std

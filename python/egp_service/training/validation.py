@@ -1,6 +1,6 @@
-"""The validation matrix: how well each member of a library predicts each surface.
+"""The validation matrix: prediction errors of each member of a library on each surface.
 
-Computed from the library file itself, by the code that will control with it.
+The predictions are those of the library file and of the code that the controller uses.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from egp_service._core import Library
     from egp_service.data.dataset import Dataset
 
-# Exact variances cost a triangular solve each; more rows than this change the third digit.
+# Each variance needs a triangular solve; more rows than this change the third digit only.
 _MAX_ROWS: Final = 3000
 _QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cell:
-    """One member on one surface; arrays hold one value per output."""
+    """Errors of one member on one surface; arrays have one value per output."""
 
     member: str
     surface: str
@@ -37,19 +37,19 @@ class Cell:
     nlpd: NDArray[np.float64]
     """Mean negative log predictive density, nats; lower is better."""
     coverage: NDArray[np.float64]
-    """Share of outcomes inside the 95 % interval; 0.95 is right."""
+    """Share of outcomes inside the 95 % interval; ideally 0.95."""
     rollout: NDArray[np.float64]
-    """Root mean square error of `[v_x, v_y, omega]` after `ROLLOUT` seconds of own predictions."""
+    """Root mean square error of `[v_x, v_y, omega]` after a rollout of `ROLLOUT` seconds."""
 
 
 ROLLOUT: Final = 1.0
 
 
 def validate(library: Library, surfaces: Mapping[str, Dataset]) -> list[list[Cell]]:
-    """Judge every member (rows) on every surface's held-out data (columns).
+    """Validate every member (rows) on every surface's held-out data (columns).
 
     Raises:
-        EgpError: when a dataset's dt is not the library's.
+        EgpError: if a dataset's dt differs from the library's.
 
     """
     for name, dataset in surfaces.items():
@@ -83,10 +83,10 @@ def _cell(library: Library, index: int, surface: str, dataset: Dataset) -> Cell:
 def rollout_error(
     library: Library, index: int, dataset: Dataset, periods: int
 ) -> NDArray[np.float64]:
-    """Return the RMS error of `[v_x, v_y, omega]` after `periods` of prediction upon prediction.
+    """Return the RMS error of `[v_x, v_y, omega]` after a rollout of `periods` periods.
 
-    Inputs and steering angles are those of the data. Starts are every fifth row whose trajectory
-    goes on long enough; without any the result is NaN.
+    Inputs and steering angles are those of the data. Rollouts start at every fifth row with enough
+    following rows of its trajectory; without such a row the result is NaN.
     """
     last = np.arange(periods - 1, len(dataset))
     first = last - (periods - 1)

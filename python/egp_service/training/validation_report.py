@@ -1,4 +1,4 @@
-"""The validation matrix as a picture."""
+"""Figure of the validation matrix."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def draw_validation(matrix: list[list[Cell]], path: Path) -> None:
     """Draw members (rows) against surfaces (columns): RMSE, NLPD and coverage per output.
 
-    Colours compare within one panel; for coverage they show the distance from 0.95.
+    Colours are relative to the panel; for coverage they show the distance from 0.95.
     """
     figure = Figure(figsize=(2.2 + 1.0 * 3 * len(matrix[0]), 2.0 + 1.8 * len(matrix)))
     axes = figure.subplots(3, len(GP_OUTPUT), squeeze=False)

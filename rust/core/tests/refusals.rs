@@ -15,7 +15,7 @@ fn errors_of_malformed_requests_name_the_field() {
     let settings = settings();
     let mut ws = Workspace::new(library(), &settings).unwrap();
     let mut reply = StepReply::default();
-    let mut refuse = |change: fn(&mut Request)| {
+    let mut reject = |change: fn(&mut Request)| {
         let mut request = warm();
         change(&mut request);
         let error = step(library(), &settings, &request.borrow(), &mut ws, &mut reply).unwrap_err();
@@ -28,33 +28,33 @@ fn errors_of_malformed_requests_name_the_field() {
         | StepError::NotFinite { field, .. } => field,
         other => panic!("{other}"),
     };
-    assert_eq!(shape(refuse(|r| r.reference.truncate(80))), "reference");
-    assert_eq!(shape(refuse(|r| r.widths.truncate(3))), "widths");
-    assert_eq!(shape(refuse(|r| r.weights.push(0.0))), "weights");
-    assert_eq!(shape(refuse(|r| r.plan_u.clear())), "plan_u");
-    assert_eq!(shape(refuse(|r| r.plan_x.clear())), "plan_u");
-    assert_eq!(shape(refuse(|r| r.plan_x.truncate(7))), "plan_x");
-    assert_eq!(shape(refuse(|r| r.history_z.truncate(5))), "history_z");
-    assert_eq!(shape(refuse(|r| r.history_y.truncate(27))), "history_y");
-    assert_eq!(shape(refuse(|r| r.history_f.truncate(5))), "history_f");
-    assert_eq!(shape(refuse(|r| r.history_z.extend([0.0; 6]))), "history_z");
-    assert_eq!(shape(refuse(|r| r.reference[7] = f64::NAN)), "reference");
-    assert_eq!(shape(refuse(|r| r.plan_u[3] = f64::INFINITY)), "plan_u");
-    assert_eq!(shape(refuse(|r| r.history_f[3] = 1e300)), "history_f");
+    assert_eq!(shape(reject(|r| r.reference.truncate(80))), "reference");
+    assert_eq!(shape(reject(|r| r.widths.truncate(3))), "widths");
+    assert_eq!(shape(reject(|r| r.weights.push(0.0))), "weights");
+    assert_eq!(shape(reject(|r| r.plan_u.clear())), "plan_u");
+    assert_eq!(shape(reject(|r| r.plan_x.clear())), "plan_u");
+    assert_eq!(shape(reject(|r| r.plan_x.truncate(7))), "plan_x");
+    assert_eq!(shape(reject(|r| r.history_z.truncate(5))), "history_z");
+    assert_eq!(shape(reject(|r| r.history_y.truncate(27))), "history_y");
+    assert_eq!(shape(reject(|r| r.history_f.truncate(5))), "history_f");
+    assert_eq!(shape(reject(|r| r.history_z.extend([0.0; 6]))), "history_z");
+    assert_eq!(shape(reject(|r| r.reference[7] = f64::NAN)), "reference");
+    assert_eq!(shape(reject(|r| r.plan_u[3] = f64::INFINITY)), "plan_u");
+    assert_eq!(shape(reject(|r| r.history_f[3] = 1e300)), "history_f");
     assert!(matches!(
-        refuse(|r| r.x[2] = 200.0),
+        reject(|r| r.x[2] = 200.0),
         StepError::Domain { .. }
     ));
     assert!(matches!(
-        refuse(|r| r.reference[0] = 2000.0),
+        reject(|r| r.reference[0] = 2000.0),
         StepError::Domain { .. }
     ));
     assert!(matches!(
-        refuse(|r| r.weights = vec![0.5, 0.6]),
+        reject(|r| r.weights = vec![0.5, 0.6]),
         StepError::Weights { .. }
     ));
     assert!(matches!(
-        refuse(|r| r.weights = vec![-0.1, 1.1]),
+        reject(|r| r.weights = vec![-0.1, 1.1]),
         StepError::Weights { .. }
     ));
     let other = Settings {

@@ -8,7 +8,7 @@ use crate::situation::wrap;
 /// Between points closer than this, m, a reference has no direction to compare its yaw with.
 const MIN_SPACING: f64 = 0.05;
 /// Largest angle between a reference's yaw and the direction of its points, rad.
-const MAX_DEVIATION: f64 = 1.0;
+const MAX_DEVIATION: f64 = 0.5;
 
 /// What the vehicle measured and where it is to go.
 #[derive(Clone, Debug, PartialEq)]

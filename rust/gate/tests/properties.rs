@@ -147,7 +147,7 @@ fn an_unknown_speed_is_braked() {
 }
 
 #[test]
-fn a_refused_plan_leaves_the_held_one() {
+fn an_invalid_plan_does_not_replace_the_stored_one() {
     let mut gate = Gate::new(Limits::default(), DT, 5, 3.0).unwrap();
     gate.accept(4, &[[10.0, 0.0], [20.0, 0.0]]).unwrap();
     assert_eq!(
@@ -178,7 +178,7 @@ fn after_a_reset_driving_needs_a_new_plan() {
 }
 
 #[test]
-fn limits_that_bound_nothing_are_refused() {
+fn invalid_limits_are_errors() {
     for limits in [
         Limits {
             force_max: f64::NAN,

@@ -65,8 +65,8 @@ fn headings_of_neither_convention_are_errors() {
         |yaw: f64| yaw.to_degrees(),
         |_| 0.0,
     ] {
-        let refused = read_track(&raceline(psi), 1.0).unwrap_err();
-        assert!(matches!(refused, PathError::Heading { .. }), "{refused}");
+        let error = read_track(&raceline(psi), 1.0).unwrap_err();
+        assert!(matches!(error, PathError::Heading { .. }), "{error}");
     }
 }
 

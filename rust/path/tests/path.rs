@@ -225,26 +225,26 @@ fn errors_name_the_invalid_points() {
         open(&points),
         PathError::NotFinite { index: 4, .. }
     ));
-    let refused = Path::from_points(&line(5), false, Some(&[[1.0, -1.0]; 5])).unwrap_err();
+    let error = Path::from_points(&line(5), false, Some(&[[1.0, -1.0]; 5])).unwrap_err();
     assert!(matches!(
-        refused,
+        error,
         PathError::NotFinite {
             what: "widths of at least 0",
             ..
         }
     ));
-    let refused = Path::from_points(&line(5), false, Some(&[[1.0; 2]; 4])).unwrap_err();
+    let error = Path::from_points(&line(5), false, Some(&[[1.0; 2]; 4])).unwrap_err();
     assert_eq!(
-        refused,
+        error,
         PathError::WidthCount {
             expected: 5,
             got: 4
         }
     );
     let zone = Zone::new(0.1, 1.0);
-    let refused = wave().with_friction(&[zone]).unwrap_err();
+    let error = wave().with_friction(&[zone]).unwrap_err();
     assert_eq!(
-        refused,
+        error,
         PathError::ZoneStart {
             index: 0,
             start: 0.1

@@ -147,7 +147,7 @@ fn it_brakes_before_the_slippery_zone_and_not_inside() {
 
 #[test]
 fn errors_name_the_invalid_limit() {
-    let refuse = |path: &Path, limits: SpeedLimits| SpeedProfile::new(path, &limits).unwrap_err();
+    let reject = |path: &Path, limits: SpeedLimits| SpeedProfile::new(path, &limits).unwrap_err();
     let name = |error: PathError| match error {
         PathError::Parameter { name, .. } => name,
         other => panic!("{other}"),
@@ -155,7 +155,7 @@ fn errors_name_the_invalid_limit() {
     let default = SpeedLimits::default();
     let open = straight(10.0);
     assert_eq!(
-        name(refuse(
+        name(reject(
             &open,
             SpeedLimits {
                 grip: 1.2,
@@ -165,7 +165,7 @@ fn errors_name_the_invalid_limit() {
         "grip"
     );
     assert_eq!(
-        name(refuse(
+        name(reject(
             &open,
             SpeedLimits {
                 power: f64::NAN,
@@ -175,7 +175,7 @@ fn errors_name_the_invalid_limit() {
         "power"
     );
     assert_eq!(
-        name(refuse(
+        name(reject(
             &open,
             SpeedLimits {
                 end_speed: Some(-1.0),
@@ -185,7 +185,7 @@ fn errors_name_the_invalid_limit() {
         "end_speed"
     );
     assert_eq!(
-        name(refuse(
+        name(reject(
             &demo(),
             SpeedLimits {
                 start_speed: Some(1.0),

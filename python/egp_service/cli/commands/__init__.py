@@ -1,1 +1,1 @@
-"""The commands of `egp`; each imports what it needs when it runs, so that `egp --help` is quick."""
+"""The commands of `egp`; each imports its modules when it runs, so that `egp --help` is fast."""

@@ -12,20 +12,20 @@ from egp_service.cli.options import Cluster, Jobs
 def collect(
     output: Annotated[Path, typer.Option("--output", "-o", help="Parquet file to write.")],
     friction: Annotated[
-        float, typer.Option(help="Friction coefficient; for a log, the nominal one.")
+        float, typer.Option(help="Friction coefficient; for a log, its nominal value.")
     ],
     surface: Annotated[
-        str | None, typer.Option(help="Name of the surface; files of one name make one member.")
+        str | None, typer.Option(help="Name of the surface; one name gives one member.")
     ] = None,
     dt: Annotated[float, typer.Option(help="Control period, s.")] = 0.02,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     vehicle: Annotated[
-        str, typer.Option(help="CommonRoad number of the simulated car; for a log, its name.")
+        str, typer.Option(help="CommonRoad number of the simulated car; for a log, the car's name.")
     ] = "1",
-    runs: Annotated[int, typer.Option(help="Runs on tracks, at rising speed.")] = 6,
-    samples: Annotated[int, typer.Option(help="Cars put into random states.")] = 300,
+    runs: Annotated[int, typer.Option(help="Number of runs on tracks, at increasing speed.")] = 6,
+    samples: Annotated[int, typer.Option(help="Number of cars that start in random states.")] = 300,
     track: Annotated[
-        list[str] | None, typer.Option(help="Track of the runs; repeat for more, taken in turn.")
+        list[str] | None, typer.Option(help="Track of the runs; repeat for more, used in turn.")
     ] = None,
     jobs: Jobs = None,
     cluster: Cluster = None,
@@ -34,18 +34,18 @@ def collect(
     ] = None,
     column: Annotated[
         list[str] | None,
-        typer.Option(help="For a log: QUANTITY=COLUMN:UNIT, for example v_x=speed:km/h."),
+        typer.Option(help="Column of a log: QUANTITY=COLUMN:UNIT, for example v_x=speed:km/h."),
     ] = None,
     mass: Annotated[
-        float | None, typer.Option(help="For a log with a_x instead of F_x: mass, kg.")
+        float | None, typer.Option(help="Mass in kg, for a log with a_x instead of F_x.")
     ] = None,
-    separator: Annotated[str, typer.Option(help="For a log: what separates its columns.")] = ",",
+    separator: Annotated[str, typer.Option(help="Separator of the columns, for a log.")] = ",",
 ) -> None:
     """Collect drive data of one surface into a dataset.
 
-    Drives the simulated car: on tracks, at rising speed and with exploration
-    noise, and from random states. Or imports a log with --from-csv; it needs
-    time, v_x, v_y, omega, delta, and F_x or a_x.
+    Drives the simulated car on tracks, at increasing speed and with exploration
+    noise, and from random states. With --from-csv it imports a log instead, which
+    must contain time, v_x, v_y, omega, delta, and F_x or a_x.
 
     For example:
       egp collect -o data/wet.parquet --friction 0.5 --surface wet

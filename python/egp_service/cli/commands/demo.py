@@ -18,18 +18,18 @@ def demo(
         typer.Option(
             "--train",
             help="Collect data and train a library first, instead of using the "
-            "shipped one. Takes minutes and needs the [train] extra.",
+            "shipped one. This takes minutes and requires the [train] extra.",
         ),
     ] = False,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
         "runs"
     ),
 ) -> None:
-    """Drive a lap over three surfaces, and show what the ensemble is for.
+    """Compare the ensemble with its single members on a lap over three surfaces.
 
-    The car knows two surfaces and meets three. It drives the lap with the
-    ensemble of both, then with each of them alone; a service in its own process
-    computes every control step.
+    The library has members for two surfaces. The car drives the lap with the
+    ensemble of both members and then with each single member; a service in its own
+    process computes every control step.
     """
     from egp_service.cli.demo import drive_laps
     from egp_service.cli.status_line import StatusLine
@@ -64,7 +64,7 @@ def _trained(folder: Path) -> Path:
 
 
 def _explain(console: Console, laps: "list[Lap]") -> None:
-    """Say in a sentence what the table shows."""
+    """Print a sentence about the table."""
     ensemble, *alone = laps
     lost = [lap.label for lap in alone if not lap.run.summary.ending.completed]
     worst = max(lap.run.summary.lateral_error.max for lap in alone)
@@ -73,7 +73,8 @@ def _explain(console: Console, laps: "list[Lap]") -> None:
         console.print("[red]The ensemble did not complete the lap.[/]")
     elif lost:
         console.print(
-            f"The ensemble stays within {own:.2f} m of the path; {' and '.join(lost)}: off."
+            f"The ensemble stays within {own:.2f} m of the path; {' and '.join(lost)} did not "
+            "complete the lap."
         )
     else:
         console.print(

@@ -21,16 +21,16 @@ def drive(
         str, typer.Option("--scenario", "-s", help="Name of a built-in scenario, or a TOML file.")
     ] = "rounded-rectangle",
     library: Annotated[
-        Path | None, typer.Option("--library", "-l", help="Library instead of the scenario's.")
+        Path | None, typer.Option("--library", "-l", help="Library in place of the scenario's.")
     ] = None,
     *,
     in_process: Annotated[
-        bool, typer.Option("--in-process", help="Compute here instead of asking a service.")
+        bool, typer.Option("--in-process", help="Compute in this process, not in a service.")
     ] = False,
     connect: Annotated[
-        str | None, typer.Option(help="A running service, such as tcp/127.0.0.1:7447.")
+        str | None, typer.Option(help="Endpoint of a running service, such as tcp/127.0.0.1:7447.")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed instead of the scenario's.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed in place of the scenario's.")] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
         "runs"
     ),
@@ -38,8 +38,8 @@ def drive(
 ) -> None:
     """Drive a simulated car; results go to runs/<time>-<scenario>/.
 
-    A service in its own process computes the control steps; see --in-process
-    and --connect.
+    By default a service in its own process computes the control steps; see
+    --in-process and --connect.
 
     For example:
       egp drive

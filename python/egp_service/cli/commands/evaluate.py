@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from egp_service.evaluation.batch import Batch
     from egp_service.evaluation.campaign import Campaign, Outcome
     from egp_service.evaluation.entry_speed import EntrySpeed
-    from egp_service.evaluation.experiments import Experiment
+    from egp_service.evaluation.experiments import ClosedLoopExperiment
     from egp_service.evaluation.prediction import SeedOutcomes
 
 _SHOWN = ("varying-speed", "unseen-track", "lane-change", "four-members")
@@ -27,43 +27,42 @@ _QUICK_MEMBERS = (1, 2, 4, 8)
 def evaluate(
     *,
     full: Annotated[
-        bool, typer.Option("--full/--quick", help="All seeds, or a few: minutes instead of hours.")
+        bool, typer.Option("--full/--quick", help="All seeds (hours), or a few (minutes).")
     ] = False,
     experiment: Annotated[
-        list[str] | None, typer.Option("--experiment", "-e", help="Only this one; repeat for more.")
+        list[str] | None, typer.Option("--experiment", "-e", help="Experiment; repeat for more.")
     ] = None,
     library: Annotated[
         Path | None, typer.Option(help="Library instead of the shipped one, with the same members.")
     ] = None,
     train: Annotated[
-        bool, typer.Option("--train", help="Train the library first, as the shipped one was.")
+        bool, typer.Option("--train", help="Train the library first, like the shipped one.")
     ] = False,
     track: Annotated[
         Path | None,
         typer.Option(
             exists=True,
             dir_okay=False,
-            help="Your circuit for unseen-track: a raceline or centre line of F1TENTH or TUM.",
+            help="Circuit for unseen-track: a raceline or centre line of F1TENTH or TUM.",
         ),
     ] = None,
     scale: Annotated[
-        float, typer.Option(help="Of the track's lengths; 10 for tracks of 1:10 cars.")
+        float, typer.Option(help="Scale of the track's lengths; 10 for tracks of 1:10 cars.")
     ] = 1.0,
     jobs: Jobs = None,
     cluster: Cluster = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder; what is there already is not run again.")
+        Path, typer.Option("--output", "-o", help="Folder; outcomes in it are not run again.")
     ] = Path("runs/evaluation"),
 ) -> None:
-    """Rerun the paper's experiments, with baselines, and write report.html.
+    """Run the paper's experiments with baselines, and write report.html.
 
     Experiments: prediction, varying-speed, lane-change, four-members,
     random-roads, friction-step, unseen-track, hard-roads, iso-3888-2,
     step-times.
 
-    An interrupted evaluation goes on where it stopped when it is called again.
-    Needs the extras train and viz; with the extra paper, step-times has the
-    paper's own stack too.
+    The same command resumes an interrupted evaluation. Requires the extras train
+    and viz; with the extra paper, step-times includes the paper's stack.
 
     For example:
       egp evaluate --quick
@@ -92,9 +91,9 @@ def evaluate(
     avoidance = OBSTACLE_AVOIDANCE.name
     chosen = _chosen(experiment, ["prediction", *names, avoidance, "step-times"])
     if track and "unseen-track" not in chosen:
-        raise EgpError("--track is driven in unseen-track: choose that too")
+        raise EgpError("--track is used by unseen-track: add -e unseen-track")
     if scale != 1.0 and not track:
-        raise EgpError("--scale enlarges the --track: give both")
+        raise EgpError("--scale requires --track: give both")
     driven = [
         on_track(e, track, scale) if track and e.name == "unseen-track" else e
         for e in EXPERIMENTS
@@ -104,8 +103,8 @@ def evaluate(
     require_members(source, [*driven, *([OBSTACLE_AVOIDANCE] if avoidance in chosen else [])])
     campaign = Campaign(output, source)
     if campaign.of_another_build:
-        console.print(f"{output} holds runs of another build, which are kept.", highlight=False)
-        console.print("Choose another --output to drive them all with this one.", highlight=False)
+        console.print(f"{output} contains runs of another build, which are kept.", highlight=False)
+        console.print("Choose another --output to drive all runs with this build.", highlight=False)
     with _progress(console) as progress:
         predictions = _predictions(progress, output, full=full) if "prediction" in chosen else None
         runs = _runs(progress, campaign, driven, full=full)
@@ -115,7 +114,7 @@ def evaluate(
                 [batch for batch in (predictions, runs, speeds) if batch is not None], jobs, cluster
             )
         except KeyboardInterrupt:
-            progress.console.print("Interrupted. The same command goes on with what is missing.")
+            progress.console.print("Interrupted. The same command continues with the missing runs.")
             raise
     outcomes = runs.results()
     seeds = predictions.results() if predictions else []
@@ -182,11 +181,9 @@ def _predictions(progress: "Progress", output: Path, *, full: bool) -> "Batch[An
 
 
 def _runs(
-    progress: "Progress", campaign: "Campaign", experiments: "list[Experiment]", *, full: bool
+    progress: "Progress", campaign: "Campaign", chosen: "list[ClosedLoopExperiment]", *, full: bool
 ) -> "Batch[Any, Outcome]":
-    trials = {
-        e.name: list(e.trials(range(e.seeds if full else e.quick_seeds))) for e in experiments
-    }
+    trials = {e.name: list(e.trials(range(e.seeds if full else e.quick_seeds))) for e in chosen}
     lost = dict.fromkeys(trials, 0)
     tasks = {
         name: progress.add_task(name, start=False, total=len(own)) for name, own in trials.items()

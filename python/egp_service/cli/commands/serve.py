@@ -9,11 +9,12 @@ import typer
 
 def serve(
     library: Annotated[
-        Path | None, typer.Argument(help="Library file; or give --config.", show_default=False)
+        Path | None,
+        typer.Argument(help="Library file, unless --config is given.", show_default=False),
     ] = None,
     listen: Annotated[
         list[str] | None,
-        typer.Option(help="Where to listen, such as tcp/0.0.0.0:7447; may be given repeatedly."),
+        typer.Option(help="Endpoint to listen on, such as tcp/0.0.0.0:7447; repeat for more."),
     ] = None,
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Service configuration (TOML).")
@@ -25,7 +26,7 @@ def serve(
         Path | None, typer.Option(help="Settings of the control step (TOML).")
     ] = None,
 ) -> None:
-    """Serve control steps to vehicles until SIGTERM or Ctrl-C, then drain.
+    """Serve control steps to vehicles until SIGTERM or Ctrl-C, then drain and exit.
 
     For example:
       egp serve library.safetensors --listen tcp/0.0.0.0:7447
@@ -39,7 +40,7 @@ def serve(
 
     if config is not None:
         if any(value is not None for value in (library, listen, replica, settings)):
-            raise typer.BadParameter("--config stands alone: put the rest into the file")
+            raise typer.BadParameter("--config excludes other options: put them into the file")
         text, folder = config.read_text(encoding="utf-8"), config.parent
         table = tomllib.loads(text)
         if "library" in table:

@@ -12,34 +12,34 @@ from egp_service.cli.options import Cluster
 def train(
     output: Annotated[Path, typer.Option("--output", "-o", help="Library file to write.")],
     data: Annotated[
-        list[Path] | None, typer.Argument(help="Datasets; those of one surface are merged.")
+        list[Path] | None, typer.Argument(help="Datasets; datasets of one surface are merged.")
     ] = None,
     recipe: Annotated[
-        Path | None, typer.Option(help="Collect and train as a recipe says, instead of DATA.")
+        Path | None, typer.Option(help="Recipe for collection and training, instead of DATA.")
     ] = None,
     kernel: Annotated[
         Literal["rbf", "matern52"], typer.Option(help="Covariance function.")
     ] = "matern52",
     mean: Annotated[
         Literal["single-track", "constant"],
-        typer.Option(help="What the GPs correct: a vehicle fitted to the surface, or a constant."),
+        typer.Option(help="Prior mean of the GPs: a vehicle fitted to the surface, or a constant."),
     ] = "single-track",
-    max_points: Annotated[int, typer.Option(help="Transitions a member keeps.")] = 400,
-    restarts: Annotated[int, typer.Option(help="Further random starts of each fit.")] = 1,
+    max_points: Annotated[int, typer.Option(help="Number of transitions of a member.")] = 400,
+    restarts: Annotated[int, typer.Option(help="Additional random starts of each fit.")] = 1,
     validation: Annotated[
-        float, typer.Option(help="Share of the trajectories kept for validation.")
+        float, typer.Option(help="Share of the trajectories for validation.")
     ] = 0.2,
-    seed: Annotated[int, typer.Option(help="Seed of split, subset and starts.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of split, selection and starts.")] = 0,
     cluster: Cluster = None,
     picture: Annotated[
-        Path | None, typer.Option(help="Draw the validation matrix into this file.")
+        Path | None, typer.Option(help="File for a figure of the validation matrix.")
     ] = None,
 ) -> None:
     """Train a library: one member for each surface in the datasets.
 
-    Prints the validation matrix, every member on every surface's held-out
-    trajectories. Data beyond --max-points are thinned: half uniformly, half
-    where the first fit knows least.
+    Prints the validation matrix: every member on every surface's held-out
+    trajectories. Of more than --max-points transitions, half are selected
+    uniformly and half by the variance of a first fit.
 
     For example:
       egp train data/*.parquet -o library.safetensors
@@ -57,9 +57,9 @@ def train(
 
     console = Console()
     if (recipe is None) == (not data):
-        raise EgpError("expected datasets or --recipe, one of them")
+        raise EgpError("expected either datasets or --recipe")
     if cluster is not None and recipe is None:
-        raise EgpError("--cluster collects what --recipe says: give a recipe, or leave it out")
+        raise EgpError("--cluster needs a --recipe, whose data the cluster collects")
     if recipe is not None:
         plan = Recipe.read(recipe)
         settings = plan.training

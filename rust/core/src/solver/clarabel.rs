@@ -3,7 +3,7 @@
 //! The solver is set up once and updated in place. Updates require a constant pattern and finite bounds, so presolve
 //! and the dropping of zeros are off. Equilibration is off because it would scale every problem by the first one, and
 //! the inputs are scaled already. The number of iterations is limited, but not the time: a time limit would make
-//! results depend on the machine. The same problem gives the same bits, whatever was solved before.
+//! results depend on the machine. The same problem gives the same bits, independently of earlier problems.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
@@ -40,7 +40,7 @@ pub struct ClarabelSolver {
     /// Clarabel's rows: equalities, then inequalities.
     rows: Vec<Row>,
     /// Clarabel's row for the lower and the upper bound of each row of `sparse`.
-    row_of_side: Vec<[Option<usize>; 2]>,
+    row_of: Vec<[Option<usize>; 2]>,
     /// For each entry of Clarabel's matrix, its source in `sparse.a.values` and its sign.
     entries: Vec<(usize, f64)>,
     a_values: Vec<f64>,
@@ -54,8 +54,8 @@ impl ClarabelSolver {
     /// [`SolverSetupError`] if Clarabel rejects settings or dimensions.
     pub fn new(pattern: &OcpQp, settings: &SolverSettings) -> Result<Self, SolverSetupError> {
         let sparse = SparseQp::new(pattern);
-        let (rows, row_of_side, equalities) = split_rows(&sparse);
-        let (a, entries) = split_matrix(&sparse.a, &row_of_side, rows.len());
+        let (rows, row_of, equalities) = split_rows(&sparse);
+        let (a, entries) = split_matrix(&sparse.a, &row_of, rows.len());
         let cones: [SupportedConeT<f64>; 2] = [
             ZeroConeT(equalities),
             NonnegativeConeT(rows.len() - equalities),
@@ -77,7 +77,7 @@ impl ClarabelSolver {
             sparse,
             solver,
             rows,
-            row_of_side,
+            row_of,
             a_values: vec![0.0; entries.len()],
             entries,
             b,
@@ -111,8 +111,7 @@ impl ClarabelSolver {
     fn read(&self, qp: &OcpQp, out: &mut OcpSolution) {
         let (x, z) = (&self.solver.solution.x, &self.solver.solution.z);
         let layout = self.sparse.layout();
-        let multiplier =
-            |row: usize, side: usize| self.row_of_side[row][side].map_or(0.0, |k| z[k]);
+        let multiplier = |row: usize, side: usize| self.row_of[row][side].map_or(0.0, |k| z[k]);
         for (t, (u, multipliers)) in out.u.iter_mut().zip(&mut out.multipliers).enumerate() {
             for i in 0..NU {
                 u[i] = x[layout.input(t, i)];
@@ -157,35 +156,35 @@ impl QpSolver for ClarabelSolver {
 /// equalities.
 fn split_rows(sparse: &SparseQp) -> (Vec<Row>, Vec<[Option<usize>; 2]>, usize) {
     let mut rows = Vec::new();
-    let mut row_of_side = vec![[None, None]; sparse.l.len()];
+    let mut row_of = vec![[None, None]; sparse.l.len()];
     let is_equality = |source: usize| sparse.l[source] == sparse.u[source];
     for source in (0..sparse.l.len()).filter(|&row| is_equality(row)) {
-        row_of_side[source][1] = Some(rows.len());
+        row_of[source][1] = Some(rows.len());
         rows.push(Row { source, sign: 1.0 });
     }
     let equalities = rows.len();
     for source in (0..sparse.l.len()).filter(|&row| !is_equality(row)) {
         for (side, bound, sign) in [(0, sparse.l[source], -1.0), (1, sparse.u[source], 1.0)] {
             if bound.is_finite() {
-                row_of_side[source][side] = Some(rows.len());
+                row_of[source][side] = Some(rows.len());
                 rows.push(Row { source, sign });
             }
         }
     }
-    (rows, row_of_side, equalities)
+    (rows, row_of, equalities)
 }
 
 /// The matrix with these rows, and the source and sign of each of its entries.
 fn split_matrix(
     a: &Csc,
-    row_of_side: &[[Option<usize>; 2]],
+    row_of: &[[Option<usize>; 2]],
     rows: usize,
 ) -> (CscMatrix<f64>, Vec<(usize, f64)>) {
     let (mut coordinates, mut sources) = (Vec::new(), Vec::new());
     for column in 0..a.columns {
         for slot in a.column_start[column]..a.column_start[column + 1] {
             for (side, sign) in [(0, -1.0), (1, 1.0)] {
-                if let Some(row) = row_of_side[a.row_index[slot]][side] {
+                if let Some(row) = row_of[a.row_index[slot]][side] {
                     coordinates.push((row, column));
                     sources.push((slot, sign));
                 }

@@ -81,7 +81,7 @@ pub fn solve_with_fallback(
 }
 
 /// Solves and checks: `out.status` is [`Status::Solved`] exactly if the KKT residual computed from `qp` is at most
-/// `kkt_tolerance`, whatever status the solver reports.
+/// `kkt_tolerance`, independently of the status that the solver reports.
 pub fn solve_checked(
     solver: &mut dyn QpSolver,
     qp: &OcpQp,

@@ -29,7 +29,7 @@ pub struct StepRequest<'a> {
     pub reference: &'a [f64],
     /// Distances `[left, right]` in m from each reference point to the track edges, `[T+1, 2]`; empty if unknown.
     pub widths: &'a [f64],
-    /// Whether to compute standard deviations along the plan, which takes about three times as long as the step itself.
+    /// Whether to compute standard deviations along the plan, which takes about as long as three more steps.
     pub want_sigma: bool,
 }
 
