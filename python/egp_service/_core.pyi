@@ -1219,4 +1219,3 @@ def live_key(replica: str) -> str:
 
 def replica_of_live(key: str) -> str | None:
     """Name of the replica a liveliness token belongs to."""
-

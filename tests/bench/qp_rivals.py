@@ -304,7 +304,7 @@ def pack(step: Step) -> bytes:
 
 
 class Clarabel(Ours):
-    """Clarabel as the fallback solver uses it: updated in place, no equilibration, no warm start."""
+    """Clarabel as the fallback solver uses it: updated in place, without equilibration."""
 
     def __init__(self, repeats: int) -> None:
         super().__init__(repeats, "clarabel")

@@ -58,7 +58,7 @@ class ScriptedReplica:
         """Describe the library, as the service's `ready` key does."""
         return self.engine.ready
 
-    def answer(self, request: bytes) -> Answer:
+    def answer(self, request: bytes) -> Answer:  # noqa: PLR0911 - one for each fault
         """Answer one request, rightly or as its fault says."""
         sequence = _core.decode_request(request).sequence
         fault = next((name for name, hit in self._script.items() if sequence in hit), "")

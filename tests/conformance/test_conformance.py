@@ -22,12 +22,14 @@ from conformance.vehicles import (
 from egp_service._core import Discovery, decode_request
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from numpy.typing import NDArray
 
-    from conformance.vehicles import Vehicle
+    from conformance.vehicles import Script, Vehicle
 
 SCHEDULES = tomllib.loads((Path(__file__).parent / "schedules.toml").read_text(encoding="utf-8"))
-TRANSPORTS = {
+TRANSPORTS: dict[str, Callable[[Mapping[str, Script]], Vehicle]] = {
     "in-process": InProcess,
     "zenoh-python": OverZenohInPython,
     "zenoh-rust": OverZenohInRust,
@@ -123,7 +125,7 @@ def test_every_transport_behaves_the_same(transport: str, schedule: dict[str, An
     present = list(names.values())[: schedule.get("replicas", 2)]
     faults = schedule.get("faults", {})
     scripts = {names[who]: faults.get(who, {}) for who in names if names[who] in present}
-    vehicle: Vehicle = TRANSPORTS[transport](scripts)
+    vehicle = TRANSPORTS[transport](scripts)
     try:
         outcomes = run(vehicle, schedule, names)
     finally:

@@ -25,7 +25,16 @@ ALLOWED = {
     "egp-vehicle": {"egp-driver", "egp-wire", "egp-gate"},
     "egp-simulator": {"egp-wire", "egp-gate", "egp-path", "egp-plant", "egp-vehicle"},
     "egp-load": {"egp-wire", "egp-vehicle", "egp-simulator"},
-    "egp-python": {"egp-core", "egp-wire", "egp-gate", "egp-plant", "egp-path", "egp-driver", "egp-engine", "egp-service"},
+    "egp-python": {
+        "egp-core",
+        "egp-wire",
+        "egp-gate",
+        "egp-plant",
+        "egp-path",
+        "egp-driver",
+        "egp-engine",
+        "egp-service",
+    },
 }
 
 # Libraries that are named in one file of a crate only, so that replacing them is one edit.

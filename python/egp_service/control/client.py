@@ -84,9 +84,7 @@ class VehicleClient(StepController):
         discovery = Discovery(fleet, vehicle)
         network = Network(names, timeout, zenoh_config or {})
         try:
-            ready = _first_ready(network, discovery, deadline)
-            if ready is None:
-                raise _unreachable(names)
+            ready = _first_ready(network, discovery, names, deadline)
             driver = Driver(
                 ready,
                 fleet=fleet,
@@ -225,7 +223,7 @@ def _session_config(
     """Configure a peer with a link to every endpoint, so that no replica is behind another.
 
     A session in zenoh's client mode holds one link: while the replica at its end is frozen, the
-    others cannot be reached. Shared memory slows the first queries down and can drop one in silence.
+    others cannot be reached. Shared memory slows the first queries down and can lose one silently.
     """
     settings: dict[str, object] = {
         "mode": "peer",
@@ -253,7 +251,9 @@ def _session_config(
     return config
 
 
-def _first_ready(network: Network, discovery: Discovery, deadline: float) -> bytes | None:
+def _first_ready(
+    network: Network, discovery: Discovery, endpoints: Sequence[str], deadline: float
+) -> bytes:
     """Ask the live replicas in turn until one says what it serves."""
     while time.monotonic() < deadline:
         for replica, appeared in network.tokens():
@@ -267,7 +267,7 @@ def _first_ready(network: Network, discovery: Discovery, deadline: float) -> byt
         answer = network.ask_and_wait(key)
         if answer is not None and Discovery.is_ready(replica, answer):
             return answer
-    return None
+    raise _unreachable(endpoints)
 
 
 def _unreachable(endpoints: Sequence[str]) -> ServiceUnreachableError:

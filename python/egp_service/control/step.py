@@ -36,7 +36,7 @@ class Step:
     u: NDArray[np.float64]
     """Force [N] and steering rate [rad/s] for the actuators, inside all limits."""
     mode: Literal["normal", "tail", "stop", "waiting"]
-    """A plan made now, the rest of an older one, a latched stop, or braking until the first plan."""
+    """A new plan, the rest of an older one, a latched stop, or braking until the first plan."""
     limited: bool
     """Whether the gate had to change what the plan asked for."""
     status: str
@@ -94,7 +94,9 @@ class Step:
 
 
 class StepController(ABC):
-    """Turns a measured state and a reference into a command that the actuators may get::
+    """Turns a measured state and a reference into a command that the actuators may get.
+
+    Once in each control period::
 
         step = controller.step(x, reference, widths)
         vehicle.apply(step.u)

@@ -40,7 +40,7 @@ STANDSTILL = 0.3
 
 
 class Drives(Protocol):
-    """What can drive: every `StepController`, and whatever else turns states into commands."""
+    """A controller in the closed loop: every `StepController`, and other sources of commands."""
 
     dt: float
     horizon: int
@@ -83,10 +83,10 @@ class Run:
 
 
 def drive(scenario: Scenario, controller: Drives, observe: Callable[[Period], None]) -> Run:
-    """Drive the scenario with `controller`, showing each period to `observe`.
+    """Drive the scenario with `controller` and call `observe` with each period.
 
-    The scenario's library file is read for the members' friction coefficients, which the pictures
-    show beside the true ones; the step itself is the controller's.
+    The members' friction coefficients, which pictures show, are read from the scenario's library
+    file; the controller may use another one.
 
     Raises `EgpError` if the scenario's track cannot be built. A loss of control is not an exception
     but the run's ending.
@@ -124,7 +124,7 @@ class _Loop:
         self._noise = _noise(scenario.measurement)
         self._random = np.random.default_rng(scenario.seed)
         self._plant = Plant(scenario.vehicle)
-        # What was commanded and has not yet reached the wheels.
+        # Commands that have not yet reached the wheels.
         self._pending = deque([np.zeros(NU)] * scenario.actuator_delay)
         self._s = 0.0
         self._distance = 0.0
@@ -157,14 +157,19 @@ class _Loop:
         )
         measured = x + self._noise * self._random.standard_normal(NX)
         reference, widths, _ = horizon_reference(
-            self.path, self._profile, measured, self._controller.dt, self._controller.horizon, self._s
+            self.path,
+            self._profile,
+            measured,
+            self._controller.dt,
+            self._controller.horizon,
+            self._s,
         )
         deadline = FIRST_DEADLINE if self._ticks == 0 else None
         step = self._controller.step(measured, reference, widths, deadline=deadline)
         return Period(truth, step)
 
     def advance(self, period: Period) -> Ending | None:
-        """Drive one period on; gives the ending when there is one."""
+        """Drive one period; return the ending if the run ends."""
         dt = self._controller.dt
         self._pending.append(period.step.u)
         u = self._pending.popleft()
@@ -185,7 +190,7 @@ class _Loop:
         return None
 
     def _project(self, x: NDArray[np.float64]) -> Projection:
-        """Project the vehicle on the path and count the distance driven."""
+        """Project the vehicle onto the path and update the driven distance."""
         projection = self.path.project(x[POSITION], self._s)
         advanced = projection.s - self._s
         if self.path.closed:
