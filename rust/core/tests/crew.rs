@@ -1,14 +1,13 @@
 //! Members evaluated at once: the same bits, and only where it pays.
 #![allow(clippy::unwrap_used)]
 
-mod support;
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
 use egp_core::{Crew, Kernel, Library, StepReply, Workspace, step};
-use support::request::{Request, settings};
+use egp_testing::libraries;
+use egp_testing::requests::{Request, settings};
 
 /// A thread for each part, the last part first.
 #[derive(Default)]
@@ -53,7 +52,7 @@ fn solve(library: &Library, want_sigma: bool, crew: Option<Arc<Threads>>) -> (St
 
 fn check(members: u32, n: usize, want_sigma: bool, expected: usize) {
     let frictions: Vec<f64> = (0..members).map(|i| 0.4 + 0.02 * f64::from(i)).collect();
-    let library = support::library(Kernel::Rbf, &frictions, n, 3);
+    let library = libraries::library(Kernel::Rbf, &frictions, n, 3);
     let (alone, _) = solve(&library, want_sigma, None);
     let (shared, parts) = solve(&library, want_sigma, Some(Arc::default()));
     assert_eq!(alone, shared);

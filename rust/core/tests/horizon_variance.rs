@@ -1,15 +1,13 @@
 //! Bounds of the variance along a horizon against the exact variance, on the shipped library and on sampled ones.
 #![allow(clippy::unwrap_used)]
 
-mod support;
-
 use egp_core::library::encode;
 use egp_core::{
     Alone, Ensemble, GpInput, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, VarianceScratch,
 };
+use egp_testing::libraries::{self, Outputs, spec_of};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use support::{Outputs, spec_of};
 
 /// What [`Ensemble::mixture_bounds`] promises.
 const TOLERANCE: f64 = 0.1;
@@ -88,8 +86,8 @@ fn on_sampled_libraries() {
 
 #[test]
 fn at_training_points_and_far_from_all() {
-    let spec = support::spec(Kernel::Rbf, &[0.5, 1.1], 120, 1);
-    let library = support::library(Kernel::Rbf, &[0.5, 1.1], 120, 1);
+    let spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 120, 1);
+    let library = libraries::library(Kernel::Rbf, &[0.5, 1.1], 120, 1);
     let ensemble = Ensemble::new(&library, &[0.4, 0.6], 0.0).unwrap();
     let (mut horizon, mut scratch) = (MixtureScratch::default(), VarianceScratch::default());
     // Repeated stages too: their prior covariance is singular.

@@ -5,10 +5,8 @@
     clippy::semicolon_if_nothing_returned
 )]
 
-mod support;
-
 use egp_core::{Settings, StepError, StepReply, Workspace, step};
-use support::request::{Request, library, settings, warm};
+use egp_testing::requests::{Request, library, settings, warm};
 
 #[test]
 fn malformed_requests_are_refused_by_field() {

@@ -1,9 +1,6 @@
 //! A real service and real clients over TCP on the loopback.
 #![allow(clippy::unwrap_used, clippy::expect_used, dead_code)]
 
-#[path = "../../../core/tests/support/mod.rs"]
-pub mod library;
-
 use std::net::TcpListener;
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -11,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use egp_core::{Kernel, Library, Settings};
 use egp_service::{Engine, ServiceConfig};
+use egp_testing::libraries;
 use egp_wire::{Carry, LibraryId, Request, Timing, WireError, keys};
 use prost::Message as _;
 use zenoh::Wait;
@@ -21,7 +19,7 @@ pub const BUDGET_US: u32 = 5_000_000;
 pub fn library_bytes() -> &'static [u8] {
     static BYTES: OnceLock<Vec<u8>> = OnceLock::new();
     BYTES.get_or_init(|| {
-        let spec = library::spec(Kernel::Rbf, &[0.5, 1.1], 80, 3);
+        let spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 80, 3);
         egp_core::library::encode(&spec).unwrap()
     })
 }
