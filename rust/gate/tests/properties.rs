@@ -1,5 +1,5 @@
 //! Whatever comes in, what goes out respects the limits.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::semicolon_if_nothing_returned)]
 
 use egp_gate::{Gate, GateError, Limits, MAX_HORIZON, Mode};
 use proptest::prelude::*;
@@ -294,25 +294,34 @@ fn after_a_reset_driving_needs_a_new_plan() {
 }
 
 #[test]
-fn limits_that_bound_nothing_are_refused() {
-    for limits in [
-        Limits {
-            force_max: f64::NAN,
-            ..LIMITS
-        },
-        Limits {
-            force_min: 1.0,
-            ..LIMITS
-        },
-        Limits {
-            steering_slew: 0.0,
-            ..LIMITS
-        },
-    ] {
-        assert!(matches!(
-            Gate::new(limits, DT, 5, 3.0),
-            Err(GateError::Limits(_))
-        ));
+fn limits_that_bound_nothing_are_refused_by_name() {
+    type Spoil = fn(&mut Limits, f64);
+    let spoils: [(&str, Spoil); 8] = [
+        ("mass", |limits, value| limits.mass = value),
+        ("-force_min", |limits, value| limits.force_min = -value),
+        ("force_max", |limits, value| limits.force_max = value),
+        ("power", |limits, value| limits.power = value),
+        ("force_slew", |limits, value| limits.force_slew = value),
+        ("steering_angle", |limits, value| {
+            limits.steering_angle = value
+        }),
+        ("steering_rate", |limits, value| {
+            limits.steering_rate = value
+        }),
+        ("steering_slew", |limits, value| {
+            limits.steering_slew = value
+        }),
+    ];
+    for (name, spoil) in spoils {
+        for value in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let mut limits = LIMITS;
+            spoil(&mut limits, value);
+            let refused = Gate::new(limits, DT, 5, 3.0).unwrap_err();
+            assert!(
+                matches!(refused, GateError::Limits(error) if error.name == name),
+                "{name} = {value}: {refused}"
+            );
+        }
     }
     assert!(Gate::new(LIMITS, DT, 5, 9.0).is_err());
     assert!(Gate::new(LIMITS, 0.0, 5, 3.0).is_err());
