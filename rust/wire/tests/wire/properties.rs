@@ -1,5 +1,4 @@
 //! Decoding survives any bytes; what it accepts encodes to itself.
-#![allow(clippy::unwrap_used, missing_docs, dead_code)]
 
 use egp_testing::messages;
 use egp_wire::{Header, Limits, Predictions, Ready, Reply, Request, WireError, proto};

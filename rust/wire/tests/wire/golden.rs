@@ -1,5 +1,4 @@
 //! The golden files are what this version reads and writes.
-#![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
 use egp_testing::messages;
 use egp_wire::{Limits, Ready, Reply, Request, WireError};

@@ -1,5 +1,4 @@
 //! What protobuf leaves to the writer of a message and a reader must therefore take.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use egp_testing::messages;
 use egp_wire::{Code, Invalid, Limits, Reply, Request, WireError, proto};

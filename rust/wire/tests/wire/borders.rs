@@ -1,5 +1,4 @@
 //! Both sides of every limit: the last value accepted and the first one refused.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use egp_testing::messages;
 use egp_wire::{Invalid, Limits, Predictions, Ready, Reply, Request, Status};

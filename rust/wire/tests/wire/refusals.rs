@@ -1,5 +1,4 @@
 //! Whatever is wrong with a message, the refusal says where.
-#![allow(clippy::unwrap_used, clippy::panic, missing_docs, dead_code)]
 
 use egp_testing::messages;
 use egp_wire::{Code, Header, Invalid, Limits, Reply, Request, WireError, proto};
