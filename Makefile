@@ -4,7 +4,7 @@ BIN    := .venv/bin
 RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name '*.proto' -o -name Cargo.toml 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench fmt lint rust-test python-test instructions clean
+.PHONY: help demo test bench fmt lint deny rust-test python-test instructions clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -33,6 +33,9 @@ lint: .venv/built-dev ## Check format, lints, types, stubs and import rules
 	$(BIN)/mypy
 	$(BIN)/stubtest egp_service._core
 	$(BIN)/lint-imports
+
+deny: ## Check licences, sources and advisories of the Rust crates, with cargo-deny and the network
+	cargo deny --locked check $(CHECKS)
 
 rust-test: ## Run the Rust tests
 	cargo test --workspace --locked

@@ -25,6 +25,7 @@ ALLOWED = {
     "egp-vehicle": {"egp-driver", "egp-wire", "egp-gate"},
     "egp-simulator": {"egp-wire", "egp-gate", "egp-path", "egp-plant", "egp-vehicle"},
     "egp-load": {"egp-wire", "egp-vehicle", "egp-simulator"},
+    "egp-testing": {"egp-core", "egp-wire"},
     "egp-python": {
         "egp-core",
         "egp-wire",

@@ -5,15 +5,12 @@
     clippy::semicolon_if_nothing_returned
 )]
 
-#[path = "../tests/support/mod.rs"]
-mod support;
-
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use egp_core::library::encode;
 use egp_core::{GpInput, GpJacobian, Kernel, Library, VarianceScratch};
-use support::Outputs;
+use egp_testing::libraries::{self, Outputs};
 
 fn queries(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("gp");
@@ -23,10 +20,10 @@ fn queries(criterion: &mut Criterion) {
         (Outputs::OneKernel, Kernel::Rbf, 2000),
         (Outputs::OwnKernels, Kernel::Rbf, 700),
     ] {
-        let spec = support::spec_of(&outputs, kernel, &[0.8], n, 0);
+        let spec = libraries::spec_of(&outputs, kernel, &[0.8], n, 0);
         let library = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
         let member = &library.members()[0];
-        let z = GpInput::from(support::CENTRE).add_scalar(0.1);
+        let z = GpInput::from(libraries::CENTRE).add_scalar(0.1);
         let own = match outputs {
             Outputs::OneKernel => "",
             _ => " own kernels",
@@ -51,7 +48,7 @@ fn load(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("library");
     group.sample_size(10);
     for n in [700, 2000] {
-        let bytes = encode(&support::spec(Kernel::Rbf, &[0.8], n, 0)).unwrap();
+        let bytes = encode(&libraries::spec(Kernel::Rbf, &[0.8], n, 0)).unwrap();
         group.bench_function(BenchmarkId::new("load one member", n), |bencher| {
             bencher.iter(|| Library::from_bytes(black_box(&bytes)));
         });

@@ -7,9 +7,6 @@
     missing_docs
 )]
 
-#[path = "../tests/support/mod.rs"]
-mod support;
-
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -23,6 +20,7 @@ use egp_core::{
     Ensemble, Input, Kernel, Library, OcpQp, OcpSolution, QpSolver, Settings, State, StepReply,
     StepRequest, Workspace, step,
 };
+use egp_testing::libraries;
 
 /// A left-hand circle of 60 m radius at 14 m/s.
 fn reference() -> Vec<f64> {
@@ -99,7 +97,7 @@ fn members(c: &mut Criterion) {
     const SHARES: [f64; 3] = [0.5, 0.3, 0.2];
     let settings = settings();
     let reference = reference();
-    let spec = support::spec(Kernel::Rbf, &[0.4, 0.6, 0.8, 1.0], 700, 3);
+    let spec = libraries::spec(Kernel::Rbf, &[0.4, 0.6, 0.8, 1.0], 700, 3);
     for n in [1, 2, 4, 8, 16, 32, 64] {
         let mut spec = spec.clone();
         let member = |i: usize| egp_core::library::MemberData {
@@ -233,7 +231,7 @@ fn weights(c: &mut Criterion, library: &Library) {
 }
 
 fn all(c: &mut Criterion) {
-    let library = support::library(Kernel::Rbf, &[0.5, 1.1], 700, 3);
+    let library = libraries::library(Kernel::Rbf, &[0.5, 1.1], 700, 3);
     for kind in [SolverKind::Riccati, SolverKind::Clarabel] {
         whole(c, &library, kind);
     }

@@ -5,12 +5,10 @@
 //! not those of loading and warming up.
 #![allow(clippy::unwrap_used)]
 
-#[path = "../tests/support/mod.rs"]
-mod support;
-
 use std::{env, fs};
 
 use egp_core::{Kernel, Library, Settings, Status, StepReply, StepRequest, Workspace, step};
+use egp_testing::{libraries, requests};
 
 /// The function whose instructions are counted; its symbol name must stay.
 #[inline(never)]
@@ -33,7 +31,7 @@ fn main() {
         .as_slice()
     {
         ["write", path] => {
-            let spec = support::spec(Kernel::Rbf, &[0.5, 1.1], 700, 3);
+            let spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 700, 3);
             fs::write(path, egp_core::library::encode(&spec).unwrap()).unwrap();
         }
         [path] => warm_step(&Library::from_bytes(&fs::read(path).unwrap()).unwrap()),
@@ -42,10 +40,10 @@ fn main() {
 }
 
 fn warm_step(library: &Library) {
-    let settings = support::request::settings();
+    let settings = requests::settings();
     let mut ws = Workspace::new(library, &settings).unwrap();
     let mut reply = StepReply::default();
-    let mut request = support::request::Request::circle();
+    let mut request = requests::Request::circle();
     step(library, &settings, &request.borrow(), &mut ws, &mut reply).unwrap();
     request.carry(&reply);
     request.history_f.drain(..6); // the newest transition is new

@@ -1,21 +1,19 @@
 //! The blend of members: mean, Jacobian and variances.
 #![allow(clippy::unwrap_used)]
 
-mod support;
-
 use std::sync::OnceLock;
 
 use egp_core::{
     Ensemble, EnsembleError, GpInput, GpJacobian, GpOutput, Kernel, Library, NY, VarianceScratch,
 };
+use egp_testing::libraries::{self, CENTRE, HALF_WIDTH};
 use proptest::prelude::*;
-use support::{CENTRE, HALF_WIDTH};
 
 const MEMBERS: usize = 3;
 
 fn library() -> &'static Library {
     static LIBRARY: OnceLock<Library> = OnceLock::new();
-    LIBRARY.get_or_init(|| support::library(Kernel::Matern52, &[0.4, 0.7, 1.1], 60, 5))
+    LIBRARY.get_or_init(|| libraries::library(Kernel::Matern52, &[0.4, 0.7, 1.1], 60, 5))
 }
 
 fn gp_input() -> impl Strategy<Value = GpInput> {

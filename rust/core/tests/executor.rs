@@ -1,14 +1,13 @@
 //! Parallel evaluation of members: it gives the same bits and is used only for enough work.
 #![allow(clippy::unwrap_used)]
 
-mod support;
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
 use egp_core::{Executor, Kernel, Library, StepReply, Workspace, step};
-use support::request::{Request, settings};
+use egp_testing::libraries;
+use egp_testing::requests::{Request, settings};
 
 /// Runs each part in its own thread, the last part first.
 #[derive(Default)]
@@ -57,7 +56,7 @@ fn solve(
 
 fn check(members: u32, n: usize, want_sigma: bool, expected: usize) {
     let frictions: Vec<f64> = (0..members).map(|i| 0.4 + 0.02 * f64::from(i)).collect();
-    let library = support::library(Kernel::Rbf, &frictions, n, 3);
+    let library = libraries::library(Kernel::Rbf, &frictions, n, 3);
     let (sequential, _) = solve(&library, want_sigma, None);
     let (parallel, parts) = solve(&library, want_sigma, Some(Arc::default()));
     assert_eq!(sequential, parallel);

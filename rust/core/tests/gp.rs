@@ -1,12 +1,10 @@
 //! Gaussian processes against a dense textbook implementation, finite differences and their own bounds.
 #![allow(clippy::unwrap_used)]
 
-mod support;
-
 use egp_core::library::{LibrarySpec, encode};
 use egp_core::{GpInput, GpJacobian, Kernel, Library, NY, NZ, VarianceScratch};
+use egp_testing::libraries::{CENTRE, HALF_WIDTH, Outputs, spec, spec_of};
 use proptest::prelude::*;
-use support::{CENTRE, HALF_WIDTH, Outputs, spec, spec_of};
 
 /// A library for each kernel, made once. Its members have one kernel for all outputs, three kernels and two kernels.
 fn libraries() -> &'static [Library; 2] {

@@ -1,16 +1,14 @@
 //! Bounds of the variance along a horizon against the exact variance, on the shipped library and on sampled ones.
 #![allow(clippy::unwrap_used)]
 
-mod support;
-
 use egp_core::library::encode;
 use egp_core::{
     Ensemble, GpInput, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, Sequential,
     VarianceScratch,
 };
+use egp_testing::libraries::{self, Outputs, spec_of};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use support::{Outputs, spec_of};
 
 /// The relative excess that [`Ensemble::mixture_bounds`] allows.
 const TOLERANCE: f64 = 0.1;
@@ -89,8 +87,8 @@ fn on_sampled_libraries() {
 
 #[test]
 fn at_training_points_and_far_from_all() {
-    let spec = support::spec(Kernel::Rbf, &[0.5, 1.1], 120, 1);
-    let library = support::library(Kernel::Rbf, &[0.5, 1.1], 120, 1);
+    let spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 120, 1);
+    let library = libraries::library(Kernel::Rbf, &[0.5, 1.1], 120, 1);
     let ensemble = Ensemble::new(&library, &[0.4, 0.6], 0.0).unwrap();
     let (mut horizon, mut scratch) = (MixtureScratch::default(), VarianceScratch::default());
     // Repeated stages have a singular prior covariance.

@@ -1,16 +1,15 @@
 //! The library file as bytes. Python tests check the errors for invalid files with an independent writer.
 #![allow(clippy::unwrap_used)]
 
-mod support;
-
 use egp_core::library::{LibraryError, MAX_FILE_BYTES, MAX_HEADER_BYTES, encode};
 use egp_core::vehicle::{SINGLE_TRACK_PARAMETERS, SingleTrack};
 use egp_core::{GpJacobian, GpOutput, Kernel, Library, NY, NZ};
+use egp_testing::libraries;
 use proptest::prelude::*;
 use sha2::{Digest, Sha256};
 
 fn bytes() -> Vec<u8> {
-    encode(&support::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0)).unwrap()
+    encode(&libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0)).unwrap()
 }
 
 #[test]
@@ -30,7 +29,7 @@ fn the_same_content_gives_the_same_bytes_and_identity() {
 
 #[test]
 fn a_vehicle_is_added_to_the_gps() {
-    let mut spec = support::spec(Kernel::Rbf, &[0.5], 20, 0);
+    let mut spec = libraries::spec(Kernel::Rbf, &[0.5], 20, 0);
     let alone = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
     let parameters = [
         1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
@@ -92,13 +91,13 @@ fn too_large_a_file_is_an_error_before_parsing() {
 
 #[test]
 fn invalid_content_is_not_written() {
-    let mut spec = support::spec(Kernel::Rbf, &[0.5], 20, 0);
+    let mut spec = libraries::spec(Kernel::Rbf, &[0.5], 20, 0);
     spec.members[0].alpha[1].pop();
     assert!(matches!(
         encode(&spec),
         Err(LibraryError::Malformed { .. } | LibraryError::Shape { .. })
     ));
-    let mut spec = support::spec(Kernel::Rbf, &[0.5], 20, 0);
+    let mut spec = libraries::spec(Kernel::Rbf, &[0.5], 20, 0);
     spec.members[0].golden_mean[0][2] += 1e-6;
     assert!(matches!(encode(&spec), Err(LibraryError::Golden { .. })));
     spec.members.clear();

@@ -5,10 +5,8 @@
     clippy::semicolon_if_nothing_returned
 )]
 
-mod support;
-
 use egp_core::{Settings, StepError, StepReply, Workspace, step};
-use support::request::{Request, library, settings, warm};
+use egp_testing::requests::{Request, library, settings, warm};
 
 #[test]
 fn errors_of_malformed_requests_name_the_field() {

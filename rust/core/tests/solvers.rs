@@ -1,14 +1,11 @@
 //! The Riccati solver on random drives: KKT residuals and agreement with Clarabel.
 #![allow(clippy::unwrap_used)]
 
-#[path = "support/driving.rs"]
-mod driving;
-
-use driving::{Drive, shifted};
 use egp_core::Input;
 use egp_core::qp::{MAX_SOFT, OcpQp, OcpSolution};
 use egp_core::settings::SolverSettings;
 use egp_core::solver::{ClarabelSolver, QpSolver, RiccatiSolver, Status, solve_checked};
+use egp_testing::drives::{Drive, shifted};
 
 /// Consecutive problems of a drive.
 const STEPS: usize = 5;

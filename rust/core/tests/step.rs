@@ -1,13 +1,11 @@
 //! The control step as a whole: properties of plans.
 #![allow(clippy::unwrap_used, clippy::semicolon_if_nothing_returned)]
 
-mod support;
-
 use std::f64::consts::{PI, TAU};
 
 use egp_core::settings::Operating;
 use egp_core::{Status, StepReply, Workspace, step};
-use support::request::{Request, library, settings, solve, warm};
+use egp_testing::requests::{Request, library, settings, solve, warm};
 
 fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len());

@@ -50,6 +50,15 @@ mod tests {
             .collect()
     }
 
+    /// The published values of FNV-1a for these texts, after the published finaliser: a client in another language that
+    /// computes these numbers chooses the same replica.
+    #[test]
+    fn the_hash_is_the_one_that_other_clients_compute() {
+        assert_eq!(hash(b""), 0xefd0_1f60_ba99_2926);
+        assert_eq!(hash(b"a"), 0x82a2_a958_a9be_ce5b);
+        assert_eq!(hash(b"foobar"), 0x2c22_1949_22d1_672b);
+    }
+
     #[test]
     fn vehicles_spread_evenly() {
         let choices = first_choices(&names(3));

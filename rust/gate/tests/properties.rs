@@ -1,17 +1,49 @@
 //! Commands respect the limits for every input.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::semicolon_if_nothing_returned)]
 
-use egp_gate::{Gate, GateError, Limits, Mode};
+use egp_gate::{Gate, GateError, Limits, MAX_HORIZON, Mode};
 use proptest::prelude::*;
 
 const DT: f64 = 0.05;
+
+/// A car of 1200 kg.
+const LIMITS: Limits = Limits {
+    mass: 1200.0,
+    force_min: -9600.0,
+    force_max: 7200.0,
+    power: 66_000.0,
+    force_slew: 72_000.0,
+    steering_angle: 0.9,
+    steering_rate: 0.4,
+    steering_slew: 8.0,
+};
 
 /// Limits with a slow steering slew, for which the look-ahead spans several periods.
 fn limits(steering_slew: f64) -> Limits {
     Limits {
         steering_slew,
-        ..Limits::default()
+        ..LIMITS
     }
+}
+
+/// The angle by which the wheels turn on from the rate `rate`, slowed by the slew limit in each period.
+fn turned_while_slowing(rate: f64, steering_slew: f64) -> f64 {
+    let rates = std::iter::successors(Some(rate), |rate| Some(rate - steering_slew * DT));
+    DT * rates.take_while(|rate| *rate > 0.0).sum::<f64>()
+}
+
+/// The largest rate after which the wheels can stop within `room` \[rad\], by bisection.
+fn largest_safe_rate(room: f64, steering_slew: f64) -> f64 {
+    let (mut safe, mut unsafe_rate) = (0.0, LIMITS.steering_rate + 1e-9);
+    for _ in 0..60 {
+        let middle = 0.5 * (safe + unsafe_rate);
+        if turned_while_slowing(middle, steering_slew) <= room {
+            safe = middle;
+        } else {
+            unsafe_rate = middle;
+        }
+    }
+    safe
 }
 
 /// Any double; NaN and infinities are frequent.
@@ -84,7 +116,7 @@ proptest! {
     fn the_steering_angle_stays_inside_its_limit(
         wanted in prop::collection::vec(-1.0..1.0, 1..200),
         steering_slew in 0.05..10.0,
-        start in -0.91..0.91,
+        start in -0.9..0.9,
     ) {
         let limits = limits(steering_slew);
         let mut gate = Gate::new(limits, DT, 0, 3.0).unwrap();
@@ -96,9 +128,66 @@ proptest! {
         }
     }
 
+    /// The gate holds the wheels back no more than the limits need, in either direction.
+    #[test]
+    fn the_wheels_turn_as_fast_as_the_limits_allow(
+        side in prop_oneof![Just(1.0), Just(-1.0)],
+        steering_slew in 0.2..10.0,
+        start in 0.0..0.9,
+    ) {
+        let limits = limits(steering_slew);
+        let mut gate = Gate::new(limits, DT, 0, 3.0).unwrap();
+        let (mut delta, mut previous): (f64, f64) = (start, 0.0);
+        for tick in 0..60 {
+            gate.accept(tick, &[[0.0, side]]).unwrap();
+            let rate = side * gate.command(tick, 10.0, side * delta).u[1];
+            let safe = largest_safe_rate(limits.steering_angle - delta, steering_slew);
+            let reachable = (previous + steering_slew * DT).min(limits.steering_rate);
+            let expected = safe.min(reachable).max(previous - steering_slew * DT);
+            prop_assert!((rate - expected).abs() < 1e-7, "{rate} instead of {expected}");
+            (delta, previous) = (delta + DT * rate, rate);
+        }
+    }
+
+    /// Beyond their limit the wheels are led back, in one period if the rate allows that.
+    #[test]
+    fn wheels_beyond_their_limit_are_led_back(
+        side in prop_oneof![Just(1.0), Just(-1.0)],
+        beyond in 0.0..0.1,
+        wanted in 0.0..1.0,
+    ) {
+        let mut gate = Gate::new(LIMITS, DT, 0, 3.0).unwrap();
+        gate.accept(0, &[[0.0, side * wanted]]).unwrap();
+        let command = gate.command(0, 10.0, side * (LIMITS.steering_angle + beyond));
+        let back = f64::min(beyond / DT, LIMITS.steering_rate);
+        prop_assert!((command.u[1] + side * back).abs() < 1e-9);
+    }
+
+    /// Below 0.5 m/s the stopping force is proportional to the speed, so that a stop ends in standstill.
+    #[test]
+    fn the_stopping_force_fades_with_the_speed(v_x in -0.5..0.5) {
+        let mut gate = Gate::new(LIMITS, DT, 0, 1.0).unwrap();
+        let command = gate.command(0, v_x, 0.0);
+        prop_assert!((command.u[0] + LIMITS.mass * v_x / 0.5).abs() < 1e-9);
+    }
+
+    /// A command inside all limits leaves the gate as it was planned.
+    #[test]
+    fn a_command_inside_the_limits_is_not_changed(
+        force in -3600.0..3600.0,
+        rate in -0.4..0.4,
+        v_x in 0.0..9.0,
+        delta in -0.8..0.8,
+    ) {
+        let mut gate = Gate::new(LIMITS, DT, 0, 3.0).unwrap();
+        gate.accept(0, &[[force, rate]]).unwrap();
+        let command = gate.command(0, v_x, delta);
+        prop_assert_eq!((command.u, command.limited), ([force, rate], false));
+    }
+
     #[test]
     fn without_new_plans_the_tail_ends_in_a_stop(length in 1_usize..20, max_tail in 0_u64..20) {
-        let mut gate = Gate::new(Limits::default(), DT, max_tail, 3.0).unwrap();
+        let mut gate = Gate::new(LIMITS, DT, max_tail, 3.0).unwrap();
         gate.accept(7, &vec![[100.0, 0.0]; length]).unwrap();
         let usable = (max_tail + 1).min(length as u64);
         for age in 0..usable + 5 {
@@ -115,11 +204,10 @@ proptest! {
 
 #[test]
 fn a_stop_brings_a_point_mass_to_rest_and_holds_it() {
-    let limits = Limits::default();
-    let mut gate = Gate::new(limits, DT, 0, 3.0).unwrap();
+    let mut gate = Gate::new(LIMITS, DT, 0, 3.0).unwrap();
     let mut v_x = 20.0;
     for tick in 0..400 {
-        v_x += DT * gate.command(tick, v_x, 0.1).u[0] / limits.mass;
+        v_x += DT * gate.command(tick, v_x, 0.1).u[0] / LIMITS.mass;
         assert!(v_x > -0.2);
     }
     assert!(v_x.abs() < 1e-3);
@@ -136,19 +224,16 @@ fn an_absurd_steering_angle_gets_a_finite_command() {
 
 #[test]
 fn an_unknown_speed_is_braked() {
-    let mut gate = Gate::new(Limits::default(), DT, 0, 3.0).unwrap();
+    let mut gate = Gate::new(LIMITS, DT, 0, 3.0).unwrap();
     for tick in 0..10 {
         assert_eq!(gate.command(tick, f64::NAN, f64::NAN).mode, Mode::Stop);
     }
-    assert_eq!(
-        gate.command(10, f64::NAN, 0.0).u,
-        [-3.0 * Limits::default().mass, 0.0]
-    );
+    assert_eq!(gate.command(10, f64::NAN, 0.0).u, [-3.0 * LIMITS.mass, 0.0]);
 }
 
 #[test]
 fn an_invalid_plan_does_not_replace_the_stored_one() {
-    let mut gate = Gate::new(Limits::default(), DT, 5, 3.0).unwrap();
+    let mut gate = Gate::new(LIMITS, DT, 5, 3.0).unwrap();
     gate.accept(4, &[[10.0, 0.0], [20.0, 0.0]]).unwrap();
     assert_eq!(
         gate.accept(5, &[[1.0, 0.0], [1.0, f64::NAN]]),
@@ -167,8 +252,39 @@ fn an_invalid_plan_does_not_replace_the_stored_one() {
 }
 
 #[test]
+fn a_plan_may_be_as_long_as_the_gate_can_hold() {
+    let mut gate = Gate::new(LIMITS, DT, MAX_HORIZON as u64, 3.0).unwrap();
+    let plan = [[10.0, 0.0]; MAX_HORIZON + 1];
+    assert_eq!(
+        gate.accept(0, &plan),
+        Err(GateError::Length(MAX_HORIZON + 1))
+    );
+    gate.accept(0, &plan[1..]).unwrap();
+    let last = MAX_HORIZON as u64 - 1;
+    assert_eq!(gate.command(last, 10.0, 0.0).mode, Mode::Tail);
+    assert_eq!(gate.command(last + 1, 10.0, 0.0).mode, Mode::Stop);
+}
+
+#[test]
+fn a_second_plan_for_the_same_period_replaces_the_first() {
+    let mut gate = Gate::new(LIMITS, DT, 5, 3.0).unwrap();
+    gate.accept(4, &[[10.0, 0.0]]).unwrap();
+    gate.accept(4, &[[20.0, 0.0]]).unwrap();
+    assert_eq!(gate.command(4, 10.0, 0.0).u, [20.0, 0.0]);
+}
+
+#[test]
+fn after_a_reset_periods_may_be_counted_anew() {
+    let mut gate = Gate::new(LIMITS, DT, 5, 3.0).unwrap();
+    gate.accept(1000, &[[10.0, 0.0]]).unwrap();
+    gate.reset();
+    gate.accept(0, &[[20.0, 0.0]]).unwrap();
+    assert_eq!(gate.command(0, 10.0, 0.0).u, [20.0, 0.0]);
+}
+
+#[test]
 fn after_a_reset_driving_needs_a_new_plan() {
-    let mut gate = Gate::new(Limits::default(), DT, 5, 3.0).unwrap();
+    let mut gate = Gate::new(LIMITS, DT, 5, 3.0).unwrap();
     assert_eq!(gate.command(0, 10.0, 0.0).mode, Mode::Stop);
     gate.reset();
     assert_eq!(gate.command(1, 10.0, 0.0).mode, Mode::Stop);
@@ -178,26 +294,35 @@ fn after_a_reset_driving_needs_a_new_plan() {
 }
 
 #[test]
-fn invalid_limits_are_errors() {
-    for limits in [
-        Limits {
-            force_max: f64::NAN,
-            ..Limits::default()
-        },
-        Limits {
-            force_min: 1.0,
-            ..Limits::default()
-        },
-        Limits {
-            steering_slew: 0.0,
-            ..Limits::default()
-        },
-    ] {
-        assert!(matches!(
-            Gate::new(limits, DT, 5, 3.0),
-            Err(GateError::Limits(_))
-        ));
+fn invalid_limits_are_errors_that_name_the_field() {
+    type Spoil = fn(&mut Limits, f64);
+    let spoils: [(&str, Spoil); 8] = [
+        ("mass", |limits, value| limits.mass = value),
+        ("-force_min", |limits, value| limits.force_min = -value),
+        ("force_max", |limits, value| limits.force_max = value),
+        ("power", |limits, value| limits.power = value),
+        ("force_slew", |limits, value| limits.force_slew = value),
+        ("steering_angle", |limits, value| {
+            limits.steering_angle = value
+        }),
+        ("steering_rate", |limits, value| {
+            limits.steering_rate = value
+        }),
+        ("steering_slew", |limits, value| {
+            limits.steering_slew = value
+        }),
+    ];
+    for (name, spoil) in spoils {
+        for value in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let mut limits = LIMITS;
+            spoil(&mut limits, value);
+            let refused = Gate::new(limits, DT, 5, 3.0).unwrap_err();
+            assert!(
+                matches!(refused, GateError::Limits(error) if error.name == name),
+                "{name} = {value}: {refused}"
+            );
+        }
     }
-    assert!(Gate::new(Limits::default(), DT, 5, 9.0).is_err());
-    assert!(Gate::new(Limits::default(), 0.0, 5, 3.0).is_err());
+    assert!(Gate::new(LIMITS, DT, 5, 9.0).is_err());
+    assert!(Gate::new(LIMITS, 0.0, 5, 3.0).is_err());
 }

@@ -7,6 +7,8 @@ use crate::spline::{Jet, Piece};
 
 /// Distance in m below which two points are the same.
 const SAME_POINT: f64 = 1e-6;
+/// Largest coordinate in m, beyond any map's. Lengths computed from larger ones overflow.
+const FARTHEST: f64 = 1e8;
 
 /// A planar curve `p(s)` with `|p'(s)| = 1` (to 1e-6) and continuous curvature.
 #[derive(Debug, Clone)]
@@ -44,8 +46,8 @@ impl Path {
     /// Widths are interpolated linearly. A closed path may repeat its first point at the end.
     ///
     /// # Errors
-    /// [`PathError`] if there are fewer than four points, points are repeated, not finite or turn too sharply, or
-    /// widths are negative or not one row per point.
+    /// [`PathError`] if there are fewer than four points, points are repeated, not finite, beyond 1e8 m or turn too
+    /// sharply, or widths are negative or not one row per point.
     pub fn from_points(
         points: &[[f64; 2]],
         closed: bool,
@@ -58,7 +60,9 @@ impl Path {
                 got: wide.len(),
             });
         }
-        check_finite("coordinates", points, |_| true)?;
+        check_finite("coordinates within ±1e8 m", points, |p| {
+            p.abs() <= FARTHEST
+        })?;
         check_finite("widths of at least 0", wide, |w| w >= 0.0)?;
         let points = match points {
             [first, inner @ .., last] if closed && distance(*first, *last) < SAME_POINT => {

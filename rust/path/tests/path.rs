@@ -225,6 +225,12 @@ fn errors_name_the_invalid_points() {
         open(&points),
         PathError::NotFinite { index: 4, .. }
     ));
+    // The distance to such a point overflows.
+    points[4][1] = f64::MAX;
+    assert!(matches!(
+        open(&points),
+        PathError::NotFinite { index: 4, .. }
+    ));
     let error = Path::from_points(&line(5), false, Some(&[[1.0, -1.0]; 5])).unwrap_err();
     assert!(matches!(
         error,

@@ -6,10 +6,11 @@ mod common;
 
 use std::cell::Cell;
 
-use common::{engine, library, request};
+use common::{engine, request};
 use counting::allocations;
 use egp_core::{StepReply, StepRequest, Workspace, step};
 use egp_driver::Carry;
+use egp_testing::requests;
 use egp_wire::{Limits, Reply, Status};
 
 /// The allocator of this program: the system's, with a count for each thread.
@@ -88,13 +89,10 @@ fn from_bytes_to_bytes_a_warm_step_allocates_nothing() {
 
 #[test]
 fn the_mathematics_alone_allocates_nothing() {
-    let (library, settings) = (library::request::library(), library::request::settings());
+    let (library, settings) = (requests::library(), requests::settings());
     let mut workspace = Workspace::new(library, &settings).unwrap();
     let mut reply = StepReply::default();
-    let (cold, warm) = (
-        library::request::Request::circle(),
-        library::request::warm(),
-    );
+    let (cold, warm) = (requests::Request::circle(), requests::warm());
     for round in 0..3 {
         for (name, request, want_sigma) in [
             ("cold", &cold, false),

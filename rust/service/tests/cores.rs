@@ -5,15 +5,15 @@ mod common;
 
 use std::thread;
 
-use common::library;
 use egp_core::{Kernel, Settings};
 use egp_driver::Carry;
 use egp_engine::Engine;
+use egp_testing::libraries;
 use egp_wire::Status;
 
 fn engine() -> Engine {
     let frictions: Vec<f64> = (0..8).map(|i| 0.4 + 0.1 * f64::from(i)).collect();
-    let library = library::library(Kernel::Rbf, &frictions, 500, 3);
+    let library = libraries::library(Kernel::Rbf, &frictions, 500, 3);
     let settings = Settings {
         horizon: Some(20),
         ..Settings::default()

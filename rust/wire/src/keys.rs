@@ -134,6 +134,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn each_key_is_the_one_that_the_protocol_names() {
+        let main: Name = "main".parse().unwrap();
+        assert_eq!(main.as_str(), "main");
+        assert_eq!(replica(&main), "egp/v1/r/main/**");
+        assert_eq!(health(&main), "egp/v1/r/main/health");
+        assert_eq!(ready(&main), "egp/v1/r/main/ready");
+        assert_eq!(metrics(&main), "egp/v1/r/main/metrics");
+        assert_eq!(live(&main), "egp/v1/@live/main");
+        assert_eq!(load(&main), "egp/v1/@load/main");
+    }
+
+    #[test]
     fn keys_read_back() {
         let [here, fleet, vehicle] = ["r1", "depot", "car-7"].map(|name| name.parse().unwrap());
         assert_eq!(
@@ -145,6 +157,9 @@ mod tests {
             Some(Target::Step { fleet, vehicle })
         );
         assert_eq!(parse(&ready(&here)), Some(Target::Ready));
+        assert_eq!(parse(&health(&here)), Some(Target::Health));
+        assert_eq!(parse(&metrics(&here)), Some(Target::Metrics));
+        assert_eq!(parse(&replica(&here)), None);
         assert_eq!(parse("egp/v1/r/r1/depot/step"), None);
         assert_eq!(parse("egp/v1/r/r1/a/b/c/step"), None);
         assert_eq!(replica_of_live(&live(&here)), Some(here));
@@ -155,5 +170,7 @@ mod tests {
         for bad in ["", "a/b", "*", "$*", "@x", "a b", &"n".repeat(65)] {
             assert!(bad.parse::<Name>().is_err(), "{bad:?}");
         }
+        let longest = "A-z_0.9n".repeat(8);
+        assert_eq!(longest.parse::<Name>().unwrap().to_string(), longest);
     }
 }

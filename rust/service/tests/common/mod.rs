@@ -1,9 +1,6 @@
 //! A real service and real clients over TCP on the loopback.
 #![allow(clippy::unwrap_used, clippy::expect_used, dead_code)]
 
-#[path = "../../../core/tests/support/mod.rs"]
-pub mod library;
-
 use std::net::TcpListener;
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -13,6 +10,7 @@ use egp_core::{Kernel, Library, Settings};
 use egp_driver::Carry;
 use egp_engine::Engine;
 use egp_service::ServiceConfig;
+use egp_testing::libraries;
 use egp_wire::{LibraryId, Request, Timing, WireError, keys};
 use prost::Message as _;
 use zenoh::Wait;
@@ -23,7 +21,7 @@ pub const BUDGET_US: u32 = 5_000_000;
 pub fn library_bytes() -> &'static [u8] {
     static BYTES: OnceLock<Vec<u8>> = OnceLock::new();
     BYTES.get_or_init(|| {
-        let spec = library::spec(Kernel::Rbf, &[0.5, 1.1], 80, 3);
+        let spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 80, 3);
         egp_core::library::encode(&spec).unwrap()
     })
 }

@@ -1,9 +1,6 @@
 //! Libraries for tests: GPs on samples of a smooth function, with predictions of an independent dense implementation.
 //!
 //! The dense formulas share no code with the crate. They give the golden predictions that are checked at loading.
-#![allow(clippy::unwrap_used, dead_code)]
-
-pub mod request;
 
 use std::collections::BTreeMap;
 
@@ -13,8 +10,9 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Mean and half width of the sampled GP inputs.
+/// Centre of the box from which GP inputs are sampled.
 pub const CENTRE: [f64; NZ] = [15.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+/// Half width of that box.
 pub const HALF_WIDTH: [f64; NZ] = [10.0, 1.0, 0.8, 0.3, 8000.0, 0.4];
 
 /// A library of one member for each friction coefficient.
@@ -27,11 +25,11 @@ pub fn spec(kernel: Kernel, frictions: &[f64], n: usize, seed: u64) -> LibrarySp
     spec_of(&Outputs::OneKernel, kernel, frictions, n, seed)
 }
 
-/// Which outputs share a kernel.
+/// Which outputs share their kernel's hyperparameters.
 pub enum Outputs {
     /// All outputs share one kernel.
     OneKernel,
-    /// The first two outputs share a kernel.
+    /// The first two outputs share one kernel.
     TwoKernels,
     /// Each output has its own kernel.
     OwnKernels,

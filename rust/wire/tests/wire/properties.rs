@@ -1,8 +1,6 @@
 //! Decoding survives any bytes; what it accepts encodes to itself.
-#![allow(clippy::unwrap_used, missing_docs, dead_code)]
 
-mod fixtures;
-
+use egp_testing::messages;
 use egp_wire::{Header, Limits, Predictions, Ready, Reply, Request, WireError, proto};
 use proptest::{collection::vec, prelude::*};
 use prost::Message as _;
@@ -70,7 +68,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_never_panic(at in 0usize..2000, bit in 0u8..8) {
-        for (_, mut bytes) in fixtures::all() {
+        for (_, mut bytes) in messages::all() {
             let at = at % bytes.len();
             bytes[at] ^= 1 << bit;
             let limits = Limits::default();

@@ -1,18 +1,18 @@
 //! Requests that own their data.
-#![allow(clippy::unwrap_used, dead_code)]
 
 use std::sync::OnceLock;
 
+use crate::libraries;
 use egp_core::{Kernel, Library, Settings, StepReply, StepRequest, Workspace, step};
 
 /// A small library of two surfaces.
 pub fn library() -> &'static Library {
     static LIBRARY: OnceLock<Library> = OnceLock::new();
-    LIBRARY.get_or_init(|| super::library(Kernel::Rbf, &[0.5, 1.1], 250, 3))
+    LIBRARY.get_or_init(|| libraries::library(Kernel::Rbf, &[0.5, 1.1], 250, 3))
 }
 
-/// The default settings with a horizon of 20 and a window of 10, for short run times. The vehicle of [`super::change`]
-/// reaches its largest force at slip angles of 0.3 rad on every surface.
+/// The default settings with a horizon of 20 and a window of 10, for short run times. The vehicle of
+/// `libraries::change` reaches its largest force at slip angles of 0.3 rad on every surface.
 pub fn settings() -> Settings {
     let mut settings = Settings {
         horizon: Some(20),
@@ -26,20 +26,32 @@ pub fn settings() -> Settings {
 /// A request that owns its data: a vehicle on a left-hand circle of 60 m radius at 14 m/s, half a metre off the circle.
 #[derive(Clone)]
 pub struct Request {
+    /// Measured state.
     pub x: [f64; 7],
+    /// Input applied now.
     pub u_prev: [f64; 2],
+    /// Weights of the last reply; empty before the first one.
     pub weights: Vec<f64>,
+    /// States of the last plan, row by row; empty before the first one.
     pub plan_x: Vec<f64>,
+    /// Inputs of the last plan, row by row.
     pub plan_u: Vec<f64>,
+    /// Control periods since row 0 of the last plan.
     pub plan_shift: u32,
+    /// GP inputs of the last transitions, newest first, row by row.
     pub history_z: Vec<f64>,
+    /// GP outputs of the same transitions, row by row.
     pub history_y: Vec<f64>,
+    /// Predictions of the members for the oldest transitions, row by row.
     pub history_f: Vec<f64>,
+    /// Reference `[p_x, p_y, v_x, psi]` of the stages, row by row.
     pub reference: Vec<f64>,
+    /// Distances `[left, right]` to the edges of the track, row by row.
     pub widths: Vec<f64>,
 }
 
 impl Request {
+    /// A cold request with a full history and a track of 6 m width.
     pub fn circle() -> Self {
         let (radius, speed, dt) = (60.0, 14.0, 0.05);
         let reference = (0..=20).flat_map(|t| {
@@ -78,6 +90,7 @@ impl Request {
         }
     }
 
+    /// The request as the control step takes it.
     pub fn borrow(&self) -> StepRequest<'_> {
         StepRequest {
             x: &self.x,
@@ -96,6 +109,7 @@ impl Request {
     }
 
     /// The same situation turned by `angle` about the origin and moved by `by`.
+    #[must_use]
     pub fn moved(&self, angle: f64, by: [f64; 2]) -> Self {
         let (sin, cos) = angle.sin_cos();
         let mut moved = self.clone();
@@ -112,7 +126,7 @@ impl Request {
         moved
     }
 
-    /// Copies the fields that a client carries from a reply to its next request.
+    /// Copies plan, weights and predictions of `reply`, as a client does for its next request.
     pub fn carry(&mut self, reply: &StepReply) {
         self.plan_x.clone_from(&reply.plan_x);
         self.plan_u.clone_from(&reply.plan_u);

@@ -1,5 +1,4 @@
 //! Random driving problems: a linearised car on a winding road, and the problems of consecutive steps.
-#![allow(clippy::unwrap_used, dead_code)]
 
 use egp_core::qp::{MAX_SOFT, OcpQp, OcpSolution, SoftRow, Stage};
 use egp_core::settings::Penalty;
@@ -23,6 +22,7 @@ pub struct Drive {
 }
 
 impl Drive {
+    /// The drive of `seed`; the same seed gives the same drive.
     pub fn new(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut unit = || 2.0 * rng.random::<f64>() - 1.0;

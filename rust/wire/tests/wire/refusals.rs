@@ -1,8 +1,6 @@
 //! Whatever is wrong with a message, the refusal says where.
-#![allow(clippy::unwrap_used, clippy::panic, missing_docs, dead_code)]
 
-mod fixtures;
-
+use egp_testing::messages;
 use egp_wire::{Code, Header, Invalid, Limits, Reply, Request, WireError, proto};
 use prost::Message as _;
 
@@ -12,7 +10,7 @@ fn limits() -> Limits {
 
 /// The field that a request is refused for after `spoil`.
 fn refused(spoil: impl FnOnce(&mut Request)) -> String {
-    let mut request = fixtures::full_request();
+    let mut request = messages::full_request();
     spoil(&mut request);
     match Request::decode(&request.encode(), &limits()) {
         Err(Invalid::Field { field, reason }) => format!("{field}: {reason}"),
@@ -22,7 +20,7 @@ fn refused(spoil: impl FnOnce(&mut Request)) -> String {
 
 /// The same on the level of protobuf, for what the typed request cannot express.
 fn refused_raw(spoil: impl FnOnce(&mut proto::StepRequest)) -> Invalid {
-    let mut raw = proto::StepRequest::decode(&*fixtures::full_request().encode()).unwrap();
+    let mut raw = proto::StepRequest::decode(&*messages::full_request().encode()).unwrap();
     spoil(&mut raw);
     Request::decode(&raw.encode_to_vec(), &limits()).unwrap_err()
 }
@@ -80,7 +78,7 @@ fn shapes_and_data_must_agree() {
 #[test]
 fn truncated_and_oversized_messages_are_refused() {
     // Its last field is a required one; protobuf cannot tell that a trailing optional field is missing.
-    let bytes = fixtures::cold_request().encode();
+    let bytes = messages::cold_request().encode();
     for length in 0..bytes.len() {
         assert!(
             Request::decode(&bytes[..length], &limits()).is_err(),
@@ -98,7 +96,7 @@ fn truncated_and_oversized_messages_are_refused() {
 
 #[test]
 fn a_tensor_that_comes_twice_is_refused() {
-    let bytes = fixtures::full_request().encode();
+    let bytes = messages::full_request().encode();
     let twice = [bytes.as_slice(), bytes.as_slice()].concat();
     let error = Request::decode(&twice, &limits()).unwrap_err();
     assert_eq!(error.to_string(), "x: comes twice; send it once");
@@ -107,7 +105,7 @@ fn a_tensor_that_comes_twice_is_refused() {
 #[test]
 fn a_field_of_another_type_is_refused() {
     // Field 5, `x`, as a number instead of a tensor.
-    let bytes = [fixtures::cold_request().encode().as_slice(), &[5 << 3, 7]].concat();
+    let bytes = [messages::cold_request().encode().as_slice(), &[5 << 3, 7]].concat();
     let error = Request::decode(&bytes, &limits()).unwrap_err();
     assert!(
         error.to_string().starts_with("x: has another type"),
@@ -117,7 +115,7 @@ fn a_field_of_another_type_is_refused() {
 
 #[test]
 fn the_header_is_read_alone() {
-    let header = Header::decode(&fixtures::full_request().encode(), &limits()).unwrap();
+    let header = Header::decode(&messages::full_request().encode(), &limits()).unwrap();
     assert_eq!((header.sequence, header.budget_us), (7, 40_000));
     let spoiled = refused_raw(|r| r.budget_us = 20_000_000);
     assert!(spoiled.to_string().starts_with("budget_us"));
@@ -125,7 +123,7 @@ fn the_header_is_read_alone() {
 
 #[test]
 fn a_reply_cannot_carry_an_unsolved_plan() {
-    let mut reply = fixtures::solved_reply();
+    let mut reply = messages::solved_reply();
     reply.status = egp_wire::Status::CheckFailed;
     let error = Reply::decode(&reply.encode(), &limits()).unwrap_err();
     assert!(
@@ -133,7 +131,7 @@ fn a_reply_cannot_carry_an_unsolved_plan() {
             .to_string()
             .contains("present although nothing was solved")
     );
-    let mut reply = fixtures::infeasible_reply();
+    let mut reply = messages::infeasible_reply();
     reply.status = egp_wire::Status::Solved;
     assert!(Reply::decode(&reply.encode(), &limits()).is_err());
 }

@@ -1,0 +1,12 @@
+//! Data that the tests, benchmarks and examples of several crates share: libraries of GPs, requests of a control step,
+//! random optimal control problems and the golden messages. Other crates name this one only as a dev-dependency.
+#![allow(
+    clippy::unwrap_used,
+    clippy::missing_panics_doc,
+    reason = "a panic here fails the test that asked for the data"
+)]
+
+pub mod drives;
+pub mod libraries;
+pub mod messages;
+pub mod requests;

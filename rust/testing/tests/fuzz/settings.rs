@@ -1,0 +1,48 @@
+//! Settings as TOML.
+
+use egp_core::Settings;
+
+use crate::edits::Words;
+use crate::fuzz;
+
+const WORDS: Words = Words::Texts(&[
+    "0",
+    "-0.0",
+    "-1",
+    "1",
+    "20",
+    "0.5",
+    "1e-320",
+    "1e308",
+    "1e400",
+    "nan",
+    "inf",
+    "-inf",
+    "true",
+    "\"\"",
+    "[]",
+    "{}",
+    "horizon",
+    "cost",
+    "limits",
+    "9223372036854775808",
+]);
+
+#[test]
+fn accepted_settings_are_valid_and_read_back() {
+    let examples = [
+        Settings::default().to_toml().unwrap(),
+        Settings::default().at_period(0.05).to_toml().unwrap(),
+        "horizon = 25\n[cost]\nlateral = 30.0".to_owned(),
+    ];
+    let examples = examples.map(String::into_bytes);
+    fuzz!(examples, WORDS, |bytes: Vec<u8>| {
+        let Ok(settings) = Settings::from_toml(&String::from_utf8_lossy(&bytes)) else {
+            return;
+        };
+        settings.validate().unwrap();
+        assert!(settings.mass > 0.0 && settings.mass.is_finite());
+        let again = Settings::from_toml(&settings.to_toml().unwrap()).unwrap();
+        assert_eq!(again, settings);
+    });
+}

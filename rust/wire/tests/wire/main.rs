@@ -1,0 +1,8 @@
+//! Messages on the wire: what is written, what is read, and what is refused.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod borders;
+mod golden;
+mod properties;
+mod protobuf;
+mod refusals;
