@@ -283,14 +283,36 @@ fn after_a_reset_periods_may_be_counted_anew() {
 }
 
 #[test]
-fn after_a_reset_driving_needs_a_new_plan() {
+fn before_the_first_plan_the_vehicle_waits_braked_and_the_plan_ends_the_wait() {
     let mut gate = Gate::new(LIMITS, DT, 5, 3.0).unwrap();
-    assert_eq!(gate.command(0, 10.0, 0.0).mode, Mode::Stop);
+    assert_eq!(gate.mode(), Mode::Waiting);
+    for tick in 0..10 {
+        let command = gate.command(tick, 10.0, 0.0);
+        assert_eq!((command.mode, command.u[1]), (Mode::Waiting, 0.0));
+        assert!(command.u[0] < 0.0);
+    }
+    gate.accept(10, &[[10.0, 0.0]]).unwrap();
+    assert_eq!(gate.command(10, 10.0, 0.0).mode, Mode::Normal);
     gate.reset();
-    assert_eq!(gate.command(1, 10.0, 0.0).mode, Mode::Stop);
+    assert_eq!(gate.command(11, 10.0, 0.0).mode, Mode::Waiting);
+}
+
+#[test]
+fn a_stop_by_request_is_latched_whatever_plan_is_held() {
+    let mut gate = Gate::new(LIMITS, DT, 5, 3.0).unwrap();
+    gate.accept(0, &[[10.0, 0.1]; 5]).unwrap();
+    gate.stop();
+    for tick in 0..3 {
+        let command = gate.command(tick, 10.0, 0.0);
+        assert_eq!((command.mode, command.u[1]), (Mode::Stop, 0.0));
+        assert_eq!(
+            gate.accept(tick, &[[0.0, 0.0]; 5]),
+            Err(GateError::Stopped)
+        );
+    }
     gate.reset();
-    gate.accept(2, &[[10.0, 0.0]]).unwrap();
-    assert_eq!(gate.command(2, 10.0, 0.0).mode, Mode::Normal);
+    gate.accept(3, &[[10.0, 0.0]]).unwrap();
+    assert_eq!(gate.command(3, 10.0, 0.0).mode, Mode::Normal);
 }
 
 #[test]
