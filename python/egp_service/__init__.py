@@ -8,15 +8,26 @@ that only another room needs.
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
-from egp_service._core import EgpError, Library, Path, Plant, SpeedProfile, horizon_reference
+from egp_service._core import (
+    EgpError,
+    InvalidArgumentError,
+    Library,
+    LibraryError,
+    Path,
+    Plant,
+    RefusedError,
+    SpeedProfile,
+    horizon_reference,
+)
 
 if TYPE_CHECKING:
-    from egp_service.control.client import VehicleClient
+    from egp_service.control.client import ServiceUnreachableError, VehicleClient
     from egp_service.control.controller import Controller
     from egp_service.control.step import Step
 else:
     _MODULES: Final = {
         "Controller": "egp_service.control.controller",
+        "ServiceUnreachableError": "egp_service.control.client",
         "Step": "egp_service.control.step",
         "VehicleClient": "egp_service.control.client",
     }
@@ -34,9 +45,13 @@ else:
 __all__ = [
     "Controller",
     "EgpError",
+    "InvalidArgumentError",
     "Library",
+    "LibraryError",
     "Path",
     "Plant",
+    "RefusedError",
+    "ServiceUnreachableError",
     "SpeedProfile",
     "Step",
     "VehicleClient",

@@ -814,7 +814,7 @@ class OcpResult:
 
     @property
     def status(self) -> str:
-        """One of "solved", "iteration limit", "infeasible", "numerical error", "check failed"."""
+        """One of "solved", "iteration_limit", "infeasible", "numerical_error", "check_failed"."""
     @property
     def x(self) -> NDArray[np.float64]:
         """States (T+1, 7)."""

@@ -44,7 +44,7 @@ def test_with_a_member_as_prediction_it_plans_what_the_service_plans(tmp_path: P
     ours = Controller(path)
     same = PredictiveController(
         member,
-        engine.settings_toml,
+        tomllib.loads(engine.settings_toml),
         engine.dt,
         mass=CHASSIS[1].mass,
         friction=library.members[0].friction,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+import tomllib
 from typing import TYPE_CHECKING
 
 from egp_service._core import Engine, InProcessDriver
 from egp_service.control.step import Step, StepController, rows
+from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,18 +23,23 @@ class Controller(StepController):
     def __init__(
         self,
         library: str | Path,
-        settings: str = "",
+        settings: str | Mapping[str, object] = "",
         *,
         gate: Mapping[str, float] | None = None,
         want_sigma: bool = False,
     ) -> None:
-        """Load and verify a library; `settings` is TOML over the control step's defaults.
+        """Load and verify a library; `settings` go over the control step's defaults.
+
+        They are a mapping such as `{"cost": {"lateral": 30.0}}` or the same as TOML text.
 
         Raises `EgpError` for a library, settings or gate settings that cannot be used.
         """
-        engine = Engine(str(library), settings)
+        text = settings if isinstance(settings, str) else dumps(settings)
+        engine = Engine(str(library), text)
         self.library, self.members = engine.library_id, engine.members
         self.dt, self.horizon = engine.dt, engine.horizon
+        self.settings: Mapping[str, object] = tomllib.loads(engine.settings_toml)
+        """Every setting that the control step uses, those of the library's period included."""
         self._driver = InProcessDriver(engine, gate=dict(gate or {}), want_sigma=want_sigma)
 
     def step(

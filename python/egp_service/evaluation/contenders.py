@@ -6,7 +6,6 @@ the model that predicts the vehicle.
 
 from __future__ import annotations
 
-import tomllib
 from collections import deque
 from dataclasses import dataclass
 from functools import partial
@@ -14,9 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import EgpError, Engine, Library
+from egp_service._core import EgpError, Library
 from egp_service.control.controller import Controller
-from egp_service.control.toml_text import dumps
 from egp_service.evaluation.predictive_control import PredictiveController
 from egp_service.evaluation.single_track import (
     CHASSIS,
@@ -51,7 +49,7 @@ class _Oracle(Controller):
     """A controller that knows the true friction and interpolates between the nearest members."""
 
     def __init__(self, scenario: Scenario) -> None:
-        super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
+        super().__init__(library_path(scenario), scenario.control, gate=scenario.gate)
         self._path = build_path(scenario)
         self._s = 0.0
         members = Library.load(library_path(scenario)).members
@@ -77,11 +75,9 @@ class _Selection(Controller):
     """A controller that uses the member with the smallest error in the window, without blending."""
 
     def __init__(self, scenario: Scenario) -> None:
-        super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
+        super().__init__(library_path(scenario), scenario.control, gate=scenario.gate)
         self._library = Library.load(library_path(scenario))
-        self._noise = WindowNoise(
-            self._library.members, tomllib.loads(_engine(scenario).settings_toml)
-        )
+        self._noise = WindowNoise(self._library.members, self.settings)
         self._errors: deque[NDArray[np.float64]] = deque(maxlen=self._noise.window)
         self._best = 0
         self._before: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
@@ -158,16 +154,12 @@ def interpolated_weights(frictions: NDArray[np.float64], friction: float) -> NDA
     return weights
 
 
-def _engine(scenario: Scenario) -> Engine:
-    return Engine(str(library_path(scenario)), dumps(scenario.control))
-
-
 def _predictive(scenario: Scenario, prediction: Prediction) -> PredictiveController:
-    engine = _engine(scenario)
+    controller = in_process_controller(scenario)
     return PredictiveController(
-        partial(linearise, prediction, dt=engine.dt),
-        engine.settings_toml,
-        engine.dt,
+        partial(linearise, prediction, dt=controller.dt),
+        controller.settings,
+        controller.dt,
         mass=CHASSIS[scenario.vehicle].mass,
         friction=NOMINAL_FRICTION,
         gate=scenario.gate,

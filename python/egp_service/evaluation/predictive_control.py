@@ -7,7 +7,6 @@ verify that the plans agree with those of the service if a member is the predict
 from __future__ import annotations
 
 import time
-import tomllib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
 class PredictiveController:
     """A controller with the dynamics `linearise(z) -> (change (n, 3), Jacobian (n, 3, 6))`.
 
-    `settings` is the full TOML of a control step (`Engine.settings_toml`), `friction` the assumed
+    `settings` are all settings of a control step (`Controller.settings`), `friction` the assumed
     friction coefficient of the surface.
     """
 
@@ -54,7 +53,7 @@ class PredictiveController:
     def __init__(
         self,
         linearise: Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]],
-        settings: str,
+        settings: Mapping[str, object],
         dt: float,
         *,
         mass: float,
@@ -63,8 +62,7 @@ class PredictiveController:
     ) -> None:
         """Start without a plan."""
         self._linearise = linearise
-        self._settings: dict[str, Any] = tomllib.loads(settings)
-        self._settings["mass"] = mass
+        self._settings: dict[str, Any] = {**settings, "mass": mass}
         self._yaw_at = float(self._settings["operating"]["yaw_at"])
         self._ocp = AffineOcp(dumps(self._settings), dt, friction)
         self.dt = dt
@@ -95,7 +93,7 @@ class PredictiveController:
         edges = None if widths is None else np.ascontiguousarray(widths, dtype=np.float64)
         operating = self._dynamics(x0, state[POSITION])
         solution = self._ocp.solve(x0, self._u, *operating, local, edges)
-        status = solution.status.replace(" ", "_")
+        status = solution.status
         solved = status == "solved"
         plan_x, plan_u = solution.x, solution.u * (self._settings["mass"], 1.0)
         if solved:

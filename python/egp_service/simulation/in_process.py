@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from egp_service.control.controller import Controller
-from egp_service.control.toml_text import dumps
 from egp_service.simulation.scenario import library_path
 
 if TYPE_CHECKING:
@@ -14,4 +13,4 @@ if TYPE_CHECKING:
 
 def in_process_controller(scenario: Scenario) -> Controller:
     """Compute the steps in this process."""
-    return Controller(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
+    return Controller(library_path(scenario), scenario.control, gate=scenario.gate)

@@ -73,7 +73,7 @@ fn ocp_to_qp<'py>(
 /// What became of an optimal control problem.
 #[pyclass(frozen, get_all, module = "egp_service._core")]
 pub struct OcpResult {
-    /// "solved", "iteration limit", "infeasible", "numerical error" or "check failed".
+    /// "solved", "iteration_limit", "infeasible", "numerical_error" or "check_failed".
     status: &'static str,
     /// States, `(T+1, 7)`.
     x: KeptMatrix,
@@ -186,10 +186,10 @@ pub fn result(
 fn name(status: Status) -> &'static str {
     match status {
         Status::Solved => "solved",
-        Status::IterationLimit => "iteration limit",
+        Status::IterationLimit => "iteration_limit",
         Status::Infeasible => "infeasible",
-        Status::NumericalError => "numerical error",
-        Status::CheckFailed => "check failed",
+        Status::NumericalError => "numerical_error",
+        Status::CheckFailed => "check_failed",
     }
 }
 

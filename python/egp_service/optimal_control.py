@@ -1,0 +1,15 @@
+"""The parts of the control step by themselves: the optimal control problem and the weights.
+
+`solve_ocp` solves eq. (18) around given linear dynamics, `solve_weights` eq. (6) for given
+predictions; both are what the control step runs. Their docstrings give equations, shapes and units.
+"""
+
+from egp_service._core import (
+    OcpBounds,
+    OcpResult,
+    OcpWeights,
+    solve_ocp,
+    solve_weights,
+)
+
+__all__ = ["OcpBounds", "OcpResult", "OcpWeights", "solve_ocp", "solve_weights"]
