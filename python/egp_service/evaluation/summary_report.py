@@ -118,7 +118,7 @@ def write_report(
 
 
 def headline(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
-    """Rows `experiment, condition, ensemble, best baseline, oracle`, for terminal and README."""
+    """Rows `experiment, condition, ensemble, best baseline, oracle`, for the terminal."""
     groups = grouped(outcomes)
     rows: list[tuple[str, ...]] = []
     for name, condition in dict.fromkeys((g.experiment, g.condition) for g in groups):
