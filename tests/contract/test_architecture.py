@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -87,3 +88,18 @@ def test_a_library_is_named_in_one_file(folder: str, library: str) -> None:
         if named.search(path.read_text())
     )
     assert len(files) == 1, f"{library} is named in {files}"
+
+
+def test_the_architecture_says_the_same() -> None:
+    rows = re.findall(
+        r"^\| `([\w/]+)` \(`(egp-[\w-]+)`\) \|[^|]*\|([^|]*)\|$",
+        (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
+    members = tomllib.loads((ROOT / "Cargo.toml").read_text())["workspace"]["members"]
+    assert {folder for folder, _, _ in rows} == set(members)
+    written = {
+        crate: {f"egp-{name}" for name in re.findall(r"`(\w+)`", imports)}
+        for _, crate, imports in rows
+    }
+    assert written == ALLOWED

@@ -1,4 +1,4 @@
-"""The quick evaluation runs from end to end, and bears out what the README says."""
+"""The quick evaluation runs from end to end, and bears out what docs/results.md says."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-//! Key expressions, DESIGN §5.
+//! Key expressions; `docs/wire.md` describes them.
 //!
 //! Each replica has its own prefix, because zenoh does not balance queries over replicas; the client
 //! chooses one. A vehicle's identity is its key, never its payload, so that access control covers it.

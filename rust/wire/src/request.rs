@@ -123,7 +123,6 @@ impl Request {
         check::budget(self.budget_us)?;
         check_state(&self.x)?;
         check::domain("u_prev", &[self.u_prev], &check::INPUT)?;
-        check_reference(&self.reference, &self.widths)?;
         if !(1..=limits.horizon).contains(&self.horizon()) {
             return Err(Invalid::field(
                 "reference",
@@ -134,6 +133,7 @@ impl Request {
                 ),
             ));
         }
+        check_reference(&self.reference, &self.widths)?;
         self.validate_plan()?;
         self.validate_history(limits)
     }

@@ -57,7 +57,7 @@ fn field<T>(result: &Result<T, Invalid>) -> Option<&'static str> {
 
 #[test]
 fn each_component_is_accepted_up_to_its_limit() {
-    let limits = [1e8, 1e8, 150.0, 1e5, 150.0, 50.0, 1.6];
+    let limits = [1e7, 1e7, 150.0, 1e5, 150.0, 50.0, 1.6];
     for (i, limit) in limits.into_iter().enumerate() {
         for sign in [-1.0, 1.0] {
             let mut request = messages::cold_request();
@@ -182,6 +182,10 @@ fn predictions_fit_the_weights_when_both_are_there() {
         Some("history_f")
     );
     let mut not_finite = request(2, &[0.5, 0.5]);
+    not_finite.history_f.values[1][2] = -1e7;
+    assert_eq!(decoded(&not_finite).unwrap(), not_finite);
+    not_finite.history_f.values[1][2] = -1e7 * (1.0 + 1e-15);
+    assert_eq!(refused(&not_finite), Some("history_f"));
     not_finite.history_f.values[1][2] = f64::INFINITY;
     assert_eq!(
         field(&not_finite.validate(&Limits::default())),

@@ -15,7 +15,7 @@ prop_compose! {
         plan_x in vec(row(1.5), horizon + 1), plan_u in vec(row(10.0), horizon),
         plan_shift in 0..=u32::try_from(horizon).unwrap(),
         history_z in vec(row(1.0), history), history_y in vec(row(1.0), history),
-        mut history_f in vec(row(1e12), members * history), predicted in 0..=history,
+        mut history_f in vec(row(1e7), members * history), predicted in 0..=history,
         reference in vec(row(1e4), horizon + 1).prop_map(|rows| rows.iter().map(|r: &[f64; 4]| [r[0], r[1], r[2] / 1e3, r[3]]).collect()),
         widths in vec([0.0..50.0, 0.0..50.0], horizon + 1),
         sequence in any::<u64>(), budget_us in 1u32..10_000_000, want_sigma in any::<bool>(),
