@@ -53,17 +53,13 @@ impl Discovery {
     pub fn next_question(&mut self) -> Option<(Name, String)> {
         let order = self.replicas.order();
         let next = order.into_iter().find(|name| !self.asked.contains(name));
-        match next {
-            Some(replica) => {
-                self.asked.push(replica.clone());
-                let key = keys::ready(&replica);
-                Some((replica, key))
-            }
-            None => {
-                self.asked.clear();
-                None
-            }
-        }
+        let Some(replica) = next else {
+            self.asked.clear();
+            return None;
+        };
+        self.asked.push(replica.clone());
+        let key = keys::ready(&replica);
+        Some((replica, key))
     }
 
     /// Reads a replica's answer: what it serves, or none when it is not ready.

@@ -37,7 +37,7 @@ pub enum EngineError {
         what: &'static str,
         /// Its value.
         actual: usize,
-        /// The limit of [`Limits`].
+        /// The limit of [`egp_wire::Limits`].
         limit: usize,
     },
 }

@@ -22,7 +22,7 @@ use crate::gate::mode_name;
 /// The control step of the service, in-process: the same bytes in, the same bytes out.
 #[pyclass(module = "egp_service._core", frozen)]
 struct Engine {
-    engine: egp_engine::Engine,
+    inner: egp_engine::Engine,
     workspace: Mutex<EngineWorkspace>,
     served: Ready,
 }
@@ -39,7 +39,7 @@ impl Engine {
             .workspace
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        self.engine.step(&mut workspace, request, &mut reply)?;
+        self.inner.step(&mut workspace, request, &mut reply)?;
         Ok(reply)
     }
 }
@@ -62,7 +62,7 @@ impl Engine {
             let workspace = engine.workspace().map_err(|error| refused(&error))?;
             let served = engine.describe();
             Ok(Self {
-                engine,
+                inner: engine,
                 workspace: Mutex::new(workspace),
                 served,
             })
@@ -107,7 +107,7 @@ impl Engine {
 
     #[getter]
     fn settings_toml(&self) -> PyResult<String> {
-        self.engine.settings().to_toml().map_err(raise)
+        self.inner.settings().to_toml().map_err(raise)
     }
 }
 
