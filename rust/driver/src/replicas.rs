@@ -1,5 +1,6 @@
 //! Which replicas are alive, and in which order they are asked.
 
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -27,7 +28,8 @@ struct Demotion {
     over: bool,
 }
 
-/// The live replicas in the order of a vehicle's rendezvous hash, with those that failed lately at the end.
+/// The live replicas in the order of a vehicle's rendezvous hash, with those that failed lately at the end, of these the
+/// one first that last answered.
 ///
 /// A replica fails by letting a deadline pass, by an answer that cannot be used, or by an error that other replicas may
 /// not have. Because a frozen replica may stay frozen, it is promoted again only once its demotion has passed and it
@@ -38,6 +40,8 @@ pub(crate) struct Replicas {
     vehicle: Name,
     live: BTreeSet<Name>,
     demoted: BTreeMap<Name, Demotion>,
+    /// When each replica last sent a usable reply.
+    answered: BTreeMap<Name, Time>,
 }
 
 impl Replicas {
@@ -47,6 +51,7 @@ impl Replicas {
             vehicle,
             live: BTreeSet::new(),
             demoted: BTreeMap::new(),
+            answered: BTreeMap::new(),
         }
     }
 
@@ -56,6 +61,12 @@ impl Replicas {
 
     pub(crate) fn gone(&mut self, replica: &Name) {
         self.live.remove(replica);
+        self.answered.remove(replica);
+    }
+
+    /// Notes that a replica sent a usable reply.
+    pub(crate) fn answered(&mut self, replica: &Name, now: Time) {
+        self.answered.insert(replica.clone(), now);
     }
 
     /// The live replicas.
@@ -70,7 +81,11 @@ impl Replicas {
             &self.vehicle,
             self.live.iter().cloned().collect(),
         );
-        order.sort_by_key(|replica| self.is_demoted(replica)); // stable: ranks stay within both groups
+        // The sort is stable, so those that are not demoted keep their rank.
+        order.sort_by_key(|replica| {
+            self.is_demoted(replica)
+                .then(|| Reverse(self.answered.get(replica).copied()))
+        });
         order
     }
 
@@ -191,6 +206,21 @@ mod tests {
         replicas.demote(&usual[0], seconds(0.5));
         assert_eq!(replicas.next_probe(seconds(1.4)), None);
         assert!(replicas.next_probe(seconds(1.5)).is_some());
+    }
+
+    #[test]
+    fn of_demoted_replicas_the_one_is_asked_first_that_last_answered() {
+        let (mut replicas, usual) = three();
+        for (replica, answered) in [(&usual[0], 1.0), (&usual[1], 3.0), (&usual[2], 2.0)] {
+            replicas.answered(replica, seconds(answered));
+            replicas.demote(replica, seconds(4.0));
+        }
+        let by_answer = [usual[1].clone(), usual[2].clone(), usual[0].clone()];
+        assert_eq!(replicas.order(), by_answer);
+        replicas.gone(&usual[1]);
+        replicas.appeared(usual[1].clone());
+        let unknown_last = [usual[2].clone(), usual[0].clone(), usual[1].clone()];
+        assert_eq!(replicas.order(), unknown_last);
     }
 
     #[test]

@@ -244,6 +244,7 @@ impl Driver {
                 return self.failed(now, id, Outcome::Unusable(invalid));
             }
         };
+        self.replicas.answered(&pending.replica, now);
         self.accept(&reply);
         let current =
             |run: &&mut Running| run.request.sequence == reply.sequence && now <= run.deadline;
