@@ -1,4 +1,7 @@
-"""The README's Python example runs as it stands, with the shipped library in its place."""
+"""The documents' Python examples run as they stand, and the commands that documents name exist.
+
+The shipped library takes the place of the examples' library file.
+"""
 
 from __future__ import annotations
 
@@ -6,32 +9,52 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 from typer.main import get_command
 
 from egp_service.cli import app
 from egp_service.simulation.scenario import library_path, load_scenario
 
-README = Path(__file__).parents[2] / "README.md"
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 
 
-def test_the_example_drives() -> None:
-    (example,) = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+def run_example(document: Path) -> dict[str, object]:
+    """Run a document's only Python example; its names."""
+    text = document.read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     library = library_path(load_scenario("rounded-rectangle"))
     assert '"library.safetensors"' in example
     names: dict[str, object] = {}
     exec(example.replace('"library.safetensors"', repr(str(library))), names)  # noqa: S102
+    return names
+
+
+def test_the_readmes_example_steers_back_to_the_reference() -> None:
+    step = run_example(README)["step"]
+    assert step.mode == "normal"  # type: ignore[attr-defined]
+    # The car is left of the reference.
+    assert step.u[1] < 0.0  # type: ignore[attr-defined]
+    assert step.plan_x[-1, 1] < 0.1  # type: ignore[attr-defined]
+
+
+def test_the_lap_drives() -> None:
+    names = run_example(ROOT / "docs/python.md")
     step, path, car = names["step"], names["path"], names["car"]
     assert step.mode == "normal"  # type: ignore[attr-defined]
     position = car.vehicle_state[:2]  # type: ignore[attr-defined]
     assert abs(path.project(np.array(position)).lateral) < 0.3  # type: ignore[attr-defined]
 
 
-def test_every_command_it_names_exists() -> None:
-    text = README.read_text(encoding="utf-8")
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.name)
+def test_every_command_it_names_exists(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
     known = set(get_command(app).commands)  # type: ignore[attr-defined]
     named = set(re.findall(r"\begp ([a-z]+)", text))
     assert named <= known
-    assert {"collect", "train", "drive", "serve", "evaluate"} <= named
-    makefile = (README.parent / "Makefile").read_text(encoding="utf-8")
-    for target in re.findall(r"`make ([a-z]+)`", text):
+    if document == README:
+        assert {"collect", "train", "drive", "serve", "evaluate"} <= named
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for target in re.findall(r"`make ([a-z-]+)`", text):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
