@@ -28,6 +28,8 @@ pub type Time = Duration;
 struct Pending {
     replica: Name,
     sent: Time,
+    /// Deadline of its control period.
+    due: Time,
     request: Request,
 }
 

@@ -9,7 +9,8 @@ use super::{Driver, Pending, Time};
 use crate::action::{Action, Query, QueryId};
 use crate::step::{Outcome, Step};
 
-/// How long a transport listens for an answer, in control periods. The plan of a later answer has ended.
+/// How long a transport listens for an answer after its deadline, in control periods. The plan of a later answer has
+/// ended.
 const LISTEN_PERIODS: u32 = 20;
 /// Requests whose late answers are still awaited, at most.
 const MAX_PENDING: usize = 64;
@@ -43,12 +44,13 @@ impl Driver {
             id,
             key: keys::step(&replica, &self.config.fleet, &self.config.vehicle),
             payload: run.bytes.clone(),
-            listen,
+            listen: run.deadline.saturating_sub(now) + listen,
             replica: replica.clone(),
         };
         let pending = Pending {
             replica: replica.clone(),
             sent: now,
+            due: run.deadline,
             request: run.request.clone(),
         };
         run.current = Some((id, replica));
@@ -140,7 +142,7 @@ impl Driver {
         self.running = None;
         let listen = self.period() * LISTEN_PERIODS;
         self.pending
-            .retain(|_, pending| now.saturating_sub(pending.sent) <= listen);
+            .retain(|_, pending| now.saturating_sub(pending.due) <= listen);
         self.probes
             .retain(|_, (_, sent)| now.saturating_sub(*sent) <= listen);
     }
