@@ -5,6 +5,8 @@
 mod bmw_320i;
 mod ford_escort;
 
+use egp_parameters::VehicleParameters;
+
 use crate::{GRAVITY, Limits, PlantError, TyreParameters};
 
 /// The vehicles of the CommonRoad benchmarks known here, by their CommonRoad number.
@@ -22,6 +24,14 @@ impl VehicleId {
         match self {
             Self::FordEscort => ford_escort::PARAMETERS,
             Self::Bmw320i => bmw_320i::PARAMETERS,
+        }
+    }
+
+    /// What a controller of the vehicle knows about it.
+    pub fn vehicle(self) -> VehicleParameters {
+        match self {
+            Self::FordEscort => VehicleParameters::FORD_ESCORT,
+            Self::Bmw320i => VehicleParameters::BMW_320I,
         }
     }
 }
