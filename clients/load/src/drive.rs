@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use egp_simulator::{Course, Period, SimulatedVehicle, SimulationError};
-use egp_vehicle::{Mode, VehicleConfig};
+use egp_simulator::{CAR, Course, Period, SimulatedVehicle, SimulationError};
+use egp_vehicle::{GateLimits, Mode, VehicleConfig};
 
 use crate::Failure;
 use crate::tally::Tally;
@@ -30,7 +30,12 @@ pub(crate) fn connect(
     part: f64,
 ) -> Result<SimulatedVehicle, Failure> {
     let endpoints: Vec<&str> = endpoints.iter().map(String::as_str).collect();
-    let mut config = VehicleConfig::new("load", &format!("car-{index}"), &endpoints)?;
+    let mut config = VehicleConfig::new(
+        "load",
+        &format!("car-{index}"),
+        &endpoints,
+        GateLimits::of(&CAR.vehicle()),
+    )?;
     config.budget = budget;
     let s = part * course.path.length();
     Ok(SimulatedVehicle::connect(&config, course, s)?)

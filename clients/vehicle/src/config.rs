@@ -30,18 +30,23 @@ pub struct VehicleConfig {
 }
 
 impl VehicleConfig {
-    /// Defaults for a vehicle of this name that connects to these endpoints.
+    /// Defaults for a vehicle of this name with these actuators that connects to these endpoints.
     ///
     /// # Errors
     /// [`NameError`] for a fleet or vehicle that is no name.
-    pub fn new(fleet: &str, vehicle: &str, connect: &[&str]) -> Result<Self, NameError> {
+    pub fn new(
+        fleet: &str,
+        vehicle: &str,
+        connect: &[&str],
+        limits: Limits,
+    ) -> Result<Self, NameError> {
         Ok(Self {
             fleet: fleet.parse()?,
             vehicle: vehicle.parse()?,
             connect: connect.iter().map(ToString::to_string).collect(),
             budget: 0.8,
             patience: Duration::from_secs(10),
-            limits: Limits::default(),
+            limits,
             max_tail_ticks: 25,
             stop_deceleration: 3.0,
             zenoh: BTreeMap::new(),

@@ -2,15 +2,21 @@
 #![allow(clippy::unwrap_used)]
 
 use egp_gate::{Gate, GateError, Limits, Mode};
+use egp_parameters::VehicleParameters;
 use proptest::prelude::*;
 
 const DT: f64 = 0.05;
+
+/// The limits of the simulated car.
+fn car() -> Limits {
+    Limits::of(&VehicleParameters::FORD_ESCORT)
+}
 
 /// Slow steering slew, so that the look-ahead over several periods matters.
 fn limits(steering_slew: f64) -> Limits {
     Limits {
         steering_slew,
-        ..Limits::default()
+        ..car()
     }
 }
 
@@ -98,7 +104,7 @@ proptest! {
 
     #[test]
     fn without_new_plans_the_tail_ends_in_a_stop(length in 1_usize..20, max_tail in 0_u64..20) {
-        let mut gate = Gate::new(Limits::default(), DT, max_tail, 3.0).unwrap();
+        let mut gate = Gate::new(car(), DT, max_tail, 3.0).unwrap();
         gate.accept(7, &vec![[100.0, 0.0]; length]).unwrap();
         let usable = (max_tail + 1).min(length as u64);
         for age in 0..usable + 5 {
@@ -115,7 +121,7 @@ proptest! {
 
 #[test]
 fn a_stop_brings_a_point_mass_to_rest_and_holds_it() {
-    let limits = Limits::default();
+    let limits = car();
     let mut gate = Gate::new(limits, DT, 0, 3.0).unwrap();
     let mut v_x = 20.0;
     for tick in 0..400 {
@@ -136,19 +142,16 @@ fn an_absurd_steering_angle_gets_a_finite_command() {
 
 #[test]
 fn an_unknown_speed_is_braked() {
-    let mut gate = Gate::new(Limits::default(), DT, 0, 3.0).unwrap();
+    let mut gate = Gate::new(car(), DT, 0, 3.0).unwrap();
     for tick in 0..10 {
         assert_eq!(gate.command(tick, f64::NAN, f64::NAN).mode, Mode::Stop);
     }
-    assert_eq!(
-        gate.command(10, f64::NAN, 0.0).u,
-        [-3.0 * Limits::default().mass, 0.0]
-    );
+    assert_eq!(gate.command(10, f64::NAN, 0.0).u, [-3.0 * car().mass, 0.0]);
 }
 
 #[test]
 fn a_refused_plan_leaves_the_held_one() {
-    let mut gate = Gate::new(Limits::default(), DT, 5, 3.0).unwrap();
+    let mut gate = Gate::new(car(), DT, 5, 3.0).unwrap();
     gate.accept(4, &[[10.0, 0.0], [20.0, 0.0]]).unwrap();
     assert_eq!(
         gate.accept(5, &[[1.0, 0.0], [1.0, f64::NAN]]),
@@ -168,7 +171,7 @@ fn a_refused_plan_leaves_the_held_one() {
 
 #[test]
 fn after_a_reset_driving_needs_a_new_plan() {
-    let mut gate = Gate::new(Limits::default(), DT, 5, 3.0).unwrap();
+    let mut gate = Gate::new(car(), DT, 5, 3.0).unwrap();
     assert_eq!(gate.command(0, 10.0, 0.0).mode, Mode::Stop);
     gate.reset();
     assert_eq!(gate.command(1, 10.0, 0.0).mode, Mode::Stop);
@@ -182,15 +185,15 @@ fn limits_that_bound_nothing_are_refused() {
     for limits in [
         Limits {
             force_max: f64::NAN,
-            ..Limits::default()
+            ..car()
         },
         Limits {
             force_min: 1.0,
-            ..Limits::default()
+            ..car()
         },
         Limits {
             steering_slew: 0.0,
-            ..Limits::default()
+            ..car()
         },
     ] {
         assert!(matches!(
@@ -198,6 +201,61 @@ fn limits_that_bound_nothing_are_refused() {
             Err(GateError::Limits(_))
         ));
     }
-    assert!(Gate::new(Limits::default(), DT, 5, 9.0).is_err());
-    assert!(Gate::new(Limits::default(), 0.0, 5, 3.0).is_err());
+    assert!(Gate::new(car(), DT, 5, 9.0).is_err());
+    assert!(Gate::new(car(), 0.0, 5, 3.0).is_err());
+}
+
+#[test]
+fn the_limits_of_a_vehicle_are_its_accelerations_times_its_mass() {
+    let limits = car();
+    assert_eq!(limits.mass, 1225.887);
+    assert!((limits.force_min + 9807.096).abs() < 1e-9);
+    assert!((limits.force_max - 7355.322).abs() < 1e-9);
+    assert!((limits.power - 67_056.0189).abs() < 1e-9);
+    assert!((limits.force_slew - 73_553.22).abs() < 1e-9);
+    assert_eq!(
+        (
+            limits.steering_angle,
+            limits.steering_rate,
+            limits.steering_slew
+        ),
+        (0.91, 0.4, 8.0)
+    );
+}
+
+#[test]
+fn a_gate_wider_than_the_planned_vehicle_is_told_with_both_numbers() {
+    let planned = VehicleParameters::FORD_ESCORT;
+    let at_fault = |limits: Limits| limits.check_within(&planned).unwrap_err();
+    assert_eq!(car().check_within(&planned), Ok(()));
+    let narrow = Limits {
+        force_min: -5000.0,
+        steering_rate: 0.3,
+        ..car()
+    };
+    assert_eq!(narrow.check_within(&planned), Ok(()));
+    let wide = |name, change: fn(&mut Limits)| {
+        let mut limits = car();
+        change(&mut limits);
+        assert_eq!(at_fault(limits).name, name);
+    };
+    wide("mass", |limits| limits.mass = 1600.0);
+    wide("mass", |limits| limits.mass = 900.0);
+    wide("mass", |limits| limits.mass = f64::NAN);
+    wide("force_min", |limits| limits.force_min = -9900.0);
+    wide("force_max", |limits| limits.force_max = f64::NAN);
+    wide("power", |limits| limits.power *= 1.001);
+    wide("force_slew", |limits| limits.force_slew *= 1.001);
+    wide("steering_angle", |limits| limits.steering_angle = 0.92);
+    wide("steering_rate", |limits| limits.steering_rate = 0.41);
+    wide("steering_slew", |limits| limits.steering_slew = 8.01);
+    let error = at_fault(Limits {
+        steering_rate: 0.6,
+        ..car()
+    });
+    assert_eq!(
+        error.to_string(),
+        "gate limit steering_rate is 0.6 rad/s, the vehicle that plans are made for has 0.4 rad/s; \
+         narrow the gate, or use a library trained for this vehicle"
+    );
 }

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use clap::Parser;
-use egp_simulator::{Course, Period, SimulatedVehicle, Track};
-use egp_vehicle::{Mode, VehicleConfig};
+use egp_simulator::{CAR, Course, Period, SimulatedVehicle, Track};
+use egp_vehicle::{GateLimits, Mode, VehicleConfig};
 
 /// What `--help` teaches.
 const HELP: &str = r"Drives a simulated car through a running service, in real time.
@@ -97,7 +97,12 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         arguments.grip,
     )?);
     let endpoints: Vec<&str> = arguments.connect.iter().map(String::as_str).collect();
-    let config = VehicleConfig::new(&arguments.fleet, &arguments.vehicle, &endpoints)?;
+    let config = VehicleConfig::new(
+        &arguments.fleet,
+        &arguments.vehicle,
+        &endpoints,
+        GateLimits::of(&CAR.vehicle()),
+    )?;
     let mut vehicle = SimulatedVehicle::connect(&config, course.clone(), 0.0)?;
     eprintln!("surfaces: {}", vehicle.client().members().join(", "));
     let way = course.path.length() * f64::from(arguments.laps);
