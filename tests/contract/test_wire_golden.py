@@ -85,6 +85,25 @@ SOLVED = INFEASIBLE | {
     "sigma": ramp((5, 3), 0.0, 0.0625),
 }
 ERROR = {"code": "CODE_INVALID_FIELD", "field": "x", "detail": "value 3 is not finite"}
+# 1, 2, ... 16 in the order of the message, but for the sign of a_min.
+VEHICLE = {
+    "mass": 1.0,
+    "yaw_inertia": 2.0,
+    "l_f": 3.0,
+    "l_r": 4.0,
+    "width": 5.0,
+    "a_min": -6.0,
+    "a_max": 7.0,
+    "power": 8.0,
+    "a_slew": 9.0,
+    "steering_angle": 10.0,
+    "steering_rate": 11.0,
+    "steering_slew": 12.0,
+    "peak_slip": 13.0,
+    "lateral_grip": 14.0,
+    "braking_grip": 15.0,
+    "driving_grip": 16.0,
+}
 READY = {
     "version": 1,
     "ready": True,
@@ -93,6 +112,7 @@ READY = {
     "horizon": 20,
     "history": 10,
     "members": ["dry", "wet"],
+    "vehicle": VEHICLE,
 }
 TIMING = {"queue_us": 120, "step_us": 2400}
 
@@ -137,9 +157,11 @@ def test_the_extension_reads_the_small_messages() -> None:
     refusal = _core.decode_error(golden("error"))
     assert (refusal.code, refusal.field, refusal.retryable) == ("invalid_field", "x", False)
     ready = _core.decode_ready(golden("ready"))
-    assert {name: getattr(ready, name) for name in READY if name != "version"} == {
-        name: value for name, value in READY.items() if name != "version"
-    }
+    plain = READY.keys() - {"version", "vehicle"}
+    assert {name: getattr(ready, name) for name in plain} == {name: READY[name] for name in plain}
+    assert ready.vehicle is not None
+    assert ready.vehicle.fields() == VEHICLE
+    assert ready.vehicle == _core.VehicleParameters(**VEHICLE)
     assert _core.decode_timing(golden("timing")) == (120, 2400)
 
 

@@ -1,5 +1,6 @@
 //! What a replica tells about itself to a client that is about to use it.
 
+use egp_parameters::VehicleParameters;
 use prost::Message as _;
 
 use crate::{Invalid, LibraryId, Limits, VERSION, check, proto};
@@ -19,6 +20,9 @@ pub struct Ready {
     pub history: u32,
     /// The members' surfaces, in the order of the weights.
     pub members: Vec<String>,
+    /// The vehicle that plans are made for: the library's, with what the settings state in place of it. Older services
+    /// do not say.
+    pub vehicle: Option<VehicleParameters>,
 }
 
 impl Ready {
@@ -32,6 +36,7 @@ impl Ready {
             horizon: self.horizon,
             history: self.history,
             members: self.members.clone(),
+            vehicle: self.vehicle.as_ref().map(vehicle_to_proto),
         }
         .encode_to_vec()
     }
@@ -69,6 +74,89 @@ impl Ready {
             horizon: raw.horizon,
             history: raw.history,
             members: raw.members,
+            vehicle: raw.vehicle.as_ref().map(vehicle_from_proto).transpose()?,
         })
+    }
+}
+
+fn vehicle_to_proto(vehicle: &VehicleParameters) -> proto::VehicleParameters {
+    let &VehicleParameters {
+        mass,
+        yaw_inertia,
+        l_f,
+        l_r,
+        width,
+        a_min,
+        a_max,
+        power,
+        a_slew,
+        steering_angle,
+        steering_rate,
+        steering_slew,
+        peak_slip,
+        lateral_grip,
+        braking_grip,
+        driving_grip,
+    } = vehicle;
+    proto::VehicleParameters {
+        mass,
+        yaw_inertia,
+        l_f,
+        l_r,
+        width,
+        a_min,
+        a_max,
+        power,
+        a_slew,
+        steering_angle,
+        steering_rate,
+        steering_slew,
+        peak_slip,
+        lateral_grip,
+        braking_grip,
+        driving_grip,
+    }
+}
+
+fn vehicle_from_proto(raw: &proto::VehicleParameters) -> Result<VehicleParameters, Invalid> {
+    let &proto::VehicleParameters {
+        mass,
+        yaw_inertia,
+        l_f,
+        l_r,
+        width,
+        a_min,
+        a_max,
+        power,
+        a_slew,
+        steering_angle,
+        steering_rate,
+        steering_slew,
+        peak_slip,
+        lateral_grip,
+        braking_grip,
+        driving_grip,
+    } = raw;
+    let vehicle = VehicleParameters {
+        mass,
+        yaw_inertia,
+        l_f,
+        l_r,
+        width,
+        a_min,
+        a_max,
+        power,
+        a_slew,
+        steering_angle,
+        steering_rate,
+        steering_slew,
+        peak_slip,
+        lateral_grip,
+        braking_grip,
+        driving_grip,
+    };
+    match vehicle.validate() {
+        Ok(()) => Ok(vehicle),
+        Err(error) => Err(Invalid::field("vehicle", error.to_string())),
     }
 }
