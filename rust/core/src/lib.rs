@@ -25,6 +25,7 @@ mod simd;
 use nalgebra::{SMatrix, SVector};
 
 pub use crew::{Alone, Crew};
+pub use egp_parameters::VehicleParameters;
 pub use ensemble::{Ensemble, EnsembleError, EnsembleVariance, MixtureScratch};
 pub use gp::VarianceScratch;
 pub use kernel::Kernel;

@@ -9,6 +9,9 @@ use egp_core::settings::Operating;
 use egp_core::{Status, StepReply, Workspace, step};
 use support::request::{Request, library, settings, solve, warm};
 
+/// Mass of the vehicle that the tests' library is for, kg.
+const MASS: f64 = egp_core::VehicleParameters::FORD_ESCORT.mass;
+
 fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len());
     a.iter()
@@ -28,10 +31,10 @@ fn a_plan_keeps_the_bounds_and_approaches_the_reference() {
         assert_eq!(reply.plan_x[..7], request.x);
         let mut before = request.u_prev;
         for u in reply.plan_u.as_chunks::<2>().0 {
-            assert!((-8.0 - 1e-5..=6.0 + 1e-5).contains(&(u[0] / settings.mass)));
+            assert!((-8.0 - 1e-5..=6.0 + 1e-5).contains(&(u[0] / MASS)));
             assert!(u[1].abs() <= 0.4 + 1e-5);
             assert!(
-                ((u[0] - before[0]) / settings.mass).abs() <= 3.0 + 1e-5
+                ((u[0] - before[0]) / MASS).abs() <= 3.0 + 1e-5
                     && (u[1] - before[1]).abs() <= 0.4 + 1e-5
             );
             before = *u;
@@ -203,10 +206,10 @@ fn any_measured_state_gets_a_plan() {
         ("steering beyond the stop", |r| r.x[6] = 1.2),
         ("facing backwards", |r| r.x[3] = 3.1),
         ("braking beyond the limit", |r| {
-            r.u_prev = [-30.0 * 1225.887, 3.0]
+            r.u_prev = [-30.0 * MASS, 3.0]
         }),
         ("driving beyond the limit", |r| {
-            r.u_prev = [30.0 * 1225.887, -3.0]
+            r.u_prev = [30.0 * MASS, -3.0]
         }),
         ("track of no width", |r| r.widths.fill(0.0)),
         ("track edge within edge", |r| r.widths.fill(-2.0)),
@@ -258,12 +261,12 @@ fn track_edges_hold_the_plan_back() {
 #[test]
 fn the_front_tyres_slip_as_far_as_the_blended_surface_lets_them() {
     let mut settings = settings();
-    (settings.soft.slip, settings.soft.steering.linear) = (0.1, 1e5);
+    (settings.soft.slip, settings.soft.steering.linear) = (Some(0.1), 1e5);
     let mut request = Request::circle();
     (request.history_z, request.history_y) = (vec![], vec![]);
     request.widths.clear();
     request.x[1] = -4.0; // far enough beside the path to steer back as hard as allowed
-    let front = settings.soft.front;
+    let front = library().vehicle().l_f;
     for (weights, friction) in [([1.0, 0.0], 0.5), ([0.5, 0.5], 0.8), ([0.0, 1.0], 1.1)] {
         request.weights = weights.to_vec();
         (request.plan_x, request.plan_u, request.plan_shift) = (vec![], vec![], 0);

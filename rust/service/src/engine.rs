@@ -73,7 +73,7 @@ impl Engine {
     /// [`EngineError`] when the settings are out of range, or members, horizon or window beyond the wire.
     pub fn new(library: Library, settings: Settings) -> Result<Self, EngineError> {
         let (limits, dt) = (Limits::default(), library.dt());
-        let settings = settings.at_period(dt);
+        let settings = settings.complete(dt, library.vehicle());
         for (what, actual, limit) in [
             (
                 "the number of members",
@@ -179,6 +179,7 @@ impl Stepper for Engine {
                 .iter()
                 .map(|member| member.label().to_owned())
                 .collect(),
+            vehicle: Some(self.settings.vehicle(self.library.vehicle())),
         }
     }
 
