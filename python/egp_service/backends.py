@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from egp_service.client import VehicleClient
 from egp_service.controller import Controller
-from egp_service.scenario import library_path
+from egp_service.scenario import gate_settings, library_path
 from egp_service.service_process import ServiceProcess
 from egp_service.toml_text import dumps
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 def in_process_stepper(scenario: Scenario) -> Controller:
     """Compute the steps in this process."""
-    return Controller(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
+    return Controller(library_path(scenario), dumps(scenario.control), gate=gate_settings(scenario))
 
 
 def remote_stepper(scenario: Scenario, endpoint: str) -> VehicleClient:
     """Ask a running service; its library and settings count, not the scenario's."""
-    return VehicleClient.connect([endpoint], gate=scenario.gate)
+    return VehicleClient.connect([endpoint], gate=gate_settings(scenario))
 
 
 @contextmanager
@@ -33,6 +33,6 @@ def service_stepper(scenario: Scenario) -> Iterator[Stepper]:
     """Ask a service started for this purpose in its own process."""
     with (
         ServiceProcess(library_path(scenario), scenario.control) as service,
-        VehicleClient.connect([service.endpoint], gate=scenario.gate) as client,
+        VehicleClient.connect([service.endpoint], gate=gate_settings(scenario)) as client,
     ):
         yield client

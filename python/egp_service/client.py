@@ -68,7 +68,7 @@ class VehicleClient(Stepper):
         *,
         fleet: str,
         vehicle: str,
-        gate: Mapping[str, float] | None = None,
+        gate: Mapping[str, float],
         want_sigma: bool = False,
     ) -> None:
         """Take over an open session; `ready` is what a replica said about its library."""
@@ -78,7 +78,7 @@ class VehicleClient(Stepper):
             horizon=ready.horizon,
             history=ready.history,
             members=ready.members,
-            gate=gate or {},
+            gate=gate,
             want_sigma=want_sigma,
         )
         self._session = session
@@ -93,13 +93,15 @@ class VehicleClient(Stepper):
         *,
         fleet: str = "default",
         vehicle: str = "vehicle-1",
-        gate: Mapping[str, float] | None = None,
+        gate: Mapping[str, float],
         want_sigma: bool = False,
         timeout: float = 10.0,
         zenoh_config: Mapping[str, object] | None = None,
     ) -> Self:
         """Connect to zenoh at `endpoints`, such as `tcp/127.0.0.1:7447`, and ask for the library.
 
+        `gate` holds the limits of the vehicle that is driven, as `VehicleParameters.gate_limits`
+        gives them, and may hold `max_tail_ticks` and `stop_deceleration`.
         `zenoh_config` holds more of zenoh's configuration by path, such as
         `{"transport/link/tls/root_ca_certificate": "ca.pem"}`. Raises `ServiceUnreachableError`
         when no replica answers within `timeout` seconds.

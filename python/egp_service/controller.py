@@ -21,10 +21,13 @@ class Controller(Stepper):
         library: str | Path,
         settings: str = "",
         *,
-        gate: Mapping[str, float] | None = None,
+        gate: Mapping[str, float],
         want_sigma: bool = False,
     ) -> None:
         """Load and verify a library; `settings` is TOML over the control step's defaults.
+
+        `gate` holds the limits of the vehicle that is driven, as `VehicleParameters.gate_limits`
+        gives them, and may hold `max_tail_ticks` and `stop_deceleration`.
 
         Raises `EgpError` for a library, settings or gate settings that are refused.
         """
@@ -35,7 +38,7 @@ class Controller(Stepper):
             horizon=self._engine.horizon,
             history=self._engine.history,
             members=self._engine.members,
-            gate=gate or {},
+            gate=gate,
             want_sigma=want_sigma,
         )
 

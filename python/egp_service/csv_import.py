@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from egp_service import EgpError
+from egp_service._core import STANDARD_GRAVITY
 from egp_service.dataset import Dataset, Provenance
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ UNITS: Final = {
     "N": ("N", 1.0),
     "kN": ("N", 1e3),
     "m/s2": ("m/s2", 1.0),
-    "g": ("m/s2", 9.80665),
+    "g": ("m/s2", STANDARD_GRAVITY),
 }
 
 # quantity: (SI unit, largest believable magnitude); beyond it the unit is wrong, not the car fast.

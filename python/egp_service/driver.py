@@ -13,19 +13,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.experiment import (
-    A_SLEW,
-    DELTA_DOT_SLEW,
-    MAX_A,
-    MAX_DELTA,
-    MAX_DELTA_DOT,
-    MIN_A,
-    POWER,
-    WHEELBASE,
-)
+from egp_service.experiment import WHEELBASE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from egp_service._core import VehicleParameters
 
 _PREVIEW: Final = 0.5  # s, where pure pursuit aims
 _MAX_STEERING: Final = 0.45  # rad; more only slides the front wheels harder
@@ -41,12 +34,14 @@ _DELTA_DOT_TIME: Final = 0.15  # s, correlation time of the noise on steering ra
 class Driver:
     """Drives one vehicle; remembers its last input and its noise.
 
+    `mass` is the simulated vehicle's to the last digit, `vehicle` holds its actuators' limits.
     `noise` scales the excitation: at 1 the standard deviations are 2 m/s² and 0.15 rad/s.
     """
 
     rng: np.random.Generator
     dt: float
     mass: float
+    vehicle: VehicleParameters
     noise: float
     _a: float = 0.0
     _delta_dot: float = 0.0
@@ -65,13 +60,15 @@ class Driver:
         forward = (reference[1, 2] - reference[0, 2]) / self.dt
         noise_a, noise_delta_dot = self._advance_noise()
         a = forward + (reference[0, 2] - v_x) / _SPEED_TIME + noise_a
-        self._a = _limit(a, self._a, A_SLEW * self.dt, MIN_A, min(MAX_A, POWER / max(v_x, 1.0)))
+        car = self.vehicle
+        strongest = min(car.a_max, car.power / max(v_x, 1.0))
+        self._a = _limit(a, self._a, car.a_slew * self.dt, car.a_min, strongest)
         self._delta_dot = _limit(
             (wanted - delta) / _STEERING_TIME + noise_delta_dot,
             self._delta_dot,
-            DELTA_DOT_SLEW * self.dt,
-            max(-MAX_DELTA_DOT, (-MAX_DELTA - delta) / self.dt),
-            min(MAX_DELTA_DOT, (MAX_DELTA - delta) / self.dt),
+            car.steering_slew * self.dt,
+            max(-car.steering_rate, (-car.steering_angle - delta) / self.dt),
+            min(car.steering_rate, (car.steering_angle - delta) / self.dt),
         )
         return np.array([self.mass * self._a, self._delta_dot])
 

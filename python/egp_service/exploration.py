@@ -99,7 +99,9 @@ def _episode(
     plant = Plant(experiment.vehicle)
     x = track.start(rng.uniform(0.0, track.length), before, grip)
     plant.reset(x[0], x[1], x[3], x[2], x[5], x[4], x[6])
-    driver = Driver(rng, experiment.dt, experiment.mass, rng.uniform(*settings.noise))
+    driver = Driver(
+        rng, experiment.dt, experiment.mass, experiment.parameters, rng.uniform(*settings.noise)
+    )
 
     def drive(seconds: float, surface: float, believed: Callable[[float], float]) -> bool:
         for k in range(round(seconds / experiment.dt)):

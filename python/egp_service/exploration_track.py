@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from egp_service._core import VehicleParameters
+
 # Of a seed, which all but one ignore.
 TRACKS: Final[dict[str, Callable[[int], Path]]] = {
     "rounded-rectangle": lambda _: Path.rounded_rectangle(),
@@ -31,12 +33,18 @@ _GRIP_STEP: Final = 0.05  # speed profiles are made for multiples of it
 class ExplorationTrack:
     """A closed track with a speed profile for every friction and grip asked of it."""
 
-    def __init__(self, name: str, seed: int = 0, *, reverse: bool = False) -> None:
-        """Build a track of `TRACKS`; `reverse` drives it the other way, turning right."""
+    def __init__(
+        self, name: str, vehicle: VehicleParameters, seed: int = 0, *, reverse: bool = False
+    ) -> None:
+        """Build a track of `TRACKS`; `reverse` drives it the other way, turning right.
+
+        Speed profiles are for `vehicle`.
+        """
         if name not in TRACKS:
             raise EgpError(f"no track '{name}' to collect on: expected one of {', '.join(TRACKS)}")
         path = TRACKS[name](seed)
         self._path = _reversed(path) if reverse else path
+        self._vehicle = vehicle
         self._profiles: dict[tuple[float, int], SpeedProfile] = {}
 
     @property
@@ -66,7 +74,7 @@ class ExplorationTrack:
         if key not in self._profiles:
             # As much of a scaled friction, since profiles themselves stop at the whole of it.
             path = self._path.with_friction([(0.0, steps * _GRIP_STEP * friction)])
-            self._profiles[key] = SpeedProfile(path, 1.0)
+            self._profiles[key] = SpeedProfile(path, self._vehicle, 1.0)
         return self._profiles[key]
 
 

@@ -15,11 +15,11 @@ import torch
 from scipy.optimize import least_squares
 
 from egp_service import EgpError
+from egp_service._core import GRAVITY
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-GRAVITY: Final = 9.81
 SLOWEST: Final = 3.0  # m/s; slip angles below are taken at it
 # Where the fit starts, and between what it stays: small cars to vans, gravel to racing tyres. A
 # shape above 2 would turn the force around at large slip, one below 1 never reach a peak.

@@ -12,6 +12,7 @@ from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 
+from egp_service._core import VehicleParameters
 from egp_service.configuration import ConfigurationError, build, without_none
 from egp_service.toml_text import dumps
 
@@ -101,7 +102,7 @@ class Scenario:
     control: dict[str, object] = field(default_factory=dict)
     """Settings of the control step, handed to the service or engine as they are."""
     gate: dict[str, float] = field(default_factory=dict)
-    """Settings of the gate."""
+    """Settings of the gate in place of the simulated vehicle's own limits."""
 
     def toml(self) -> str:
         """Everything resolved, as a scenario file that drives the same run again."""
@@ -152,6 +153,11 @@ def library_path(scenario: Scenario) -> Path:
     if scenario.library != DEMO_LIBRARY:
         return Path(scenario.library)
     return Path(str(resources.files("egp_service") / "data" / "demo-library.safetensors"))
+
+
+def gate_settings(scenario: Scenario) -> dict[str, float]:
+    """Give the gate's settings: the simulated vehicle's limits, and what the scenario states."""
+    return VehicleParameters.commonroad(scenario.vehicle).gate_limits() | scenario.gate
 
 
 def _check(scenario: Scenario, origin: str) -> None:

@@ -111,7 +111,7 @@ class Stepper(ABC):
         gate: Mapping[str, float],
         want_sigma: bool,
     ) -> None:
-        """Start with an empty carry; `gate` overrides defaults of the gate's settings."""
+        """Start with an empty carry; `gate` holds the gate's limits and settings."""
         self.library = library
         self.dt = dt
         self.horizon = horizon

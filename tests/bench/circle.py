@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import Carry, Engine, Library, MemberData, decode_reply, write_library
+from egp_service._core import (
+    Carry,
+    Engine,
+    Library,
+    MemberData,
+    VehicleParameters,
+    decode_reply,
+    write_library,
+)
 
 sys.path.append(str(Path(__file__).parents[1]))
 from library_example import member_arrays
@@ -49,6 +57,7 @@ def write(path: Path, members: list[MemberData]) -> None:
         dt=0.05,
         kernel="rbf",
         vehicle="commonroad-1",
+        parameters=VehicleParameters.commonroad(1),
         members=members,
         provenance={"source": "benchmark"},
     )

@@ -15,6 +15,10 @@ def train(
     recipe: Annotated[
         Path | None, typer.Option(help="Collect and train as a recipe says, instead of DATA.")
     ] = None,
+    vehicle: Annotated[
+        Path | None,
+        typer.Option(help="TOML file of the vehicle; needed unless the data are simulated."),
+    ] = None,
     kernel: Annotated[
         Literal["rbf", "matern52"], typer.Option(help="Covariance function.")
     ] = "matern52",
@@ -38,8 +42,18 @@ def train(
     trajectories. Data beyond --max-points are thinned: half uniformly, half
     where the first fit knows least.
 
+    The library says which vehicle it is for: controller, gate and speed
+    profile take their defaults from there. The file of --vehicle states, in
+    SI units: mass, yaw_inertia, l_f and l_r (centre of mass to the axles),
+    width; a_min (negative), a_max, power (W/kg), a_slew, all per mass;
+    steering_angle, steering_rate, steering_slew; peak_slip (of the front
+    tyres, on friction 1); lateral_grip, braking_grip and driving_grip
+    (reachable share of friction times gravity). `egp inspect` shows those of
+    a library.
+
     For example:
       egp train data/*.parquet -o library.safetensors
+      egp train data/*.parquet -o library.safetensors --vehicle car.toml
       egp train --recipe recipe.toml -o library.safetensors
     """
     from egp_service import EgpError
@@ -51,6 +65,7 @@ def train(
     from egp_service.training import train as train_members
     from egp_service.training_progress import collecting, fitting
     from egp_service.validation import validate, validation_table
+    from egp_service.vehicle import read_vehicle
 
     console = Console()
     if (recipe is None) == (not data):
@@ -72,7 +87,8 @@ def train(
         datasets = [Dataset.read(path) for path in data or []]
         with fitting(console) as report:
             members = train_members(datasets, settings, report)
-    export(output, members, settings, training_provenance(settings))
+    car = None if vehicle is None else read_vehicle(vehicle)
+    export(output, members, settings, training_provenance(settings), car)
     library = Library.load(output)
     held_out = {member.dataset.provenance.surface: member.validation for member in members}
     matrix = validate(library, held_out)

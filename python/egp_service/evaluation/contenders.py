@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import Carry, EgpError, Engine, Library
+from egp_service._core import Carry, EgpError, Engine, Library, VehicleParameters
 from egp_service.controller import Controller
 from egp_service.course import build_path
 from egp_service.evaluation.predictive_control import PredictiveController
@@ -26,7 +26,7 @@ from egp_service.evaluation.single_track import (
     linearise,
 )
 from egp_service.evaluation.window_noise import WindowNoise
-from egp_service.scenario import library_path
+from egp_service.scenario import gate_settings, library_path
 from egp_service.toml_text import dumps
 
 if TYPE_CHECKING:
@@ -49,7 +49,9 @@ class _Oracle(Controller):
     """Knows the friction under the vehicle: weights interpolated between the nearest members."""
 
     def __init__(self, scenario: Scenario) -> None:
-        super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
+        super().__init__(
+            library_path(scenario), dumps(scenario.control), gate=gate_settings(scenario)
+        )
         self._carry = Carry(self.library, 0)
         self._path = build_path(scenario)
         self._s = 0.0
@@ -75,7 +77,9 @@ class _Selection(Controller):
     """Takes the one member that predicted the window best, instead of blending."""
 
     def __init__(self, scenario: Scenario) -> None:
-        super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
+        super().__init__(
+            library_path(scenario), dumps(scenario.control), gate=gate_settings(scenario)
+        )
         self._carry = Carry(self.library, 0)
         self._library = Library.load(library_path(scenario))
         self._noise = WindowNoise(
@@ -132,7 +136,7 @@ def make(contender: Contender, scenario: Scenario) -> Drives:
     """
     makers: dict[str, Callable[[], Drives]] = {
         "ensemble": lambda: Controller(
-            library_path(scenario), dumps(scenario.control), gate=scenario.gate
+            library_path(scenario), dumps(scenario.control), gate=gate_settings(scenario)
         ),
         "oracle": lambda: _Oracle(scenario),
         "selection": lambda: _Selection(scenario),
@@ -166,7 +170,8 @@ def _predictive(scenario: Scenario, prediction: Prediction) -> PredictiveControl
         partial(linearise, prediction, dt=engine.dt),
         engine.settings_toml,
         engine.dt,
+        vehicle=VehicleParameters.commonroad(scenario.vehicle),
         mass=CHASSIS[scenario.vehicle].mass,
         friction=NOMINAL_FRICTION,
-        gate=scenario.gate,
+        gate=gate_settings(scenario),
     )

@@ -17,6 +17,7 @@ from egp_service._core import Engine, Library, decode_request, write_library_sub
 from egp_service.closed_loop import drive
 from egp_service.controller import Controller
 from egp_service.evaluation.experiments import FOUR
+from egp_service.scenario import gate_settings
 from egp_service.toml_text import dumps
 
 if TYPE_CHECKING:
@@ -110,5 +111,6 @@ def _record(library: Path, scenario: Scenario, periods: int) -> list[bytes]:
             raise Enough
 
     with contextlib.suppress(Enough):
-        drive(scenario, Controller(library, dumps(scenario.control)), keep)
+        gate = gate_settings(scenario)
+        drive(scenario, Controller(library, dumps(scenario.control), gate=gate), keep)
     return requests

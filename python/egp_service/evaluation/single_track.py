@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from egp_service._core import GRAVITY
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-GRAVITY: Final = 9.81
 # The middle of the roads' range: whoever does not adapt can do no better.
 NOMINAL_FRICTION: Final = 0.8
 _SLOWEST: Final = 1.0  # m/s; slip angles lose their meaning below

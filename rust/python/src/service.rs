@@ -12,6 +12,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::error::raise;
+use crate::parameters::VehicleParameters;
 
 /// The control step of the service, in-process: the same bytes in, the same bytes out.
 #[pyclass(name = "Engine", module = "egp_service._core", frozen)]
@@ -88,6 +89,12 @@ impl Controller {
     #[getter]
     fn members(&self) -> Vec<String> {
         self.served.members.clone()
+    }
+
+    #[getter]
+    fn vehicle(&self) -> VehicleParameters {
+        let settings = self.engine.settings();
+        VehicleParameters(settings.vehicle(self.engine.library().vehicle()))
     }
 
     #[getter]
