@@ -8,7 +8,15 @@ that only another room needs.
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
-from egp_service._core import EgpError, Library, Path, Plant, SpeedProfile, horizon_reference
+from egp_service._core import (
+    EgpError,
+    Library,
+    Path,
+    Plant,
+    SpeedProfile,
+    VehicleParameters,
+    horizon_reference,
+)
 
 if TYPE_CHECKING:
     from egp_service.control.client import VehicleClient
@@ -40,5 +48,6 @@ __all__ = [
     "SpeedProfile",
     "Step",
     "VehicleClient",
+    "VehicleParameters",
     "horizon_reference",
 ]

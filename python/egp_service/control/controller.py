@@ -23,17 +23,21 @@ class Controller(StepController):
         library: str | Path,
         settings: str = "",
         *,
-        gate: Mapping[str, float] | None = None,
+        gate: Mapping[str, float],
         want_sigma: bool = False,
     ) -> None:
         """Load and verify a library; `settings` is TOML over the control step's defaults.
 
-        Raises `EgpError` for a library, settings or gate settings that cannot be used.
+        `gate` holds the limits of the driven vehicle, as `VehicleParameters.gate_limits` gives
+        them, and may hold `max_tail_ticks` and `stop_deceleration`.
+
+        Raises `EgpError` for a library, settings or gate settings that cannot be used, and for a
+        gate that allows more than the vehicle that the library was trained for can do.
         """
         engine = Engine(str(library), settings)
         self.library, self.members = engine.library_id, engine.members
         self.dt, self.horizon = engine.dt, engine.horizon
-        self._driver = InProcessDriver(engine, gate=dict(gate or {}), want_sigma=want_sigma)
+        self._driver = InProcessDriver(engine, gate=gate, want_sigma=want_sigma)
 
     def step(
         self,

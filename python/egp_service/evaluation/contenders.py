@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import EgpError, Engine, Library
+from egp_service._core import EgpError, Engine, Library, VehicleParameters
 from egp_service.control.controller import Controller
 from egp_service.control.toml_text import dumps
 from egp_service.evaluation.predictive_control import PredictiveController
@@ -29,7 +29,7 @@ from egp_service.evaluation.window_noise import WindowNoise
 from egp_service.quantities import MOTION, POSITION, gp_input
 from egp_service.simulation.course import build_path
 from egp_service.simulation.in_process import in_process_controller
-from egp_service.simulation.scenario import library_path
+from egp_service.simulation.scenario import gate_settings, library_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -51,7 +51,9 @@ class _Oracle(Controller):
     """A controller that knows the true friction and interpolates between the nearest members."""
 
     def __init__(self, scenario: Scenario) -> None:
-        super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
+        super().__init__(
+            library_path(scenario), dumps(scenario.control), gate=gate_settings(scenario)
+        )
         self._path = build_path(scenario)
         self._s = 0.0
         members = Library.load(library_path(scenario)).members
@@ -77,7 +79,9 @@ class _Selection(Controller):
     """A controller that uses the member with the smallest error in the window, without blending."""
 
     def __init__(self, scenario: Scenario) -> None:
-        super().__init__(library_path(scenario), dumps(scenario.control), gate=scenario.gate)
+        super().__init__(
+            library_path(scenario), dumps(scenario.control), gate=gate_settings(scenario)
+        )
         self._library = Library.load(library_path(scenario))
         self._noise = WindowNoise(
             self._library.members, tomllib.loads(_engine(scenario).settings_toml)
@@ -168,7 +172,8 @@ def _predictive(scenario: Scenario, prediction: Prediction) -> PredictiveControl
         partial(linearise, prediction, dt=engine.dt),
         engine.settings_toml,
         engine.dt,
+        vehicle=VehicleParameters.commonroad(scenario.vehicle),
         mass=CHASSIS[scenario.vehicle].mass,
         friction=NOMINAL_FRICTION,
-        gate=scenario.gate,
+        gate=gate_settings(scenario),
     )

@@ -305,10 +305,7 @@ fn a_stop_by_request_is_latched_whatever_plan_is_held() {
     for tick in 0..3 {
         let command = gate.command(tick, 10.0, 0.0);
         assert_eq!((command.mode, command.u[1]), (Mode::Stop, 0.0));
-        assert_eq!(
-            gate.accept(tick, &[[0.0, 0.0]; 5]),
-            Err(GateError::Stopped)
-        );
+        assert_eq!(gate.accept(tick, &[[0.0, 0.0]; 5]), Err(GateError::Stopped));
     }
     gate.reset();
     gate.accept(3, &[[10.0, 0.0]]).unwrap();
