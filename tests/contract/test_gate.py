@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from egp_service._core import EgpError, Gate, VehicleParameters
+from egp_service._core import (
+    EgpError,
+    Engine,
+    Gate,
+    InProcessDriver,
+    InvalidArgumentError,
+    VehicleParameters,
+)
+from egp_service.shipped import DEMO_LIBRARY
 
 LIMITS = VehicleParameters.commonroad(1).gate_limits()
 
@@ -36,3 +44,19 @@ def test_the_stated_limits_hold(name: str) -> None:
     assert command.u[at] == 0.1
     assert command.u[1 - at] == (5000.0, 0.3)[1 - at]
     assert command.limited
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"steering_rate": 0.6}, r"steering_rate is 0\.6 rad/s, .* has 0\.4 rad/s"),
+        ({"mass": 1100.0}, r"mass is 1100 kg, .* has 1225\.887 kg"),
+    ],
+)
+def test_a_driver_accepts_no_gate_wider_than_the_librarys_vehicle(
+    change: dict[str, float], message: str
+) -> None:
+    engine = Engine(str(DEMO_LIBRARY))
+    with pytest.raises(InvalidArgumentError, match=message):
+        InProcessDriver(engine, gate=LIMITS | change)
+    InProcessDriver(engine, gate=LIMITS | {"steering_rate": 0.3, "max_tail_ticks": 5.0})

@@ -244,7 +244,7 @@ def _hard_roads() -> ClosedLoopExperiment:
     ):
         icy += [(start, 0.25), (start + patch / length, around)]
     plain = _scenario(CUSTOM_TRACK, base, 0.85)
-    # The gate, like the library, is that of vehicle 1: a driver with another vehicle's mass is an error.
+    # The gate is that of vehicle 1, as the library is: the driver accepts no gate of another mass.
     other = replace(plain, vehicle=2, gate=VehicleParameters.commonroad(1).gate_limits())
     loud = Measurement(position=0.06, v_x=0.09, psi=0.006, v_y=0.09, omega=0.015, delta=0.003)
     # The speed is constant because a profile with the patches would brake for each of them.
