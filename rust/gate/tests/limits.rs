@@ -15,7 +15,7 @@ fn the_limits_of_a_vehicle_are_its_accelerations_times_its_mass() {
     assert_eq!(limits.mass, 1225.887);
     assert!((limits.force_min + 9807.096).abs() < 1e-9);
     assert!((limits.force_max - 7355.322).abs() < 1e-9);
-    assert!((limits.power - 67_056.0189).abs() < 1e-9);
+    assert!((limits.power - 67_056.018_9).abs() < 1e-9);
     assert!((limits.force_slew - 73_553.22).abs() < 1e-9);
     assert_eq!(
         (
