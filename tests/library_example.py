@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from egp_service._core import MemberData, write_library
+from egp_service._core import MemberData, VehicleParameters, write_library
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,6 +31,7 @@ def write_example(path: Path, *, frictions: tuple[float, ...] = (0.5, 1.1), n: i
         dt=0.05,
         kernel="rbf",
         vehicle="commonroad-1",
+        parameters=VehicleParameters.commonroad(1),
         members=members,
         provenance={"source": "tests"},
     )

@@ -17,6 +17,7 @@ from egp_service._core import (
     Plant,
     RefusedError,
     SpeedProfile,
+    VehicleParameters,
     horizon_reference,
 )
 
@@ -55,5 +56,6 @@ __all__ = [
     "SpeedProfile",
     "Step",
     "VehicleClient",
+    "VehicleParameters",
     "horizon_reference",
 ]

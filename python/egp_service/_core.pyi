@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
+    "GRAVITY",
     "LIVE_KEYS",
+    "STANDARD_GRAVITY",
     "AffineOcp",
     "Command",
     "Decision",
@@ -38,6 +40,7 @@ __all__ = [
     "Request",
     "Server",
     "SpeedProfile",
+    "VehicleParameters",
     "decode_error",
     "decode_ready",
     "decode_reply",
@@ -251,7 +254,14 @@ class Gate:
     Every command lies inside hard limits of value and slew.
     """
 
-    def __new__(cls, dt: float, settings: Mapping[str, float] = ...) -> Gate: ...
+    def __new__(cls, dt: float, settings: Mapping[str, float]) -> Gate:
+        """Make a gate with periods of `dt` s.
+
+        `settings` holds all limits, as `VehicleParameters.gate_limits` gives them, and may hold
+        `max_tail_ticks` (25) and `stop_deceleration` (3 m/s²). Raises `EgpError` for a limit that
+        is missing or has the wrong sign, and for an unknown name.
+        """
+
     def accept(
         self, tick: int, plan_u: Sequence[tuple[float, float]] | NDArray[np.float64]
     ) -> None:
@@ -263,6 +273,123 @@ class Gate:
     @property
     def mode(self) -> Literal["normal", "tail", "stop", "waiting"]:
         """Where the last command came from."""
+
+# parameters.rs
+
+GRAVITY: float
+"""Gravity of all vehicle models, m/s²."""
+
+STANDARD_GRAVITY: float
+"""Standard gravity, m/s²: that of speed profiles, and the unit "g" of logs."""
+
+@final
+class VehicleParameters:
+    """What one vehicle is and what its actuators may be asked for; all positive but `a_min`."""
+
+    def __new__(
+        cls,
+        *,
+        mass: float,
+        yaw_inertia: float,
+        l_f: float,
+        l_r: float,
+        width: float,
+        a_min: float,
+        a_max: float,
+        power: float,
+        a_slew: float,
+        steering_angle: float,
+        steering_rate: float,
+        steering_slew: float,
+        peak_slip: float,
+        lateral_grip: float,
+        braking_grip: float,
+        driving_grip: float,
+    ) -> VehicleParameters:
+        """Take over the values.
+
+        Raises `EgpError` naming the field that is missing, unknown or out of range.
+        """
+
+    @staticmethod
+    def commonroad(number: int) -> VehicleParameters:
+        """Give the vehicle of this CommonRoad number: 1 a Ford Escort, 2 a BMW 320i.
+
+        Raises `EgpError` for any other number.
+        """
+
+    def fields(self) -> dict[str, float]:
+        """All values by their name."""
+
+    def gate_limits(self) -> dict[str, float]:
+        """Give the limits of a gate that lets through what this vehicle can do, and no more."""
+
+    def check_same(self, planned: VehicleParameters) -> None:
+        """Raise `EgpError` with both values unless all are within 1 % of those of `planned`."""
+
+    @property
+    def mass(self) -> float:
+        """Mass, kg."""
+
+    @property
+    def yaw_inertia(self) -> float:
+        """Moment of inertia about the vertical axis, kg m²."""
+
+    @property
+    def l_f(self) -> float:
+        """Distance from the centre of mass to the front axle, m."""
+
+    @property
+    def l_r(self) -> float:
+        """Distance from the centre of mass to the rear axle, m."""
+
+    @property
+    def width(self) -> float:
+        """Width without mirrors, m."""
+
+    @property
+    def a_min(self) -> float:
+        """Strongest braking `F_x / mass`, m/s², negative."""
+
+    @property
+    def a_max(self) -> float:
+        """Strongest drive `F_x / mass`, m/s²."""
+
+    @property
+    def power(self) -> float:
+        """Drive power per mass, W/kg."""
+
+    @property
+    def a_slew(self) -> float:
+        """Largest change of `F_x / mass` per second, m/s³."""
+
+    @property
+    def steering_angle(self) -> float:
+        """Largest steering angle, rad."""
+
+    @property
+    def steering_rate(self) -> float:
+        """Largest steering rate, rad/s."""
+
+    @property
+    def steering_slew(self) -> float:
+        """Largest change of the steering rate per second, rad/s²."""
+
+    @property
+    def peak_slip(self) -> float:
+        """Slip angle at which the front tyres' force peaks on friction 1, rad."""
+
+    @property
+    def lateral_grip(self) -> float:
+        """Reachable lateral acceleration as a share of mu g."""
+
+    @property
+    def braking_grip(self) -> float:
+        """Reachable deceleration as a share of mu g."""
+
+    @property
+    def driving_grip(self) -> float:
+        """Reachable acceleration as a share of mu g."""
 
 # path.rs
 
@@ -306,7 +433,7 @@ class Path:
 
     @staticmethod
     def iso_3888_2(
-        vehicle_width: float = 1.674,
+        vehicle_width: float,
         margin: float = 0.1,
         lead_in: float = 40.0,
         lead_out: float = 40.0,
@@ -416,23 +543,18 @@ class Projection:
 class SpeedProfile:
     """The fastest speed along a path within `grip` (a fraction) of the friction ellipse.
 
-    `lateral`, `braking` and `driving` are the fractions of mu g that the vehicle reaches; `a_brake`
-    and `a_drive` (m/s²) and `power` (W/kg) its own limits. Start and end speed of an open path
-    default to the fastest.
+    What is reached of the friction, and the strongest braking and drive, are those of `vehicle`.
+    `v_max` and the start and end speed of an open path are in m/s; the latter default to the
+    fastest.
     """
 
     def __new__(
         cls,
         path: Path,
+        vehicle: VehicleParameters,
         grip: float = 0.8,
         v_max: float = 30.0,
         *,
-        lateral: float = 0.88,
-        braking: float = 0.45,
-        driving: float = 0.22,
-        a_brake: float = 8.0,
-        a_drive: float = 6.0,
-        power: float = 54.7,
         start_speed: float | None = None,
         end_speed: float | None = None,
     ) -> SpeedProfile: ...
@@ -512,8 +634,12 @@ class Plant:
         """What a controller sees: `[p_x, p_y, v_x, psi, v_y, omega, delta]`, SI units."""
 
     @property
+    def parameters(self) -> VehicleParameters:
+        """What a controller of this vehicle knows about it."""
+
+    @property
     def mass(self) -> float:
-        """In kg."""
+        """In kg, to the last digit of the simulated vehicle."""
 
     @property
     def lateral_acceleration(self) -> float:
@@ -594,7 +720,11 @@ class Library:
 
     @property
     def vehicle(self) -> str:
-        """The vehicle the data come from."""
+        """Name of the vehicle that the data come from."""
+
+    @property
+    def parameters(self) -> VehicleParameters:
+        """That vehicle's parameters."""
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -728,12 +858,14 @@ def write_library(
     dt: float,
     kernel: str,
     vehicle: str,
+    parameters: VehicleParameters,
     members: Sequence[MemberData],
     provenance: Mapping[str, str],
 ) -> None:
     """Write a library file, all of it or nothing, after verifying that it can be loaded.
 
-    `dt` in s, `kernel` "rbf" or "matern52". The same arguments give the same bytes.
+    `dt` in s, `kernel` "rbf" or "matern52"; `vehicle` and `parameters` are name and parameters of
+    the vehicle that the data come from. The same arguments give the same bytes.
     Raises `LibraryError` for content that fails a check, `OSError` when writing fails.
     """
 
@@ -893,14 +1025,17 @@ def solve_ocp(
 class AffineOcp:
     """The control step's optimal control problem, eq. (18), around dynamics of any origin.
 
-    `settings_toml` holds the settings of a control step, `dt` is the period in s, `friction` the
-    surface's coefficient. Cost, bounds and solvers are those of the step.
+    `settings_toml` holds the settings of a control step, over those of `vehicle`; `dt` is the
+    period in s, `friction` the surface's coefficient. Cost, bounds and solvers are those of the
+    step.
 
     Raises `EgpError` for settings out of range, and a period or friction that is not a positive
     number.
     """
 
-    def __new__(cls, settings_toml: str, dt: float, friction: float) -> AffineOcp: ...
+    def __new__(
+        cls, settings_toml: str, vehicle: VehicleParameters, dt: float, friction: float
+    ) -> AffineOcp: ...
     def solve(
         self,
         x0: NDArray[np.float64],
@@ -987,6 +1122,9 @@ class Engine:
     @property
     def ready(self) -> bytes:
         """Bytes of the Ready message that a replica with this engine would answer."""
+    @property
+    def vehicle(self) -> VehicleParameters:
+        """The vehicle that plans are made for: the library's, with what the settings state."""
     @property
     def settings_toml(self) -> str:
         """All settings, defaults included."""
@@ -1168,6 +1306,9 @@ class Ready:
     @property
     def envelope(self) -> list[list[float]]:
         """Smallest and largest GP input [v_x, v_y, omega, delta, F_x, delta_dot] trained on."""
+    @property
+    def vehicle(self) -> VehicleParameters | None:
+        """The vehicle that plans are made for; None from services that do not say."""
 
 def decode_request(data: bytes) -> Request:
     """Read and validate a StepRequest; `EgpError` names the field at fault."""

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import Engine, InProcessDriver, Library, MemberData, write_library
+from egp_service._core import (
+    Engine,
+    InProcessDriver,
+    Library,
+    MemberData,
+    VehicleParameters,
+    write_library,
+)
 
 sys.path.append(str(Path(__file__).parents[1]))
 from library_example import member_arrays
@@ -49,6 +56,7 @@ def write(path: Path, members: list[MemberData]) -> None:
         dt=0.05,
         kernel="rbf",
         vehicle="commonroad-1",
+        parameters=VehicleParameters.commonroad(1),
         members=members,
         provenance={"source": "benchmark"},
     )
@@ -77,7 +85,7 @@ def drive(
     library, engine = Library.load(path), Engine(str(path), settings)
     if weights is None:
         weights = blend(len(library.members))
-    driver = InProcessDriver(engine, gate={}, want_sigma=want_sigma)
+    driver = InProcessDriver(engine, gate=engine.vehicle.gate_limits(), want_sigma=want_sigma)
     driver.start_from(weights)
     x = np.array([0.0, -0.5, 13.0, 0.0, 0.0, 0.2, 0.03])
     stages = np.arange(HORIZON + 1)

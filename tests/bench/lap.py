@@ -17,7 +17,7 @@ from egp_service._core import Engine, Library, decode_reply, decode_request
 from egp_service.control.controller import Controller
 from egp_service.evaluation.paper_stack import PaperStack
 from egp_service.simulation.closed_loop import drive
-from egp_service.simulation.scenario import library_path, load_scenario
+from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,7 +39,7 @@ def compare(
     engines = {name: Engine(str(path), f'[solver]\nkind = "{name}"') for name in KINDS}
     requests: list[bytes] = []
     task = progress.add_task("a lap", total=None)
-    with Controller(path) as controller:
+    with Controller(path, gate=gate_settings(scenario)) as controller:
         drive(scenario, controller, lambda period: requests.append(period.step.request))
     progress.update(task, total=1, completed=1)
     settings = tomllib.loads(engines["riccati"].settings_toml)

@@ -16,7 +16,12 @@ from egp_service import Controller
 from egp_service._core import Engine
 from egp_service.simulation.report import draw_comparison, draw_run
 from egp_service.simulation.runs import record_run
-from egp_service.simulation.scenario import library_path, load_scenario, parse_scenario
+from egp_service.simulation.scenario import (
+    gate_settings,
+    library_path,
+    load_scenario,
+    parse_scenario,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,7 +44,7 @@ class Lap(NamedTuple):
 def lap(tmp_path_factory: pytest.TempPathFactory) -> Lap:
     folder = tmp_path_factory.mktemp("lap")
     periods: list[Period] = []
-    with Controller(library_path(SCENARIO)) as controller:
+    with Controller(library_path(SCENARIO), gate=gate_settings(SCENARIO)) as controller:
         run = record_run(SCENARIO, controller, folder, periods.append)
     return Lap(run, folder, periods)
 

@@ -24,6 +24,7 @@ from egp_service.simulation.scenario import (
     Speed,
     Track,
     Zone,
+    gate_settings,
     library_path,
     load_scenario,
 )
@@ -69,7 +70,7 @@ class Patient(Controller):
 def requests(request: pytest.FixtureRequest) -> list[bytes]:
     recorded: list[bytes] = []
     scenario: Scenario = RUNS[request.param]
-    with Patient(LIBRARY) as controller:
+    with Patient(LIBRARY, gate=gate_settings(scenario)) as controller:
         drive(scenario, controller, lambda period: recorded.append(period.step.request))
     assert len(recorded) > 500
     return recorded

@@ -18,7 +18,7 @@ import numpy as np
 
 from conformance.replica import ScriptedReplica
 from egp_service import VehicleClient
-from egp_service._core import Decision, Driver, EgpError, Query
+from egp_service._core import Decision, Driver, EgpError, Query, VehicleParameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     Script = Mapping[str, list[int]]
 
 FLEET, VEHICLE = "conformance", "car"
-GATE = {"max_tail_ticks": 5.0}
+GATE = VehicleParameters.commonroad(1).gate_limits() | {"max_tail_ticks": 5.0}
 ROOT = Path(__file__).parents[2]
 # Far longer than a healthy replica needs on a busy machine: what is asked here is who answers.
 DEADLINE = 0.5

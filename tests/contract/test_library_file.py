@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from egp_service import EgpError
-from egp_service._core import Library, LibraryError, MemberData, write_library
+from egp_service._core import Library, LibraryError, MemberData, VehicleParameters, write_library
 from library_example import member_arrays, write_example
 
 if TYPE_CHECKING:
@@ -156,6 +156,10 @@ def change_member(**changes: object) -> Callable[[Content], None]:
     return lambda content: content.metadata["members"][0].update(changes)
 
 
+def change_vehicle(**changes: object) -> Callable[[Content], None]:
+    return lambda content: content.metadata["parameters"].update(changes)
+
+
 def change_tensor(
     name: str, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> Callable[[Content], None]:
@@ -195,13 +199,18 @@ def repeated_point(content: Content) -> None:
 @pytest.mark.parametrize(
     ("code", "named", "spoil"),
     [
-        ("schema_version", "1", change_metadata(schema=1)),
+        ("schema_version", "3", change_metadata(schema=3)),
         ("metadata", "colour", change_metadata(colour="red")),
         ("unknown_kernel", "periodic", change_metadata(kernel="periodic")),
         ("time_step", "50", change_metadata(dt=50.0)),
         ("signals", "deg", swapped_units),
         ("count", "members", change_metadata(members=[])),
         ("count", "friction 0.5", change_member(n=10**9)),
+        ("vehicle", "`mass`", change_vehicle(mass=-1.0)),
+        ("vehicle", "`a_min`", change_vehicle(a_min=8.0)),
+        ("metadata", "length", change_vehicle(length=4.3)),
+        ("metadata", "l_r", lambda content: content.metadata["parameters"].pop("l_r")),
+        ("metadata", "parameters", lambda content: content.metadata.pop("parameters")),
         ("label", "friction 1.1", change_member(label="friction 1.1")),
         ("friction", "-1", change_member(friction=-1.0)),
         (
@@ -250,6 +259,7 @@ def test_refused_content_leaves_the_old_file(path: Path) -> None:
             dt=0.05,
             kernel="rbf",
             vehicle="commonroad-1",
+            parameters=VehicleParameters.commonroad(1),
             members=[MemberData(**arrays)],
             provenance={},
         )

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from egp_service._core import EgpError, Path, SpeedProfile, horizon_reference
+from egp_service._core import EgpError, Path, SpeedProfile, VehicleParameters, horizon_reference
 
 if TYPE_CHECKING:
     from pathlib import Path as FilePath
+
+
+CAR = VehicleParameters.commonroad(1)
 
 
 def state(x: float, y: float, psi: float) -> np.ndarray:
@@ -107,16 +110,16 @@ def test_zones_slow_the_profile_down() -> None:
     path = Path.rounded_rectangle().with_friction([(0.0, 0.5), (0.5, 1.1)])
     s = np.array([0.25, 0.75]) * path.length
     assert path.sample(s)[6].tolist() == [0.5, 1.1]
-    profile = SpeedProfile(path, grip=0.9)
+    profile = SpeedProfile(path, CAR, grip=0.9)
     slow, fast = profile.speed(np.linspace(0.0, path.length, 1000)).reshape(2, 500).min(axis=1)
     # The lateral limit at the same curvature: v² grows with the friction.
     assert fast / slow == pytest.approx(np.sqrt(1.1 / 0.5), rel=0.02)
-    assert profile.lap_time < SpeedProfile(path, grip=0.6).lap_time
+    assert profile.lap_time < SpeedProfile(path, CAR, grip=0.6).lap_time
 
 
 def test_the_reference_moves_by_time_from_the_projection() -> None:
     path = Path.rounded_rectangle()
-    profile = SpeedProfile(path)
+    profile = SpeedProfile(path, CAR)
     s = 40.0
     for stage in range(0, 21, 5):
         steps = 2000
@@ -153,8 +156,8 @@ def test_refusals_say_what_was_expected() -> None:
     with pytest.raises(EgpError, match="too short for its two corners"):
         Path.rounded_rectangle(width=20.0)
     with pytest.raises(EgpError, match=r"fraction in .* for grip, got 1.5"):
-        SpeedProfile(path, grip=1.5)
+        SpeedProfile(path, CAR, grip=1.5)
     with pytest.raises(EgpError, match="finite"):
         path.project(np.array([np.nan, 0.0]))
     with pytest.raises(EgpError, match=r"x of shape \(7,\)"):
-        horizon_reference(path, SpeedProfile(path), np.zeros(6), 0.05, 20)
+        horizon_reference(path, SpeedProfile(path, CAR), np.zeros(6), 0.05, 20)

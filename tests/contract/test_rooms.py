@@ -25,6 +25,7 @@ MAY_LOAD = {
     "egp_service.files": set(),
     "egp_service.optimal_control": set(),
     "egp_service.shipped": set(),
+    "egp_service.vehicle": set(),
     "egp_service.workers": {"loky"},
     "egp_service.control": set(),
     "egp_service.control.client": {"zenoh"},

@@ -32,7 +32,7 @@ def message(name: str) -> Any:  # noqa: ANN401 - classes made at run time
 
 
 def ramp(shape: tuple[int, ...], start: float, step: float) -> NDArray[np.float64]:
-    """Give the values `rust/wire/tests/fixtures` numbers a field with."""
+    """Give the values `rust/testing/src/messages.rs` numbers a field with."""
     count = int(np.prod(shape))
     return start + step * np.arange(count, dtype=np.float64).reshape(shape)
 
@@ -85,6 +85,25 @@ SOLVED = INFEASIBLE | {
     "sigma": ramp((5, 3), 0.0, 0.0625),
 }
 ERROR = {"code": "CODE_INVALID_FIELD", "field": "x", "detail": "value 3 is not finite"}
+# 1, 2, ... 16 in the order of the message, but for the sign of a_min.
+VEHICLE = {
+    "mass": 1.0,
+    "yaw_inertia": 2.0,
+    "l_f": 3.0,
+    "l_r": 4.0,
+    "width": 5.0,
+    "a_min": -6.0,
+    "a_max": 7.0,
+    "power": 8.0,
+    "a_slew": 9.0,
+    "steering_angle": 10.0,
+    "steering_rate": 11.0,
+    "steering_slew": 12.0,
+    "peak_slip": 13.0,
+    "lateral_grip": 14.0,
+    "braking_grip": 15.0,
+    "driving_grip": 16.0,
+}
 READY = {
     "version": 1,
     "ready": True,
@@ -96,6 +115,7 @@ READY = {
     "envelope": np.array(
         [[1.0, -5.0, -1.5, -0.5, -8192.0, -0.5], [30.0, 5.0, 1.5, 0.5, 4096.0, 0.5]]
     ),
+    "vehicle": VEHICLE,
 }
 TIMING = {"queue_us": 120, "step_us": 2400}
 
@@ -140,8 +160,11 @@ def test_the_extension_reads_the_small_messages() -> None:
     refusal = _core.decode_error(golden("error"))
     assert (refusal.code, refusal.field, refusal.retryable) == ("invalid_field", "x", False)
     ready = _core.decode_ready(golden("ready"))
-    for field in READY.keys() - {"version"}:
+    for field in READY.keys() - {"version", "vehicle"}:
         np.testing.assert_array_equal(getattr(ready, field), READY[field])
+    assert ready.vehicle is not None
+    assert ready.vehicle.fields() == VEHICLE
+    assert ready.vehicle == _core.VehicleParameters(**VEHICLE)
     assert _core.decode_timing(golden("timing")) == (120, 2400)
 
 
@@ -152,7 +175,8 @@ def test_a_client_in_another_language_is_told_which_field_is_wrong() -> None:
 
 
 def test_the_driver_makes_requests_that_google_protobuf_reads() -> None:
-    driver = _core.Driver(golden("ready"), fleet="depot", vehicle="car-7", gate={})
+    gate = _core.VehicleParameters(**VEHICLE).gate_limits()
+    driver = _core.Driver(golden("ready"), fleet="depot", vehicle="car-7", gate=gate)
     driver.replica_appeared(0.0, "garage-1")
     reference = np.zeros((21, 4))
     reference[:, 0] = 0.5 * np.arange(21)

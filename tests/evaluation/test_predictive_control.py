@@ -16,6 +16,7 @@ from egp_service._core import (
     Engine,
     Library,
     Plant,
+    VehicleParameters,
     horizon_reference,
     write_library_subset,
 )
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+CAR = VehicleParameters.commonroad(1)
+
+
 def test_with_a_member_as_prediction_it_plans_what_the_service_plans(tmp_path: Path) -> None:
     scenario = load_scenario("rounded-rectangle")
     path = tmp_path / "one.safetensors"
@@ -42,13 +46,15 @@ def test_with_a_member_as_prediction_it_plans_what_the_service_plans(tmp_path: P
         mean, jacobian, _ = library.predict(z)
         return mean, jacobian
 
-    ours = Controller(path)
+    ours = Controller(path, gate=CAR.gate_limits())
     same = PredictiveController(
         member,
         tomllib.loads(engine.settings_toml),
         engine.dt,
+        vehicle=CAR,
         mass=CHASSIS[1].mass,
         friction=library.members[0].friction,
+        gate=CAR.gate_limits(),
     )
     course = build_path(replace(scenario, zones=(Zone(0.0, 1.1),)))
     profile = build_profile(scenario, course)
@@ -103,4 +109,4 @@ def test_their_jacobians_predict_small_changes(prediction: Kinematic | SingleTra
 )
 def test_bad_periods_and_frictions_are_refused(dt: float, friction: float, message: str) -> None:
     with pytest.raises(EgpError, match=message):
-        AffineOcp("", dt, friction)
+        AffineOcp("", CAR, dt, friction)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from egp_service._core import Library, MemberData, write_library
+from egp_service._core import Library, MemberData, VehicleParameters, write_library
 from library_example import CENTRE, HALF_WIDTH, change
 
 if TYPE_CHECKING:
@@ -158,7 +158,13 @@ def test_predictions_match_gpytorch(tmp_path: Path, kernel: str, n: int) -> None
     oracle, member = build(kernel, n, seed=n)
     path = tmp_path / "library.safetensors"
     write_library(
-        path, dt=0.05, kernel=kernel, vehicle="commonroad-1", members=[member], provenance={}
+        path,
+        dt=0.05,
+        kernel=kernel,
+        vehicle="commonroad-1",
+        parameters=VehicleParameters.commonroad(1),
+        members=[member],
+        provenance={},
     )
     library = Library.load(path)
     x = np.asarray(oracle.models[0].train_inputs[0])

@@ -23,7 +23,7 @@ from egp_service._core import (
 )
 from egp_service.evaluation.window_noise import WindowNoise
 from egp_service.simulation.closed_loop import drive
-from egp_service.simulation.scenario import Measurement, library_path, load_scenario
+from egp_service.simulation.scenario import Measurement, gate_settings, library_path, load_scenario
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -151,7 +151,7 @@ def test_the_evaluation_whitens_as_the_service_does(whiten: bool) -> None:  # no
 def recorded(sensors: Measurement) -> list[bytes]:
     requests: list[bytes] = []
     scenario = replace(LAP, measurement=sensors)
-    with Controller(LIBRARY) as controller:
+    with Controller(LIBRARY, gate=gate_settings(scenario)) as controller:
         drive(scenario, controller, lambda period: requests.append(period.step.request))
     return requests
 

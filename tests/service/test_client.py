@@ -13,7 +13,7 @@ from egp_service import Controller, VehicleClient
 from egp_service.control.client import ServiceUnreachableError
 from egp_service.control.service_process import ServiceProcess, ServiceStartError
 from egp_service.simulation.closed_loop import drive
-from egp_service.simulation.scenario import library_path, load_scenario
+from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 SCENARIO = load_scenario("rounded-rectangle")
 LIBRARY = library_path(SCENARIO)
+GATE = gate_settings(SCENARIO)
 MASS = 1225.887
 
 
@@ -56,7 +57,10 @@ def run_with(controller: StepController, count: int) -> list[Step]:
 
 
 def test_service_and_controller_give_the_same_bytes(service: ServiceProcess) -> None:
-    with Controller(LIBRARY) as controller, VehicleClient.connect([service.endpoint]) as client:
+    with (
+        Controller(LIBRARY, gate=GATE) as controller,
+        VehicleClient.connect([service.endpoint], gate=GATE) as client,
+    ):
         here, there = run_with(controller, 30), run_with(client, 30)
     assert [step.reply for step in there] == [step.reply for step in here]
     assert [step.request for step in there] == [step.request for step in here]
@@ -66,7 +70,10 @@ def test_service_and_controller_give_the_same_bytes(service: ServiceProcess) -> 
 
 def test_a_lap_through_the_service_is_the_lap_in_process(service: ServiceProcess) -> None:
     """Up to deadline misses, which a busy machine may have and the tail bridges."""
-    with Controller(LIBRARY) as controller, VehicleClient.connect([service.endpoint]) as client:
+    with (
+        Controller(LIBRARY, gate=GATE) as controller,
+        VehicleClient.connect([service.endpoint], gate=GATE) as client,
+    ):
         here = drive(SCENARIO, controller, lambda _: None)
         there = drive(SCENARIO, client, lambda _: None)
     assert there.summary.ending.completed
@@ -86,7 +93,7 @@ def test_a_service_killed_mid_lap_leads_to_tail_then_stop_within_limits(
         if len(modes) == 150:
             service.kill()
 
-    with VehicleClient.connect([service.endpoint]) as client:
+    with VehicleClient.connect([service.endpoint], gate=GATE) as client:
         # A stop in a corner may end beside the road; the run is to go on until standstill.
         run: Run = drive(replace(SCENARIO, leave_distance=50.0), client, kill_after_three_seconds)
         dt = client.dt
@@ -103,7 +110,7 @@ def test_a_service_killed_mid_lap_leads_to_tail_then_stop_within_limits(
 
 
 def test_a_restarted_service_is_picked_up_after_a_reset(service: ServiceProcess) -> None:
-    with VehicleClient.connect([service.endpoint]) as client:
+    with VehicleClient.connect([service.endpoint], gate=GATE) as client:
         vehicle = Standstill(client)
         assert vehicle.step(deadline=5.0).mode == "normal"
         service.kill()
@@ -121,7 +128,7 @@ def test_a_restarted_service_is_picked_up_after_a_reset(service: ServiceProcess)
 
 
 def test_without_a_service_a_step_costs_no_time(service: ServiceProcess) -> None:
-    with VehicleClient.connect([service.endpoint]) as client:
+    with VehicleClient.connect([service.endpoint], gate=GATE) as client:
         vehicle = Standstill(client)
         vehicle.step(deadline=5.0)
         service.kill()
@@ -136,7 +143,7 @@ def test_without_a_service_a_step_costs_no_time(service: ServiceProcess) -> None
 
 
 def test_a_frozen_service_costs_no_more_than_the_deadline(service: ServiceProcess) -> None:
-    with VehicleClient.connect([service.endpoint]) as client:
+    with VehicleClient.connect([service.endpoint], gate=GATE) as client:
         vehicle = Standstill(client)
         vehicle.step(deadline=5.0)
         service.freeze()
@@ -147,7 +154,7 @@ def test_a_frozen_service_costs_no_more_than_the_deadline(service: ServiceProces
 
 
 def test_a_measurement_that_is_not_finite_stops_the_vehicle() -> None:
-    with Controller(LIBRARY) as controller:
+    with Controller(LIBRARY, gate=GATE) as controller:
         vehicle = Standstill(controller)
         vehicle.step()
         step = controller.step(np.full(7, np.nan), vehicle.reference)
@@ -158,7 +165,7 @@ def test_a_measurement_that_is_not_finite_stops_the_vehicle() -> None:
 
 def test_connecting_to_nobody_says_what_to_do() -> None:
     with pytest.raises(ServiceUnreachableError, match="egp serve"):
-        VehicleClient.connect(["tcp/127.0.0.1:9"], timeout=0.5)
+        VehicleClient.connect(["tcp/127.0.0.1:9"], gate=GATE, timeout=0.5)
 
 
 def test_a_service_that_cannot_start_says_why(tmp_path: Path) -> None:

@@ -63,7 +63,8 @@ def first_request(engine: _core.Engine) -> bytes:
     way = 12.0 * engine.dt * np.arange(engine.horizon + 1)
     reference = np.column_stack([way, 0 * way, 12.0 + 0 * way, 0 * way])
     x = np.array([0.0, 0.3, 12.0, 0.0, 0.0, 0.0, 0.0])
-    return _core.InProcessDriver(engine, gate={}).step(5.0, x, reference).request
+    driver = _core.InProcessDriver(engine, gate=engine.vehicle.gate_limits())
+    return driver.step(5.0, x, reference).request
 
 
 def test_the_service_replies_with_the_engines_bytes(endpoint: str, client: Any) -> None:  # noqa: ANN401

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from egp_service._core import VehicleParameters
 from egp_service.data.dataset import Dataset, Provenance
 
+# The vehicle that the data are said to come from.
+TOY = VehicleParameters.commonroad(2)
 NOISE = 0.002
 STEPS = 20
 

@@ -10,7 +10,7 @@ import pytest
 from egp_service import EgpError
 from egp_service._core import Plant
 from egp_service.data.collect import CollectionSettings, collect
-from egp_service.data.experiment import A_SLEW, DELTA_DOT_SLEW, MAX_DELTA_DOT, MIN_A, Experiment
+from egp_service.data.experiment import Experiment
 from egp_service.data.exploration import ExplorationSettings, explore
 from egp_service.data.exploration_track import ExplorationTrack
 from egp_service.data.sampling import sample
@@ -26,7 +26,7 @@ SHORT = CollectionSettings(runs=2, samples=20, exploration=ExplorationSettings(e
 def run() -> Dataset:
     """One run with arrivals only, so that sliding is in it."""
     settings = ExplorationSettings(episodes=8, arrivals=1.0, grip=(0.5, 1.0))
-    return explore(WET, ExplorationTrack("rounded-rectangle"), settings)
+    return explore(WET, ExplorationTrack("rounded-rectangle", WET.parameters), settings)
 
 
 def test_same_seed_same_data_in_any_number_of_processes() -> None:
@@ -53,18 +53,18 @@ def test_rows_follow_each_other_in_time(run: Dataset) -> None:
 
 def test_inputs_stay_within_the_controllers_limits(run: Dataset) -> None:
     a, delta_dot = run.z[:, 4] / WET.mass, run.z[:, 5]
-    assert a.min() >= MIN_A
+    assert a.min() >= WET.parameters.a_min
     assert np.all(a * run.z[:, 0] <= 54.7 + 1e-9)
-    assert np.abs(delta_dot).max() <= MAX_DELTA_DOT
+    assert np.abs(delta_dot).max() <= WET.parameters.steering_rate
     same = run.trajectory[1:] == run.trajectory[:-1]
-    assert np.abs(np.diff(delta_dot))[same].max() <= DELTA_DOT_SLEW * WET.dt + 1e-9
+    assert np.abs(np.diff(delta_dot))[same].max() <= WET.parameters.steering_slew * WET.dt + 1e-9
     # The engine's limit shrinks with speed, which may take more than a step of slew.
     free = same & (a[1:] * run.z[1:, 0] < 54.0)
-    assert np.abs(np.diff(a))[free].max() <= A_SLEW * WET.dt + 1e-9
+    assert np.abs(np.diff(a))[free].max() <= WET.parameters.a_slew * WET.dt + 1e-9
 
 
 def test_arrivals_are_faster_than_the_surface_allows(run: Dataset) -> None:
-    track = ExplorationTrack("rounded-rectangle")
+    track = ExplorationTrack("rounded-rectangle", WET.parameters)
     own = max(track.start(s, 0.5, 1.0)[2] for s in np.linspace(0.0, track.length, 200))
     assert run.z[:, 0].max() > own
     lateral = np.abs(run.z[:, 0] * run.z[:, 2])
@@ -91,12 +91,16 @@ def test_samples_fill_their_bounds() -> None:
     assert many.z[:, 0].min() < 4.0
     assert many.z[:, 0].max() > 24.0
     assert np.abs(many.z[:, 1] / many.z[:, 0]).max() > 0.1
-    assert np.ptp(many.z[:, 5]) > 1.5 * MAX_DELTA_DOT
+    assert np.ptp(many.z[:, 5]) > 1.5 * WET.parameters.steering_rate
 
 
 def test_both_directions_turn() -> None:
     left, right = (
-        explore(WET, ExplorationTrack("rounded-rectangle", reverse=reverse), SHORT.exploration)
+        explore(
+            WET,
+            ExplorationTrack("rounded-rectangle", WET.parameters, reverse=reverse),
+            SHORT.exploration,
+        )
         for reverse in (False, True)
     )
     assert left.z[:, 2].mean() > 0.05

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pytest
-from surfaces import NOISE, provenance, surface
+from surfaces import NOISE, TOY, provenance, surface
 
 from egp_service import EgpError
 from egp_service._core import Library
@@ -37,7 +37,7 @@ def members() -> list[TrainedMember]:
 @pytest.fixture(scope="module")
 def library_path(members: list[TrainedMember], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("library") / "toy.safetensors"
-    export(path, members, SETTINGS, {"source": "test"})
+    export(path, members, SETTINGS, {"source": "test"}, TOY)
     return path
 
 
@@ -58,10 +58,10 @@ def test_beats_a_linear_fit_on_unseen_data(members: list[TrainedMember]) -> None
 def test_same_seed_same_bytes(tmp_path: Path, kernel: KernelName) -> None:
     settings = dataclasses.replace(SETTINGS, kernel=kernel, max_iterations=10, restarts=1)
     for name in ("first", "second"):
-        export(tmp_path / name, train([surface()], settings), settings, {})
+        export(tmp_path / name, train([surface()], settings), settings, {}, TOY)
     assert (tmp_path / "first").read_bytes() == (tmp_path / "second").read_bytes()
     other = dataclasses.replace(settings, seed=1)
-    export(tmp_path / "other", train([surface()], other), other, {})
+    export(tmp_path / "other", train([surface()], other), other, {}, TOY)
     assert (tmp_path / "first").read_bytes() != (tmp_path / "other").read_bytes()
 
 
@@ -100,7 +100,7 @@ def test_the_vehicle_is_found_again() -> None:
 def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) -> None:
     settings = dataclasses.replace(SETTINGS, mean="single-track", max_iterations=10)
     (member,) = train([surface()], settings)
-    export(tmp_path / "vehicle", [member], settings, {})
+    export(tmp_path / "vehicle", [member], settings, {}, TOY)
     assert member.single_track is not None
     # Another vehicle, of whose parameters none is what the fit could not determine.
     known, vehicle = (
@@ -110,7 +110,7 @@ def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) ->
     other = dataclasses.replace(
         member, single_track=VEHICLE, targets=member.targets - known + vehicle
     )
-    export(tmp_path / "other", [other], settings, {})
+    export(tmp_path / "other", [other], settings, {}, TOY)
     z = surface(0.8, seed=9).z
     assert (z[:, 4] > 0.0).any()
     assert (z[:, 4] < 0.0).any()
@@ -123,7 +123,7 @@ def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) ->
 
 def test_one_kernel_serves_all_outputs_of_a_vehicle(tmp_path: Path, library_path: Path) -> None:
     settings = dataclasses.replace(SETTINGS, mean="single-track", max_iterations=10)
-    export(tmp_path / "vehicle", train([surface()], settings), settings, {})
+    export(tmp_path / "vehicle", train([surface()], settings), settings, {}, TOY)
     vehicle, constants = (
         Library.load(path).members[0] for path in (tmp_path / "vehicle", library_path)
     )
@@ -137,6 +137,7 @@ def test_library_says_where_it_comes_from(members: list[TrainedMember], library_
     library = Library.load(library_path)
     assert library.dt == 0.05
     assert library.vehicle == "toy"
+    assert library.parameters == TOY
     assert [member.label for member in library.members] == ["mu 0.5", "mu 1.1"]
     for ours, member in zip(library.members, members, strict=True):
         assert ours.dataset == member.dataset.digest()

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use egp_simulator::{Course, Period, SimulatedVehicle, SimulationError};
+use egp_simulator::{CAR, Course, Period, SimulatedVehicle, SimulationError};
 use egp_vehicle::{GateLimits, Mode, VehicleConfig};
 
 use crate::Failure;
@@ -33,7 +33,7 @@ pub(crate) fn connect(
     let mut config = VehicleConfig::new(
         "load",
         &format!("car-{index}"),
-        GateLimits::default(),
+        GateLimits::of(&CAR.vehicle()),
         &endpoints,
     )?;
     config.driver.budget = budget;

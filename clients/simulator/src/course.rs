@@ -8,6 +8,8 @@ use egp_path::{Path, PathError, SpeedLimits, SpeedProfile, Zone};
 use egp_plant::Friction;
 use thiserror::Error;
 
+use crate::vehicle::CAR;
+
 /// A built-in closed track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Track {
@@ -66,7 +68,7 @@ impl Course {
             &path,
             &SpeedLimits {
                 grip,
-                ..SpeedLimits::default()
+                ..SpeedLimits::of(&CAR.vehicle())
             },
         )?;
         Ok(Self { path, profile })

@@ -4,4 +4,4 @@ mod course;
 mod vehicle;
 
 pub use course::{Course, CourseError, Track};
-pub use vehicle::{Period, SimulatedVehicle, SimulationError};
+pub use vehicle::{CAR, Period, SimulatedVehicle, SimulationError};

@@ -10,6 +10,9 @@ use thiserror::Error;
 
 use crate::course::Course;
 
+/// The car that is simulated.
+pub const CAR: VehicleId = VehicleId::FordEscort;
+
 /// Why a simulation ended.
 #[derive(Debug, Error)]
 pub enum SimulationError {
@@ -49,7 +52,7 @@ pub struct SimulatedVehicle {
 }
 
 impl SimulatedVehicle {
-    /// Connects a vehicle of `CommonRoad`'s type 1 and puts it on the course at arc length `s`, at its speed there.
+    /// Connects a [`CAR`] and puts it on the course at arc length `s`, at its speed there.
     ///
     /// # Errors
     /// [`SimulationError`] when the service cannot be reached.
@@ -62,7 +65,7 @@ impl SimulatedVehicle {
         let stages = client.horizon() + 1;
         let mut vehicle = Self {
             client,
-            plant: Plant::new(VehicleId::FordEscort.parameters()),
+            plant: Plant::new(CAR.parameters()),
             course,
             s,
             travelled: 0.0,

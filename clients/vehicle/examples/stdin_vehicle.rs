@@ -6,7 +6,7 @@ use std::error::Error;
 use std::io::{BufRead as _, Write as _, stdin, stdout};
 use std::time::{Duration, Instant};
 
-use egp_vehicle::{GateLimits, Mode, Step, VehicleClient, VehicleConfig};
+use egp_vehicle::{GateLimits, Mode, Step, VehicleClient, VehicleConfig, VehicleParameters};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -28,7 +28,8 @@ enum Command {
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let endpoints: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    let mut config = VehicleConfig::new("conformance", "car", GateLimits::default(), &endpoints)?;
+    let limits = GateLimits::of(&VehicleParameters::FORD_ESCORT);
+    let mut config = VehicleConfig::new("conformance", "car", limits, &endpoints)?;
     config.driver.max_tail_ticks = 5;
     let mut vehicle = VehicleClient::connect(&config)?;
     answer(&json!({ "dt": vehicle.dt(), "horizon": vehicle.horizon() }))?;

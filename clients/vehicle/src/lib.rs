@@ -3,10 +3,10 @@
 //! ```no_run
 //! # fn measured() -> ([f64; 7], Vec<[f64; 4]>) { ([0.0; 7], vec![]) }
 //! # fn actuate(_: [f64; 2]) {}
-//! # fn limits() -> egp_vehicle::GateLimits { egp_vehicle::GateLimits::default() }
-//! use egp_vehicle::{VehicleClient, VehicleConfig};
+//! use egp_vehicle::{GateLimits, VehicleClient, VehicleConfig, VehicleParameters};
 //!
-//! let config = VehicleConfig::new("depot", "car-7", limits(), &["tcp/control.example:7447"])?;
+//! let limits = GateLimits::of(&VehicleParameters::FORD_ESCORT);
+//! let config = VehicleConfig::new("depot", "car-7", limits, &["tcp/control.example:7447"])?;
 //! let mut vehicle = VehicleClient::connect(&config)?;
 //! loop { // once every `vehicle.dt()` seconds
 //!     let (x, reference) = measured();
@@ -25,4 +25,5 @@ pub use client::{ClientError, VehicleClient};
 pub use config::VehicleConfig;
 pub use egp_driver::{DriverConfig, Late, Lost, Outcome, Situation, Step};
 pub use egp_gate::{Command, Limits as GateLimits, Mode};
+pub use egp_parameters::VehicleParameters;
 pub use network::NetworkError;

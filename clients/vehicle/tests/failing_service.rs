@@ -5,12 +5,19 @@ use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
 use egp_service::{Server, ServiceConfig};
-use egp_vehicle::{GateLimits, Mode, Outcome, Step, VehicleClient, VehicleConfig};
+use egp_vehicle::{
+    GateLimits, Mode, Outcome, Step, VehicleClient, VehicleConfig, VehicleParameters,
+};
 
 const LIBRARY: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
     "/../../python/egp_service/shipped/demo-library.safetensors"
 );
+
+/// The limits of the car that the demo library was trained for.
+fn limits() -> GateLimits {
+    GateLimits::of(&VehicleParameters::FORD_ESCORT)
+}
 
 fn free_endpoint() -> String {
     let port = TcpListener::bind("127.0.0.1:0")
@@ -40,8 +47,7 @@ struct Vehicle {
 
 impl Vehicle {
     fn connect(endpoints: &[&str]) -> Self {
-        let mut config =
-            VehicleConfig::new("test", "car", GateLimits::default(), endpoints).unwrap();
+        let mut config = VehicleConfig::new("test", "car", limits(), endpoints).unwrap();
         config.driver.max_tail_ticks = 5;
         Self {
             client: VehicleClient::connect(&config).unwrap(),
@@ -72,7 +78,7 @@ impl Vehicle {
 
     /// Value and slew of everything that leaves.
     fn check_limits(&mut self, step: &Step) {
-        let (limits, dt, [force, rate]) = (GateLimits::default(), self.client.dt(), step.command.u);
+        let (limits, dt, [force, rate]) = (limits(), self.client.dt(), step.command.u);
         assert!((limits.force_min..=limits.force_max).contains(&force));
         assert!(rate.abs() <= limits.steering_rate);
         assert!((force - self.u[0]).abs() <= limits.force_slew * dt * (1.0 + 1e-12));
@@ -146,8 +152,7 @@ fn another_replica_takes_over_without_a_missed_plan() {
 #[test]
 fn connecting_to_nobody_says_where_it_looked() {
     let endpoint = free_endpoint();
-    let mut config =
-        VehicleConfig::new("test", "car", GateLimits::default(), &[&endpoint]).unwrap();
+    let mut config = VehicleConfig::new("test", "car", limits(), &[&endpoint]).unwrap();
     config.patience = Duration::from_millis(200);
     let Err(error) = VehicleClient::connect(&config) else {
         panic!("there is nobody")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from egp_service.control.client import VehicleClient
 from egp_service.control.service_process import ServiceProcess
-from egp_service.simulation.scenario import library_path
+from egp_service.simulation.scenario import gate_settings, library_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def remote_controller(scenario: Scenario, endpoint: str) -> VehicleClient:
     """Ask a running service; its library and settings count, not the scenario's."""
-    return VehicleClient.connect([endpoint], gate=scenario.gate)
+    return VehicleClient.connect([endpoint], gate=gate_settings(scenario))
 
 
 @contextmanager
@@ -26,6 +26,6 @@ def service_controller(scenario: Scenario) -> Iterator[StepController]:
     """Ask a service started for this purpose in its own process."""
     with (
         ServiceProcess(library_path(scenario), scenario.control) as service,
-        VehicleClient.connect([service.endpoint], gate=scenario.gate) as client,
+        VehicleClient.connect([service.endpoint], gate=gate_settings(scenario)) as client,
     ):
         yield client

@@ -53,6 +53,7 @@ def summary(path: Path, library: Library) -> Table:
         "dt": f"{library.dt:g} s",
         "kernel": library.kernel,
         "vehicle": library.vehicle,
+        "parameters": ", ".join(f"{n} = {v:g}" for n, v in library.parameters.fields().items()),
         **library.provenance,
     }
     for name, value in rows.items():

@@ -65,7 +65,7 @@ class VehicleClient(StepController):
         *,
         fleet: str = "default",
         vehicle: str = "vehicle-1",
-        gate: Mapping[str, float] | None = None,
+        gate: Mapping[str, float],
         budget: float = 0.8,
         want_sigma: bool = False,
         timeout: float = 10.0,
@@ -73,11 +73,14 @@ class VehicleClient(StepController):
     ) -> Self:
         """Connect to zenoh at `endpoints`, such as `tcp/127.0.0.1:7447`, and ask for the library.
 
+        `gate` holds the limits of the driven vehicle, as `VehicleParameters.gate_limits` gives
+        them, and may hold `max_tail_ticks` and `stop_deceleration`.
         `budget` is the part of the control period that an answer may take, in (0, 1].
         `zenoh_config` holds more of zenoh's configuration by path, such as
         `{"transport/link/tls/root_ca_certificate": "ca.pem"}`. Raises `InvalidArgumentError` for
-        names, gate settings or a configuration that cannot be used, and `ServiceUnreachableError`
-        when no replica answers within `timeout` seconds.
+        names, gate settings or a configuration that cannot be used or for a gate that allows more
+        than the vehicle that the service plans for can do, and `ServiceUnreachableError` when no
+        replica answers within `timeout` seconds.
         """
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         deadline = time.monotonic() + timeout
@@ -89,7 +92,7 @@ class VehicleClient(StepController):
                 ready,
                 fleet=fleet,
                 vehicle=vehicle,
-                gate=dict(gate or {}),
+                gate=gate,
                 budget=budget,
                 want_sigma=want_sigma,
             )

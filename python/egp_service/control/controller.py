@@ -25,14 +25,18 @@ class Controller(StepController):
         library: str | Path,
         settings: str | Mapping[str, object] = "",
         *,
-        gate: Mapping[str, float] | None = None,
+        gate: Mapping[str, float],
         want_sigma: bool = False,
     ) -> None:
         """Load and verify a library; `settings` go over the control step's defaults.
 
         They are a mapping such as `{"cost": {"lateral": 30.0}}` or the same as TOML text.
 
-        Raises `EgpError` for a library, settings or gate settings that cannot be used.
+        `gate` holds the limits of the driven vehicle, as `VehicleParameters.gate_limits` gives
+        them, and may hold `max_tail_ticks` and `stop_deceleration`.
+
+        Raises `EgpError` for a library, settings or gate settings that cannot be used, and for a
+        gate that allows more than the vehicle that the library was trained for can do.
         """
         text = settings if isinstance(settings, str) else dumps(settings)
         engine = Engine(str(library), text)
@@ -40,7 +44,7 @@ class Controller(StepController):
         self.dt, self.horizon = engine.dt, engine.horizon
         self.settings: Mapping[str, object] = tomllib.loads(engine.settings_toml)
         """Every setting that the control step uses, those of the library's period included."""
-        self._driver = InProcessDriver(engine, gate=dict(gate or {}), want_sigma=want_sigma)
+        self._driver = InProcessDriver(engine, gate=gate, want_sigma=want_sigma)
 
     def step(
         self,

@@ -87,5 +87,5 @@ def _run(experiment: Experiment, settings: CollectionSettings, number: int) -> D
     count = len(settings.tracks)
     seed = 1_000_003 * (experiment.seed + 1) + number
     name, reverse = settings.tracks[number % count], number // count % 2 == 1
-    track = ExplorationTrack(name, seed, reverse=reverse)
+    track = ExplorationTrack(name, experiment.parameters, seed, reverse=reverse)
     return explore(dataclasses.replace(experiment, seed=seed), track, settings.exploration)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import polars as pl
 
-from egp_service._core import EgpError
+from egp_service._core import STANDARD_GRAVITY, EgpError
 from egp_service.data.dataset import Dataset, Provenance
 from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY
 
@@ -35,7 +35,7 @@ UNITS: Final = {
     "N": ("N", 1.0),
     "kN": ("N", 1e3),
     "m/s2": ("m/s2", 1.0),
-    "g": ("m/s2", 9.80665),
+    "g": ("m/s2", STANDARD_GRAVITY),
 }
 
 _SI_UNITS: Final = {"time": "s", "a_x": "m/s2"} | GP_INPUT

@@ -13,20 +13,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.data.experiment import (
-    A_SLEW,
-    DELTA_DOT_SLEW,
-    MAX_A,
-    MAX_DELTA,
-    MAX_DELTA_DOT,
-    MIN_A,
-    POWER,
-    WHEELBASE,
-)
+from egp_service.data.experiment import WHEELBASE
 from egp_service.quantities import P_X, P_Y, V_X
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from egp_service._core import VehicleParameters
 
 _PREVIEW: Final = 0.5  # s, preview time of pure pursuit
 _MAX_STEERING: Final = 0.45  # rad; larger angles only increase the slip of the front wheels
@@ -42,12 +35,14 @@ _DELTA_DOT_TIME: Final = 0.15  # s, correlation time of the noise on steering ra
 class Driver:
     """The driver of one vehicle, with its last input and the state of its noise.
 
+    `mass` is the simulated vehicle's to the last digit, `vehicle` holds its actuators' limits.
     `noise` scales the excitation: at 1 the standard deviations are 2 m/s² and 0.15 rad/s.
     """
 
     rng: np.random.Generator
     dt: float
     mass: float
+    vehicle: VehicleParameters
     noise: float
     _a: float = 0.0
     _delta_dot: float = 0.0
@@ -66,13 +61,15 @@ class Driver:
         forward = (reference[1, V_X] - reference[0, V_X]) / self.dt
         noise_a, noise_delta_dot = self._advance_noise()
         a = forward + (reference[0, V_X] - v_x) / _SPEED_TIME + noise_a
-        self._a = _limit(a, self._a, A_SLEW * self.dt, MIN_A, min(MAX_A, POWER / max(v_x, 1.0)))
+        car = self.vehicle
+        strongest = min(car.a_max, car.power / max(v_x, 1.0))
+        self._a = _limit(a, self._a, car.a_slew * self.dt, car.a_min, strongest)
         self._delta_dot = _limit(
             (wanted - delta) / _STEERING_TIME + noise_delta_dot,
             self._delta_dot,
-            DELTA_DOT_SLEW * self.dt,
-            max(-MAX_DELTA_DOT, (-MAX_DELTA - delta) / self.dt),
-            min(MAX_DELTA_DOT, (MAX_DELTA - delta) / self.dt),
+            car.steering_slew * self.dt,
+            max(-car.steering_rate, (-car.steering_angle - delta) / self.dt),
+            min(car.steering_rate, (car.steering_angle - delta) / self.dt),
         )
         return np.array([self.mass * self._a, self._delta_dot])
 

@@ -8,28 +8,22 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import Plant
+from egp_service._core import Plant, VehicleParameters
 from egp_service.data.dataset import Provenance
+from egp_service.vehicle import simulated_name
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-GRAVITY: Final = 9.81
-# Limits of the controller that uses the data; it must not plan inputs that the data lack.
-MIN_A: Final = -8.0
-MAX_A: Final = 6.0
-POWER: Final = 54.7  # m²/s³, largest a * v_x
-MAX_DELTA_DOT: Final = 0.4
-MAX_DELTA: Final = 0.91
-A_SLEW: Final = 60.0
-DELTA_DOT_SLEW: Final = 8.0
 # m, within 8 % of both CommonRoad cars; it is used for the excitation only.
 WHEELBASE: Final = 2.5
 
 
-def largest_acceleration(v_x: NDArray[np.float64]) -> NDArray[np.float64]:
+def largest_acceleration(
+    v_x: NDArray[np.float64], vehicle: VehicleParameters
+) -> NDArray[np.float64]:
     """Largest forward acceleration at speed `v_x`, m/s², by traction or engine power."""
-    return np.minimum(MAX_A, POWER / np.maximum(v_x, 1.0))
+    return np.minimum(vehicle.a_max, vehicle.power / np.maximum(v_x, 1.0))
 
 
 def tool() -> str:
@@ -53,6 +47,11 @@ class Experiment:
     """CommonRoad's number: 1 Ford Escort, 2 BMW 320i."""
 
     @property
+    def parameters(self) -> VehicleParameters:
+        """What a controller knows of the vehicle: it must not plan what the data do not show."""
+        return VehicleParameters.commonroad(self.vehicle)
+
+    @property
     def mass(self) -> float:
         """Mass of the vehicle, kg."""
         return Plant(self.vehicle).mass
@@ -61,7 +60,7 @@ class Experiment:
         """Return the provenance of data that `method` collected in this experiment."""
         return Provenance(
             dt=self.dt,
-            vehicle=f"commonroad-{self.vehicle}",
+            vehicle=simulated_name(self.vehicle),
             surface=self.label,
             friction=self.friction,
             seed=self.seed,

@@ -101,7 +101,9 @@ def _episode(
     plant = Plant(experiment.vehicle)
     x = track.start(rng.uniform(0.0, track.length), before, grip)
     plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], x[OMEGA], x[V_Y], x[DELTA])
-    driver = Driver(rng, experiment.dt, experiment.mass, rng.uniform(*settings.noise))
+    driver = Driver(
+        rng, experiment.dt, experiment.mass, experiment.parameters, rng.uniform(*settings.noise)
+    )
 
     def drive(seconds: float, surface: float, believed: Callable[[float], float]) -> bool:
         for k in range(round(seconds / experiment.dt)):

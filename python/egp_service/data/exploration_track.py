@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from egp_service._core import VehicleParameters
+
 # Functions of a seed, which only the random track uses.
 TRACKS: Final[dict[str, Callable[[int], Path]]] = {
     "rounded-rectangle": lambda _: Path.rounded_rectangle(),
@@ -30,12 +32,18 @@ _GRIP_STEP: Final = 0.05  # speed profiles exist for its multiples
 class ExplorationTrack:
     """A closed track with speed profiles for the requested frictions and grips."""
 
-    def __init__(self, name: str, seed: int = 0, *, reverse: bool = False) -> None:
-        """Build a track of `TRACKS`; `reverse` reverses its direction, so that it turns right."""
+    def __init__(
+        self, name: str, vehicle: VehicleParameters, seed: int = 0, *, reverse: bool = False
+    ) -> None:
+        """Build a track of `TRACKS`; `reverse` reverses its direction, so that it turns right.
+
+        The speed profiles are those of `vehicle`.
+        """
         if name not in TRACKS:
             raise EgpError(f"no track '{name}' to collect on: expected one of {', '.join(TRACKS)}")
         path = TRACKS[name](seed)
         self._path = _reversed(path) if reverse else path
+        self._vehicle = vehicle
         self._profiles: dict[tuple[float, int], SpeedProfile] = {}
 
     @property
@@ -65,7 +73,7 @@ class ExplorationTrack:
         if key not in self._profiles:
             # Profiles accept a grip of at most 1, so the friction is scaled instead.
             path = self._path.with_friction([(0.0, steps * _GRIP_STEP * friction)])
-            self._profiles[key] = SpeedProfile(path, 1.0)
+            self._profiles[key] = SpeedProfile(path, self._vehicle, 1.0)
         return self._profiles[key]
 
 

@@ -12,16 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import EgpError, plant_initial_states, plant_step_batch
+from egp_service._core import GRAVITY, EgpError, plant_initial_states, plant_step_batch
 from egp_service.data.dataset import Dataset
-from egp_service.data.experiment import (
-    GRAVITY,
-    MAX_DELTA_DOT,
-    MIN_A,
-    WHEELBASE,
-    Experiment,
-    largest_acceleration,
-)
+from egp_service.data.experiment import WHEELBASE, Experiment, largest_acceleration
 from egp_service.quantities import F_X, NY, NZ
 
 if TYPE_CHECKING:
@@ -66,7 +59,7 @@ def sample(
     """
     bounds = bounds or SamplingBounds()
     rng = np.random.default_rng(experiment.seed)
-    start, inputs = _draw(experiment.friction, count, bounds, rng)
+    start, inputs = _draw(experiment, count, bounds, rng)
     inputs[:, F_X] *= experiment.mass
     states = plant_initial_states(start, experiment.vehicle)
     friction = np.full(count, experiment.friction)
@@ -94,11 +87,11 @@ def sample(
 
 
 def _draw(
-    friction: float, count: int, bounds: SamplingBounds, rng: np.random.Generator
+    experiment: Experiment, count: int, bounds: SamplingBounds, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Draw vehicle states (count, 7) and inputs [a, delta_dot] (count, 2)."""
     v_x = rng.uniform(*bounds.v_x, count)
-    lateral = bounds.lateral * friction * GRAVITY * rng.uniform(-1.0, 1.0, count)
+    lateral = bounds.lateral * experiment.friction * GRAVITY * rng.uniform(-1.0, 1.0, count)
     omega = np.clip(lateral / v_x, -bounds.omega, bounds.omega)
     # Sideslip is reduced at low speed, where it decays within a period.
     sideslip = bounds.sideslip * rng.uniform(-1.0, 1.0, count) * np.minimum(1.0, v_x / 8.0)
@@ -106,6 +99,7 @@ def _draw(
     delta += bounds.steering * rng.uniform(-1.0, 1.0, count)
     zero = np.zeros(count)
     states = np.column_stack([zero, zero, v_x, zero, v_x * np.tan(sideslip), omega, delta])
-    a = rng.uniform(MIN_A, largest_acceleration(v_x))
-    delta_dot = rng.uniform(-MAX_DELTA_DOT, MAX_DELTA_DOT, count)
+    car = experiment.parameters
+    a = rng.uniform(car.a_min, largest_acceleration(v_x, car))
+    delta_dot = rng.uniform(-car.steering_rate, car.steering_rate, count)
     return states, np.column_stack([a, delta_dot])

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import EgpError, Library
+from egp_service._core import EgpError, Library, VehicleParameters
 from egp_service.control.controller import Controller
 from egp_service.evaluation.predictive_control import PredictiveController
 from egp_service.evaluation.single_track import (
@@ -27,7 +27,7 @@ from egp_service.evaluation.window_noise import WindowNoise
 from egp_service.quantities import MOTION, POSITION, gp_input
 from egp_service.simulation.course import build_path
 from egp_service.simulation.in_process import in_process_controller
-from egp_service.simulation.scenario import library_path
+from egp_service.simulation.scenario import gate_settings, library_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -49,7 +49,7 @@ class _Oracle(Controller):
     """A controller that knows the true friction and interpolates between the nearest members."""
 
     def __init__(self, scenario: Scenario) -> None:
-        super().__init__(library_path(scenario), scenario.control, gate=scenario.gate)
+        super().__init__(library_path(scenario), scenario.control, gate=gate_settings(scenario))
         self._path = build_path(scenario)
         self._s = 0.0
         members = Library.load(library_path(scenario)).members
@@ -75,7 +75,7 @@ class _Selection(Controller):
     """A controller that uses the member with the smallest error in the window, without blending."""
 
     def __init__(self, scenario: Scenario) -> None:
-        super().__init__(library_path(scenario), scenario.control, gate=scenario.gate)
+        super().__init__(library_path(scenario), scenario.control, gate=gate_settings(scenario))
         self._library = Library.load(library_path(scenario))
         self._noise = WindowNoise(self._library.members, self.settings)
         self._errors: deque[NDArray[np.float64]] = deque(maxlen=self._noise.window)
@@ -160,7 +160,8 @@ def _predictive(scenario: Scenario, prediction: Prediction) -> PredictiveControl
         partial(linearise, prediction, dt=controller.dt),
         controller.settings,
         controller.dt,
+        vehicle=VehicleParameters.commonroad(scenario.vehicle),
         mass=CHASSIS[scenario.vehicle].mass,
         friction=NOMINAL_FRICTION,
-        gate=scenario.gate,
+        gate=gate_settings(scenario),
     )

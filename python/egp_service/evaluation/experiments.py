@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from egp_service._core import VehicleParameters
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, PAPER_WEIGHTS, Contender
 from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track, Zone
@@ -243,6 +244,8 @@ def _hard_roads() -> ClosedLoopExperiment:
     ):
         icy += [(start, 0.25), (start + patch / length, around)]
     plain = _scenario(CUSTOM_TRACK, base, 0.85)
+    # The gate is that of vehicle 1, as the library is: the driver accepts no gate of another mass.
+    other = replace(plain, vehicle=2, gate=VehicleParameters.commonroad(1).gate_limits())
     loud = Measurement(position=0.06, v_x=0.09, psi=0.006, v_y=0.09, omega=0.015, delta=0.003)
     # The speed is constant because a profile with the patches would brake for each of them.
     dry = _steady(CUSTOM_TRACK, ((0.0, 1.1), *icy), 11.0)
@@ -259,7 +262,7 @@ def _hard_roads() -> ClosedLoopExperiment:
             ("three times the noise", replace(plain, measurement=loud)),
             ("20 ms actuator delay", replace(plain, actuator_delay=1)),
             ("40 ms actuator delay", replace(plain, actuator_delay=2)),
-            ("vehicle 2", replace(plain, vehicle=2)),
+            ("vehicle 2", other),
             ("patches of ice, 2-10 m", dry),
             ("split 1.1 | 0.5 for a third", replace(plain, zones=partly)),
             (

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from egp_service._core import VehicleParameters
+
 
 class PredictiveController:
     """A controller with the dynamics `linearise(z) -> (change (n, 3), Jacobian (n, 3, 6))`.
@@ -56,18 +58,19 @@ class PredictiveController:
         settings: Mapping[str, object],
         dt: float,
         *,
+        vehicle: VehicleParameters,
         mass: float,
         friction: float,
-        gate: Mapping[str, float] | None = None,
+        gate: Mapping[str, float],
     ) -> None:
         """Start without a plan."""
         self._linearise = linearise
         self._settings: dict[str, Any] = {**settings, "mass": mass}
         self._yaw_at = float(self._settings["operating"]["yaw_at"])
-        self._ocp = AffineOcp(dumps(self._settings), dt, friction)
+        self._ocp = AffineOcp(dumps(self._settings), vehicle, dt, friction)
         self.dt = dt
         self.horizon = int(self._settings["horizon"])
-        self._gate = Gate(dt, dict(gate or {}))
+        self._gate = Gate(dt, dict(gate))
         self._tick = 0
         self._u = np.zeros(NU)
         self._plan: tuple[NDArray[np.float64], NDArray[np.float64], int] | None = None

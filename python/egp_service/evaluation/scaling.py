@@ -18,6 +18,7 @@ from egp_service.control.controller import Controller
 from egp_service.control.toml_text import dumps
 from egp_service.evaluation.experiments import FOUR
 from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.scenario import gate_settings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -110,5 +111,6 @@ def _record(library: Path, scenario: Scenario, periods: int) -> list[bytes]:
             raise Enough
 
     with contextlib.suppress(Enough):
-        drive(scenario, Controller(library, dumps(scenario.control)), keep)
+        gate = gate_settings(scenario)
+        drive(scenario, Controller(library, dumps(scenario.control), gate=gate), keep)
     return requests

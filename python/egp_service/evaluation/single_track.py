@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from egp_service._core import GRAVITY
 from egp_service.quantities import NY, NZ
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-GRAVITY: Final = 9.81
 # The middle of the roads' frictions, the best choice without adaptation.
 NOMINAL_FRICTION: Final = 0.8
 _SLOWEST: Final = 1.0  # m/s; slip angles are computed with at least this speed

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import Path, SpeedProfile
+from egp_service._core import Path, SpeedProfile, VehicleParameters
 from egp_service.simulation.scenario import Scenario, ScenarioError
 
 if TYPE_CHECKING:
@@ -49,6 +49,9 @@ def build_path(scenario: Scenario) -> Path:
         if track.file is None:
             raise ScenarioError("track kind csv needs the field `file`")
         parameters["file"] = track.file
+    if track.kind == "iso-3888-2":
+        car = VehicleParameters.commonroad(scenario.vehicle)
+        parameters.setdefault("vehicle_width", car.width)
     if track.kind == "random":
         parameters["seed"] = scenario.seed
     try:
@@ -69,4 +72,5 @@ def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:
     """Return the speed profile for `speed.grip` of each zone's friction, at most `speed.v_max`."""
     if scenario.speed.constant:
         return SpeedProfile.constant(path, scenario.speed.v_max)
-    return SpeedProfile(path, scenario.speed.grip, scenario.speed.v_max)
+    car = VehicleParameters.commonroad(scenario.vehicle)
+    return SpeedProfile(path, car, scenario.speed.grip, scenario.speed.v_max)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from egp_service.control.controller import Controller
-from egp_service.simulation.scenario import library_path
+from egp_service.simulation.scenario import gate_settings, library_path
 
 if TYPE_CHECKING:
     from egp_service.simulation.scenario import Scenario
@@ -13,4 +13,4 @@ if TYPE_CHECKING:
 
 def in_process_controller(scenario: Scenario) -> Controller:
     """Compute the steps in this process."""
-    return Controller(library_path(scenario), scenario.control, gate=scenario.gate)
+    return Controller(library_path(scenario), scenario.control, gate=gate_settings(scenario))

@@ -14,6 +14,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.ticker import MaxNLocator
 
+from egp_service._core import GRAVITY
 from egp_service.files import replacing
 from egp_service.quantities import OMEGA, POSITION, V_X
 
@@ -52,7 +53,6 @@ MEMBER_COLOURS = ("#4ba3c7", "#e0a13a", "#6a994e", "#9d6bb0", "#c8553d", "#5c677
 SURFACE = LinearSegmentedColormap.from_list("surface", ["#cfe6f5", "#b9c2c9", "#82878d"])
 FRICTION_RANGE = Normalize(0.4, 1.2)
 SPEED = mpl.colormaps["plasma"]
-GRAVITY = 9.81
 
 
 def draw_run(run: Run, folder: FilePath) -> list[FilePath]:

@@ -13,6 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from egp_service import shipped
+from egp_service._core import VehicleParameters
 from egp_service.control.toml_text import dumps
 from egp_service.simulation.configuration import ConfigurationError, build, without_none
 
@@ -102,7 +103,7 @@ class Scenario:
     control: dict[str, object] = field(default_factory=dict)
     """Settings of the control step, passed unchanged to service or engine."""
     gate: dict[str, float] = field(default_factory=dict)
-    """Settings of the gate."""
+    """Settings of the gate in place of the simulated vehicle's own limits."""
 
     def toml(self) -> str:
         """Return a complete scenario file that reproduces the run."""
@@ -153,6 +154,11 @@ def library_path(scenario: Scenario) -> Path:
     if scenario.library != DEMO_LIBRARY:
         return Path(scenario.library)
     return shipped.DEMO_LIBRARY
+
+
+def gate_settings(scenario: Scenario) -> dict[str, float]:
+    """Give the gate's settings: the simulated vehicle's limits, and what the scenario states."""
+    return VehicleParameters.commonroad(scenario.vehicle).gate_limits() | scenario.gate
 
 
 def _check(scenario: Scenario, origin: str) -> None:

@@ -9,6 +9,7 @@ import torch
 
 from egp_service._core import MemberData, write_library
 from egp_service.training.gaussian_process import exact
+from egp_service.vehicle import known_vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from egp_service._core import VehicleParameters
     from egp_service.training.train import TrainedMember, TrainingSettings
 
 _INSIDE: Final = 12
@@ -27,10 +29,14 @@ def export(
     members: Sequence[TrainedMember],
     settings: TrainingSettings,
     provenance: Mapping[str, str],
+    vehicle: VehicleParameters | None = None,
 ) -> None:
     """Write the members as one library; the writer verifies it by loading it again.
 
+    Without `vehicle` the data must come from a simulated one, whose parameters are known.
+
     Raises:
+        EgpError: if the vehicle is neither given nor simulated.
         LibraryError: if the members do not pass the checks of the library.
 
     """
@@ -40,6 +46,7 @@ def export(
         dt=first.dt,
         kernel=settings.kernel,
         vehicle=first.vehicle,
+        parameters=vehicle or known_vehicle(first.vehicle),
         members=[_member(member) for member in members],
         provenance=provenance,
     )

@@ -14,12 +14,11 @@ import numpy as np
 import torch
 from scipy.optimize import least_squares
 
-from egp_service._core import EgpError
+from egp_service._core import GRAVITY, EgpError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-GRAVITY: Final = 9.81
 SLOWEST: Final = 3.0  # m/s; slip angles are computed with at least this speed
 # Start and bounds of the fit: small cars to vans, gravel to racing tyres. A shape above 2 would
 # reverse the force at large slip, and with a shape below 1 the force would have no peak.

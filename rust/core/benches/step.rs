@@ -11,7 +11,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use egp_core::linearisation::Linearisation;
-use egp_core::ocp::{self, Road, soft_rows};
+use egp_core::ocp::{self, Road, Setup, soft_rows};
 use egp_core::settings::SolverKind;
 use egp_core::solver::{ClarabelSolver, RiccatiSolver, solve_checked};
 use egp_core::trajectory::Guess;
@@ -40,7 +40,7 @@ fn settings() -> Settings {
     settings.weights.window = Some(10);
     // This exceeds the 0.3 rad at which the simplified vehicle of the tests reaches its largest force, even on friction
     // 0.4.
-    settings.soft.slip = 1.2;
+    settings.soft.slip = Some(1.2);
     settings
 }
 
@@ -187,9 +187,15 @@ fn phases(c: &mut Criterion, library: &Library) {
         widths: &[[3.0; 2]; 21],
         friction: 0.8,
     };
+    let vehicle = settings.vehicle(library.vehicle());
+    let setup = Setup {
+        settings: &settings,
+        vehicle: &vehicle,
+        dt: 0.05,
+    };
     let mut qp = OcpQp::new(20, soft_rows(&settings.soft));
     c.bench_function("phase/assemble", |b| {
-        b.iter(|| ocp::assemble(&settings, 0.05, &x0, &u_prev, &dynamics, &road, &mut qp));
+        b.iter(|| ocp::assemble(&setup, &x0, &u_prev, &dynamics, &road, &mut qp));
     });
 
     let mut solver = ClarabelSolver::new(&qp, &settings.solver).unwrap();

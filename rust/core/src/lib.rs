@@ -24,6 +24,7 @@ mod simd;
 
 use nalgebra::{SMatrix, SVector};
 
+pub use egp_parameters::VehicleParameters;
 pub use ensemble::{Ensemble, EnsembleError, EnsembleVariance, MixtureScratch};
 pub use executor::{Executor, Sequential};
 pub use gp::VarianceScratch;

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use egp_gate::{GateError, Limits};
+use egp_gate::{GateError, Limits, WiderError};
 use egp_wire::keys::{Name, NameError};
 use thiserror::Error;
 
@@ -12,6 +12,9 @@ pub enum DriverError {
     /// The gate's limits or settings are not valid.
     #[error(transparent)]
     Gate(#[from] GateError),
+    /// The gate allows more than the vehicle that the service plans for can do, or has another mass.
+    #[error(transparent)]
+    Wider(#[from] WiderError),
     /// The budget is outside its range.
     #[error("the budget must be in (0, 1] of the control period, got {0}")]
     Budget(f64),

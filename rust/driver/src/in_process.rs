@@ -24,7 +24,8 @@ impl InProcessDriver {
     /// A driver for the library that `served` describes.
     ///
     /// # Errors
-    /// [`DriverError`] when budget, limits or gate settings are out of range.
+    /// [`DriverError`] when budget, limits or gate settings are out of range, or when the limits allow more than the
+    /// vehicle that `served` describes can do.
     pub fn new(config: DriverConfig, served: Ready) -> Result<Self, DriverError> {
         let mut driver = Driver::new(config, served)?;
         if let Ok(replica) = "in-process".parse::<Name>() {

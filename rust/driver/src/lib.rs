@@ -9,10 +9,12 @@
 //! use std::time::Duration;
 //! use egp_driver::{Action, Driver, DriverConfig, Measurement};
 //! # use egp_gate::{Limits, Mode};
-//! # let limits = Limits::default();
+//! # let vehicle = egp_parameters::VehicleParameters::FORD_ESCORT;
+//! # let limits = Limits::of(&vehicle);
 //! # let served = egp_wire::Ready {
 //! #     ready: true, library: [7; 32], dt: 0.02, horizon: 4, history: 3, members: vec!["dry".into()],
 //! #     envelope: [[0.0, -5.0, -2.0, -0.6, -9e3, -0.4], [30.0, 5.0, 2.0, 0.6, 9e3, 0.4]],
+//! #     vehicle: Some(vehicle),
 //! # };
 //! let mut driver = Driver::new(DriverConfig::new("depot", "car-7", limits)?, served)?;
 //! driver.replica_appeared(Duration::ZERO, "garage-1".parse()?);

@@ -4,6 +4,7 @@
 use egp_core::Settings;
 use egp_driver::{DriverConfig, InProcessDriver, Measurement};
 use egp_engine::Engine;
+use egp_gate::Limits;
 use egp_path::{SpeedLimits, SpeedProfile, horizon_reference, tracks::RoundedRectangle};
 use egp_plant::{Plant, Uniform, VehicleId, VehicleState};
 use egp_wire::Timing;
@@ -11,12 +12,13 @@ use egp_wire::Timing;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let library = std::env::args().nth(1).ok_or("which library file?")?;
     let engine = Engine::load(library.as_ref(), Settings::default())?;
-    let config = DriverConfig::new("depot", "car-7", egp_gate::Limits::default())?;
+    let vehicle = VehicleId::FordEscort.vehicle();
+    let config = DriverConfig::new("depot", "car-7", Limits::of(&vehicle))?;
     let mut driver = InProcessDriver::new(config, engine.describe())?;
     let (mut workspace, dt) = (engine.workspace()?, engine.library().dt());
 
     let path = RoundedRectangle::default().path()?;
-    let profile = SpeedProfile::new(&path, &SpeedLimits::default())?;
+    let profile = SpeedProfile::new(&path, &SpeedLimits::of(&vehicle))?;
     let mut car = Plant::new(VehicleId::FordEscort.parameters());
     let (start, v_x) = (path.sample(0.0), profile.speed(0.0));
     car.reset(&VehicleState {

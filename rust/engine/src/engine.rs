@@ -32,7 +32,7 @@ impl Engine {
     /// [`EngineError`] when the settings are out of range, or members, horizon or window beyond the wire.
     pub fn new(library: Library, settings: Settings) -> Result<Self, EngineError> {
         let (limits, dt) = (Limits::default(), library.dt());
-        let settings = settings.at_period(dt);
+        let settings = settings.complete(dt, library.vehicle());
         for (what, actual, limit) in [
             (
                 "the number of members",
@@ -138,6 +138,7 @@ impl Engine {
                 .map(|member| member.label().to_owned())
                 .collect(),
             envelope: envelope(&self.library),
+            vehicle: Some(self.settings.vehicle(self.library.vehicle())),
         }
     }
 

@@ -7,8 +7,10 @@
 //!
 //! ```
 //! use egp_gate::{Gate, Limits, Mode};
+//! use egp_parameters::VehicleParameters;
 //! # fn main() -> Result<(), egp_gate::GateError> {
-//! let mut gate = Gate::new(Limits::default(), 0.05, 1, 3.0)?;
+//! let limits = Limits::of(&VehicleParameters::FORD_ESCORT);
+//! let mut gate = Gate::new(limits, 0.05, 1, 3.0)?;
 //! gate.accept(0, &[[500.0, 0.1], [500.0, 0.0], [500.0, 0.0]])?;
 //! assert_eq!(gate.command(0, 15.0, 0.0).mode, Mode::Normal);
 //! assert_eq!(gate.command(1, 15.0, 0.0).mode, Mode::Tail); // no new plan was accepted
@@ -20,4 +22,4 @@ mod gate;
 mod limits;
 
 pub use gate::{Command, Gate, GateError, MAX_HORIZON, Mode};
-pub use limits::{Limits, LimitsError};
+pub use limits::{Limits, LimitsError, WiderError};

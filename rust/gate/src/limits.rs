@@ -1,5 +1,7 @@
 //! Hard limits of the actuators' values and slew rates.
 
+use egp_parameters::VehicleParameters;
+
 /// Limits of the commands to the actuators. All values are positive except `force_min`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
@@ -21,24 +23,6 @@ pub struct Limits {
     pub steering_slew: f64,
 }
 
-impl Default for Limits {
-    /// `CommonRoad` vehicle 1, inside the plant's own limits: -8 to 6 m/s², 54.7 W/kg, 60 m/s³,
-    /// 0.91 rad, 0.4 rad/s, 8 rad/s².
-    fn default() -> Self {
-        let mass = 1225.887;
-        Self {
-            mass,
-            force_min: -8.0 * mass,
-            force_max: 6.0 * mass,
-            power: 54.7 * mass,
-            force_slew: 60.0 * mass,
-            steering_angle: 0.91,
-            steering_rate: 0.4,
-            steering_slew: 8.0,
-        }
-    }
-}
-
 /// A limit that is not finite or has the wrong sign.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("gate limit {name} must be finite and {expected}, got {value}")]
@@ -50,6 +34,28 @@ pub struct LimitsError {
     /// The given value.
     pub value: f64,
 }
+
+/// A limit that allows more than the vehicle that plans are made for can do, or another mass.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "gate limit {name} is {gate} {unit}, the vehicle that plans are made for has {planned} {unit}; \
+     narrow the gate, or use a library trained for this vehicle"
+)]
+pub struct WiderError {
+    /// The field of [`Limits`].
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The gate's value.
+    pub gate: f64,
+    /// That of the vehicle that plans are made for.
+    pub planned: f64,
+}
+
+/// Relative difference between two limits that is rounding.
+const ROUNDING: f64 = 1e-9;
+/// Largest relative difference between the masses of the same vehicle.
+const SAME_MASS: f64 = 0.01;
 
 /// `value` if it is finite and positive.
 pub(crate) fn positive(name: &'static str, value: f64) -> Result<f64, LimitsError> {
@@ -65,19 +71,70 @@ pub(crate) fn positive(name: &'static str, value: f64) -> Result<f64, LimitsErro
 }
 
 impl Limits {
+    /// The limits of a vehicle: what its actuators can do, no more and no less.
+    pub fn of(vehicle: &VehicleParameters) -> Self {
+        Self {
+            mass: vehicle.mass,
+            force_min: vehicle.force(vehicle.a_min),
+            force_max: vehicle.force(vehicle.a_max),
+            power: vehicle.force(vehicle.power),
+            force_slew: vehicle.force(vehicle.a_slew),
+            steering_angle: vehicle.steering_angle,
+            steering_rate: vehicle.steering_rate,
+            steering_slew: vehicle.steering_slew,
+        }
+    }
+
+    /// Checks that the gate lets nothing through that the vehicle which plans are made for cannot do, apart from
+    /// rounding (1e-9), and that its mass is that vehicle's within 1 %. A narrower gate is allowed: it then changes what
+    /// a plan asks for.
+    ///
+    /// # Errors
+    /// [`WiderError`] with both values, for the first field at fault.
+    pub fn check_within(&self, planned: &VehicleParameters) -> Result<(), WiderError> {
+        let pairs = self.fields().into_iter().zip(Self::of(planned).fields());
+        for ((name, unit, gate), (_, _, planned)) in pairs {
+            let allowed = match name {
+                "mass" => (gate - planned).abs() <= SAME_MASS * planned,
+                _ => gate.abs() <= planned.abs() * (1.0 + ROUNDING),
+            };
+            if !allowed {
+                return Err(WiderError {
+                    name,
+                    unit,
+                    gate,
+                    planned,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Name, unit and value of every field.
+    pub fn fields(&self) -> [(&'static str, &'static str, f64); 8] {
+        [
+            ("mass", "kg", self.mass),
+            ("force_min", "N", self.force_min),
+            ("force_max", "N", self.force_max),
+            ("power", "W", self.power),
+            ("force_slew", "N/s", self.force_slew),
+            ("steering_angle", "rad", self.steering_angle),
+            ("steering_rate", "rad/s", self.steering_rate),
+            ("steering_slew", "rad/s²", self.steering_slew),
+        ]
+    }
+
     /// Checks that all limits are finite and have the right sign.
     ///
     /// # Errors
     /// [`LimitsError`] with the first invalid field.
     pub fn validate(&self) -> Result<(), LimitsError> {
-        positive("mass", self.mass)?;
-        positive("-force_min", -self.force_min)?;
-        positive("force_max", self.force_max)?;
-        positive("power", self.power)?;
-        positive("force_slew", self.force_slew)?;
-        positive("steering_angle", self.steering_angle)?;
-        positive("steering_rate", self.steering_rate)?;
-        positive("steering_slew", self.steering_slew)?;
+        for (name, _, value) in self.fields() {
+            match name {
+                "force_min" => positive("-force_min", -value)?,
+                _ => positive(name, value)?,
+            };
+        }
         Ok(())
     }
 

@@ -1,5 +1,7 @@
 //! Bounds of the speed along a path.
 
+use egp_parameters::VehicleParameters;
+
 use crate::error::{PathError, check};
 
 /// Bounds of the speed. The friction circle of `mu g` is scaled in each direction, because a vehicle with one driven
@@ -28,25 +30,23 @@ pub struct SpeedLimits {
     pub end_speed: Option<f64>,
 }
 
-impl Default for SpeedLimits {
-    /// CommonRoad vehicle 1 (a Ford Escort, front driven) at 80 % of its grip.
-    fn default() -> Self {
+impl SpeedLimits {
+    /// What this vehicle can do at 80 % of its grip and at most 30 m/s.
+    pub fn of(vehicle: &VehicleParameters) -> Self {
         Self {
             grip: 0.8,
-            lateral: 0.88,
-            braking: 0.45,
-            driving: 0.22,
+            lateral: vehicle.lateral_grip,
+            braking: vehicle.braking_grip,
+            driving: vehicle.driving_grip,
             v_max: 30.0,
-            a_brake: 8.0,
-            a_drive: 6.0,
-            power: 54.7,
+            a_brake: -vehicle.a_min,
+            a_drive: vehicle.a_max,
+            power: vehicle.power,
             start_speed: None,
             end_speed: None,
         }
     }
-}
 
-impl SpeedLimits {
     /// Errors if a limit is out of range, or if a closed path has a start or end speed.
     pub(crate) fn check(&self, closed: bool) -> Result<(), PathError> {
         check("grip", self.grip, "a fraction in (0, 1]", |g| {

@@ -1,11 +1,10 @@
 //! Speed profiles of paths.
 
+use egp_parameters::STANDARD_GRAVITY;
+
 use crate::error::{PathError, check};
 use crate::limits::SpeedLimits;
 use crate::path::Path;
-
-/// Standard gravity in m/s².
-const GRAVITY: f64 = 9.806_65;
 
 /// Speed over the arc length of one path. The acceleration is constant between knots, so that time along the path has a
 /// closed form.
@@ -198,7 +197,7 @@ impl Knot {
                     .map(|s| path.friction(s))
                     .into_iter()
                     .fold(f64::INFINITY, f64::min);
-                let grip = limits.grip * friction * GRAVITY;
+                let grip = limits.grip * friction * STANDARD_GRAVITY;
                 Self {
                     curvature: path.sample(s).curvature.abs(),
                     grip,

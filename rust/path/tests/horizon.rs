@@ -4,8 +4,14 @@
 
 use std::f64::consts::{PI, TAU};
 
+use egp_parameters::VehicleParameters;
 use egp_path::tracks::RoundedRectangle;
 use egp_path::{Path, PathError, Projection, SpeedLimits, SpeedProfile, horizon_reference};
+
+/// The speed limits of the simulated car.
+fn car() -> SpeedLimits {
+    SpeedLimits::of(&VehicleParameters::FORD_ESCORT)
+}
 
 const DT: f64 = 0.05;
 
@@ -30,7 +36,7 @@ fn reference(path: &Path, profile: &SpeedProfile, position: [f64; 2], psi: f64) 
 #[test]
 fn stages_are_spaced_by_time_along_the_profile() {
     let path = RoundedRectangle::default().path().unwrap();
-    let profile = SpeedProfile::new(&path, &SpeedLimits::default()).unwrap();
+    let profile = SpeedProfile::new(&path, &car()).unwrap();
     for start in [0.0, 20.0, 37.0, 60.0, path.length() - 4.0] {
         let at = path.sample(start);
         let position = [at.x - at.yaw.sin(), at.y + at.yaw.cos()];
@@ -94,7 +100,7 @@ fn the_reference_stays_where_the_profile_stops() {
     let path = Path::from_points(&points, false, None).unwrap();
     let stop = SpeedLimits {
         end_speed: Some(0.0),
-        ..SpeedLimits::default()
+        ..car()
     };
     let profile = SpeedProfile::new(&path, &stop).unwrap();
     let (rows, ..) = reference(&path, &profile, [19.0, 0.0], 0.0);

@@ -4,9 +4,15 @@
 
 use std::f64::consts::TAU;
 
+use egp_parameters::VehicleParameters;
 use egp_path::tracks::RoundedRectangle;
 use egp_path::{Path, PathError, SpeedLimits, SpeedProfile, Zone};
 use proptest::prelude::*;
+
+/// The speed limits of the simulated car.
+fn car() -> SpeedLimits {
+    SpeedLimits::of(&VehicleParameters::FORD_ESCORT)
+}
 
 const G: f64 = 9.806_65;
 
@@ -61,10 +67,7 @@ fn a_circle_is_driven_at_its_lateral_limit() {
         .map(|(sin, cos)| [30.0 * cos, 30.0 * sin])
         .collect();
     let path = Path::from_points(&points, true, None).unwrap();
-    let limits = SpeedLimits {
-        grip: 0.9,
-        ..SpeedLimits::default()
-    };
+    let limits = SpeedLimits { grip: 0.9, ..car() };
     let profile = SpeedProfile::new(&path, &limits).unwrap();
     let speed = (0.9 * 0.88 * G * 30.0).sqrt();
     assert!((profile.speed(50.0) / speed - 1.0).abs() < 1e-4);
@@ -79,7 +82,7 @@ fn a_drag_race_has_the_closed_form_of_constant_acceleration() {
     let limits = SpeedLimits {
         start_speed: Some(0.0),
         end_speed: Some(0.0),
-        ..SpeedLimits::default()
+        ..car()
     };
     let profile = SpeedProfile::new(&path, &limits).unwrap();
     let (drive, brake) = (0.8 * 0.22 * 0.5 * G, 0.8 * 0.45 * 0.5 * G);
@@ -97,10 +100,7 @@ fn a_drag_race_has_the_closed_form_of_constant_acceleration() {
 #[test]
 fn every_limit_holds_everywhere_on_the_demo_lap() {
     for grip in [0.3, 0.82, 0.9, 1.0] {
-        let limits = SpeedLimits {
-            grip,
-            ..SpeedLimits::default()
-        };
+        let limits = SpeedLimits { grip, ..car() };
         let worst = violation(&demo(), &limits);
         assert!(worst < 5e-3, "{worst} at grip {grip}");
         // Some limit is active: the profile is not merely slow.
@@ -115,7 +115,7 @@ fn the_demo_lap_closes_and_takes_half_a_minute() {
         &path,
         &SpeedLimits {
             grip: 0.82,
-            ..SpeedLimits::default()
+            ..car()
         },
     )
     .unwrap();
@@ -137,12 +137,7 @@ fn it_brakes_before_the_slippery_zone_and_not_inside() {
         .collect();
     let path = Path::from_points(&points, false, None).unwrap();
     let zones = [(0.0, 1.1), (0.5, 0.4)].map(|(start, friction)| Zone::new(start, friction));
-    assert!(
-        violation(
-            &path.with_friction(&zones).unwrap(),
-            &SpeedLimits::default()
-        ) < 5e-3
-    );
+    assert!(violation(&path.with_friction(&zones).unwrap(), &car()) < 5e-3);
 }
 
 #[test]
@@ -152,7 +147,7 @@ fn errors_name_the_invalid_limit() {
         PathError::Parameter { name, .. } => name,
         other => panic!("{other}"),
     };
-    let default = SpeedLimits::default();
+    let default = car();
     let open = straight(10.0);
     assert_eq!(
         name(reject(
@@ -206,7 +201,7 @@ proptest! {
     #[test]
     fn station_inverts_time(time in -100.0..200.0_f64) {
         for path in [demo(), straight(80.0)] {
-            let profile = SpeedProfile::new(&path, &SpeedLimits::default()).unwrap();
+            let profile = SpeedProfile::new(&path, &car()).unwrap();
             prop_assert!((profile.time(profile.station(time)) - time).abs() < 1e-8);
         }
     }
@@ -217,7 +212,7 @@ proptest! {
             Zone::new(0.0, 1.0),
             Zone::new(0.55, drop),
         ]).unwrap();
-        let worst = violation(&path, &SpeedLimits { grip, v_max, ..SpeedLimits::default() });
+        let worst = violation(&path, &SpeedLimits { grip, v_max, ..car() });
         prop_assert!(worst < 5e-3, "{}", worst);
     }
 }

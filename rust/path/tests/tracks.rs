@@ -2,11 +2,15 @@
 
 #![allow(clippy::unwrap_used)]
 
+use egp_parameters::VehicleParameters;
 use egp_path::tracks::{
     Corner, DoubleLaneChange, LShape, LaneChanges, RandomTrack, RoundedRectangle,
 };
 use egp_path::{Path, SpeedLimits, SpeedProfile};
 use proptest::prelude::*;
+
+/// The simulated car.
+const CAR: VehicleParameters = VehicleParameters::FORD_ESCORT;
 
 const STEPS: u32 = 4000;
 
@@ -35,7 +39,7 @@ fn all_start_at_the_origin_along_x() {
         RoundedRectangle::default().path(),
         LShape::default().path(),
         LaneChanges::default().path(),
-        DoubleLaneChange::default().path(),
+        DoubleLaneChange::of(CAR.width).path(),
         RandomTrack::new(4).path(),
     ];
     for path in paths {
@@ -105,11 +109,7 @@ fn lane_changes_swing_between_two_lanes() {
 
 #[test]
 fn the_double_lane_change_has_the_dimensions_of_the_standard() {
-    let [first, second, third] = DoubleLaneChange {
-        vehicle_width: 2.0,
-        ..DoubleLaneChange::default()
-    }
-    .sections();
+    let [first, second, third] = DoubleLaneChange::of(2.0).sections();
     let close = |a: f64, b: f64| (a - b).abs() < 1e-12;
     assert!(close(first.left - first.right, 2.45) && close(second.left - second.right, 3.0));
     assert!(close(third.left - third.right, 3.0) && close(third.end, 61.0));
@@ -119,7 +119,7 @@ fn the_double_lane_change_has_the_dimensions_of_the_standard() {
 
 #[test]
 fn the_double_lane_changes_path_stays_between_the_cones_at_half_the_grip_of_lane_centres() {
-    let course = DoubleLaneChange::default();
+    let course = DoubleLaneChange::of(CAR.width);
     let path = course.path().unwrap();
     let room = course.vehicle_width / 2.0 + course.margin;
     for s in stations(&path) {
@@ -189,7 +189,7 @@ fn errors_explain_the_invalid_dimension() {
     );
     let course = DoubleLaneChange {
         margin: 0.3,
-        ..DoubleLaneChange::default()
+        ..DoubleLaneChange::of(CAR.width)
     };
     assert!(message(course.path()).contains("for margin, got 0.3"));
     assert!(
@@ -230,6 +230,6 @@ proptest! {
                 prop_assert!((found.s - s).abs() < 1e-3 || path.length() - (found.s - s).abs() < 1e-3);
             }
         }
-        SpeedProfile::new(&path, &SpeedLimits::default()).unwrap();
+        SpeedProfile::new(&path, &SpeedLimits::of(&CAR)).unwrap();
     }
 }

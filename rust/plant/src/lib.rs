@@ -36,6 +36,8 @@ mod plant;
 mod state;
 mod tyre;
 
+pub use egp_parameters::GRAVITY;
+
 pub use batch::{BatchItem, step_batch};
 pub use dynamics::{KINEMATIC_SPEED, derivative, lateral_acceleration};
 pub use error::PlantError;
@@ -46,6 +48,3 @@ pub use parameters::{Axle, Joint, Parameters, SprungMass, VehicleId, Wheel};
 pub use plant::Plant;
 pub use state::{NX, STATE_NAMES, StateVector, VehicleState, initial_state};
 pub use tyre::{Contact, TyreForce, TyreParameters};
-
-/// Gravity in m/s² as in the original.
-pub const GRAVITY: f64 = 9.81;

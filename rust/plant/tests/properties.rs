@@ -260,3 +260,47 @@ fn errors_keep_the_state() {
     assert_eq!(plant.state(), &broken);
     assert_eq!(VehicleId::try_from(3), Err(PlantError::UnknownVehicle(3)));
 }
+
+/// A controller's numbers are the simulated vehicle's, rounded, and its limits lie inside.
+#[test]
+fn controllers_know_the_vehicles_that_are_simulated() {
+    for id in [VehicleId::FordEscort, VehicleId::Bmw320i] {
+        let (known, plant) = (id.vehicle(), id.parameters());
+        known.validate().unwrap();
+        for (rounded, exact, tolerance) in [
+            (known.mass, plant.mass, 1e-6),
+            (known.yaw_inertia, plant.yaw_inertia, 1e-6),
+            (known.l_f, plant.front.position, 0.02),
+            (known.l_r, -plant.rear.position, 0.01),
+            (
+                known.power,
+                plant.limits.acceleration * plant.limits.switch_speed,
+                0.4,
+            ),
+        ] {
+            assert!(
+                (rounded / exact - 1.0).abs() < tolerance,
+                "{id:?} {rounded} {exact}"
+            );
+        }
+        assert!(
+            known.a_max < plant.limits.acceleration && -known.a_min < plant.limits.acceleration
+        );
+        assert!(known.steering_angle <= plant.limits.steering_angle);
+        assert!(known.steering_rate <= plant.limits.steering_rate);
+        let force = |slip_angle: f64| {
+            let contact = Contact {
+                slip: 0.0,
+                slip_angle,
+                camber: 0.0,
+                load: 3000.0,
+                friction: 1.0,
+            };
+            plant.tyre.force(&contact).y.abs()
+        };
+        let peak = (0..300)
+            .map(|i| force(1e-3 * f64::from(i)))
+            .fold(0.0, f64::max);
+        assert!(force(known.peak_slip) > 0.99 * peak);
+    }
+}

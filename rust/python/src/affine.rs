@@ -4,7 +4,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use egp_core::linearisation::Linearisation;
-use egp_core::ocp::{self, Road, soft_rows};
+use egp_core::ocp::{self, Road, Setup, soft_rows};
 use egp_core::solver::{self, solve_with_fallback};
 use egp_core::{Input, NU, NX, OcpQp, OcpSolution, QpSolver, Settings, State};
 use pyo3::prelude::*;
@@ -12,11 +12,13 @@ use pyo3::prelude::*;
 use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};
 use crate::error::{EgpError, raise};
 use crate::ocp::{OcpResult, result};
+use crate::parameters::VehicleParameters;
 
 /// Assembles and solves the problems of one set of settings on a surface of one friction.
 #[pyclass(module = "egp_service._core", frozen)]
 struct AffineOcp {
     settings: Settings,
+    vehicle: egp_parameters::VehicleParameters,
     dt: f64,
     friction: f64,
     memory: Mutex<Memory>,
@@ -32,7 +34,12 @@ struct Memory {
 #[pymethods]
 impl AffineOcp {
     #[new]
-    fn new(settings_toml: &str, dt: f64, friction: f64) -> PyResult<Self> {
+    fn new(
+        settings_toml: &str,
+        vehicle: &VehicleParameters,
+        dt: f64,
+        friction: f64,
+    ) -> PyResult<Self> {
         let settings = Settings::from_toml(settings_toml).map_err(raise)?;
         if !(dt.is_finite() && dt > 0.0) {
             return Err(EgpError::new_err(format!(
@@ -53,6 +60,7 @@ impl AffineOcp {
             qp,
         };
         Ok(Self {
+            vehicle: settings.vehicle(&vehicle.0),
             settings,
             dt,
             friction,
@@ -82,7 +90,7 @@ impl AffineOcp {
         let operating = stages::<NX>("operating_x", &operating_x, horizon + 1)?;
         let guess: Vec<Input> = stages::<NU>("operating_u", &operating_u, horizon)?
             .into_iter()
-            .map(|[force, rate]| Input::new(force / self.settings.mass, rate))
+            .map(|[force, rate]| Input::new(force / self.vehicle.mass, rate))
             .collect();
         let (a, b) = (layers::<NX, NX>("a", &a)?, layers::<NX, NU>("b", &b)?);
         let c = stages::<NX>("c", &c, horizon)?;
@@ -127,7 +135,12 @@ impl AffineOcp {
             widths: &widths,
             friction: self.friction,
         };
-        ocp::assemble(&self.settings, self.dt, &x0, &u_prev, dynamics, &road, qp);
+        let setup = Setup {
+            settings: &self.settings,
+            vehicle: &self.vehicle,
+            dt: self.dt,
+        };
+        ocp::assemble(&setup, &x0, &u_prev, dynamics, &road, qp);
         let start = Instant::now();
         let tolerance = self.settings.solver.kkt_tolerance;
         let solver = solve_with_fallback(solvers, qp, &guess, tolerance, solution);

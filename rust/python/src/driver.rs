@@ -148,7 +148,7 @@ impl Decision {
 pub fn driver_config(
     fleet: &str,
     vehicle: &str,
-    gate: &BTreeMap<String, f64>,
+    gate: BTreeMap<String, f64>,
     budget: f64,
     want_sigma: bool,
 ) -> PyResult<DriverConfig> {
@@ -196,7 +196,7 @@ impl Driver {
         budget: f64,
         want_sigma: bool,
     ) -> PyResult<Self> {
-        let config = driver_config(fleet, vehicle, &gate, budget, want_sigma)?;
+        let config = driver_config(fleet, vehicle, gate, budget, want_sigma)?;
         let ready = Ready::decode(ready, &egp_wire::Limits::default()).map_err(raise)?;
         egp_driver::Driver::new(config, ready)
             .map(Self)

@@ -23,30 +23,32 @@ struct Command {
 #[pyclass(module = "egp_service._core")]
 struct Gate(egp_gate::Gate);
 
-/// `settings` over the defaults; unknown names are refused.
-pub fn configure(settings: &BTreeMap<String, f64>) -> PyResult<(Limits, u64, f64)> {
-    let mut limits = Limits::default();
-    let (mut max_tail_ticks, mut stop_deceleration) = (25.0, 3.0);
-    for (name, value) in settings {
-        *match name.as_str() {
-            "mass" => &mut limits.mass,
-            "force_min" => &mut limits.force_min,
-            "force_max" => &mut limits.force_max,
-            "power" => &mut limits.power,
-            "force_slew" => &mut limits.force_slew,
-            "steering_angle" => &mut limits.steering_angle,
-            "steering_rate" => &mut limits.steering_rate,
-            "steering_slew" => &mut limits.steering_slew,
-            "max_tail_ticks" => &mut max_tail_ticks,
-            "stop_deceleration" => &mut stop_deceleration,
-            _ => {
-                return Err(EgpError::new_err(format!(
-                    "unknown gate setting {name:?}; known: mass, force_min, force_max, power, \
-                     force_slew, steering_angle, steering_rate, steering_slew, max_tail_ticks, \
-                     stop_deceleration"
-                )));
-            }
-        } = *value;
+/// Limits, tail and deceleration of a gate. All limits must be stated; unknown names are errors.
+pub fn configure(mut settings: BTreeMap<String, f64>) -> PyResult<(Limits, u64, f64)> {
+    let max_tail_ticks = settings.remove("max_tail_ticks").unwrap_or(25.0);
+    let stop_deceleration = settings.remove("stop_deceleration").unwrap_or(3.0);
+    let mut limit = |name: &str| {
+        settings.remove(name).ok_or_else(|| {
+            EgpError::new_err(format!(
+                "gate limit {name} is missing; `VehicleParameters.gate_limits()` gives a vehicle's"
+            ))
+        })
+    };
+    let limits = Limits {
+        mass: limit("mass")?,
+        force_min: limit("force_min")?,
+        force_max: limit("force_max")?,
+        power: limit("power")?,
+        force_slew: limit("force_slew")?,
+        steering_angle: limit("steering_angle")?,
+        steering_rate: limit("steering_rate")?,
+        steering_slew: limit("steering_slew")?,
+    };
+    if let Some(name) = settings.keys().next() {
+        return Err(EgpError::new_err(format!(
+            "unknown gate setting {name:?}; known: mass, force_min, force_max, power, force_slew, \
+             steering_angle, steering_rate, steering_slew, max_tail_ticks, stop_deceleration"
+        )));
     }
     if !(0.0..=1e6).contains(&max_tail_ticks) || max_tail_ticks.fract() != 0.0 {
         return Err(EgpError::new_err(format!(
@@ -61,9 +63,8 @@ pub fn configure(settings: &BTreeMap<String, f64>) -> PyResult<(Limits, u64, f64
 #[pymethods]
 impl Gate {
     #[new]
-    #[pyo3(signature = (dt, settings = BTreeMap::new()))]
     fn new(dt: f64, settings: BTreeMap<String, f64>) -> PyResult<Self> {
-        let (limits, max_tail_ticks, stop_deceleration) = configure(&settings)?;
+        let (limits, max_tail_ticks, stop_deceleration) = configure(settings)?;
         egp_gate::Gate::new(limits, dt, max_tail_ticks, stop_deceleration)
             .map(Self)
             .map_err(raise)

@@ -10,6 +10,7 @@ mod gate;
 mod library;
 mod library_writer;
 mod ocp;
+mod parameters;
 mod path;
 mod plant;
 mod problem;
@@ -29,6 +30,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     library::register(module)?;
     library_writer::register(module)?;
     ocp::register(module)?;
+    parameters::register(module)?;
     path::register(module)?;
     plant::register(module)?;
     problem::register(module)?;

@@ -15,6 +15,7 @@ use pyo3::prelude::*;
 
 use crate::array::{Matrix, NewCube, NewMatrix, NewVector, array, rows, vector};
 use crate::error::EgpError;
+use crate::parameters::VehicleParameters;
 
 create_exception!(
     egp_service._core,
@@ -60,6 +61,11 @@ impl Library {
     #[getter]
     fn vehicle(&self) -> &str {
         &self.0.metadata().vehicle
+    }
+
+    #[getter]
+    fn parameters(&self) -> VehicleParameters {
+        VehicleParameters(*self.0.vehicle())
     }
 
     #[getter]

@@ -11,6 +11,7 @@ use pyo3::prelude::*;
 
 use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};
 use crate::library::{Failure, os_error, read};
+use crate::parameters::VehicleParameters;
 
 /// One surface's GPs on their way into a file.
 #[pyclass(module = "egp_service._core", frozen)]
@@ -89,13 +90,15 @@ fn exactly<T, const N: usize>(name: &str, rows: Vec<T>) -> PyResult<[T; N]> {
 }
 
 #[pyfunction]
-#[pyo3(signature = (path, *, dt, kernel, vehicle, members, provenance))]
+#[allow(clippy::too_many_arguments)] // all by name
+#[pyo3(signature = (path, *, dt, kernel, vehicle, parameters, members, provenance))]
 fn write_library(
     py: Python<'_>,
     path: PathBuf,
     dt: f64,
     kernel: &str,
     vehicle: String,
+    parameters: &VehicleParameters,
     members: Vec<PyRef<'_, MemberData>>,
     provenance: BTreeMap<String, String>,
 ) -> PyResult<()> {
@@ -110,6 +113,7 @@ fn write_library(
         dt,
         kernel: Kernel::from_name(kernel).ok_or_else(unknown)?,
         vehicle,
+        parameters: parameters.0,
         provenance,
         members,
     };

@@ -13,6 +13,7 @@ use pyo3::prelude::*;
 
 use crate::array::{Matrix, NewMatrix, NewVector, Vector, array, fixed, rows, vector};
 use crate::error::{EgpError, raise};
+use crate::parameters::VehicleParameters;
 
 /// x, y, yaw, curvature, left, right, friction.
 type Samples<'py> = (
@@ -97,7 +98,7 @@ impl Path {
     }
 
     #[staticmethod]
-    #[pyo3(signature = (vehicle_width = 1.674, margin = 0.1, lead_in = 40.0, lead_out = 40.0))]
+    #[pyo3(signature = (vehicle_width, margin = 0.1, lead_in = 40.0, lead_out = 40.0))]
     fn iso_3888_2(vehicle_width: f64, margin: f64, lead_in: f64, lead_out: f64) -> PyResult<Self> {
         DoubleLaneChange {
             vehicle_width,
@@ -268,34 +269,22 @@ struct SpeedProfile(egp_path::SpeedProfile);
 impl SpeedProfile {
     #[new]
     #[pyo3(signature = (
-        path, grip = 0.8, v_max = 30.0, *, lateral = 0.88, braking = 0.45, driving = 0.22,
-        a_brake = 8.0, a_drive = 6.0, power = 54.7, start_speed = None, end_speed = None
+        path, vehicle, grip = 0.8, v_max = 30.0, *, start_speed = None, end_speed = None
     ))]
-    #[allow(clippy::too_many_arguments)]
     fn new(
         path: &Path,
+        vehicle: &VehicleParameters,
         grip: f64,
         v_max: f64,
-        lateral: f64,
-        braking: f64,
-        driving: f64,
-        a_brake: f64,
-        a_drive: f64,
-        power: f64,
         start_speed: Option<f64>,
         end_speed: Option<f64>,
     ) -> PyResult<Self> {
         let limits = SpeedLimits {
             grip,
-            lateral,
-            braking,
-            driving,
             v_max,
-            a_brake,
-            a_drive,
-            power,
             start_speed,
             end_speed,
+            ..SpeedLimits::of(&vehicle.0)
         };
         egp_path::SpeedProfile::new(&path.0, &limits)
             .map(Self)

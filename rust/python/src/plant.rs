@@ -5,6 +5,7 @@ use pyo3::prelude::*;
 
 use crate::array::{Matrix, NewMatrix, NewVector, Vector, array, fixed, rows, vector};
 use crate::error::{EgpError, raise};
+use crate::parameters::VehicleParameters;
 use crate::surface::Surface;
 
 /// A batch after one period: the states, and which plants made it.
@@ -12,14 +13,15 @@ type Stepped<'py> = (NewMatrix<'py>, NewVector<'py, bool>);
 
 /// A simulated vehicle.
 #[pyclass(module = "egp_service._core")]
-struct Plant(egp_plant::Plant);
+struct Plant(egp_plant::Plant, VehicleId);
 
 #[pymethods]
 impl Plant {
     #[new]
     #[pyo3(signature = (vehicle = 1))]
     fn new(vehicle: u32) -> PyResult<Self> {
-        Ok(Self(egp_plant::Plant::new(parameters(vehicle)?)))
+        let id = VehicleId::try_from(vehicle).map_err(raise)?;
+        Ok(Self(egp_plant::Plant::new(id.parameters()), id))
     }
 
     #[pyo3(signature = (x, y, yaw, v, yaw_rate = 0.0, v_y = 0.0, delta = 0.0))]
@@ -77,6 +79,11 @@ impl Plant {
     #[getter]
     fn vehicle_state<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.0.vehicle_state().to_array())
+    }
+
+    #[getter]
+    fn parameters(&self) -> VehicleParameters {
+        VehicleParameters(self.1.vehicle())
     }
 
     #[getter]

@@ -18,6 +18,7 @@ use crate::array::{Matrix, NewVector, Vector, vector};
 use crate::driver::{Decision, driver_config, measurement};
 use crate::error::{InvalidArgumentError, RefusedError, raise};
 use crate::gate::mode_name;
+use crate::parameters::VehicleParameters;
 
 /// The control step of the service, in-process: the same bytes in, the same bytes out.
 #[pyclass(module = "egp_service._core", frozen)]
@@ -106,6 +107,12 @@ impl Engine {
     }
 
     #[getter]
+    fn vehicle(&self) -> VehicleParameters {
+        let settings = self.inner.settings();
+        VehicleParameters(settings.vehicle(self.inner.library().vehicle()))
+    }
+
+    #[getter]
     fn settings_toml(&self) -> PyResult<String> {
         self.inner.settings().to_toml().map_err(raise)
     }
@@ -123,7 +130,7 @@ impl InProcessDriver {
     #[new]
     #[pyo3(signature = (engine, *, gate, want_sigma = false))]
     fn new(engine: Py<Engine>, gate: BTreeMap<String, f64>, want_sigma: bool) -> PyResult<Self> {
-        let config = driver_config("in-process", "vehicle", &gate, 0.8, want_sigma)?;
+        let config = driver_config("in-process", "vehicle", gate, 0.8, want_sigma)?;
         let served = engine.get().served.clone();
         let driver = egp_driver::InProcessDriver::new(config, served)
             .map_err(InvalidArgumentError::raise)?;

@@ -9,6 +9,7 @@ use pyo3::types::PyBytes;
 
 use crate::array::{NewCube, NewMatrix, NewVector, Vector, array, fixed, vector};
 use crate::error::raise;
+use crate::parameters::VehicleParameters;
 
 pub fn matrix<'py, const W: usize>(py: Python<'py>, rows: &[[f64; W]]) -> PyResult<NewMatrix<'py>> {
     array(py, rows.as_flattened().to_vec(), [rows.len(), W])
@@ -189,6 +190,7 @@ struct Replica {
     history: u32,
     members: Vec<String>,
     envelope: [[f64; 6]; 2],
+    vehicle: Option<Py<VehicleParameters>>,
 }
 
 #[pyfunction]
@@ -218,7 +220,7 @@ fn decode_error(data: &[u8]) -> PyResult<Refusal> {
 }
 
 #[pyfunction]
-fn decode_ready(data: &[u8]) -> PyResult<Replica> {
+fn decode_ready(py: Python<'_>, data: &[u8]) -> PyResult<Replica> {
     let ready = egp_wire::Ready::decode(data, &Limits::default()).map_err(raise)?;
     Ok(Replica {
         ready: ready.ready,
@@ -228,6 +230,10 @@ fn decode_ready(data: &[u8]) -> PyResult<Replica> {
         history: ready.history,
         members: ready.members,
         envelope: ready.envelope,
+        vehicle: (ready
+            .vehicle
+            .map(|vehicle| Py::new(py, VehicleParameters(vehicle))))
+        .transpose()?,
     })
 }
 

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use egp_core::library::{LibrarySpec, MemberData, encode};
-use egp_core::{Kernel, Library, NY, NZ};
+use egp_core::{Kernel, Library, NY, NZ, VehicleParameters};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -48,6 +48,7 @@ pub fn spec_of(
         dt: 0.05,
         kernel,
         vehicle: "commonroad-1".to_owned(),
+        parameters: VehicleParameters::FORD_ESCORT,
         provenance: BTreeMap::from([("source".to_owned(), "tests".to_owned())]),
         members: frictions.iter().enumerate().map(member).collect(),
     }

@@ -19,7 +19,7 @@ pub fn settings() -> Settings {
         ..Settings::default()
     };
     settings.weights.window = Some(10);
-    settings.soft.slip = 0.6;
+    settings.soft.slip = Some(0.6);
     settings
 }
 

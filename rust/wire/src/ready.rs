@@ -1,5 +1,6 @@
 //! What a replica tells about itself to a client that is about to use it.
 
+use egp_parameters::VehicleParameters;
 use prost::Message as _;
 
 use crate::{GpInput, Invalid, LibraryId, Limits, VERSION, check, proto};
@@ -21,6 +22,9 @@ pub struct Ready {
     pub members: Vec<String>,
     /// Smallest and largest GP input `[v_x, v_y, omega, delta, F_x, delta_dot]` in the members' training data.
     pub envelope: [GpInput; 2],
+    /// The vehicle that plans are made for: the library's, with what the settings state in place of it. Older services
+    /// do not say.
+    pub vehicle: Option<VehicleParameters>,
 }
 
 impl Ready {
@@ -38,6 +42,7 @@ impl Ready {
                 shape: vec![2, 6],
                 data: encode_values(self.envelope.as_flattened()),
             }),
+            vehicle: self.vehicle.as_ref().map(vehicle_to_proto),
         }
         .encode_to_vec()
     }
@@ -76,6 +81,7 @@ impl Ready {
             history: raw.history,
             members: raw.members,
             envelope: envelope(raw.envelope)?,
+            vehicle: raw.vehicle.as_ref().map(vehicle_from_proto).transpose()?,
         })
     }
 }
@@ -111,5 +117,87 @@ fn envelope(tensor: Option<proto::Tensor>) -> Result<[GpInput; 2], Invalid> {
             FIELD,
             "expected finite numbers, each of row 0 below that of row 1",
         ))
+    }
+}
+
+fn vehicle_to_proto(vehicle: &VehicleParameters) -> proto::VehicleParameters {
+    let &VehicleParameters {
+        mass,
+        yaw_inertia,
+        l_f,
+        l_r,
+        width,
+        a_min,
+        a_max,
+        power,
+        a_slew,
+        steering_angle,
+        steering_rate,
+        steering_slew,
+        peak_slip,
+        lateral_grip,
+        braking_grip,
+        driving_grip,
+    } = vehicle;
+    proto::VehicleParameters {
+        mass,
+        yaw_inertia,
+        l_f,
+        l_r,
+        width,
+        a_min,
+        a_max,
+        power,
+        a_slew,
+        steering_angle,
+        steering_rate,
+        steering_slew,
+        peak_slip,
+        lateral_grip,
+        braking_grip,
+        driving_grip,
+    }
+}
+
+fn vehicle_from_proto(raw: &proto::VehicleParameters) -> Result<VehicleParameters, Invalid> {
+    let &proto::VehicleParameters {
+        mass,
+        yaw_inertia,
+        l_f,
+        l_r,
+        width,
+        a_min,
+        a_max,
+        power,
+        a_slew,
+        steering_angle,
+        steering_rate,
+        steering_slew,
+        peak_slip,
+        lateral_grip,
+        braking_grip,
+        driving_grip,
+    } = raw;
+    let vehicle = VehicleParameters {
+        mass,
+        yaw_inertia,
+        l_f,
+        l_r,
+        width,
+        a_min,
+        a_max,
+        power,
+        a_slew,
+        steering_angle,
+        steering_rate,
+        steering_slew,
+        peak_slip,
+        lateral_grip,
+        braking_grip,
+        driving_grip,
+    };
+    match vehicle.validate() {
+        Ok(()) => Ok(vehicle),
+        Err(error) => Err(Invalid::field("vehicle", error.to_string())),
     }
 }

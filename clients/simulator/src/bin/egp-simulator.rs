@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use clap::Parser;
-use egp_simulator::{Course, Period, SimulatedVehicle, Track};
+use egp_simulator::{CAR, Course, Period, SimulatedVehicle, Track};
 use egp_vehicle::{GateLimits, Mode, VehicleConfig};
 
 /// What `--help` teaches.
@@ -101,7 +101,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let config = VehicleConfig::new(
         &arguments.fleet,
         &arguments.vehicle,
-        GateLimits::default(),
+        GateLimits::of(&CAR.vehicle()),
         &endpoints,
     )?;
     let mut vehicle = SimulatedVehicle::connect(&config, course.clone(), 0.0)?;

@@ -17,6 +17,10 @@ def train(
     recipe: Annotated[
         Path | None, typer.Option(help="Recipe for collection and training, instead of DATA.")
     ] = None,
+    vehicle: Annotated[
+        Path | None,
+        typer.Option(help="TOML file of the vehicle; needed unless the data are simulated."),
+    ] = None,
     kernel: Annotated[
         Literal["rbf", "matern52"], typer.Option(help="Covariance function.")
     ] = "matern52",
@@ -41,8 +45,18 @@ def train(
     trajectories. Of more than --max-points transitions, half are selected
     uniformly and half by the variance of a first fit.
 
+    The library says which vehicle it is for: controller, gate and speed
+    profile take their defaults from there. The file of --vehicle states, in
+    SI units: mass, yaw_inertia, l_f and l_r (centre of mass to the axles),
+    width; a_min (negative), a_max, power (W/kg), a_slew, all per mass;
+    steering_angle, steering_rate, steering_slew; peak_slip (of the front
+    tyres, on friction 1); lateral_grip, braking_grip and driving_grip
+    (reachable share of friction times gravity). `egp inspect` shows those of
+    a library.
+
     For example:
       egp train data/*.parquet -o library.safetensors
+      egp train data/*.parquet -o library.safetensors --vehicle car.toml
       egp train --recipe recipe.toml -o library.safetensors
     """
     from egp_service._core import EgpError, Library
@@ -54,6 +68,7 @@ def train(
     from egp_service.training.train import TrainingSettings
     from egp_service.training.train import train as train_members
     from egp_service.training.validation import validate
+    from egp_service.vehicle import read_vehicle
 
     console = Console()
     if (recipe is None) == (not data):
@@ -77,7 +92,8 @@ def train(
         datasets = [Dataset.read(path) for path in data or []]
         with fitting(console) as report:
             members = train_members(datasets, settings, report)
-    export(output, members, settings, training_provenance(settings))
+    car = None if vehicle is None else read_vehicle(vehicle)
+    export(output, members, settings, training_provenance(settings), car)
     library = Library.load(output)
     held_out = {member.dataset.provenance.surface: member.validation for member in members}
     matrix = validate(library, held_out)

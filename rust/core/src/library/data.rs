@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use egp_parameters::VehicleParameters;
+
 use super::LibraryError;
 use super::limits::MAX_GOLDEN;
 use super::metadata::{MemberMetadata, PriorMean, check_count};
@@ -15,8 +17,10 @@ pub struct LibrarySpec {
     pub dt: f64,
     /// The kernel of all members.
     pub kernel: Kernel,
-    /// The vehicle the data come from.
+    /// Name of the vehicle that the data come from.
     pub vehicle: String,
+    /// That vehicle's parameters.
+    pub parameters: VehicleParameters,
     /// How the library was made: versions, settings, seeds.
     pub provenance: BTreeMap<String, String>,
     /// One member for each surface.

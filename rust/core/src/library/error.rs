@@ -1,5 +1,7 @@
 //! Why a library was refused.
 
+use egp_parameters::ParameterError;
+
 /// Why a library file was refused; the running library, if any, stays.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LibraryError {
@@ -87,6 +89,9 @@ pub enum LibraryError {
         /// Largest accepted.
         max: f64,
     },
+    /// A vehicle parameter that no vehicle has.
+    #[error("{0}; correct the vehicle that the library is trained for")]
+    Vehicle(ParameterError),
     /// Too few or too many members, points or golden points.
     #[error("number of {what} is {found}, it must be within 1 and {limit}")]
     Count {
@@ -246,6 +251,7 @@ impl LibraryError {
             Self::Signals { .. } => "signals",
             Self::UnknownKernel { .. } => "unknown_kernel",
             Self::TimeStep { .. } => "time_step",
+            Self::Vehicle(_) => "vehicle",
             Self::Count { .. } => "count",
             Self::Label { .. } => "label",
             Self::Friction { .. } => "friction",

@@ -1,7 +1,7 @@
 //! What a library may be at most; a file beyond these is refused before memory is spent on it.
 
 /// Version of the file format; a change that old programs cannot read counts it up.
-pub const SCHEMA_VERSION: u32 = 3;
+pub const SCHEMA_VERSION: u32 = 4;
 /// Largest file in bytes.
 pub const MAX_FILE_BYTES: usize = 1 << 29;
 /// Largest safetensors header in bytes.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use egp_parameters::VehicleParameters;
 use serde::{Deserialize, Serialize};
 
 use super::LibraryError;
@@ -71,8 +72,10 @@ pub struct Metadata {
     pub inputs: Vec<Signal>,
     /// GP outputs, in order.
     pub outputs: Vec<Signal>,
-    /// The vehicle the data come from.
+    /// Name of the vehicle that the data come from.
     pub vehicle: String,
+    /// That vehicle's parameters.
+    pub parameters: VehicleParameters,
     /// Members, in order.
     pub members: Vec<MemberMetadata>,
     /// How the library was made: versions, settings, seeds.
@@ -100,6 +103,7 @@ impl Metadata {
             inputs: signals(&INPUTS),
             outputs: signals(&OUTPUTS),
             vehicle: spec.vehicle.clone(),
+            parameters: spec.parameters,
             members: spec.members.iter().map(member).collect(),
             provenance: spec.provenance.clone(),
         }
@@ -125,6 +129,7 @@ impl Metadata {
                 max: MAX_DT,
             });
         }
+        self.parameters.validate().map_err(LibraryError::Vehicle)?;
         check_count("members", self.members.len(), MAX_MEMBERS)?;
         for (i, member) in self.members.iter().enumerate() {
             let label = member.label.clone();

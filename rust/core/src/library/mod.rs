@@ -12,6 +12,8 @@ mod metadata;
 mod subset;
 mod verify;
 
+use egp_parameters::VehicleParameters;
+
 pub use data::{LibrarySpec, MemberData};
 pub use error::LibraryError;
 pub use format::hex;
@@ -70,6 +72,11 @@ impl Library {
     /// Period over which the outputs change, s.
     pub fn dt(&self) -> f64 {
         self.metadata.dt
+    }
+
+    /// The vehicle that the library was trained for.
+    pub fn vehicle(&self) -> &VehicleParameters {
+        &self.metadata.parameters
     }
 
     /// The kernel of all members.

@@ -32,6 +32,7 @@ pub fn subset(bytes: &[u8], members: &[usize]) -> Result<Vec<u8>, LibraryError> 
         dt: metadata.dt,
         kernel,
         vehicle: metadata.vehicle.clone(),
+        parameters: metadata.parameters,
         provenance,
         members: members
             .iter()

@@ -1,7 +1,9 @@
 //! Hard bounds that are always feasible, and soft bounds on states and track edges.
 
+use egp_parameters::VehicleParameters;
+
 use crate::qp::{MAX_SOFT, OcpQp, SoftRow};
-use crate::settings::{Limits, Penalty, Soft};
+use crate::settings::{Penalty, Soft};
 use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, SLOWEST, V_X, V_Y};
 use crate::{Input, NU, State};
 
@@ -35,15 +37,15 @@ pub(super) fn penalties(soft: &Soft) -> [Penalty; MAX_SOFT] {
 /// rising speed. Each bound is therefore opened, stage by stage, just enough to contain a reachable input. Some input
 /// sequence thus satisfies all bounds for every applied input, and the inputs return to the original bounds as fast as
 /// the slew limit allows.
-pub(super) fn hard(limits: &Limits, dt: f64, operating: &[State], qp: &mut OcpQp) {
-    let slew = Input::new(limits.a_slew * dt, limits.delta_dot_slew * dt);
+pub(super) fn hard(vehicle: &VehicleParameters, dt: f64, operating: &[State], qp: &mut OcpQp) {
+    let slew = Input::new(vehicle.a_slew * dt, vehicle.steering_slew * dt);
     let (mut low, mut high) = (qp.u_prev, qp.u_prev);
     for (stage, x) in qp.stages_mut().iter_mut().zip(operating) {
-        let drive = limits
+        let drive = vehicle
             .a_max
-            .min(limits.power / x[V_X].max(f64::MIN_POSITIVE));
-        stage.u_min = Input::new(limits.a_min, -limits.delta_dot);
-        stage.u_max = Input::new(drive, limits.delta_dot);
+            .min(vehicle.power / x[V_X].max(f64::MIN_POSITIVE));
+        stage.u_min = Input::new(vehicle.a_min, -vehicle.steering_rate);
+        stage.u_max = Input::new(drive, vehicle.steering_rate);
         stage.du_min = -slew;
         stage.du_max = slew;
         for i in 0..NU {
@@ -61,6 +63,7 @@ pub(super) fn hard(limits: &Limits, dt: f64, operating: &[State], qp: &mut OcpQp
 /// `operating` and `reference` belong to the stage of the bounded state.
 pub(super) fn soft(
     soft: &Soft,
+    vehicle: &VehicleParameters,
     friction: f64,
     operating: &State,
     reference: &State,
@@ -70,9 +73,9 @@ pub(super) fn soft(
     let [v_y, omega] = soft.envelope.unwrap_or([1.0; 2]);
     *rows = [
         interval(V_X, 0.0, soft.v_x_max),
-        steering(soft, friction, operating),
+        steering(vehicle, friction, operating),
         widths.map_or_else(SoftRow::inactive, |widths| {
-            track(reference, widths, soft.edge_margin)
+            track(reference, widths, soft.edge_margin(vehicle.width))
         }),
         interval(V_Y, -v_y, v_y),
         interval(OMEGA, -omega, omega),
@@ -87,7 +90,7 @@ fn interval(state: usize, lower: f64, upper: f64) -> SoftRow {
     }
 }
 
-/// The steering angles at which the front tyres slip by at most `soft.slip` times the friction while they move as in
+/// The steering angles at which the front tyres slip by at most `peak_slip` times the friction while they move as in
 /// the operating state; at very low speed only the largest steering angle is bounded.
 ///
 /// Beyond the peak of the tyres' force more steering gives less force. A controller whose model is linearised there, or
@@ -96,14 +99,15 @@ fn interval(state: usize, lower: f64, upper: f64) -> SoftRow {
 /// Technology 21(4), 2013). The slope of the force at small slip hardly depends on the surface but the largest force is
 /// proportional to the friction, and so is the slip angle of the peak (Pacejka, *Tire and Vehicle Dynamics*, 3rd ed.,
 /// section 1.2.1).
-fn steering(soft: &Soft, friction: f64, operating: &State) -> SoftRow {
+fn steering(vehicle: &VehicleParameters, friction: f64, operating: &State) -> SoftRow {
+    let delta = vehicle.steering_angle;
     if operating[V_X] < SLOWEST {
-        return interval(DELTA, -soft.delta, soft.delta);
+        return interval(DELTA, -delta, delta);
     }
-    let sideways = operating[V_Y] + soft.front * operating[OMEGA];
+    let sideways = operating[V_Y] + vehicle.l_f * operating[OMEGA];
     let direction = (sideways / operating[V_X]).atan();
-    let slip = soft.slip * friction;
-    let bound = |angle: f64| angle.clamp(-soft.delta, soft.delta);
+    let slip = vehicle.peak_slip * friction;
+    let bound = |angle: f64| angle.clamp(-delta, delta);
     interval(DELTA, bound(direction - slip), bound(direction + slip))
 }
 
@@ -130,7 +134,7 @@ mod tests {
 
     #[test]
     fn some_input_sequence_meets_all_bounds_for_every_applied_input() {
-        let (limits, dt) = (Limits::default(), 0.05);
+        let (car, dt) = (VehicleParameters::FORD_ESCORT, 0.05);
         for a in [-40.0, -8.0, 0.0, 5.9, 12.0, 49.0] {
             for rate in [-3.0, 0.0, 0.41, 9.0] {
                 let mut qp = OcpQp::new(20, 3);
@@ -138,7 +142,7 @@ mod tests {
                 let operating: Vec<State> = (0..21)
                     .map(|t| State::ith(V_X, 2.0 + 3.0 * f64::from(t)))
                     .collect();
-                hard(&limits, dt, &operating, &mut qp);
+                hard(&car, dt, &operating, &mut qp);
                 let (mut low, mut high) = (qp.u_prev, qp.u_prev);
                 for stage in qp.stages() {
                     for i in 0..NU {
@@ -148,7 +152,7 @@ mod tests {
                     }
                 }
                 assert!(
-                    high[0] <= limits.power / 59.0 + 1e-12,
+                    high[0] <= car.power / 59.0 + 1e-12,
                     "the drive-power bound holds at the end: {high}"
                 );
             }
@@ -157,14 +161,14 @@ mod tests {
 
     #[test]
     fn the_front_slip_angle_is_bounded() {
-        let soft = Soft {
-            slip: 0.2,
-            front: 1.0,
-            ..Soft::default()
+        let car = VehicleParameters {
+            peak_slip: 0.2,
+            l_f: 1.0,
+            ..VehicleParameters::FORD_ESCORT
         };
         let mut x = State::zeros();
         (x[V_X], x[V_Y], x[OMEGA]) = (20.0, -6.0, 1.0);
-        let row = steering(&soft, 0.5, &x);
+        let row = steering(&car, 0.5, &x);
         let direction = (-0.25_f64).atan();
         assert_eq!(row.normal, State::ith(DELTA, 1.0));
         assert!((row.lower - (direction - 0.1)).abs() < 1e-15);
@@ -172,11 +176,11 @@ mod tests {
         // At parking speed the full steering angle is allowed.
         let mut parking = State::zeros();
         (parking[V_X], parking[OMEGA]) = (1.0, 0.3);
-        assert_eq!(steering(&soft, 0.5, &parking).upper, soft.delta);
+        assert_eq!(steering(&car, 0.5, &parking).upper, car.steering_angle);
         // In a slide the bound on slip exceeds the largest steering angle.
         x[V_Y] = 60.0;
-        let row = steering(&soft, 0.5, &x);
-        assert!(row.lower == soft.delta && row.upper == soft.delta);
+        let row = steering(&car, 0.5, &x);
+        assert!(row.lower == car.steering_angle && row.upper == car.steering_angle);
     }
 
     #[test]

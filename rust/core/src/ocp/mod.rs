@@ -6,6 +6,8 @@
 mod bounds;
 mod cost;
 
+use egp_parameters::VehicleParameters;
+
 use crate::linearisation::Linearisation;
 use crate::qp::OcpQp;
 use crate::vehicle::FORCE;
@@ -24,21 +26,36 @@ pub struct Road<'a> {
     pub friction: f64,
 }
 
+/// What all problems of one library and settings have in common.
+#[derive(Debug, Clone, Copy)]
+pub struct Setup<'a> {
+    /// Cost, bounds and prices.
+    pub settings: &'a Settings,
+    /// The vehicle to control, [`Settings::vehicle`].
+    pub vehicle: &'a VehicleParameters,
+    /// Period in s.
+    pub dt: f64,
+}
+
 /// Fills `qp` for the measured state `x0` and the input now applied, both in the vehicle's frame and SI units.
 ///
 /// All slices must have the length of the horizon of `qp`.
 pub fn assemble(
-    settings: &Settings,
-    dt: f64,
+    setup: &Setup,
     x0: &State,
     u_prev: &Input,
     dynamics: &Linearisation,
     road: &Road,
     qp: &mut OcpQp,
 ) {
+    let &Setup {
+        settings,
+        vehicle,
+        dt,
+    } = setup;
     qp.x0 = *x0;
     qp.u_prev = *u_prev;
-    qp.u_prev[FORCE] /= settings.mass;
+    qp.u_prev[FORCE] /= vehicle.mass;
     qp.r = settings.cost.input.into();
     qp.r_d = settings.cost.rate.into();
     qp.penalty = bounds::penalties(&settings.soft);
@@ -46,13 +63,14 @@ pub fn assemble(
     for (t, (stage, affine)) in qp.stages_mut().iter_mut().zip(&dynamics.stages).enumerate() {
         stage.a = affine.a;
         stage.b = affine.b;
-        stage.b.column_mut(FORCE).scale_mut(settings.mass);
+        stage.b.column_mut(FORCE).scale_mut(vehicle.mass);
         stage.c = affine.c;
         let target = &road.x[t + 1];
         stage.q = cost::state_weight(&settings.cost, target, t + 1 == horizon);
         stage.reference = *target;
         bounds::soft(
             &settings.soft,
+            vehicle,
             road.friction,
             &dynamics.x[t + 1],
             target,
@@ -60,5 +78,5 @@ pub fn assemble(
             &mut stage.soft,
         );
     }
-    bounds::hard(&settings.limits, dt, &dynamics.x, qp);
+    bounds::hard(vehicle, dt, &dynamics.x, qp);
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{SettingsError, check, not_negative, positive};
+use super::{SettingsError, check, not_negative, positive, positive_if_stated};
 use crate::NU;
 
 /// Which states the members are linearised about; the inputs are the previous plan's in both.
@@ -55,22 +55,22 @@ pub struct Cost {
     pub rate: [f64; NU],
 }
 
-/// Hard bounds: what the actuators can do, and what the training data know.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// Hard bounds: what the actuators can do, and what the training data know. By default those of the library's vehicle.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
-    /// Strongest braking, `F_x/m` in m/s². Default -8.
-    pub a_min: f64,
-    /// Strongest drive, `F_x/m` in m/s². Default 6.
-    pub a_max: f64,
-    /// Drive power per mass in W/kg: `F_x/m <= power/v_x`. Default 54.7.
-    pub power: f64,
-    /// Steering rate in rad/s. Default 0.4.
-    pub delta_dot: f64,
-    /// Change of `F_x/m` per second, m/s³. Default 60.
-    pub a_slew: f64,
-    /// Change of the steering rate per second, rad/s². Default 8.
-    pub delta_dot_slew: f64,
+    /// Strongest braking, `F_x/m` in m/s². Default: the library's `a_min`.
+    pub a_min: Option<f64>,
+    /// Strongest drive, `F_x/m` in m/s². Default: the library's `a_max`.
+    pub a_max: Option<f64>,
+    /// Drive power per mass in W/kg: `F_x/m <= power/v_x`. Default: the library's `power`.
+    pub power: Option<f64>,
+    /// Steering rate in rad/s. Default: the library's `steering_rate`.
+    pub delta_dot: Option<f64>,
+    /// Change of `F_x/m` per second, m/s³. Default: the library's `a_slew`.
+    pub a_slew: Option<f64>,
+    /// Change of the steering rate per second, rad/s². Default: the library's `steering_slew`.
+    pub delta_dot_slew: Option<f64>,
 }
 
 /// Penalty of a soft bound violated by `s`: `linear·s + ½ quadratic·s²`.
@@ -89,19 +89,19 @@ pub struct Penalty {
 pub struct Soft {
     /// Highest speed in m/s; the lowest is 0. Default 60.
     pub v_x_max: f64,
-    /// Largest steering angle in rad. Default 0.91.
-    pub delta: f64,
+    /// Largest steering angle in rad. Default: the library's `steering_angle`.
+    pub delta: Option<f64>,
     /// Largest slip angle of the front tyres on friction 1, in rad, at the price of `steering`; times the blend's
-    /// friction on other surfaces. Where their force peaks is a good value, and 5 is as good as none. Default 0.12, the
-    /// simulated car's.
-    pub slip: f64,
-    /// Distance from the centre of mass to the front axle in m. Default 0.9, the simulated car's.
-    pub front: f64,
+    /// friction on other surfaces; 5 is as good as none. Default: the library's `peak_slip`.
+    pub slip: Option<f64>,
+    /// Distance from the centre of mass to the front axle in m. Default: the library's `l_f`.
+    pub front: Option<f64>,
     /// `[|v_y|, |omega|]` the plan should stay within, in m/s and rad/s; none by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub envelope: Option<[f64; 2]>,
-    /// Distance kept between centre of mass and track edge, in m: half the width and a margin. Default 1.1.
-    pub edge_margin: f64,
+    /// Distance kept between centre of mass and track edge, in m. Default: half the width of the library's vehicle and
+    /// 0.263 m, which is 1.1 m for a width of 1.674 m.
+    pub edge_margin: Option<f64>,
     /// Price of speed violations.
     pub speed: Penalty,
     /// Price of steering-angle violations.
@@ -162,19 +162,6 @@ impl Default for Cost {
     }
 }
 
-impl Default for Limits {
-    fn default() -> Self {
-        Self {
-            a_min: -8.0,
-            a_max: 6.0,
-            power: 54.7,
-            delta_dot: 0.4,
-            a_slew: 60.0,
-            delta_dot_slew: 8.0,
-        }
-    }
-}
-
 impl Default for Penalty {
     fn default() -> Self {
         Self {
@@ -188,11 +175,11 @@ impl Default for Soft {
     fn default() -> Self {
         Self {
             v_x_max: 60.0,
-            delta: 0.91,
-            slip: 0.12,
-            front: 0.9,
+            delta: None,
+            slip: None,
+            front: None,
             envelope: None,
-            edge_margin: 1.1,
+            edge_margin: None,
             speed: Penalty::default(),
             steering: Penalty::default(),
             track: Penalty::default(),
@@ -240,27 +227,37 @@ impl Cost {
 
 impl Limits {
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
-        check("limits.a_min", self.a_min, "finite and negative", |v| {
-            v < 0.0
-        })?;
-        positive("limits.a_max", self.a_max)?;
-        positive("limits.power", self.power)?;
-        positive("limits.delta_dot", self.delta_dot)?;
-        positive("limits.a_slew", self.a_slew)?;
-        positive("limits.delta_dot_slew", self.delta_dot_slew)
+        if let Some(a_min) = self.a_min {
+            check("limits.a_min", a_min, "finite and negative", |v| v < 0.0)?;
+        }
+        positive_if_stated("limits.a_max", self.a_max)?;
+        positive_if_stated("limits.power", self.power)?;
+        positive_if_stated("limits.delta_dot", self.delta_dot)?;
+        positive_if_stated("limits.a_slew", self.a_slew)?;
+        positive_if_stated("limits.delta_dot_slew", self.delta_dot_slew)
     }
 }
 
+/// Distance kept between the vehicle's side and the track edge by default, m.
+const EDGE_CLEARANCE: f64 = 0.263;
+
 impl Soft {
+    /// The distance kept between centre of mass and track edge, in m, by a vehicle `width` m wide.
+    pub fn edge_margin(&self, width: f64) -> f64 {
+        self.edge_margin.unwrap_or(0.5 * width + EDGE_CLEARANCE)
+    }
+
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
         positive("soft.v_x_max", self.v_x_max)?;
-        positive("soft.delta", self.delta)?;
-        positive("soft.slip", self.slip)?;
-        positive("soft.front", self.front)?;
+        positive_if_stated("soft.delta", self.delta)?;
+        positive_if_stated("soft.slip", self.slip)?;
+        positive_if_stated("soft.front", self.front)?;
         for bound in self.envelope.iter().flatten() {
             positive("soft.envelope", *bound)?;
         }
-        not_negative("soft.edge_margin", self.edge_margin)?;
+        if let Some(margin) = self.edge_margin {
+            not_negative("soft.edge_margin", margin)?;
+        }
         positive("soft.speed.linear", self.speed.linear)?;
         positive("soft.speed.quadratic", self.speed.quadratic)?;
         positive("soft.steering.linear", self.steering.linear)?;

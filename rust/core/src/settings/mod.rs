@@ -13,6 +13,7 @@
 mod control;
 mod estimation;
 
+use egp_parameters::VehicleParameters;
 use serde::{Deserialize, Serialize};
 
 pub use control::{
@@ -20,8 +21,11 @@ pub use control::{
 };
 pub use estimation::{Prior, WeightSettings};
 
-/// Settings of the control step. Defaults drive vehicle 1 of CommonRoad, best at `dt` = 0.02 s.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// Settings of the control step.
+///
+/// What describes the vehicle is by default that of the library ([`Settings::vehicle`]). The other defaults were chosen
+/// with CommonRoad's vehicle 1 at `dt` = 0.02 s.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Horizon `T`: number of inputs in a plan. Default: those of 0.8 s, 40 at `dt` = 0.02 s; at most 100.
@@ -30,8 +34,8 @@ pub struct Settings {
     /// of 0.05 s with the same data; 30 inputs lost the car more often than 40, and 50 brought nothing more. At 0.05
     /// s, 40 inputs lost cars at 80 % of the grip, 16 none up to 95 %.
     pub horizon: Option<usize>,
-    /// Vehicle mass in kg, which turns force into the scaled input `a = F_x/m`. Default 1225.887.
-    pub mass: f64,
+    /// Vehicle mass in kg, which turns force into the scaled input `a = F_x/m`. Default: the library's `mass`.
+    pub mass: Option<f64>,
     /// How the weights follow the surface, eq. (6).
     pub weights: WeightSettings,
     /// Where the members are linearised, eq. (15).
@@ -44,21 +48,6 @@ pub struct Settings {
     pub soft: Soft,
     /// QP solver.
     pub solver: SolverSettings,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self {
-            horizon: None,
-            mass: 1225.887,
-            weights: WeightSettings::default(),
-            operating: OperatingSettings::default(),
-            cost: Cost::default(),
-            limits: Limits::default(),
-            soft: Soft::default(),
-            solver: SolverSettings::default(),
-        }
-    }
 }
 
 /// The default horizon, in s, and in periods at most.
@@ -96,11 +85,44 @@ impl Settings {
             .unwrap_or_else(|| periods(HORIZON, dt, LONGEST_DEFAULT_HORIZON))
     }
 
-    /// The same settings with those stated that by default depend on the period of `dt` s.
+    /// The vehicle to control: the library's, with what these settings state in place of it.
+    pub fn vehicle(&self, library: &VehicleParameters) -> VehicleParameters {
+        let (limits, soft) = (&self.limits, &self.soft);
+        VehicleParameters {
+            mass: self.mass.unwrap_or(library.mass),
+            l_f: soft.front.unwrap_or(library.l_f),
+            a_min: limits.a_min.unwrap_or(library.a_min),
+            a_max: limits.a_max.unwrap_or(library.a_max),
+            power: limits.power.unwrap_or(library.power),
+            a_slew: limits.a_slew.unwrap_or(library.a_slew),
+            steering_angle: soft.delta.unwrap_or(library.steering_angle),
+            steering_rate: limits.delta_dot.unwrap_or(library.steering_rate),
+            steering_slew: limits.delta_dot_slew.unwrap_or(library.steering_slew),
+            peak_slip: soft.slip.unwrap_or(library.peak_slip),
+            ..*library
+        }
+    }
+
+    /// The same settings with every value stated that by default depends on the library: on its period of `dt` s, or on
+    /// the vehicle it was trained for.
     #[must_use]
-    pub fn at_period(mut self, dt: f64) -> Self {
+    pub fn complete(mut self, dt: f64, library: &VehicleParameters) -> Self {
+        let vehicle = self.vehicle(library);
         self.horizon = Some(self.horizon(dt));
         self.weights.window = Some(self.weights.window(dt));
+        self.mass = Some(vehicle.mass);
+        self.limits = Limits {
+            a_min: Some(vehicle.a_min),
+            a_max: Some(vehicle.a_max),
+            power: Some(vehicle.power),
+            delta_dot: Some(vehicle.steering_rate),
+            a_slew: Some(vehicle.a_slew),
+            delta_dot_slew: Some(vehicle.steering_slew),
+        };
+        self.soft.delta = Some(vehicle.steering_angle);
+        self.soft.slip = Some(vehicle.peak_slip);
+        self.soft.front = Some(vehicle.l_f);
+        self.soft.edge_margin = Some(self.soft.edge_margin(vehicle.width));
         self
     }
 
@@ -132,7 +154,7 @@ impl Settings {
                 (1.0..=Self::MAX_HORIZON as f64).contains(&h)
             })?;
         }
-        positive("mass", self.mass)?;
+        positive_if_stated("mass", self.mass)?;
         self.weights.validate()?;
         self.operating.validate()?;
         self.cost.validate()?;
@@ -170,6 +192,10 @@ fn positive(field: &'static str, got: f64) -> Result<(), SettingsError> {
     check(field, got, "finite and positive", |v| v > 0.0)
 }
 
+fn positive_if_stated(field: &'static str, got: Option<f64>) -> Result<(), SettingsError> {
+    got.map_or(Ok(()), |value| positive(field, value))
+}
+
 fn not_negative(field: &'static str, got: f64) -> Result<(), SettingsError> {
     check(field, got, "finite and not negative", |v| v >= 0.0)
 }
@@ -199,13 +225,68 @@ mod tests {
             (0.05, 16, 10),
             (2.0, 1, 1),
         ] {
-            let settings = Settings::default().at_period(dt);
+            let car = VehicleParameters::FORD_ESCORT;
+            let settings = Settings::default().complete(dt, &car);
             assert_eq!(
                 (settings.horizon, settings.weights.window),
                 (Some(horizon), Some(window))
             );
-            assert_eq!(settings.clone().at_period(0.02), settings);
+            assert_eq!(settings.clone().complete(0.02, &car), settings);
         }
+    }
+
+    #[test]
+    fn the_library_says_what_is_controlled_unless_the_settings_do() {
+        let settings = Settings::from_toml(
+            "mass = 1400.0\n[limits]\na_max = 4.0\ndelta_dot = 0.3\n[soft]\nslip = 0.2\nfront = 1.3",
+        )
+        .unwrap();
+        let library = VehicleParameters::BMW_320I;
+        let stated = VehicleParameters {
+            mass: 1400.0,
+            a_max: 4.0,
+            steering_rate: 0.3,
+            peak_slip: 0.2,
+            l_f: 1.3,
+            ..library
+        };
+        assert_eq!(settings.vehicle(&library), stated);
+        assert_eq!(Settings::default().vehicle(&library), library);
+        // What is complete no longer depends on the library, but for what no setting can state.
+        let complete = settings.complete(0.02, &library);
+        let other = complete.vehicle(&VehicleParameters::FORD_ESCORT);
+        assert_eq!(
+            VehicleParameters {
+                yaw_inertia: library.yaw_inertia,
+                l_r: library.l_r,
+                width: library.width,
+                ..other
+            },
+            stated
+        );
+        assert_eq!(complete.soft.edge_margin, Some(0.805 + 0.263));
+    }
+
+    #[test]
+    fn with_the_demo_vehicle_the_defaults_are_those_of_the_published_results() {
+        let settings = Settings::default().complete(0.02, &VehicleParameters::FORD_ESCORT);
+        let Limits {
+            a_min,
+            a_max,
+            power,
+            delta_dot,
+            a_slew,
+            delta_dot_slew,
+        } = settings.limits;
+        assert_eq!(
+            (settings.mass, a_min, a_max),
+            (Some(1225.887), Some(-8.0), Some(6.0))
+        );
+        assert_eq!((power, delta_dot), (Some(54.7), Some(0.4)));
+        assert_eq!((a_slew, delta_dot_slew), (Some(60.0), Some(8.0)));
+        let soft = settings.soft;
+        assert_eq!((soft.delta, soft.slip), (Some(0.91), Some(0.12)));
+        assert_eq!((soft.front, soft.edge_margin), (Some(0.9), Some(1.1)));
     }
 
     #[test]

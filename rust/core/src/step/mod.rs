@@ -15,7 +15,7 @@ use validate::Rows;
 use workspace::SigmaMemory;
 
 use crate::executor::for_each;
-use crate::ocp::{self, Road};
+use crate::ocp::{self, Road, Setup};
 use crate::solver::{Status, solve_with_fallback};
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, gp_input, wrap};
 use crate::weights::select_active;
@@ -39,7 +39,7 @@ pub fn step(
 ) -> Result<(), StepError> {
     reply.clear();
     ws.belongs_to(library, settings)?;
-    let rows = validate::validate(library, settings, request)?;
+    let rows = validate::validate(library, settings, ws.vehicle.mass, request)?;
     estimate_weights(library, settings, &rows, ws, reply);
 
     let frame = Frame::of(&rows.x);
@@ -56,7 +56,7 @@ pub fn step(
     );
     reply.dropped_mass = dropped;
     let ensemble = Ensemble::new(library, &ws.active, 0.0).map_err(StepError::Ensemble)?;
-    let edges = [settings.soft.v_x_max, settings.soft.delta];
+    let edges = [settings.soft.v_x_max, ws.vehicle.steering_angle];
     ws.dynamics.along(
         &ensemble,
         library.dt(),
@@ -74,19 +74,16 @@ pub fn step(
         widths: rows.widths,
         friction,
     };
-    ocp::assemble(
+    let setup = Setup {
         settings,
-        library.dt(),
-        &x0,
-        &rows.u_prev,
-        &ws.dynamics,
-        &road,
-        &mut ws.qp,
-    );
+        vehicle: &ws.vehicle,
+        dt: library.dt(),
+    };
+    ocp::assemble(&setup, &x0, &rows.u_prev, &ws.dynamics, &road, &mut ws.qp);
 
     ws.warm.clear();
     if !ws.guess.x.is_empty() {
-        let scaled = |u: &Input| Input::new(u[FORCE] / settings.mass, u[DELTA_DOT]);
+        let scaled = |u: &Input| Input::new(u[FORCE] / ws.vehicle.mass, u[DELTA_DOT]);
         ws.warm.extend(ws.guess.u.iter().map(scaled));
     }
     ws.solver_name = solve_with_fallback(
@@ -100,7 +97,7 @@ pub fn step(
     reply.iterations = ws.solution.iterations;
     reply.kkt_residual = ws.solution.kkt.worst();
     if reply.status == Status::Solved {
-        write_plan(settings, &frame, &rows, ws, reply);
+        write_plan(&frame, &rows, ws, reply);
         if request.want_sigma {
             write_sigma(&ensemble, &mut ws.sigma, &*ws.executor, reply);
         }
@@ -162,13 +159,7 @@ fn estimate_weights(
 }
 
 /// Writes the plan in map coordinates and newtons.
-fn write_plan(
-    settings: &Settings,
-    frame: &Frame,
-    rows: &Rows,
-    ws: &Workspace,
-    reply: &mut StepReply,
-) {
+fn write_plan(frame: &Frame, rows: &Rows, ws: &Workspace, reply: &mut StepReply) {
     reply.plan_x.extend_from_slice(rows.x.as_slice()); // row 0 equals the measurement to the bit
     for x in &ws.solution.x[1..] {
         reply.plan_x.extend_from_slice(frame.to_map(x).as_slice());
@@ -176,7 +167,7 @@ fn write_plan(
     for u in &ws.solution.u {
         reply
             .plan_u
-            .extend([u[FORCE] * settings.mass, u[DELTA_DOT]]);
+            .extend([u[FORCE] * ws.vehicle.mass, u[DELTA_DOT]]);
     }
 }
 

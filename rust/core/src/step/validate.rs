@@ -94,10 +94,11 @@ pub(super) struct Rows<'a> {
     pub widths: &'a [[f64; 2]],
 }
 
-/// Checks shapes, finiteness and domains.
+/// Checks shapes, finiteness and domains; `mass` in kg is that of the vehicle.
 pub(super) fn validate<'a>(
     library: &Library,
     settings: &Settings,
+    mass: f64,
     request: &StepRequest<'a>,
 ) -> Result<Rows<'a>, StepError> {
     shapes(library, settings, request)?;
@@ -115,7 +116,7 @@ pub(super) fn validate<'a>(
         reference: request.reference.as_chunks().0,
         widths: request.widths.as_chunks().0,
     };
-    domains(settings, &rows)?;
+    domains(mass, &rows)?;
     Ok(rows)
 }
 
@@ -214,7 +215,7 @@ fn finite(request: &StepRequest) -> Result<(), StepError> {
     Ok(())
 }
 
-fn domains(settings: &Settings, rows: &Rows) -> Result<(), StepError> {
+fn domains(mass: f64, rows: &Rows) -> Result<(), StepError> {
     let within = |quantity, value: f64, min, max| {
         if (min..=max).contains(&value) {
             Ok(())
@@ -234,7 +235,7 @@ fn domains(settings: &Settings, rows: &Rows) -> Result<(), StepError> {
     within("x.delta (rad)", x[DELTA], -1.5, 1.5)?;
     within(
         "u_prev.F_x / mass (m/s^2)",
-        rows.u_prev[FORCE] / settings.mass,
+        rows.u_prev[FORCE] / mass,
         -50.0,
         50.0,
     )?;

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use egp_parameters::VehicleParameters;
+
 use super::StepError;
 use crate::executor::{Executor, Sequential};
 use crate::linearisation::Linearisation;
@@ -28,6 +30,8 @@ pub enum SetupError {
 pub struct Workspace {
     library: [u8; 32],
     settings: Settings,
+    /// The vehicle to control.
+    pub(super) vehicle: VehicleParameters,
     pub(super) noise: WindowNoise,
     pub(super) estimator: WeightEstimator,
     pub(super) previous: Vec<f64>,
@@ -66,6 +70,7 @@ impl Workspace {
         Ok(Self {
             library: library.id(),
             settings: settings.clone(),
+            vehicle: settings.vehicle(library.vehicle()),
             noise: WindowNoise::of(library, &settings.weights),
             estimator: WeightEstimator::new(n, settings.weights.window(dt)),
             previous: vec![0.0; n],

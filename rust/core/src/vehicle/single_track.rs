@@ -2,11 +2,11 @@
 
 use std::ops::AddAssign;
 
+use egp_parameters::GRAVITY;
 use nalgebra::{SMatrix, SVector};
 
 use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
 
-const GRAVITY: f64 = 9.81;
 /// Slip angles lose their meaning when the vehicle stands; below this speed, m/s, they are taken at it or left alone.
 pub const SLOWEST: f64 = 3.0;
 

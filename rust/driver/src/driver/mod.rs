@@ -73,7 +73,8 @@ impl Driver {
     /// A driver for a library that `served` describes; it knows no replica yet.
     ///
     /// # Errors
-    /// [`DriverError`] when budget, limits or gate settings are out of range.
+    /// [`DriverError`] when budget, limits or gate settings are out of range, or when the limits allow more than the
+    /// vehicle that the service plans for can do.
     pub fn new(config: DriverConfig, served: Ready) -> Result<Self, DriverError> {
         let gate = Gate::new(
             config.limits,
@@ -81,6 +82,9 @@ impl Driver {
             config.max_tail_ticks,
             config.stop_deceleration,
         )?;
+        if let Some(planned) = &served.vehicle {
+            config.limits.check_within(planned)?;
+        }
         Ok(Self {
             budget: config.budget(served.dt)?,
             carry: Carry::new(served.library, served.history as usize),

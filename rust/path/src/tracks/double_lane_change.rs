@@ -40,19 +40,17 @@ struct Bounds {
     right: f64,
 }
 
-impl Default for DoubleLaneChange {
-    /// For CommonRoad vehicle 1, a Ford Escort.
-    fn default() -> Self {
+impl DoubleLaneChange {
+    /// For a vehicle of this width in m without mirrors.
+    pub fn of(vehicle_width: f64) -> Self {
         Self {
-            vehicle_width: 1.674,
+            vehicle_width,
             margin: 0.1,
             lead_in: 40.0,
             lead_out: 40.0,
         }
     }
-}
 
-impl DoubleLaneChange {
     /// The three lanes. Their widths follow the vehicle's width `b`: `1.1 b + 0.25`, `b + 1`,
     /// `1.3 b + 0.25` but at least 3 m. The right cones of the first and the last lane are in line.
     pub fn sections(&self) -> [Section; 3] {

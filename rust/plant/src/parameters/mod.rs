@@ -5,6 +5,8 @@
 mod bmw_320i;
 mod ford_escort;
 
+use egp_parameters::VehicleParameters;
+
 use crate::{ActuatorLimits, GRAVITY, PlantError, TyreParameters};
 
 /// The available vehicles of the CommonRoad benchmarks, with their CommonRoad numbers.
@@ -22,6 +24,14 @@ impl VehicleId {
         match self {
             Self::FordEscort => ford_escort::PARAMETERS,
             Self::Bmw320i => bmw_320i::PARAMETERS,
+        }
+    }
+
+    /// What a controller of the vehicle knows about it.
+    pub fn vehicle(self) -> VehicleParameters {
+        match self {
+            Self::FordEscort => VehicleParameters::FORD_ESCORT,
+            Self::Bmw320i => VehicleParameters::BMW_320I,
         }
     }
 }

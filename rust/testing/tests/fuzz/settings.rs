@@ -1,6 +1,6 @@
 //! Settings as TOML.
 
-use egp_core::Settings;
+use egp_core::{Settings, VehicleParameters};
 
 use crate::edits::Words;
 use crate::fuzz;
@@ -32,7 +32,10 @@ const WORDS: Words = Words::Texts(&[
 fn accepted_settings_are_valid_and_read_back() {
     let examples = [
         Settings::default().to_toml().unwrap(),
-        Settings::default().at_period(0.05).to_toml().unwrap(),
+        Settings::default()
+            .complete(0.05, &VehicleParameters::FORD_ESCORT)
+            .to_toml()
+            .unwrap(),
         "horizon = 25\n[cost]\nlateral = 30.0".to_owned(),
     ];
     let examples = examples.map(String::into_bytes);
@@ -41,7 +44,8 @@ fn accepted_settings_are_valid_and_read_back() {
             return;
         };
         settings.validate().unwrap();
-        assert!(settings.mass > 0.0 && settings.mass.is_finite());
+        let valid = |mass: f64| mass > 0.0 && mass.is_finite();
+        assert!(settings.mass.is_none_or(valid));
         let again = Settings::from_toml(&settings.to_toml().unwrap()).unwrap();
         assert_eq!(again, settings);
     });

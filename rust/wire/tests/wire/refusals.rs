@@ -1,7 +1,7 @@
 //! Whatever is wrong with a message, the refusal says where.
 
 use egp_testing::messages;
-use egp_wire::{Code, Header, Invalid, Limits, Reply, Request, WireError, proto};
+use egp_wire::{Code, Header, Invalid, Limits, Ready, Reply, Request, WireError, proto};
 use prost::Message as _;
 
 fn limits() -> Limits {
@@ -134,4 +134,20 @@ fn a_reply_cannot_carry_an_unsolved_plan() {
     let mut reply = messages::infeasible_reply();
     reply.status = egp_wire::Status::Solved;
     assert!(Reply::decode(&reply.encode(), &limits()).is_err());
+}
+
+#[test]
+fn a_vehicle_that_cannot_be_is_refused_and_an_old_service_names_none() {
+    let mut raw = proto::Ready::decode(&*messages::ready().encode()).unwrap();
+    if let Some(vehicle) = &mut raw.vehicle {
+        vehicle.mass = -1200.0;
+    }
+    let error = Ready::decode(&raw.encode_to_vec(), &limits()).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "vehicle: vehicle parameter `mass` must be finite and positive, got -1200 kg"
+    );
+    raw.vehicle = None;
+    let ready = Ready::decode(&raw.encode_to_vec(), &limits()).unwrap();
+    assert_eq!(ready.vehicle, None);
 }

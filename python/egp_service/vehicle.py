@@ -1,0 +1,48 @@
+"""The vehicle that a library is trained for, by its name or from a file."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import TYPE_CHECKING, Final
+
+from egp_service._core import EgpError, VehicleParameters
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_SIMULATED: Final = "commonroad-"
+
+
+def simulated_name(number: int) -> str:
+    """Name of the simulated vehicle of this CommonRoad number, as datasets and libraries say it."""
+    return f"{_SIMULATED}{number}"
+
+
+def known_vehicle(name: str) -> VehicleParameters:
+    """Give the parameters of a simulated vehicle by the name that its datasets bear.
+
+    Raises:
+        EgpError: for any other vehicle, whose parameters only its owner knows.
+
+    """
+    number = name.removeprefix(_SIMULATED)
+    if number == name or not number.isdecimal():
+        raise EgpError(
+            f"the parameters of vehicle {name!r} are not known: state them in a TOML file and give "
+            "it with --vehicle; `egp train --help` lists them"
+        )
+    return VehicleParameters.commonroad(int(number))
+
+
+def read_vehicle(path: Path) -> VehicleParameters:
+    """Read a vehicle's parameters from a TOML file with one line for each field.
+
+    Raises:
+        EgpError: naming the file and the field that is missing, unknown or out of range.
+
+    """
+    try:
+        fields = tomllib.loads(path.read_text(encoding="utf-8"))
+        return VehicleParameters(**fields)
+    except (OSError, ValueError, TypeError) as error:
+        raise EgpError(f"{path}: {error}") from error

@@ -1,0 +1,65 @@
+//! Limits of a vehicle, and their comparison with the vehicle that plans are made for.
+#![allow(clippy::unwrap_used, clippy::float_cmp)]
+
+use egp_gate::Limits;
+use egp_parameters::VehicleParameters;
+
+/// The limits of the simulated car.
+fn car() -> Limits {
+    Limits::of(&VehicleParameters::FORD_ESCORT)
+}
+
+#[test]
+fn the_limits_of_a_vehicle_are_its_accelerations_times_its_mass() {
+    let limits = car();
+    assert_eq!(limits.mass, 1225.887);
+    assert!((limits.force_min + 9807.096).abs() < 1e-9);
+    assert!((limits.force_max - 7355.322).abs() < 1e-9);
+    assert!((limits.power - 67_056.018_9).abs() < 1e-9);
+    assert!((limits.force_slew - 73_553.22).abs() < 1e-9);
+    assert_eq!(
+        (
+            limits.steering_angle,
+            limits.steering_rate,
+            limits.steering_slew
+        ),
+        (0.91, 0.4, 8.0)
+    );
+}
+
+#[test]
+fn a_gate_wider_than_the_planned_vehicle_is_told_with_both_numbers() {
+    let planned = VehicleParameters::FORD_ESCORT;
+    let at_fault = |limits: Limits| limits.check_within(&planned).unwrap_err();
+    assert_eq!(car().check_within(&planned), Ok(()));
+    let narrow = Limits {
+        force_min: -5000.0,
+        steering_rate: 0.3,
+        ..car()
+    };
+    assert_eq!(narrow.check_within(&planned), Ok(()));
+    let wide = |name, change: fn(&mut Limits)| {
+        let mut limits = car();
+        change(&mut limits);
+        assert_eq!(at_fault(limits).name, name);
+    };
+    wide("mass", |limits| limits.mass = 1600.0);
+    wide("mass", |limits| limits.mass = 900.0);
+    wide("mass", |limits| limits.mass = f64::NAN);
+    wide("force_min", |limits| limits.force_min = -9900.0);
+    wide("force_max", |limits| limits.force_max = f64::NAN);
+    wide("power", |limits| limits.power *= 1.001);
+    wide("force_slew", |limits| limits.force_slew *= 1.001);
+    wide("steering_angle", |limits| limits.steering_angle = 0.92);
+    wide("steering_rate", |limits| limits.steering_rate = 0.41);
+    wide("steering_slew", |limits| limits.steering_slew = 8.01);
+    let error = at_fault(Limits {
+        steering_rate: 0.6,
+        ..car()
+    });
+    assert_eq!(
+        error.to_string(),
+        "gate limit steering_rate is 0.6 rad/s, the vehicle that plans are made for has 0.4 rad/s; \
+         narrow the gate, or use a library trained for this vehicle"
+    );
+}

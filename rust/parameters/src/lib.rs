@@ -1,0 +1,20 @@
+//! egp-parameters: the numbers that describe one vehicle, and the gravity that acts on it.
+//!
+//! A library stores the [`VehicleParameters`] of the vehicle that its data come from. The control step, the speed
+//! profile, the gate and the simulator take their numbers from there, so that each number is written down once.
+
+#![forbid(unsafe_code)]
+
+mod commonroad;
+mod vehicle;
+
+pub use vehicle::{Difference, ParameterError, VehicleParameters};
+
+/// Gravity of all vehicle models, in m/s²: that of the CommonRoad vehicles.
+pub const GRAVITY: f64 = 9.81;
+
+/// Standard gravity in m/s² (ISO 80000-3), which speed profiles multiply friction by, and the unit "g" of logs.
+///
+/// It stays apart from [`GRAVITY`] because the published results were measured with both: near the limit of the tyres
+/// a speed that differs by 0.02 % gives other figures.
+pub const STANDARD_GRAVITY: f64 = 9.806_65;

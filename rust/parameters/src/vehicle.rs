@@ -1,0 +1,151 @@
+//! What one vehicle is and what its actuators may be asked for.
+
+use serde::{Deserialize, Serialize};
+
+/// Largest relative difference between two values that describe the same vehicle.
+const SAME: f64 = 0.01;
+
+/// One vehicle: body, actuators and tyres. All values are positive except `a_min`.
+///
+/// Actuator limits are accelerations at the vehicle's own mass, because the optimal control problem is solved in
+/// `a = F_x / mass`; [`VehicleParameters::force`] converts them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VehicleParameters {
+    /// Mass, kg.
+    pub mass: f64,
+    /// Moment of inertia about the vertical axis, kg m².
+    pub yaw_inertia: f64,
+    /// Distance from the centre of mass to the front axle, m.
+    pub l_f: f64,
+    /// Distance from the centre of mass to the rear axle, m.
+    pub l_r: f64,
+    /// Width without mirrors, m.
+    pub width: f64,
+    /// Strongest braking `F_x / mass`, m/s², negative.
+    pub a_min: f64,
+    /// Strongest drive `F_x / mass`, m/s².
+    pub a_max: f64,
+    /// Drive power per mass, W/kg: `F_x / mass <= power / v_x`.
+    pub power: f64,
+    /// Largest change of `F_x / mass` per second, m/s³.
+    pub a_slew: f64,
+    /// Largest steering angle of the front wheels, rad.
+    pub steering_angle: f64,
+    /// Largest steering rate, rad/s.
+    pub steering_rate: f64,
+    /// Largest change of the steering rate per second, rad/s².
+    pub steering_slew: f64,
+    /// Slip angle at which the front tyres' lateral force peaks on friction 1, rad; it moves in proportion to friction.
+    pub peak_slip: f64,
+    /// Lateral acceleration that the vehicle reaches on friction `mu`, as a share of `mu g`.
+    pub lateral_grip: f64,
+    /// Deceleration that the vehicle reaches on friction `mu`, as a share of `mu g`.
+    pub braking_grip: f64,
+    /// Acceleration that the vehicle reaches on friction `mu`, as a share of `mu g`.
+    pub driving_grip: f64,
+}
+
+/// A parameter that no vehicle has.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("vehicle parameter `{name}` must be finite and {sign}, got {value} {unit}")]
+pub struct ParameterError {
+    /// The field of [`VehicleParameters`].
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The sign it must have.
+    pub sign: &'static str,
+    /// The value that came.
+    pub value: f64,
+}
+
+/// Two vehicles that are not the same.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "`{name}` is {own} {unit} for this vehicle and {planned} {unit} for the one that plans are made for; \
+     use a library trained for this vehicle, or correct the parameters or the settings"
+)]
+pub struct Difference {
+    /// The field of [`VehicleParameters`].
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The value of the vehicle that was compared.
+    pub own: f64,
+    /// The value of the vehicle that plans are made for.
+    pub planned: f64,
+}
+
+impl VehicleParameters {
+    /// Name, unit and value of every field, in the order of the struct.
+    pub fn fields(&self) -> [(&'static str, &'static str, f64); 16] {
+        [
+            ("mass", "kg", self.mass),
+            ("yaw_inertia", "kg m²", self.yaw_inertia),
+            ("l_f", "m", self.l_f),
+            ("l_r", "m", self.l_r),
+            ("width", "m", self.width),
+            ("a_min", "m/s²", self.a_min),
+            ("a_max", "m/s²", self.a_max),
+            ("power", "W/kg", self.power),
+            ("a_slew", "m/s³", self.a_slew),
+            ("steering_angle", "rad", self.steering_angle),
+            ("steering_rate", "rad/s", self.steering_rate),
+            ("steering_slew", "rad/s²", self.steering_slew),
+            ("peak_slip", "rad", self.peak_slip),
+            ("lateral_grip", "of mu g", self.lateral_grip),
+            ("braking_grip", "of mu g", self.braking_grip),
+            ("driving_grip", "of mu g", self.driving_grip),
+        ]
+    }
+
+    /// Checks that every value is finite and has the sign of its field.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for the first field at fault.
+    pub fn validate(&self) -> Result<(), ParameterError> {
+        for (name, unit, value) in self.fields() {
+            let (sign, allowed) = match name {
+                "a_min" => ("negative", value < 0.0),
+                _ => ("positive", value > 0.0),
+            };
+            if !(value.is_finite() && allowed) {
+                return Err(ParameterError {
+                    name,
+                    unit,
+                    sign,
+                    value,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that this vehicle is the one that plans are made for: every value within 1 % of that vehicle's. That is as much
+    /// as data sheets round by, and less than another car or a full load makes.
+    ///
+    /// # Errors
+    /// [`Difference`] with both values, for the first field that differs by more or is not a number.
+    pub fn check_same(&self, planned: &Self) -> Result<(), Difference> {
+        for ((name, unit, own), (_, _, planned)) in self.fields().into_iter().zip(planned.fields())
+        {
+            let alike = (own - planned).abs() <= SAME * planned.abs();
+            if !alike {
+                return Err(Difference {
+                    name,
+                    unit,
+                    own,
+                    planned,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// The force in N that gives the vehicle the acceleration `a` in m/s²; per second, N/s from m/s³, and the power in
+    /// W from W/kg.
+    pub fn force(&self, a: f64) -> f64 {
+        a * self.mass
+    }
+}

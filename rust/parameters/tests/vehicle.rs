@@ -1,0 +1,81 @@
+//! Vehicles are checked, compared and read by name.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use egp_parameters::VehicleParameters;
+
+const CAR: VehicleParameters = VehicleParameters::FORD_ESCORT;
+
+/// The car with one field changed, by way of its text form.
+fn with(name: &str, value: &str) -> VehicleParameters {
+    let line = |text: String| match text.split_once(" = ") {
+        Some((field, _)) if field == name => format!("{name} = {value}"),
+        _ => text,
+    };
+    let text = toml::to_string(&CAR).unwrap();
+    let lines: Vec<String> = text.lines().map(|text| line(text.to_owned())).collect();
+    toml::from_str(&lines.join("\n")).unwrap()
+}
+
+#[test]
+fn the_known_vehicles_are_valid() {
+    CAR.validate().unwrap();
+    VehicleParameters::BMW_320I.validate().unwrap();
+}
+
+#[test]
+fn every_field_is_listed_under_its_name() {
+    let table: toml::Table = toml::from_str(&toml::to_string(&CAR).unwrap()).unwrap();
+    let listed = CAR.fields();
+    assert_eq!(table.len(), listed.len());
+    for (name, _, value) in listed {
+        assert_eq!(table[name].as_float(), Some(value), "{name}");
+    }
+}
+
+#[test]
+fn a_value_no_vehicle_has_is_refused_by_name() {
+    for (name, _, _) in CAR.fields() {
+        for wrong in ["nan", "inf", "0.0"] {
+            assert_eq!(with(name, wrong).validate().unwrap_err().name, name);
+        }
+    }
+    assert_eq!(
+        with("a_min", "8.0").validate().unwrap_err().to_string(),
+        "vehicle parameter `a_min` must be finite and negative, got 8 m/s²"
+    );
+    assert_eq!(
+        with("mass", "-1.0").validate().unwrap_err().sign,
+        "positive"
+    );
+}
+
+#[test]
+fn another_vehicle_is_told_with_both_numbers() {
+    assert_eq!(CAR.check_same(&CAR), Ok(()));
+    for (name, _, value) in CAR.fields() {
+        let near = with(name, &format!("{:?}", value * 1.009));
+        assert_eq!(near.check_same(&CAR), Ok(()), "{name}");
+        for far in [value * 1.011, value * 0.989, -value, f64::NAN] {
+            let error = with(name, &format!("{far:?}").replace("NaN", "nan")).check_same(&CAR);
+            assert_eq!(error.unwrap_err().name, name);
+        }
+    }
+    assert_eq!(
+        with("mass", "1600.0")
+            .check_same(&CAR)
+            .unwrap_err()
+            .to_string(),
+        "`mass` is 1600 kg for this vehicle and 1225.887 kg for the one that plans are made for; use a library \
+         trained for this vehicle, or correct the parameters or the settings"
+    );
+    assert!(VehicleParameters::BMW_320I.check_same(&CAR).is_err());
+}
+
+#[test]
+fn unknown_and_missing_fields_are_named() {
+    let text = toml::to_string(&CAR).unwrap();
+    let error = toml::from_str::<VehicleParameters>(&format!("{text}length = 4.3\n"));
+    assert!(error.unwrap_err().to_string().contains("length"));
+    let error = toml::from_str::<VehicleParameters>(&text.replace("l_r = 1.5\n", ""));
+    assert!(error.unwrap_err().to_string().contains("l_r"));
+}

@@ -1,0 +1,72 @@
+//! `VehicleParameters`.
+
+use std::collections::BTreeMap;
+
+use egp_gate::Limits;
+use egp_plant::VehicleId;
+use pyo3::exceptions::PyAttributeError;
+use pyo3::prelude::*;
+use serde::Deserialize as _;
+use serde::de::value::{Error, MapDeserializer};
+
+use crate::error::raise;
+
+/// What one vehicle is and what its actuators may be asked for.
+#[pyclass(module = "egp_service._core", frozen, eq)]
+#[derive(PartialEq)]
+pub struct VehicleParameters(pub egp_parameters::VehicleParameters);
+
+#[pymethods]
+impl VehicleParameters {
+    #[new]
+    #[pyo3(signature = (**fields))]
+    fn new(fields: Option<BTreeMap<String, f64>>) -> PyResult<Self> {
+        let fields = fields.unwrap_or_default();
+        let deserializer = MapDeserializer::<_, Error>::new(fields.into_iter());
+        let vehicle = egp_parameters::VehicleParameters::deserialize(deserializer)
+            .map_err(|error| raise(format!("vehicle parameters: {error}")))?;
+        vehicle.validate().map_err(raise)?;
+        Ok(Self(vehicle))
+    }
+
+    #[staticmethod]
+    fn commonroad(number: u32) -> PyResult<Self> {
+        let id = VehicleId::try_from(number).map_err(raise)?;
+        Ok(Self(id.vehicle()))
+    }
+
+    fn fields(&self) -> BTreeMap<&'static str, f64> {
+        let fields = self.0.fields().into_iter();
+        fields.map(|(name, _, value)| (name, value)).collect()
+    }
+
+    fn gate_limits(&self) -> BTreeMap<&'static str, f64> {
+        let limits = Limits::of(&self.0).fields().into_iter();
+        limits.map(|(name, _, value)| (name, value)).collect()
+    }
+
+    fn check_same(&self, planned: &Self) -> PyResult<()> {
+        self.0.check_same(&planned.0).map_err(raise)
+    }
+
+    fn __getattr__(&self, name: &str) -> PyResult<f64> {
+        let unknown = || PyAttributeError::new_err(format!("no vehicle parameter {name:?}"));
+        self.fields().get(name).copied().ok_or_else(unknown)
+    }
+
+    fn __repr__(&self) -> String {
+        let field = |(name, _, value)| format!("{name}={value:?}");
+        let fields: Vec<String> = self.0.fields().into_iter().map(field).collect();
+        format!("VehicleParameters({})", fields.join(", "))
+    }
+}
+
+/// Adds this file's class and constants to the module.
+///
+/// # Errors
+/// When Python refuses one.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("GRAVITY", egp_parameters::GRAVITY)?;
+    module.add("STANDARD_GRAVITY", egp_parameters::STANDARD_GRAVITY)?;
+    module.add_class::<VehicleParameters>()
+}
