@@ -100,6 +100,19 @@ impl Engine {
         &self.library
     }
 
+    /// The vehicle that plans are made for: the library's, with the settings' mass, axles and tyres over it. The limits
+    /// of the settings, which may be narrower than the vehicle's, do not count.
+    fn vehicle(&self) -> VehicleParameters {
+        let library = *self.library.vehicle();
+        let planned = self.settings.vehicle(&library);
+        VehicleParameters {
+            mass: planned.mass,
+            l_f: planned.l_f,
+            peak_slip: planned.peak_slip,
+            ..library
+        }
+    }
+
     /// The settings.
     pub fn settings(&self) -> &Settings {
         &self.settings
@@ -138,7 +151,7 @@ impl Engine {
                 .map(|member| member.label().to_owned())
                 .collect(),
             envelope: envelope(&self.library),
-            vehicle: Some(self.settings.vehicle(self.library.vehicle())),
+            vehicle: Some(self.vehicle()),
         }
     }
 
