@@ -2,7 +2,9 @@
 
 use std::{fs, path::Path, sync::Arc};
 
-use egp_core::{Library, Settings, StepError, StepReply, StepRequest, Workspace, library};
+use egp_core::{
+    Library, Settings, StepError, StepReply, StepRequest, VehicleParameters, Workspace, library,
+};
 use egp_wire::{Code, Limits, Ready, Reply, Request, Status, WireError};
 
 use crate::cores::{Cores, available_cores};
