@@ -21,8 +21,17 @@ CENTRE = np.array([15.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 HALF_WIDTH = np.array([10.0, 1.0, 0.8, 0.3, 8000.0, 0.4])
 
 
-def write_example(path: Path, *, frictions: tuple[float, ...] = (0.5, 1.1), n: int = 30) -> None:
-    """Write a library of RBF members, one for each friction coefficient."""
+def write_example(
+    path: Path,
+    *,
+    frictions: tuple[float, ...] = (0.5, 1.1),
+    n: int = 30,
+    vehicle: VehicleParameters | None = None,
+) -> None:
+    """Write a library of RBF members, one for each friction coefficient.
+
+    It is for `vehicle`, or for the simulated car.
+    """
     members = [
         MemberData(**member_arrays(friction, n, seed=i)) for i, friction in enumerate(frictions)
     ]
@@ -31,7 +40,7 @@ def write_example(path: Path, *, frictions: tuple[float, ...] = (0.5, 1.1), n: i
         dt=0.05,
         kernel="rbf",
         vehicle="commonroad-1",
-        parameters=VehicleParameters.commonroad(1),
+        parameters=vehicle or VehicleParameters.commonroad(1),
         members=members,
         provenance={"source": "tests"},
     )

@@ -17,7 +17,10 @@ FILE = re.compile(r"`([\w./-]+\.(?:rs|py)|[\w./-]+/[\w.-]+\.(?:toml|proto|md))`"
 CHOSEN = re.compile(r"NAME|Name")
 # Packages whose files the two flows pass through.
 FLOWS = [
-    *(f"rust/{crate}/src" for crate in ("core", "wire", "driver", "gate", "engine", "service")),
+    *(
+        f"rust/{crate}/src"
+        for crate in ("parameters", "core", "wire", "driver", "gate", "engine", "service")
+    ),
     "clients/vehicle/src",
     *(f"python/egp_service/{room}" for room in ("control", "data", "training", "simulation")),
 ]

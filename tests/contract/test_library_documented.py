@@ -15,7 +15,8 @@ from egp_service import shipped
 DOCUMENT = (Path(__file__).parents[2] / "docs/library.md").read_text(encoding="utf-8")
 TENSORS = dict(re.findall(r"^\| `(\w+)` \| \[([\w, ]+)\] \|", DOCUMENT, re.MULTILINE))
 _, _, METADATA = DOCUMENT.partition("## Metadata")
-METADATA, _, _ = METADATA.partition("\n## ")
+METADATA, _, VEHICLE = METADATA.partition("\n## Vehicle\n")
+VEHICLE, _, _ = VEHICLE.partition("\n## ")
 
 
 @pytest.fixture(scope="module")
@@ -52,5 +53,7 @@ def test_metadata_keys_are_those_of_the_table(header: dict[str, Any]) -> None:
     for member in metadata["members"]:
         assert set(member) <= set(re.findall(r"`([\w-]+)`", members))
     assert f"`schema` | {metadata['schema']}." in METADATA
+    parameters = re.findall(r"^\| `(\w+)` \|", VEHICLE, re.MULTILINE)
+    assert sorted(parameters) == sorted(metadata["parameters"])
     for signal in metadata["inputs"] + metadata["outputs"]:
         assert f"`{signal['name']}` {signal['unit']}" in METADATA

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 import numpy as np
 import pytest
 
-from egp_service import SpeedProfile, shipped
+from egp_service import SpeedProfile, VehicleParameters, shipped
 from egp_service._core import EgpError, Engine, Gate, Server
 from egp_service.simulation.scenario import Scenario
+from library_example import write_example
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,18 +31,43 @@ UNSET = {
 }
 
 
-def documented(section: str) -> dict[str, Any]:
-    """Keys of a section with their defaults; a key without a default has `None`."""
+CAR = VehicleParameters.commonroad(1)
+# Another vehicle, of which no two parameters are alike and none is the car's.
+OTHER = VehicleParameters(
+    **{
+        name: (-1.0 if name == "a_min" else 1.0) * (1.5 + 0.25 * number)
+        for number, name in enumerate(CAR.fields())
+    }
+)
+
+
+def cells(section: str) -> dict[str, str]:
+    """Keys of a section with the text of their column of defaults."""
     (text,) = re.findall(
         rf"^## \d+\. {section}\n(.*?)(?=^## |\Z)", DOCUMENT, re.MULTILINE | re.DOTALL
     )
-    found: dict[str, Any] = {}
+    found: dict[str, str] = {}
     for key, cell in re.findall(r"^\| `([\w.]+)` \| ([^|]*) \|", text, re.MULTILINE):
         assert key not in found, f"{key} is documented twice"
+        found[key] = cell
+    return found
+
+
+def documented(section: str, vehicle: VehicleParameters | None = None) -> dict[str, Any]:
+    """Keys of a section with their defaults for a vehicle; a key without a default has `None`."""
+    found: dict[str, Any] = {}
+    for key, cell in cells(section).items():
         value = re.match(r"`([^`]*)`", cell)
         assert value or cell.startswith("none"), f"{key}: {cell}"
-        found[key] = tomllib.loads(f"value = {value[1]}")["value"] if value else None
+        found[key] = evaluated(value[1], vehicle) if value else None
     return found
+
+
+def evaluated(text: str, vehicle: VehicleParameters | None) -> Any:  # noqa: ANN401 - any TOML value
+    """Give the value that is written as TOML, or as a formula of a vehicle's parameters."""
+    if "vehicle." in text:
+        return eval(text, {"__builtins__": {}}, {"vehicle": vehicle})  # noqa: S307
+    return tomllib.loads(f"value = {text}")["value"]
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -59,7 +85,20 @@ def test_control_step() -> None:
     engine = Engine(str(shipped.DEMO_LIBRARY))
     assert engine.dt == pytest.approx(0.02)  # for which the document states horizon and window
     expected = flat(tomllib.loads(engine.settings_toml))
-    assert documented("Control step") == expected | dict.fromkeys(UNSET)
+    assert documented("Control step", CAR) == expected | dict.fromkeys(UNSET)
+
+
+def test_defaults_that_come_from_the_librarys_vehicle(tmp_path: Path) -> None:
+    path = tmp_path / "library.safetensors"
+    write_example(path, vehicle=OTHER)
+    settings = flat(tomllib.loads(Engine(str(path)).settings_toml))
+    table = documented("Control step", OTHER)
+    changed = {key for key, value in table.items() if value != documented("Control step", CAR)[key]}
+    assert changed == {key for key, cell in cells("Control step").items() if "vehicle." in cell}
+    assert {key: settings[key] for key in changed} == {key: table[key] for key in changed}
+    # The example has another period than the document, but otherwise the same defaults.
+    others = settings.keys() - changed - {"horizon", "weights.window"}
+    assert {key: settings[key] for key in others} == {key: table[key] for key in others}
 
 
 @pytest.mark.parametrize("key", UNSET)
@@ -91,9 +130,9 @@ def test_client() -> None:
         if isinstance(node, ast.FunctionDef) and node.name == "connect"
     )
     arguments = zip(connect.args.kwonlyargs, connect.args.kw_defaults, strict=True)
-    defaults = {a.arg: ast.literal_eval(default) for a, default in arguments if default is not None}
-    # Another section describes the gate's settings, and zenoh's own documentation those of zenoh.
-    del defaults["gate"], defaults["zenoh_config"]
+    defaults = {a.arg: default and ast.literal_eval(default) for a, default in arguments}
+    # Zenoh's own documentation describes the settings of zenoh.
+    del defaults["zenoh_config"]
     assert documented("Client") == defaults
 
 
@@ -111,19 +150,40 @@ def commands(settings: Mapping[str, float]) -> list[tuple[float, float]]:
     return given
 
 
+def stated_gate(vehicle: VehicleParameters) -> dict[str, float]:
+    """Limits of a vehicle's gate by the document's formulas."""
+    formulas = {
+        key: re.fullmatch(r"none: `([^`]*vehicle\.[^`]*)`", cell)
+        for key, cell in cells("Gate").items()
+    }
+    return {key: evaluated(formula[1], vehicle) for key, formula in formulas.items() if formula}
+
+
 def test_gate() -> None:
-    table = documented("Gate")
+    defaults = {key: value for key, value in documented("Gate").items() if value is not None}
+    limits = CAR.gate_limits()
     with pytest.raises(EgpError, match="known: ") as refused:
-        Gate(0.02, {"nonsense": 1.0})
-    assert list(table) == re.findall(r"\w+", str(refused.value).partition("known: ")[2])
-    np.testing.assert_allclose(commands(table), commands({}), rtol=1e-12)
+        Gate(0.02, limits | {"nonsense": 1.0})
+    assert list(cells("Gate")) == re.findall(r"\w+", str(refused.value).partition("known: ")[2])
+    # What the document gives no default for is required, and the rest is not.
+    assert cells("Gate").keys() - defaults.keys() == stated_gate(CAR).keys()
+    for key in stated_gate(CAR):
+        with pytest.raises(EgpError, match=f"gate limit {key} is missing"):
+            Gate(0.02, {name: value for name, value in limits.items() if name != key})
+    np.testing.assert_allclose(commands(stated_gate(CAR) | defaults), commands(limits), rtol=1e-12)
 
 
-@pytest.mark.parametrize("key", documented("Gate"))
+@pytest.mark.parametrize("vehicle", [CAR, OTHER], ids=["car", "other"])
+def test_the_limits_of_a_vehicles_gate(vehicle: VehicleParameters) -> None:
+    assert stated_gate(vehicle) == pytest.approx(vehicle.gate_limits(), rel=1e-12)
+
+
+@pytest.mark.parametrize("key", cells("Gate"))
 def test_the_comparison_of_gates_sees_every_setting(key: str) -> None:
-    table = documented("Gate")
+    table = documented("Gate") | stated_gate(CAR)
     changed = table[key] - 1 if key == "max_tail_ticks" else 0.99 * table[key]
-    assert not np.allclose(commands({key: changed}), commands({}), rtol=1e-9, atol=0.0)
+    commanded = commands(table | {key: changed})
+    assert not np.allclose(commanded, commands(CAR.gate_limits()), rtol=1e-9, atol=0.0)
 
 
 def members(kind: type, prefix: str = "") -> dict[str, Any]:
@@ -145,4 +205,12 @@ def test_scenarios() -> None:
 
 def test_speed_limits() -> None:
     parameters = itertools.islice(inspect.signature(SpeedProfile).parameters.values(), 1, None)
-    assert documented("Speed limits") == {p.name: p.default for p in parameters}
+    defaults = {p.name: None if p.default is p.empty else p.default for p in parameters}
+    assert documented("Speed limits") == defaults
+
+
+def test_vehicle() -> None:
+    assert documented("Vehicle") == CAR.fields()
+    bmw = VehicleParameters.commonroad(2).fields()
+    own = {name for name, value in CAR.fields().items() if bmw[name] != value}
+    assert own == {"mass", "yaw_inertia", "l_f", "l_r", "width"}  # as the document says
