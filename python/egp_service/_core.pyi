@@ -1124,7 +1124,7 @@ class Engine:
         """Bytes of the Ready message that a replica with this engine would answer."""
     @property
     def vehicle(self) -> VehicleParameters:
-        """The vehicle that plans are made for: the library's, with what the settings state."""
+        """The library's vehicle, with the settings' mass, axles and tyres in place of its own."""
     @property
     def settings_toml(self) -> str:
         """All settings, defaults included."""

@@ -104,7 +104,7 @@ impl Engine {
 
     /// The vehicle that plans are made for: the library's, with the settings' mass, axles and tyres over it. The limits
     /// of the settings, which may be narrower than the vehicle's, do not count.
-    fn vehicle(&self) -> VehicleParameters {
+    pub fn vehicle(&self) -> VehicleParameters {
         let library = *self.library.vehicle();
         let planned = self.settings.vehicle(&library);
         VehicleParameters {

@@ -108,8 +108,7 @@ impl Engine {
 
     #[getter]
     fn vehicle(&self) -> VehicleParameters {
-        let settings = self.inner.settings();
-        VehicleParameters(settings.vehicle(self.inner.library().vehicle()))
+        VehicleParameters(self.inner.vehicle())
     }
 
     #[getter]
