@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 
 use egp_gate::Limits;
 use egp_plant::VehicleId;
-use pyo3::exceptions::PyAttributeError;
 use pyo3::prelude::*;
 use serde::Deserialize as _;
 use serde::de::value::{Error, MapDeserializer};
@@ -49,9 +48,84 @@ impl VehicleParameters {
         self.0.check_same(&planned.0).map_err(raise)
     }
 
-    fn __getattr__(&self, name: &str) -> PyResult<f64> {
-        let unknown = || PyAttributeError::new_err(format!("no vehicle parameter {name:?}"));
-        self.fields().get(name).copied().ok_or_else(unknown)
+    #[getter]
+    fn mass(&self) -> f64 {
+        self.0.mass
+    }
+
+    #[getter]
+    fn yaw_inertia(&self) -> f64 {
+        self.0.yaw_inertia
+    }
+
+    #[getter]
+    fn l_f(&self) -> f64 {
+        self.0.l_f
+    }
+
+    #[getter]
+    fn l_r(&self) -> f64 {
+        self.0.l_r
+    }
+
+    #[getter]
+    fn width(&self) -> f64 {
+        self.0.width
+    }
+
+    #[getter]
+    fn a_min(&self) -> f64 {
+        self.0.a_min
+    }
+
+    #[getter]
+    fn a_max(&self) -> f64 {
+        self.0.a_max
+    }
+
+    #[getter]
+    fn power(&self) -> f64 {
+        self.0.power
+    }
+
+    #[getter]
+    fn a_slew(&self) -> f64 {
+        self.0.a_slew
+    }
+
+    #[getter]
+    fn steering_angle(&self) -> f64 {
+        self.0.steering_angle
+    }
+
+    #[getter]
+    fn steering_rate(&self) -> f64 {
+        self.0.steering_rate
+    }
+
+    #[getter]
+    fn steering_slew(&self) -> f64 {
+        self.0.steering_slew
+    }
+
+    #[getter]
+    fn peak_slip(&self) -> f64 {
+        self.0.peak_slip
+    }
+
+    #[getter]
+    fn lateral_grip(&self) -> f64 {
+        self.0.lateral_grip
+    }
+
+    #[getter]
+    fn braking_grip(&self) -> f64 {
+        self.0.braking_grip
+    }
+
+    #[getter]
+    fn driving_grip(&self) -> f64 {
+        self.0.driving_grip
     }
 
     fn __repr__(&self) -> String {
