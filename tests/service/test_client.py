@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from egp_service import Controller, VehicleClient
+from egp_service import Controller, InvalidArgumentError, VehicleClient
 from egp_service.control.client import ServiceUnreachableError
 from egp_service.control.service_process import ServiceProcess, ServiceStartError
 from egp_service.simulation.closed_loop import drive
@@ -161,6 +161,19 @@ def test_a_measurement_that_is_not_finite_stops_the_vehicle() -> None:
         assert (step.mode, step.status, step.request) == ("stop", "invalid_state", b"")
         assert np.all(np.isfinite(step.u))
         assert vehicle.step().mode == "stop"
+
+
+def test_one_endpoint_may_be_a_string(service: ServiceProcess) -> None:
+    with VehicleClient.connect(service.endpoint, gate=GATE) as client:
+        assert Standstill(client).step(deadline=5.0).mode == "normal"
+
+
+@pytest.mark.parametrize("names", [{"vehicle": "a/b"}, {"fleet": ""}, {"vehicle": "car 7"}])
+def test_names_that_cannot_be_part_of_a_key_are_refused_before_connecting(
+    names: dict[str, str],
+) -> None:
+    with pytest.raises(InvalidArgumentError, match="A-Z a-z 0-9"):
+        VehicleClient.connect("tcp/127.0.0.1:9", gate=GATE, **names)  # type: ignore[arg-type]
 
 
 def test_connecting_to_nobody_says_what_to_do() -> None:
