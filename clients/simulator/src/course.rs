@@ -93,7 +93,7 @@ pub(crate) struct Road<'a> {
 impl Friction for Road<'_> {
     fn coefficient(&self, position: [f64; 2]) -> f64 {
         if !position.iter().all(|value| value.is_finite()) {
-            return f64::NAN; // the plant refuses it by name
+            return f64::NAN; // the plant reports the friction as an error
         }
         let projection = self.path.project(position, Some(self.hint.get()));
         self.hint.set(projection.s);

@@ -4,7 +4,7 @@ use egp_wire::keys::Name;
 
 /// The replicas in the order in which this vehicle tries them, by rendezvous hashing.
 ///
-/// Every client computes the same order without talking to anybody; vehicles spread evenly, and when a
+/// Every client computes the same order without communication; vehicles spread evenly, and when a
 /// replica leaves, only its own vehicles move. The hash of `fleet/vehicle@replica` is 64-bit FNV-1a with
 /// the finaliser of MurmurHash3, highest first; ties, of which there are practically none, by name.
 pub fn rank(fleet: &Name, vehicle: &Name, mut replicas: Vec<Name>) -> Vec<Name> {

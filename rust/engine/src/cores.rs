@@ -50,7 +50,7 @@ impl Cores {
         }
     }
 
-    /// Up to `wanted` cores that nobody has.
+    /// Up to `wanted` cores that no step uses.
     fn borrow(&self, wanted: usize) -> Taken<'_> {
         let mut count = 0;
         let _ = self

@@ -164,7 +164,7 @@ fn stages<const N: usize>(name: &str, array: &Matrix<'_>, count: usize) -> PyRes
 /// Adds the class to the module.
 ///
 /// # Errors
-/// When Python refuses it.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<AffineOcp>()
 }

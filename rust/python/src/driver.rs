@@ -336,7 +336,7 @@ impl Discover {
 /// Adds the classes to the module.
 ///
 /// # Errors
-/// When Python refuses a class.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Decision>()?;
     module.add_class::<Discover>()?;

@@ -42,7 +42,7 @@ impl InvalidArgumentError {
 /// Adds the exceptions to the module.
 ///
 /// # Errors
-/// When Python refuses an attribute.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();
     module.add("EgpError", py.get_type::<EgpError>())?;

@@ -111,7 +111,7 @@ pub fn mode_name(mode: Mode) -> &'static str {
 /// Adds the classes to the module.
 ///
 /// # Errors
-/// When Python refuses a class.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Command>()?;
     module.add_class::<Gate>()

@@ -258,7 +258,7 @@ impl Failure {
 /// Adds this file's classes and functions to the module.
 ///
 /// # Errors
-/// When Python refuses one.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("LibraryError", module.py().get_type::<LibraryError>())?;
     module.add_class::<Library>()?;

@@ -164,7 +164,7 @@ fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// Adds this file's class and functions to the module.
 ///
 /// # Errors
-/// When Python refuses one.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<MemberData>()?;
     module.add_function(wrap_pyfunction!(write_library, module)?)?;

@@ -262,7 +262,7 @@ fn solve_weights<'py>(
 /// Adds the functions to the module.
 ///
 /// # Errors
-/// When Python refuses an attribute.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<OcpResult>()?;
     module.add_function(wrap_pyfunction!(ocp_to_qp, module)?)?;

@@ -138,7 +138,7 @@ impl VehicleParameters {
 /// Adds this file's class and constants to the module.
 ///
 /// # Errors
-/// When Python refuses one.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("GRAVITY", egp_parameters::GRAVITY)?;
     module.add("STANDARD_GRAVITY", egp_parameters::STANDARD_GRAVITY)?;

@@ -344,7 +344,7 @@ fn horizon_reference<'py>(
 /// Adds this file's classes and functions to the module.
 ///
 /// # Errors
-/// When Python refuses one.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Path>()?;
     module.add_class::<Projection>()?;

@@ -202,7 +202,7 @@ fn matrix(py: Python<'_>, states: Vec<StateVector>) -> PyResult<NewMatrix<'_>> {
 /// Adds this file's classes and functions to the module.
 ///
 /// # Errors
-/// When Python refuses one.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Plant>()?;
     module.add_function(wrap_pyfunction!(plant_derivative, module)?)?;

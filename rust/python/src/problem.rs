@@ -216,7 +216,7 @@ fn part(values: &[f64], index: usize, size: usize) -> &[f64] {
 /// Adds the classes to the module.
 ///
 /// # Errors
-/// When Python refuses them.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<OcpWeights>()?;
     module.add_class::<OcpBounds>()

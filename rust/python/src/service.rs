@@ -242,7 +242,7 @@ fn serve(py: Python<'_>, config_toml: &str) -> PyResult<()> {
 /// Adds the classes and functions to the module.
 ///
 /// # Errors
-/// When Python refuses one.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Engine>()?;
     module.add_class::<InProcessDriver>()?;

@@ -69,7 +69,7 @@ impl Friction for OnPath<'_> {
 /// Adds this file's class to the module.
 ///
 /// # Errors
-/// When Python refuses it.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<FrictionMap>()
 }

@@ -326,7 +326,7 @@ fn replica_of_live(key: &str) -> Option<String> {
 /// Adds the classes and functions to the module.
 ///
 /// # Errors
-/// When Python refuses one.
+/// Errors if the module does not accept the name.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("LIVE_KEYS", keys::ALL_LIVE)?;
     module.add_class::<Replica>()?;

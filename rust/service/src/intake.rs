@@ -28,7 +28,7 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
-    /// Answers, queues or refuses a query.
+    /// Answers a query, queues it, or answers it with an error.
     pub(crate) fn take(&self, query: Query) {
         match keys::parse(query.key()) {
             Some(Target::Health) => {

@@ -1,7 +1,7 @@
 //! The bounded queue between intake and workers: one slot a vehicle, earliest deadline first.
 //!
 //! A vehicle that asks again before it was served has given up on its older request, so the newest takes
-//! its slot; one that floods the service displaces nobody but itself. Serving the earliest deadline first
+//! its slot; one that floods the service displaces only its own requests. Serving the earliest deadline first
 //! keeps late requests from making the others late.
 
 use std::collections::{BTreeMap, HashMap};
@@ -60,7 +60,7 @@ impl<T> Queue<T> {
         }
     }
 
-    /// Offers an item. `in_time` is told how many wait with an earlier deadline and decides on admission.
+    /// Offers an item. `in_time` gets the number of items with an earlier deadline and decides on admission.
     pub(crate) fn push(
         &self,
         vehicle: String,
@@ -108,7 +108,7 @@ impl<T> Queue<T> {
         }
     }
 
-    /// Refuses what comes from now on; what waits is still served.
+    /// Closes the queue: later items are handed back, those that wait are still served.
     pub(crate) fn close(&self) {
         self.lock().closed = true;
         self.changed.notify_all();

@@ -27,7 +27,7 @@ pub enum StartError {
     /// The configuration is out of range.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The replica's name is none.
+    /// The replica's name is not 1 to 64 of the characters `A-Z a-z 0-9 . _ -`.
     #[error(transparent)]
     Name(#[from] NameError),
     /// The library or the settings were refused.

@@ -31,7 +31,7 @@ fn serve<H: Handler>(
     let waited = started - job.arrived;
     shared.metrics.waited(waited);
     let hopeless = started + shared.metrics.step_time() > job.deadline;
-    // The last one waiting is tried while there is time at all: it keeps nobody from a better chance.
+    // The last request in the queue is tried even if it is likely to be late, because no other request waits for the worker.
     if started > job.deadline || (hopeless && shared.queue.len() > 0) {
         let budget = micros(job.deadline - job.arrived);
         return shared.refuse(&job.query, &shared.too_late(budget));

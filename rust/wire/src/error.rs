@@ -1,4 +1,4 @@
-//! Why a message was refused ([`Invalid`]) and what is told to the other side ([`WireError`]).
+//! Why a message is not valid ([`Invalid`]), and the error that travels to the client ([`WireError`]).
 
 use prost::Message as _;
 use thiserror::Error;
@@ -22,7 +22,7 @@ pub enum Invalid {
     Malformed(#[from] prost::DecodeError),
     /// Another version of the messages.
     #[error(
-        "message version {actual}, this side speaks version {}; update the older one",
+        "message version {actual}, this side has version {}; update the older one",
         crate::VERSION
     )]
     Version {

@@ -111,7 +111,7 @@ pub enum Target {
     Metrics,
 }
 
-/// Reads the key of a query; nothing when it is none of ours.
+/// Reads the key of a query; none when the key has no form that a replica answers.
 pub fn parse(key: &str) -> Option<Target> {
     let (_replica, rest) = key.strip_prefix(PREFIX)?.split_once('/')?;
     match rest {

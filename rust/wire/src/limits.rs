@@ -1,4 +1,4 @@
-//! How large a message may be before anybody looks at its numbers.
+//! Sizes above which a message is an error before its numbers are read.
 
 /// Size limits applied while decoding. The defaults fit the largest request the service is made for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

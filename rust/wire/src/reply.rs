@@ -62,7 +62,7 @@ impl Reply {
         message.bytes(13, self.solver.as_bytes());
     }
 
-    /// Reads and validates an `egp.v1.StepReply`: a vehicle trusts no service to send sane numbers.
+    /// Reads and validates an `egp.v1.StepReply`. A vehicle checks every number, because a service may be faulty.
     ///
     /// # Errors
     /// [`Invalid`], which names the first field at fault.

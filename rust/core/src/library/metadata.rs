@@ -154,7 +154,7 @@ impl Metadata {
     }
 }
 
-/// Refuses nothing at all and more than the limit.
+/// Errors unless `1 <= found <= limit`.
 pub(super) fn check_count(what: &str, found: usize, limit: usize) -> Result<(), LibraryError> {
     if (1..=limit).contains(&found) {
         return Ok(());

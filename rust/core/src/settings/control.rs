@@ -79,7 +79,7 @@ pub struct Limits {
 pub struct Penalty {
     /// Exact-penalty part: above it the bound is kept whenever it can be. Default 200.
     pub linear: f64,
-    /// Part that spreads a violation nobody can avoid. Default 2000.
+    /// Quadratic part, which spreads an unavoidable violation over the stages. Default 2000.
     pub quadratic: f64,
 }
 

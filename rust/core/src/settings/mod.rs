@@ -170,7 +170,7 @@ fn periods(time: f64, dt: f64, most: usize) -> usize {
     (time / dt).round().clamp(1.0, most as f64) as usize
 }
 
-/// Refuses `got` unless it is finite and `accept`ed.
+/// Errors unless `got` is finite and `accept` is true for it.
 fn check(
     field: &'static str,
     got: f64,

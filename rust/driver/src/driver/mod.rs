@@ -190,7 +190,7 @@ impl Driver {
         if lost.is_some() {
             self.gate.stop();
         }
-        // With no time left the service refuses, which is what a period that began late deserves.
+        // With no time left the service answers TOO_LATE, and the period is bridged by the tail.
         let left = deadline.saturating_sub(now).as_micros();
         let budget_us = u32::try_from(left).unwrap_or(u32::MAX).max(1);
         let mut request = self.carry.request(x, reference, widths, budget_us);
@@ -273,8 +273,8 @@ impl Driver {
         }
     }
 
-    /// A replica answered with an error, given as the bytes of an `egp.v1.Error`. Bytes that are none count as
-    /// [`Driver::ended`].
+    /// A replica answered with an error, given as the bytes of an `egp.v1.Error`. Bytes that are no such
+    /// message count as [`Driver::ended`].
     pub fn refused(&mut self, now: Time, id: QueryId, error: &[u8]) {
         let Some(pending) = self.pending.remove(&id) else {
             self.probes.remove(&id);
