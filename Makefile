@@ -15,7 +15,7 @@ demo: .venv/built-viz ## Set up, then drive a lap over three surfaces and draw i
 test: lint rust-test python-test instructions ## Set up and pass every check: format, lint, types, Rust and Python tests
 
 bench: .venv/built-bench ## Run the benchmarks
-	cargo bench --workspace
+	cargo bench -p egp-bench
 	$(BIN)/python tests/bench/compare.py
 	$(BIN)/python tests/bench/qp.py
 
@@ -26,8 +26,8 @@ fmt: .venv/built-dev ## Format Rust and Python
 
 lint: .venv/built-dev ## Check format, lints, types, stubs and import rules
 	cargo fmt --all --check
-	cargo clippy --workspace --all-targets --locked -- -D warnings
-	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked
+	cargo clippy --release --workspace --all-targets --locked -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps --locked
 	$(BIN)/ruff format --check python tests
 	$(BIN)/ruff check python tests
 	$(BIN)/mypy
@@ -37,8 +37,11 @@ lint: .venv/built-dev ## Check format, lints, types, stubs and import rules
 deny: ## Check licences, sources and advisories of the Rust crates, with cargo-deny and the network
 	cargo deny --locked check $(CHECKS)
 
-rust-test: ## Run the Rust tests
-	cargo test --workspace --locked
+# The same profile as the extension, and without the crates that change the features of zenoh's dependencies: what the
+# extension was built with is not compiled again.
+rust-test: .venv/built-dev ## Run the Rust tests
+	cargo test --release --locked --workspace --exclude egp-bench --exclude egp-testing
+	cargo test --release --locked --package egp-testing
 
 python-test: .venv/built-dev ## Run the Python tests
 	$(BIN)/pytest

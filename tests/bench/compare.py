@@ -6,7 +6,7 @@ Five comparisons, each a table, most a picture in target/bench:
   members  the step for 1 to 64 members of 700 points, with and without standard deviations, beside
            the paper's stack up to 8
   cores    the step with standard deviations and eight active members, on one core and on all
-  phases   where the time goes; reads what `cargo bench -p egp-core` left in target/criterion
+  phases   where the time goes; reads what `cargo bench -p egp-bench` left in target/criterion
   gp       mean and Jacobian of a member against numpy, numba and GPyTorch
 
 A time counts only if the answer is right, so each table has its errors. Absolute times are the

@@ -121,7 +121,7 @@ def compare(console: Console, picture: Path, repeats: int) -> None:
     ours = rows[0]
     single = median("gp/mean_jacobian/rbf 700")
     if single is None:
-        console.print("ours: no numbers of criterion yet; run `cargo bench -p egp-core` first")
+        console.print("ours: no numbers of criterion yet; run `cargo bench -p egp-bench` first")
     else:
         for count in (3, 1):  # the outputs cost the same
             seconds = [single[0] * QUERIES * count / 3 / 1e6]

@@ -38,7 +38,7 @@ def compare(console: Console, picture: Path) -> None:
     """Print and draw."""
     found = {name: median(key) for name, key in (PHASES | WHOLE).items()}
     if any(numbers is None for numbers in found.values()):
-        console.print("phases: no numbers yet; run `cargo bench -p egp-core --bench step` first")
+        console.print("phases: no numbers yet; run `cargo bench -p egp-bench --bench step` first")
         return
     known = {name: numbers for name, numbers in found.items() if numbers is not None}
     table = Table(title="Phases of a step, 2 members x 700 points, horizon 20, criterion, us")

@@ -30,6 +30,7 @@ ALLOWED = {
     "egp-simulator": {"egp-wire", "egp-gate", "egp-path", "egp-plant", "egp-vehicle"},
     "egp-load": {"egp-wire", "egp-vehicle", "egp-simulator"},
     "egp-testing": {VEHICLE, "egp-core", "egp-wire"},
+    "egp-bench": set(),
     "egp-python": {
         VEHICLE,
         "egp-core",

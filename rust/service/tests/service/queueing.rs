@@ -1,13 +1,11 @@
 //! Who waits, who is displaced and who is refused, with a worker held up on purpose.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
-mod common;
-
 use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-use common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
+use crate::common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
 use egp_engine::{Engine, EngineWorkspace};
 use egp_service::{Handler, Server, ServiceConfig};
 use egp_wire::{Code, Header, Limits, Ready, Reply, Status, WireError};

@@ -1,12 +1,10 @@
 //! Requests that cannot be answered get a typed error while another vehicle is served.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
-mod common;
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
+use crate::common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
 use egp_engine::{Engine, EngineWorkspace};
 use egp_service::{Handler, Server};
 use egp_wire::{Code, Header, Limits, Ready, Request, Status, WireError};

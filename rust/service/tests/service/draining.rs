@@ -1,15 +1,13 @@
 //! A replica that goes away answers everything that reaches it.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
-mod common;
-
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use common::{
+use crate::common::{
     Client, Outcome, config, engine, first_request, free_endpoint, library_file, step_key,
 };
 use egp_service::Server;

@@ -1,8 +1,6 @@
 //! An engine on several cores replies with the bytes of one that is alone, whoever else has the cores.
 #![allow(clippy::unwrap_used)]
 
-mod common;
-
 use std::thread;
 
 use egp_core::{Kernel, Settings};
@@ -24,7 +22,7 @@ fn engine() -> Engine {
 #[test]
 fn replies_are_the_same_bytes_on_any_number_of_cores() {
     let alone = engine();
-    let mut request = common::request(&mut Carry::new(alone.library().id(), 10));
+    let mut request = crate::common::request(&mut Carry::new(alone.library().id(), 10));
     request.want_sigma = true;
     let request = request.encode();
     let reply = |engine: &Engine| {

@@ -1,9 +1,7 @@
 //! What a client gets from a replica in order.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
-mod common;
-
-use common::{Client, Outcome, config, engine, free_endpoint, request, step_key};
+use crate::common::{Client, Outcome, config, engine, free_endpoint, request, step_key};
 use egp_driver::Carry;
 use egp_service::Server;
 use egp_wire::{Limits, Load, Ready, Reply, Status, keys};
@@ -41,7 +39,7 @@ fn a_replica_tells_what_it_serves_and_how_it_fares() {
     let endpoint = free_endpoint();
     let server = Server::start_with(&config(&endpoint), engine()).unwrap();
     let client = Client::connect(&endpoint);
-    client.ask(&step_key("car"), &common::first_request().encode());
+    client.ask(&step_key("car"), &crate::common::first_request().encode());
     let text = |key: String| match client.ask(&key, &[]) {
         Outcome::Answer { payload, .. } => payload,
         other => panic!("{key}: {other:?}"),

@@ -1,6 +1,6 @@
 //! The control step and its phases: 2 members of 700 points, horizon 20, window 10.
 //!
-//! Run `cargo bench -p egp-core --bench step`. The goal for the whole warm step is at most 5 ms.
+//! Run `cargo bench -p egp-bench --bench step`. The goal for the whole warm step is at most 5 ms.
 #![allow(
     clippy::unwrap_used,
     clippy::semicolon_if_nothing_returned,

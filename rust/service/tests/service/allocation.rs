@@ -2,11 +2,9 @@
 //! the mathematics alone.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-mod common;
-
 use std::cell::Cell;
 
-use common::{engine, request};
+use crate::common::{engine, request};
 use counting::allocations;
 use egp_core::{StepReply, StepRequest, Workspace, step};
 use egp_driver::Carry;

@@ -1,0 +1,12 @@
+//! Tests of the mathematics: members, weights, linearisation, solvers and the step as a whole.
+
+mod ensemble;
+mod executor;
+mod gp;
+mod horizon_variance;
+mod library;
+mod qp;
+mod refusals;
+mod solvers;
+mod step;
+mod weights;

@@ -1,0 +1,4 @@
+//! Tests of the driver's parts.
+
+mod carry;
+mod gate;

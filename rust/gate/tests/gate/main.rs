@@ -1,0 +1,4 @@
+//! Tests of the gate.
+
+mod limits;
+mod properties;

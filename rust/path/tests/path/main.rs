@@ -1,0 +1,7 @@
+//! Tests of paths, speed profiles and track files.
+
+mod formats;
+mod horizon;
+mod path;
+mod speed;
+mod tracks;
