@@ -43,8 +43,11 @@ rust-test: .venv/built-dev ## Run the Rust tests
 	cargo test --release --locked --workspace --exclude egp-bench --exclude egp-testing
 	cargo test --release --locked --package egp-testing
 
+# Tests of the service have deadlines to keep, so they run alone; all others share the cores.
+ALONE := tests/service tests/conformance
 python-test: .venv/built-dev ## Run the Python tests
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses auto --dist loadfile $(addprefix --ignore ,$(ALONE))
+	$(BIN)/pytest $(ALONE)
 
 instructions: .venv/bin/python ## Check the instructions of a control step against their budget, with valgrind
 	$(BIN)/python tests/bench/instructions.py
