@@ -11,7 +11,6 @@ __all__ = [
     "GRAVITY",
     "LIVE_KEYS",
     "STANDARD_GRAVITY",
-    "AffineOcp",
     "Command",
     "Decision",
     "Discovery",
@@ -1033,40 +1032,6 @@ def solve_ocp(
     >>> bool(np.abs(result.u - oracle.u).max() < 1e-6)
     True
     """
-
-@final
-class AffineOcp:
-    """The control step's optimal control problem, eq. (18), around dynamics of any origin.
-
-    `settings_toml` holds the settings of a control step, over those of `vehicle`; `dt` is the
-    period in s, `friction` the surface's coefficient. Cost, bounds and solvers are those of the
-    step.
-
-    Raises `EgpError` for settings out of range, and a period or friction that is not a positive
-    number.
-    """
-
-    def __new__(
-        cls, settings_toml: str, vehicle: VehicleParameters, dt: float, friction: float
-    ) -> AffineOcp: ...
-    def solve(
-        self,
-        x0: NDArray[np.float64],
-        u_prev: NDArray[np.float64],
-        operating_x: NDArray[np.float64],
-        operating_u: NDArray[np.float64],
-        a: NDArray[np.float64],
-        b: NDArray[np.float64],
-        c: NDArray[np.float64],
-        reference: NDArray[np.float64],
-        widths: NDArray[np.float64] | None = None,
-    ) -> OcpResult:
-        """Solve for x_{t+1} = A x_t + B u_t + c, positions and yaw relative to the vehicle's place.
-
-        Measured state x0 (7,), input now applied u_prev (2,), operating trajectory (T+1, 7) and
-        (T, 2), a (T, 7, 7), b (T, 7, 2), c (T, 7), reference rows [p_x, p_y, v_x, psi] (T+1, 4) and
-        widths [left, right] (T+1, 2); forces in N. The result's inputs are scaled to accelerations.
-        """
 
 def solve_weights(
     predictions: NDArray[np.float64],
