@@ -11,7 +11,6 @@ __all__ = [
     "GRAVITY",
     "LIVE_KEYS",
     "STANDARD_GRAVITY",
-    "AffineOcp",
     "Command",
     "Decision",
     "Discovery",
@@ -756,7 +755,7 @@ class Library:
 
 @final
 class Member:
-    """One surface's GPs inside a library; hyperparameters live in the z-scored space."""
+    """One surface's vehicle and GPs in a library; hyperparameters live in the z-scored space."""
 
     @property
     def label(self) -> str:
@@ -772,11 +771,11 @@ class Member:
 
     @property
     def n_points(self) -> int:
-        """Number of training points."""
+        """Number of training points; 0 for a vehicle alone."""
 
     @property
     def envelope(self) -> NDArray[np.float64]:
-        """Smallest and largest training inputs (2, 6), physical units."""
+        """Smallest and largest inputs (2, 6) for which the member is meant, physical units."""
 
     @property
     def lengthscales(self) -> NDArray[np.float64]:
@@ -800,23 +799,33 @@ class Member:
 
     @property
     def single_track(self) -> NDArray[np.float64] | None:
-        """Parameters (17,) of the vehicle that the GPs are added to; None for constants alone.
+        """Parameters (17,) of the vehicle that the GPs are added to; None without such a one.
 
         m, l_f, l_r, k^2 (radius of gyration), h in kg and m; longitudinal grip D_x under drive and
         braking; of the front tyres, then of the rear ones, the coupling e under drive and braking,
         friction D, stiffness B and shape C.
         """
 
+    @property
+    def kinematic(self) -> NDArray[np.float64] | None:
+        """Parameters (3,) of a vehicle whose wheels roll without slip; None without such a one.
+
+        m, l_f and l_r in kg and m.
+        """
+
 # library_writer.rs
 
 @final
 class MemberData:
-    """One surface's GPs on their way into a file; M points, G golden points.
+    """One surface's vehicle and GPs on their way into a file; M points, G golden points.
 
     Inputs, targets, scalers, envelope and golden predictions are in physical units, everything else
     in the z-scored space: `alpha = (K + noise I)^-1 (y - constant)` with z-scored `y`. The golden
     arrays hold what the trainer's own implementation predicts; loading must reproduce them. A few
     points inside the data and a few far outside will do.
+
+    A member with a vehicle may be a vehicle alone, with M = 0, any G, and the outputscale 0. Its
+    variance is then that of the noise.
     """
 
     def __new__(
@@ -842,14 +851,17 @@ class MemberData:
         golden_jacobian: NDArray[np.float64],
         golden_variance: NDArray[np.float64],
         single_track: NDArray[np.float64] | None = None,
+        kinematic: NDArray[np.float64] | None = None,
     ) -> MemberData:
         """Take over the arrays.
 
         Shapes: inputs (M, 6), targets (M, 3), input_mean and input_std (6,), target_mean and
         target_std (3,), lengthscales (3, 6), outputscale, noise and constant (3,), alpha (3, M),
         envelope (2, 6), golden_z (G, 6), golden_mean (G, 3), golden_jacobian (G, 3, 6),
-        golden_variance (G, 3); `single_track` (17,) as in `Member`, with which targets and golden
-        arrays include that vehicle's part and `y` is the rest of the targets.
+        golden_variance (G, 3); `single_track` (17,) or `kinematic` (3,) as in `Member`, with which
+        targets and golden arrays include that vehicle's part and `y` is the rest of the targets.
+
+        Raises `EgpError` for other shapes, and if both vehicles are given.
         """
 
 def write_library(
@@ -1020,40 +1032,6 @@ def solve_ocp(
     >>> bool(np.abs(result.u - oracle.u).max() < 1e-6)
     True
     """
-
-@final
-class AffineOcp:
-    """The control step's optimal control problem, eq. (18), around dynamics of any origin.
-
-    `settings_toml` holds the settings of a control step, over those of `vehicle`; `dt` is the
-    period in s, `friction` the surface's coefficient. Cost, bounds and solvers are those of the
-    step.
-
-    Raises `EgpError` for settings out of range, and a period or friction that is not a positive
-    number.
-    """
-
-    def __new__(
-        cls, settings_toml: str, vehicle: VehicleParameters, dt: float, friction: float
-    ) -> AffineOcp: ...
-    def solve(
-        self,
-        x0: NDArray[np.float64],
-        u_prev: NDArray[np.float64],
-        operating_x: NDArray[np.float64],
-        operating_u: NDArray[np.float64],
-        a: NDArray[np.float64],
-        b: NDArray[np.float64],
-        c: NDArray[np.float64],
-        reference: NDArray[np.float64],
-        widths: NDArray[np.float64] | None = None,
-    ) -> OcpResult:
-        """Solve for x_{t+1} = A x_t + B u_t + c, positions and yaw relative to the vehicle's place.
-
-        Measured state x0 (7,), input now applied u_prev (2,), operating trajectory (T+1, 7) and
-        (T, 2), a (T, 7, 7), b (T, 7, 2), c (T, 7), reference rows [p_x, p_y, v_x, psi] (T+1, 4) and
-        widths [left, right] (T+1, 2); forces in N. The result's inputs are scaled to accelerations.
-        """
 
 def solve_weights(
     predictions: NDArray[np.float64],

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from egp_service import shipped
 from egp_service._core import Library
 from egp_service.cli.inspect_library import inspect
+from egp_service.evaluation import baselines
 from library_example import write_example
 
 if TYPE_CHECKING:
@@ -35,3 +37,13 @@ def test_inspect_shows_surfaces_sizes_scales_and_identity(tmp_path: Path) -> Non
         f"{member.noise_std[0]:.2g}",
     ]
     assert [value for value in expected if value not in text] == []
+
+
+def test_inspect_shows_the_vehicle_of_a_member_without_gps(tmp_path: Path) -> None:
+    path = tmp_path / "library.safetensors"
+    baselines.write(path, "kinematic", shipped.DEMO_LIBRARY, [0, 1], 1)
+    console = Console(file=io.StringIO(), width=200)
+    inspect(path, console)
+    assert isinstance(console.file, io.StringIO)
+    text = console.file.getvalue()
+    assert all(f"{value:.4g}" in text for value in baselines.kinematic(1))

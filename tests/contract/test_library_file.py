@@ -206,6 +206,7 @@ def repeated_point(content: Content) -> None:
         ("signals", "deg", swapped_units),
         ("count", "members", change_metadata(members=[])),
         ("count", "friction 0.5", change_member(n=10**9)),
+        ("count", "friction 0.5", change_member(n=0)),
         ("vehicle", "`mass`", change_vehicle(mass=-1.0)),
         ("vehicle", "`a_min`", change_vehicle(a_min=8.0)),
         ("metadata", "length", change_vehicle(length=4.3)),
@@ -272,6 +273,14 @@ def test_wrong_shapes_are_refused_before_writing() -> None:
     arrays["inputs"] = arrays["inputs"][:, :5]
     with pytest.raises(EgpError, match=r"inputs of shape \(n, 6\), got \(30, 5\)"):
         MemberData(**arrays)
+
+
+def test_a_member_has_one_vehicle() -> None:
+    arrays = member_arrays(0.5, 30, seed=0)
+    with pytest.raises(EgpError, match="one vehicle"):
+        MemberData(**arrays, single_track=np.ones(17), kinematic=np.ones(3))
+    with pytest.raises(EgpError, match="kinematic"):
+        MemberData(**arrays, kinematic=np.ones(4))
 
 
 def test_missing_file_is_an_os_error(tmp_path: Path) -> None:

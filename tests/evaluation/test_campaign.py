@@ -127,7 +127,7 @@ def test_runs_of_another_build_are_told(tmp_path: Path) -> None:
 
 def test_a_library_without_all_members_is_refused() -> None:
     library = library_path(load_scenario("rounded-rectangle"))
-    with pytest.raises(EgpError, match="2 members, these experiments need 9"):
+    with pytest.raises(EgpError, match="2 members, these experiments need 7"):
         require_members(library, EXPERIMENTS)
     require_members(SHIPPED, EXPERIMENTS)
     require_members(library, [])

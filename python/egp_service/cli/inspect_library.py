@@ -38,8 +38,9 @@ def inspect(path: Path, console: Console | None = None) -> None:
     console.print(summary(path, library), members(library.members))
     for member in library.members:
         console.print(hyperparameters(member), envelope(member))
-        if member.single_track is not None:
-            console.print(*vehicle(member.label, member.single_track))
+        for parameters in (member.single_track, member.kinematic):
+            if parameters is not None:
+                console.print(*vehicle(member.label, parameters))
 
 
 def summary(path: Path, library: Library) -> Table:
@@ -100,12 +101,16 @@ def hyperparameters(member: Member) -> Table:
     return table
 
 
-def vehicle(label: str, parameters: NDArray[np.float64]) -> tuple[Table, Table]:
-    """Return tables of the single-track vehicle that the GPs correct: body and axles."""
-    title = f"{label}: the vehicle that the GPs correct"
-    body = Table(*BODY, title=title, box=box.SIMPLE_HEAD)
+def vehicle(label: str, parameters: NDArray[np.float64]) -> tuple[Table, ...]:
+    """Return tables of a member's vehicle: body and, of a single-track vehicle, axles.
+
+    The body of a kinematic vehicle has only the first three of its parameters.
+    """
     values = [f"{value:.4g}" for value in parameters]
+    body = Table(*BODY[: len(values)], title=f"{label}: the vehicle", box=box.SIMPLE_HEAD)
     body.add_row(*values[: len(BODY)])
+    if len(values) <= len(BODY):
+        return (body,)
     axles = Table("", *AXLE, box=box.SIMPLE_HEAD)
     for number, name in enumerate(("front", "rear")):
         start = len(BODY) + number * len(AXLE)

@@ -12,6 +12,7 @@ import numpy as np
 
 from egp_service import _core
 from egp_service._core import EgpError, Engine, Library, write_library_subset
+from egp_service.evaluation import baselines
 from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.contenders import ENSEMBLE, make
 from egp_service.evaluation.experiments import HALF_WIDTH
@@ -140,14 +141,26 @@ class Campaign:
         return found
 
     def _with_library(self, trial: Trial) -> Trial:
-        """Return the trial with the library of its contender's members, writing it if necessary."""
-        members = trial.contender.members
-        path = self._folder / "libraries" / f"{'-'.join(map(str, members))}.safetensors"
+        """Return the trial with the library of its contender, writing it if necessary."""
+        contender, scenario = trial.contender, trial.scenario
+        members = list(contender.members)
+        name = "-".join(map(str, members))
+        is_baseline = contender.kind in baselines.KINDS
+        if is_baseline:
+            name = f"{contender.kind}-{scenario.vehicle}-{name}"
+        path = self._folder / "libraries" / f"{name}.safetensors"
         if not path.exists():
             path.parent.mkdir(exist_ok=True)
-            write_library_subset(self._source, path, list(members))
-        control = {**trial.scenario.control, **(trial.contender.control or {})}
-        return replace(trial, scenario=replace(trial.scenario, library=str(path), control=control))
+            if is_baseline:
+                baselines.write(path, contender.kind, self._source, members, scenario.vehicle)
+            else:
+                write_library_subset(self._source, path, members)
+        control = {**scenario.control, **(contender.control or {})}
+        scenario = replace(scenario, library=str(path), control=control)
+        if is_baseline and contender.kind != "fitted":
+            # The library is for the scenario's vehicle, so the gate has to be, too.
+            scenario = replace(scenario, gate={})
+        return replace(trial, scenario=scenario)
 
 
 def _shown(experiment: ClosedLoopExperiment) -> list[Trial]:

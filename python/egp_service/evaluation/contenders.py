@@ -1,28 +1,20 @@
 """The compared controllers: the ensemble, its single members, and the baselines.
 
-All solve the same optimal control problem with the same solver, settings and gate; they differ in
-the model that predicts the vehicle.
+All drive with the same control step and the same settings; they differ in their library, or in how
+they choose the weights of its members.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import EgpError, Library, VehicleParameters
+from egp_service._core import EgpError, Library
 from egp_service.control.controller import Controller
-from egp_service.evaluation.predictive_control import PredictiveController
-from egp_service.evaluation.single_track import (
-    CHASSIS,
-    NOMINAL_FRICTION,
-    Kinematic,
-    SingleTrack,
-    linearise,
-)
+from egp_service.evaluation import baselines
 from egp_service.evaluation.window_noise import WindowNoise
 from egp_service.quantities import MOTION, POSITION, gp_input
 from egp_service.simulation.course import build_path
@@ -35,8 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from egp_service.control.step import Step
-    from egp_service.evaluation.single_track import Prediction
-    from egp_service.simulation.closed_loop import Drives
     from egp_service.simulation.scenario import Scenario
 
 # The paper's weights: m/s and rad/s are added without scaling, and the prior is very weak.
@@ -116,27 +106,26 @@ class Contender:
 
     name: str
     kind: str
-    """`ensemble`, `oracle`, `selection`, `kinematic` or `single-track`."""
+    """`ensemble`, `oracle`, `selection`, or a kind of `baselines.KINDS`."""
     members: tuple[int, ...] = ()
     control: Mapping[str, object] | None = None
     """Settings that override the scenario's."""
 
 
-def make(contender: Contender, scenario: Scenario) -> Drives:
-    """Create the contender's controller; `scenario.library` contains exactly its members.
+def make(contender: Contender, scenario: Scenario) -> Controller:
+    """Create the contender's controller; `scenario.library` is the contender's library.
 
     Raises `EgpError` if the kind is unknown.
     """
-    makers: dict[str, Callable[[], Drives]] = {
-        "ensemble": lambda: in_process_controller(scenario),
-        "oracle": lambda: _Oracle(scenario),
-        "selection": lambda: _Selection(scenario),
-        "kinematic": lambda: _predictive(scenario, Kinematic(CHASSIS[scenario.vehicle])),
-        "single-track": lambda: _predictive(scenario, SingleTrack(CHASSIS[scenario.vehicle])),
+    makers: dict[str, Callable[[Scenario], Controller]] = {
+        "ensemble": in_process_controller,
+        "oracle": _Oracle,
+        "selection": _Selection,
+        **dict.fromkeys(baselines.KINDS, in_process_controller),
     }
     if contender.kind not in makers:
         raise EgpError(f"no contender of kind {contender.kind!r}; known: {', '.join(makers)}")
-    return makers[contender.kind]()
+    return makers[contender.kind](scenario)
 
 
 def interpolated_weights(frictions: NDArray[np.float64], friction: float) -> NDArray[np.float64]:
@@ -152,16 +141,3 @@ def interpolated_weights(frictions: NDArray[np.float64], friction: float) -> NDA
     if len(frictions) > 1:
         weights[order[below + 1]] = position - below
     return weights
-
-
-def _predictive(scenario: Scenario, prediction: Prediction) -> PredictiveController:
-    controller = in_process_controller(scenario)
-    return PredictiveController(
-        partial(linearise, prediction, dt=controller.dt),
-        controller.settings,
-        controller.dt,
-        vehicle=VehicleParameters.commonroad(scenario.vehicle),
-        mass=CHASSIS[scenario.vehicle].mass,
-        friction=NOMINAL_FRICTION,
-        gate=gate_settings(scenario),
-    )

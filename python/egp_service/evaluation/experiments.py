@@ -24,9 +24,8 @@ if TYPE_CHECKING:
 # Members of the evaluation library, by friction.
 M05, M06, M09, M11, POOLED = 0, 1, 2, 3, 4
 TWO: Final = (M05, M11)
-# Members of the same two surfaces: GPs with constant means as in the paper; vehicles without GPs.
+# Members of the same two surfaces with constant means as in the paper.
 CONSTANT_MEAN: Final = (5, 6)
-VEHICLES: Final = (7, 8)
 FOUR: Final = (M05, M06, M09, M11)
 # A survey-grade satellite receiver with a good inertial unit and a steering encoder.
 NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
@@ -104,7 +103,7 @@ VARIANTS: Final = ("paper's weights", "constant mean", "fitted single-track", "f
 _ALL_OF_TWO: Final = (
     *contenders(TWO, LABELS),
     Contender("constant mean", "ensemble", CONSTANT_MEAN),
-    Contender("fitted single-track", "ensemble", VEHICLES),
+    Contender("fitted single-track", "fitted", TWO),
     Contender("forward Euler", "ensemble", TWO, {"operating": {"yaw_at": 0.0}}),
 )
 _ALL_OF_FOUR: Final = contenders(FOUR, LABELS)

@@ -9,13 +9,8 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
-from egp_service._core import EgpError
 from egp_service.shipped import EVALUATION_RECIPE
-from egp_service.training import prior_mean
 from egp_service.training.export import export
-from egp_service.training.gaussian_process import CORRECTIONS, OutputProcess
 from egp_service.training.recipe import Displays, Recipe, follow, training_provenance
 from egp_service.training.train import train
 
@@ -24,11 +19,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from egp_service.data.dataset import Dataset
-    from egp_service.training.gaussian_process import KernelName
     from egp_service.training.train import TrainedMember
 
 _OUTER: Final = (0.5, 1.1)
-_BARE_POINTS: Final = 20
 _WHOLE_CHANGE_POINTS: Final = 700  # more points did not improve GPs without a vehicle
 
 
@@ -36,7 +29,7 @@ def make(displays: Displays, *, cluster: str | None = None) -> list[TrainedMembe
     """Train a member for each surface, and the baselines on the data of the outer two surfaces.
 
     The baselines are one GP on both surfaces' pooled data, with as many transitions as both members
-    together; members with constant means as in the paper; and vehicles without GPs.
+    together, and members with constant means as in the paper.
     """
     recipe = Recipe.read(EVALUATION_RECIPE)
     datasets, members = follow(recipe, cluster=cluster, displays=displays)
@@ -52,37 +45,12 @@ def make(displays: Displays, *, cluster: str | None = None) -> list[TrainedMembe
     constant = dataclasses.replace(settings, mean="constant", max_points=_WHOLE_CHANGE_POINTS)
     with displays.fitting() as report:
         others = train(pooled, twice, report) + train(paper, constant, report)
-    bare = [_bare(m, settings.kernel) for m in members if m.dataset.provenance.friction in _OUTER]
-    return members + others + bare
+    return members + others
 
 
 def _as(data: Dataset, surface: str, friction: float) -> Dataset:
     provenance = dataclasses.replace(data.provenance, surface=surface, friction=friction)
     return dataclasses.replace(data, provenance=provenance)
-
-
-def _bare(member: TrainedMember, kernel: KernelName) -> TrainedMember:
-    """Return the member's vehicle without GP corrections: GPs of a few points with zero targets."""
-    provenance = member.dataset.provenance
-    if member.single_track is None:
-        raise EgpError(f"{provenance.surface} has no vehicle: train with mean = 'single-track'")
-    z = member.inputs[:_BARE_POINTS]
-    processes = []
-    for process in member.processes:
-        few = process.inputs[:_BARE_POINTS]
-        bare = OutputProcess(few, few.new_zeros(len(few)), kernel, CORRECTIONS)
-        bare.assign(dataclasses.replace(process.hyperparameters, constant=0.0))
-        bare.eval()
-        bare.likelihood.eval()
-        processes.append(bare)
-    return dataclasses.replace(
-        member,
-        dataset=_as(member.dataset, f"{provenance.surface}, vehicle only", provenance.friction),
-        inputs=z,
-        targets=prior_mean.predict(z, member.single_track, provenance.dt),
-        target_mean=np.zeros_like(member.target_mean),
-        processes=tuple(processes),
-    )
 
 
 def write(path: Path, members: Sequence[TrainedMember]) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,10 +24,10 @@ from egp_service.simulation.trace import Period, Trace, Truth
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from egp_service._core import Path, Projection
-    from egp_service.control.step import Step
+    from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Measurement, Scenario
 
 # Number of updates of the friction under the wheels within a control period.
@@ -37,31 +37,6 @@ FIRST_DEADLINE = 2.0
 # A run ends after this multiple of the reference's time.
 PATIENCE = 2.0
 STANDSTILL = 0.3
-
-
-class Drives(Protocol):
-    """A controller in the closed loop: every `StepController`, and other sources of commands."""
-
-    dt: float
-    horizon: int
-
-    @property
-    def library(self) -> bytes:
-        """SHA-256 of the library; empty without a library."""
-
-    @property
-    def members(self) -> Sequence[str]:
-        """Surfaces of the weights."""
-
-    def step(
-        self,
-        x: ArrayLike,
-        reference: ArrayLike,
-        widths: ArrayLike | None = None,
-        *,
-        deadline: float | None = None,
-    ) -> Step:
-        """Give the command for a measured state and a reference; see `StepController.step`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +57,7 @@ class Run:
         return build_path(self.scenario)
 
 
-def drive(scenario: Scenario, controller: Drives, observe: Callable[[Period], None]) -> Run:
+def drive(scenario: Scenario, controller: StepController, observe: Callable[[Period], None]) -> Run:
     """Drive the scenario with `controller` and call `observe` with each period.
 
     The members' friction coefficients, which pictures show, are read from the scenario's library
@@ -116,7 +91,7 @@ def drive(scenario: Scenario, controller: Drives, observe: Callable[[Period], No
 class _Loop:
     """State of the closed loop between periods."""
 
-    def __init__(self, scenario: Scenario, controller: Drives) -> None:
+    def __init__(self, scenario: Scenario, controller: StepController) -> None:
         self._scenario = scenario
         self._controller = controller
         self.path = build_path(scenario)

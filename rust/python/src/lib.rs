@@ -2,7 +2,6 @@
 
 #![allow(clippy::needless_pass_by_value)] // pyo3 hands arguments over by value
 
-mod affine;
 mod array;
 mod driver;
 mod error;
@@ -23,7 +22,6 @@ use pyo3::prelude::*;
 /// The private extension module behind `egp_service`.
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    affine::register(module)?;
     driver::register(module)?;
     error::register(module)?;
     gate::register(module)?;

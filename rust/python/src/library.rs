@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use egp_core::gp::Hyperparameters;
 use egp_core::library::{self, MAX_FILE_BYTES};
+use egp_core::vehicle::ModelParameters;
 use egp_core::{GpInput, GpJacobian, NY, NZ, VarianceScratch};
 use pyo3::create_exception;
 use pyo3::exceptions::{PyIndexError, PyOSError};
@@ -121,7 +122,7 @@ fn predict(member: &egp_core::Member, z: &[[f64; NZ]]) -> (Vec<f64>, Vec<f64>, V
     (means, jacobians, variances)
 }
 
-/// One surface's GPs inside a library.
+/// One surface's vehicle and GPs inside a library.
 #[pyclass(module = "egp_service._core", frozen)]
 struct Member {
     library: Arc<egp_core::Library>,
@@ -196,8 +197,18 @@ impl Member {
 
     #[getter]
     fn single_track<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
-        let known = self.get().single_track()?;
-        Some(vector(py, known.parameters().iter().copied()))
+        match self.get().vehicle()?.parameters() {
+            ModelParameters::SingleTrack(parameters) => Some(vector(py, parameters)),
+            ModelParameters::Kinematic(_) => None,
+        }
+    }
+
+    #[getter]
+    fn kinematic<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
+        match self.get().vehicle()?.parameters() {
+            ModelParameters::Kinematic(parameters) => Some(vector(py, parameters)),
+            ModelParameters::SingleTrack(_) => None,
+        }
     }
 
     #[getter]

@@ -7,13 +7,15 @@ use std::path::{Path, PathBuf};
 
 use egp_core::Kernel;
 use egp_core::library::{self, LibrarySpec};
+use egp_core::vehicle::ModelParameters;
 use pyo3::prelude::*;
 
 use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};
+use crate::error::EgpError;
 use crate::library::{Failure, os_error, read};
 use crate::parameters::VehicleParameters;
 
-/// One surface's GPs on their way into a file.
+/// One surface's vehicle and GPs on their way into a file.
 #[pyclass(module = "egp_service._core", frozen)]
 struct MemberData(library::MemberData);
 
@@ -23,7 +25,7 @@ impl MemberData {
     #[pyo3(signature = (
         *, label, friction, dataset, inputs, targets, input_mean, input_std, target_mean, target_std, lengthscales,
         outputscale, noise, constant, alpha, envelope, golden_z, golden_mean, golden_jacobian, golden_variance,
-        single_track = None
+        single_track = None, kinematic = None
     ))]
     #[allow(clippy::too_many_arguments)]
     fn new(
@@ -47,7 +49,18 @@ impl MemberData {
         golden_jacobian: Cube<'_>,
         golden_variance: Matrix<'_>,
         single_track: Option<Vector<'_>>,
+        kinematic: Option<Vector<'_>>,
     ) -> PyResult<Self> {
+        let vehicle = match (single_track, kinematic) {
+            (None, None) => None,
+            (Some(p), None) => Some(ModelParameters::SingleTrack(fixed("single_track", &p)?)),
+            (None, Some(p)) => Some(ModelParameters::Kinematic(fixed("kinematic", &p)?)),
+            (Some(_), Some(_)) => {
+                return Err(EgpError::new_err(
+                    "a member has one vehicle: give `single_track` or `kinematic`",
+                ));
+            }
+        };
         Ok(Self(library::MemberData {
             label,
             friction,
@@ -76,9 +89,7 @@ impl MemberData {
             golden_mean: rows("golden_mean", &golden_mean)?,
             golden_jacobian: layers("golden_jacobian", &golden_jacobian)?,
             golden_variance: rows("golden_variance", &golden_variance)?,
-            single_track: single_track
-                .map(|parameters| fixed("single_track", &parameters))
-                .transpose()?,
+            vehicle,
         }))
     }
 }

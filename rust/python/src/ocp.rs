@@ -72,7 +72,7 @@ fn ocp_to_qp<'py>(
 
 /// What became of an optimal control problem.
 #[pyclass(frozen, get_all, module = "egp_service._core")]
-pub struct OcpResult {
+struct OcpResult {
     /// "solved", "iteration_limit", "infeasible", "numerical_error" or "check_failed".
     status: &'static str,
     /// States, `(T+1, 7)`.
@@ -163,7 +163,7 @@ fn solve_ocp<'py>(
 }
 
 /// A solution as Python sees it.
-pub fn result(
+fn result(
     py: Python<'_>,
     solution: &OcpSolution,
     solver: &'static str,

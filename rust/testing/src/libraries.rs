@@ -90,7 +90,7 @@ fn member(outputs: &Outputs, kernel: Kernel, friction: f64, n: usize, seed: u64)
         outputscale: [1.5, 0.8, 1.1],
         noise: [1e-3, 2e-3, 5e-3],
         constant: [0.1, 0.0, -0.2],
-        single_track: None,
+        vehicle: None,
         alpha: Default::default(),
         envelope: [
             std::array::from_fn(|d| CENTRE[d] - HALF_WIDTH[d]),

@@ -7,7 +7,7 @@ use egp_parameters::VehicleParameters;
 use super::LibraryError;
 use super::limits::MAX_GOLDEN;
 use super::metadata::{MemberMetadata, PriorMean, check_count};
-use crate::vehicle::SINGLE_TRACK_PARAMETERS;
+use crate::vehicle::{KINEMATIC_PARAMETERS, ModelParameters, SINGLE_TRACK_PARAMETERS};
 use crate::{Kernel, NY, NZ};
 
 /// Everything a library file is written from.
@@ -27,8 +27,11 @@ pub struct LibrarySpec {
     pub members: Vec<MemberData>,
 }
 
-/// One surface's GPs. Inputs, targets, scalers, envelope and golden predictions are in physical units; everything
-/// else lives in the z-scored space. `M` points, `G` golden points.
+/// One surface's vehicle and GPs. Inputs, targets, scalers, vehicle, envelope and golden predictions are in physical
+/// units; everything else lives in the z-scored space. `M` points, `G` golden points.
+///
+/// A member with a vehicle may have no training points, and then needs no golden ones. With the `outputscale` 0 its
+/// variance is that of the noise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MemberData {
     /// The surface's name.
@@ -51,17 +54,17 @@ pub struct MemberData {
     pub target_std: [f64; NY],
     /// Lengthscales, `[3, 6]`.
     pub lengthscales: [[f64; NZ]; NY],
-    /// Prior variances, `[3]`.
+    /// Prior variances, `[3]`; without training points they may be zero.
     pub outputscale: [f64; NY],
     /// Noise variances, `[3]`.
     pub noise: [f64; NY],
-    /// Prior means, `[3]`; on top of those of `single_track`.
+    /// Prior means, `[3]`; on top of the vehicle's prediction.
     pub constant: [f64; NY],
-    /// What the GPs are added to, in physical units, `[17]`; see [`SingleTrack`](crate::vehicle::SingleTrack::new).
-    pub single_track: Option<[f64; SINGLE_TRACK_PARAMETERS]>,
+    /// The vehicle that the GPs are added to, if any.
+    pub vehicle: Option<ModelParameters>,
     /// `(K + s² I)⁻¹ (y - m)`, `[3, M]`.
     pub alpha: [Vec<f64>; NY],
-    /// Smallest and largest training inputs, `[2, 6]`.
+    /// Smallest and largest inputs for which the member is meant: those of the data it was fitted to, `[2, 6]`.
     pub envelope: [[f64; NZ]; 2],
     /// Where the trainer predicted, `[G, 6]`.
     pub golden_z: Vec<[f64; NZ]>,
@@ -138,9 +141,14 @@ impl MemberData {
                 self.golden_variance.as_flattened().to_vec(),
             ),
         ];
-        if let Some(parameters) = &self.single_track {
-            let shape = vec![SINGLE_TRACK_PARAMETERS];
-            tensors.push(("single_track", shape, parameters.to_vec()));
+        match &self.vehicle {
+            None => {}
+            Some(ModelParameters::SingleTrack(p)) => {
+                tensors.push(("single_track", vec![p.len()], p.to_vec()));
+            }
+            Some(ModelParameters::Kinematic(p)) => {
+                tensors.push(("kinematic", vec![p.len()], p.to_vec()));
+            }
         }
         tensors
     }
@@ -152,11 +160,10 @@ impl MemberData {
     ) -> Result<Self, LibraryError> {
         let m = metadata.n;
         let g = source.leading("golden_z")?;
-        check_count(
-            &format!("golden points of member \"{}\"", metadata.label),
-            g,
-            MAX_GOLDEN,
-        )?;
+        if g > 0 || m > 0 {
+            let what = format!("golden points of member \"{}\"", metadata.label);
+            check_count(&what, g, MAX_GOLDEN)?;
+        }
         let inputs = rows(&source.take("inputs", &[m, NZ])?);
         let targets = rows(&source.take("targets", &[m, NY])?);
         let mut vector_z = |name| Ok(row(&source.take(name, &[NZ])?));
@@ -169,11 +176,15 @@ impl MemberData {
             vector_y("constant")?,
         );
         let alpha = source.take("alpha", &[NY, m])?;
-        let single_track = match metadata.mean {
+        let vehicle = match metadata.mean {
             PriorMean::Constant => None,
             PriorMean::SingleTrack => {
-                let shape = [SINGLE_TRACK_PARAMETERS];
-                Some(row(&source.take("single_track", &shape)?))
+                let parameters = source.take("single_track", &[SINGLE_TRACK_PARAMETERS])?;
+                Some(ModelParameters::SingleTrack(row(&parameters)))
+            }
+            PriorMean::Kinematic => {
+                let parameters = source.take("kinematic", &[KINEMATIC_PARAMETERS])?;
+                Some(ModelParameters::Kinematic(row(&parameters)))
             }
         };
         Ok(Self {
@@ -190,7 +201,7 @@ impl MemberData {
             outputscale,
             noise,
             constant,
-            single_track,
+            vehicle,
             alpha: std::array::from_fn(|o| alpha[o * m..(o + 1) * m].to_vec()),
             envelope: row(&rows(&source.take("envelope", &[2, NZ])?)),
             golden_z: rows(&source.take("golden_z", &[g, NZ])?),

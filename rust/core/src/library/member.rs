@@ -1,12 +1,13 @@
-//! One surface's GPs and what they are added to, in physical units.
+//! One surface's vehicle and the GPs that are added to it, in physical units.
 
 use super::data::MemberData;
 use crate::gp::{Gp, Horizon, Hyperparameters, SingularCovariance};
 use crate::scaler::Scaler;
-use crate::vehicle::SingleTrack;
+use crate::vehicle::VehicleModel;
 use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
 
-/// The GPs of one surface: physical units outside, the z-scored space inside.
+/// The vehicle and the GPs of one surface: physical units outside, the z-scored space inside. Without a vehicle the GPs
+/// learn the whole change; without training points the vehicle is the whole prediction.
 #[derive(Clone, Debug)]
 pub struct Member {
     label: String,
@@ -17,7 +18,7 @@ pub struct Member {
     target_scaler: Scaler<NY>,
     hyperparameters: [Hyperparameters; NY],
     gp: Gp,
-    single_track: Option<SingleTrack>,
+    vehicle: Option<VehicleModel>,
 }
 
 impl Member {
@@ -49,9 +50,9 @@ impl Member {
             target_scaler: Scaler::new(data.target_mean, data.target_std),
             hyperparameters,
             gp,
-            single_track: data
-                .single_track
-                .map(|parameters| SingleTrack::new(&parameters, dt)),
+            vehicle: data
+                .vehicle
+                .map(|parameters| VehicleModel::new(&parameters, dt)),
         })
     }
 
@@ -70,12 +71,12 @@ impl Member {
         &self.dataset
     }
 
-    /// Smallest and largest training inputs.
+    /// Smallest and largest inputs for which the member is meant: those of the data it was fitted to.
     pub fn envelope(&self) -> (GpInput, GpInput) {
         self.envelope
     }
 
-    /// Number of training points.
+    /// Number of training points; 0 for a vehicle alone.
     pub fn n_points(&self) -> usize {
         self.gp.n_points()
     }
@@ -101,17 +102,17 @@ impl Member {
         GpOutput::from_fn(|o, _| self.hyperparameters[o].noise.sqrt() * self.target_scaler.std()[o])
     }
 
-    /// What the GPs are added to, unless it is their constants alone.
-    pub fn single_track(&self) -> Option<&SingleTrack> {
-        self.single_track.as_ref()
+    /// The vehicle that the GPs are added to, if any.
+    pub fn vehicle(&self) -> Option<&VehicleModel> {
+        self.vehicle.as_ref()
     }
 
-    /// The predictive mean at `z`, in output units: the single-track vehicle's, if any, plus the GPs'.
+    /// The predictive mean at `z`, in output units: the vehicle's, if any, plus the GPs'.
     pub fn mean(&self, z: &GpInput) -> GpOutput {
         let learned = self
             .target_scaler
             .unscale(&self.gp.mean(&self.input_scaler.scale(z)));
-        match &self.single_track {
+        match &self.vehicle {
             None => learned,
             Some(known) => known.change(z) + learned,
         }
@@ -128,7 +129,7 @@ impl Member {
             }
         }
         let learned = self.target_scaler.unscale(&scaled);
-        let Some(known) = &self.single_track else {
+        let Some(known) = &self.vehicle else {
             return learned;
         };
         let (change, slopes) = known.change_jacobian(z);

@@ -9,6 +9,7 @@ use super::LibraryError;
 use super::data::LibrarySpec;
 use super::limits::{MAX_DT, MAX_MEMBERS, MAX_POINTS, MIN_DT, SCHEMA_VERSION};
 use crate::Kernel;
+use crate::vehicle::ModelParameters;
 
 const INPUTS: [(&str, &str); crate::NZ] = [
     ("v_x", "m/s"),
@@ -36,8 +37,10 @@ pub struct Signal {
 pub enum PriorMean {
     /// A constant for each output, as in the paper.
     Constant,
-    /// A [`SingleTrack`](crate::vehicle::SingleTrack) fitted to the same data.
+    /// A [`SingleTrack`](crate::vehicle::SingleTrack), usually fitted to the same data.
     SingleTrack,
+    /// A [`Kinematic`](crate::vehicle::Kinematic).
+    Kinematic,
 }
 
 /// What is known about a member besides its numbers.
@@ -50,7 +53,7 @@ pub struct MemberMetadata {
     pub friction: f64,
     /// SHA-256 of the dataset the member was trained on, hexadecimal.
     pub dataset: String,
-    /// Number of training points kept.
+    /// Number of training points kept; a vehicle alone has none.
     pub n: usize,
     /// What its GPs are added to.
     pub mean: PriorMean,
@@ -90,9 +93,10 @@ impl Metadata {
             friction: member.friction,
             dataset: member.dataset.clone(),
             n: member.inputs.len(),
-            mean: match member.single_track {
+            mean: match member.vehicle {
                 None => PriorMean::Constant,
-                Some(_) => PriorMean::SingleTrack,
+                Some(ModelParameters::SingleTrack(_)) => PriorMean::SingleTrack,
+                Some(ModelParameters::Kinematic(_)) => PriorMean::Kinematic,
             },
         };
         Self {
@@ -142,11 +146,10 @@ impl Metadata {
                     found: member.friction,
                 });
             }
-            check_count(
-                &format!("points of member \"{label}\""),
-                member.n,
-                MAX_POINTS,
-            )?;
+            if member.n > 0 || member.mean == PriorMean::Constant {
+                let what = format!("points of member \"{label}\"");
+                check_count(&what, member.n, MAX_POINTS)?;
+            }
         }
         Kernel::from_name(&self.kernel).ok_or_else(|| LibraryError::UnknownKernel {
             found: self.kernel.clone(),

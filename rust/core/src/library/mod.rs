@@ -1,4 +1,4 @@
-//! A library: one stored set of GPs for each surface.
+//! A library: one stored vehicle with its GPs for each surface.
 //!
 //! Loading means reading (`format`), checking (`verify`) and factoring once; afterwards a [`Library`] never
 //! changes. Its identity is the SHA-256 of its bytes, which requests pin.

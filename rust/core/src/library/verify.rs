@@ -7,13 +7,14 @@ use super::member::Member;
 use crate::{GpInput, GpJacobian, NY, NZ, VarianceScratch};
 
 /// Tensors whose numbers must be positive.
-const POSITIVE: [&str; 6] = [
+const POSITIVE: [&str; 7] = [
     "input_std",
     "target_std",
     "lengthscales",
     "outputscale",
     "noise",
     "single_track",
+    "kinematic",
 ];
 /// Largest residual of `alpha`, z-scored.
 const ALPHA_TOLERANCE: f64 = 1e-10;
@@ -35,8 +36,11 @@ pub(super) fn check_values(data: &MemberData, member: usize) -> Result<(), Libra
                 value: values[index],
             });
         }
+        // Without training points a zero prior variance is the vehicle's certainty.
+        let zero_allowed = name == "outputscale" && data.inputs.is_empty();
+        let wrong = |value: f64| value < 0.0 || (value == 0.0 && !zero_allowed);
         let positive = POSITIVE.contains(&name);
-        if let Some(index) = values.iter().position(|&value| positive && value <= 0.0) {
+        if let Some(index) = values.iter().position(|&value| positive && wrong(value)) {
             return Err(LibraryError::NotPositive {
                 tensor: tensor(),
                 index,

@@ -1,12 +1,16 @@
-//! The vehicle of eq. (11): where each quantity stands, known kinematics, a single-track model as prior, and the frame
-//! the step works in.
+//! The vehicle of eq. (11): where each quantity stands, known kinematics, the vehicles that a member may contain, and the
+//! frame the step works in.
 
 mod frame;
+mod kinematic;
 mod kinematics;
+mod model;
 mod single_track;
 
 pub use frame::{Frame, wrap};
+pub use kinematic::{KINEMATIC_PARAMETERS, Kinematic};
 pub use kinematics::{gp_input, jacobians, successor};
+pub use model::{ModelParameters, VehicleModel};
 pub use single_track::{SINGLE_TRACK_PARAMETERS, SLOWEST, SingleTrack};
 
 /// Index of `p_x` in the state, m.

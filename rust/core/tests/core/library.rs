@@ -1,12 +1,20 @@
 //! The library file as bytes. Python tests check the errors for invalid files with an independent writer.
 #![allow(clippy::unwrap_used)]
 
-use egp_core::library::{LibraryError, MAX_FILE_BYTES, MAX_HEADER_BYTES, encode};
-use egp_core::vehicle::{SINGLE_TRACK_PARAMETERS, SingleTrack};
-use egp_core::{GpJacobian, GpOutput, Kernel, Library, NY, NZ};
+use egp_core::library::{LibraryError, LibrarySpec, MAX_FILE_BYTES, MAX_HEADER_BYTES, encode};
+use egp_core::vehicle::{ModelParameters, SINGLE_TRACK_PARAMETERS, VehicleModel};
+use egp_core::{
+    Ensemble, GpJacobian, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, Sequential,
+    VarianceScratch,
+};
 use egp_testing::libraries;
 use proptest::prelude::*;
 use sha2::{Digest, Sha256};
+
+const SINGLE_TRACK: ModelParameters = ModelParameters::SingleTrack([
+    1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
+]);
+const KINEMATIC: ModelParameters = ModelParameters::Kinematic([1225.0, 0.87, 1.52]);
 
 fn bytes() -> Vec<u8> {
     encode(&libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0)).unwrap()
@@ -31,12 +39,9 @@ fn the_same_content_gives_the_same_bytes_and_identity() {
 fn a_vehicle_is_added_to_the_gps() {
     let mut spec = libraries::spec(Kernel::Rbf, &[0.5], 20, 0);
     let alone = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
-    let parameters = [
-        1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
-    ];
-    let vehicle = SingleTrack::new(&parameters, spec.dt);
+    let vehicle = VehicleModel::new(&SINGLE_TRACK, spec.dt);
     let data = &mut spec.members[0];
-    data.single_track = Some(parameters);
+    data.vehicle = Some(SINGLE_TRACK);
     for (y, z) in data.targets.iter_mut().zip(&data.inputs) {
         *y = (GpOutput::from(*y) + vehicle.change(&(*z).into())).into();
     }
@@ -52,8 +57,8 @@ fn a_vehicle_is_added_to_the_gps() {
     let golden = data.golden_z.clone();
     let library = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
     let (with, without) = (&library.members()[0], &alone.members()[0]);
-    assert_eq!(with.single_track().unwrap().parameters(), &parameters);
-    assert!(without.single_track().is_none());
+    assert_eq!(with.vehicle().unwrap().parameters(), SINGLE_TRACK);
+    assert!(without.vehicle().is_none());
     for z in golden {
         let z = z.into();
         assert_eq!(with.mean(&z), vehicle.change(&z) + without.mean(&z));
@@ -61,7 +66,79 @@ fn a_vehicle_is_added_to_the_gps() {
         let mean = with.mean_jacobian(&z, &mut jacobian);
         assert!((mean - with.mean(&z)).amax() < 1e-12);
     }
-    spec.members[0].single_track = Some([0.0; SINGLE_TRACK_PARAMETERS]);
+    spec.members[0].vehicle = Some(ModelParameters::SingleTrack([0.0; SINGLE_TRACK_PARAMETERS]));
+    assert!(matches!(
+        encode(&spec),
+        Err(LibraryError::NotPositive { .. })
+    ));
+}
+
+/// A library whose first member is a vehicle without GPs; the second one has GPs.
+fn with_vehicle_alone(parameters: ModelParameters) -> LibrarySpec {
+    let mut spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0);
+    let vehicle = VehicleModel::new(&parameters, spec.dt);
+    let data = &mut spec.members[0];
+    data.vehicle = Some(parameters);
+    data.inputs.clear();
+    data.targets.clear();
+    data.alpha = Default::default();
+    (data.target_mean, data.constant, data.outputscale) = ([0.0; NY], [0.0; NY], [0.0; NY]);
+    for (g, z) in data.golden_z.iter().enumerate() {
+        let (change, slopes) = vehicle.change_jacobian(&(*z).into());
+        data.golden_mean[g] = change.into();
+        data.golden_jacobian[g] = std::array::from_fn(|o| std::array::from_fn(|d| slopes[(o, d)]));
+        data.golden_variance[g] = [0.0; NY];
+    }
+    spec
+}
+
+#[test]
+fn a_vehicle_alone_is_a_member_whose_variance_is_its_noise() {
+    for parameters in [SINGLE_TRACK, KINEMATIC] {
+        let spec = with_vehicle_alone(parameters);
+        let vehicle = VehicleModel::new(&parameters, spec.dt);
+        let library = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
+        let member = &library.members()[0];
+        assert_eq!(member.n_points(), 0);
+        assert_eq!(member.vehicle().unwrap().parameters(), parameters);
+        let golden: Vec<_> = spec.members[0].golden_z.iter().map(|&z| z.into()).collect();
+        let noise = member.noise_std().map(|std| std * std);
+        assert!(noise.min() > 0.0);
+        let mut scratch = VarianceScratch::default();
+        let alone = Ensemble::new(&library, &[1.0, 0.0], 0.0).unwrap();
+        for z in &golden {
+            assert_eq!(member.mean(z), vehicle.change(z));
+            assert_eq!(alone.mean(z), vehicle.change(z));
+            assert_eq!(member.variance(z, &mut scratch), GpOutput::zeros());
+            assert_eq!(alone.variance(z, &mut scratch).mixture, noise);
+        }
+        // Beside a member with GPs its variance over a horizon is bounded like that of any member.
+        let mixed = Ensemble::new(&library, &[0.4, 0.6], 0.0).unwrap();
+        for ensemble in [alone, mixed] {
+            let mut bounds = vec![GpOutput::zeros(); golden.len()];
+            let mut memory = MixtureScratch::default();
+            ensemble.mixture_bounds(&golden, &mut memory, &mut bounds, &Sequential);
+            for (z, bound) in golden.iter().zip(bounds) {
+                let exact = ensemble.variance(z, &mut scratch).mixture;
+                assert!((bound - exact * (1.0 - 1e-12)).min() >= 0.0);
+                assert!((exact * 1.1 - bound).min() >= 0.0);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_member_without_points_needs_a_vehicle_and_points_need_a_prior_variance() {
+    let mut spec = with_vehicle_alone(KINEMATIC);
+    spec.members[0].outputscale[1] = -1.0;
+    assert!(matches!(
+        encode(&spec),
+        Err(LibraryError::NotPositive { .. })
+    ));
+    spec.members[0].vehicle = None;
+    assert!(matches!(encode(&spec), Err(LibraryError::Count { .. })));
+    let mut spec = libraries::spec(Kernel::Rbf, &[0.5], 20, 0);
+    spec.members[0].outputscale[1] = 0.0;
     assert!(matches!(
         encode(&spec),
         Err(LibraryError::NotPositive { .. })
