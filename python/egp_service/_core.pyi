@@ -324,9 +324,6 @@ class VehicleParameters:
     def gate_limits(self) -> dict[str, float]:
         """Give the limits of a gate that lets through what this vehicle can do, and no more."""
 
-    def check_same(self, planned: VehicleParameters) -> None:
-        """Raise `EgpError` with both values unless all are within 1 % of those of `planned`."""
-
     @property
     def mass(self) -> float:
         """Mass, kg."""
