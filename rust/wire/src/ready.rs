@@ -62,12 +62,8 @@ impl Ready {
                 format!("expected seconds in (0, 1], got {}", raw.dt),
             ));
         }
-        check::at_most(
-            "horizon",
-            raw.horizon,
-            limits.horizon,
-            "the limit of this side",
-        )?;
+        check::count("horizon", raw.horizon as usize, limits.horizon)?;
+        check::count("members", raw.members.len(), limits.members)?;
         check::at_most(
             "history",
             raw.history,
