@@ -22,14 +22,13 @@ from egp_service._core import (
     decode_ready,
     replica_of_live,
 )
-from egp_service.control.step import Step, StepController, rows
+from egp_service.control.step import StepController
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from numpy.typing import ArrayLike
-
     from egp_service._core import Query
+    from egp_service.control.step import Measured
 
 REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
 # How long a replica may take to say what it serves, and time between two rounds of asking.
@@ -49,6 +48,8 @@ class VehicleClient(StepController):
     A missing answer costs at most the deadline of the step, then the gate takes over. When the
     service returns it is found again by itself, and `reset()` drives on.
     """
+
+    _driver: Driver
 
     def __init__(self, network: Network, ready: bytes, driver: Driver) -> None:
         """Take over an open network; `ready` is what a replica said about its library."""
@@ -103,36 +104,21 @@ class VehicleClient(StepController):
             network.close()
             raise
 
-    def step(
-        self,
-        x: ArrayLike,
-        reference: ArrayLike,
-        widths: ArrayLike | None = None,
-        *,
-        deadline: float | None = None,
-    ) -> Step:
-        """Give the command; see `StepController.step`."""
-        start = time.monotonic()
-        due = start + (self._driver.budget if deadline is None else deadline)
+    def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
+        due = start + budget
         while (happened := self._network.next(0.0)) is not None:
             happened(self._driver)
-        edges = None if widths is None else rows(widths)
-        self._driver.tick(start, due, rows(x), rows(reference), edges)
+        self._driver.tick(start, due, *measured)
         while True:
             while (action := self._driver.next_action()) is not None:
                 if isinstance(action, Decision):
-                    total = time.monotonic() - start
-                    return Step.of(action, self._driver.weights, total)
+                    return action
                 self._network.ask(action)
             happened = self._network.next(due - time.monotonic())
             if happened is None:
                 self._driver.wake(time.monotonic())
             else:
                 happened(self._driver)
-
-    def reset(self) -> None:
-        """Leave STOP and forget the past."""
-        self._driver.reset()
 
     def close(self) -> None:
         """Close the zenoh session."""
