@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import queue
 import time
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Self
 
 import zenoh
@@ -39,7 +41,10 @@ _MAX_MESSAGE_BYTES = 1 << 20
 
 
 class ServiceUnreachableError(EgpError):
-    """No replica of the service answered."""
+    """No replica of the service gave a usable answer."""
+
+    replicas: Mapping[str, str] = MappingProxyType({})
+    """The replicas that announced themselves, each with the reason why it cannot be used."""
 
 
 class VehicleClient(StepController):
@@ -79,13 +84,14 @@ class VehicleClient(StepController):
         `budget` is the part of the control period that an answer may take, in (0, 1].
         `zenoh_config` holds more of zenoh's configuration by path, such as
         `{"transport/link/tls/root_ca_certificate": "ca.pem"}`. Raises `InvalidArgumentError` for
-        names, gate settings or a configuration that cannot be used or for a gate that allows more
-        than the vehicle that the service plans for can do, and `ServiceUnreachableError` when no
-        replica answers within `timeout` seconds.
+        names, gate settings or a configuration that cannot be used, and `ServiceUnreachableError`
+        when no replica gives a usable answer within `timeout` seconds. A replica is passed over if
+        its description is not valid, or if the gate allows more than the vehicle that this replica
+        plans for can do; the error names each replica with the reason.
         """
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         deadline = time.monotonic() + timeout
-        discovery = Discovery(fleet, vehicle)
+        discovery = Discovery(fleet=fleet, vehicle=vehicle, gate=gate, budget=budget)
         network = Network(names, timeout, zenoh_config or {})
         try:
             ready = _first_ready(network, discovery, names, deadline)
@@ -125,6 +131,20 @@ class VehicleClient(StepController):
         self._network.close()
 
 
+@dataclass(frozen=True, slots=True)
+class Announcement:
+    """A replica that announces itself or, if `appeared` is false, no longer does."""
+
+    at: float
+    replica: str
+    appeared: bool
+
+    def __call__(self, driver: Driver) -> None:
+        """Tell the driver."""
+        note = driver.replica_appeared if self.appeared else driver.replica_gone
+        note(self.at, self.replica)
+
+
 class Network:
     """A zenoh session, and what happens on it as calls for a driver, in order."""
 
@@ -134,11 +154,10 @@ class Network:
         """Open the session and follow the replicas that announce themselves."""
         config = _session_config(endpoints, timeout, more)
         self._inbox: queue.SimpleQueue[Callable[[Driver], None]] = queue.SimpleQueue()
-        self._tokens: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
-            raise _unreachable(endpoints) from error
+            raise _unreachable(endpoints, f"zenoh cannot open a session ({error})") from error
         self._subscriber = self.session.liveliness().declare_subscriber(
             LIVE_KEYS, zenoh.handlers.Callback(self._on_token, indirect=False), history=True
         )
@@ -149,10 +168,6 @@ class Network:
             return self._inbox.get(timeout=max(patience, 0.0))
         except queue.Empty:
             return None
-
-    def tokens(self) -> list[tuple[str, bool]]:
-        """Replicas that appeared (true) or went (false) since the last call, in order."""
-        return [self._tokens.get() for _ in range(self._tokens.qsize())]
 
     def ask(self, query: Query) -> None:
         """Send a query, whose answers become events; one that cannot be sent ends at once."""
@@ -183,9 +198,9 @@ class Network:
         except zenoh.ZError:
             end()
 
-    def ask_and_wait(self, key: str) -> bytes | None:
-        """Give the payload of the first answer to a question, if one comes."""
-        for reply in self.session.get(key, timeout=_QUESTION_SECONDS):
+    def ask_and_wait(self, key: str, patience: float) -> bytes | None:
+        """Give the payload of the first answer that comes within `patience` seconds, if any."""
+        for reply in self.session.get(key, timeout=patience):
             if reply.ok is not None:
                 payload: bytes = reply.ok.payload.to_bytes()
                 return payload
@@ -200,10 +215,7 @@ class Network:
         if replica is None:
             return
         appeared = sample.kind == zenoh.SampleKind.PUT
-        self._tokens.put((replica, appeared))
-        event = Driver.replica_appeared if appeared else Driver.replica_gone
-        now = time.monotonic()
-        self._inbox.put(lambda driver: event(driver, now, replica))
+        self._inbox.put(Announcement(time.monotonic(), replica, appeared))
 
 
 def _session_config(
@@ -243,24 +255,27 @@ def _session_config(
 def _first_ready(
     network: Network, discovery: Discovery, endpoints: Sequence[str], deadline: float
 ) -> bytes:
-    """Ask the live replicas in turn until one says what it serves."""
-    while time.monotonic() < deadline:
-        for replica, appeared in network.tokens():
-            note = discovery.replica_appeared if appeared else discovery.replica_gone
-            note(replica)
+    """Ask the live replicas in turn until one can be used."""
+    while (left := deadline - time.monotonic()) > 0.0:
         question = discovery.next_question()
         if question is None:
-            time.sleep(_POLL_SECONDS)
+            # Every live replica was asked, or there is none: wait for a change.
+            event = network.next(min(left, _POLL_SECONDS))
+            if isinstance(event, Announcement):
+                note = discovery.replica_appeared if event.appeared else discovery.replica_gone
+                note(event.replica)
             continue
         replica, key = question
-        answer = network.ask_and_wait(key)
-        if answer is not None and Discovery.is_ready(replica, answer):
+        answer = network.ask_and_wait(key, min(left, _QUESTION_SECONDS))
+        if answer is not None and discovery.is_usable(replica, answer):
             return answer
-    raise _unreachable(endpoints)
+    error = _unreachable(endpoints, discovery.error)
+    error.replicas = discovery.unusable
+    raise error
 
 
-def _unreachable(endpoints: Sequence[str]) -> ServiceUnreachableError:
+def _unreachable(endpoints: Sequence[str], reason: str) -> ServiceUnreachableError:
     return ServiceUnreachableError(
-        f"no replica of the service answered at {', '.join(endpoints)}; "
-        "start one with `egp serve LIBRARY --listen ENDPOINT` or check the address"
+        f"{reason}; looked at {', '.join(endpoints)}; "
+        "start a replica with `egp serve LIBRARY --listen ENDPOINT` or check the address"
     )

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use egp_gate::{GateError, Limits, WiderError};
+use egp_gate::{Gate, GateError, Limits, WiderError};
 use egp_wire::keys::{Name, NameError};
 use thiserror::Error;
 
@@ -54,6 +54,25 @@ impl DriverConfig {
             stop_deceleration: 3.0,
             want_sigma: false,
         })
+    }
+
+    /// Checks everything that does not depend on what a replica serves.
+    ///
+    /// # Errors
+    /// [`DriverError`] when budget, limits or gate settings are out of range.
+    pub(crate) fn validate(&self) -> Result<(), DriverError> {
+        let any_dt = 1.0;
+        self.gate(any_dt)?;
+        self.budget(any_dt)?;
+        Ok(())
+    }
+
+    /// The gate for control periods of `dt` s.
+    ///
+    /// # Errors
+    /// [`GateError`] when limits or gate settings are out of range.
+    pub(crate) fn gate(&self, dt: f64) -> Result<Gate, GateError> {
+        Gate::new(self.limits, dt, self.max_tail_ticks, self.stop_deceleration)
     }
 
     /// The time that an answer may take in a control period of `dt` s.

@@ -76,12 +76,7 @@ impl Driver {
     /// [`DriverError`] when budget, limits or gate settings are out of range, or when the limits allow more than the
     /// vehicle that the service plans for can do.
     pub fn new(config: DriverConfig, served: Ready) -> Result<Self, DriverError> {
-        let gate = Gate::new(
-            config.limits,
-            served.dt,
-            config.max_tail_ticks,
-            config.stop_deceleration,
-        )?;
+        let gate = config.gate(served.dt)?;
         if let Some(planned) = &served.vehicle {
             config.limits.check_within(planned)?;
         }
