@@ -108,6 +108,8 @@ def check(expected: dict[str, Any], outcomes: list[Outcome], names: dict[str, st
         assert statuses == expected["statuses"], story
     if "answered_by" in expected:
         assert answered == {names[who]: n for who, n in expected["answered_by"].items()}, story
+    if "last_answered_by" in expected:
+        assert outcomes[-1].replica == names[expected["last_answered_by"]], story
     if "last_mode" in expected:
         assert outcomes[-1].mode == expected["last_mode"], story
     errors = {str(period): o.error for period, o in enumerate(outcomes, 1) if o.error}
