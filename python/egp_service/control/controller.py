@@ -49,5 +49,5 @@ class Controller(StepController):
         self._driver = InProcessDriver(engine, gate=gate, want_sigma=want_sigma)
 
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
-        del start  # the driver counts its time in periods
+        del start  # the driver needs no time, because nobody else can be asked
         return self._driver.step(budget, *measured)
