@@ -87,3 +87,30 @@ impl DriverConfig {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use egp_parameters::VehicleParameters;
+
+    use super::*;
+
+    #[test]
+    fn the_budget_is_a_share_of_the_period() {
+        let limits = Limits::of(&VehicleParameters::FORD_ESCORT);
+        let config = DriverConfig::new("fleet", "car", limits).unwrap();
+        let with = |budget: f64| DriverConfig {
+            budget,
+            ..config.clone()
+        };
+        for (budget, milliseconds) in [(1.0, 50), (0.5, 25)] {
+            let budget = with(budget).budget(0.05).unwrap();
+            assert_eq!(budget, Duration::from_millis(milliseconds));
+        }
+        for budget in [0.0, -0.5, 1.0 + 1e-9] {
+            let error = with(budget).budget(0.05).unwrap_err();
+            assert_eq!(error, DriverError::Budget(budget));
+        }
+        assert!(with(f64::NAN).budget(0.05).is_err());
+    }
+}
