@@ -214,9 +214,15 @@ class Driver:
 
 @final
 class Discovery:
-    """Finds a replica that is ready, asking those that announce themselves in turn."""
+    """Finds a replica that can be used, asking those that announce themselves in turn."""
 
-    def __new__(cls, fleet: str, vehicle: str) -> Discovery: ...
+    def __new__(
+        cls, *, fleet: str, vehicle: str, gate: Mapping[str, float], budget: float = 0.8
+    ) -> Discovery:
+        """Start without a replica; the arguments are those of the driver to be made.
+
+        Raises `InvalidArgumentError` for names, gate settings or a budget that cannot be used.
+        """
     def replica_appeared(self, replica: str) -> None:
         """Note that a replica announces itself."""
     def replica_gone(self, replica: str) -> None:
@@ -226,9 +232,18 @@ class Discovery:
         """The replicas that announce themselves."""
     def next_question(self) -> tuple[str, str] | None:
         """Give a replica to ask and the key; none when every one was asked in this round."""
-    @staticmethod
-    def is_ready(replica: str, answer: bytes) -> bool:
-        """Whether an answer describes a replica that is ready; `EgpError` when malformed."""
+    def is_usable(self, replica: str, answer: bytes) -> bool:
+        """Whether an answer describes a replica that can be used; otherwise the reason is kept.
+
+        A replica can be used if its description is valid and says that it is ready, and if the gate
+        allows no more than the vehicle that the replica plans for can do.
+        """
+    @property
+    def error(self) -> str:
+        """Why no replica can be used, in one sentence."""
+    @property
+    def unusable(self) -> dict[str, str]:
+        """The live replicas, each with the reason why it cannot be used."""
 
 # gate.rs
 
@@ -322,9 +337,6 @@ class VehicleParameters:
 
     def gate_limits(self) -> dict[str, float]:
         """Give the limits of a gate that lets through what this vehicle can do, and no more."""
-
-    def check_same(self, planned: VehicleParameters) -> None:
-        """Raise `EgpError` with both values unless all are within 1 % of those of `planned`."""
 
     @property
     def mass(self) -> float:

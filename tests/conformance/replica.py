@@ -4,7 +4,9 @@ As a program it is a replica on the network::
 
     python tests/conformance/replica.py NAME ENDPOINT SCRIPT.json
 
-A script maps the name of a fault to the sequence numbers of the requests that it befalls.
+A script maps the name of a fault to the sequence numbers of the requests that it befalls, or to
+"always". The faults of `READY_FAULTS` befall the answers of the `ready` key instead, which are
+counted from 1.
 """
 
 from __future__ import annotations
@@ -13,10 +15,11 @@ import json
 import random
 import sys
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
@@ -24,6 +27,10 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from egp_service import _core
 
 LIBRARY = str(files("egp_service") / "shipped" / "demo-library.safetensors")
+
+
+Script: TypeAlias = Mapping[str, list[int] | Literal["always"]]
+READY_FAULTS = {"noise_in_ready", "draining", "weaker_vehicle"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,21 +54,33 @@ def message(name: str) -> Any:  # noqa: ANN401 - classes made at run time
 class ScriptedReplica:
     """Answers requests; `script` maps faults to sequence numbers."""
 
-    def __init__(self, script: dict[str, list[int]]) -> None:
+    def __init__(self, script: Script) -> None:
         """Load the library."""
         self.engine = _core.Engine(LIBRARY)
-        self._script = {fault: set(numbers) for fault, numbers in script.items()}
+        self._script = script
         self._replies: dict[int, bytes] = {}
+        self._described = 0
         self._noise = random.Random(0)  # noqa: S311 - not for secrets
 
     def ready(self) -> bytes:
-        """Describe the library, as the service's `ready` key does."""
-        return self.engine.ready
+        """Describe the library, as the service's `ready` key does, or as its fault says."""
+        self._described += 1
+        fault = self._fault(self._described, ready=True)
+        if fault == "noise_in_ready":
+            return self._noise.randbytes(500)
+        description = message("Ready")
+        description.ParseFromString(self.engine.ready)
+        if fault == "draining":
+            description.ready = False
+        elif fault == "weaker_vehicle":
+            description.vehicle.a_max = 1.0
+        data: bytes = description.SerializeToString()
+        return data
 
     def answer(self, request: bytes) -> Answer:  # noqa: PLR0911 - one for each fault
         """Answer one request, rightly or as its fault says."""
         sequence = _core.decode_request(request).sequence
-        fault = next((name for name, hit in self._script.items() if sequence in hit), "")
+        fault = self._fault(sequence, ready=False)
         reply = self.engine.step(request)
         self._replies[sequence] = reply
         match fault:
@@ -86,6 +105,13 @@ class ScriptedReplica:
             case "large":
                 return Answer(bytes(30_000_000))
         return Answer(_changed(reply, fault), _timing())
+
+    def _fault(self, number: int, *, ready: bool) -> str:
+        """Give the fault of the description or of the reply with this number; empty if none."""
+        for name, befallen in self._script.items():
+            if (name in READY_FAULTS) == ready and (befallen == "always" or number in befallen):
+                return name
+        return ""
 
 
 def _changed(reply: bytes, fault: str) -> bytes:
@@ -121,7 +147,7 @@ def _timing() -> bytes:
     return data
 
 
-def serve(name: str, endpoint: str, script: dict[str, list[int]]) -> None:
+def serve(name: str, endpoint: str, script: Script) -> None:
     """Be a replica on the network until the process is killed."""
     import zenoh  # noqa: PLC0415 - the in-process transport does without
 

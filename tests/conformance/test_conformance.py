@@ -13,7 +13,9 @@ import pytest
 
 from conformance.vehicles import (
     FLEET,
+    GATE,
     VEHICLE,
+    ConnectError,
     InProcess,
     Outcome,
     OverZenohInPython,
@@ -26,10 +28,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from conformance.vehicles import Script, Vehicle
+    from conformance.replica import Script
+    from conformance.vehicles import Vehicle
 
 SCHEDULES = tomllib.loads((Path(__file__).parent / "schedules.toml").read_text(encoding="utf-8"))
-TRANSPORTS: dict[str, Callable[[Mapping[str, Script]], Vehicle]] = {
+TRANSPORTS: dict[str, Callable[[Mapping[str, Script], float], Vehicle]] = {
     "in-process": InProcess,
     "zenoh-python": OverZenohInPython,
     "zenoh-rust": OverZenohInRust,
@@ -39,7 +42,7 @@ SPEED = 15.0
 
 def named_by_preference() -> dict[str, str]:
     """Names of the two replicas: the one that the vehicle asks first, and the other."""
-    discovery = Discovery(FLEET, VEHICLE)
+    discovery = Discovery(fleet=FLEET, vehicle=VEHICLE, gate=GATE)
     for name in ("north", "south"):
         discovery.replica_appeared(name)
     questions = [discovery.next_question(), discovery.next_question()]
@@ -105,6 +108,8 @@ def check(expected: dict[str, Any], outcomes: list[Outcome], names: dict[str, st
         assert statuses == expected["statuses"], story
     if "answered_by" in expected:
         assert answered == {names[who]: n for who, n in expected["answered_by"].items()}, story
+    if "last_answered_by" in expected:
+        assert outcomes[-1].replica == names[expected["last_answered_by"]], story
     if "last_mode" in expected:
         assert outcomes[-1].mode == expected["last_mode"], story
     errors = {str(period): o.error for period, o in enumerate(outcomes, 1) if o.error}
@@ -125,10 +130,16 @@ def test_every_transport_behaves_the_same(transport: str, schedule: dict[str, An
     present = list(names.values())[: schedule.get("replicas", 2)]
     faults = schedule.get("faults", {})
     scripts = {names[who]: faults.get(who, {}) for who in names if names[who] in present}
-    vehicle = TRANSPORTS[transport](scripts)
+    assert schedule["expect"], "a schedule must expect something"
+    if "not_connected" in schedule["expect"]:
+        with pytest.raises(ConnectError) as caught:
+            TRANSPORTS[transport](scripts, schedule["patience"])
+        for who, reason in schedule["expect"]["not_connected"].items():
+            assert f"replica {names[who]}: {reason}" in str(caught.value)
+        return
+    vehicle = TRANSPORTS[transport](scripts, schedule.get("patience", 10.0))
     try:
         outcomes = run(vehicle, schedule, names)
     finally:
         vehicle.close()
-    assert schedule["expect"], "a schedule must expect something"
     check(schedule["expect"], outcomes, names)

@@ -17,15 +17,23 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from conformance.replica import ScriptedReplica
-from egp_service import VehicleClient
-from egp_service._core import Decision, Driver, EgpError, Query, VehicleParameters
+from egp_service import ServiceUnreachableError, VehicleClient
+from egp_service._core import (
+    Decision,
+    Discovery,
+    Driver,
+    EgpError,
+    Query,
+    VehicleParameters,
+    decode_ready,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
-    Script = Mapping[str, list[int]]
+    from conformance.replica import Script
 
 FLEET, VEHICLE = "conformance", "car"
 GATE = VehicleParameters.commonroad(1).gate_limits() | {"max_tail_ticks": 5.0}
@@ -44,6 +52,10 @@ class Outcome:
     lost: bool = False
     request: bytes = field(default=b"", repr=False)
     error: str = ""
+
+
+class ConnectError(EgpError):
+    """A vehicle cannot connect."""
 
 
 class Vehicle(Protocol):
@@ -71,20 +83,38 @@ class Vehicle(Protocol):
 class InProcess:
     """The driver with replicas as plain objects; time is counted, nothing waits."""
 
-    def __init__(self, scripts: Mapping[str, Script]) -> None:
+    def __init__(self, scripts: Mapping[str, Script], patience: float) -> None:
         """Make the replicas and the driver."""
-        self._replicas = {name: ScriptedReplica(dict(faults)) for name, faults in scripts.items()}
-        engine = next(iter(self._replicas.values())).engine
-        self.dt, self.horizon = engine.dt, engine.horizon
-        self._driver = Driver(engine.ready, fleet=FLEET, vehicle=VEHICLE, gate=GATE)
+        del patience  # every replica was asked after one round
+        self._replicas = {name: ScriptedReplica(faults) for name, faults in scripts.items()}
+        ready = self._first_ready()
+        served = decode_ready(ready)
+        self.dt, self.horizon = served.dt, served.horizon
+        self._driver = Driver(ready, fleet=FLEET, vehicle=VEHICLE, gate=GATE)
         for name in scripts:
             self._driver.replica_appeared(0.0, name)
         self._frozen: dict[str, list[Callable[[], None]]] = {}
+        self._open: list[tuple[float, int]] = []
+        """Until when each query listens that was not answered."""
         self._now = 0.0
+
+    def _first_ready(self) -> bytes:
+        discovery = Discovery(fleet=FLEET, vehicle=VEHICLE, gate=GATE)
+        for name in self._replicas:
+            discovery.replica_appeared(name)
+        while (question := discovery.next_question()) is not None:
+            name, _ = question
+            answer = self._replicas[name].ready()
+            if discovery.is_usable(name, answer):
+                return answer
+        raise ConnectError(discovery.error)
 
     def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
         """Drive one period."""
         self._now += self.dt
+        for query in [query for until, query in self._open if until <= self._now]:
+            self._driver.ended(self._now, query)
+        self._open = [(until, query) for until, query in self._open if until > self._now]
         deadline = self._now + 0.8 * self.dt
         try:
             self._driver.tick(self._now, deadline, x, reference)
@@ -100,6 +130,7 @@ class InProcess:
                 self._now = deadline
                 self._driver.wake(self._now)
             elif action.replica in self._frozen:
+                self._open.append((self._now + action.listen, action.id))
                 held = self._frozen[action.replica]
                 held.append(lambda query=action: self._deliver(query))  # type: ignore[misc]
             else:
@@ -117,6 +148,8 @@ class InProcess:
             self._driver.replied(self._now, query.id, answer.payload, answer.attachment)
         elif answer.ended:
             self._driver.ended(self._now, query.id)
+        else:
+            self._open.append((self._now + query.listen, query.id))
 
     def reset(self) -> None:
         """Reset the driver."""
@@ -186,15 +219,22 @@ class Processes:
 class OverZenohInPython(Processes):
     """`VehicleClient`."""
 
-    def __init__(self, scripts: Mapping[str, Script]) -> None:
+    def __init__(self, scripts: Mapping[str, Script], patience: float) -> None:
         """Connect to the replicas."""
         super().__init__(scripts)
         with self._closed_on_error():
-            self._client = VehicleClient.connect(
-                self.endpoints, fleet=FLEET, vehicle=VEHICLE, gate=GATE
-            )
+            self._client = self._connected(patience)
         self.dt, self.horizon = self._client.dt, self._client.horizon
         _wait_for_all(len(scripts))
+
+    def _connected(self, patience: float) -> VehicleClient:
+        try:
+            return VehicleClient.connect(
+                self.endpoints, fleet=FLEET, vehicle=VEHICLE, gate=GATE, timeout=patience
+            )
+        except ServiceUnreachableError as error:
+            reasons = (f"replica {name}: {why}" for name, why in error.replicas.items())
+            raise ConnectError("; ".join(reasons)) from error
 
     def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
         """Drive one period."""
@@ -217,14 +257,16 @@ class OverZenohInPython(Processes):
 class OverZenohInRust(Processes):
     """The onboard client of `clients/vehicle`, as a program."""
 
-    def __init__(self, scripts: Mapping[str, Script]) -> None:
+    def __init__(self, scripts: Mapping[str, Script], patience: float) -> None:
         """Build it, start it, and connect."""
         super().__init__(scripts)
         with self._closed_on_error():
             self._process = self._started(
-                [_built_example(), *self.endpoints], stdin=subprocess.PIPE
+                [_built_example(), str(patience), *self.endpoints], stdin=subprocess.PIPE
             )
             served = self._read()
+            if "error" in served:
+                raise ConnectError(served["error"])
         self.dt, self.horizon = float(served["dt"]), int(served["horizon"])
         _wait_for_all(len(scripts))
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import queue
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+import zenoh
 
 from egp_service import Controller, InvalidArgumentError, VehicleClient
-from egp_service.control.client import ServiceUnreachableError
+from egp_service._core import live_key
+from egp_service.control.client import Network, ServiceUnreachableError
 from egp_service.control.service_process import ServiceProcess, ServiceStartError
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
@@ -174,6 +177,35 @@ def test_names_that_cannot_be_part_of_a_key_are_refused_before_connecting(
 ) -> None:
     with pytest.raises(InvalidArgumentError, match="A-Z a-z 0-9"):
         VehicleClient.connect("tcp/127.0.0.1:9", gate=GATE, **names)  # type: ignore[arg-type]
+
+
+def test_a_gate_that_fits_no_replica_is_an_error_that_names_the_replica(
+    service: ServiceProcess,
+) -> None:
+    wide = GATE | {"steering_rate": 0.6}
+    with pytest.raises(ServiceUnreachableError, match=r"0\.6 rad/s.*0\.4 rad/s") as caught:
+        VehicleClient.connect(service.endpoint, gate=wide, timeout=3.0)
+    assert len(caught.value.replicas) == 1
+
+
+def test_replicas_that_come_and_go_take_no_memory(service: ServiceProcess) -> None:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["{service.endpoint}"]')
+    with (
+        VehicleClient.connect(service.endpoint, gate=GATE) as client,
+        zenoh.open(config) as session,
+    ):
+        vehicle = Standstill(client)
+        for number in range(20):
+            token = session.liveliness().declare_token(live_key(f"passing-{number}"))
+            vehicle.step(deadline=5.0)
+            token.undeclare()  # type: ignore[no-untyped-call]
+        vehicle.step(deadline=5.0)
+        network = next(value for value in vars(client).values() if isinstance(value, Network))
+        held = [value for value in vars(network).values() if isinstance(value, queue.SimpleQueue)]
+    assert held
+    assert sum(value.qsize() for value in held) < 20
 
 
 def test_connecting_to_nobody_says_what_to_do() -> None:

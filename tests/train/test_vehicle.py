@@ -60,14 +60,11 @@ def test_a_library_of_an_unknown_vehicle_is_not_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_values_are_read_by_name_and_compared() -> None:
+def test_values_are_read_by_name() -> None:
     assert CAR.mass == 1225.887
     assert repr(CAR).startswith("VehicleParameters(mass=1225.887, yaw_inertia=")
     with pytest.raises(AttributeError, match="length"):
         _ = CAR.length  # type: ignore[attr-defined]
-    CAR.check_same(VehicleParameters(**(CAR.fields() | {"mass": 1230.0})))
-    with pytest.raises(EgpError, match=r"`mass` is 1225\.887 kg .* and 1600 kg"):
-        CAR.check_same(VehicleParameters(**(CAR.fields() | {"mass": 1600.0})))
 
 
 def test_gate_limits_are_forces() -> None:

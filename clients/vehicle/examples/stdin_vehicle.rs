@@ -1,6 +1,8 @@
 //! A vehicle whose control periods come as JSON lines on standard input, for the conformance suite in
-//! `tests/conformance`: `{"deadline": s, "x": [7], "reference": [[4], ...]}` opens a period, `{"reset": true}` resets. Each
-//! line is answered by one line.
+//! `tests/conformance`. Its arguments are the seconds in which it must have connected, and the endpoints.
+//!
+//! It first writes what is served, or why it cannot connect. Then `{"deadline": s, "x": [7], "reference": [[4], ...]}` opens
+//! a period, and `{"reset": true}` resets. Each line is answered by one line.
 
 use std::error::Error;
 use std::io::{BufRead as _, Write as _, stdin, stdout};
@@ -27,11 +29,16 @@ enum Command {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let endpoints: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let (patience, endpoints) = arguments.split_first().ok_or("no patience was stated")?;
+    let endpoints: Vec<&str> = endpoints.iter().map(String::as_str).collect();
     let limits = GateLimits::of(&VehicleParameters::FORD_ESCORT);
     let mut config = VehicleConfig::new("conformance", "car", limits, &endpoints)?;
     config.driver.max_tail_ticks = 5;
-    let mut vehicle = VehicleClient::connect(&config)?;
+    config.patience = Duration::try_from_secs_f64(patience.parse()?)?;
+    let mut vehicle = match VehicleClient::connect(&config) {
+        Ok(vehicle) => vehicle,
+        Err(error) => return answer(&json!({ "error": error.to_string() })),
+    };
     answer(&json!({ "dt": vehicle.dt(), "horizon": vehicle.horizon() }))?;
     for line in stdin().lock().lines() {
         match serde_json::from_str(&line?)? {

@@ -19,19 +19,16 @@ pub enum ClientError {
     /// zenoh reports an error.
     #[error(transparent)]
     Network(#[from] NetworkError),
-    /// No replica announces itself, or none answers.
-    #[error(
-        "no replica answered within {patience:?} at {endpoints:?}; is the service running there?"
-    )]
+    /// No replica announces itself, or none can be used.
+    #[error("{reason}; waited {patience:?} at {endpoints:?}, is the service running there?")]
     NoReplica {
+        /// What is wrong with each replica.
+        reason: DiscoveryError,
         /// How long the client waited.
         patience: Duration,
         /// Where it connected to.
         endpoints: Vec<String>,
     },
-    /// What a replica says about itself cannot be read.
-    #[error(transparent)]
-    Description(#[from] DiscoveryError),
     /// Budget, limits or gate settings are out of range.
     #[error(transparent)]
     Driver(#[from] DriverError),
@@ -48,13 +45,15 @@ pub struct VehicleClient {
 }
 
 impl VehicleClient {
-    /// Connects, waits for a replica and learns what it serves.
+    /// Connects, waits for a replica that can be used and learns what it serves. A replica whose description is not
+    /// valid, or that plans for another vehicle than the gate's, is passed over.
     ///
     /// # Errors
-    /// [`ClientError`], above all when no replica answers in time.
+    /// [`ClientError`], above all when no replica gives a usable answer in time.
     pub fn connect(config: &VehicleConfig) -> Result<Self, ClientError> {
+        let discovery = Discovery::new(&config.driver)?;
         let (epoch, network) = (Instant::now(), Network::open(config)?);
-        let driver = discover(&network, config, epoch)?;
+        let driver = discover(discovery, &network, config, epoch)?;
         Ok(Self {
             network,
             driver,
@@ -182,17 +181,17 @@ impl VehicleClient {
 
 /// Asks the live replicas until one says what it serves, and makes a driver for that.
 fn discover(
+    mut discovery: Discovery,
     network: &Network,
     config: &VehicleConfig,
     epoch: Instant,
 ) -> Result<Driver, ClientError> {
-    let (fleet, vehicle) = (config.driver.fleet.clone(), config.driver.vehicle.clone());
-    let mut discovery = Discovery::new(fleet, vehicle);
     let deadline = Instant::now() + config.patience;
     loop {
         let left = deadline.saturating_duration_since(Instant::now());
         if left.is_zero() {
             return Err(ClientError::NoReplica {
+                reason: discovery.error(),
                 patience: config.patience,
                 endpoints: config.connect.clone(),
             });
@@ -209,7 +208,7 @@ fn discover(
         let Some(answer) = network.ask_and_wait(&key, left.min(QUESTION))? else {
             continue;
         };
-        let Some(ready) = Discovery::answered(&replica, &answer)? else {
+        let Some(ready) = discovery.answered(&replica, &answer) else {
             continue;
         };
         let mut driver = Driver::new(config.driver.clone(), ready)?;

@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import queue
 import time
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Self
 
 import zenoh
@@ -22,14 +24,13 @@ from egp_service._core import (
     decode_ready,
     replica_of_live,
 )
-from egp_service.control.step import Step, StepController, rows
+from egp_service.control.step import StepController
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from numpy.typing import ArrayLike
-
     from egp_service._core import Query
+    from egp_service.control.step import Measured
 
 REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
 # How long a replica may take to say what it serves, and time between two rounds of asking.
@@ -40,7 +41,10 @@ _MAX_MESSAGE_BYTES = 1 << 20
 
 
 class ServiceUnreachableError(EgpError):
-    """No replica of the service answered."""
+    """No replica of the service gave a usable answer."""
+
+    replicas: Mapping[str, str] = MappingProxyType({})
+    """The replicas that announced themselves, each with the reason why it cannot be used."""
 
 
 class VehicleClient(StepController):
@@ -49,6 +53,8 @@ class VehicleClient(StepController):
     A missing answer costs at most the deadline of the step, then the gate takes over. When the
     service returns it is found again by itself, and `reset()` drives on.
     """
+
+    _driver: Driver
 
     def __init__(self, network: Network, ready: bytes, driver: Driver) -> None:
         """Take over an open network; `ready` is what a replica said about its library."""
@@ -78,13 +84,14 @@ class VehicleClient(StepController):
         `budget` is the part of the control period that an answer may take, in (0, 1].
         `zenoh_config` holds more of zenoh's configuration by path, such as
         `{"transport/link/tls/root_ca_certificate": "ca.pem"}`. Raises `InvalidArgumentError` for
-        names, gate settings or a configuration that cannot be used or for a gate that allows more
-        than the vehicle that the service plans for can do, and `ServiceUnreachableError` when no
-        replica answers within `timeout` seconds.
+        names, gate settings or a configuration that cannot be used, and `ServiceUnreachableError`
+        when no replica gives a usable answer within `timeout` seconds. A replica is passed over if
+        its description is not valid, or if the gate allows more than the vehicle that this replica
+        plans for can do; the error names each replica with the reason.
         """
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         deadline = time.monotonic() + timeout
-        discovery = Discovery(fleet, vehicle)
+        discovery = Discovery(fleet=fleet, vehicle=vehicle, gate=gate, budget=budget)
         network = Network(names, timeout, zenoh_config or {})
         try:
             ready = _first_ready(network, discovery, names, deadline)
@@ -103,26 +110,15 @@ class VehicleClient(StepController):
             network.close()
             raise
 
-    def step(
-        self,
-        x: ArrayLike,
-        reference: ArrayLike,
-        widths: ArrayLike | None = None,
-        *,
-        deadline: float | None = None,
-    ) -> Step:
-        """Give the command; see `StepController.step`."""
-        start = time.monotonic()
-        due = start + (self._driver.budget if deadline is None else deadline)
+    def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
+        due = start + budget
         while (happened := self._network.next(0.0)) is not None:
             happened(self._driver)
-        edges = None if widths is None else rows(widths)
-        self._driver.tick(start, due, rows(x), rows(reference), edges)
+        self._driver.tick(start, due, *measured)
         while True:
             while (action := self._driver.next_action()) is not None:
                 if isinstance(action, Decision):
-                    total = time.monotonic() - start
-                    return Step.of(action, self._driver.weights, total)
+                    return action
                 self._network.ask(action)
             happened = self._network.next(due - time.monotonic())
             if happened is None:
@@ -130,13 +126,23 @@ class VehicleClient(StepController):
             else:
                 happened(self._driver)
 
-    def reset(self) -> None:
-        """Leave STOP and forget the past."""
-        self._driver.reset()
-
     def close(self) -> None:
         """Close the zenoh session."""
         self._network.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Announcement:
+    """A replica that announces itself or, if `appeared` is false, no longer does."""
+
+    at: float
+    replica: str
+    appeared: bool
+
+    def __call__(self, driver: Driver) -> None:
+        """Tell the driver."""
+        note = driver.replica_appeared if self.appeared else driver.replica_gone
+        note(self.at, self.replica)
 
 
 class Network:
@@ -148,11 +154,10 @@ class Network:
         """Open the session and follow the replicas that announce themselves."""
         config = _session_config(endpoints, timeout, more)
         self._inbox: queue.SimpleQueue[Callable[[Driver], None]] = queue.SimpleQueue()
-        self._tokens: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
-            raise _unreachable(endpoints) from error
+            raise _unreachable(endpoints, f"zenoh cannot open a session ({error})") from error
         self._subscriber = self.session.liveliness().declare_subscriber(
             LIVE_KEYS, zenoh.handlers.Callback(self._on_token, indirect=False), history=True
         )
@@ -163,10 +168,6 @@ class Network:
             return self._inbox.get(timeout=max(patience, 0.0))
         except queue.Empty:
             return None
-
-    def tokens(self) -> list[tuple[str, bool]]:
-        """Replicas that appeared (true) or went (false) since the last call, in order."""
-        return [self._tokens.get() for _ in range(self._tokens.qsize())]
 
     def ask(self, query: Query) -> None:
         """Send a query, whose answers become events; one that cannot be sent ends at once."""
@@ -197,9 +198,9 @@ class Network:
         except zenoh.ZError:
             end()
 
-    def ask_and_wait(self, key: str) -> bytes | None:
-        """Give the payload of the first answer to a question, if one comes."""
-        for reply in self.session.get(key, timeout=_QUESTION_SECONDS):
+    def ask_and_wait(self, key: str, patience: float) -> bytes | None:
+        """Give the payload of the first answer that comes within `patience` seconds, if any."""
+        for reply in self.session.get(key, timeout=patience):
             if reply.ok is not None:
                 payload: bytes = reply.ok.payload.to_bytes()
                 return payload
@@ -214,10 +215,7 @@ class Network:
         if replica is None:
             return
         appeared = sample.kind == zenoh.SampleKind.PUT
-        self._tokens.put((replica, appeared))
-        event = Driver.replica_appeared if appeared else Driver.replica_gone
-        now = time.monotonic()
-        self._inbox.put(lambda driver: event(driver, now, replica))
+        self._inbox.put(Announcement(time.monotonic(), replica, appeared))
 
 
 def _session_config(
@@ -257,24 +255,27 @@ def _session_config(
 def _first_ready(
     network: Network, discovery: Discovery, endpoints: Sequence[str], deadline: float
 ) -> bytes:
-    """Ask the live replicas in turn until one says what it serves."""
-    while time.monotonic() < deadline:
-        for replica, appeared in network.tokens():
-            note = discovery.replica_appeared if appeared else discovery.replica_gone
-            note(replica)
+    """Ask the live replicas in turn until one can be used."""
+    while (left := deadline - time.monotonic()) > 0.0:
         question = discovery.next_question()
         if question is None:
-            time.sleep(_POLL_SECONDS)
+            # Every live replica was asked, or there is none: wait for a change.
+            event = network.next(min(left, _POLL_SECONDS))
+            if isinstance(event, Announcement):
+                note = discovery.replica_appeared if event.appeared else discovery.replica_gone
+                note(event.replica)
             continue
         replica, key = question
-        answer = network.ask_and_wait(key)
-        if answer is not None and Discovery.is_ready(replica, answer):
+        answer = network.ask_and_wait(key, min(left, _QUESTION_SECONDS))
+        if answer is not None and discovery.is_usable(replica, answer):
             return answer
-    raise _unreachable(endpoints)
+    error = _unreachable(endpoints, discovery.error)
+    error.replicas = discovery.unusable
+    raise error
 
 
-def _unreachable(endpoints: Sequence[str]) -> ServiceUnreachableError:
+def _unreachable(endpoints: Sequence[str], reason: str) -> ServiceUnreachableError:
     return ServiceUnreachableError(
-        f"no replica of the service answered at {', '.join(endpoints)}; "
-        "start one with `egp serve LIBRARY --listen ENDPOINT` or check the address"
+        f"{reason}; looked at {', '.join(endpoints)}; "
+        "start a replica with `egp serve LIBRARY --listen ENDPOINT` or check the address"
     )

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import time
 import tomllib
 from typing import TYPE_CHECKING
 
 from egp_service._core import Engine, InProcessDriver
-from egp_service.control.step import Step, StepController, rows
+from egp_service.control.step import StepController
 from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from numpy.typing import ArrayLike
+    from egp_service._core import Decision
+    from egp_service.control.step import Measured
 
 
 class Controller(StepController):
     """Drive with a library file, computed here; the README shows a lap with it."""
+
+    _driver: InProcessDriver
 
     def __init__(
         self,
@@ -46,21 +48,6 @@ class Controller(StepController):
         """Every setting that the control step uses, those of the library's period included."""
         self._driver = InProcessDriver(engine, gate=gate, want_sigma=want_sigma)
 
-    def step(
-        self,
-        x: ArrayLike,
-        reference: ArrayLike,
-        widths: ArrayLike | None = None,
-        *,
-        deadline: float | None = None,
-    ) -> Step:
-        """Give the command; see `StepController.step`. `deadline` is only stated in the request."""
-        start = time.perf_counter()
-        budget = self._driver.budget if deadline is None else deadline
-        edges = None if widths is None else rows(widths)
-        decision = self._driver.step(budget, rows(x), rows(reference), edges)
-        return Step.of(decision, self._driver.weights, time.perf_counter() - start)
-
-    def reset(self) -> None:
-        """Leave STOP and forget the past."""
-        self._driver.reset()
+    def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
+        del start  # the driver needs no time, because nobody else can be asked
+        return self._driver.step(budget, *measured)

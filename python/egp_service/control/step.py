@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Literal, Self, TypeAlias
 
 import numpy as np
 
@@ -14,7 +15,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from egp_service._core import Decision
+    from egp_service._core import Decision, Driver, InProcessDriver
+
+    Measured: TypeAlias = tuple[
+        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None
+    ]
+    """State (7,), reference (T+1, 4) and widths (T+1, 2) of one period, as the core reads them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +119,8 @@ class StepController(ABC):
     """Inputs in a plan, T."""
     members: Sequence[str]
     """Surfaces behind the weights."""
+    _driver: Driver | InProcessDriver
 
-    @abstractmethod
     def step(
         self,
         x: ArrayLike,
@@ -128,14 +134,24 @@ class StepController(ABC):
         `x` is `[p_x, p_y, v_x, psi, v_y, omega, delta]`, `reference` has rows
         `[p_x, p_y, v_x, psi]` from now on, `widths` rows `[left, right]`, all in SI units and rad.
         Call it once each period. It returns within `deadline` seconds (default: 0.8 `dt`), with a
-        command whatever happens to the service. Raises `InvalidArgumentError` when arguments have
-        the wrong shape or the reference cannot be meant; a measured state that is not finite is no
-        error but a stop.
+        command whatever happens to the service; without a service it takes as long as the control
+        step, and `deadline` is only stated in the request. Raises `InvalidArgumentError` when
+        arguments have the wrong shape or the reference cannot be meant; a measured state that is
+        not finite is no error but a stop.
         """
+        start = time.monotonic()
+        budget = self._driver.budget if deadline is None else deadline
+        edges = None if widths is None else rows(widths)
+        decision = self._decide(start, budget, (rows(x), rows(reference), edges))
+        return Step.of(decision, self._driver.weights, time.monotonic() - start)
 
     @abstractmethod
+    def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
+        """Decide the period that began at `start` of the monotonic clock, within `budget` s."""
+
     def reset(self) -> None:
         """Leave STOP and forget the past, for instance after the vehicle was moved."""
+        self._driver.reset()
 
     def close(self) -> None:  # noqa: B027 - most have nothing to close
         """Release what the controller holds."""

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use egp_gate::{GateError, Limits, WiderError};
+use egp_gate::{Gate, GateError, Limits, WiderError};
 use egp_wire::keys::{Name, NameError};
 use thiserror::Error;
 
@@ -56,6 +56,25 @@ impl DriverConfig {
         })
     }
 
+    /// Checks everything that does not depend on what a replica serves.
+    ///
+    /// # Errors
+    /// [`DriverError`] when budget, limits or gate settings are out of range.
+    pub(crate) fn validate(&self) -> Result<(), DriverError> {
+        let any_dt = 1.0;
+        self.gate(any_dt)?;
+        self.budget(any_dt)?;
+        Ok(())
+    }
+
+    /// The gate for control periods of `dt` s.
+    ///
+    /// # Errors
+    /// [`GateError`] when limits or gate settings are out of range.
+    pub(crate) fn gate(&self, dt: f64) -> Result<Gate, GateError> {
+        Gate::new(self.limits, dt, self.max_tail_ticks, self.stop_deceleration)
+    }
+
     /// The time that an answer may take in a control period of `dt` s.
     ///
     /// # Errors
@@ -66,5 +85,32 @@ impl DriverConfig {
         } else {
             Err(DriverError::Budget(self.budget))
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use egp_parameters::VehicleParameters;
+
+    use super::*;
+
+    #[test]
+    fn the_budget_is_a_share_of_the_period() {
+        let limits = Limits::of(&VehicleParameters::FORD_ESCORT);
+        let config = DriverConfig::new("fleet", "car", limits).unwrap();
+        let with = |budget: f64| DriverConfig {
+            budget,
+            ..config.clone()
+        };
+        for (budget, milliseconds) in [(1.0, 50), (0.5, 25)] {
+            let budget = with(budget).budget(0.05).unwrap();
+            assert_eq!(budget, Duration::from_millis(milliseconds));
+        }
+        for budget in [0.0, -0.5, 1.0 + 1e-9] {
+            let error = with(budget).budget(0.05).unwrap_err();
+            assert_eq!(error, DriverError::Budget(budget));
+        }
+        assert!(with(f64::NAN).budget(0.05).is_err());
     }
 }

@@ -1,45 +1,88 @@
 //! Before the first control period: which replica to ask what it serves.
 
+use std::collections::BTreeMap;
+use std::fmt;
+
+use egp_gate::WiderError;
 use egp_wire::keys::{self, Name};
 use egp_wire::{Invalid, Limits, Ready};
 use thiserror::Error;
 
+use crate::config::{DriverConfig, DriverError};
 use crate::replicas::Replicas;
 
-/// Why what a replica says about itself cannot be used.
+/// Why a replica cannot be used.
 #[derive(Clone, Debug, PartialEq, Error)]
-#[error("replica {replica} does not describe itself as the wire demands: {source}")]
-pub struct DiscoveryError {
-    /// The replica.
-    pub replica: Name,
-    /// What is wrong.
-    pub source: Invalid,
+pub enum Unusable {
+    /// It has not answered yet.
+    #[error("it has not said what it serves")]
+    Silent,
+    /// Its answer is no description of a replica.
+    #[error("its description is not valid: {0}")]
+    Malformed(#[from] Invalid),
+    /// It drains.
+    #[error("it is about to end")]
+    Draining,
+    /// It plans for a vehicle that can do less than the gate allows, or that has another mass.
+    #[error(transparent)]
+    Wider(#[from] WiderError),
 }
 
-/// Finds a replica that is ready, asking the live ones one after another in the order of the vehicle's hash.
+/// No replica can be used: why not, for each one that is alive.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub struct DiscoveryError(pub BTreeMap<Name, Unusable>);
+
+impl fmt::Display for DiscoveryError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.is_empty() {
+            return f.write_str("no replica of the service announces itself");
+        }
+        f.write_str("no replica of the service can be used")?;
+        for (index, (replica, reason)) in self.0.iter().enumerate() {
+            let separator = if index == 0 { ':' } else { ';' };
+            write!(f, "{separator} replica {replica}: {reason}")?;
+        }
+        Ok(())
+    }
+}
+
+/// Finds a replica that can be used, asking the live ones one after another in the order of the vehicle's hash.
 #[derive(Clone, Debug)]
 pub struct Discovery {
+    limits: egp_gate::Limits,
     replicas: Replicas,
     /// Replicas asked since the last time around.
     asked: Vec<Name>,
+    /// What is wrong with each live replica.
+    unusable: BTreeMap<Name, Unusable>,
 }
 
 impl Discovery {
-    /// A discovery for this vehicle; no replica is known yet.
-    pub fn new(fleet: Name, vehicle: Name) -> Self {
-        Self {
-            replicas: Replicas::new(fleet, vehicle),
+    /// A discovery for the driver that is to be made with `config`; no replica is known yet.
+    ///
+    /// # Errors
+    /// [`DriverError`] when budget, limits or gate settings are out of range.
+    pub fn new(config: &DriverConfig) -> Result<Self, DriverError> {
+        config.validate()?;
+        Ok(Self {
+            limits: config.limits,
+            replicas: Replicas::new(config.fleet.clone(), config.vehicle.clone()),
             asked: Vec::new(),
-        }
+            unusable: BTreeMap::new(),
+        })
     }
 
     /// Notes that a replica announces itself.
     pub fn replica_appeared(&mut self, replica: Name) {
+        self.unusable
+            .entry(replica.clone())
+            .or_insert(Unusable::Silent);
         self.replicas.appeared(replica);
     }
 
     /// Notes that a replica withdrew its announcement or was lost.
     pub fn replica_gone(&mut self, replica: &Name) {
+        self.unusable.remove(replica);
         self.replicas.gone(replica);
     }
 
@@ -62,28 +105,74 @@ impl Discovery {
         Some((replica, key))
     }
 
-    /// Reads a replica's answer: what it serves, or none when it is not ready.
-    ///
-    /// # Errors
-    /// [`DiscoveryError`] when the answer is malformed.
-    pub fn answered(replica: &Name, answer: &[u8]) -> Result<Option<Ready>, DiscoveryError> {
-        let ready = Ready::decode(answer, &Limits::default()).map_err(|source| DiscoveryError {
-            replica: replica.clone(),
-            source,
-        })?;
-        Ok(Some(ready).filter(|ready| ready.ready))
+    /// Reads a replica's answer: what it serves, or none when the replica cannot be used. The reason is then kept for
+    /// [`Discovery::error`], and the next replica is to be asked.
+    pub fn answered(&mut self, replica: &Name, answer: &[u8]) -> Option<Ready> {
+        match self.usable(answer) {
+            Ok(ready) => Some(ready),
+            Err(reason) => {
+                self.unusable.insert(replica.clone(), reason);
+                None
+            }
+        }
+    }
+
+    /// Why no replica can be used, for a transport that has waited long enough.
+    pub fn error(&self) -> DiscoveryError {
+        DiscoveryError(self.unusable.clone())
+    }
+
+    fn usable(&self, answer: &[u8]) -> Result<Ready, Unusable> {
+        let ready = Ready::decode(answer, &Limits::default())?;
+        if !ready.ready {
+            return Err(Unusable::Draining);
+        }
+        if let Some(planned) = &ready.vehicle {
+            self.limits.check_within(planned)?;
+        }
+        Ok(ready)
     }
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use egp_parameters::VehicleParameters;
+
     use super::*;
+
+    const CAR: VehicleParameters = VehicleParameters::FORD_ESCORT;
+
+    fn name(text: &str) -> Name {
+        text.parse().unwrap()
+    }
+
+    fn discovery(replicas: &[&str]) -> Discovery {
+        let limits = egp_gate::Limits::of(&CAR);
+        let config = DriverConfig::new("fleet", "car", limits).unwrap();
+        let mut discovery = Discovery::new(&config).unwrap();
+        for replica in replicas {
+            discovery.replica_appeared(name(replica));
+        }
+        discovery
+    }
+
+    fn ready() -> Ready {
+        Ready {
+            ready: true,
+            library: [7; 32],
+            dt: 0.02,
+            horizon: 4,
+            history: 3,
+            members: vec!["dry".to_owned()],
+            envelope: [[0.0; 6], [1.0; 6]],
+            vehicle: Some(CAR),
+        }
+    }
 
     #[test]
     fn every_live_replica_is_asked_once_a_round() {
-        let name = |text: &str| text.parse::<Name>().unwrap();
-        let mut discovery = Discovery::new(name("fleet"), name("car"));
+        let mut discovery = discovery(&[]);
         assert_eq!(discovery.next_question(), None);
         discovery.replica_appeared(name("a"));
         discovery.replica_appeared(name("b"));
@@ -96,14 +185,86 @@ mod tests {
         assert_eq!(first, ["egp/v1/r/a/ready", "egp/v1/r/b/ready"]);
         discovery.replica_gone(&name("a"));
         assert_eq!(round(&mut discovery), ["egp/v1/r/b/ready"]);
+        let live: Vec<_> = discovery.live().cloned().collect();
+        assert_eq!(live, [name("b")]);
     }
 
     #[test]
-    fn an_answer_that_cannot_be_read_names_the_replica() {
-        let error = Discovery::answered(&"a".parse().unwrap(), b"noise").unwrap_err();
+    fn an_answer_that_cannot_be_used_is_kept_as_the_reason_and_the_next_one_is_taken() {
+        let mut discovery = discovery(&["a", "b", "c", "d", "e"]);
+        let ending = Ready {
+            ready: false,
+            ..ready()
+        };
+        let weak = VehicleParameters { a_max: 5.0, ..CAR };
+        let weak = Ready {
+            vehicle: Some(weak),
+            ..ready()
+        };
+        assert_eq!(discovery.answered(&name("a"), b"noise"), None);
+        assert_eq!(discovery.answered(&name("b"), &ending.encode()), None);
+        assert_eq!(discovery.answered(&name("c"), &weak.encode()), None);
+        discovery.replica_gone(&name("d"));
+        let error = discovery.error();
+        assert!(matches!(error.0[&name("a")], Unusable::Malformed(_)));
+        assert_eq!(error.0[&name("b")], Unusable::Draining);
         assert!(
-            error.to_string().starts_with("replica a does not"),
-            "{error}"
+            matches!(&error.0[&name("c")], Unusable::Wider(wider) if wider.name == "force_max")
         );
+        assert_eq!(error.0[&name("e")], Unusable::Silent);
+        assert_eq!(error.0.len(), 4);
+        let sound = discovery.answered(&name("e"), &ready().encode());
+        assert_eq!(sound, Some(ready()));
+    }
+
+    #[test]
+    fn the_error_names_each_replica_with_its_reason() {
+        let mut discovery = discovery(&["a", "b"]);
+        let ending = Ready {
+            ready: false,
+            ..ready()
+        };
+        discovery.answered(&name("a"), &ending.encode());
+        assert_eq!(
+            discovery.error().to_string(),
+            "no replica of the service can be used: replica a: it is about to end; replica b: it has not said what it \
+             serves"
+        );
+        discovery.replica_gone(&name("a"));
+        discovery.replica_gone(&name("b"));
+        assert_eq!(
+            discovery.error().to_string(),
+            "no replica of the service announces itself"
+        );
+    }
+
+    #[test]
+    fn a_replica_that_announces_itself_again_keeps_its_reason() {
+        let mut discovery = discovery(&["a"]);
+        discovery.answered(&name("a"), b"noise");
+        discovery.replica_appeared(name("a"));
+        let error = discovery.error();
+        assert!(matches!(error.0[&name("a")], Unusable::Malformed(_)));
+    }
+
+    #[test]
+    fn settings_that_no_driver_can_have_are_an_error_before_anyone_is_asked() {
+        let config = DriverConfig::new("fleet", "car", egp_gate::Limits::of(&CAR)).unwrap();
+        let budget = DriverConfig {
+            budget: 1.5,
+            ..config.clone()
+        };
+        assert_eq!(
+            Discovery::new(&budget).err(),
+            Some(DriverError::Budget(1.5))
+        );
+        let braking = DriverConfig {
+            stop_deceleration: 9.0,
+            ..config
+        };
+        assert!(matches!(
+            Discovery::new(&braking).err(),
+            Some(DriverError::Gate(_))
+        ));
     }
 }

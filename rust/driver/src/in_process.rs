@@ -17,8 +17,10 @@ pub type Answer = Result<(Vec<u8>, Timing), WireError>;
 #[derive(Clone, Debug)]
 pub struct InProcessDriver {
     driver: Driver,
-    ticks: u32,
 }
+
+/// The driver's time stands still: with one replica that always answers, nothing depends on how much of it passes.
+const NOW: Time = Time::ZERO;
 
 impl InProcessDriver {
     /// A driver for the library that `served` describes.
@@ -29,9 +31,9 @@ impl InProcessDriver {
     pub fn new(config: DriverConfig, served: Ready) -> Result<Self, DriverError> {
         let mut driver = Driver::new(config, served)?;
         if let Ok(replica) = "in-process".parse::<Name>() {
-            driver.replica_appeared(Time::ZERO, replica);
+            driver.replica_appeared(NOW, replica);
         }
-        Ok(Self { driver, ticks: 0 })
+        Ok(Self { driver })
     }
 
     /// The driver behind it, for what does not concern time or replicas.
@@ -55,23 +57,21 @@ impl InProcessDriver {
         budget: Duration,
         mut answer: impl FnMut(&[u8]) -> Answer,
     ) -> Result<Step, InvalidArgument> {
-        // The driver's time is counted in periods and stands still while an answer is computed.
-        self.ticks += 1;
-        let now = Duration::from_secs_f64(self.driver.served().dt) * self.ticks;
-        self.driver.tick(now, now + budget, measurement)?;
+        let deadline = NOW + budget;
+        self.driver.tick(NOW, deadline, measurement)?;
         loop {
             match self.driver.next_action() {
                 Some(Action::Command(step)) => return Ok(*step),
                 Some(Action::Ask(query)) => match answer(&query.payload) {
                     Ok((reply, timing)) => {
                         let timing = timing.encode_to_vec();
-                        self.driver.replied(now, query.id, &reply, &timing);
+                        self.driver.replied(NOW, query.id, &reply, &timing);
                     }
-                    Err(error) => self.driver.refused(now, query.id, &error.encode()),
+                    Err(error) => self.driver.refused(NOW, query.id, &error.encode()),
                 },
-                Some(Action::Probe(query)) => self.driver.ended(now, query.id),
+                Some(Action::Probe(query)) => self.driver.ended(NOW, query.id),
                 // Every query above is answered at once, so the period is decided before there is nothing to do.
-                None => self.driver.wake(now + budget),
+                None => self.driver.wake(deadline),
             }
         }
     }

@@ -48,7 +48,7 @@ mod step;
 pub use action::{Action, Query, QueryId};
 pub use carry::Carry;
 pub use config::{DriverConfig, DriverError};
-pub use discovery::{Discovery, DiscoveryError};
+pub use discovery::{Discovery, DiscoveryError, Unusable};
 pub use driver::{Driver, Time};
 pub use in_process::{Answer, InProcessDriver};
 pub use measurement::{InvalidArgument, Measurement};

@@ -200,6 +200,21 @@ mod tests {
     }
 
     #[test]
+    fn a_replica_is_forgiven_a_minute_after_its_demotion_and_not_before() {
+        let almost = seconds(61.0).saturating_sub(Duration::from_nanos(1));
+        for (again, length) in [(almost, 2), (seconds(61.0), 1)] {
+            let (mut replicas, usual) = three();
+            replicas.demote(&usual[0], seconds(0.0)); // until 1 s
+            replicas.proved(&usual[0]);
+            replicas.demote(&usual[0], again);
+            let promoted = again + Duration::from_secs(length);
+            let before = promoted.saturating_sub(Duration::from_nanos(1));
+            assert_eq!(replicas.next_probe(before), None);
+            assert!(replicas.next_probe(promoted).is_some());
+        }
+    }
+
+    #[test]
     fn repeated_failures_within_a_demotion_do_not_lengthen_it() {
         let (mut replicas, usual) = three();
         replicas.demote(&usual[0], seconds(0.0));

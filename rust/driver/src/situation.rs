@@ -117,6 +117,7 @@ pub(crate) fn wrap(angle: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::float_cmp)]
     use super::*;
 
     const ENVELOPE: [GpInput; 2] = [
@@ -166,6 +167,28 @@ mod tests {
             verdicts,
             [false, false, false, false, false, true, true, false]
         );
+    }
+
+    #[test]
+    fn half_a_turn_stays_positive() {
+        assert_eq!((wrap(PI), wrap(-PI)), (PI, PI));
+        assert!((wrap(PI + 0.25) - (0.25 - PI)).abs() < 1e-12);
+        assert_eq!(wrap(0.0), 0.0);
+    }
+
+    #[test]
+    fn a_vehicle_at_a_limit_is_not_beyond_it() {
+        // 2 m/s beyond half a range of 5 m/s are 0.4 half widths.
+        let envelope = situation([1.0, 2.0, 10.0, 3.0, -8.0, 0.0, 0.0]);
+        let distance = situation([26.0, 2.0, 10.0, 3.0, 0.0, 0.0, 0.0]);
+        let x = [0.0, 0.0, 10.0, FRAC_PI_2, 0.0, 0.0, 0.0];
+        let heading = Situation::new(&x, &[0.0; 4], &ENVELOPE);
+        assert_eq!(envelope.envelope, MAX_ENVELOPE);
+        assert_eq!(distance.distance, MAX_DISTANCE);
+        assert_eq!(heading.heading, MAX_HEADING);
+        for at in [envelope, distance, heading] {
+            assert_eq!(at.beyond(), None);
+        }
     }
 
     #[test]

@@ -8,7 +8,7 @@
 mod commonroad;
 mod vehicle;
 
-pub use vehicle::{Difference, ParameterError, VehicleParameters};
+pub use vehicle::{ParameterError, VehicleParameters};
 
 /// Gravity of all vehicle models, in m/s²: that of the CommonRoad vehicles.
 pub const GRAVITY: f64 = 9.81;

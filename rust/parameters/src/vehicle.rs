@@ -2,9 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Largest relative difference between two values that describe the same vehicle.
-const SAME: f64 = 0.01;
-
 /// One vehicle: body, actuators and tyres. All values are positive except `a_min`.
 ///
 /// Actuator limits are accelerations at the vehicle's own mass, because the optimal control problem is solved in
@@ -60,23 +57,6 @@ pub struct ParameterError {
     pub value: f64,
 }
 
-/// Two vehicles that are not the same.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "`{name}` is {own} {unit} for this vehicle and {planned} {unit} for the one that plans are made for; \
-     use a library trained for this vehicle, or correct the parameters or the settings"
-)]
-pub struct Difference {
-    /// The field of [`VehicleParameters`].
-    pub name: &'static str,
-    /// Its unit.
-    pub unit: &'static str,
-    /// The value of the vehicle that was compared.
-    pub own: f64,
-    /// The value of the vehicle that plans are made for.
-    pub planned: f64,
-}
-
 impl VehicleParameters {
     /// Name, unit and value of every field, in the order of the struct.
     pub fn fields(&self) -> [(&'static str, &'static str, f64); 16] {
@@ -116,27 +96,6 @@ impl VehicleParameters {
                     unit,
                     sign,
                     value,
-                });
-            }
-        }
-        Ok(())
-    }
-
-    /// Checks that this vehicle is the one that plans are made for: every value within 1 % of that vehicle's. That is as much
-    /// as data sheets round by, and less than another car or a full load makes.
-    ///
-    /// # Errors
-    /// [`Difference`] with both values, for the first field that differs by more or is not a number.
-    pub fn check_same(&self, planned: &Self) -> Result<(), Difference> {
-        for ((name, unit, own), (_, _, planned)) in self.fields().into_iter().zip(planned.fields())
-        {
-            let alike = (own - planned).abs() <= SAME * planned.abs();
-            if !alike {
-                return Err(Difference {
-                    name,
-                    unit,
-                    own,
-                    planned,
                 });
             }
         }

@@ -299,9 +299,12 @@ struct Discover(Discovery);
 #[pymethods]
 impl Discover {
     #[new]
-    fn new(fleet: &str, vehicle: &str) -> PyResult<Self> {
-        let name = |text: &str| text.parse().map_err(InvalidArgumentError::raise);
-        Ok(Self(Discovery::new(name(fleet)?, name(vehicle)?)))
+    #[pyo3(signature = (*, fleet, vehicle, gate, budget = 0.8))]
+    fn new(fleet: &str, vehicle: &str, gate: BTreeMap<String, f64>, budget: f64) -> PyResult<Self> {
+        let config = driver_config(fleet, vehicle, gate, budget, false)?;
+        Discovery::new(&config)
+            .map(Self)
+            .map_err(InvalidArgumentError::raise)
     }
 
     fn replica_appeared(&mut self, replica: &str) -> PyResult<()> {
@@ -324,12 +327,22 @@ impl Discover {
         Some((replica.to_string(), key))
     }
 
-    #[staticmethod]
-    fn is_ready(replica: &str, answer: &[u8]) -> PyResult<bool> {
+    fn is_usable(&mut self, replica: &str, answer: &[u8]) -> PyResult<bool> {
         let replica = replica.parse().map_err(raise)?;
-        Ok(Discovery::answered(&replica, answer)
-            .map_err(raise)?
-            .is_some())
+        Ok(self.0.answered(&replica, answer).is_some())
+    }
+
+    #[getter]
+    fn error(&self) -> String {
+        self.0.error().to_string()
+    }
+
+    #[getter]
+    fn unusable(&self) -> BTreeMap<String, String> {
+        let reasons = self.0.error().0.into_iter();
+        reasons
+            .map(|(replica, reason)| (replica.to_string(), reason.to_string()))
+            .collect()
     }
 }
 

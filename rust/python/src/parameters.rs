@@ -44,10 +44,6 @@ impl VehicleParameters {
         limits.map(|(name, _, value)| (name, value)).collect()
     }
 
-    fn check_same(&self, planned: &Self) -> PyResult<()> {
-        self.0.check_same(&planned.0).map_err(raise)
-    }
-
     #[getter]
     fn mass(&self) -> f64 {
         self.0.mass

@@ -91,6 +91,53 @@ pub(crate) fn simplex(field: &'static str, weights: &[f64]) -> Result<(), Invali
     Ok(())
 }
 
+/// Standard deviations that are not negative, in rows of finite numbers.
+pub(crate) fn deviations<const W: usize>(
+    field: &'static str,
+    rows: &[[f64; W]],
+) -> Result<(), Invalid> {
+    match rows.as_flattened().iter().find(|value| **value < 0.0) {
+        Some(value) => Err(Invalid::field(
+            field,
+            format!("a standard deviation is at least 0, got {value}"),
+        )),
+        None => Ok(()),
+    }
+}
+
+/// The weight of some of the members: between zero and one, up to the slack of the weights.
+pub(crate) fn share(field: &'static str, value: f64) -> Result<(), Invalid> {
+    if (-SIMPLEX_TOLERANCE..=1.0 + SIMPLEX_TOLERANCE).contains(&value) {
+        return Ok(());
+    }
+    Err(Invalid::field(
+        field,
+        format!("expected a number in [0, 1], got {value}"),
+    ))
+}
+
+/// The KKT residual of a solution: finite and not negative. Without a solution it may be infinite.
+pub(crate) fn residual(field: &'static str, value: f64, solved: bool) -> Result<(), Invalid> {
+    if value >= 0.0 && (value.is_finite() || !solved) {
+        return Ok(());
+    }
+    Err(Invalid::field(
+        field,
+        format!("expected a number of at least 0, finite if the status is solved, got {value}"),
+    ))
+}
+
+/// At least one, and at most `limit`.
+pub(crate) fn count(field: &'static str, actual: usize, limit: usize) -> Result<(), Invalid> {
+    if (1..=limit).contains(&actual) {
+        return Ok(());
+    }
+    Err(Invalid::field(
+        field,
+        format!("expected 1 to {limit}, got {actual}"),
+    ))
+}
+
 /// Exactly `expected` rows, or none when that is allowed.
 pub(crate) fn row_count(
     field: &'static str,

@@ -3,7 +3,8 @@
 use egp_parameters::VehicleParameters;
 use prost::Message as _;
 
-use crate::{GpInput, Invalid, LibraryId, Limits, VERSION, check, proto};
+use crate::proto::{self, VehicleParameters as VehicleMessage};
+use crate::{GpInput, Invalid, LibraryId, Limits, VERSION, check};
 
 /// Answer of a replica's `ready` key.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,12 +62,8 @@ impl Ready {
                 format!("expected seconds in (0, 1], got {}", raw.dt),
             ));
         }
-        check::at_most(
-            "horizon",
-            raw.horizon,
-            limits.horizon,
-            "the limit of this side",
-        )?;
+        check::count("horizon", raw.horizon as usize, limits.horizon)?;
+        check::count("members", raw.members.len(), limits.members)?;
         check::at_most(
             "history",
             raw.history,
@@ -120,82 +117,37 @@ fn envelope(tensor: Option<proto::Tensor>) -> Result<[GpInput; 2], Invalid> {
     }
 }
 
-fn vehicle_to_proto(vehicle: &VehicleParameters) -> proto::VehicleParameters {
-    let &VehicleParameters {
-        mass,
-        yaw_inertia,
-        l_f,
-        l_r,
-        width,
-        a_min,
-        a_max,
-        power,
-        a_slew,
-        steering_angle,
-        steering_rate,
-        steering_slew,
-        peak_slip,
-        lateral_grip,
-        braking_grip,
-        driving_grip,
-    } = vehicle;
-    proto::VehicleParameters {
-        mass,
-        yaw_inertia,
-        l_f,
-        l_r,
-        width,
-        a_min,
-        a_max,
-        power,
-        a_slew,
-        steering_angle,
-        steering_rate,
-        steering_slew,
-        peak_slip,
-        lateral_grip,
-        braking_grip,
-        driving_grip,
-    }
+/// A struct of the given type with the parameters of `$vehicle`. Message and [`VehicleParameters`] have the same fields, and
+/// the compiler reports one that is missing here.
+macro_rules! with_parameters_of {
+    ($vehicle:expr, $into:ident) => {
+        $into {
+            mass: $vehicle.mass,
+            yaw_inertia: $vehicle.yaw_inertia,
+            l_f: $vehicle.l_f,
+            l_r: $vehicle.l_r,
+            width: $vehicle.width,
+            a_min: $vehicle.a_min,
+            a_max: $vehicle.a_max,
+            power: $vehicle.power,
+            a_slew: $vehicle.a_slew,
+            steering_angle: $vehicle.steering_angle,
+            steering_rate: $vehicle.steering_rate,
+            steering_slew: $vehicle.steering_slew,
+            peak_slip: $vehicle.peak_slip,
+            lateral_grip: $vehicle.lateral_grip,
+            braking_grip: $vehicle.braking_grip,
+            driving_grip: $vehicle.driving_grip,
+        }
+    };
 }
 
-fn vehicle_from_proto(raw: &proto::VehicleParameters) -> Result<VehicleParameters, Invalid> {
-    let &proto::VehicleParameters {
-        mass,
-        yaw_inertia,
-        l_f,
-        l_r,
-        width,
-        a_min,
-        a_max,
-        power,
-        a_slew,
-        steering_angle,
-        steering_rate,
-        steering_slew,
-        peak_slip,
-        lateral_grip,
-        braking_grip,
-        driving_grip,
-    } = raw;
-    let vehicle = VehicleParameters {
-        mass,
-        yaw_inertia,
-        l_f,
-        l_r,
-        width,
-        a_min,
-        a_max,
-        power,
-        a_slew,
-        steering_angle,
-        steering_rate,
-        steering_slew,
-        peak_slip,
-        lateral_grip,
-        braking_grip,
-        driving_grip,
-    };
+fn vehicle_to_proto(vehicle: &VehicleParameters) -> VehicleMessage {
+    with_parameters_of!(vehicle, VehicleMessage)
+}
+
+fn vehicle_from_proto(raw: &VehicleMessage) -> Result<VehicleParameters, Invalid> {
+    let vehicle = with_parameters_of!(raw, VehicleParameters);
     match vehicle.validate() {
         Ok(()) => Ok(vehicle),
         Err(error) => Err(Invalid::field("vehicle", error.to_string())),

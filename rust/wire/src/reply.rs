@@ -133,6 +133,10 @@ impl Reply {
             return Err(Invalid::field("weights", "is required and absent"));
         }
         check::simplex("weights", &self.weights)?;
+        check::deviations("sigma", &self.sigma)?;
+        check::share("dropped_mass", self.dropped_mass)?;
+        let solved = self.status == Status::Solved;
+        check::residual("kkt_residual", self.kkt_residual, solved)?;
         check::predictions(&self.history_f, self.history_f.len(), &self.weights)
     }
 }

@@ -31,6 +31,8 @@ struct Pending {
     /// Deadline of its control period.
     due: Time,
     request: Request,
+    /// Whether the replica was demoted because the deadline passed. What comes later does not demote it again.
+    counted: bool,
 }
 
 /// A control period that is not decided yet.
@@ -76,12 +78,7 @@ impl Driver {
     /// [`DriverError`] when budget, limits or gate settings are out of range, or when the limits allow more than the
     /// vehicle that the service plans for can do.
     pub fn new(config: DriverConfig, served: Ready) -> Result<Self, DriverError> {
-        let gate = Gate::new(
-            config.limits,
-            served.dt,
-            config.max_tail_ticks,
-            config.stop_deceleration,
-        )?;
+        let gate = config.gate(served.dt)?;
         if let Some(planned) = &served.vehicle {
             config.limits.check_within(planned)?;
         }
@@ -228,9 +225,12 @@ impl Driver {
         let Some(run) = self.running.as_mut().filter(|run| now >= run.deadline) else {
             return;
         };
-        if let Some((_, replica)) = &run.current {
+        if let Some((id, replica)) = &run.current {
             run.outcome = Outcome::Late;
             self.replicas.demote(replica, now);
+            if let Some(pending) = self.pending.get_mut(id) {
+                pending.counted = true;
+            }
         }
         self.decide(now, None);
     }
@@ -246,7 +246,7 @@ impl Driver {
         let reply = match reply::decode(payload, &pending.request, &self.served) {
             Ok(reply) => reply,
             Err(invalid) => {
-                self.replicas.demote(&pending.replica, now);
+                self.demote(now, &pending);
                 return self.failed(now, id, Outcome::Unusable(invalid));
             }
         };
@@ -281,7 +281,7 @@ impl Driver {
             return;
         };
         let Ok(error) = WireError::decode(error) else {
-            return self.vanished(now, id, &pending.replica);
+            return self.vanished(now, id, &pending);
         };
         // Errors of load and of leaving pass; those that a sound replica would not send do not.
         let passing = matches!(
@@ -289,7 +289,7 @@ impl Driver {
             Code::Overloaded | Code::TooLate | Code::Draining | Code::Superseded
         );
         if !passing {
-            self.replicas.demote(&pending.replica, now);
+            self.demote(now, &pending);
         }
         self.failed(now, id, Outcome::Refused(error));
     }
@@ -298,7 +298,7 @@ impl Driver {
     pub fn ended(&mut self, now: Time, id: QueryId) {
         self.probes.remove(&id);
         if let Some(pending) = self.pending.remove(&id) {
-            self.vanished(now, id, &pending.replica);
+            self.vanished(now, id, &pending);
         }
     }
 }

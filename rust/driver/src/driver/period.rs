@@ -52,6 +52,7 @@ impl Driver {
             sent: now,
             due: run.deadline,
             request: run.request.clone(),
+            counted: false,
         };
         run.current = Some((id, replica));
         self.pending.insert(id, pending);
@@ -70,9 +71,16 @@ impl Driver {
         }
     }
 
+    /// Counts the failure of a query against its replica, unless the deadline that passed was counted already.
+    pub(super) fn demote(&mut self, now: Time, pending: &Pending) {
+        if !pending.counted {
+            self.replicas.demote(&pending.replica, now);
+        }
+    }
+
     /// A replica that announces itself gave no answer at all.
-    pub(super) fn vanished(&mut self, now: Time, id: QueryId, replica: &Name) {
-        self.replicas.demote(replica, now);
+    pub(super) fn vanished(&mut self, now: Time, id: QueryId, pending: &Pending) {
+        self.demote(now, pending);
         self.failed(now, id, Outcome::Unreachable);
     }
 

@@ -1,5 +1,4 @@
 //! The carry through lost, late and repeated replies.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use egp_driver::Carry;
 use egp_wire::{Limits, Predictions, Reply, Request, Status};
@@ -130,4 +129,80 @@ fn foreign_replies_are_refused_and_reset_forgets() {
     let next = period(&mut carry, 10.0, 0.0);
     assert_eq!(next.sequence, 2);
     assert!(next.history_z.is_empty() && next.plan_u.is_empty() && next.weights.is_empty());
+}
+
+#[test]
+fn a_gap_starts_the_history_anew() {
+    let mut carry = Carry::new(LIBRARY, 3);
+    assert_eq!((carry.library(), carry.sequence()), (LIBRARY, 0));
+    period(&mut carry, 10.0, 100.0);
+    assert_eq!(period(&mut carry, 11.0, 200.0).history_z.len(), 1);
+    assert_eq!((carry.last_input(), carry.sequence()), ([200.0, 0.0], 2));
+    carry.skip();
+    carry.applied([-50.0, 0.0]);
+    assert_eq!(carry.sequence(), 3);
+    let after = period(&mut carry, 12.0, 300.0);
+    assert_eq!((after.history_z.len(), after.u_prev), (0, [-50.0, 0.0]));
+    let next = period(&mut carry, 13.0, 0.0);
+    assert_eq!(next.history_z, [[12.0, 0.0, 0.0, 0.0, 300.0, 0.0]]);
+}
+
+#[test]
+fn transitions_are_differences_of_all_three_motions() {
+    let mut carry = Carry::new(LIBRARY, 3);
+    let reference = vec![[0.0; 4]; HORIZON + 1];
+    carry.request(
+        [0.0, 0.0, 10.0, 0.0, 1.0, 0.5, 0.1],
+        reference.clone(),
+        vec![],
+        1,
+    );
+    carry.applied([100.0, 0.2]);
+    let after = [0.0, 0.0, 12.0, 0.0, 4.0, 0.75, 0.2];
+    let request = carry.request(after, reference, vec![], 1);
+    assert_eq!(request.history_z, [[10.0, 1.0, 0.5, 0.1, 100.0, 0.2]]);
+    assert_eq!(request.history_y, [[2.0, 3.0, 0.25]]);
+}
+
+#[test]
+fn weights_are_given_until_a_reply_brings_others() {
+    let mut carry = Carry::new(LIBRARY, 3);
+    carry.start_from(vec![1.0, 0.0]);
+    let first = period(&mut carry, 10.0, 0.0);
+    assert_eq!(first.weights, [1.0, 0.0]);
+    carry.accept(&answer(&first, Status::Solved, 0.0)).unwrap();
+    assert_eq!(carry.weights(), [0.5, 0.5]);
+    carry.hold_weights(vec![0.0, 1.0]);
+    for _ in 0..2 {
+        let held = period(&mut carry, 10.0, 0.0);
+        assert_eq!((held.weights, held.history_z.len()), (vec![0.0, 1.0], 0));
+    }
+}
+
+#[test]
+fn predictions_of_another_number_of_members_are_not_mixed() {
+    let mut carry = Carry::new(LIBRARY, 4);
+    period(&mut carry, 10.0, 0.0);
+    let second = period(&mut carry, 11.0, 0.0);
+    carry.accept(&answer(&second, Status::Solved, 2.0)).unwrap();
+    let third = period(&mut carry, 12.0, 0.0);
+    let mut three = answer(&third, Status::Solved, 3.0);
+    three.history_f = Predictions::new(3, vec![[3.0; 3]; 3]);
+    carry.accept(&three).unwrap();
+    // The newer of the two transitions now has three predictions, the older one two.
+    let fourth = period(&mut carry, 13.0, 0.0);
+    assert_eq!((fourth.history_f.members, fourth.history_f.len()), (2, 1));
+    assert_eq!(fourth.history_f.values, [[2.0; 3]; 2]);
+}
+
+#[test]
+fn a_plan_of_another_horizon_starts_nothing_warm() {
+    let mut carry = Carry::new(LIBRARY, 2);
+    let first = period(&mut carry, 10.0, 0.0);
+    let mut short = answer(&first, Status::Solved, 0.0);
+    short.plan_x.pop();
+    short.plan_u.pop();
+    carry.accept(&short).unwrap();
+    let second = period(&mut carry, 10.0, 0.0);
+    assert!(second.plan_x.is_empty() && second.plan_u.is_empty());
 }

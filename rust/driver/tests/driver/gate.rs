@@ -1,34 +1,20 @@
 //! A driver cannot be made with a gate that allows more than the vehicle that the service plans for can do.
-#![allow(clippy::unwrap_used)]
 
 use egp_driver::{Driver, DriverConfig, DriverError};
 use egp_gate::{GateError, Limits};
 use egp_parameters::VehicleParameters;
 use egp_wire::Ready;
 
-const CAR: VehicleParameters = VehicleParameters::FORD_ESCORT;
-
-/// What a replica serves whose library was trained for this vehicle.
-fn served(vehicle: Option<VehicleParameters>) -> Ready {
-    Ready {
-        ready: true,
-        library: [7; 32],
-        dt: 0.02,
-        horizon: 4,
-        history: 3,
-        members: vec!["dry".to_owned()],
-        envelope: [
-            [0.0, -5.0, -2.0, -0.6, -9e3, -0.4],
-            [30.0, 5.0, 2.0, 0.6, 9e3, 0.4],
-        ],
-        vehicle,
-    }
-}
+use crate::world::{CAR, served};
 
 /// The error of a driver with these limits, if there is one.
 fn error_with(limits: Limits, vehicle: Option<VehicleParameters>) -> Option<DriverError> {
     let config = DriverConfig::new("depot", "car-7", limits).unwrap();
-    Driver::new(config, served(vehicle)).err()
+    let served = Ready {
+        vehicle,
+        ..served()
+    };
+    Driver::new(config, served).err()
 }
 
 #[test]

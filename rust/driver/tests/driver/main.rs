@@ -1,4 +1,10 @@
-//! Tests of the driver's parts.
+//! The state machine of the vehicle's side, event by event.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::float_cmp)]
 
 mod carry;
 mod gate;
+mod in_process;
+mod periods;
+mod probes;
+mod replies;
+mod world;

@@ -38,13 +38,18 @@ fn a_gate_wider_than_the_planned_vehicle_is_told_with_both_numbers() {
         ..car()
     };
     assert_eq!(narrow.check_within(&planned), Ok(()));
+    for share in [0.991, 1.009] {
+        let mass = share * planned.mass;
+        let rounded = Limits { mass, ..car() };
+        assert_eq!(rounded.check_within(&planned), Ok(()), "{share}");
+    }
     let wide = |name, change: fn(&mut Limits)| {
         let mut limits = car();
         change(&mut limits);
         assert_eq!(at_fault(limits).name, name);
     };
-    wide("mass", |limits| limits.mass = 1600.0);
-    wide("mass", |limits| limits.mass = 900.0);
+    wide("mass", |limits| limits.mass *= 1.011);
+    wide("mass", |limits| limits.mass *= 0.989);
     wide("mass", |limits| limits.mass = f64::NAN);
     wide("force_min", |limits| limits.force_min = -9900.0);
     wide("force_max", |limits| limits.force_max = f64::NAN);

@@ -1,7 +1,7 @@
 //! Both sides of every limit: the last value accepted and the first one refused.
 
 use egp_testing::messages;
-use egp_wire::{Invalid, Limits, Predictions, Ready, Reply, Request, Status};
+use egp_wire::{Invalid, Limits, Predictions, Reply, Request};
 
 /// A request with a horizon of `horizon`, without plan, history and widths.
 fn request_over(horizon: usize) -> Request {
@@ -34,7 +34,7 @@ fn decoded(request: &Request) -> Result<Request, Invalid> {
     Request::decode(&request.encode(), &Limits::default())
 }
 
-fn decoded_reply(reply: &Reply) -> Result<Reply, Invalid> {
+pub(crate) fn decoded_reply(reply: &Reply) -> Result<Reply, Invalid> {
     Reply::decode(&reply.encode(), &Limits::default())
 }
 
@@ -44,11 +44,12 @@ fn refused(request: &Request) -> Option<&'static str> {
 }
 
 /// The field that is named when `reply` is refused.
-fn refused_reply(reply: &Reply) -> Option<&'static str> {
+pub(crate) fn refused_reply(reply: &Reply) -> Option<&'static str> {
     field(&decoded_reply(reply))
 }
 
-fn field<T>(result: &Result<T, Invalid>) -> Option<&'static str> {
+/// The field that an error names.
+pub(crate) fn field<T>(result: &Result<T, Invalid>) -> Option<&'static str> {
     match result {
         Err(Invalid::Field { field, .. }) => Some(field),
         _ => None,
@@ -270,107 +271,4 @@ fn messages_are_accepted_up_to_the_limit_of_bytes() {
         Reply::decode(&reply, &tight(reply.len() - 1)),
         Err(Invalid::TooLarge { .. })
     ));
-}
-
-#[test]
-fn only_a_solved_reply_has_a_plan() {
-    let solved = messages::solved_reply;
-    let spoiled = [
-        Reply {
-            status: Status::Unspecified,
-            ..messages::infeasible_reply()
-        },
-        Reply {
-            plan_u: vec![],
-            plan_x: vec![[0.0; 7]],
-            ..solved()
-        },
-        Reply {
-            plan_x: vec![[0.0; 7]; 4],
-            ..solved()
-        },
-        Reply {
-            plan_x: vec![[0.0; 7]; 6],
-            ..solved()
-        },
-        Reply {
-            plan_x: vec![[0.0; 7]; 5],
-            ..messages::infeasible_reply()
-        },
-        Reply {
-            plan_u: vec![[0.0; 2]; 4],
-            ..messages::infeasible_reply()
-        },
-    ];
-    let fields = spoiled.each_ref().map(refused_reply);
-    let (x, u) = (Some("plan_x"), Some("plan_u"));
-    assert_eq!(fields, [Some("status"), u, x, x, u, u]);
-}
-
-#[test]
-fn a_reply_is_checked_like_a_request() {
-    let mut fast = messages::solved_reply();
-    fast.plan_x[2][2] = 151.0;
-    let mut strong = messages::solved_reply();
-    strong.plan_u[1][0] = 2e6;
-    let spoiled = [
-        fast,
-        strong,
-        Reply {
-            weights: vec![],
-            ..messages::solved_reply()
-        },
-        Reply {
-            weights: vec![0.6, 0.6],
-            ..messages::solved_reply()
-        },
-        Reply {
-            weights: vec![1.0],
-            ..messages::solved_reply()
-        },
-    ];
-    let fields = spoiled
-        .each_ref()
-        .map(|reply| refused_reply(reply).unwrap());
-    assert_eq!(
-        fields,
-        ["plan_x", "plan_u", "weights", "weights", "history_f"]
-    );
-}
-
-#[test]
-fn a_replica_is_described_within_the_limits_of_the_client() {
-    let limits = Limits::default();
-    let bound = |limit: usize| u32::try_from(limit).unwrap();
-    let decode = |ready: &Ready| Ready::decode(&ready.encode(), &limits);
-    for (dt, horizon, history) in [
-        (1.0, bound(limits.horizon), bound(limits.history)),
-        (1e-3, 1, 0),
-    ] {
-        let ready = Ready {
-            dt,
-            horizon,
-            history,
-            ..messages::ready()
-        };
-        assert_eq!(decode(&ready).unwrap(), ready);
-    }
-    for dt in [0.0, -0.05, 1.0 + 1e-9, f64::NAN, f64::INFINITY] {
-        let ready = Ready {
-            dt,
-            ..messages::ready()
-        };
-        assert_eq!(field(&decode(&ready)), Some("dt"), "{dt}");
-    }
-    let (long, deep) = (bound(limits.horizon) + 1, bound(limits.history) + 1);
-    let long = Ready {
-        horizon: long,
-        ..messages::ready()
-    };
-    assert_eq!(field(&decode(&long)), Some("horizon"));
-    let deep = Ready {
-        history: deep,
-        ..messages::ready()
-    };
-    assert_eq!(field(&decode(&deep)), Some("history"));
 }

@@ -1,6 +1,7 @@
 //! Messages on the wire: what is written, what is read, and what is refused.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+mod answers;
 mod borders;
 mod golden;
 mod properties;

@@ -1,0 +1,173 @@
+//! Both sides of every limit of what a service answers: replies and descriptions of a replica.
+
+use egp_testing::messages;
+use egp_wire::{Limits, Ready, Reply, Status};
+
+use crate::borders::{decoded_reply, field, refused_reply};
+
+#[test]
+fn only_a_solved_reply_has_a_plan() {
+    let solved = messages::solved_reply;
+    let spoiled = [
+        Reply {
+            status: Status::Unspecified,
+            ..messages::infeasible_reply()
+        },
+        Reply {
+            plan_u: vec![],
+            plan_x: vec![[0.0; 7]],
+            ..solved()
+        },
+        Reply {
+            plan_x: vec![[0.0; 7]; 4],
+            ..solved()
+        },
+        Reply {
+            plan_x: vec![[0.0; 7]; 6],
+            ..solved()
+        },
+        Reply {
+            plan_x: vec![[0.0; 7]; 5],
+            ..messages::infeasible_reply()
+        },
+        Reply {
+            plan_u: vec![[0.0; 2]; 4],
+            ..messages::infeasible_reply()
+        },
+    ];
+    let fields = spoiled.each_ref().map(refused_reply);
+    let (x, u) = (Some("plan_x"), Some("plan_u"));
+    assert_eq!(fields, [Some("status"), u, x, x, u, u]);
+}
+
+#[test]
+fn a_reply_is_checked_like_a_request() {
+    let mut fast = messages::solved_reply();
+    fast.plan_x[2][2] = 151.0;
+    let mut strong = messages::solved_reply();
+    strong.plan_u[1][0] = 2e6;
+    let spoiled = [
+        fast,
+        strong,
+        Reply {
+            weights: vec![],
+            ..messages::solved_reply()
+        },
+        Reply {
+            weights: vec![0.6, 0.6],
+            ..messages::solved_reply()
+        },
+        Reply {
+            weights: vec![1.0],
+            ..messages::solved_reply()
+        },
+    ];
+    let fields = spoiled
+        .each_ref()
+        .map(|reply| refused_reply(reply).unwrap());
+    assert_eq!(
+        fields,
+        ["plan_x", "plan_u", "weights", "weights", "history_f"]
+    );
+}
+
+#[test]
+fn numbers_about_the_qp_and_deviations_are_accepted_up_to_their_limits() {
+    let dropped = |dropped_mass| Reply {
+        dropped_mass,
+        ..messages::solved_reply()
+    };
+    for accepted in [-9e-7, 0.0, 1.0, 1.0 + 9e-7] {
+        let reply = dropped(accepted);
+        assert_eq!(decoded_reply(&reply).unwrap(), reply);
+    }
+    for spoiled in [-2e-6, 1.0 + 2e-6, f64::NAN, f64::INFINITY] {
+        assert_eq!(refused_reply(&dropped(spoiled)), Some("dropped_mass"));
+    }
+
+    let residual = |kkt_residual, reply: Reply| Reply {
+        kkt_residual,
+        ..reply
+    };
+    for (accepted, like) in [
+        (0.0, messages::solved_reply()),
+        (f64::MAX, messages::solved_reply()),
+        (f64::INFINITY, messages::infeasible_reply()),
+    ] {
+        let reply = residual(accepted, like);
+        assert_eq!(decoded_reply(&reply).unwrap(), reply);
+    }
+    for (spoiled, like) in [
+        (f64::INFINITY, messages::solved_reply()),
+        (-1e-300, messages::solved_reply()),
+        (f64::NAN, messages::solved_reply()),
+        (-1e-300, messages::infeasible_reply()),
+        (f64::NAN, messages::infeasible_reply()),
+    ] {
+        assert_eq!(
+            refused_reply(&residual(spoiled, like)),
+            Some("kkt_residual"),
+            "{spoiled}"
+        );
+    }
+
+    let mut reply = messages::solved_reply();
+    reply.sigma[4][2] = 0.0;
+    assert_eq!(decoded_reply(&reply).unwrap(), reply);
+    for spoiled in [-1e-300, f64::NAN] {
+        reply.sigma[4][2] = spoiled;
+        assert_eq!(refused_reply(&reply), Some("sigma"), "{spoiled}");
+    }
+}
+
+#[test]
+fn a_replica_is_described_within_the_limits_of_the_client() {
+    let limits = Limits::default();
+    let bound = |limit: usize| u32::try_from(limit).unwrap();
+    let decode = |ready: &Ready| Ready::decode(&ready.encode(), &limits);
+    for (dt, horizon, history) in [
+        (1.0, bound(limits.horizon), bound(limits.history)),
+        (1e-3, 1, 0),
+    ] {
+        let ready = Ready {
+            dt,
+            horizon,
+            history,
+            ..messages::ready()
+        };
+        assert_eq!(decode(&ready).unwrap(), ready);
+    }
+    for dt in [0.0, -0.05, 1.0 + 1e-9, f64::NAN, f64::INFINITY] {
+        let ready = Ready {
+            dt,
+            ..messages::ready()
+        };
+        assert_eq!(field(&decode(&ready)), Some("dt"), "{dt}");
+    }
+    let (long, deep) = (bound(limits.horizon) + 1, bound(limits.history) + 1);
+    let long = Ready {
+        horizon: long,
+        ..messages::ready()
+    };
+    assert_eq!(field(&decode(&long)), Some("horizon"));
+    let deep = Ready {
+        history: deep,
+        ..messages::ready()
+    };
+    assert_eq!(field(&decode(&deep)), Some("history"));
+    let without_a_plan = Ready {
+        horizon: 0,
+        ..messages::ready()
+    };
+    assert_eq!(field(&decode(&without_a_plan)), Some("horizon"));
+    let of = |members: usize| Ready {
+        members: vec!["dry".to_owned(); members],
+        ..messages::ready()
+    };
+    for accepted in [of(1), of(limits.members)] {
+        assert_eq!(decode(&accepted).unwrap(), accepted);
+    }
+    for spoiled in [of(0), of(limits.members + 1)] {
+        assert_eq!(field(&decode(&spoiled)), Some("members"));
+    }
+}
