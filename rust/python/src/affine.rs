@@ -14,9 +14,13 @@ use crate::error::{EgpError, raise};
 use crate::ocp::{OcpResult, result};
 use crate::parameters::VehicleParameters;
 
-/// Assembles and solves the problems of one set of settings on a surface of one friction.
+/// The control step's optimal control problem, eq. (18), for affine dynamics from any source.
+///
+/// `settings_toml` holds the settings of a control step, which override those of `vehicle`; `dt` is the period in s, `friction`
+/// the surface's coefficient. Cost, bounds and solvers are those of the step. Raises `EgpError` for settings out of range, and
+/// for a period or friction that is not a positive number.
 #[pyclass(module = "egp_service._core", frozen)]
-struct AffineOcp {
+pub struct AffineOcp {
     settings: Settings,
     vehicle: egp_parameters::VehicleParameters,
     dt: f64,
@@ -68,7 +72,11 @@ impl AffineOcp {
         })
     }
 
-    /// Everything in one frame near the vehicle, forces in N; the result's inputs are scaled.
+    /// Solve for x_{t+1} = A x_t + B u_t + c, with positions and yaw relative to a frame near the vehicle.
+    ///
+    /// Measured state x0 (7,), input now applied u_prev (2,), operating trajectory (T+1, 7) and (T, 2), a (T, 7, 7), b (T, 7, 2),
+    /// c (T, 7), reference rows [p_x, p_y, v_x, psi] (T+1, 4) and widths [left, right] (T+1, 2); forces in N. The result's inputs
+    /// are scaled to accelerations.
     #[pyo3(signature = (x0, u_prev, operating_x, operating_u, a, b, c, reference, widths = None))]
     #[allow(clippy::too_many_arguments)]
     fn solve(
@@ -159,12 +167,4 @@ fn stages<const N: usize>(name: &str, array: &Matrix<'_>, count: usize) -> PyRes
         &format!("({count}, {N})"),
         &[rows.len(), N],
     ))
-}
-
-/// Adds the class to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<AffineOcp>()
 }

@@ -14,73 +14,89 @@ use crate::error::{InvalidArgumentError, raise};
 use crate::gate::{configure, mode_name};
 use crate::wire::matrix;
 
-/// A question to a replica, to be sent as it is.
+/// A question to a replica, to be sent as it is. The driver is told the answer with the query's `id`.
 #[pyclass(module = "egp_service._core", frozen, get_all)]
 pub struct Query {
+    /// Identifies the query to the driver.
     id: u64,
+    /// Name of the replica to ask.
     replica: String,
+    /// Key of the zenoh query.
     key: String,
+    /// Bytes to send.
     payload: Cow<'static, [u8]>,
+    /// Time to listen for the answer, s.
     listen: f64,
 }
 
-/// What one control period brought.
+/// The result of one control period; `egp_service.Step` has the same fields and more.
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct Decision(pub egp_driver::Step);
 
 #[pymethods]
 impl Decision {
+    /// Force [N] and steering rate [rad/s] for the actuators (2,).
     #[getter]
     fn u<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.0.command.u)
     }
 
+    /// The mode of the gate that gave the command: "normal", "tail", "stop" or "waiting".
     #[getter]
     fn mode(&self) -> &'static str {
         mode_name(self.0.command.mode)
     }
 
+    /// Whether a limit changed the command of the plan.
     #[getter]
     fn limited(&self) -> bool {
         self.0.command.limited
     }
 
+    /// The outcome in one word.
     #[getter]
     fn status(&self) -> &'static str {
         self.0.outcome.name()
     }
 
+    /// Why there is no plan, or why the vehicle counts as lost; empty otherwise.
     #[getter]
     fn detail(&self) -> String {
         let lost = self.0.lost.map(|lost| lost.to_string());
         lost.unwrap_or_else(|| self.0.outcome.detail())
     }
 
+    /// Whether the vehicle counts as lost and is therefore stopped.
     #[getter]
     fn lost(&self) -> bool {
         self.0.lost.is_some()
     }
 
+    /// Distance of the state from the library's training data, in half widths; 0 inside.
     #[getter]
     fn envelope_distance(&self) -> f64 {
         self.0.situation.map_or(f64::NAN, |here| here.envelope)
     }
 
+    /// States of the new plan (T+1, 7).
     #[getter]
     fn plan_x<'py>(&self, py: Python<'py>) -> PyResult<Option<NewMatrix<'py>>> {
         self.rows(py, |reply| &reply.plan_x)
     }
 
+    /// Inputs of the new plan (T, 2).
     #[getter]
     fn plan_u<'py>(&self, py: Python<'py>) -> PyResult<Option<NewMatrix<'py>>> {
         self.rows(py, |reply| &reply.plan_u)
     }
 
+    /// Standard deviations along the plan (T+1, 3).
     #[getter]
     fn sigma<'py>(&self, py: Python<'py>) -> PyResult<Option<NewMatrix<'py>>> {
         self.rows(py, |reply| &reply.sigma)
     }
 
+    /// Name of the replica that replied, or that was asked last.
     #[getter]
     fn replica(&self) -> String {
         self.0
@@ -89,11 +105,13 @@ impl Decision {
             .map_or_else(String::new, ToString::to_string)
     }
 
+    /// Bytes of the request; empty if none was made.
     #[getter]
     fn request<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         PyBytes::new(py, &self.0.request)
     }
 
+    /// Bytes of this period's reply.
     #[getter]
     fn reply<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyBytes>> {
         self.0
@@ -102,6 +120,7 @@ impl Decision {
             .map(|_| PyBytes::new(py, &self.0.reply_bytes))
     }
 
+    /// Replies to earlier requests that came since the last step.
     #[getter]
     fn late<'py>(&self, py: Python<'py>) -> Vec<Bound<'py, PyBytes>> {
         self.0
@@ -111,7 +130,7 @@ impl Decision {
             .collect()
     }
 
-    /// Seconds in the service's queue and in its worker; zeros when the reply does not say.
+    /// Seconds in the service's queue and in its worker; zeros if the reply does not state them.
     #[getter]
     fn service_time(&self) -> (f64, f64) {
         let seconds = |us: u32| 1e-6 * f64::from(us);
@@ -120,6 +139,7 @@ impl Decision {
         })
     }
 
+    /// Number of replicas that were asked.
     #[getter]
     fn asked(&self) -> u32 {
         self.0.asked
@@ -180,9 +200,14 @@ fn time(seconds: f64) -> PyResult<Duration> {
     Duration::try_from_secs_f64(seconds).map_err(raise)
 }
 
-/// The state machine of one vehicle.
+/// Decides for one vehicle which replica to ask, how long to wait, and which replies to use.
+///
+/// A state machine without clock, network or threads: it is told each event with the time in s of a clock that does not run
+/// backwards, and its actions are to be carried out. `ready` is a replica's answer on its `ready` key, `gate` the settings of
+/// the gate, `budget` the part of the control period that an answer may take. Raises `InvalidArgumentError` for values out of
+/// range.
 #[pyclass(module = "egp_service._core")]
-struct Driver(egp_driver::Driver);
+pub struct Driver(egp_driver::Driver);
 
 #[pymethods]
 impl Driver {
@@ -203,18 +228,24 @@ impl Driver {
             .map_err(InvalidArgumentError::raise)
     }
 
+    /// Note that a replica announces itself.
     fn replica_appeared(&mut self, now: f64, replica: &str) -> PyResult<()> {
         self.0
             .replica_appeared(time(now)?, replica.parse().map_err(raise)?);
         Ok(())
     }
 
+    /// Note that a replica withdrew its announcement or was lost.
     fn replica_gone(&mut self, now: f64, replica: &str) -> PyResult<()> {
         self.0
             .replica_gone(time(now)?, &replica.parse().map_err(raise)?);
         Ok(())
     }
 
+    /// Open a control period at the measured state (7,), with a command due by `deadline`.
+    ///
+    /// `reference` has rows [p_x, p_y, v_x, psi] (T+1, 4), `widths` rows [left, right] (T+1, 2). Raises `InvalidArgumentError`
+    /// if no request can be made of the arguments.
     #[pyo3(signature = (now, deadline, x, reference, widths = None))]
     fn tick(
         &mut self,
@@ -229,27 +260,32 @@ impl Driver {
         ticked.map_err(InvalidArgumentError::raise)
     }
 
+    /// Decide the open period if its deadline has passed.
     fn wake(&mut self, now: f64) -> PyResult<()> {
         self.0.wake(time(now)?);
         Ok(())
     }
 
+    /// Note a reply and its attachment.
     fn replied(&mut self, now: f64, query: u64, payload: &[u8], attachment: &[u8]) -> PyResult<()> {
         self.0
             .replied(time(now)?, QueryId(query), payload, attachment);
         Ok(())
     }
 
+    /// Note an error reply.
     fn refused(&mut self, now: f64, query: u64, error: &[u8]) -> PyResult<()> {
         self.0.refused(time(now)?, QueryId(query), error);
         Ok(())
     }
 
+    /// Note that no more answers to a query come.
     fn ended(&mut self, now: f64, query: u64) -> PyResult<()> {
         self.0.ended(time(now)?, QueryId(query));
         Ok(())
     }
 
+    /// Return the next action: a query to send, or the period's decision.
     fn next_action(&mut self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
         Ok(match self.0.next_action() {
             None => None,
@@ -267,34 +303,39 @@ impl Driver {
         })
     }
 
+    /// Seconds that an answer may take unless a period states its deadline.
     #[getter]
     fn budget(&self) -> f64 {
         self.0.budget().as_secs_f64()
     }
 
+    /// The mode of the gate.
     #[getter]
     fn mode(&self) -> &'static str {
         mode_name(self.0.mode())
     }
 
+    /// Weights of the newest reply (N,); empty before the first.
     #[getter]
     fn weights<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.0.weights().iter().copied())
     }
 
+    /// Start the next request from these weights, and carry no history from now on.
     fn hold_weights(&mut self, weights: Vector<'_>) {
         self.0
             .hold_weights(weights.as_array().iter().copied().collect());
     }
 
+    /// Leave STOP and forget history, weights, plan and outstanding requests.
     fn reset(&mut self) {
         self.0.reset();
     }
 }
 
-/// Whom to ask what the service serves, before there is a driver.
+/// Finds a replica that is ready by asking those that announce themselves in turn.
 #[pyclass(name = "Discovery", module = "egp_service._core")]
-struct Discover(Discovery);
+pub struct Discover(Discovery);
 
 #[pymethods]
 impl Discover {
@@ -304,26 +345,31 @@ impl Discover {
         Ok(Self(Discovery::new(name(fleet)?, name(vehicle)?)))
     }
 
+    /// Note that a replica announces itself.
     fn replica_appeared(&mut self, replica: &str) -> PyResult<()> {
         self.0.replica_appeared(replica.parse().map_err(raise)?);
         Ok(())
     }
 
+    /// Note that a replica withdrew its announcement or was lost.
     fn replica_gone(&mut self, replica: &str) -> PyResult<()> {
         self.0.replica_gone(&replica.parse().map_err(raise)?);
         Ok(())
     }
 
+    /// The replicas that announce themselves.
     #[getter]
     fn live(&self) -> Vec<String> {
         self.0.live().map(ToString::to_string).collect()
     }
 
+    /// Return a replica to ask and the key, or None if all were asked in this round.
     fn next_question(&mut self) -> Option<(String, String)> {
         let (replica, key) = self.0.next_question()?;
         Some((replica.to_string(), key))
     }
 
+    /// Whether an answer describes a replica that is ready. Raises `EgpError` if the answer is malformed.
     #[staticmethod]
     fn is_ready(replica: &str, answer: &[u8]) -> PyResult<bool> {
         let replica = replica.parse().map_err(raise)?;
@@ -331,15 +377,4 @@ impl Discover {
             .map_err(raise)?
             .is_some())
     }
-}
-
-/// Adds the classes to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<Decision>()?;
-    module.add_class::<Discover>()?;
-    module.add_class::<Driver>()?;
-    module.add_class::<Query>()
 }

@@ -9,30 +9,23 @@ use std::sync::Arc;
 use egp_core::gp::Hyperparameters;
 use egp_core::library::{self, MAX_FILE_BYTES};
 use egp_core::{GpInput, GpJacobian, NY, NZ, VarianceScratch};
-use pyo3::create_exception;
 use pyo3::exceptions::{PyIndexError, PyOSError};
 use pyo3::prelude::*;
 
 use crate::array::{Matrix, NewCube, NewMatrix, NewVector, array, rows, vector};
-use crate::error::EgpError;
+use crate::error::LibraryError;
 use crate::parameters::VehicleParameters;
-
-create_exception!(
-    egp_service._core,
-    LibraryError,
-    EgpError,
-    "A refused library file; `code` names the kind of refusal, the message says what to do next."
-);
 
 /// Means, Jacobians and latent variances at a number of points.
 type Prediction<'py> = (NewMatrix<'py>, NewCube<'py>, NewMatrix<'py>);
 
-/// A verified library.
+#[doc = doc!(Library)]
 #[pyclass(module = "egp_service._core", frozen)]
-struct Library(Arc<egp_core::Library>);
+pub struct Library(Arc<egp_core::Library>);
 
 #[pymethods]
 impl Library {
+    #[doc = doc!(Library.load)]
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         py.detach(|| {
@@ -43,36 +36,43 @@ impl Library {
         .map_err(|failure| failure.raise(py))
     }
 
+    #[doc = doc!(Library.id)]
     #[getter]
     fn id(&self) -> String {
         library::hex(&self.0.id())
     }
 
+    #[doc = doc!(Library.dt)]
     #[getter]
     fn dt(&self) -> f64 {
         self.0.dt()
     }
 
+    #[doc = doc!(Library.kernel)]
     #[getter]
     fn kernel(&self) -> &'static str {
         self.0.kernel().name()
     }
 
+    #[doc = doc!(Library.vehicle)]
     #[getter]
     fn vehicle(&self) -> &str {
         &self.0.metadata().vehicle
     }
 
+    #[doc = doc!(Library.parameters)]
     #[getter]
     fn parameters(&self) -> VehicleParameters {
         VehicleParameters(*self.0.vehicle())
     }
 
+    #[doc = doc!(Library.provenance)]
     #[getter]
     fn provenance(&self) -> BTreeMap<String, String> {
         self.0.metadata().provenance.clone()
     }
 
+    #[doc = doc!(Library.members)]
     #[getter]
     fn members(&self) -> Vec<Member> {
         (0..self.0.members().len())
@@ -83,6 +83,7 @@ impl Library {
             .collect()
     }
 
+    #[doc = doc!(Library.predict)]
     #[pyo3(signature = (z, member = 0))]
     fn predict<'py>(
         &self,
@@ -121,9 +122,9 @@ fn predict(member: &egp_core::Member, z: &[[f64; NZ]]) -> (Vec<f64>, Vec<f64>, V
     (means, jacobians, variances)
 }
 
-/// One surface's GPs inside a library.
+#[doc = doc!(Member)]
 #[pyclass(module = "egp_service._core", frozen)]
-struct Member {
+pub struct Member {
     library: Arc<egp_core::Library>,
     index: usize,
 }
@@ -140,32 +141,38 @@ impl Member {
 
 #[pymethods]
 impl Member {
+    #[doc = doc!(Member.label)]
     #[getter]
     fn label(&self) -> &str {
         self.get().label()
     }
 
+    #[doc = doc!(Member.friction)]
     #[getter]
     fn friction(&self) -> f64 {
         self.get().friction()
     }
 
+    #[doc = doc!(Member.dataset)]
     #[getter]
     fn dataset(&self) -> &str {
         self.get().dataset()
     }
 
+    #[doc = doc!(Member.n_points)]
     #[getter]
     fn n_points(&self) -> usize {
         self.get().n_points()
     }
 
+    #[doc = doc!(Member.envelope)]
     #[getter]
     fn envelope<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
         let (min, max) = self.get().envelope();
         array(py, min.iter().chain(max.iter()).copied().collect(), [2, NZ])
     }
 
+    #[doc = doc!(Member.lengthscales)]
     #[getter]
     fn lengthscales<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
         array(
@@ -179,27 +186,32 @@ impl Member {
         )
     }
 
+    #[doc = doc!(Member.outputscale)]
     #[getter]
     fn outputscale<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         self.each(py, |hyper| hyper.outputscale)
     }
 
+    #[doc = doc!(Member.noise)]
     #[getter]
     fn noise<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         self.each(py, |hyper| hyper.noise)
     }
 
+    #[doc = doc!(Member.constant)]
     #[getter]
     fn constant<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         self.each(py, |hyper| hyper.constant)
     }
 
+    #[doc = doc!(Member.single_track)]
     #[getter]
     fn single_track<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
         let known = self.get().single_track()?;
         Some(vector(py, known.parameters().iter().copied()))
     }
 
+    #[doc = doc!(Member.noise_std)]
     #[getter]
     fn noise_std<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.get().noise_std().iter().copied())
@@ -253,14 +265,4 @@ impl Failure {
             } => PyOSError::new_err((errno, message, path)),
         }
     }
-}
-
-/// Adds this file's classes and functions to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add("LibraryError", module.py().get_type::<LibraryError>())?;
-    module.add_class::<Library>()?;
-    module.add_class::<Member>()
 }

@@ -12,7 +12,7 @@ use crate::array::{
 };
 use crate::error::EgpError;
 
-/// Quadratic cost.
+#[doc = doc!(OcpWeights)]
 #[pyclass(frozen, module = "egp_service._core")]
 pub struct OcpWeights {
     q: OwnedArray,
@@ -41,7 +41,7 @@ impl OcpWeights {
     }
 }
 
-/// Hard bounds on inputs and their changes, soft bounds on states.
+#[doc = doc!(OcpBounds)]
 #[pyclass(frozen, module = "egp_service._core")]
 pub struct OcpBounds {
     u_min: OwnedArray,
@@ -211,13 +211,4 @@ fn stages(name: &str, array: ArrayView<'_>, horizon: usize, shape: &[usize]) -> 
 /// The `index`-th of parts with `size` numbers.
 fn part(values: &[f64], index: usize, size: usize) -> &[f64] {
     &values[index * size..][..size]
-}
-
-/// Adds the classes to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<OcpWeights>()?;
-    module.add_class::<OcpBounds>()
 }

@@ -9,7 +9,7 @@ use crate::array::Matrix;
 use crate::error::raise;
 use crate::path::Path;
 
-/// Friction on a grid.
+#[doc = doc!(FrictionMap)]
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct FrictionMap(Map);
 
@@ -64,12 +64,4 @@ impl Friction for OnPath<'_> {
         self.last.set(Some(projection.s));
         self.path.friction_beside(projection.s, projection.lateral)
     }
-}
-
-/// Adds this file's class to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<FrictionMap>()
 }
