@@ -1,4 +1,4 @@
-//! `egp-load`: how many vehicles a service can keep on the road.
+//! `egp-load`: measures how many vehicles a service can keep on the road.
 
 mod drive;
 mod report;
@@ -16,7 +16,7 @@ use crate::drive::{Assignment, drive};
 use crate::report::Report;
 use crate::tally::Tally;
 
-/// What `--help` teaches.
+/// The text of `--help` behind the options.
 const HELP: &str = r"Loads a running service with simulated vehicles and reports how it fares.
 
     egp-server --library surfaces.safetensors --workers 1
@@ -33,7 +33,7 @@ A period is a miss when no solved plan came within the budget. The gate then bri
 Look at `generator lag` first: how late requests left, because this program or its machine was busy. Far
 above a millisecond, the figures are about the generator; give it cores of its own or fewer vehicles.";
 
-/// Loads a running service with simulated vehicles and reports how it fares.
+/// Loads a running service with simulated vehicles and reports answer times and errors.
 #[derive(Parser)]
 #[command(version, long_about = HELP)]
 struct Arguments {
@@ -75,7 +75,8 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
         arguments.grip,
     )?);
     let seconds = |value: f64| {
-        Duration::try_from_secs_f64(value).map_err(|_| format!("{value} is no number of seconds"))
+        Duration::try_from_secs_f64(value)
+            .map_err(|_| format!("{value} is not a number of seconds"))
     };
     let (warm_up, measured) = (seconds(arguments.warm_up)?, seconds(arguments.seconds)?);
     let vehicles: Vec<_> = (0..arguments.vehicles)
@@ -90,7 +91,7 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
             )
         })
         .collect::<Result<_, Failure>>()?;
-    // All sessions are open: a schedule that begins now is not disturbed by the next one's opening.
+    // Schedules begin when all sessions are open, so that opening one does not disturb another.
     let begin = Instant::now() + Duration::from_millis(200);
     let count = vehicles.len();
     let threads: Vec<_> = vehicles

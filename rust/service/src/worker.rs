@@ -54,7 +54,7 @@ fn serve<H: Handler>(
     }
 }
 
-/// One step; a panic in it becomes an error, and its half-written workspace is never used again.
+/// Computes one step. A panic becomes an error, and the workspace, which may be half-written, is replaced.
 fn survive<H: Handler>(
     shared: &Shared,
     handler: &H,
@@ -75,7 +75,7 @@ fn survive<H: Handler>(
         return ended;
     }
     shared.metrics.panicked();
-    tracing::error!("a control step panicked; its workspace is made anew");
+    tracing::error!("a control step panicked; its workspace is replaced");
     let detail = "the control step failed by a defect of the service; please report it";
     Err(WireError::permanent(Code::Internal, detail))
 }

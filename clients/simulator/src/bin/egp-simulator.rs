@@ -8,7 +8,7 @@ use clap::Parser;
 use egp_simulator::{CAR, Course, Period, SimulatedVehicle, Track};
 use egp_vehicle::{GateLimits, Mode, VehicleConfig};
 
-/// What `--help` teaches.
+/// The text of `--help` behind the options.
 const HELP: &str = r"Drives a simulated car through a running service, in real time.
 
 Start the service first, then the car; both find each other on this machine without more:
@@ -48,7 +48,7 @@ struct Arguments {
     laps: u32,
 }
 
-/// Worst figures of a drive.
+/// Largest errors and times of a drive.
 #[derive(Default)]
 struct Summary {
     periods: u32,
@@ -116,7 +116,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         summary.add(&driven);
         show(&driven, vehicle.client().weights());
         if driven.step.command.mode == Mode::Stop && driven.v_x < 0.1 {
-            return Err("the car has stopped: no plan came in time (see --help)".into());
+            return Err("the car has stopped, because no plan came in time (see --help)".into());
         }
         start += period;
     }

@@ -7,7 +7,7 @@ use clap::Parser;
 use egp_engine::Engine;
 use egp_service::{ServiceConfig, serve};
 
-/// What `--help` teaches.
+/// The text of `--help` behind the options.
 const HELP: &str = r#"Answers the control steps of vehicles over zenoh.
 
 Try it on this machine:
@@ -58,7 +58,7 @@ struct Arguments {
     /// Log one JSON object a line.
     #[arg(long)]
     log_json: bool,
-    /// Check configuration and library, say what would be served, and end.
+    /// Check configuration and library, print what would be served, and end.
     #[arg(long)]
     check: bool,
 }
@@ -82,7 +82,7 @@ impl Arguments {
             ("connect/endpoints", self.connect),
         ] {
             if !endpoints.is_empty() {
-                // Rust's and JSON5's quoting agree on endpoints, which hold no control characters.
+                // Rust and JSON5 quote endpoints alike, because those contain no control characters.
                 config
                     .zenoh
                     .insert(key.to_owned(), format!("{endpoints:?}"));
