@@ -1,5 +1,5 @@
-//! Writes the macro `doc!`, by which `help()` shows the same text as an editor: `doc!(Path.length)` is the docstring that
-//! the stubs of the extension have for this name.
+//! Writes the macro `doc!`, by which `help()` shows the same text as an editor: `doc!(Path.length)` is the docstring
+//! that the stubs of the extension have for this name.
 
 use std::error::Error;
 use std::fmt::Write;

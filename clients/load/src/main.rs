@@ -17,21 +17,22 @@ use crate::report::Report;
 use crate::tally::Tally;
 
 /// The text of `--help` behind the options.
-const HELP: &str = r"Loads a running service with simulated vehicles and reports how it fares.
+const HELP: &str = r"Loads a running service with simulated vehicles and reports answer times and errors.
 
     egp-server --library surfaces.safetensors --workers 1
     egp-load --vehicles 8 --seconds 20 --json load.json
 
-Each vehicle is a full one: its own zenoh session, the 29-state plant on a track of changing friction, the
-gate. Requests go out on a fixed schedule (every control period of the library), whether or not the last
-one was answered, and latency counts from when a request was due, so that a slow service cannot slow its
-own test down. The vehicles' schedules are spread evenly over the period.
+Each vehicle has its own zenoh session, the 29-state plant on a track of changing friction, and the gate.
+Requests are sent on a fixed schedule (every control period of the library), whether or not the last one
+was answered, and latency is measured from when a request was due, so that a slow service cannot slow down
+its own test. The vehicles' schedules are spread evenly over the period.
 
-A period is a miss when no solved plan came within the budget. The gate then bridges with the last plan
-(tail) and at last stops the vehicle; stopped, spun or lost vehicles are put back on the track and counted.
+A period is a miss if no solved plan came within the budget. The gate then continues with the last plan
+(tail) and finally stops the vehicle; stopped, spun or lost vehicles are put back on the track and counted.
 
-Look at `generator lag` first: how late requests left, because this program or its machine was busy. Far
-above a millisecond, the figures are about the generator; give it cores of its own or fewer vehicles.";
+Look at `generator lag` first: the delay with which requests were sent because this program or its machine
+was busy. If it is far above a millisecond, the other times describe the generator instead of the service;
+give the generator cores of its own or fewer vehicles.";
 
 /// Loads a running service with simulated vehicles and reports answer times and errors.
 #[derive(Parser)]

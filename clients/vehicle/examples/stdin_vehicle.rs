@@ -1,6 +1,6 @@
 //! A vehicle whose control periods come as JSON lines on standard input, for the conformance suite in
-//! `tests/conformance`: `{"deadline": s, "x": [7], "reference": [[4], ...]}` opens a period, `{"reset": true}` resets. Each
-//! line is answered by one line.
+//! `tests/conformance`: `{"deadline": s, "x": [7], "reference": [[4], ...]}` opens a period, `{"reset": true}` resets.
+//! Each line is answered by one line.
 
 use std::error::Error;
 use std::io::{BufRead as _, Write as _, stdin, stdout};

@@ -94,12 +94,12 @@ impl VehicleClient {
 
     /// One control period, to be called once every [`VehicleClient::dt`] with the measured state.
     ///
-    /// Returns a command within the budget: from the new plan, from the rest of the last one, or a stop. `reference` has rows `[p_x, p_y, v_x, psi]` for the stages 0..=T, `widths` as many rows `[left, right]` or
-    /// none.
+    /// Returns a command within the budget: from the new plan, from the rest of the last one, or a stop. `reference`
+    /// has rows `[p_x, p_y, v_x, psi]` for the stages 0..=T, `widths` as many rows `[left, right]` or none.
     ///
     /// # Errors
-    /// [`ClientError::Argument`] if no request can be made of `reference` or `widths`. A measured state that is not finite is
-    /// not an error: its command is a stop.
+    /// [`ClientError::Argument`] if no request can be made of `reference` or `widths`. A measured state that is not
+    /// finite is not an error: its command is a stop.
     pub fn step(
         &mut self,
         x: State,
@@ -109,7 +109,8 @@ impl VehicleClient {
         self.step_since(Instant::now(), x, reference, widths)
     }
 
-    /// As [`VehicleClient::step`], for a period that began at `start`. The budget starts then, even if the call is late.
+    /// As [`VehicleClient::step`], for a period that began at `start`. The budget starts then, even if the call is
+    /// late.
     ///
     /// # Errors
     /// As [`VehicleClient::step`].

@@ -1,6 +1,6 @@
-"""The control step asked of the service over zenoh.
+"""The client of the service over zenoh.
 
-The driver of the Rust core decides; here its actions are carried out and it is told what happened.
+The driver in Rust makes all decisions. This module carries out its actions and reports events.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from egp_service._core import Query
 
 REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
-# How long a replica may take to say what it serves, and time between two rounds of asking.
+# Time that a replica may take to answer what it serves, and time between two rounds of questions.
 _QUESTION_SECONDS = 1.0
 _POLL_SECONDS = 0.05
-# Larger than any message of the service; a larger one must not take the time of a deadline.
+# Above the size of any message of the service; receiving a larger one could delay a step.
 _MAX_MESSAGE_BYTES = 1 << 20
 
 
@@ -46,12 +46,12 @@ class ServiceUnreachableError(EgpError):
 class VehicleClient(StepController):
     """Drive with the service; make one with `VehicleClient.connect`.
 
-    A missing answer costs at most the deadline of the step, then the gate takes over. When the
-    service returns it is found again by itself, and `reset()` drives on.
+    If no answer comes before the deadline of the step, the gate gives the command. A service that
+    returns is found again automatically; after a stop, `reset()` continues the drive.
     """
 
     def __init__(self, network: Network, ready: bytes, driver: Driver) -> None:
-        """Take over an open network; `ready` is what a replica said about its library."""
+        """Use an open network; `ready` is a replica's answer on its `ready` key."""
         served = decode_ready(ready)
         self.library, self.members = served.library, served.members
         self.dt, self.horizon = served.dt, served.horizon
@@ -79,7 +79,7 @@ class VehicleClient(StepController):
         `zenoh_config` holds more of zenoh's configuration by path, such as
         `{"transport/link/tls/root_ca_certificate": "ca.pem"}`. Raises `InvalidArgumentError` for
         names, gate settings or a configuration that cannot be used or for a gate that allows more
-        than the vehicle that the service plans for can do, and `ServiceUnreachableError` when no
+        than the vehicle that the service plans for can do, and `ServiceUnreachableError` if no
         replica answers within `timeout` seconds.
         """
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
@@ -111,7 +111,7 @@ class VehicleClient(StepController):
         *,
         deadline: float | None = None,
     ) -> Step:
-        """Give the command; see `StepController.step`."""
+        """Return the command; see `StepController.step`."""
         start = time.monotonic()
         due = start + (self._driver.budget if deadline is None else deadline)
         while (happened := self._network.next(0.0)) is not None:
@@ -140,7 +140,7 @@ class VehicleClient(StepController):
 
 
 class Network:
-    """A zenoh session, and what happens on it as calls for a driver, in order."""
+    """A zenoh session, and its events in order as calls of a driver."""
 
     def __init__(
         self, endpoints: Sequence[str], timeout: float, more: Mapping[str, object]
@@ -158,18 +158,18 @@ class Network:
         )
 
     def next(self, patience: float) -> Callable[[Driver], None] | None:
-        """Give the next event, or none when nothing happens within `patience` seconds."""
+        """Return the next event, or None if there is none within `patience` seconds."""
         try:
             return self._inbox.get(timeout=max(patience, 0.0))
         except queue.Empty:
             return None
 
     def tokens(self) -> list[tuple[str, bool]]:
-        """Replicas that appeared (true) or went (false) since the last call, in order."""
+        """Return the replicas that appeared (true) or left (false) since the last call."""
         return [self._tokens.get() for _ in range(self._tokens.qsize())]
 
     def ask(self, query: Query) -> None:
-        """Send a query, whose answers become events; one that cannot be sent ends at once."""
+        """Send a query, whose answers become events; one that cannot be sent ends immediately."""
 
         def deliver(reply: zenoh.Reply) -> None:
             now, sample, error = time.monotonic(), reply.ok, reply.err
@@ -198,7 +198,7 @@ class Network:
             end()
 
     def ask_and_wait(self, key: str) -> bytes | None:
-        """Give the payload of the first answer to a question, if one comes."""
+        """Return the payload of the first answer to a question, or None if there is none."""
         for reply in self.session.get(key, timeout=_QUESTION_SECONDS):
             if reply.ok is not None:
                 payload: bytes = reply.ok.payload.to_bytes()
@@ -223,10 +223,10 @@ class Network:
 def _session_config(
     endpoints: Sequence[str], timeout: float, more: Mapping[str, object]
 ) -> zenoh.Config:
-    """Configure a peer with a link to every endpoint, so that no replica is behind another.
+    """Configure a peer with its own link to every endpoint.
 
-    A session in zenoh's client mode holds one link: while the replica at its end is frozen, the
-    others cannot be reached. Shared memory slows the first queries down and can lose one silently.
+    A session in zenoh's client mode has one link, and while the replica at its end is frozen, the
+    others cannot be reached. Shared memory delays the first queries and can lose one silently.
     """
     settings: dict[str, object] = {
         "mode": "peer",
@@ -257,7 +257,7 @@ def _session_config(
 def _first_ready(
     network: Network, discovery: Discovery, endpoints: Sequence[str], deadline: float
 ) -> bytes:
-    """Ask the live replicas in turn until one says what it serves."""
+    """Ask the live replicas in turn until one answers what it serves."""
     while time.monotonic() < deadline:
         for replica, appeared in network.tokens():
             note = discovery.replica_appeared if appeared else discovery.replica_gone

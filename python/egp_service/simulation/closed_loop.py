@@ -61,7 +61,7 @@ class Drives(Protocol):
         *,
         deadline: float | None = None,
     ) -> Step:
-        """Give the command for a measured state and a reference; see `StepController.step`."""
+        """Return the step for a measured state and a reference; see `StepController.step`."""
 
 
 @dataclass(frozen=True, slots=True)

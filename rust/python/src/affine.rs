@@ -16,9 +16,9 @@ use crate::parameters::VehicleParameters;
 
 /// The control step's optimal control problem, eq. (18), for affine dynamics from any source.
 ///
-/// `settings_toml` holds the settings of a control step, which override those of `vehicle`; `dt` is the period in s, `friction`
-/// the surface's coefficient. Cost, bounds and solvers are those of the step. Raises `EgpError` for settings out of range, and
-/// for a period or friction that is not a positive number.
+/// `settings_toml` holds the settings of a control step, which override those of `vehicle`; `dt` is the period in s,
+/// `friction` the surface's coefficient. Cost, bounds and solvers are those of the step. Raises `EgpError` for settings
+/// out of range, and for a period or friction that is not a positive number.
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct AffineOcp {
     settings: Settings,
@@ -74,9 +74,9 @@ impl AffineOcp {
 
     /// Solve for x_{t+1} = A x_t + B u_t + c, with positions and yaw relative to a frame near the vehicle.
     ///
-    /// Measured state x0 (7,), input now applied u_prev (2,), operating trajectory (T+1, 7) and (T, 2), a (T, 7, 7), b (T, 7, 2),
-    /// c (T, 7), reference rows [p_x, p_y, v_x, psi] (T+1, 4) and widths [left, right] (T+1, 2); forces in N. The result's inputs
-    /// are scaled to accelerations.
+    /// Measured state x0 (7,), input now applied u_prev (2,), operating trajectory (T+1, 7) and (T, 2), a (T, 7, 7), b
+    /// (T, 7, 2), c (T, 7), reference rows [p_x, p_y, v_x, psi] (T+1, 4) and widths [left, right] (T+1, 2); forces in
+    /// N. The result's inputs are scaled to accelerations.
     #[pyo3(signature = (x0, u_prev, operating_x, operating_u, a, b, c, reference, widths = None))]
     #[allow(clippy::too_many_arguments)]
     fn solve(
@@ -116,7 +116,7 @@ impl AffineOcp {
             None => Vec::new(),
             Some(widths) => stages::<2>("widths", &widths, horizon + 1)?,
         };
-        // Whatever a panic left behind is overwritten: nothing in here outlives a call.
+        // A lock that a panic poisoned can be used, because each call overwrites the whole memory.
         let mut memory = self.memory.lock().unwrap_or_else(PoisonError::into_inner);
         let Memory {
             dynamics,

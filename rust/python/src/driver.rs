@@ -1,4 +1,4 @@
-//! The driver's state machine as Python's transports use it.
+//! The driver's state machine for Python's transports.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -147,8 +147,8 @@ impl Decision {
 }
 
 impl Decision {
-    /// A tensor of the reply; none when there is no reply or the tensor has no rows, which is how a field is absent on
-    /// the wire.
+    /// A tensor of the reply, or `None` if there is no reply or the tensor has no rows, because an absent field has
+    /// none.
     fn rows<'py, const W: usize>(
         &self,
         py: Python<'py>,
@@ -202,10 +202,10 @@ fn time(seconds: f64) -> PyResult<Duration> {
 
 /// Decides for one vehicle which replica to ask, how long to wait, and which replies to use.
 ///
-/// A state machine without clock, network or threads: it is told each event with the time in s of a clock that does not run
-/// backwards, and its actions are to be carried out. `ready` is a replica's answer on its `ready` key, `gate` the settings of
-/// the gate, `budget` the part of the control period that an answer may take. Raises `InvalidArgumentError` for values out of
-/// range.
+/// A state machine without clock, network or threads: it is told each event with the time in s of a clock that does not
+/// run backwards, and its actions are to be carried out. `ready` is a replica's answer on its `ready` key, `gate` the
+/// settings of the gate, `budget` the part of the control period that an answer may take. Raises `InvalidArgumentError`
+/// for values out of range.
 #[pyclass(module = "egp_service._core")]
 pub struct Driver(egp_driver::Driver);
 
@@ -244,8 +244,8 @@ impl Driver {
 
     /// Open a control period at the measured state (7,), with a command due by `deadline`.
     ///
-    /// `reference` has rows [p_x, p_y, v_x, psi] (T+1, 4), `widths` rows [left, right] (T+1, 2). Raises `InvalidArgumentError`
-    /// if no request can be made of the arguments.
+    /// `reference` has rows [p_x, p_y, v_x, psi] (T+1, 4), `widths` rows [left, right] (T+1, 2). Raises
+    /// `InvalidArgumentError` if no request can be made of the arguments.
     #[pyo3(signature = (now, deadline, x, reference, widths = None))]
     fn tick(
         &mut self,

@@ -22,8 +22,8 @@ pub struct Command {
 /// WAITING (brakes) → NORMAL → TAIL (rest of the last plan) → STOP (brakes, latched).
 ///
 /// Every command lies inside hard limits of value and slew. Periods have `dt` s. `settings` holds all limits, as
-/// `VehicleParameters.gate_limits` gives them, and may hold `max_tail_ticks` (25) and `stop_deceleration` (3 m/s²). Raises
-/// `EgpError` for a limit that is missing or has the wrong sign, and for an unknown name.
+/// `VehicleParameters.gate_limits` gives them, and may hold `max_tail_ticks` (25) and `stop_deceleration` (3 m/s²).
+/// Raises `EgpError` for a limit that is missing or has the wrong sign, and for an unknown name.
 #[pyclass(module = "egp_service._core")]
 pub struct Gate(egp_gate::Gate);
 
@@ -59,7 +59,7 @@ pub fn configure(mut settings: BTreeMap<String, f64>) -> PyResult<(Limits, u64, 
             "gate setting max_tail_ticks must be a whole number from 0 to 1000000, got {max_tail_ticks}"
         )));
     }
-    // Checked above: whole, not negative, small.
+    // The number is whole, not negative and small by the check above.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
     Ok((limits, max_tail_ticks as u64, stop_deceleration))
 }
@@ -102,7 +102,7 @@ impl Gate {
     }
 }
 
-/// The mode as Python sees it.
+/// The mode's name in Python.
 pub fn mode_name(mode: Mode) -> &'static str {
     match mode {
         Mode::Normal => "normal",

@@ -218,7 +218,8 @@ impl Member {
     }
 }
 
-/// The bytes of a file, no more than a library may have (and one, so that the excess shows).
+/// The bytes of a file, but at most one more than a library may have, which suffices to detect a file that is too
+/// large.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(path)?
@@ -227,7 +228,7 @@ pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// What went wrong while Python's lock was released.
+/// An error while Python's lock was released.
 pub enum Failure {
     Refused(library::LibraryError),
     Io {
@@ -247,7 +248,7 @@ pub fn os_error(error: &io::Error, path: &Path) -> Failure {
 }
 
 impl Failure {
-    /// As Python sees it.
+    /// The error as an exception of Python.
     pub fn raise(self, py: Python<'_>) -> PyErr {
         match self {
             Self::Refused(refusal) => {
@@ -257,7 +258,7 @@ impl Failure {
                     Err(error) => error,
                 }
             }
-            // With three arguments Python picks the subclass, such as FileNotFoundError, by the number.
+            // With three arguments Python chooses the subclass, such as FileNotFoundError, by the number.
             Self::Io {
                 errno,
                 message,

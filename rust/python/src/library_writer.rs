@@ -15,14 +15,14 @@ use crate::parameters::VehicleParameters;
 
 /// One surface's GPs, to be written into a file; M points, G golden points.
 ///
-/// Inputs, targets, scalers, envelope and golden predictions are in physical units, everything else in the z-scored space:
-/// `alpha = (K + noise I)^-1 (y - constant)` with z-scored `y`. The golden arrays hold the predictions of the trainer's own
-/// implementation at a few points inside the data and a few far outside; loading must reproduce them.
+/// Inputs, targets, scalers, envelope and golden predictions are in physical units, everything else in the z-scored
+/// space: `alpha = (K + noise I)^-1 (y - constant)` with z-scored `y`. The golden arrays hold the predictions of the
+/// trainer's own implementation at a few points inside the data and a few far outside; loading must reproduce them.
 ///
-/// Shapes: inputs (M, 6), targets (M, 3), input_mean and input_std (6,), target_mean and target_std (3,), lengthscales (3, 6),
-/// outputscale, noise and constant (3,), alpha (3, M), envelope (2, 6), golden_z (G, 6), golden_mean (G, 3), golden_jacobian
-/// (G, 3, 6), golden_variance (G, 3); `single_track` (17,) as in `Member`, with which targets and golden arrays include that
-/// vehicle's part and `y` is the rest of the targets.
+/// Shapes: inputs (M, 6), targets (M, 3), input_mean and input_std (6,), target_mean and target_std (3,), lengthscales
+/// (3, 6), outputscale, noise and constant (3,), alpha (3, M), envelope (2, 6), golden_z (G, 6), golden_mean (G, 3),
+/// golden_jacobian (G, 3, 6), golden_variance (G, 3); `single_track` (17,) as in `Member`, with which targets and
+/// golden arrays include that vehicle's part and `y` is the rest of the targets.
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct MemberData(library::MemberData);
 
@@ -100,9 +100,9 @@ fn exactly<T, const N: usize>(name: &str, rows: Vec<T>) -> PyResult<[T; N]> {
 
 /// Write a whole library file or nothing, after verifying that it can be loaded.
 ///
-/// `dt` in s, `kernel` "rbf" or "matern52"; `vehicle` and `parameters` are name and parameters of the vehicle that the data
-/// come from. The same arguments give the same bytes. Raises `LibraryError` for content that fails a check, `OSError` if
-/// writing fails.
+/// `dt` in s, `kernel` "rbf" or "matern52"; `vehicle` and `parameters` are name and parameters of the vehicle that the
+/// data come from. The same arguments give the same bytes. Raises `LibraryError` for content that fails a check,
+/// `OSError` if writing fails.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // all by name
 #[pyo3(signature = (path, *, dt, kernel, vehicle, parameters, members, provenance))]
@@ -140,8 +140,8 @@ pub fn write_library(
 
 /// Write a library of some members (by index) of another one, with the same GPs bit for bit.
 ///
-/// A member that is given more than once gets a number behind its label. Raises `LibraryError` if there is no such member,
-/// `OSError` if reading or writing fails.
+/// A member that is given more than once gets a number behind its label. Raises `LibraryError` if there is no such
+/// member, `OSError` if reading or writing fails.
 #[pyfunction]
 pub fn write_library_subset(
     py: Python<'_>,
@@ -157,7 +157,7 @@ pub fn write_library_subset(
     .map_err(|failure| failure.raise(py))
 }
 
-/// Puts a file in place as a whole: whoever reads the path finds the old bytes or the new ones, also after a crash.
+/// Replaces a file atomically: a reader of the path gets the old bytes or the new ones, also after a crash.
 fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.tmp", std::process::id()));

@@ -1,4 +1,4 @@
-//! The QP of a step and the weights' QP by themselves, for comparison with other solvers.
+//! The QP of a step and that of the weights by themselves, for comparison with other solvers.
 
 use std::time::Instant;
 
@@ -38,8 +38,8 @@ fn sparse<'py>(py: Python<'py>, matrix: &Csc) -> Sparse<'py> {
 
 /// Write an optimal control problem as `min 1/2 z'Pz + q'z` subject to `l <= Az <= u`.
 ///
-/// Returns P (upper triangle), q, A, l, u; matrices as (values, row indices, column starts). `z` holds, stage by stage, `u_t`,
-/// `x_{t+1} - reference_{t+1}` and the slacks. Arguments as of `solve_ocp`.
+/// Returns P (upper triangle), q, A, l, u; matrices as (values, row indices, column starts). `z` holds, stage by stage,
+/// `u_t`, `x_{t+1} - reference_{t+1}` and the slacks. Arguments as of `solve_ocp`.
 #[pyfunction]
 #[pyo3(signature = (A, B, c, x0, u_prev, reference, weights, bounds))]
 #[allow(non_snake_case, clippy::too_many_arguments)] // the paper's symbols
@@ -167,7 +167,7 @@ pub fn solve_ocp<'py>(
     result(py, &solution, solver, seconds)
 }
 
-/// A solution as Python sees it.
+/// A solution as an object of Python.
 pub fn result(
     py: Python<'_>,
     solution: &OcpSolution,

@@ -25,10 +25,10 @@ type Samples<'py> = (
     NewVector<'py>,
     NewVector<'py>,
 );
-/// Rows of the reference, of the widths where the path has any, and the projection.
+/// Rows of the reference, rows of the widths if the path has any, and the projection.
 type Reference<'py> = (NewMatrix<'py>, Option<NewMatrix<'py>>, Projection);
 
-/// Start and friction of a zone, of both sides or left and right.
+/// Start and friction of a zone; a split zone has a friction to the left and one to the right.
 #[derive(FromPyObject)]
 enum ZoneTuple {
     Even(f64, f64),

@@ -8,7 +8,7 @@ use crate::error::{EgpError, raise};
 use crate::parameters::VehicleParameters;
 use crate::surface::Surface;
 
-/// A batch after one period: the states, and which plants made it.
+/// A batch after one period: the states, and which plants completed it.
 type Stepped<'py> = (NewMatrix<'py>, NewVector<'py, bool>);
 
 #[doc = doc!(Plant)]
@@ -157,8 +157,8 @@ pub fn plant_initial_states<'py>(
 
 /// Drive n vehicles `dt` seconds on all cores without the GIL.
 ///
-/// States (n, 29), inputs (n, 2), friction (n,). Returns the new states and which vehicles completed the period; one that spun
-/// keeps its state.
+/// States (n, 29), inputs (n, 2), friction (n,). Returns the new states and which vehicles completed the period; one
+/// that spun keeps its state.
 #[pyfunction]
 #[pyo3(signature = (states, u, dt, friction, vehicle = 1))]
 pub fn plant_step_batch<'py>(

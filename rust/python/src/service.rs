@@ -22,11 +22,11 @@ use crate::parameters::VehicleParameters;
 
 /// The control step of the service in this process: the same request gives the same bytes of a reply.
 ///
-/// `settings_toml` holds the settings of the control step; fields left out keep their default, which is 0.8 s of the library's
-/// periods for the horizon and 0.5 s for the window. With more than one of `cores` (no more than the machine has), members are
-/// evaluated in parallel where that takes half a millisecond or more: standard deviations of four active members of 700 points,
-/// for example, but not of two. The bytes of a reply do not depend on `cores`. An engine with several cores does not work in a
-/// forked process, which does not inherit its threads.
+/// `settings_toml` holds the settings of the control step; fields left out keep their default, which is 0.8 s of the
+/// library's periods for the horizon and 0.5 s for the window. With more than one of `cores` (no more than the machine
+/// has), members are evaluated in parallel where that takes half a millisecond or more: standard deviations of four
+/// active members of 700 points, for example, but not of two. The bytes of a reply do not depend on `cores`. An engine
+/// with several cores does not work in a forked process, which does not inherit its threads.
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct Engine {
     inner: egp_engine::Engine,
@@ -41,7 +41,7 @@ fn refused(error: &WireError) -> PyErr {
 impl Engine {
     fn answer(&self, request: &[u8]) -> Result<Vec<u8>, WireError> {
         let mut reply = Vec::new();
-        // A step that panicked left numbers behind that the next one overwrites before use.
+        // A lock that a panic poisoned can be used, because a step overwrites all numbers before it reads them.
         let mut workspace = self
             .workspace
             .lock()
@@ -258,7 +258,7 @@ impl Server {
 pub fn serve(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
     py.detach(|| egp_service::serve(&config)).map_err(raise)?;
-    // Ctrl-C has done its work by draining; Python has noted it as well.
+    // Ctrl-C has already drained the service, so Python's pending KeyboardInterrupt is discarded.
     match py.check_signals() {
         Err(error) if !error.is_instance_of::<PyKeyboardInterrupt>(py) => Err(error),
         _ => Ok(()),

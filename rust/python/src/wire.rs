@@ -1,4 +1,4 @@
-//! The wire as Python sees it: the messages and the keys.
+//! The messages and the keys of the wire.
 
 use std::borrow::Cow;
 

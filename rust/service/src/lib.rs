@@ -6,8 +6,8 @@
 //!               admission  earliest deadline first
 //! ```
 //!
-//! An [`egp_engine::Engine`] turns request bytes into reply bytes, here as in a vehicle's own process. [`Server`] makes it
-//! available on the network; [`serve`] runs one until a signal.
+//! An [`egp_engine::Engine`] turns request bytes into reply bytes, here as in a vehicle's own process. [`Server`] makes
+//! it available on the network; [`serve`] runs one until a signal.
 
 mod config;
 mod handler;

@@ -90,8 +90,8 @@ impl Metrics {
         self.queue.observe(time.as_secs_f64());
     }
 
-    /// Records the time of a step and moves the estimate by an eighth of the difference at most, so that one delayed step
-    /// does not lead to errors for the next requests.
+    /// Records the time of a step and moves the estimate by an eighth of the difference at most, so that one delayed
+    /// step does not lead to errors for the next requests.
     pub(crate) fn stepped(&self, time: Duration) {
         self.step.observe(time.as_secs_f64());
         let (new, old) = (micros(time), self.step_us.load(Ordering::Relaxed));

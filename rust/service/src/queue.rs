@@ -1,8 +1,8 @@
 //! The bounded queue between intake and workers: one slot per vehicle, earliest deadline first.
 //!
-//! A vehicle that asks again before it was served no longer needs the older answer, so its newest request takes the slot; a
-//! vehicle that sends too many requests displaces only its own. Serving the earliest deadline first keeps late requests from
-//! delaying the others.
+//! A vehicle that asks again before it was served no longer needs the older answer, so its newest request takes the
+//! slot; a vehicle that sends too many requests displaces only its own. Serving the earliest deadline first keeps late
+//! requests from delaying the others.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};

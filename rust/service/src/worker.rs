@@ -31,7 +31,8 @@ fn serve<H: Handler>(
     let waited = started - job.arrived;
     shared.metrics.waited(waited);
     let hopeless = started + shared.metrics.step_time() > job.deadline;
-    // The last request in the queue is tried even if it is likely to be late, because no other request waits for the worker.
+    // The last request in the queue is tried even if it is likely to be late, because no other request waits for the
+    // worker.
     if started > job.deadline || (hopeless && shared.queue.len() > 0) {
         let budget = micros(job.deadline - job.arrived);
         return shared.refuse(&job.query, &shared.too_late(budget));

@@ -1,5 +1,5 @@
-//! A step allocates nothing after the first request of each shape: neither from a client's bytes to those of the reply, nor
-//! in the mathematics alone.
+//! A step allocates nothing after the first request of each shape: neither from a client's bytes to those of the reply,
+//! nor in the mathematics alone.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -31,7 +31,8 @@ mod counting {
     #[global_allocator]
     static ALLOCATOR: Counting = Counting;
 
-    // SAFETY: each call is forwarded to `System` unchanged; the count is a constant-initialised cell, which allocates nothing.
+    // SAFETY: each call is forwarded to `System` unchanged; the count is a constant-initialised cell, which allocates
+    // nothing.
     unsafe impl GlobalAlloc for Counting {
         unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
             COUNT.set(COUNT.get() + 1);

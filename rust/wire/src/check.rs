@@ -5,8 +5,9 @@ use crate::{Invalid, LibraryId, Predictions, VERSION};
 /// A component's name and the largest magnitude accepted.
 type Domain<const W: usize> = [(&'static str, f64); W];
 
-// The limits are far beyond what a road vehicle reaches, and small enough that products of them stay exact to many digits. The
-// control step accepts no number above MAGNITUDE, so no message may contain one, because a later request would carry it.
+// The limits are far beyond what a road vehicle reaches, and small enough that products of them stay exact to many
+// digits. The control step accepts no number above MAGNITUDE, so no message may contain one, because a later request
+// would carry it.
 const MAGNITUDE: f64 = 1e7;
 const POSITION: f64 = MAGNITUDE; // m: about the largest UTM coordinate
 const SPEED: f64 = 150.0; // m/s

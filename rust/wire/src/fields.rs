@@ -1,7 +1,8 @@
 //! Reading a message field by field in place, without copies and allocations.
 //!
-//! The generated messages of prost copy every `bytes` field, which costs a service time that answers thousands of requests
-//! per second. Varints, keys and skipping are prost's. As in protobuf, the last one counts of a number that comes twice.
+//! The generated messages of prost copy every `bytes` field, which costs a service time that answers thousands of
+//! requests per second. Varints, keys and skipping are prost's. As in protobuf, the last one counts of a number that
+//! comes twice.
 
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
 

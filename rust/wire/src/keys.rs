@@ -1,7 +1,7 @@
 //! Key expressions; `docs/wire.md` describes them.
 //!
-//! Each replica has its own prefix, because zenoh does not balance queries over replicas; the client chooses one. A vehicle is
-//! identified by its key and not by the payload, so that access control covers it.
+//! Each replica has its own prefix, because zenoh does not balance queries over replicas; the client chooses one. A
+//! vehicle is identified by its key and not by the payload, so that access control covers it.
 
 use std::{fmt, str::FromStr};
 

@@ -1,8 +1,8 @@
 //! The messages between a vehicle and the service: typed requests, replies and errors, their protobuf encoding, and key
 //! expressions.
 //!
-//! Decoding is the trust boundary: a [`Request`] or [`Reply`] that `decode` returned has exact shapes, finite numbers inside
-//! the declared domain and weights on the simplex. The crate contains neither network nor mathematics.
+//! Decoding is the trust boundary: a [`Request`] or [`Reply`] that `decode` returned has exact shapes, finite numbers
+//! inside the declared domain and weights on the simplex. The crate contains neither network nor mathematics.
 //!
 //! ```
 //! use egp_wire::{Limits, Request};

@@ -22,8 +22,8 @@ pub struct Ready {
     pub members: Vec<String>,
     /// Smallest and largest GP input `[v_x, v_y, omega, delta, F_x, delta_dot]` in the members' training data.
     pub envelope: [GpInput; 2],
-    /// The vehicle that plans are made for: the library's, with the settings' mass, axles and tyres in place of its own.
-    /// Absent from services that do not state it.
+    /// The vehicle that plans are made for: the library's, with the settings' mass, axles and tyres in place of its
+    /// own. Absent from services that do not state it.
     pub vehicle: Option<VehicleParameters>,
 }
 
