@@ -76,8 +76,12 @@ pub fn layers<const R: usize, const C: usize>(
     Ok((0..array.shape()[0]).map(layer).collect())
 }
 
-/// A numpy matrix that a Python object keeps.
+/// A vector that a Python object keeps.
+pub type KeptVector = Py<PyArray1<f64>>;
+/// A matrix that a Python object keeps.
 pub type KeptMatrix = Py<PyArray2<f64>>;
+/// A three-dimensional array that a Python object keeps.
+pub type KeptCube = Py<PyArray3<f64>>;
 
 /// A numpy vector of these numbers.
 pub fn vector<T: Element>(py: Python<'_>, values: impl IntoIterator<Item = T>) -> NewVector<'_, T> {

@@ -249,25 +249,16 @@ pub struct Projection {
 impl From<egp_path::Projection> for Projection {
     fn from(projection: egp_path::Projection) -> Self {
         let egp_path::Projection { s, lateral, sample } = projection;
-        let egp_path::Sample {
-            x,
-            y,
-            yaw,
-            curvature,
-            left,
-            right,
-            friction,
-        } = sample;
         Self {
             s,
             lateral,
-            x,
-            y,
-            yaw,
-            curvature,
-            left,
-            right,
-            friction,
+            x: sample.x,
+            y: sample.y,
+            yaw: sample.yaw,
+            curvature: sample.curvature,
+            left: sample.left,
+            right: sample.right,
+            friction: sample.friction,
         }
     }
 }

@@ -37,15 +37,7 @@ impl Plant {
         v_y: f64,
         delta: f64,
     ) -> PyResult<()> {
-        let state = VehicleState {
-            p_x: x,
-            p_y: y,
-            v_x: v,
-            psi: yaw,
-            v_y,
-            omega: yaw_rate,
-            delta,
-        };
+        let state = VehicleState::from_array([x, y, v, yaw, v_y, yaw_rate, delta]);
         self.0.reset(&state).map_err(raise)
     }
 

@@ -5,9 +5,10 @@ use std::borrow::Cow;
 use egp_wire::{Limits, Predictions, State, keys};
 use prost::Message as _;
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
 
-use crate::array::{NewCube, NewMatrix, NewVector, Vector, array, fixed, vector};
+use crate::array::{
+    KeptCube, KeptMatrix, KeptVector, NewCube, NewMatrix, Vector, array, fixed, vector,
+};
 use crate::error::raise;
 use crate::parameters::VehicleParameters;
 
@@ -21,153 +22,40 @@ fn cube<'py>(py: Python<'py>, rows: &Predictions, members: usize) -> PyResult<Ne
 }
 
 /// A validated request with the fields of the .proto; a field that is absent has no rows.
-#[pyclass(module = "egp_service._core", frozen)]
-pub struct Request(egp_wire::Request);
-
-#[pymethods]
-impl Request {
-    #[getter]
-    fn library<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
-        PyBytes::new(py, &self.0.library)
-    }
-
-    #[getter]
-    fn sequence(&self) -> u64 {
-        self.0.sequence
-    }
-
-    #[getter]
-    fn budget_us(&self) -> u32 {
-        self.0.budget_us
-    }
-
-    #[getter]
-    fn x<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        vector(py, self.0.x)
-    }
-
-    #[getter]
-    fn u_prev<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        vector(py, self.0.u_prev)
-    }
-
-    #[getter]
-    fn weights<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        vector(py, self.0.weights.iter().copied())
-    }
-
-    #[getter]
-    fn plan_x<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.plan_x)
-    }
-
-    #[getter]
-    fn plan_u<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.plan_u)
-    }
-
-    #[getter]
-    fn plan_shift(&self) -> u32 {
-        self.0.plan_shift
-    }
-
-    #[getter]
-    fn history_z<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.history_z)
-    }
-
-    #[getter]
-    fn history_y<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.history_y)
-    }
-
-    #[getter]
-    fn history_f<'py>(&self, py: Python<'py>) -> PyResult<NewCube<'py>> {
-        cube(py, &self.0.history_f, self.0.history_f.members)
-    }
-
-    #[getter]
-    fn reference<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.reference)
-    }
-
-    #[getter]
-    fn widths<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.widths)
-    }
-
-    #[getter]
-    fn want_sigma(&self) -> bool {
-        self.0.want_sigma
-    }
+#[pyclass(module = "egp_service._core", frozen, get_all)]
+pub struct Request {
+    library: Cow<'static, [u8]>,
+    sequence: u64,
+    budget_us: u32,
+    x: KeptVector,
+    u_prev: KeptVector,
+    weights: KeptVector,
+    plan_x: KeptMatrix,
+    plan_u: KeptMatrix,
+    plan_shift: u32,
+    history_z: KeptMatrix,
+    history_y: KeptMatrix,
+    history_f: KeptCube,
+    reference: KeptMatrix,
+    widths: KeptMatrix,
+    want_sigma: bool,
 }
 
 /// A validated reply with the fields of the .proto; a field that is absent has no rows. Only a "solved" one has a plan.
-#[pyclass(module = "egp_service._core", frozen)]
-pub struct Reply(egp_wire::Reply);
-
-#[pymethods]
-impl Reply {
-    #[getter]
-    fn library<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
-        PyBytes::new(py, &self.0.library)
-    }
-
-    #[getter]
-    fn sequence(&self) -> u64 {
-        self.0.sequence
-    }
-
-    #[getter]
-    fn status(&self) -> String {
-        let name = self.0.status.as_str_name();
-        name.trim_start_matches("STATUS_").to_ascii_lowercase()
-    }
-
-    #[getter]
-    fn plan_x<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.plan_x)
-    }
-
-    #[getter]
-    fn plan_u<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.plan_u)
-    }
-
-    #[getter]
-    fn weights<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        vector(py, self.0.weights.iter().copied())
-    }
-
-    #[getter]
-    fn sigma<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.sigma)
-    }
-
-    #[getter]
-    fn history_f<'py>(&self, py: Python<'py>) -> PyResult<NewCube<'py>> {
-        cube(py, &self.0.history_f, self.0.weights.len())
-    }
-
-    #[getter]
-    fn dropped_mass(&self) -> f64 {
-        self.0.dropped_mass
-    }
-
-    #[getter]
-    fn iterations(&self) -> u32 {
-        self.0.iterations
-    }
-
-    #[getter]
-    fn kkt_residual(&self) -> f64 {
-        self.0.kkt_residual
-    }
-
-    #[getter]
-    fn solver(&self) -> &str {
-        &self.0.solver
-    }
+#[pyclass(module = "egp_service._core", frozen, get_all)]
+pub struct Reply {
+    library: Cow<'static, [u8]>,
+    sequence: u64,
+    status: String,
+    plan_x: KeptMatrix,
+    plan_u: KeptMatrix,
+    weights: KeptVector,
+    sigma: KeptMatrix,
+    history_f: KeptCube,
+    dropped_mass: f64,
+    iterations: u32,
+    kkt_residual: f64,
+    solver: String,
 }
 
 /// An error reply of the service.
@@ -208,18 +96,47 @@ pub struct Replica {
 
 /// Read and validate a StepRequest. Raises `EgpError` naming the field at fault.
 #[pyfunction]
-pub fn decode_request(data: &[u8]) -> PyResult<Request> {
-    egp_wire::Request::decode(data, &Limits::default())
-        .map(Request)
-        .map_err(raise)
+pub fn decode_request(py: Python<'_>, data: &[u8]) -> PyResult<Request> {
+    let request = egp_wire::Request::decode(data, &Limits::default()).map_err(raise)?;
+    Ok(Request {
+        library: request.library.to_vec().into(),
+        sequence: request.sequence,
+        budget_us: request.budget_us,
+        x: vector(py, request.x).unbind(),
+        u_prev: vector(py, request.u_prev).unbind(),
+        weights: vector(py, request.weights).unbind(),
+        plan_x: matrix(py, &request.plan_x)?.unbind(),
+        plan_u: matrix(py, &request.plan_u)?.unbind(),
+        plan_shift: request.plan_shift,
+        history_z: matrix(py, &request.history_z)?.unbind(),
+        history_y: matrix(py, &request.history_y)?.unbind(),
+        history_f: cube(py, &request.history_f, request.history_f.members)?.unbind(),
+        reference: matrix(py, &request.reference)?.unbind(),
+        widths: matrix(py, &request.widths)?.unbind(),
+        want_sigma: request.want_sigma,
+    })
 }
 
 /// Read and validate a StepReply. Raises `EgpError` naming the field at fault.
 #[pyfunction]
-pub fn decode_reply(data: &[u8]) -> PyResult<Reply> {
-    egp_wire::Reply::decode(data, &Limits::default())
-        .map(Reply)
-        .map_err(raise)
+pub fn decode_reply(py: Python<'_>, data: &[u8]) -> PyResult<Reply> {
+    let reply = egp_wire::Reply::decode(data, &Limits::default()).map_err(raise)?;
+    let status = reply.status.as_str_name().trim_start_matches("STATUS_");
+    let members = reply.weights.len();
+    Ok(Reply {
+        library: reply.library.to_vec().into(),
+        sequence: reply.sequence,
+        status: status.to_ascii_lowercase(),
+        plan_x: matrix(py, &reply.plan_x)?.unbind(),
+        plan_u: matrix(py, &reply.plan_u)?.unbind(),
+        weights: vector(py, reply.weights).unbind(),
+        sigma: matrix(py, &reply.sigma)?.unbind(),
+        history_f: cube(py, &reply.history_f, members)?.unbind(),
+        dropped_mass: reply.dropped_mass,
+        iterations: reply.iterations,
+        kkt_residual: reply.kkt_residual,
+        solver: reply.solver,
+    })
 }
 
 /// Read an Error.

@@ -5,6 +5,30 @@ use prost::Message as _;
 
 use crate::{GpInput, Invalid, LibraryId, Limits, VERSION, check, proto};
 
+/// A `to` with the fields of `from`, which have the same names.
+macro_rules! vehicle {
+    ($($to:ident)::+, $from:expr) => {
+        $($to)::+ {
+            mass: $from.mass,
+            yaw_inertia: $from.yaw_inertia,
+            l_f: $from.l_f,
+            l_r: $from.l_r,
+            width: $from.width,
+            a_min: $from.a_min,
+            a_max: $from.a_max,
+            power: $from.power,
+            a_slew: $from.a_slew,
+            steering_angle: $from.steering_angle,
+            steering_rate: $from.steering_rate,
+            steering_slew: $from.steering_slew,
+            peak_slip: $from.peak_slip,
+            lateral_grip: $from.lateral_grip,
+            braking_grip: $from.braking_grip,
+            driving_grip: $from.driving_grip,
+        }
+    };
+}
+
 /// Answer of a replica's `ready` key.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ready {
@@ -42,7 +66,7 @@ impl Ready {
                 shape: vec![2, 6],
                 data: encode_values(self.envelope.as_flattened()),
             }),
-            vehicle: self.vehicle.as_ref().map(vehicle_to_proto),
+            vehicle: (self.vehicle.as_ref()).map(|own| vehicle!(proto::VehicleParameters, own)),
         }
         .encode_to_vec()
     }
@@ -123,82 +147,8 @@ fn envelope(tensor: Option<proto::Tensor>) -> Result<[GpInput; 2], Invalid> {
     }
 }
 
-fn vehicle_to_proto(vehicle: &VehicleParameters) -> proto::VehicleParameters {
-    let &VehicleParameters {
-        mass,
-        yaw_inertia,
-        l_f,
-        l_r,
-        width,
-        a_min,
-        a_max,
-        power,
-        a_slew,
-        steering_angle,
-        steering_rate,
-        steering_slew,
-        peak_slip,
-        lateral_grip,
-        braking_grip,
-        driving_grip,
-    } = vehicle;
-    proto::VehicleParameters {
-        mass,
-        yaw_inertia,
-        l_f,
-        l_r,
-        width,
-        a_min,
-        a_max,
-        power,
-        a_slew,
-        steering_angle,
-        steering_rate,
-        steering_slew,
-        peak_slip,
-        lateral_grip,
-        braking_grip,
-        driving_grip,
-    }
-}
-
 fn vehicle_from_proto(raw: &proto::VehicleParameters) -> Result<VehicleParameters, Invalid> {
-    let &proto::VehicleParameters {
-        mass,
-        yaw_inertia,
-        l_f,
-        l_r,
-        width,
-        a_min,
-        a_max,
-        power,
-        a_slew,
-        steering_angle,
-        steering_rate,
-        steering_slew,
-        peak_slip,
-        lateral_grip,
-        braking_grip,
-        driving_grip,
-    } = raw;
-    let vehicle = VehicleParameters {
-        mass,
-        yaw_inertia,
-        l_f,
-        l_r,
-        width,
-        a_min,
-        a_max,
-        power,
-        a_slew,
-        steering_angle,
-        steering_rate,
-        steering_slew,
-        peak_slip,
-        lateral_grip,
-        braking_grip,
-        driving_grip,
-    };
+    let vehicle = vehicle!(VehicleParameters, raw);
     match vehicle.validate() {
         Ok(()) => Ok(vehicle),
         Err(error) => Err(Invalid::field("vehicle", error.to_string())),
