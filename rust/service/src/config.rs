@@ -95,10 +95,10 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// Not TOML, an unknown key, or a value of the wrong type.
-    #[error("configuration refused: {0}")]
+    #[error("the configuration is not valid: {0}")]
     Toml(#[from] toml::de::Error),
     /// A number out of range under `[settings]`.
-    #[error("[settings] refused: {0}")]
+    #[error("[settings] is not valid: {0}")]
     Settings(#[from] SettingsError),
     /// A value out of range.
     #[error("`{field}` must be {expected}, got {got}")]
