@@ -7,9 +7,8 @@ use std::time::Duration;
 use egp_driver::{Action, Discovery, DriverConfig, Measurement, QueryId};
 use egp_wire::Ready;
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
 
-use crate::array::{Matrix, NewMatrix, NewVector, Vector, fixed, rows, vector};
+use crate::array::{KeptMatrix, KeptVector, Matrix, NewVector, Vector, fixed, rows, vector};
 use crate::error::{InvalidArgumentError, raise};
 use crate::gate::{configure, mode_name};
 use crate::wire::matrix;
@@ -30,138 +29,82 @@ pub struct Query {
 }
 
 /// The result of one control period; `egp_service.Step` has the same fields and more.
-#[pyclass(module = "egp_service._core", frozen)]
-pub struct Decision(pub egp_driver::Step);
-
-#[pymethods]
-impl Decision {
+#[pyclass(module = "egp_service._core", frozen, get_all)]
+pub struct Decision {
     /// Force [N] and steering rate [rad/s] for the actuators (2,).
-    #[getter]
-    fn u<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        vector(py, self.0.command.u)
-    }
-
+    u: KeptVector,
     /// The mode of the gate that gave the command: "normal", "tail", "stop" or "waiting".
-    #[getter]
-    fn mode(&self) -> &'static str {
-        mode_name(self.0.command.mode)
-    }
-
+    mode: &'static str,
     /// Whether a limit changed the command of the plan.
-    #[getter]
-    fn limited(&self) -> bool {
-        self.0.command.limited
-    }
-
+    limited: bool,
     /// The outcome in one word.
-    #[getter]
-    fn status(&self) -> &'static str {
-        self.0.outcome.name()
-    }
-
+    status: &'static str,
     /// Why there is no plan, or why the vehicle counts as lost; empty otherwise.
-    #[getter]
-    fn detail(&self) -> String {
-        let lost = self.0.lost.map(|lost| lost.to_string());
-        lost.unwrap_or_else(|| self.0.outcome.detail())
-    }
-
+    detail: String,
     /// Whether the vehicle counts as lost and is therefore stopped.
-    #[getter]
-    fn lost(&self) -> bool {
-        self.0.lost.is_some()
-    }
-
+    lost: bool,
     /// Distance of the state from the library's training data, in half widths; 0 inside.
-    #[getter]
-    fn envelope_distance(&self) -> f64 {
-        self.0.situation.map_or(f64::NAN, |here| here.envelope)
-    }
-
+    envelope_distance: f64,
     /// States of the new plan (T+1, 7).
-    #[getter]
-    fn plan_x<'py>(&self, py: Python<'py>) -> PyResult<Option<NewMatrix<'py>>> {
-        self.rows(py, |reply| &reply.plan_x)
-    }
-
+    plan_x: Option<KeptMatrix>,
     /// Inputs of the new plan (T, 2).
-    #[getter]
-    fn plan_u<'py>(&self, py: Python<'py>) -> PyResult<Option<NewMatrix<'py>>> {
-        self.rows(py, |reply| &reply.plan_u)
-    }
-
+    plan_u: Option<KeptMatrix>,
     /// Standard deviations along the plan (T+1, 3).
-    #[getter]
-    fn sigma<'py>(&self, py: Python<'py>) -> PyResult<Option<NewMatrix<'py>>> {
-        self.rows(py, |reply| &reply.sigma)
-    }
-
+    sigma: Option<KeptMatrix>,
     /// Name of the replica that replied, or that was asked last.
-    #[getter]
-    fn replica(&self) -> String {
-        self.0
-            .replica
-            .as_ref()
-            .map_or_else(String::new, ToString::to_string)
-    }
-
+    replica: String,
     /// Bytes of the request; empty if none was made.
-    #[getter]
-    fn request<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
-        PyBytes::new(py, &self.0.request)
-    }
-
+    request: Cow<'static, [u8]>,
     /// Bytes of this period's reply.
-    #[getter]
-    fn reply<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyBytes>> {
-        self.0
-            .reply
-            .as_ref()
-            .map(|_| PyBytes::new(py, &self.0.reply_bytes))
-    }
-
+    reply: Option<Cow<'static, [u8]>>,
     /// Replies to earlier requests that came since the last step.
-    #[getter]
-    fn late<'py>(&self, py: Python<'py>) -> Vec<Bound<'py, PyBytes>> {
-        self.0
-            .late
-            .iter()
-            .map(|late| PyBytes::new(py, &late.reply_bytes))
-            .collect()
-    }
-
+    late: Vec<Cow<'static, [u8]>>,
     /// Seconds in the service's queue and in its worker; zeros if the reply does not state them.
-    #[getter]
-    fn service_time(&self) -> (f64, f64) {
-        let seconds = |us: u32| 1e-6 * f64::from(us);
-        self.0.timing.map_or((0.0, 0.0), |timing| {
-            (seconds(timing.queue_us), seconds(timing.step_us))
-        })
-    }
-
+    service_time: (f64, f64),
     /// Number of replicas that were asked.
-    #[getter]
-    fn asked(&self) -> u32 {
-        self.0.asked
-    }
+    asked: u32,
 }
 
 impl Decision {
-    /// A tensor of the reply, or `None` if there is no reply or the tensor has no rows, because an absent field has
-    /// none.
-    fn rows<'py, const W: usize>(
-        &self,
-        py: Python<'py>,
-        field: impl Fn(&egp_wire::Reply) -> &Vec<[f64; W]>,
-    ) -> PyResult<Option<NewMatrix<'py>>> {
-        let rows = self
-            .0
-            .reply
-            .as_ref()
-            .map(field)
-            .filter(|rows| !rows.is_empty());
-        rows.map(|rows| matrix(py, rows)).transpose()
+    /// A driver's step as an object of Python.
+    pub fn new(py: Python<'_>, step: egp_driver::Step) -> PyResult<Self> {
+        let seconds = |us: u32| 1e-6 * f64::from(us);
+        let lost = step.lost.map(|lost| lost.to_string());
+        let reply = step.reply.as_ref();
+        Ok(Self {
+            u: vector(py, step.command.u).unbind(),
+            mode: mode_name(step.command.mode),
+            limited: step.command.limited,
+            status: step.outcome.name(),
+            lost: lost.is_some(),
+            detail: lost.unwrap_or_else(|| step.outcome.detail()),
+            envelope_distance: step.situation.map_or(f64::NAN, |here| here.envelope),
+            plan_x: rows_of(py, reply.map(|reply| &reply.plan_x))?,
+            plan_u: rows_of(py, reply.map(|reply| &reply.plan_u))?,
+            sigma: rows_of(py, reply.map(|reply| &reply.sigma))?,
+            replica: step
+                .replica
+                .map_or_else(String::new, |name| name.to_string()),
+            request: step.request.into(),
+            reply: reply.is_some().then(|| step.reply_bytes.into()),
+            late: (step.late.into_iter())
+                .map(|late| late.reply_bytes.into())
+                .collect(),
+            service_time: step.timing.map_or((0.0, 0.0), |timing| {
+                (seconds(timing.queue_us), seconds(timing.step_us))
+            }),
+            asked: step.asked,
+        })
     }
+}
+
+/// A tensor of a reply, or `None` if there is no reply or the tensor has no rows, because an absent field has none.
+fn rows_of<const W: usize>(
+    py: Python<'_>,
+    rows: Option<&Vec<[f64; W]>>,
+) -> PyResult<Option<KeptMatrix>> {
+    let rows = rows.filter(|rows| !rows.is_empty());
+    rows.map(|rows| Ok(matrix(py, rows)?.unbind())).transpose()
 }
 
 /// The configuration behind both kinds of drivers.
@@ -289,7 +232,7 @@ impl Driver {
     fn next_action(&mut self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
         Ok(match self.0.next_action() {
             None => None,
-            Some(Action::Command(step)) => Some(Py::new(py, Decision(*step))?.into_any()),
+            Some(Action::Command(step)) => Some(Py::new(py, Decision::new(py, *step)?)?.into_any()),
             Some(Action::Ask(query) | Action::Probe(query)) => {
                 let query = Query {
                     id: query.id.0,

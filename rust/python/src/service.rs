@@ -164,7 +164,7 @@ impl InProcessDriver {
         let measurement = measurement(&x, &reference, widths.as_ref())?;
         let budget = Duration::try_from_secs_f64(budget).map_err(InvalidArgumentError::raise)?;
         let (driver, engine) = (&mut self.driver, self.engine.get());
-        py.detach(|| {
+        let step = py.detach(|| {
             driver.step(measurement, budget, |request| {
                 let start = Instant::now();
                 let reply = engine.answer(request)?;
@@ -177,9 +177,8 @@ impl InProcessDriver {
                     },
                 ))
             })
-        })
-        .map(Decision)
-        .map_err(InvalidArgumentError::raise)
+        });
+        Decision::new(py, step.map_err(InvalidArgumentError::raise)?)
     }
 
     /// Budget in s that requests state if the period has none of its own.
