@@ -1,7 +1,8 @@
 # Builds in .venv and target; needs a Rust toolchain, Python 3.11 or newer, and make.
 PYTHON ?= python3
 BIN    := .venv/bin
-RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name '*.proto' -o -name Cargo.toml 2>/dev/null)
+RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name '*.proto' -o -name Cargo.toml 2>/dev/null) \
+	$(wildcard python/egp_service/_core/*.pyi)
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test bench fmt lint deny rust-test python-test instructions clean

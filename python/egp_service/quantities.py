@@ -39,7 +39,7 @@ GP_INPUT: Final = {name: STATE[name] for name in GP_STATE_NAMES} | INPUT
 GP_OUTPUT: Final = {"d_v_x": "m/s", "d_v_y": "m/s", "d_omega": "rad/s"}
 """Output y of a GP: the changes of `v_x`, `v_y` and `omega` over one control period."""
 MOTION_LABELS: Final = ("v_x, m/s", "v_y, m/s", "ω, rad/s")
-"""The columns `MOTION` as figures and tables show them."""
+"""Labels of the columns `MOTION` in figures and tables."""
 NX: Final = len(STATE)
 NU: Final = len(INPUT)
 NZ: Final = len(GP_INPUT)

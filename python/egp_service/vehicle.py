@@ -14,15 +14,15 @@ _SIMULATED: Final = "commonroad-"
 
 
 def simulated_name(number: int) -> str:
-    """Name of the simulated vehicle of this CommonRoad number, as datasets and libraries say it."""
+    """Name of the simulated vehicle of this CommonRoad number in datasets and libraries."""
     return f"{_SIMULATED}{number}"
 
 
 def known_vehicle(name: str) -> VehicleParameters:
-    """Give the parameters of a simulated vehicle by the name that its datasets bear.
+    """Return the parameters of a simulated vehicle by its name in datasets.
 
     Raises:
-        EgpError: for any other vehicle, whose parameters only its owner knows.
+        EgpError: for the name of any other vehicle, whose parameters must be stated.
 
     """
     number = name.removeprefix(_SIMULATED)

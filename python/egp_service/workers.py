@@ -1,4 +1,4 @@
-"""Processes that work in parallel, on this machine or on a Ray cluster, and end with this one."""
+"""Parallel processes on this machine or on a Ray cluster, which end with this process."""
 
 from __future__ import annotations
 
@@ -30,21 +30,19 @@ _CONNECT_SECONDS = 5.0
 def workers(jobs: int | None = None, cluster: str | None = None) -> Iterator[Executor]:
     """Open a pool of `jobs` processes, one per core by default, or one on a cluster.
 
-    `cluster` is the address `HOST:PORT` of a Ray cluster to which this machine belongs. Machines of
-    it need this version of the package, and the files that the work reads, in the same places.
+    `cluster` is the address `HOST:PORT` of a Ray cluster to which this machine belongs. Its
+    machines need this version of the package, and the files that the work reads, at the same paths.
 
-    An exception inside, such as Ctrl-C raises, ends the processes and what they work on at once. If
+    An exception inside, such as that of Ctrl-C, ends the processes and their work immediately. If
     this process is killed, they end, too.
 
     Raises:
-        EgpError: when both `jobs` and `cluster` are given, or there is no cluster at that address.
+        EgpError: if both `jobs` and `cluster` are given, or there is no cluster at that address.
 
     """
     if cluster is not None:
         if jobs is not None:
-            raise EgpError(
-                "the cores of the cluster decide how much runs at once: leave out --jobs"
-            )
+            raise EgpError("a cluster runs as many processes as it has cores: leave out --jobs")
         with _Cluster(cluster) as pool:
             yield pool
         return
@@ -63,10 +61,10 @@ def workers(jobs: int | None = None, cluster: str | None = None) -> Iterator[Exe
 def in_order(
     pool: Executor, work: Callable[[Part], Result], parts: Iterable[Part]
 ) -> Iterator[Result]:
-    """Give the results of `work` on `parts`, in their order.
+    """Yield the results of `work` on `parts`, in their order.
 
-    Unlike `pool.map` it does not cancel futures when it is interrupted: a pool that is shut down
-    sets an exception on each of them, which fails for a cancelled one.
+    Unlike `pool.map` it does not cancel futures when it is interrupted, because a pool that is shut
+    down sets an exception on each of them, which fails for a cancelled one.
     """
     for future in [pool.submit(work, part) for part in parts]:
         yield future.result()
@@ -74,10 +72,10 @@ def in_order(
 
 @contextmanager
 def _interruptions_deferred() -> Iterator[None]:
-    """Start processes that Ctrl-C does not reach, although a terminal sends it to all of them.
+    """Block Ctrl-C, which a terminal sends to all processes, in the processes that start here.
 
-    A signal that is blocked here is blocked in new processes from their first moment on. Another
-    thread may receive it meanwhile: it is raised in this process at the end.
+    New processes inherit the blocked signal. If another thread of this process receives the signal
+    meanwhile, the interruption is raised at the end.
     """
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread is interrupted, and only it may set a handler
@@ -96,20 +94,20 @@ def _interruptions_deferred() -> Iterator[None]:
 
 
 def _begin(parent: int) -> None:
-    """Have this worker ignore interruptions, which its parent handles, and end with its parent."""
+    """Make this worker ignore interruptions, which its parent handles, and end with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 
 def _end_with(parent: int) -> None:
-    """Exit when the parent has ended, which gives this process another parent."""
+    """Exit when the parent has ended, after which this process has another parent."""
     while os.getppid() == parent:
         time.sleep(_LOOK_SECONDS)
     os._exit(1)
 
 
 class _Cluster(Executor):
-    """The processes of a Ray cluster. Ray ends what they work on when this process disconnects."""
+    """The processes of a Ray cluster. Ray ends their work when this process disconnects."""
 
     def __init__(self, address: str) -> None:
         """Connect to the cluster at `address`, `HOST:PORT`."""
@@ -135,12 +133,12 @@ class _Cluster(Executor):
         *args: Arguments.args,
         **kwargs: Arguments.kwargs,
     ) -> Future[Result]:
-        """Have the cluster call `work`."""
+        """Call `work` on the cluster."""
         future: Future[Result] = self._call.remote(work, args, kwargs).future()
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: FBT001, FBT002
-        """Disconnect, which also ends what is not finished."""
+        """Disconnect, which also ends unfinished work."""
         del wait, cancel_futures
         self._disconnect()
 

@@ -1,4 +1,4 @@
-"""Requests of a car on a circle that moves exactly as a blend of at most three members says.
+"""Requests of a car on a circle that moves exactly as a blend of at most three members predicts.
 
 So the library may have any number of members, of which at most three have a weight that counts.
 """
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 POINTS, HORIZON, WINDOW = 700, 20, 10
-# The members' vehicle is a caricature whose tyres need slip angles of 0.3 rad for their grip.
+# The members' vehicle is simplified; its tyres reach their grip at slip angles of 0.3 rad.
 SETTINGS = f"horizon = {HORIZON}\n[weights]\nwindow = {WINDOW}\n[soft]\nslip = 0.8"
 SHARES = (0.5, 0.3, 0.2)
 GOLDEN = 0.618  # spreads any number of members evenly over frictions, the first in their middle
@@ -63,7 +63,7 @@ def write(path: Path, members: list[MemberData]) -> None:
 
 
 def blend(count: int) -> Array:
-    """Weights of the true blend; what members there are not goes to the last."""
+    """Weights of the true blend; the weights of members that do not exist go to the last one."""
     weights = np.zeros(count)
     for n, share in enumerate(SHARES):
         weights[min(n, count - 1)] += share
@@ -102,7 +102,7 @@ def drive(
 
 
 def follow(library: Library, weights: Array, x: Array, u: Array) -> Array:
-    """Move as eqs. (3), (10) and (11) say, with the members' blend."""
+    """Move by eqs. (3), (10) and (11) with the members' blend."""
     z = np.array([[x[2], x[4], x[5], x[6], *u]])
     change = sum(w * library.predict(z, n)[0][0] for n, w in enumerate(weights) if w > 0.0)
     v_x, psi, v_y, omega = x[2:6]

@@ -36,7 +36,7 @@ SECTIONS = ("cores", "lap", "members", "phases", "gp")
 
 
 def main() -> None:
-    """Run the comparisons asked for."""
+    """Run the comparisons that the command line names."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 COUNTS = (2, 8)
 ROUNDS = 20
-# Holds the weights where they start, so that every member counts.
+# Keeps the weights at their start, so that every member is active.
 HELD = SETTINGS.replace(
     f"window = {WINDOW}", f'window = {WINDOW}\nprior = {{kind = "quadratic", lambda = 1e9}}'
 )

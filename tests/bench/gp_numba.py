@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def compiled(book: Textbook) -> Callable[[Array, Sequence[int]], Answer] | None:
-    """Return a program for the member of `book`, or nothing if numba is not installed."""
+    """Return a program for the member of `book`, or None if numba is not installed."""
     if importlib.util.find_spec("numba") is None:
         return None
     import numba  # noqa: PLC0415

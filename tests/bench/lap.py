@@ -92,7 +92,7 @@ def worst(difference: NDArray[np.float64], mass: float) -> float:
 
 
 def draw(seconds: dict[str, list[float]], picture: Path) -> None:
-    """Draw the share of steps that took no longer."""
+    """Draw the share of steps over their time."""
     from matplotlib import pyplot as plt  # noqa: PLC0415
 
     figure, axes = plt.subplots(figsize=(6.0, 3.5), layout="constrained")

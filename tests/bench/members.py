@@ -30,7 +30,7 @@ PAPER_WARM_UP = 3
 
 @dataclass
 class Row:
-    """One number of members: seconds, and how good the solutions were."""
+    """The results for one number of members: times in s and errors of the solutions."""
 
     members: int
     plain: list[float]

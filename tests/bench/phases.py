@@ -1,4 +1,4 @@
-"""Where the time of a step goes, from the numbers that criterion left in `target/criterion`."""
+"""Times of the phases of a step, from the results of criterion in `target/criterion`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WHOLE = {"step, warm": "step Riccati_warm", "step, cold": "step Riccati_cold"}
 
 
 def median(benchmark: str) -> tuple[float, float, float] | None:
-    """Return criterion's median and its confidence interval, us; nothing if it did not run."""
+    """Return criterion's median and its confidence interval, us, or None if it did not run."""
     path = CRITERION / benchmark / "new" / "estimates.json"
     if not path.exists():
         return None

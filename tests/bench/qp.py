@@ -54,12 +54,12 @@ class Row:
 
     @property
     def percentiles(self) -> list[float]:
-        """Give p50, p95 and p99 in microseconds."""
+        """Return p50, p95 and p99 in microseconds."""
         return [float(p) for p in np.percentile(self.microseconds, [50, 95, 99])]
 
 
 def judge(name: str, steps: list[Step], answers: list[Answer], *, warm: bool) -> Row:
-    """Sum up; the first problem of a drive has no warm start."""
+    """Summarise the results; the first problem of a drive has no warm start."""
     pairs = [(s, a) for s, a in zip(steps, answers, strict=True) if not (warm and s.first)]
     return Row(
         name,
@@ -72,7 +72,7 @@ def judge(name: str, steps: list[Step], answers: list[Answer], *, warm: bool) ->
 
 
 def ask(rival: type[Rival], steps: list[Step], repeats: int, *, warm: bool) -> Iterator[Answer]:
-    """Solve the problems in order, each drive by a solver that has seen none of it."""
+    """Solve the problems in order, each drive by a new solver."""
     solver = rival(repeats)
     for step in steps:
         if step.first:
@@ -109,7 +109,7 @@ def measure(horizon: int, options: argparse.Namespace, progress: Progress) -> li
 
 
 def show(rows: list[Row], console: Console) -> None:
-    """Print a table a horizon."""
+    """Print a table for each horizon."""
     for horizon in sorted({row.horizon for row in rows}):
         table = Table(title=f"horizon {horizon}, {len(rows[0].kkt)} problems, us")
         for column in ("", "start", "p50", "p95", "p99", "ours is", "iterations"):

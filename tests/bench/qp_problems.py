@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 DT = 0.05
 SLEW = np.array([3.0, 0.4])
 LIMIT = np.array([[-8.0, -0.4], [6.0, 0.4]])
-# Rows further than this from their bound cannot carry a multiplier that matters.
+# Rows farther than this from their bound have a negligible multiplier.
 NEAR = 1e-2
 
 
@@ -73,7 +73,7 @@ def linearise(x: Array, u: Array, grip: float) -> tuple[Array, Array, Array]:
         wide[:, :, j] = (
             advance(up[:, :7], up[:, 7:], grip) - advance(down[:, :7], down[:, 7:], grip)
         ) / 2e-6
-    # Rounding of the differences where the equations have nothing.
+    # Remove the rounding of differences where the equations have no entry.
     wide[:, [0, 1, 3, 6], :] = np.round(wide[:, [0, 1, 3, 6], :], 7)
     a, b = wide[:, :, :7].copy(), wide[:, :, 7:].copy()
     c = advance(x, u, grip) - np.einsum("tij,tj->ti", a, x) - np.einsum("tij,tj->ti", b, u)
@@ -264,7 +264,7 @@ def residual(p: Problem, inputs: Array) -> float:
         gap = sign * (bound.ravel() - value)
         violation = np.maximum(-gap, 0.0)
         force = np.where(violation > 0.0, price + curve * violation, 0.0)
-        # A row on its bound may press with anything up to its price.
+        # The multiplier of a row on its bound lies between zero and its penalty.
         edge = violation < 1e-6
         force[edge] = 0.0
         side(sign * rows, np.where(edge, np.maximum(gap, 0.0), np.inf), price)

@@ -30,7 +30,7 @@ TARGET = Path(__file__).parents[2] / "target"
 
 @dataclass
 class Answer:
-    """Time and inputs (T, 2); NaN inputs if the solver gave up."""
+    """Time and inputs (T, 2); the inputs are NaN if the solver failed."""
 
     seconds: float
     iterations: int
@@ -38,17 +38,17 @@ class Answer:
 
 
 class Rival(Protocol):
-    """A solver for the problems of one horizon, asked in the order of the drives."""
+    """A solver for the problems of one horizon, called in the order of the drives."""
 
     def __init__(self, repeats: int) -> None:
-        """Answer with the shortest of `repeats` times."""
+        """Return the solution with the shortest of `repeats` times."""
 
     def solve(self, step: Step, *, warm: bool) -> Answer:
-        """Solve from nothing, or from the solution of the problem before."""
+        """Solve without a start, or from the solution of the previous problem."""
 
 
 def missing(module: str) -> bool:
-    """Say whether a package is not installed."""
+    """Return whether a package is not installed."""
     return importlib.util.find_spec(module) is None
 
 
@@ -60,7 +60,7 @@ class Ours:
         self.last: Array | None = None
 
     def solve(self, step: Step, *, warm: bool) -> Answer:
-        """Solve in place of the problem before."""
+        """Solve a problem in the memory of the previous one."""
         guess = None
         if warm and self.last is not None:
             guess = np.vstack([self.last[1:], self.last[-1:]])
@@ -84,7 +84,7 @@ def inputs(z: Array, horizon: int) -> Array:
 
 
 def shifted(z: Array, horizon: int) -> Array:
-    """Move a vector of equal parts a stage by one period; the last stage stays."""
+    """Shift a vector with equal parts for each stage by one period; the last stage stays."""
     parts = z.reshape(horizon, -1)
     return np.vstack([parts[1:], parts[-1:]]).ravel()
 
@@ -98,7 +98,7 @@ class Osqp:
         self.last: tuple[Array, Array] | None = None
 
     def solve(self, step: Step, *, warm: bool) -> Answer:
-        """Solve in place of the problem before."""
+        """Solve a problem in the memory of the previous one."""
         import osqp  # noqa: PLC0415
 
         p, q, a, lower, upper = scipy_form(step.problem)
@@ -130,7 +130,7 @@ class Piqp:
         self.solver: Any = None
 
     def solve(self, step: Step, *, warm: bool) -> Answer:  # noqa: ARG002
-        """Solve in place of the problem before."""
+        """Solve a problem in the memory of the previous one."""
         import piqp  # noqa: PLC0415
 
         p, q, a, lower, upper = scipy_form(step.problem)
@@ -164,7 +164,7 @@ class ProxQp:
         self.last: list[Array] = []
 
     def solve(self, step: Step, *, warm: bool) -> Answer:
-        """Solve in place of the problem before."""
+        """Solve a problem in the memory of the previous one."""
         from proxsuite import proxqp  # noqa: PLC0415
 
         p, q, a, lower, upper = scipy_form(step.problem)
@@ -206,7 +206,7 @@ class Daqp:
         self.last: Array | None = None
 
     def solve(self, step: Step, *, warm: bool) -> Answer:
-        """Solve in place of the problem before."""
+        """Solve a problem in the memory of the previous one."""
         import daqp  # noqa: PLC0415
 
         p = step.problem
@@ -257,7 +257,7 @@ class Hpipm:
         include, lib = install / "include", install / "lib"
         folders = [f"-I{include / name / 'include'}" for name in ("hpipm", "blasfeo")]
         source = str(Path(__file__).with_name("hpipm.c"))
-        # The old kind of path in the program is searched for what libhpipm itself needs, too.
+        # Unlike RUNPATH, RPATH in the program is also used for the dependencies of libhpipm.
         search = f"-Wl,--disable-new-dtags,-rpath,{lib}"
         libraries = [f"-L{lib}", "-lhpipm", "-lblasfeo", "-lm", search]
         subprocess.run(

@@ -1,4 +1,4 @@
-"""One core, one thread, percentiles: what every comparison here shares."""
+"""One core, one thread, and percentiles, for all comparisons in this folder."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def percentiles(seconds: Sequence[float]) -> tuple[float, float, float]:
 
 
 def clock(work: Callable[[], object], repeats: int) -> list[float]:
-    """Seconds of each of `repeats` calls, after three that do not count."""
+    """Return the seconds of each of `repeats` calls after three warm-up calls."""
     seconds = []
     for _ in range(repeats + 3):
         start = time.perf_counter()

@@ -33,7 +33,7 @@ SCENARIO = load_scenario("rounded-rectangle")
 
 
 class Lap(NamedTuple):
-    """The lap all tests look at."""
+    """The lap that all tests of this file use."""
 
     run: Run
     folder: Path

@@ -51,7 +51,7 @@ LIBRARY = library_path(LAP)
 
 
 class Patient(Controller):
-    """Grants every step five seconds, so that a busy service refuses none."""
+    """Gives every step five seconds, so that a busy service rejects none."""
 
     def step(
         self,
@@ -61,7 +61,7 @@ class Patient(Controller):
         *,
         deadline: float | None = None,
     ) -> Step:
-        """Give the command."""
+        """Return the step."""
         del deadline
         return super().step(x, reference, widths, deadline=5.0)
 
@@ -89,7 +89,7 @@ def test_clarabel_finds_the_same_plans(requests: list[bytes]) -> None:
 def test_another_engine_and_the_service_reply_with_the_same_bytes(requests: list[bytes]) -> None:
     engine, other = Engine(str(LIBRARY)), Engine(str(LIBRARY))
     replies = [engine.step(request) for request in requests]
-    # Backwards: nothing is left in an engine from one request to the next.
+    # The order is reversed, because an engine keeps nothing from one request to the next.
     assert [other.step(request) for request in reversed(requests)] == replies[::-1]
     config = zenoh.Config()
     config.insert_json5("scouting/multicast/enabled", "false")
@@ -97,7 +97,7 @@ def test_another_engine_and_the_service_reply_with_the_same_bytes(requests: list
     with ServiceProcess(LIBRARY, {}) as service:
         config.insert_json5("connect/endpoints", f'["{service.endpoint}"]')
         with zenoh.open(config) as session:
-            # The replica announces itself after its queryables; until then nobody answers.
+            # The replica announces itself after it has declared its queryables.
             while not list(session.liveliness().get(LIVE_KEYS)):
                 time.sleep(0.05)
             key = step_key("main", "fleet", "car")

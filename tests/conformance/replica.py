@@ -1,4 +1,4 @@
-"""A replica that answers with the real control step, and misbehaves where its script says so.
+"""A replica that answers with the real control step, with the faults that its script prescribes.
 
 As a program it is a replica on the network::
 
@@ -35,7 +35,7 @@ READY_FAULTS = {"noise_in_ready", "draining", "weaker_vehicle"}
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a replica sends; neither payload nor error means silence, `ended` a closed query."""
+    """A replica's answer: payload, error, or neither (silence); `ended` is a closed query."""
 
     payload: bytes = b""
     attachment: bytes = b""
@@ -78,7 +78,7 @@ class ScriptedReplica:
         return data
 
     def answer(self, request: bytes) -> Answer:  # noqa: PLR0911 - one for each fault
-        """Answer one request, rightly or as its fault says."""
+        """Answer one request correctly or with its fault."""
         sequence = _core.decode_request(request).sequence
         fault = self._fault(sequence, ready=False)
         reply = self.engine.step(request)

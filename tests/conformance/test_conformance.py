@@ -95,7 +95,7 @@ def run(vehicle: Vehicle, schedule: dict[str, Any], names: dict[str, str]) -> li
 
 
 def check(expected: dict[str, Any], outcomes: list[Outcome], names: dict[str, str]) -> None:
-    """Hold the outcomes against what the schedule expects."""
+    """Compare the outcomes with those that the schedule expects."""
     story = "\n".join(f"{period}: {outcome}" for period, outcome in enumerate(outcomes, 1))
     modes = Counter(outcome.mode for outcome in outcomes if not outcome.error)
     statuses = Counter(outcome.status for outcome in outcomes if not outcome.error)

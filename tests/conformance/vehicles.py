@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 FLEET, VEHICLE = "conformance", "car"
 GATE = VehicleParameters.commonroad(1).gate_limits() | {"max_tail_ticks": 5.0}
 ROOT = Path(__file__).parents[2]
-# Far longer than a healthy replica needs on a busy machine: what is asked here is who answers.
+# Far longer than a healthy replica needs on a busy machine; only the order of replicas is tested.
 DEADLINE = 0.5
 
 
@@ -160,7 +160,7 @@ class InProcess:
         self._frozen[replica] = []
 
     def thaw(self, replica: str) -> None:
-        """Deliver what was held back."""
+        """Deliver the answers that were held back."""
         for deliver in self._frozen.pop(replica):
             deliver()
 
@@ -272,7 +272,7 @@ class OverZenohInRust(Processes):
 
     def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
         """Drive one period."""
-        # JSON knows no number that is not finite; a number beyond the domain stands for it.
+        # JSON cannot express a number that is not finite; a number beyond the domain replaces it.
         state = np.nan_to_num(x, nan=1e300)
         answer = self._call(
             {"deadline": DEADLINE, "x": state.tolist(), "reference": reference.tolist()}

@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), ROOT / "rust/core/NOTATION.md"])
 ARCHITECTURE = ROOT / "ARCHITECTURE.md"
-# Paths in the documents count from the root, or from one of these folders where a section says so.
+# Paths in the documents start at the root, or at one of these folders where a section says so.
 FOLDERS = ["", "rust/core/src", "python/egp_service"]
 FILE = re.compile(r"`([\w./-]+\.(?:rs|py)|[\w./-]+/[\w.-]+\.(?:toml|proto|md))`")
 # A name that the reader of a recipe chooses.

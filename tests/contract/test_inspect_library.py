@@ -1,4 +1,4 @@
-"""`egp inspect` shows what is in the file."""
+"""`egp inspect` shows the content of the file."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ VEHICLE, _, _ = VEHICLE.partition("\n## ")
 
 @pytest.fixture(scope="module")
 def header() -> dict[str, Any]:
-    """Read the shipped library's header as the container's own description says."""
+    """Read the shipped library's header by the description of the container."""
     data = shipped.DEMO_LIBRARY.read_bytes()
     (length,) = struct.unpack("<Q", data[:8])
     parsed: dict[str, Any] = json.loads(data[8 : 8 + length])

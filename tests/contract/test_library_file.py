@@ -1,4 +1,4 @@
-"""The library file: what is written can be read, and each way to spoil it has its own refusal."""
+"""The library file: a written file can be read, and each kind of damage has its own error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A library of one member predicts what that member does in the library it came from."""
+"""A library of one member predicts the same as this member in the library that it came from."""
 
 from __future__ import annotations
 

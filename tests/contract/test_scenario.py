@@ -1,4 +1,4 @@
-"""Scenario files: the built-in ones can be driven, and what is wrong is named."""
+"""Scenario files: the built-in ones can be driven, and errors name the field at fault."""
 
 from __future__ import annotations
 

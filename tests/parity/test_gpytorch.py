@@ -99,7 +99,7 @@ def build(kernel: str, n: int, seed: int) -> tuple[Oracle, MemberData]:
         model.eval()
         models.append(model)
         with torch.no_grad():
-            # Constraints round what was set; take what the model uses.
+            # Constraints round the values that were set, so the values of the model are used.
             lengthscales[o] = model.covar_module.base_kernel.lengthscale.numpy()
             outputscale[o], noise[o] = (
                 model.covar_module.outputscale.item(),

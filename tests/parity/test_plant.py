@@ -185,7 +185,7 @@ def test_no_force_beyond_friction_and_no_energy_from_nothing(vehicle: int, frict
     for _ in range(60):
         plant.step(np.array([0.0, 0.1]), 0.05, friction)
         assert abs(plant.lateral_acceleration) <= 1.1 * friction * GRAVITY
-        # The suspension returns some of what a roll or pitch took; 20 J are 1 cm of heave.
+        # The suspension returns some energy of roll and pitch; 20 J are 1 cm of heave.
         assert kinetic_energy() <= energy + 20.0
         energy = kinetic_energy()
 

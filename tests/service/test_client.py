@@ -1,4 +1,4 @@
-"""The client against the real service: same bytes as in-process, and what happens when it dies."""
+"""The client with the real service: the same bytes as in-process, and failures of the service."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The dataset file: what is written comes back, what is wrong is named."""
+"""The dataset file: written data can be read, and errors name the problem."""
 
 from __future__ import annotations
 

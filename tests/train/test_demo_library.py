@@ -1,4 +1,4 @@
-"""The shipped demo library is what its recipe makes."""
+"""The recipe of the demo library makes the shipped file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Training on a known law: accuracy, determinism, subset, split, refusals."""
+"""Training on a known law: accuracy, determinism, subset, split, errors."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) ->
     (member,) = train([surface()], settings)
     export(tmp_path / "vehicle", [member], settings, {}, TOY)
     assert member.single_track is not None
-    # Another vehicle, of whose parameters none is what the fit could not determine.
+    # Another vehicle whose drive and braking differ everywhere, which the fit may not show.
     known, vehicle = (
         prior_mean.predict(member.inputs, parameters, 0.05)
         for parameters in (member.single_track, VEHICLE)

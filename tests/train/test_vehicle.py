@@ -1,4 +1,4 @@
-"""The vehicle of a library: known by name when it is simulated, otherwise from a file."""
+"""The vehicle of a library: found by its name if it is simulated, otherwise read from a file."""
 
 from __future__ import annotations
 

@@ -10,10 +10,10 @@ use egp_vehicle::{GateLimits, Mode, VehicleConfig};
 use crate::Failure;
 use crate::tally::Tally;
 
-/// Farther from its path than this, m, a vehicle counts as lost.
+/// Distance from its path, m, beyond which a vehicle counts as lost.
 const LOST: f64 = 10.0;
 
-/// When to drive and when to count.
+/// The times between which a vehicle is driven and counted.
 pub(crate) struct Assignment {
     pub(crate) first: Instant,
     pub(crate) period: Duration,
@@ -74,7 +74,7 @@ pub(crate) fn drive(
     Ok(tally)
 }
 
-/// Whether the vehicle must be put back: it has stopped for good, or is off the road.
+/// Whether the vehicle must be put back, because it has stopped for good or is off the road.
 fn is_over(period: &Period) -> bool {
     let stopped = period.step.command.mode == Mode::Stop && period.v_x < 0.1;
     stopped || period.projection.lateral.abs() > LOST

@@ -1,4 +1,4 @@
-//! `egp-load`: how many vehicles a service can keep on the road.
+//! `egp-load`: measures how many vehicles a service can keep on the road.
 
 mod drive;
 mod report;
@@ -16,24 +16,25 @@ use crate::drive::{Assignment, drive};
 use crate::report::Report;
 use crate::tally::Tally;
 
-/// What `--help` teaches.
-const HELP: &str = r"Loads a running service with simulated vehicles and reports how it fares.
+/// The text of `--help` behind the options.
+const HELP: &str = r"Loads a running service with simulated vehicles and reports answer times and errors.
 
     egp-server --library surfaces.safetensors --workers 1
     egp-load --vehicles 8 --seconds 20 --json load.json
 
-Each vehicle is a full one: its own zenoh session, the 29-state plant on a track of changing friction, the
-gate. Requests go out on a fixed schedule (every control period of the library), whether or not the last
-one was answered, and latency counts from when a request was due, so that a slow service cannot slow its
-own test down. The vehicles' schedules are spread evenly over the period.
+Each vehicle has its own zenoh session, the 29-state plant on a track of changing friction, and the gate.
+Requests are sent on a fixed schedule (every control period of the library), whether or not the last one
+was answered, and latency is measured from when a request was due, so that a slow service cannot slow down
+its own test. The vehicles' schedules are spread evenly over the period.
 
-A period is a miss when no solved plan came within the budget. The gate then bridges with the last plan
-(tail) and at last stops the vehicle; stopped, spun or lost vehicles are put back on the track and counted.
+A period is a miss if no solved plan came within the budget. The gate then continues with the last plan
+(tail) and finally stops the vehicle; stopped, spun or lost vehicles are put back on the track and counted.
 
-Look at `generator lag` first: how late requests left, because this program or its machine was busy. Far
-above a millisecond, the figures are about the generator; give it cores of its own or fewer vehicles.";
+Look at `generator lag` first: the delay with which requests were sent because this program or its machine
+was busy. If it is far above a millisecond, the other times describe the generator instead of the service;
+give the generator cores of its own or fewer vehicles.";
 
-/// Loads a running service with simulated vehicles and reports how it fares.
+/// Loads a running service with simulated vehicles and reports answer times and errors.
 #[derive(Parser)]
 #[command(version, long_about = HELP)]
 struct Arguments {
@@ -75,7 +76,8 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
         arguments.grip,
     )?);
     let seconds = |value: f64| {
-        Duration::try_from_secs_f64(value).map_err(|_| format!("{value} is no number of seconds"))
+        Duration::try_from_secs_f64(value)
+            .map_err(|_| format!("{value} is not a number of seconds"))
     };
     let (warm_up, measured) = (seconds(arguments.warm_up)?, seconds(arguments.seconds)?);
     let vehicles: Vec<_> = (0..arguments.vehicles)
@@ -90,7 +92,7 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
             )
         })
         .collect::<Result<_, Failure>>()?;
-    // All sessions are open: a schedule that begins now is not disturbed by the next one's opening.
+    // Schedules begin when all sessions are open, so that opening one does not disturb another.
     let begin = Instant::now() + Duration::from_millis(200);
     let count = vehicles.len();
     let threads: Vec<_> = vehicles

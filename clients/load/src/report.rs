@@ -29,7 +29,7 @@ impl Quantiles {
     }
 }
 
-/// What a load test found; times in milliseconds.
+/// The result of a load test; times in milliseconds.
 #[derive(Serialize)]
 pub(crate) struct Report {
     vehicles: u32,

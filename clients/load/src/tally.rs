@@ -1,4 +1,4 @@
-//! What is counted while driving.
+//! The counts and times of a load test.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -7,7 +7,7 @@ use egp_simulator::Period;
 use egp_vehicle::{Mode, Outcome};
 use hdrhistogram::Histogram;
 
-/// Microseconds from 1 to a minute, three digits exact.
+/// A histogram of microseconds from 1 to a minute with three exact digits.
 pub(crate) struct Micros(Histogram<u64>);
 
 impl Default for Micros {
@@ -26,11 +26,11 @@ impl Micros {
     }
 
     pub(crate) fn add(&mut self, other: &Self) {
-        // Same bounds on both sides, so nothing can be out of range.
+        // Both histograms have the same bounds, so no value can be out of range.
         let _ = self.0.add(&other.0);
     }
 
-    /// Milliseconds at a quantile; zero when nothing was recorded.
+    /// Milliseconds at a quantile; zero if nothing was recorded.
     pub(crate) fn quantile(&self, quantile: f64) -> f64 {
         self.0.value_at_quantile(quantile) as f64 / 1e3
     }
@@ -49,17 +49,17 @@ impl Micros {
 pub(crate) struct Tally {
     /// Requests due.
     pub(crate) periods: u64,
-    /// How each ended.
+    /// Number of requests by their outcome.
     pub(crate) outcomes: BTreeMap<String, u64>,
-    /// Where the commands came from: normal, tail, stop, waiting.
+    /// Number of commands by their mode: normal, tail, stop, waiting.
     pub(crate) modes: [u64; 4],
-    /// From when a request was due to its answer, late answers included.
+    /// Time from when a request was due to its answer, late answers included.
     pub(crate) latency: Micros,
-    /// In the service's queue.
+    /// Time in the service's queue.
     pub(crate) queue: Micros,
-    /// In the service's worker.
+    /// Time in the service's worker.
     pub(crate) step: Micros,
-    /// From when a request was due to when the vehicle got to it.
+    /// Time from when a request was due to when the vehicle began it.
     pub(crate) lag: Micros,
     /// Vehicles stopped, spun or lost, and put back.
     pub(crate) put_back: u64,
@@ -117,7 +117,7 @@ impl Tally {
     }
 }
 
-/// The outcome in one word, with the code of a refusal: `solved`, `infeasible`, `late`, `refused: too_late`.
+/// The outcome in one word, with the code of an error reply: `solved`, `infeasible`, `late`, `refused: too_late`.
 fn name(outcome: &Outcome) -> String {
     match outcome {
         Outcome::Refused(error) => format!("refused: {}", error.code_name()),

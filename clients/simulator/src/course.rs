@@ -1,4 +1,4 @@
-//! What a simulated vehicle drives on.
+//! The course of a simulated vehicle.
 
 use std::cell::Cell;
 use std::str::FromStr;
@@ -31,13 +31,13 @@ impl FromStr for Track {
     }
 }
 
-/// Why there is no course.
+/// Why a course cannot be made.
 #[derive(Debug, Error)]
 pub enum CourseError {
     /// No built-in track of this name.
     #[error("no track {0:?}; there are rectangle and l-shape")]
     Track(String),
-    /// Path, zones or speed refused.
+    /// Path, zones or speed are not valid.
     #[error(transparent)]
     Path(#[from] PathError),
 }
@@ -52,7 +52,7 @@ pub struct Course {
 }
 
 impl Course {
-    /// A track with its length divided evenly among `frictions`, driven at a fraction `grip` of what they allow.
+    /// A track with its length divided evenly among `frictions`, driven at a fraction `grip` of the friction.
     ///
     /// # Errors
     /// [`CourseError::Path`] for friction or grip out of range.
@@ -86,7 +86,7 @@ impl Course {
 /// Friction at a position, by its projection onto the path.
 pub(crate) struct Road<'a> {
     path: &'a Path,
-    /// The last wheel's arc length: the next one is near.
+    /// The last wheel's arc length, near which the search for the next one starts.
     hint: Cell<f64>,
 }
 

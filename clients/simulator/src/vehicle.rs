@@ -16,13 +16,13 @@ pub const CAR: VehicleId = VehicleId::FordEscort;
 /// Why a simulation ended.
 #[derive(Debug, Error)]
 pub enum SimulationError {
-    /// The client.
+    /// The client reports an error.
     #[error(transparent)]
     Client(#[from] ClientError),
-    /// The reference.
+    /// The reference cannot be sampled.
     #[error(transparent)]
     Path(#[from] PathError),
-    /// The plant, which has spun or was put somewhere it cannot be.
+    /// The plant has spun, or its state is not valid.
     #[error(transparent)]
     Plant(#[from] PlantError),
 }
@@ -30,13 +30,13 @@ pub enum SimulationError {
 /// One control period of a simulated vehicle.
 #[derive(Clone, Debug)]
 pub struct Period {
-    /// What the client did.
+    /// The result of the client's step.
     pub step: Step,
-    /// Where the vehicle was on its path at the start.
+    /// The vehicle's projection on its path at the start of the period.
     pub projection: Projection,
-    /// Its speed then, m/s.
+    /// The vehicle's speed at the start, m/s.
     pub v_x: f64,
-    /// The reference's speed then, m/s.
+    /// The reference's speed at the start, m/s.
     pub v_reference: f64,
 }
 
@@ -55,7 +55,7 @@ impl SimulatedVehicle {
     /// Connects a [`CAR`] and puts it on the course at arc length `s`, at its speed there.
     ///
     /// # Errors
-    /// [`SimulationError`] when the service cannot be reached.
+    /// [`SimulationError`] if the service cannot be reached.
     pub fn connect(
         config: &VehicleConfig,
         course: Arc<Course>,
@@ -109,10 +109,10 @@ impl SimulatedVehicle {
         self.travelled
     }
 
-    /// One control period that begins at `start`: measure, ask, act, and let the plant move.
+    /// Runs one control period that begins at `start`: measures, asks the service, and moves the plant.
     ///
     /// # Errors
-    /// [`SimulationError`]; [`SimulatedVehicle::place`] starts anew.
+    /// [`SimulationError`]; call [`SimulatedVehicle::place`] to go on.
     pub fn period(&mut self, start: Instant) -> Result<Period, SimulationError> {
         let dt = self.client.dt();
         let state = self.plant.vehicle_state();
@@ -146,7 +146,7 @@ impl SimulatedVehicle {
         })
     }
 
-    /// Counts the way from the last projection to this one, over the start line too.
+    /// Adds the arc length between the last projection and this one, also across the start line.
     fn advance(&mut self, s: f64) {
         let length = self.course.path.length();
         let way = s - self.s;

@@ -1,4 +1,4 @@
-//! The client of one vehicle: carries the driver's actions out over zenoh.
+//! The client of one vehicle, which carries out the driver's actions over zenoh.
 
 use std::time::{Duration, Instant};
 
@@ -81,7 +81,7 @@ impl VehicleClient {
         self.driver.weights()
     }
 
-    /// Where the last command came from.
+    /// The mode of the last command.
     pub fn mode(&self) -> Mode {
         self.driver.mode()
     }
@@ -93,13 +93,12 @@ impl VehicleClient {
 
     /// One control period, to be called once every [`VehicleClient::dt`] with the measured state.
     ///
-    /// Returns within the budget, with a command in any case: from the new plan, from the rest of the last one, or a
-    /// stop. `reference` has rows `[p_x, p_y, v_x, psi]` for the stages 0..=T, `widths` as many rows `[left, right]` or
-    /// none.
+    /// Returns a command within the budget: from the new plan, from the rest of the last one, or a stop. `reference`
+    /// has rows `[p_x, p_y, v_x, psi]` for the stages 0..=T, `widths` as many rows `[left, right]` or none.
     ///
     /// # Errors
-    /// [`ClientError::Argument`] when no request can be made of `reference` or `widths`. A measured state that is not
-    /// finite is no error: its command is a stop.
+    /// [`ClientError::Argument`] if no request can be made of `reference` or `widths`. A measured state that is not
+    /// finite is not an error: its command is a stop.
     pub fn step(
         &mut self,
         x: State,
@@ -109,8 +108,8 @@ impl VehicleClient {
         self.step_since(Instant::now(), x, reference, widths)
     }
 
-    /// As [`VehicleClient::step`], for a period that began at `start`: the budget counts from there, however late the
-    /// call is.
+    /// As [`VehicleClient::step`], for a period that began at `start`. The budget starts then, even if the call is
+    /// late.
     ///
     /// # Errors
     /// As [`VehicleClient::step`].
@@ -179,7 +178,7 @@ impl VehicleClient {
     }
 }
 
-/// Asks the live replicas until one says what it serves, and makes a driver for that.
+/// Asks the live replicas until one answers what it serves, and makes a driver for it.
 fn discover(
     mut discovery: Discovery,
     network: &Network,
@@ -197,7 +196,7 @@ fn discover(
             });
         }
         let Some((replica, key)) = discovery.next_question() else {
-            // Every live replica was asked, or there is none: wait for a change.
+            // Every live replica was asked, or there is none, so wait for a change.
             match network.next(left.min(POLL)).map(|event| event.what) {
                 Some(What::Appeared(replica)) => discovery.replica_appeared(replica),
                 Some(What::Gone(replica)) => discovery.replica_gone(&replica),
@@ -221,5 +220,5 @@ fn discover(
 
 /// Time between two rounds of questions.
 const POLL: Duration = Duration::from_millis(100);
-/// How long a replica may take to say what it serves.
+/// Time that a replica may take to answer what it serves.
 const QUESTION: Duration = Duration::from_secs(1);

@@ -1,4 +1,4 @@
-//! What a vehicle needs to know before it connects.
+//! The configuration of a client.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -24,7 +24,7 @@ impl VehicleConfig {
     /// Defaults for a vehicle of this name with these actuator limits that connects to these endpoints.
     ///
     /// # Errors
-    /// [`NameError`] when fleet or vehicle is not 1 to 64 of the characters `A-Z a-z 0-9 . _ -`.
+    /// [`NameError`] if fleet or vehicle is not 1 to 64 of the characters `A-Z a-z 0-9 . _ -`.
     pub fn new(
         fleet: &str,
         vehicle: &str,

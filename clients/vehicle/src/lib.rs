@@ -1,4 +1,4 @@
-//! The onboard client: a driver's decisions carried out over zenoh. It holds no solver and no library.
+//! The onboard client, which carries out a driver's decisions over zenoh. It holds no solver and no library.
 //!
 //! ```no_run
 //! # fn measured() -> ([f64; 7], Vec<[f64; 4]>) { ([0.0; 7], vec![]) }

@@ -1,4 +1,4 @@
-//! The one file that names zenoh.
+//! Access to the network; no other file of this crate uses zenoh.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
@@ -29,7 +29,7 @@ impl NetworkError {
     }
 }
 
-/// Something that happened on the network, stamped when it did.
+/// An event on the network, with the time at which it was received.
 pub(crate) struct Event {
     pub(crate) at: Instant,
     pub(crate) what: What,
@@ -39,7 +39,7 @@ pub(crate) struct Event {
 pub(crate) enum What {
     Appeared(Name),
     Gone(Name),
-    /// A reply's payload and attachment, the latter empty when there is none.
+    /// A reply's payload and attachment; the latter is empty if there is none.
     Replied(QueryId, Vec<u8>, Vec<u8>),
     /// Payload of an error reply.
     Refused(QueryId, Vec<u8>),
@@ -47,12 +47,12 @@ pub(crate) enum What {
     Ended(QueryId),
 }
 
-/// A session and what happens on it.
+/// A session and its events.
 pub(crate) struct Network {
     session: zenoh::Session,
     events: Receiver<Event>,
     sender: Sender<Event>,
-    // Held for its effect: it reports replicas that come and go.
+    // This field is never read; while it lives, it reports replicas that come and go.
     _subscriber: zenoh::pubsub::Subscriber<()>,
 }
 
@@ -87,16 +87,16 @@ impl Network {
         })
     }
 
-    /// The next event; none when nothing happens within `patience`.
+    /// The next event, or `None` if there is none within `patience`.
     pub(crate) fn next(&self, patience: Duration) -> Option<Event> {
         // The channel is never closed, because `self` holds a sender.
         self.events.recv_timeout(patience).ok()
     }
 
-    /// Sends a query, whose answers become events; a query that cannot be sent ends at once.
+    /// Sends a query, whose answers become events. A query that cannot be sent ends immediately.
     pub(crate) fn ask(&self, query: Query) {
         let id = query.id;
-        // Dropped by zenoh after the last answer, together with the callback that holds it.
+        // zenoh drops it after the last answer, together with the callback that holds it.
         let end = End(id, self.sender.clone());
         let sent = self
             .session
@@ -112,7 +112,7 @@ impl Network {
         }
     }
 
-    /// The payload of the first answer to a question, or none when no answer comes within `patience`.
+    /// The payload of the first answer to a question, or `None` if there is no answer within `patience`.
     pub(crate) fn ask_and_wait(
         &self,
         key: &str,
@@ -143,7 +143,7 @@ impl Drop for End {
 
 fn report(out: &Sender<Event>, what: What) {
     let at = Instant::now();
-    // The client may be gone.
+    // An error means that the client was dropped.
     let _ = out.send(Event { at, what });
 }
 
@@ -165,7 +165,7 @@ fn configuration(config: &VehicleConfig) -> Result<Config, NetworkError> {
     let endpoints = format!("{:?}", config.connect);
     let ours = [
         ("connect/endpoints", endpoints.as_str()),
-        // A vehicle is not reached by others.
+        // Other participants do not connect to a vehicle.
         ("listen/endpoints", "[]"),
         ("scouting/multicast/enabled", "false"),
         ("transport/link/tx/lease", "2000"),

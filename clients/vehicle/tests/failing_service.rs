@@ -1,4 +1,4 @@
-//! A vehicle and its service, when the service goes away and comes back.
+//! A vehicle whose service stops and starts again.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
 use std::net::TcpListener;
@@ -38,7 +38,7 @@ fn serve(replica: &str, endpoint: &str) -> Server {
     Server::start(&config).unwrap()
 }
 
-/// A vehicle at 12 m/s on a straight road, which it holds: only the answers matter here.
+/// A vehicle at 12 m/s on a straight road. It does not move, because only the answers matter here.
 struct Vehicle {
     client: VehicleClient,
     p_x: f64,
@@ -60,7 +60,7 @@ impl Vehicle {
         let (dt, v_x) = (self.client.dt(), 12.0);
         let row = |t: usize| [self.p_x + v_x * dt * t as f64, 0.0, v_x, 0.0];
         let reference: Vec<_> = (0..=self.client.horizon()).map(row).collect();
-        // A machine busy with other tests must not make answers late.
+        // The budget is long, so that other tests on the machine do not make answers late.
         let begun = Instant::now() + Duration::from_secs(1);
         let step = self
             .client
@@ -76,7 +76,7 @@ impl Vehicle {
         step
     }
 
-    /// Value and slew of everything that leaves.
+    /// Checks value and slew of every command.
     fn check_limits(&mut self, step: &Step) {
         let (limits, dt, [force, rate]) = (limits(), self.client.dt(), step.command.u);
         assert!((limits.force_min..=limits.force_max).contains(&force));
@@ -139,12 +139,12 @@ fn another_replica_takes_over_without_a_missed_plan() {
         ["a", "b"].map(|name| Some(serve(name, &endpoints[usize::from(name == "b")])));
     let mut vehicle = Vehicle::connect(&[&endpoints[0], &endpoints[1]]);
     vehicle.step_until_solved();
-    // Whichever it uses, the other one answers in the very next period.
+    // Whichever replica the vehicle uses, the other one answers in the next period.
     servers[0] = None;
     assert!(vehicle.step().outcome.is_solved());
     servers[0] = Some(serve("a", &endpoints[0]));
     vehicle.step_until_solved();
-    std::thread::sleep(Duration::from_secs(2)); // until "a" is seen again
+    std::thread::sleep(Duration::from_secs(2)); // until "a" is announced again
     servers[1] = None;
     assert!(vehicle.step().outcome.is_solved());
 }

@@ -1,4 +1,4 @@
-"""Control steps asked of a service: one that is started for the purpose, or a running one."""
+"""Controllers that ask a service: a running one, or one that is started for the purpose."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 def remote_controller(scenario: Scenario, endpoint: str) -> VehicleClient:
-    """Ask a running service; its library and settings count, not the scenario's."""
+    """Ask a running service, which uses its own library and settings instead of the scenario's."""
     return VehicleClient.connect([endpoint], gate=gate_settings(scenario))
 
 
 @contextmanager
 def service_controller(scenario: Scenario) -> Iterator[StepController]:
-    """Ask a service started for this purpose in its own process."""
+    """Ask a service that is started for this purpose in its own process."""
     with (
         ServiceProcess(library_path(scenario), scenario.control) as service,
         VehicleClient.connect([service.endpoint], gate=gate_settings(scenario)) as client,

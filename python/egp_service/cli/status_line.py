@@ -10,8 +10,6 @@ from rich.text import Text
 from egp_service.quantities import V_X
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from rich.console import Console
 
     from egp_service.simulation.trace import Period
@@ -32,12 +30,7 @@ class StatusLine:
         self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Remove the line."""
         self._live.stop()
 

@@ -1,6 +1,6 @@
-"""The control step asked of the service over zenoh.
+"""The client of the service over zenoh.
 
-The driver of the Rust core decides; here its actions are carried out and it is told what happened.
+The driver in Rust makes all decisions. This module carries out its actions and reports events.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from egp_service.control.step import Measured
 
 REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
-# How long a replica may take to say what it serves, and time between two rounds of asking.
+# Time that a replica may take to answer what it serves, and time between two rounds of questions.
 _QUESTION_SECONDS = 1.0
 _POLL_SECONDS = 0.05
-# Larger than any message of the service; a larger one must not take the time of a deadline.
+# Above the size of any message of the service; receiving a larger one could delay a step.
 _MAX_MESSAGE_BYTES = 1 << 20
 
 
@@ -50,14 +50,14 @@ class ServiceUnreachableError(EgpError):
 class VehicleClient(StepController):
     """Drive with the service; make one with `VehicleClient.connect`.
 
-    A missing answer costs at most the deadline of the step, then the gate takes over. When the
-    service returns it is found again by itself, and `reset()` drives on.
+    If no answer comes before the deadline of the step, the gate gives the command. A service that
+    returns is found again automatically; after a stop, `reset()` continues the drive.
     """
 
     _driver: Driver
 
     def __init__(self, network: Network, ready: bytes, driver: Driver) -> None:
-        """Take over an open network; `ready` is what a replica said about its library."""
+        """Use an open network; `ready` is a replica's answer on its `ready` key."""
         served = decode_ready(ready)
         self.library, self.members = served.library, served.members
         self.dt, self.horizon = served.dt, served.horizon
@@ -146,7 +146,7 @@ class Announcement:
 
 
 class Network:
-    """A zenoh session, and what happens on it as calls for a driver, in order."""
+    """A zenoh session, and its events in order as calls of a driver."""
 
     def __init__(
         self, endpoints: Sequence[str], timeout: float, more: Mapping[str, object]
@@ -163,14 +163,14 @@ class Network:
         )
 
     def next(self, patience: float) -> Callable[[Driver], None] | None:
-        """Give the next event, or none when nothing happens within `patience` seconds."""
+        """Return the next event, or None if there is none within `patience` seconds."""
         try:
             return self._inbox.get(timeout=max(patience, 0.0))
         except queue.Empty:
             return None
 
     def ask(self, query: Query) -> None:
-        """Send a query, whose answers become events; one that cannot be sent ends at once."""
+        """Send a query, whose answers become events; one that cannot be sent ends immediately."""
 
         def deliver(reply: zenoh.Reply) -> None:
             now, sample, error = time.monotonic(), reply.ok, reply.err
@@ -221,10 +221,10 @@ class Network:
 def _session_config(
     endpoints: Sequence[str], timeout: float, more: Mapping[str, object]
 ) -> zenoh.Config:
-    """Configure a peer with a link to every endpoint, so that no replica is behind another.
+    """Configure a peer with its own link to every endpoint.
 
-    A session in zenoh's client mode holds one link: while the replica at its end is frozen, the
-    others cannot be reached. Shared memory slows the first queries down and can lose one silently.
+    A session in zenoh's client mode has one link, and while the replica at its end is frozen, the
+    others cannot be reached. Shared memory delays the first queries and can lose one silently.
     """
     settings: dict[str, object] = {
         "mode": "peer",

@@ -1,4 +1,4 @@
-"""The control step in this process: no network, the same request, the same bytes back."""
+"""The control step in this process. Requests and replies have the same bytes as with a service."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Controller(StepController):
-    """Drive with a library file, computed here; the README shows a lap with it."""
+    """Compute the steps in this process with a library file; `docs/python.md` shows a lap."""
 
     _driver: InProcessDriver
 
@@ -30,7 +30,7 @@ class Controller(StepController):
         gate: Mapping[str, float],
         want_sigma: bool = False,
     ) -> None:
-        """Load and verify a library; `settings` go over the control step's defaults.
+        """Load and verify a library; `settings` override the control step's defaults.
 
         They are a mapping such as `{"cost": {"lateral": 30.0}}` or the same as TOML text.
 

@@ -18,7 +18,6 @@ from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from types import TracebackType
 
 START_SECONDS = 20.0
 DRAIN_SECONDS = 5.0
@@ -95,12 +94,7 @@ class ServiceProcess:
             self._cleanup = started.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the service and remove its files."""
         self._cleanup.close()
 

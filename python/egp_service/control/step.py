@@ -1,4 +1,4 @@
-"""What one control period brings, and the interface of whatever computes one."""
+"""The result of a control period, and the interface of the controllers that compute it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from types import TracebackType
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -25,26 +24,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """Where the time of a step went, in seconds."""
+    """The times within a step, s."""
 
     total: float
-    """From the call to the command."""
+    """Time from the call to the command."""
     queue: float = 0.0
-    """Waiting in the service."""
+    """Time in the service's queue."""
     compute: float = 0.0
-    """Decoding, control step and encoding in the service or engine."""
+    """Time of decoding, control step and encoding in the service or engine."""
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One control period: the command, where it comes from, and all that was exchanged."""
+    """One control period: the command, its origin, and the messages that were exchanged."""
 
     u: NDArray[np.float64]
     """Force [N] and steering rate [rad/s] for the actuators, inside all limits."""
     mode: Literal["normal", "tail", "stop", "waiting"]
-    """A new plan, the rest of an older one, a latched stop, or braking until the first plan."""
+    """`normal` (a new plan), `tail` (the rest of an older plan), `stop` (braking until `reset()`)
+    or `waiting` (braking until the first plan)."""
     limited: bool
-    """Whether the gate had to change what the plan asked for."""
+    """Whether a limit of the gate changed the command of the plan."""
     status: str
     """The solver's status (`solved`, `iteration_limit`, `infeasible`, `numerical_error`,
     `check_failed`), or why there is none: `refused`, `unusable` (a reply that failed its check),
@@ -52,25 +52,25 @@ class Step:
     detail: str
     """Why there is no plan, or why the vehicle counts as lost; empty otherwise."""
     weights: NDArray[np.float64]
-    """(N,) of the newest reply; empty before the first."""
+    """Weights (N,) of the newest reply; empty before the first."""
     plan_x: NDArray[np.float64] | None
-    """(T+1, 7), from the measured state on."""
+    """States (T+1, 7) of the new plan, from the measured state on."""
     plan_u: NDArray[np.float64] | None
     """(T, 2)."""
     sigma: NDArray[np.float64] | None
-    """(T+1, 3) standard deviations of `[v_x, v_y, omega]` along the plan, when asked for."""
+    """Standard deviations (T+1, 3) of `[v_x, v_y, omega]` along the plan, if requested."""
     timings: Timings
     replica: str
-    """Who replied, or who was asked last; empty when no replica was asked."""
+    """Name of the replica that replied or was asked last; empty if none was asked."""
     request: bytes
-    """The bytes sent; empty when nothing was."""
+    """The bytes sent; empty if there was no request."""
     reply: bytes | None
     """The bytes of this period's reply."""
     late: tuple[bytes, ...]
     """Replies to earlier requests that came in the meantime."""
     envelope_distance: float = float("nan")
-    """How far `[v_x, v_y, omega, delta]` lies outside the library's training data: the largest
-    excess of a component over its range, in half widths of that range; 0 inside."""
+    """Distance of `[v_x, v_y, omega, delta]` from the library's training data: the largest excess
+    of a component over its range, in half widths of that range; 0 inside."""
     lost: bool = False
     """Whether the vehicle counts as lost (far outside the training data, far from the reference, or
     pointing away from it) and is therefore stopped."""
@@ -100,7 +100,7 @@ class Step:
 
 
 class StepController(ABC):
-    """Turns a measured state and a reference into a command that the actuators may get.
+    """Computes commands for the actuators from measured states and references.
 
     Once in each control period::
 
@@ -108,7 +108,7 @@ class StepController(ABC):
         vehicle.apply(step.u)
 
     `Controller` computes the step in this process, `VehicleClient` asks the service; both send the
-    same request, get the same bytes back, and leave every decision to the driver of the Rust core.
+    same request and get the same bytes back, and the driver in Rust makes every decision.
     """
 
     library: bytes
@@ -118,8 +118,7 @@ class StepController(ABC):
     horizon: int
     """Inputs in a plan, T."""
     members: Sequence[str]
-    """Surfaces behind the weights."""
-    _driver: Driver | InProcessDriver
+    """Surfaces, in the order of the weights."""
 
     def step(
         self,
@@ -129,7 +128,7 @@ class StepController(ABC):
         *,
         deadline: float | None = None,
     ) -> Step:
-        """Give the command for a measured state (7,), a reference (T+1, 4) and widths (T+1, 2).
+        """Return the step for a measured state (7,), a reference (T+1, 4) and widths (T+1, 2).
 
         `x` is `[p_x, p_y, v_x, psi, v_y, omega, delta]`, `reference` has rows
         `[p_x, p_y, v_x, psi]` from now on, `widths` rows `[left, right]`, all in SI units and rad.
@@ -153,23 +152,18 @@ class StepController(ABC):
         """Leave STOP and forget the past, for instance after the vehicle was moved."""
         self._driver.reset()
 
-    def close(self) -> None:  # noqa: B027 - most have nothing to close
-        """Release what the controller holds."""
+    def close(self) -> None:  # noqa: B027 - most controllers have nothing to close
+        """Release the controller's resources."""
 
     def __enter__(self) -> Self:
         """Use as a context manager to close at the end."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close."""
         self.close()
 
 
 def rows(values: ArrayLike) -> NDArray[np.float64]:
-    """Give values as the contiguous float64 array that the core reads."""
+    """Return values as a contiguous float64 array, which the extension requires."""
     return np.ascontiguousarray(values, dtype=np.float64)

@@ -48,7 +48,7 @@ class Experiment:
 
     @property
     def parameters(self) -> VehicleParameters:
-        """What a controller knows of the vehicle: it must not plan what the data do not show."""
+        """The vehicle's parameters for a controller, which the inputs of the data do not exceed."""
         return VehicleParameters.commonroad(self.vehicle)
 
     @property

@@ -157,7 +157,7 @@ def library_path(scenario: Scenario) -> Path:
 
 
 def gate_settings(scenario: Scenario) -> dict[str, float]:
-    """Give the gate's settings: the simulated vehicle's limits, and what the scenario states."""
+    """Return the gate's settings: the simulated vehicle's limits and those of the scenario."""
     return VehicleParameters.commonroad(scenario.vehicle).gate_limits() | scenario.gate
 
 

@@ -279,8 +279,8 @@ def _train_member(
     )
 
 
-# What is left over one period is close to linear in z: long lengthscales, little noise. Bounds move
-# this and the random starts inside.
+# The residual of one period is almost linear in z, hence the long lengthscales and little noise.
+# Values of this start and of the random ones are moved inside the bounds.
 _START: Final = Hyperparameters(lengthscales=(3.0,) * NZ, outputscale=3.0, noise=1e-2, constant=0.0)
 
 

@@ -12,7 +12,7 @@ pub fn available_cores() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// A number of cores, and who has them.
+/// A number of cores, and how many of them are in use.
 #[derive(Debug)]
 pub(crate) struct Cores {
     helpers: ThreadPool,
@@ -20,7 +20,7 @@ pub(crate) struct Cores {
     taken: AtomicUsize,
 }
 
-/// Cores that are given back when this is dropped.
+/// Cores in use, which are returned when this value is dropped.
 #[derive(Debug)]
 pub(crate) struct Taken<'a> {
     cores: &'a Cores,
@@ -28,7 +28,7 @@ pub(crate) struct Taken<'a> {
 }
 
 impl Cores {
-    /// `total` cores, two at least; one less are threads that wait for parts of steps.
+    /// `total` cores, at least two, with `total - 1` threads that wait for parts of steps.
     pub fn new(total: usize) -> Result<Arc<Self>, ThreadPoolBuildError> {
         let helpers = ThreadPoolBuilder::new()
             .num_threads(total.max(2) - 1)
@@ -50,7 +50,7 @@ impl Cores {
         }
     }
 
-    /// Up to `wanted` cores that no step uses.
+    /// Borrows up to `wanted` cores that no step uses.
     fn borrow(&self, wanted: usize) -> Taken<'_> {
         let mut count = 0;
         let _ = self

@@ -1,4 +1,4 @@
-//! The one adapter between the wire and the mathematics.
+//! The adapter between the wire and the mathematics.
 
 use std::{fs, path::Path, sync::Arc};
 
@@ -28,10 +28,10 @@ pub struct EngineWorkspace {
 }
 
 impl Engine {
-    /// An engine, once library, settings and wire are known to fit together.
+    /// Makes an engine after checking that library, settings and wire fit together.
     ///
     /// # Errors
-    /// [`EngineError`] when the settings are out of range, or members, horizon or window beyond the wire.
+    /// [`EngineError`] if the settings are out of range, or members, horizon or window exceed the limits of the wire.
     pub fn new(library: Library, settings: Settings) -> Result<Self, EngineError> {
         let (limits, dt) = (Limits::default(), library.dt());
         let settings = settings.complete(dt, library.vehicle());
@@ -65,7 +65,7 @@ impl Engine {
         })
     }
 
-    /// Reads a library file and makes an engine of it.
+    /// Makes an engine from a library file.
     ///
     /// # Errors
     /// [`EngineError`]; the message names the file.
@@ -82,8 +82,8 @@ impl Engine {
         Self::new(library, settings)
     }
 
-    /// Lets steps evaluate members on up to `count` cores, those that no other step has, where that pays; no more than
-    /// the machine has. The bits of the replies stay the same.
+    /// Lets steps evaluate members on up to `count` cores, but no more than the machine has, if that saves time and no other
+    /// step uses them. The bits of the replies stay the same.
     ///
     /// # Errors
     /// [`EngineError::Threads`].
@@ -102,8 +102,8 @@ impl Engine {
         &self.library
     }
 
-    /// The vehicle that plans are made for: the library's, with the settings' mass, axles and tyres over it. The limits
-    /// of the settings, which may be narrower than the vehicle's, do not count.
+    /// The vehicle that plans are made for: the library's, with the settings' mass, axles and tyres in place of its
+    /// own. It does not have the limits of the settings, which may be narrower than the vehicle's.
     pub fn vehicle(&self) -> VehicleParameters {
         let library = *self.library.vehicle();
         let planned = self.settings.vehicle(&library);
@@ -137,7 +137,7 @@ impl Engine {
 }
 
 impl Engine {
-    /// What a client must know to make requests.
+    /// The properties of the engine that a client needs to make requests.
     pub fn describe(&self) -> Ready {
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX); // checked against `Limits`
         Ready {
@@ -160,7 +160,7 @@ impl Engine {
     /// Memory for one step at a time.
     ///
     /// # Errors
-    /// [`WireError`] with the code `INTERNAL` when the memory cannot be made.
+    /// [`WireError`] with the code `INTERNAL` if the memory cannot be made.
     pub fn workspace(&self) -> Result<EngineWorkspace, WireError> {
         let core = Workspace::new(&self.library, &self.settings)
             .map_err(|error| WireError::permanent(Code::Internal, error.to_string()))?;
@@ -181,7 +181,7 @@ impl Engine {
     /// it runs on several cores.
     ///
     /// # Errors
-    /// [`WireError`] as it is told to a client; the content of `reply` is then unspecified.
+    /// [`WireError`], which is sent to the client; the content of `reply` is then unspecified.
     pub fn step(
         &self,
         workspace: &mut EngineWorkspace,
@@ -213,7 +213,7 @@ impl Engine {
 }
 
 impl Engine {
-    /// Takes over every field of a reply, in its memory.
+    /// Copies every field of a reply into the memory of this one.
     fn fill(&self, reply: &mut Reply, sequence: u64, step: &StepReply, solver: &str) {
         let Reply {
             library,

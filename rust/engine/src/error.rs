@@ -1,11 +1,11 @@
-//! Why an engine could not be made.
+//! Why an engine cannot be made.
 
 use std::io;
 
 use egp_core::{LibraryError, step::SetupError};
 use thiserror::Error;
 
-/// Why an engine could not be made.
+/// Why an engine cannot be made.
 #[derive(Debug, Error)]
 pub enum EngineError {
     /// The library file cannot be read.
@@ -13,21 +13,21 @@ pub enum EngineError {
     Read {
         /// The file.
         path: String,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
-    /// The library file was refused.
-    #[error("{path} is refused: {source}")]
+    /// The library file failed a check.
+    #[error("{path} cannot be used: {source}")]
     Library {
         /// The file.
         path: String,
-        /// Why.
+        /// The check that failed.
         source: LibraryError,
     },
-    /// The settings were refused.
+    /// The settings are not valid.
     #[error(transparent)]
     Setup(#[from] SetupError),
-    /// The system gave no threads for parts of steps.
+    /// The system could not start threads for parts of steps.
     #[error("cannot start threads for parts of steps: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
     /// More than a message can carry.

@@ -82,15 +82,7 @@ impl VehicleState {
 
     /// The part of a full state that a controller measures.
     pub fn of(x: &StateVector) -> Self {
-        Self {
-            p_x: x[0],
-            p_y: x[1],
-            v_x: x[3],
-            psi: x[4],
-            v_y: x[10],
-            omega: x[5],
-            delta: x[2],
-        }
+        Self::from_array([x[0], x[1], x[3], x[4], x[10], x[5], x[2]])
     }
 
     fn checked(self) -> Result<Self, PlantError> {
@@ -122,15 +114,7 @@ pub fn initial_state(
 
 /// [`initial_state`] of a vehicle state known to be valid.
 pub(crate) fn settled(parameters: &Parameters, vehicle: &VehicleState) -> StateVector {
-    let &VehicleState {
-        p_x,
-        p_y,
-        v_x,
-        psi,
-        v_y,
-        omega,
-        delta,
-    } = vehicle;
+    let [p_x, p_y, v_x, psi, v_y, omega, delta] = vehicle.to_array();
     let wheel_load = parameters.static_wheel_loads();
     let mut x = [0.0; NX];
     [x[0], x[1], x[2], x[3], x[4], x[5], x[10]] = [p_x, p_y, delta, v_x, psi, omega, v_y];

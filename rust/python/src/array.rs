@@ -14,15 +14,15 @@ pub type Vector<'py> = PyReadonlyArray1<'py, f64>;
 pub type Matrix<'py> = PyReadonlyArray2<'py, f64>;
 /// A three-dimensional array from Python.
 pub type Cube<'py> = PyReadonlyArray3<'py, f64>;
-/// What numpy makes a vector of.
+/// Anything that numpy converts to a vector.
 pub type VectorLike<'py> = PyArrayLike1<'py, f64, AllowTypeChange>;
-/// What numpy makes a matrix of.
+/// Anything that numpy converts to a matrix.
 pub type MatrixLike<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
-/// What numpy makes an array of.
+/// Anything that numpy converts to an array.
 pub type ArrayLike<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 /// An array of any dimension.
 pub type OwnedArray = ArrayD<f64>;
-/// A look at one.
+/// A view of an array of any dimension.
 pub type ArrayView<'a> = ArrayViewD<'a, f64>;
 /// A vector for Python.
 pub type NewVector<'py, T = f64> = Bound<'py, PyArray1<T>>;
@@ -34,7 +34,7 @@ pub type NewCube<'py> = Bound<'py, PyArray3<f64>>;
 /// A vector of `N` numbers.
 ///
 /// # Errors
-/// Another length.
+/// Errors if the array has another length.
 pub fn fixed<const N: usize>(name: &str, array: &Vector<'_>) -> PyResult<[f64; N]> {
     let array = array.as_array();
     if array.len() == N {
@@ -46,7 +46,7 @@ pub fn fixed<const N: usize>(name: &str, array: &Vector<'_>) -> PyResult<[f64; N
 /// The rows of a matrix with `N` columns.
 ///
 /// # Errors
-/// Another number of columns.
+/// Errors if the matrix has another number of columns.
 pub fn rows<const N: usize>(name: &str, array: &Matrix<'_>) -> PyResult<Vec<[f64; N]>> {
     let array = array.as_array();
     if array.ncols() == N {
@@ -62,7 +62,7 @@ pub fn rows<const N: usize>(name: &str, array: &Matrix<'_>) -> PyResult<Vec<[f64
 /// The layers of an `(n, R, C)` array.
 ///
 /// # Errors
-/// Other sizes of the layers.
+/// Errors if the layers have other sizes.
 pub fn layers<const R: usize, const C: usize>(
     name: &str,
     array: &Cube<'_>,
@@ -76,8 +76,12 @@ pub fn layers<const R: usize, const C: usize>(
     Ok((0..array.shape()[0]).map(layer).collect())
 }
 
-/// A numpy matrix that a Python object keeps.
+/// A vector that a Python object keeps.
+pub type KeptVector = Py<PyArray1<f64>>;
+/// A matrix that a Python object keeps.
 pub type KeptMatrix = Py<PyArray2<f64>>;
+/// A three-dimensional array that a Python object keeps.
+pub type KeptCube = Py<PyArray3<f64>>;
 
 /// A numpy vector of these numbers.
 pub fn vector<T: Element>(py: Python<'_>, values: impl IntoIterator<Item = T>) -> NewVector<'_, T> {
@@ -87,7 +91,7 @@ pub fn vector<T: Element>(py: Python<'_>, values: impl IntoIterator<Item = T>) -
 /// A numpy array of that shape from numbers in row-major order.
 ///
 /// # Errors
-/// When the count does not match the shape.
+/// Errors if the count does not match the shape.
 pub fn array<S: IntoDimension>(
     py: Python<'_>,
     values: Vec<f64>,
@@ -96,13 +100,13 @@ pub fn array<S: IntoDimension>(
     values.into_pyarray(py).reshape(shape)
 }
 
-/// The refusal of an array by its shape, shown as Python shows shapes.
+/// The error about an array of the wrong shape, written as Python writes shapes.
 pub fn wrong_shape(name: &str, expected: &str, found: &[usize]) -> PyErr {
     let found = shown(found);
     InvalidArgumentError::new_err(format!("expected {name} of shape {expected}, got {found}"))
 }
 
-/// A shape as Python shows it.
+/// A shape as Python writes it.
 pub fn shown(shape: &[usize]) -> String {
     match shape {
         [count] => format!("({count},)"),

@@ -1,4 +1,4 @@
-//! The driver's state machine as Python's transports use it.
+//! The driver's state machine for Python's transports.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -7,141 +7,104 @@ use std::time::Duration;
 use egp_driver::{Action, Discovery, DriverConfig, Measurement, QueryId};
 use egp_wire::Ready;
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
 
-use crate::array::{Matrix, NewMatrix, NewVector, Vector, fixed, rows, vector};
+use crate::array::{KeptMatrix, KeptVector, Matrix, NewVector, Vector, fixed, rows, vector};
 use crate::error::{InvalidArgumentError, raise};
 use crate::gate::{configure, mode_name};
 use crate::wire::matrix;
 
-/// A question to a replica, to be sent as it is.
+/// A question to a replica, to be sent as it is. The driver is told the answer with the query's `id`.
 #[pyclass(module = "egp_service._core", frozen, get_all)]
 pub struct Query {
+    /// Identifies the query to the driver.
     id: u64,
+    /// Name of the replica to ask.
     replica: String,
+    /// Key of the zenoh query.
     key: String,
+    /// Bytes to send.
     payload: Cow<'static, [u8]>,
+    /// Time to listen for the answer, s.
     listen: f64,
 }
 
-/// What one control period brought.
-#[pyclass(module = "egp_service._core", frozen)]
-pub struct Decision(pub egp_driver::Step);
-
-#[pymethods]
-impl Decision {
-    #[getter]
-    fn u<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        vector(py, self.0.command.u)
-    }
-
-    #[getter]
-    fn mode(&self) -> &'static str {
-        mode_name(self.0.command.mode)
-    }
-
-    #[getter]
-    fn limited(&self) -> bool {
-        self.0.command.limited
-    }
-
-    #[getter]
-    fn status(&self) -> &'static str {
-        self.0.outcome.name()
-    }
-
-    #[getter]
-    fn detail(&self) -> String {
-        let lost = self.0.lost.map(|lost| lost.to_string());
-        lost.unwrap_or_else(|| self.0.outcome.detail())
-    }
-
-    #[getter]
-    fn lost(&self) -> bool {
-        self.0.lost.is_some()
-    }
-
-    #[getter]
-    fn envelope_distance(&self) -> f64 {
-        self.0.situation.map_or(f64::NAN, |here| here.envelope)
-    }
-
-    #[getter]
-    fn plan_x<'py>(&self, py: Python<'py>) -> PyResult<Option<NewMatrix<'py>>> {
-        self.rows(py, |reply| &reply.plan_x)
-    }
-
-    #[getter]
-    fn plan_u<'py>(&self, py: Python<'py>) -> PyResult<Option<NewMatrix<'py>>> {
-        self.rows(py, |reply| &reply.plan_u)
-    }
-
-    #[getter]
-    fn sigma<'py>(&self, py: Python<'py>) -> PyResult<Option<NewMatrix<'py>>> {
-        self.rows(py, |reply| &reply.sigma)
-    }
-
-    #[getter]
-    fn replica(&self) -> String {
-        self.0
-            .replica
-            .as_ref()
-            .map_or_else(String::new, ToString::to_string)
-    }
-
-    #[getter]
-    fn request<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
-        PyBytes::new(py, &self.0.request)
-    }
-
-    #[getter]
-    fn reply<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyBytes>> {
-        self.0
-            .reply
-            .as_ref()
-            .map(|_| PyBytes::new(py, &self.0.reply_bytes))
-    }
-
-    #[getter]
-    fn late<'py>(&self, py: Python<'py>) -> Vec<Bound<'py, PyBytes>> {
-        self.0
-            .late
-            .iter()
-            .map(|late| PyBytes::new(py, &late.reply_bytes))
-            .collect()
-    }
-
-    /// Seconds in the service's queue and in its worker; zeros when the reply does not say.
-    #[getter]
-    fn service_time(&self) -> (f64, f64) {
-        let seconds = |us: u32| 1e-6 * f64::from(us);
-        self.0.timing.map_or((0.0, 0.0), |timing| {
-            (seconds(timing.queue_us), seconds(timing.step_us))
-        })
-    }
-
-    #[getter]
-    fn asked(&self) -> u32 {
-        self.0.asked
-    }
+/// The result of one control period; `egp_service.Step` has the same fields and more.
+#[pyclass(module = "egp_service._core", frozen, get_all)]
+pub struct Decision {
+    /// Force [N] and steering rate [rad/s] for the actuators (2,).
+    u: KeptVector,
+    /// The mode of the gate that gave the command: "normal", "tail", "stop" or "waiting".
+    mode: &'static str,
+    /// Whether a limit changed the command of the plan.
+    limited: bool,
+    /// The outcome in one word.
+    status: &'static str,
+    /// Why there is no plan, or why the vehicle counts as lost; empty otherwise.
+    detail: String,
+    /// Whether the vehicle counts as lost and is therefore stopped.
+    lost: bool,
+    /// Distance of the state from the library's training data, in half widths; 0 inside.
+    envelope_distance: f64,
+    /// States of the new plan (T+1, 7).
+    plan_x: Option<KeptMatrix>,
+    /// Inputs of the new plan (T, 2).
+    plan_u: Option<KeptMatrix>,
+    /// Standard deviations along the plan (T+1, 3).
+    sigma: Option<KeptMatrix>,
+    /// Name of the replica that replied, or that was asked last.
+    replica: String,
+    /// Bytes of the request; empty if none was made.
+    request: Cow<'static, [u8]>,
+    /// Bytes of this period's reply.
+    reply: Option<Cow<'static, [u8]>>,
+    /// Replies to earlier requests that came since the last step.
+    late: Vec<Cow<'static, [u8]>>,
+    /// Seconds in the service's queue and in its worker; zeros if the reply does not state them.
+    service_time: (f64, f64),
+    /// Number of replicas that were asked.
+    asked: u32,
 }
 
 impl Decision {
-    /// A tensor of the reply; none when there is no reply or the tensor has no rows, which is how a field is absent on
-    /// the wire.
-    fn rows<'py, const W: usize>(
-        &self,
-        py: Python<'py>,
-        field: impl Fn(&egp_wire::Reply) -> &Vec<[f64; W]>,
-    ) -> PyResult<Option<NewMatrix<'py>>> {
-        let rows = self
-            .0
-            .reply
-            .as_ref()
-            .map(field)
-            .filter(|rows| !rows.is_empty());
-        rows.map(|rows| matrix(py, rows)).transpose()
+    /// A driver's step as an object of Python.
+    pub fn new(py: Python<'_>, step: egp_driver::Step) -> PyResult<Self> {
+        let seconds = |us: u32| 1e-6 * f64::from(us);
+        let lost = step.lost.map(|lost| lost.to_string());
+        let reply = step.reply.as_ref();
+        Ok(Self {
+            u: vector(py, step.command.u).unbind(),
+            mode: mode_name(step.command.mode),
+            limited: step.command.limited,
+            status: step.outcome.name(),
+            lost: lost.is_some(),
+            detail: lost.unwrap_or_else(|| step.outcome.detail()),
+            envelope_distance: step.situation.map_or(f64::NAN, |here| here.envelope),
+            plan_x: rows_of(py, reply.map(|reply| &reply.plan_x))?,
+            plan_u: rows_of(py, reply.map(|reply| &reply.plan_u))?,
+            sigma: rows_of(py, reply.map(|reply| &reply.sigma))?,
+            replica: step
+                .replica
+                .map_or_else(String::new, |name| name.to_string()),
+            request: step.request.into(),
+            reply: reply.is_some().then(|| step.reply_bytes.into()),
+            late: (step.late.into_iter())
+                .map(|late| late.reply_bytes.into())
+                .collect(),
+            service_time: step.timing.map_or((0.0, 0.0), |timing| {
+                (seconds(timing.queue_us), seconds(timing.step_us))
+            }),
+            asked: step.asked,
+        })
     }
+}
+
+/// A tensor of a reply, or `None` if there is no reply or the tensor has no rows, because an absent field has none.
+fn rows_of<const W: usize>(
+    py: Python<'_>,
+    rows: Option<&Vec<[f64; W]>>,
+) -> PyResult<Option<KeptMatrix>> {
+    let rows = rows.filter(|rows| !rows.is_empty());
+    rows.map(|rows| Ok(matrix(py, rows)?.unbind())).transpose()
 }
 
 /// The configuration behind both kinds of drivers.
@@ -180,9 +143,14 @@ fn time(seconds: f64) -> PyResult<Duration> {
     Duration::try_from_secs_f64(seconds).map_err(raise)
 }
 
-/// The state machine of one vehicle.
+/// Decides for one vehicle which replica to ask, how long to wait, and which replies to use.
+///
+/// A state machine without clock, network or threads: it is told each event with the time in s of a clock that does not
+/// run backwards, and its actions are to be carried out. `ready` is a replica's answer on its `ready` key, `gate` the
+/// settings of the gate, `budget` the part of the control period that an answer may take. Raises `InvalidArgumentError`
+/// for values out of range.
 #[pyclass(module = "egp_service._core")]
-struct Driver(egp_driver::Driver);
+pub struct Driver(egp_driver::Driver);
 
 #[pymethods]
 impl Driver {
@@ -203,18 +171,24 @@ impl Driver {
             .map_err(InvalidArgumentError::raise)
     }
 
+    /// Note that a replica announces itself.
     fn replica_appeared(&mut self, now: f64, replica: &str) -> PyResult<()> {
         self.0
             .replica_appeared(time(now)?, replica.parse().map_err(raise)?);
         Ok(())
     }
 
+    /// Note that a replica withdrew its announcement or was lost.
     fn replica_gone(&mut self, now: f64, replica: &str) -> PyResult<()> {
         self.0
             .replica_gone(time(now)?, &replica.parse().map_err(raise)?);
         Ok(())
     }
 
+    /// Open a control period at the measured state (7,), with a command due by `deadline`.
+    ///
+    /// `reference` has rows [p_x, p_y, v_x, psi] (T+1, 4), `widths` rows [left, right] (T+1, 2). Raises
+    /// `InvalidArgumentError` if no request can be made of the arguments.
     #[pyo3(signature = (now, deadline, x, reference, widths = None))]
     fn tick(
         &mut self,
@@ -229,31 +203,36 @@ impl Driver {
         ticked.map_err(InvalidArgumentError::raise)
     }
 
+    /// Decide the open period if its deadline has passed.
     fn wake(&mut self, now: f64) -> PyResult<()> {
         self.0.wake(time(now)?);
         Ok(())
     }
 
+    /// Note a reply and its attachment.
     fn replied(&mut self, now: f64, query: u64, payload: &[u8], attachment: &[u8]) -> PyResult<()> {
         self.0
             .replied(time(now)?, QueryId(query), payload, attachment);
         Ok(())
     }
 
+    /// Note an error reply.
     fn refused(&mut self, now: f64, query: u64, error: &[u8]) -> PyResult<()> {
         self.0.refused(time(now)?, QueryId(query), error);
         Ok(())
     }
 
+    /// Note that no more answers to a query come.
     fn ended(&mut self, now: f64, query: u64) -> PyResult<()> {
         self.0.ended(time(now)?, QueryId(query));
         Ok(())
     }
 
+    /// Return the next action: a query to send, or the period's decision.
     fn next_action(&mut self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
         Ok(match self.0.next_action() {
             None => None,
-            Some(Action::Command(step)) => Some(Py::new(py, Decision(*step))?.into_any()),
+            Some(Action::Command(step)) => Some(Py::new(py, Decision::new(py, *step)?)?.into_any()),
             Some(Action::Ask(query) | Action::Probe(query)) => {
                 let query = Query {
                     id: query.id.0,
@@ -267,34 +246,39 @@ impl Driver {
         })
     }
 
+    /// Seconds that an answer may take unless a period states its deadline.
     #[getter]
     fn budget(&self) -> f64 {
         self.0.budget().as_secs_f64()
     }
 
+    /// The mode of the gate.
     #[getter]
     fn mode(&self) -> &'static str {
         mode_name(self.0.mode())
     }
 
+    /// Weights of the newest reply (N,); empty before the first.
     #[getter]
     fn weights<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.0.weights().iter().copied())
     }
 
+    /// Start the next request from these weights, and carry no history from now on.
     fn hold_weights(&mut self, weights: Vector<'_>) {
         self.0
             .hold_weights(weights.as_array().iter().copied().collect());
     }
 
+    /// Leave STOP and forget history, weights, plan and outstanding requests.
     fn reset(&mut self) {
         self.0.reset();
     }
 }
 
-/// Whom to ask what the service serves, before there is a driver.
+/// Finds a replica that is ready by asking those that announce themselves in turn.
 #[pyclass(name = "Discovery", module = "egp_service._core")]
-struct Discover(Discovery);
+pub struct Discover(Discovery);
 
 #[pymethods]
 impl Discover {
@@ -307,36 +291,46 @@ impl Discover {
             .map_err(InvalidArgumentError::raise)
     }
 
+    /// Note that a replica announces itself.
     fn replica_appeared(&mut self, replica: &str) -> PyResult<()> {
         self.0.replica_appeared(replica.parse().map_err(raise)?);
         Ok(())
     }
 
+    /// Note that a replica withdrew its announcement or was lost.
     fn replica_gone(&mut self, replica: &str) -> PyResult<()> {
         self.0.replica_gone(&replica.parse().map_err(raise)?);
         Ok(())
     }
 
+    /// The replicas that announce themselves.
     #[getter]
     fn live(&self) -> Vec<String> {
         self.0.live().map(ToString::to_string).collect()
     }
 
+    /// Return a replica to ask and the key, or None if all were asked in this round.
     fn next_question(&mut self) -> Option<(String, String)> {
         let (replica, key) = self.0.next_question()?;
         Some((replica.to_string(), key))
     }
 
+    /// Whether an answer describes a replica that can be used; otherwise the reason is kept.
+    ///
+    /// A replica can be used if its description is valid and says that it is ready, and if the gate allows no more than
+    /// the vehicle that the replica plans for can do.
     fn is_usable(&mut self, replica: &str, answer: &[u8]) -> PyResult<bool> {
         let replica = replica.parse().map_err(raise)?;
         Ok(self.0.answered(&replica, answer).is_some())
     }
 
+    /// Why no replica can be used, in one sentence.
     #[getter]
     fn error(&self) -> String {
         self.0.error().to_string()
     }
 
+    /// The live replicas, each with the reason why it cannot be used.
     #[getter]
     fn unusable(&self) -> BTreeMap<String, String> {
         let reasons = self.0.error().0.into_iter();
@@ -344,15 +338,4 @@ impl Discover {
             .map(|(replica, reason)| (replica.to_string(), reason.to_string()))
             .collect()
     }
-}
-
-/// Adds the classes to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<Decision>()?;
-    module.add_class::<Discover>()?;
-    module.add_class::<Driver>()?;
-    module.add_class::<Query>()
 }

@@ -7,21 +7,25 @@ use pyo3::prelude::*;
 
 use crate::error::{EgpError, raise};
 
-/// What leaves the gate in one period.
+/// The command of one period.
 #[pyclass(frozen, get_all, module = "egp_service._core")]
 #[derive(Clone)]
-struct Command {
+pub struct Command {
     /// Force [N] and steering rate [rad/s].
     u: (f64, f64),
-    /// "normal", "tail", "stop" or "waiting".
+    /// The mode of the gate: "normal", "tail", "stop" or "waiting".
     mode: &'static str,
-    /// Whether a limit changed what the plan asked for.
+    /// Whether a limit changed the command of the plan.
     limited: bool,
 }
 
-/// NORMAL → TAIL (rest of the last plan) → STOP (brakes, latched), with hard value and slew limits.
+/// WAITING (brakes) → NORMAL → TAIL (rest of the last plan) → STOP (brakes, latched).
+///
+/// Every command lies inside hard limits of value and slew. Periods have `dt` s. `settings` holds all limits, as
+/// `VehicleParameters.gate_limits` gives them, and may hold `max_tail_ticks` (25) and `stop_deceleration` (3 m/s²).
+/// Raises `EgpError` for a limit that is missing or has the wrong sign, and for an unknown name.
 #[pyclass(module = "egp_service._core")]
-struct Gate(egp_gate::Gate);
+pub struct Gate(egp_gate::Gate);
 
 /// Limits, tail and deceleration of a gate. All limits must be stated; unknown names are errors.
 pub fn configure(mut settings: BTreeMap<String, f64>) -> PyResult<(Limits, u64, f64)> {
@@ -55,7 +59,7 @@ pub fn configure(mut settings: BTreeMap<String, f64>) -> PyResult<(Limits, u64, 
             "gate setting max_tail_ticks must be a whole number from 0 to 1000000, got {max_tail_ticks}"
         )));
     }
-    // Checked above: whole, not negative, small.
+    // The number is whole, not negative and small by the check above.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
     Ok((limits, max_tail_ticks as u64, stop_deceleration))
 }
@@ -70,12 +74,12 @@ impl Gate {
             .map_err(raise)
     }
 
-    /// Take a plan of (T, 2) inputs whose first one is meant for period `tick`.
+    /// Store a plan of (T, 2) inputs whose first one is meant for period `tick`.
     fn accept(&mut self, tick: u64, plan_u: Vec<[f64; 2]>) -> PyResult<()> {
         self.0.accept(tick, &plan_u).map_err(raise)
     }
 
-    /// Give what the actuators get in period `tick`, at this measured speed and angle.
+    /// Return the command of period `tick` at this measured speed and steering angle.
     fn command(&mut self, tick: u64, v_x: f64, delta: f64) -> Command {
         let command = self.0.command(tick, v_x, delta);
         let [force, steering_rate] = command.u;
@@ -91,14 +95,14 @@ impl Gate {
         self.0.reset();
     }
 
-    /// Where the last command came from: "normal", "tail", "stop" or "waiting".
+    /// The mode of the last command.
     #[getter]
     fn mode(&self) -> &'static str {
         mode_name(self.0.mode())
     }
 }
 
-/// The mode as Python sees it.
+/// The mode's name in Python.
 pub fn mode_name(mode: Mode) -> &'static str {
     match mode {
         Mode::Normal => "normal",
@@ -106,13 +110,4 @@ pub fn mode_name(mode: Mode) -> &'static str {
         Mode::Stop => "stop",
         Mode::Waiting => "waiting",
     }
-}
-
-/// Adds the classes to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<Command>()?;
-    module.add_class::<Gate>()
 }

@@ -2,6 +2,9 @@
 
 #![allow(clippy::needless_pass_by_value)] // pyo3 hands arguments over by value
 
+// The documentation of what the package's public interface can reach, from the stubs in `python/egp_service/_core`.
+include!(concat!(env!("OUT_DIR"), "/doc.rs"));
+
 mod array;
 mod driver;
 mod error;
@@ -17,23 +20,97 @@ mod service;
 mod surface;
 mod wire;
 
-use pyo3::prelude::*;
+/// The private extension module behind `egp_service`; each submodule has a stub of its name.
+#[pyo3::pymodule(module = "egp_service")]
+mod _core {
+    use pyo3::prelude::*;
 
-/// The private extension module behind `egp_service`.
-#[pymodule]
-fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    driver::register(module)?;
-    error::register(module)?;
-    gate::register(module)?;
-    library::register(module)?;
-    library_writer::register(module)?;
-    ocp::register(module)?;
-    parameters::register(module)?;
-    path::register(module)?;
-    plant::register(module)?;
-    problem::register(module)?;
-    service::register(module)?;
-    surface::register(module)?;
-    wire::register(module)?;
-    Ok(())
+    #[pymodule]
+    mod driver {
+        #[pymodule_export]
+        use crate::driver::{Decision, Discover, Driver, Query};
+        #[pymodule_export]
+        use crate::gate::{Command, Gate};
+    }
+
+    #[pymodule]
+    mod error {
+        #[pymodule_export]
+        use crate::error::{EgpError, InvalidArgumentError, LibraryError, RefusedError};
+    }
+
+    #[pymodule]
+    mod library {
+        #[pymodule_export]
+        use crate::library::{Library, Member};
+        #[pymodule_export]
+        use crate::library_writer::{MemberData, write_library, write_library_subset};
+    }
+
+    #[pymodule]
+    mod optimal_control {
+        #[pymodule_export]
+        use crate::ocp::{OcpResult, ocp_to_qp, solve_ocp, solve_weights};
+        #[pymodule_export]
+        use crate::problem::{OcpBounds, OcpWeights};
+    }
+
+    #[pymodule]
+    mod path {
+        #[pymodule_export]
+        use crate::path::{Path, Projection, SpeedProfile, horizon_reference};
+    }
+
+    #[pymodule]
+    mod plant {
+        #[pymodule_export]
+        use crate::plant::{Plant, plant_derivative, plant_initial_states, plant_step_batch};
+        #[pymodule_export]
+        use crate::surface::FrictionMap;
+    }
+
+    #[pymodule]
+    mod service {
+        #[pymodule_export]
+        use crate::service::{Engine, InProcessDriver, Server, serve};
+    }
+
+    #[pymodule]
+    mod vehicle {
+        #[pymodule_export]
+        const GRAVITY: f64 = egp_parameters::GRAVITY;
+        #[pymodule_export]
+        const STANDARD_GRAVITY: f64 = egp_parameters::STANDARD_GRAVITY;
+        #[pymodule_export]
+        use crate::parameters::VehicleParameters;
+    }
+
+    #[pymodule]
+    mod wire {
+        #[pymodule_export]
+        const LIVE_KEYS: &str = egp_wire::keys::ALL_LIVE;
+        #[pymodule_export]
+        use crate::wire::{
+            Refusal, Replica, Reply, Request, decode_error, decode_ready, decode_reply,
+            decode_request, decode_timing, encode_plant_truth, file_descriptor_set, health_key,
+            live_key, metrics_key, ready_key, replica_of_live, step_key,
+        };
+    }
+
+    /// Makes the submodules importable, and their names also names of this module.
+    #[pymodule_init]
+    fn init(core: &Bound<'_, PyModule>) -> PyResult<()> {
+        let loaded = core.py().import("sys")?.getattr("modules")?;
+        for submodule in core.index()? {
+            let name: String = submodule.extract()?;
+            let submodule = core.getattr(&name)?.cast_into::<PyModule>()?;
+            for name in submodule.index()? {
+                let name: String = name.extract()?;
+                core.setattr(&name, submodule.getattr(&name)?)?;
+            }
+            submodule.delattr("__all__")?;
+            loaded.set_item(format!("egp_service._core.{name}"), submodule)?;
+        }
+        core.delattr("__all__") // The stubs say what is public.
+    }
 }

@@ -10,30 +10,23 @@ use egp_core::gp::Hyperparameters;
 use egp_core::library::{self, MAX_FILE_BYTES};
 use egp_core::vehicle::ModelParameters;
 use egp_core::{GpInput, GpJacobian, NY, NZ, VarianceScratch};
-use pyo3::create_exception;
 use pyo3::exceptions::{PyIndexError, PyOSError};
 use pyo3::prelude::*;
 
 use crate::array::{Matrix, NewCube, NewMatrix, NewVector, array, rows, vector};
-use crate::error::EgpError;
+use crate::error::LibraryError;
 use crate::parameters::VehicleParameters;
-
-create_exception!(
-    egp_service._core,
-    LibraryError,
-    EgpError,
-    "A refused library file; `code` names the kind of refusal, the message says what to do next."
-);
 
 /// Means, Jacobians and latent variances at a number of points.
 type Prediction<'py> = (NewMatrix<'py>, NewCube<'py>, NewMatrix<'py>);
 
-/// A verified library.
+#[doc = doc!(Library)]
 #[pyclass(module = "egp_service._core", frozen)]
-struct Library(Arc<egp_core::Library>);
+pub struct Library(Arc<egp_core::Library>);
 
 #[pymethods]
 impl Library {
+    #[doc = doc!(Library.load)]
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         py.detach(|| {
@@ -44,36 +37,43 @@ impl Library {
         .map_err(|failure| failure.raise(py))
     }
 
+    #[doc = doc!(Library.id)]
     #[getter]
     fn id(&self) -> String {
         library::hex(&self.0.id())
     }
 
+    #[doc = doc!(Library.dt)]
     #[getter]
     fn dt(&self) -> f64 {
         self.0.dt()
     }
 
+    #[doc = doc!(Library.kernel)]
     #[getter]
     fn kernel(&self) -> &'static str {
         self.0.kernel().name()
     }
 
+    #[doc = doc!(Library.vehicle)]
     #[getter]
     fn vehicle(&self) -> &str {
         &self.0.metadata().vehicle
     }
 
+    #[doc = doc!(Library.parameters)]
     #[getter]
     fn parameters(&self) -> VehicleParameters {
         VehicleParameters(*self.0.vehicle())
     }
 
+    #[doc = doc!(Library.provenance)]
     #[getter]
     fn provenance(&self) -> BTreeMap<String, String> {
         self.0.metadata().provenance.clone()
     }
 
+    #[doc = doc!(Library.members)]
     #[getter]
     fn members(&self) -> Vec<Member> {
         (0..self.0.members().len())
@@ -84,6 +84,7 @@ impl Library {
             .collect()
     }
 
+    #[doc = doc!(Library.predict)]
     #[pyo3(signature = (z, member = 0))]
     fn predict<'py>(
         &self,
@@ -122,9 +123,9 @@ fn predict(member: &egp_core::Member, z: &[[f64; NZ]]) -> (Vec<f64>, Vec<f64>, V
     (means, jacobians, variances)
 }
 
-/// One surface's vehicle and GPs inside a library.
+#[doc = doc!(Member)]
 #[pyclass(module = "egp_service._core", frozen)]
-struct Member {
+pub struct Member {
     library: Arc<egp_core::Library>,
     index: usize,
 }
@@ -141,32 +142,38 @@ impl Member {
 
 #[pymethods]
 impl Member {
+    #[doc = doc!(Member.label)]
     #[getter]
     fn label(&self) -> &str {
         self.get().label()
     }
 
+    #[doc = doc!(Member.friction)]
     #[getter]
     fn friction(&self) -> f64 {
         self.get().friction()
     }
 
+    #[doc = doc!(Member.dataset)]
     #[getter]
     fn dataset(&self) -> &str {
         self.get().dataset()
     }
 
+    #[doc = doc!(Member.n_points)]
     #[getter]
     fn n_points(&self) -> usize {
         self.get().n_points()
     }
 
+    #[doc = doc!(Member.envelope)]
     #[getter]
     fn envelope<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
         let (min, max) = self.get().envelope();
         array(py, min.iter().chain(max.iter()).copied().collect(), [2, NZ])
     }
 
+    #[doc = doc!(Member.lengthscales)]
     #[getter]
     fn lengthscales<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
         array(
@@ -180,21 +187,25 @@ impl Member {
         )
     }
 
+    #[doc = doc!(Member.outputscale)]
     #[getter]
     fn outputscale<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         self.each(py, |hyper| hyper.outputscale)
     }
 
+    #[doc = doc!(Member.noise)]
     #[getter]
     fn noise<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         self.each(py, |hyper| hyper.noise)
     }
 
+    #[doc = doc!(Member.constant)]
     #[getter]
     fn constant<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         self.each(py, |hyper| hyper.constant)
     }
 
+    #[doc = doc!(Member.single_track)]
     #[getter]
     fn single_track<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
         match self.get().vehicle()?.parameters() {
@@ -203,6 +214,7 @@ impl Member {
         }
     }
 
+    #[doc = doc!(Member.kinematic)]
     #[getter]
     fn kinematic<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
         match self.get().vehicle()?.parameters() {
@@ -211,13 +223,15 @@ impl Member {
         }
     }
 
+    #[doc = doc!(Member.noise_std)]
     #[getter]
     fn noise_std<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.get().noise_std().iter().copied())
     }
 }
 
-/// The bytes of a file, no more than a library may have (and one, so that the excess shows).
+/// The bytes of a file, but at most one more than a library may have, which suffices to detect a file that is too
+/// large.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(path)?
@@ -226,7 +240,7 @@ pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// What went wrong while Python's lock was released.
+/// An error while Python's lock was released.
 pub enum Failure {
     Refused(library::LibraryError),
     Io {
@@ -246,7 +260,7 @@ pub fn os_error(error: &io::Error, path: &Path) -> Failure {
 }
 
 impl Failure {
-    /// As Python sees it.
+    /// The error as an exception of Python.
     pub fn raise(self, py: Python<'_>) -> PyErr {
         match self {
             Self::Refused(refusal) => {
@@ -256,7 +270,7 @@ impl Failure {
                     Err(error) => error,
                 }
             }
-            // With three arguments Python picks the subclass, such as FileNotFoundError, by the number.
+            // With three arguments Python chooses the subclass, such as FileNotFoundError, by the number.
             Self::Io {
                 errno,
                 message,
@@ -264,14 +278,4 @@ impl Failure {
             } => PyOSError::new_err((errno, message, path)),
         }
     }
-}
-
-/// Adds this file's classes and functions to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add("LibraryError", module.py().get_type::<LibraryError>())?;
-    module.add_class::<Library>()?;
-    module.add_class::<Member>()
 }

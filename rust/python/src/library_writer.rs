@@ -15,9 +15,21 @@ use crate::error::EgpError;
 use crate::library::{Failure, os_error, read};
 use crate::parameters::VehicleParameters;
 
-/// One surface's vehicle and GPs on their way into a file.
+/// One surface's vehicle and GPs, to be written into a file; M points, G golden points.
+///
+/// Inputs, targets, scalers, envelope and golden predictions are in physical units, everything else in the z-scored
+/// space: `alpha = (K + noise I)^-1 (y - constant)` with z-scored `y`. The golden arrays hold the predictions of the
+/// trainer's own implementation at a few points inside the data and a few far outside; loading must reproduce them.
+///
+/// Shapes: inputs (M, 6), targets (M, 3), input_mean and input_std (6,), target_mean and target_std (3,), lengthscales
+/// (3, 6), outputscale, noise and constant (3,), alpha (3, M), envelope (2, 6), golden_z (G, 6), golden_mean (G, 3),
+/// golden_jacobian (G, 3, 6), golden_variance (G, 3); `single_track` (17,) or `kinematic` (3,) as in `Member`, with
+/// which targets and golden arrays include that vehicle's part and `y` is the rest of the targets.
+///
+/// A member with a vehicle may be a vehicle alone, with M = 0, any G, and the outputscale 0. Its variance is then that of
+/// the noise.
 #[pyclass(module = "egp_service._core", frozen)]
-struct MemberData(library::MemberData);
+pub struct MemberData(library::MemberData);
 
 #[pymethods]
 impl MemberData {
@@ -100,10 +112,15 @@ fn exactly<T, const N: usize>(name: &str, rows: Vec<T>) -> PyResult<[T; N]> {
         .map_err(|rows: Vec<T>| wrong_shape(name, &format!("({N}, ...)"), &[rows.len()]))
 }
 
+/// Write a whole library file or nothing, after verifying that it can be loaded.
+///
+/// `dt` in s, `kernel` "rbf" or "matern52"; `vehicle` and `parameters` are name and parameters of the vehicle that the
+/// data come from. The same arguments give the same bytes. Raises `LibraryError` for content that fails a check,
+/// `OSError` if writing fails.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // all by name
 #[pyo3(signature = (path, *, dt, kernel, vehicle, parameters, members, provenance))]
-fn write_library(
+pub fn write_library(
     py: Python<'_>,
     path: PathBuf,
     dt: f64,
@@ -135,8 +152,12 @@ fn write_library(
     .map_err(|failure| failure.raise(py))
 }
 
+/// Write a library of some members (by index) of another one, with the same GPs bit for bit.
+///
+/// A member that is given more than once gets a number behind its label. Raises `LibraryError` if there is no such
+/// member, `OSError` if reading or writing fails.
 #[pyfunction]
-fn write_library_subset(
+pub fn write_library_subset(
     py: Python<'_>,
     source: PathBuf,
     path: PathBuf,
@@ -150,7 +171,7 @@ fn write_library_subset(
     .map_err(|failure| failure.raise(py))
 }
 
-/// Puts a file in place as a whole: whoever reads the path finds the old bytes or the new ones, also after a crash.
+/// Replaces a file atomically: a reader of the path gets the old bytes or the new ones, also after a crash.
 fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.tmp", std::process::id()));
@@ -170,14 +191,4 @@ fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
         .parent()
         .filter(|folder| !folder.as_os_str().is_empty());
     File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
-}
-
-/// Adds this file's class and functions to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<MemberData>()?;
-    module.add_function(wrap_pyfunction!(write_library, module)?)?;
-    module.add_function(wrap_pyfunction!(write_library_subset, module)?)
 }

@@ -1,4 +1,4 @@
-//! The QP of a step and the weights' QP by themselves, for comparison with other solvers.
+//! The QP of a step and that of the weights by themselves, for comparison with other solvers.
 
 use std::time::Instant;
 
@@ -36,10 +36,14 @@ fn sparse<'py>(py: Python<'py>, matrix: &Csc) -> Sparse<'py> {
     )
 }
 
+/// Write an optimal control problem as `min 1/2 z'Pz + q'z` subject to `l <= Az <= u`.
+///
+/// Returns P (upper triangle), q, A, l, u; matrices as (values, row indices, column starts). `z` holds, stage by stage,
+/// `u_t`, `x_{t+1} - reference_{t+1}` and the slacks. Arguments as of `solve_ocp`.
 #[pyfunction]
 #[pyo3(signature = (A, B, c, x0, u_prev, reference, weights, bounds))]
 #[allow(non_snake_case, clippy::too_many_arguments)] // the paper's symbols
-fn ocp_to_qp<'py>(
+pub fn ocp_to_qp<'py>(
     py: Python<'py>,
     A: ArrayLike<'py>,
     B: ArrayLike<'py>,
@@ -70,30 +74,31 @@ fn ocp_to_qp<'py>(
     ))
 }
 
-/// What became of an optimal control problem.
+#[doc = doc!(OcpResult)]
 #[pyclass(frozen, get_all, module = "egp_service._core")]
-struct OcpResult {
-    /// "solved", "iteration_limit", "infeasible", "numerical_error" or "check_failed".
+pub struct OcpResult {
+    #[doc = doc!(OcpResult.status)]
     status: &'static str,
-    /// States, `(T+1, 7)`.
+    #[doc = doc!(OcpResult.x)]
     x: KeptMatrix,
-    /// Scaled inputs, `(T, 2)`.
+    #[doc = doc!(OcpResult.u)]
     u: KeptMatrix,
-    /// Iterations of the solver that had the last word.
+    #[doc = doc!(OcpResult.iterations)]
     iterations: u32,
-    /// Largest residual of the optimality conditions.
+    #[doc = doc!(OcpResult.kkt_residual)]
     kkt_residual: f64,
-    /// The solver that had the last word.
+    #[doc = doc!(OcpResult.solver)]
     solver: &'static str,
-    /// Shortest time of all repetitions in s, check included, Python excluded.
+    #[doc = doc!(OcpResult.seconds)]
     seconds: f64,
 }
 
+#[doc = doc!(solve_ocp)]
 #[pyfunction]
 #[pyo3(signature = (A, B, c, x0, u_prev, reference, weights, bounds, *, solver = "riccati", guess = None,
     repeat = 1))]
 #[allow(non_snake_case, clippy::too_many_arguments)] // the paper's symbols
-fn solve_ocp<'py>(
+pub fn solve_ocp<'py>(
     py: Python<'py>,
     A: ArrayLike<'py>,
     B: ArrayLike<'py>,
@@ -162,8 +167,8 @@ fn solve_ocp<'py>(
     result(py, &solution, solver, seconds)
 }
 
-/// A solution as Python sees it.
-fn result(
+/// A solution as an object of Python.
+pub fn result(
     py: Python<'_>,
     solution: &OcpSolution,
     solver: &'static str,
@@ -193,10 +198,11 @@ fn name(status: Status) -> &'static str {
     }
 }
 
+#[doc = doc!(solve_weights)]
 #[pyfunction]
 #[pyo3(signature = (predictions, measured, noise_std, previous, prior, strength, measurement_std=None))]
 #[expect(clippy::too_many_arguments, reason = "a keyword each in Python")]
-fn solve_weights<'py>(
+pub fn solve_weights<'py>(
     py: Python<'py>,
     predictions: Cube<'py>,
     measured: Matrix<'py>,
@@ -257,15 +263,4 @@ fn solve_weights<'py>(
         )
     });
     Ok(vector(py, w))
-}
-
-/// Adds the functions to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<OcpResult>()?;
-    module.add_function(wrap_pyfunction!(ocp_to_qp, module)?)?;
-    module.add_function(wrap_pyfunction!(solve_ocp, module)?)?;
-    module.add_function(wrap_pyfunction!(solve_weights, module)?)
 }

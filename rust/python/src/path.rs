@@ -25,22 +25,23 @@ type Samples<'py> = (
     NewVector<'py>,
     NewVector<'py>,
 );
-/// Rows of the reference, of the widths where the path has any, and the projection.
+/// Rows of the reference, rows of the widths if the path has any, and the projection.
 type Reference<'py> = (NewMatrix<'py>, Option<NewMatrix<'py>>, Projection);
 
-/// Start and friction of a zone, of both sides or left and right.
+/// Start and friction of a zone; a split zone has a friction to the left and one to the right.
 #[derive(FromPyObject)]
 enum ZoneTuple {
     Even(f64, f64),
     Split(f64, f64, f64),
 }
 
-/// A reference path.
+#[doc = doc!(Path)]
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct Path(pub egp_path::Path);
 
 #[pymethods]
 impl Path {
+    #[doc = doc!(Path.from_points)]
     #[staticmethod]
     #[pyo3(signature = (points, closed, widths = None))]
     fn from_points(points: Matrix<'_>, closed: bool, widths: Option<Matrix<'_>>) -> PyResult<Self> {
@@ -51,6 +52,7 @@ impl Path {
             .map_err(raise)
     }
 
+    #[doc = doc!(Path.rounded_rectangle)]
     #[staticmethod]
     #[pyo3(signature = (length = 120.0, width = 60.0, radius = 15.0, transition = 10.0, track_width = 7.0))]
     fn rounded_rectangle(
@@ -72,6 +74,7 @@ impl Path {
         .map_err(raise)
     }
 
+    #[doc = doc!(Path.l_shape)]
     #[staticmethod]
     #[pyo3(signature = (
         length = 130.0, width = 110.0, arm = 50.0, radius = 15.0, transition = 10.0, track_width = 7.0
@@ -97,6 +100,7 @@ impl Path {
         .map_err(raise)
     }
 
+    #[doc = doc!(Path.iso_3888_2)]
     #[staticmethod]
     #[pyo3(signature = (vehicle_width, margin = 0.1, lead_in = 40.0, lead_out = 40.0))]
     fn iso_3888_2(vehicle_width: f64, margin: f64, lead_in: f64, lead_out: f64) -> PyResult<Self> {
@@ -111,6 +115,7 @@ impl Path {
         .map_err(raise)
     }
 
+    #[doc = doc!(Path.lane_changes)]
     #[staticmethod]
     #[pyo3(signature = (length = 500.0, offset = 2.5, transition = 30.0, hold = 20.0, track_width = 7.0))]
     fn lane_changes(
@@ -132,6 +137,7 @@ impl Path {
         .map_err(raise)
     }
 
+    #[doc = doc!(Path.random)]
     #[staticmethod]
     #[pyo3(signature = (seed, length = 500.0, min_radius = 15.0, track_width = 7.0))]
     fn random(seed: u64, length: f64, min_radius: f64, track_width: f64) -> PyResult<Self> {
@@ -146,6 +152,7 @@ impl Path {
         .map_err(raise)
     }
 
+    #[doc = doc!(Path.from_csv)]
     #[staticmethod]
     #[pyo3(signature = (file, scale = 1.0))]
     fn from_csv(file: PathBuf, scale: f64) -> PyResult<Self> {
@@ -156,6 +163,7 @@ impl Path {
             .map_err(|error| refuse(&error))
     }
 
+    #[doc = doc!(Path.with_friction)]
     fn with_friction(&self, zones: Vec<ZoneTuple>) -> PyResult<Self> {
         let zones: Vec<_> = zones
             .into_iter()
@@ -175,16 +183,19 @@ impl Path {
             .map_err(raise)
     }
 
+    #[doc = doc!(Path.length)]
     #[getter]
     fn length(&self) -> f64 {
         self.0.length()
     }
 
+    #[doc = doc!(Path.closed)]
     #[getter]
     fn closed(&self) -> bool {
         self.0.closed()
     }
 
+    #[doc = doc!(Path.project)]
     #[pyo3(signature = (position, hint = None))]
     fn project(&self, position: Vector<'_>, hint: Option<f64>) -> PyResult<Projection> {
         let position = fixed("position", &position)?;
@@ -196,6 +207,7 @@ impl Path {
         Ok(self.0.project(position, hint).into())
     }
 
+    #[doc = doc!(Path.sample)]
     fn sample<'py>(&self, py: Python<'py>, s: Vector<'py>) -> Samples<'py> {
         let samples: Vec<_> = s.as_array().iter().map(|&s| self.0.sample(s)).collect();
         let column = |value: fn(&egp_path::Sample) -> f64| vector(py, samples.iter().map(value));
@@ -211,42 +223,42 @@ impl Path {
     }
 }
 
-/// Where a position stands relative to a path.
+#[doc = doc!(Projection)]
 #[pyclass(module = "egp_service._core", frozen, get_all)]
-struct Projection {
+pub struct Projection {
+    #[doc = doc!(Projection.s)]
     s: f64,
+    #[doc = doc!(Projection.lateral)]
     lateral: f64,
+    #[doc = doc!(Projection.x)]
     x: f64,
+    #[doc = doc!(Projection.y)]
     y: f64,
+    #[doc = doc!(Projection.yaw)]
     yaw: f64,
+    #[doc = doc!(Projection.curvature)]
     curvature: f64,
+    #[doc = doc!(Projection.left)]
     left: f64,
+    #[doc = doc!(Projection.right)]
     right: f64,
+    #[doc = doc!(Projection.friction)]
     friction: f64,
 }
 
 impl From<egp_path::Projection> for Projection {
     fn from(projection: egp_path::Projection) -> Self {
         let egp_path::Projection { s, lateral, sample } = projection;
-        let egp_path::Sample {
-            x,
-            y,
-            yaw,
-            curvature,
-            left,
-            right,
-            friction,
-        } = sample;
         Self {
             s,
             lateral,
-            x,
-            y,
-            yaw,
-            curvature,
-            left,
-            right,
-            friction,
+            x: sample.x,
+            y: sample.y,
+            yaw: sample.yaw,
+            curvature: sample.curvature,
+            left: sample.left,
+            right: sample.right,
+            friction: sample.friction,
         }
     }
 }
@@ -261,9 +273,9 @@ impl Projection {
     }
 }
 
-/// Speed over the arc length of a path.
+#[doc = doc!(SpeedProfile)]
 #[pyclass(module = "egp_service._core", frozen)]
-struct SpeedProfile(egp_path::SpeedProfile);
+pub struct SpeedProfile(egp_path::SpeedProfile);
 
 #[pymethods]
 impl SpeedProfile {
@@ -291,6 +303,7 @@ impl SpeedProfile {
             .map_err(raise)
     }
 
+    #[doc = doc!(SpeedProfile.constant)]
     #[staticmethod]
     fn constant(path: &Path, speed: f64) -> PyResult<Self> {
         egp_path::SpeedProfile::constant(&path.0, speed)
@@ -298,19 +311,22 @@ impl SpeedProfile {
             .map_err(raise)
     }
 
+    #[doc = doc!(SpeedProfile.lap_time)]
     #[getter]
     fn lap_time(&self) -> f64 {
         self.0.lap_time()
     }
 
+    #[doc = doc!(SpeedProfile.speed)]
     fn speed<'py>(&self, py: Python<'py>, s: Vector<'py>) -> NewVector<'py> {
         vector(py, s.as_array().iter().map(|&s| self.0.speed(s)))
     }
 }
 
+#[doc = doc!(horizon_reference)]
 #[pyfunction]
 #[pyo3(signature = (path, profile, x, dt, horizon, hint = None))]
-fn horizon_reference<'py>(
+pub fn horizon_reference<'py>(
     py: Python<'py>,
     path: &Path,
     profile: &SpeedProfile,
@@ -339,15 +355,4 @@ fn horizon_reference<'py>(
         .transpose()?;
     let reference = array(py, reference.into_flattened(), [stages, 4])?;
     Ok((reference, widths, projection.into()))
-}
-
-/// Adds this file's classes and functions to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<Path>()?;
-    module.add_class::<Projection>()?;
-    module.add_class::<SpeedProfile>()?;
-    module.add_function(wrap_pyfunction!(horizon_reference, module)?)
 }

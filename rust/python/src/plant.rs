@@ -8,12 +8,12 @@ use crate::error::{EgpError, raise};
 use crate::parameters::VehicleParameters;
 use crate::surface::Surface;
 
-/// A batch after one period: the states, and which plants made it.
+/// A batch after one period: the states, and which plants completed it.
 type Stepped<'py> = (NewMatrix<'py>, NewVector<'py, bool>);
 
-/// A simulated vehicle.
+#[doc = doc!(Plant)]
 #[pyclass(module = "egp_service._core")]
-struct Plant(egp_plant::Plant, VehicleId);
+pub struct Plant(egp_plant::Plant, VehicleId);
 
 #[pymethods]
 impl Plant {
@@ -24,6 +24,7 @@ impl Plant {
         Ok(Self(egp_plant::Plant::new(id.parameters()), id))
     }
 
+    #[doc = doc!(Plant.reset)]
     #[pyo3(signature = (x, y, yaw, v, yaw_rate = 0.0, v_y = 0.0, delta = 0.0))]
     #[allow(clippy::too_many_arguments)]
     fn reset(
@@ -36,18 +37,11 @@ impl Plant {
         v_y: f64,
         delta: f64,
     ) -> PyResult<()> {
-        let state = VehicleState {
-            p_x: x,
-            p_y: y,
-            v_x: v,
-            psi: yaw,
-            v_y,
-            omega: yaw_rate,
-            delta,
-        };
+        let state = VehicleState::from_array([x, y, v, yaw, v_y, yaw_rate, delta]);
         self.0.reset(&state).map_err(raise)
     }
 
+    #[doc = doc!(Plant.step)]
     #[pyo3(signature = (u, dt, friction, hint = None))]
     fn step(
         &mut self,
@@ -66,6 +60,7 @@ impl Plant {
         self.0.step(input, dt, friction.as_ref()).map_err(raise)
     }
 
+    #[doc = doc!(Plant.state)]
     #[getter]
     fn state<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, *self.0.state())
@@ -76,21 +71,25 @@ impl Plant {
         self.0.set_state(&fixed("state", &state)?).map_err(raise)
     }
 
+    #[doc = doc!(Plant.vehicle_state)]
     #[getter]
     fn vehicle_state<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.0.vehicle_state().to_array())
     }
 
+    #[doc = doc!(Plant.parameters)]
     #[getter]
     fn parameters(&self) -> VehicleParameters {
         VehicleParameters(self.1.vehicle())
     }
 
+    #[doc = doc!(Plant.mass)]
     #[getter]
     fn mass(&self) -> f64 {
         self.0.parameters().mass
     }
 
+    #[doc = doc!(Plant.lateral_acceleration)]
     #[getter]
     fn lateral_acceleration(&self) -> f64 {
         self.0.lateral_acceleration()
@@ -99,14 +98,17 @@ impl Plant {
 
 /// One coefficient, or one for each wheel.
 #[derive(FromPyObject)]
-enum WheelFriction<'py> {
+pub enum WheelFriction<'py> {
     Uniform(f64),
     Wheels(Vector<'py>),
 }
 
+/// Right-hand side of the 29 differential equations.
+///
+/// `friction` is one coefficient or four: front -y, front +y, rear -y, rear +y, with y to the left.
 #[pyfunction]
 #[pyo3(signature = (state, u, friction, vehicle = 1))]
-fn plant_derivative<'py>(
+pub fn plant_derivative<'py>(
     py: Python<'py>,
     state: Vector<'py>,
     u: Vector<'py>,
@@ -127,9 +129,10 @@ fn plant_derivative<'py>(
     .map_err(raise)
 }
 
+/// Full states (n, 29) for `[p_x, p_y, v_x, psi, v_y, omega, delta]` rows (n, 7).
 #[pyfunction]
 #[pyo3(signature = (vehicle_states, vehicle = 1))]
-fn plant_initial_states<'py>(
+pub fn plant_initial_states<'py>(
     py: Python<'py>,
     vehicle_states: Matrix<'py>,
     vehicle: u32,
@@ -144,9 +147,13 @@ fn plant_initial_states<'py>(
     matrix(py, states)
 }
 
+/// Drive n vehicles `dt` seconds on all cores without the GIL.
+///
+/// States (n, 29), inputs (n, 2), friction (n,). Returns the new states and which vehicles completed the period; one
+/// that spun keeps its state.
 #[pyfunction]
 #[pyo3(signature = (states, u, dt, friction, vehicle = 1))]
-fn plant_step_batch<'py>(
+pub fn plant_step_batch<'py>(
     py: Python<'py>,
     states: Matrix<'py>,
     u: Matrix<'py>,
@@ -197,15 +204,4 @@ fn parameters(vehicle: u32) -> PyResult<Parameters> {
 fn matrix(py: Python<'_>, states: Vec<StateVector>) -> PyResult<NewMatrix<'_>> {
     let count = states.len();
     array(py, states.into_flattened(), [count, NX])
-}
-
-/// Adds this file's classes and functions to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<Plant>()?;
-    module.add_function(wrap_pyfunction!(plant_derivative, module)?)?;
-    module.add_function(wrap_pyfunction!(plant_initial_states, module)?)?;
-    module.add_function(wrap_pyfunction!(plant_step_batch, module)?)
 }

@@ -12,7 +12,7 @@ use crate::array::{
 };
 use crate::error::EgpError;
 
-/// Quadratic cost.
+#[doc = doc!(OcpWeights)]
 #[pyclass(frozen, module = "egp_service._core")]
 pub struct OcpWeights {
     q: OwnedArray,
@@ -41,7 +41,7 @@ impl OcpWeights {
     }
 }
 
-/// Hard bounds on inputs and their changes, soft bounds on states.
+#[doc = doc!(OcpBounds)]
 #[pyclass(frozen, module = "egp_service._core")]
 pub struct OcpBounds {
     u_min: OwnedArray,
@@ -117,7 +117,7 @@ impl Arrays<'_, '_> {
     /// The problem that the arrays describe; the first axis of `A` is the horizon.
     ///
     /// # Errors
-    /// Another shape than documented, numbers that are not finite, bounds that cross, or entries outside the pattern.
+    /// Errors if a shape is wrong, a number is not finite, bounds cross, or an entry lies outside the pattern.
     pub fn problem(&self) -> PyResult<OcpQp> {
         let a = self.a.as_array();
         let &[horizon, NX, NX] = a.shape() else {
@@ -168,16 +168,16 @@ impl Arrays<'_, '_> {
         }
         if horizon == 0 || !qp.is_well_posed() {
             return Err(EgpError::new_err(
-                "expected a stage or more, finite numbers, and lower bounds that are not above the upper ones",
+                "expected at least one stage, finite numbers, and lower bounds that are not above the upper ones",
             ));
         }
-        // Of the position block and the diagonal, all that q may have.
+        // q has only the position block and a diagonal, so these conditions suffice.
         let convex = qp.stages().iter().map(|stage| &stage.q).all(|q| {
             q.diagonal().min() >= 0.0 && q[(0, 1)].powi(2) <= q[(0, 0)] * q[(1, 1)] * (1.0 + 1e-12)
         });
         if !convex {
             return Err(EgpError::new_err(
-                "expected positive semidefinite q: a minimum is looked for",
+                "expected positive semidefinite q, so that a minimum exists",
             ));
         }
         if qp.keeps_pattern() {
@@ -194,7 +194,7 @@ fn owned(array: &ArrayLike<'_>) -> OwnedArray {
     array.as_array().to_owned()
 }
 
-/// The numbers of all stages, in row-major order, of an array of that shape a stage.
+/// The numbers of all stages in row-major order; `shape` is that of one stage.
 fn stages(name: &str, array: ArrayView<'_>, horizon: usize, shape: &[usize]) -> PyResult<Vec<f64>> {
     let full = [&[horizon], shape].concat();
     let repeats = match array.shape() {
@@ -211,13 +211,4 @@ fn stages(name: &str, array: ArrayView<'_>, horizon: usize, shape: &[usize]) -> 
 /// The `index`-th of parts with `size` numbers.
 fn part(values: &[f64], index: usize, size: usize) -> &[f64] {
     &values[index * size..][..size]
-}
-
-/// Adds the classes to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<OcpWeights>()?;
-    module.add_class::<OcpBounds>()
 }

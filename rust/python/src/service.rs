@@ -20,9 +20,15 @@ use crate::error::{InvalidArgumentError, RefusedError, raise};
 use crate::gate::mode_name;
 use crate::parameters::VehicleParameters;
 
-/// The control step of the service, in-process: the same bytes in, the same bytes out.
+/// The control step of the service in this process: the same request gives the same bytes of a reply.
+///
+/// `settings_toml` holds the settings of the control step; fields left out keep their default, which is 0.8 s of the
+/// library's periods for the horizon and 0.5 s for the window. With more than one of `cores` (no more than the machine
+/// has), members are evaluated in parallel where that takes half a millisecond or more: standard deviations of four
+/// active members of 700 points, for example, but not of two. The bytes of a reply do not depend on `cores`. An engine
+/// with several cores does not work in a forked process, which does not inherit its threads.
 #[pyclass(module = "egp_service._core", frozen)]
-struct Engine {
+pub struct Engine {
     inner: egp_engine::Engine,
     workspace: Mutex<EngineWorkspace>,
     served: Ready,
@@ -35,7 +41,7 @@ fn refused(error: &WireError) -> PyErr {
 impl Engine {
     fn answer(&self, request: &[u8]) -> Result<Vec<u8>, WireError> {
         let mut reply = Vec::new();
-        // A step that panicked left numbers behind that the next one overwrites before use.
+        // A lock that a panic poisoned can be used, because a step overwrites all numbers before it reads them.
         let mut workspace = self
             .workspace
             .lock()
@@ -70,56 +76,65 @@ impl Engine {
         })
     }
 
+    /// Answer one request without the GIL. Raises `RefusedError`, which begins with the error's code.
     fn step(&self, py: Python<'_>, request: &[u8]) -> PyResult<Cow<'static, [u8]>> {
         py.detach(|| self.answer(request))
             .map(Into::into)
             .map_err(|error| refused(&error))
     }
 
+    /// Control period in s.
     #[getter]
     fn dt(&self) -> f64 {
         self.served.dt
     }
 
+    /// Inputs in a plan, T.
     #[getter]
     fn horizon(&self) -> u32 {
         self.served.horizon
     }
 
+    /// Largest useful number of transitions in a request, K.
     #[getter]
     fn history(&self) -> u32 {
         self.served.history
     }
 
+    /// SHA-256 of the library file.
     #[getter]
     fn library_id<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         PyBytes::new(py, &self.served.library)
     }
 
+    /// Surfaces, in the order of the weights.
     #[getter]
     fn members(&self) -> Vec<String> {
         self.served.members.clone()
     }
 
+    /// Bytes of the Ready message of a replica with this engine.
     #[getter]
     fn ready<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         PyBytes::new(py, &self.served.encode())
     }
 
+    /// The library's vehicle, with the settings' mass, axles and tyres in place of its own.
     #[getter]
     fn vehicle(&self) -> VehicleParameters {
         VehicleParameters(self.inner.vehicle())
     }
 
+    /// All settings, defaults included.
     #[getter]
     fn settings_toml(&self) -> PyResult<String> {
         self.inner.settings().to_toml().map_err(raise)
     }
 }
 
-/// A driver whose answers an engine of this process computes.
+/// A `Driver` whose answers an engine of this process computes.
 #[pyclass(module = "egp_service._core")]
-struct InProcessDriver {
+pub struct InProcessDriver {
     driver: egp_driver::InProcessDriver,
     engine: Py<Engine>,
 }
@@ -136,6 +151,7 @@ impl InProcessDriver {
         Ok(Self { driver, engine })
     }
 
+    /// Decide one control period; see `Driver.tick`. `budget` is only stated in the request.
     #[pyo3(signature = (budget, x, reference, widths = None))]
     fn step(
         &mut self,
@@ -148,7 +164,7 @@ impl InProcessDriver {
         let measurement = measurement(&x, &reference, widths.as_ref())?;
         let budget = Duration::try_from_secs_f64(budget).map_err(InvalidArgumentError::raise)?;
         let (driver, engine) = (&mut self.driver, self.engine.get());
-        py.detach(|| {
+        let step = py.detach(|| {
             driver.step(measurement, budget, |request| {
                 let start = Instant::now();
                 let reply = engine.answer(request)?;
@@ -161,44 +177,51 @@ impl InProcessDriver {
                     },
                 ))
             })
-        })
-        .map(Decision)
-        .map_err(InvalidArgumentError::raise)
+        });
+        Decision::new(py, step.map_err(InvalidArgumentError::raise)?)
     }
 
+    /// Budget in s that requests state if the period has none of its own.
     #[getter]
     fn budget(&self) -> f64 {
         self.driver.driver().budget().as_secs_f64()
     }
 
+    /// The mode of the gate.
     #[getter]
     fn mode(&self) -> &'static str {
         mode_name(self.driver.driver().mode())
     }
 
+    /// Weights of the newest reply (N,); empty before the first.
     #[getter]
     fn weights<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.driver.driver().weights().iter().copied())
     }
 
+    /// Start the next request from these weights instead of the last reply's.
     fn start_from(&mut self, weights: Vector<'_>) {
         let weights = weights.as_array().iter().copied().collect();
         self.driver.driver_mut().start_from(weights);
     }
 
+    /// Start the next request from these weights, and carry no history from now on.
     fn hold_weights(&mut self, weights: Vector<'_>) {
         let weights = weights.as_array().iter().copied().collect();
         self.driver.driver_mut().hold_weights(weights);
     }
 
+    /// Leave STOP and forget history, weights and plan.
     fn reset(&mut self) {
         self.driver.driver_mut().reset();
     }
 }
 
-/// A server that runs in this process until it is stopped.
+/// A service that runs in this process until it is stopped; a context manager.
+///
+/// `config_toml` is the text of the file for `egp-server --config`; relative paths start at the working folder.
 #[pyclass(module = "egp_service._core", frozen)]
-struct Server(Mutex<Option<egp_service::Server>>);
+pub struct Server(Mutex<Option<egp_service::Server>>);
 
 #[pymethods]
 impl Server {
@@ -211,6 +234,7 @@ impl Server {
         Ok(Self(Mutex::new(Some(server))))
     }
 
+    /// Withdraw the announcement, answer the requests that wait, and close.
     fn stop(&self, py: Python<'_>) {
         let server = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(server) = server {
@@ -228,24 +252,14 @@ impl Server {
     }
 }
 
+/// Serve until SIGTERM or Ctrl-C, then drain; the same as `egp-server --config`.
 #[pyfunction]
-fn serve(py: Python<'_>, config_toml: &str) -> PyResult<()> {
+pub fn serve(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
     py.detach(|| egp_service::serve(&config)).map_err(raise)?;
-    // Ctrl-C has done its work by draining; Python has noted it as well.
+    // Ctrl-C has already drained the service, so Python's pending KeyboardInterrupt is discarded.
     match py.check_signals() {
         Err(error) if !error.is_instance_of::<PyKeyboardInterrupt>(py) => Err(error),
         _ => Ok(()),
     }
-}
-
-/// Adds the classes and functions to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<Engine>()?;
-    module.add_class::<InProcessDriver>()?;
-    module.add_class::<Server>()?;
-    module.add_function(wrap_pyfunction!(serve, module)?)
 }

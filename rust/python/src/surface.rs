@@ -1,4 +1,4 @@
-//! What a plant can drive on: a coefficient, a map, or a path with friction zones.
+//! Surfaces for a plant: a coefficient, a map, or a path with friction zones.
 
 use std::cell::Cell;
 
@@ -9,7 +9,7 @@ use crate::array::Matrix;
 use crate::error::raise;
 use crate::path::Path;
 
-/// Friction on a grid.
+#[doc = doc!(FrictionMap)]
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct FrictionMap(Map);
 
@@ -35,10 +35,10 @@ pub enum Surface<'py> {
 }
 
 impl Surface<'_> {
-    /// As the plant sees it; on a path the first wheel is sought from the arc length `hint` on.
+    /// The friction for the plant; on a path the search for the first wheel starts at the arc length `hint`.
     ///
     /// # Errors
-    /// A coefficient that is not positive.
+    /// Errors if the coefficient is not positive.
     pub fn friction(&self, hint: Option<f64>) -> PyResult<Box<dyn Friction + '_>> {
         Ok(match self {
             Self::Uniform(mu) => Box::new(Uniform::new(*mu).map_err(raise)?),
@@ -54,7 +54,7 @@ impl Surface<'_> {
 /// The friction of a path beside the nearest point on it.
 struct OnPath<'a> {
     path: &'a egp_path::Path,
-    /// Arc length under the wheel asked for last, where the search for the next one starts.
+    /// Arc length under the last wheel, where the search for the next one starts.
     last: Cell<Option<f64>>,
 }
 
@@ -64,12 +64,4 @@ impl Friction for OnPath<'_> {
         self.last.set(Some(projection.s));
         self.path.friction_beside(projection.s, projection.lateral)
     }
-}
-
-/// Adds this file's class to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<FrictionMap>()
 }

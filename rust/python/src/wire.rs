@@ -1,13 +1,14 @@
-//! The wire as Python sees it: the messages and the keys.
+//! The messages and the keys of the wire.
 
 use std::borrow::Cow;
 
 use egp_wire::{Limits, Predictions, State, keys};
 use prost::Message as _;
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
 
-use crate::array::{NewCube, NewMatrix, NewVector, Vector, array, fixed, vector};
+use crate::array::{
+    KeptCube, KeptMatrix, KeptVector, NewCube, NewMatrix, Vector, array, fixed, vector,
+};
 use crate::error::raise;
 use crate::parameters::VehicleParameters;
 
@@ -20,195 +21,127 @@ fn cube<'py>(py: Python<'py>, rows: &Predictions, members: usize) -> PyResult<Ne
     array(py, values, [rows.len(), members, 3])
 }
 
-/// A validated request.
-#[pyclass(module = "egp_service._core", frozen)]
-struct Request(egp_wire::Request);
-
-#[pymethods]
-impl Request {
-    #[getter]
-    fn library<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
-        PyBytes::new(py, &self.0.library)
-    }
-
-    #[getter]
-    fn sequence(&self) -> u64 {
-        self.0.sequence
-    }
-
-    #[getter]
-    fn budget_us(&self) -> u32 {
-        self.0.budget_us
-    }
-
-    #[getter]
-    fn x<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        vector(py, self.0.x)
-    }
-
-    #[getter]
-    fn u_prev<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        vector(py, self.0.u_prev)
-    }
-
-    #[getter]
-    fn weights<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        vector(py, self.0.weights.iter().copied())
-    }
-
-    #[getter]
-    fn plan_x<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.plan_x)
-    }
-
-    #[getter]
-    fn plan_u<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.plan_u)
-    }
-
-    #[getter]
-    fn plan_shift(&self) -> u32 {
-        self.0.plan_shift
-    }
-
-    #[getter]
-    fn history_z<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.history_z)
-    }
-
-    #[getter]
-    fn history_y<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.history_y)
-    }
-
-    #[getter]
-    fn history_f<'py>(&self, py: Python<'py>) -> PyResult<NewCube<'py>> {
-        cube(py, &self.0.history_f, self.0.history_f.members)
-    }
-
-    #[getter]
-    fn reference<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.reference)
-    }
-
-    #[getter]
-    fn widths<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.widths)
-    }
-
-    #[getter]
-    fn want_sigma(&self) -> bool {
-        self.0.want_sigma
-    }
-}
-
-/// A validated reply.
-#[pyclass(module = "egp_service._core", frozen)]
-struct Reply(egp_wire::Reply);
-
-#[pymethods]
-impl Reply {
-    #[getter]
-    fn library<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
-        PyBytes::new(py, &self.0.library)
-    }
-
-    #[getter]
-    fn sequence(&self) -> u64 {
-        self.0.sequence
-    }
-
-    #[getter]
-    fn status(&self) -> String {
-        let name = self.0.status.as_str_name();
-        name.trim_start_matches("STATUS_").to_ascii_lowercase()
-    }
-
-    #[getter]
-    fn plan_x<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.plan_x)
-    }
-
-    #[getter]
-    fn plan_u<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.plan_u)
-    }
-
-    #[getter]
-    fn weights<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        vector(py, self.0.weights.iter().copied())
-    }
-
-    #[getter]
-    fn sigma<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        matrix(py, &self.0.sigma)
-    }
-
-    #[getter]
-    fn history_f<'py>(&self, py: Python<'py>) -> PyResult<NewCube<'py>> {
-        cube(py, &self.0.history_f, self.0.weights.len())
-    }
-
-    #[getter]
-    fn dropped_mass(&self) -> f64 {
-        self.0.dropped_mass
-    }
-
-    #[getter]
-    fn iterations(&self) -> u32 {
-        self.0.iterations
-    }
-
-    #[getter]
-    fn kkt_residual(&self) -> f64 {
-        self.0.kkt_residual
-    }
-
-    #[getter]
-    fn solver(&self) -> &str {
-        &self.0.solver
-    }
-}
-
-/// A refusal of the service.
+/// A validated request with the fields of the .proto; a field that is absent has no rows.
 #[pyclass(module = "egp_service._core", frozen, get_all)]
-struct Refusal {
+pub struct Request {
+    library: Cow<'static, [u8]>,
+    sequence: u64,
+    budget_us: u32,
+    x: KeptVector,
+    u_prev: KeptVector,
+    weights: KeptVector,
+    plan_x: KeptMatrix,
+    plan_u: KeptMatrix,
+    plan_shift: u32,
+    history_z: KeptMatrix,
+    history_y: KeptMatrix,
+    history_f: KeptCube,
+    reference: KeptMatrix,
+    widths: KeptMatrix,
+    want_sigma: bool,
+}
+
+/// A validated reply with the fields of the .proto; a field that is absent has no rows. Only a "solved" one has a plan.
+#[pyclass(module = "egp_service._core", frozen, get_all)]
+pub struct Reply {
+    library: Cow<'static, [u8]>,
+    sequence: u64,
+    status: String,
+    plan_x: KeptMatrix,
+    plan_u: KeptMatrix,
+    weights: KeptVector,
+    sigma: KeptMatrix,
+    history_f: KeptCube,
+    dropped_mass: f64,
+    iterations: u32,
+    kkt_residual: f64,
+    solver: String,
+}
+
+/// An error reply of the service.
+#[pyclass(module = "egp_service._core", frozen, get_all)]
+pub struct Refusal {
+    /// The kind of error; "unspecified" for a code that this version does not have.
     code: String,
+    /// Whether another attempt, at this or another replica, may succeed.
     retryable: bool,
+    /// Time to wait before another attempt, microseconds.
     retry_after_us: u32,
+    /// The field at fault, or an empty string.
     field: String,
+    /// What was expected, what came, and what to try.
     detail: String,
 }
 
 /// What a replica serves.
 #[pyclass(name = "Ready", module = "egp_service._core", frozen, get_all)]
-struct Replica {
+pub struct Replica {
+    /// False while the replica drains.
     ready: bool,
+    /// SHA-256 of its library file.
     library: Cow<'static, [u8]>,
+    /// Control period in s.
     dt: f64,
+    /// Inputs in a plan, T.
     horizon: u32,
+    /// Largest useful number of transitions in a request, K.
     history: u32,
+    /// Surfaces, in the order of the weights.
     members: Vec<String>,
+    /// Smallest and largest GP input [v_x, v_y, omega, delta, F_x, delta_dot] of the training data.
     envelope: [[f64; 6]; 2],
+    /// The vehicle that plans are made for; None from services that do not state it.
     vehicle: Option<Py<VehicleParameters>>,
 }
 
+/// Read and validate a StepRequest. Raises `EgpError` naming the field at fault.
 #[pyfunction]
-fn decode_request(data: &[u8]) -> PyResult<Request> {
-    egp_wire::Request::decode(data, &Limits::default())
-        .map(Request)
-        .map_err(raise)
+pub fn decode_request(py: Python<'_>, data: &[u8]) -> PyResult<Request> {
+    let request = egp_wire::Request::decode(data, &Limits::default()).map_err(raise)?;
+    Ok(Request {
+        library: request.library.to_vec().into(),
+        sequence: request.sequence,
+        budget_us: request.budget_us,
+        x: vector(py, request.x).unbind(),
+        u_prev: vector(py, request.u_prev).unbind(),
+        weights: vector(py, request.weights).unbind(),
+        plan_x: matrix(py, &request.plan_x)?.unbind(),
+        plan_u: matrix(py, &request.plan_u)?.unbind(),
+        plan_shift: request.plan_shift,
+        history_z: matrix(py, &request.history_z)?.unbind(),
+        history_y: matrix(py, &request.history_y)?.unbind(),
+        history_f: cube(py, &request.history_f, request.history_f.members)?.unbind(),
+        reference: matrix(py, &request.reference)?.unbind(),
+        widths: matrix(py, &request.widths)?.unbind(),
+        want_sigma: request.want_sigma,
+    })
 }
 
+/// Read and validate a StepReply. Raises `EgpError` naming the field at fault.
 #[pyfunction]
-fn decode_reply(data: &[u8]) -> PyResult<Reply> {
-    egp_wire::Reply::decode(data, &Limits::default())
-        .map(Reply)
-        .map_err(raise)
+pub fn decode_reply(py: Python<'_>, data: &[u8]) -> PyResult<Reply> {
+    let reply = egp_wire::Reply::decode(data, &Limits::default()).map_err(raise)?;
+    let status = reply.status.as_str_name().trim_start_matches("STATUS_");
+    let members = reply.weights.len();
+    Ok(Reply {
+        library: reply.library.to_vec().into(),
+        sequence: reply.sequence,
+        status: status.to_ascii_lowercase(),
+        plan_x: matrix(py, &reply.plan_x)?.unbind(),
+        plan_u: matrix(py, &reply.plan_u)?.unbind(),
+        weights: vector(py, reply.weights).unbind(),
+        sigma: matrix(py, &reply.sigma)?.unbind(),
+        history_f: cube(py, &reply.history_f, members)?.unbind(),
+        dropped_mass: reply.dropped_mass,
+        iterations: reply.iterations,
+        kkt_residual: reply.kkt_residual,
+        solver: reply.solver,
+    })
 }
 
+/// Read an Error.
 #[pyfunction]
-fn decode_error(data: &[u8]) -> PyResult<Refusal> {
+pub fn decode_error(data: &[u8]) -> PyResult<Refusal> {
     let error = egp_wire::WireError::decode(data).map_err(raise)?;
     Ok(Refusal {
         code: error.code_name(),
@@ -219,8 +152,9 @@ fn decode_error(data: &[u8]) -> PyResult<Refusal> {
     })
 }
 
+/// Read and validate a Ready.
 #[pyfunction]
-fn decode_ready(py: Python<'_>, data: &[u8]) -> PyResult<Replica> {
+pub fn decode_ready(py: Python<'_>, data: &[u8]) -> PyResult<Replica> {
     let ready = egp_wire::Ready::decode(data, &Limits::default()).map_err(raise)?;
     Ok(Replica {
         ready: ready.ready,
@@ -237,18 +171,20 @@ fn decode_ready(py: Python<'_>, data: &[u8]) -> PyResult<Replica> {
     })
 }
 
+/// Read a Timing: microseconds in the queue and in the step.
 #[pyfunction]
-fn decode_timing(data: &[u8]) -> PyResult<(u32, u32)> {
+pub fn decode_timing(data: &[u8]) -> PyResult<(u32, u32)> {
     let timing = egp_wire::Timing::decode(data).map_err(raise)?;
     Ok((timing.queue_us, timing.step_us))
 }
 
+/// Bytes of a PlantTruth for a recording; `state` is [p_x, p_y, v_x, psi, v_y, omega, delta].
 #[pyfunction]
 #[pyo3(signature = (
     *, time, state, u, friction, path_s, lateral_error, heading_error, speed_reference, mode, weights
 ))]
 #[allow(clippy::too_many_arguments)]
-fn encode_plant_truth(
+pub fn encode_plant_truth(
     time: f64,
     state: Vector<'_>,
     u: [f64; 2],
@@ -284,8 +220,9 @@ fn encode_plant_truth(
     Ok(truth.encode_to_vec().into())
 }
 
+/// The serialised google.protobuf.FileDescriptorSet of the messages.
 #[pyfunction]
-fn file_descriptor_set() -> Cow<'static, [u8]> {
+pub fn file_descriptor_set() -> Cow<'static, [u8]> {
     egp_wire::FILE_DESCRIPTOR_SET.into()
 }
 
@@ -293,57 +230,38 @@ fn name(text: &str) -> PyResult<keys::Name> {
     text.parse().map_err(raise)
 }
 
+/// The key on which a vehicle asks a replica for a control step.
 #[pyfunction]
-fn step_key(replica: &str, fleet: &str, vehicle: &str) -> PyResult<String> {
+pub fn step_key(replica: &str, fleet: &str, vehicle: &str) -> PyResult<String> {
     Ok(keys::step(&name(replica)?, &name(fleet)?, &name(vehicle)?))
 }
 
+/// The key on which a replica answers what it serves.
 #[pyfunction]
-fn ready_key(replica: &str) -> PyResult<String> {
+pub fn ready_key(replica: &str) -> PyResult<String> {
     name(replica).map(|replica| keys::ready(&replica))
 }
 
+/// The key on which a replica answers whether it is alive.
 #[pyfunction]
-fn health_key(replica: &str) -> PyResult<String> {
+pub fn health_key(replica: &str) -> PyResult<String> {
     name(replica).map(|replica| keys::health(&replica))
 }
 
+/// The key on which a replica answers its OpenMetrics text.
 #[pyfunction]
-fn metrics_key(replica: &str) -> PyResult<String> {
+pub fn metrics_key(replica: &str) -> PyResult<String> {
     name(replica).map(|replica| keys::metrics(&replica))
 }
 
+/// The liveliness token of a replica.
 #[pyfunction]
-fn live_key(replica: &str) -> PyResult<String> {
+pub fn live_key(replica: &str) -> PyResult<String> {
     name(replica).map(|replica| keys::live(&replica))
 }
 
+/// Name of the replica whose liveliness token this is, or None.
 #[pyfunction]
-fn replica_of_live(key: &str) -> Option<String> {
+pub fn replica_of_live(key: &str) -> Option<String> {
     keys::replica_of_live(key).map(|replica| replica.to_string())
-}
-
-/// Adds the classes and functions to the module.
-///
-/// # Errors
-/// Errors if the module does not accept the name.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add("LIVE_KEYS", keys::ALL_LIVE)?;
-    module.add_class::<Replica>()?;
-    module.add_class::<Refusal>()?;
-    module.add_class::<Reply>()?;
-    module.add_class::<Request>()?;
-    module.add_function(wrap_pyfunction!(decode_error, module)?)?;
-    module.add_function(wrap_pyfunction!(decode_ready, module)?)?;
-    module.add_function(wrap_pyfunction!(decode_reply, module)?)?;
-    module.add_function(wrap_pyfunction!(decode_request, module)?)?;
-    module.add_function(wrap_pyfunction!(decode_timing, module)?)?;
-    module.add_function(wrap_pyfunction!(encode_plant_truth, module)?)?;
-    module.add_function(wrap_pyfunction!(file_descriptor_set, module)?)?;
-    module.add_function(wrap_pyfunction!(health_key, module)?)?;
-    module.add_function(wrap_pyfunction!(live_key, module)?)?;
-    module.add_function(wrap_pyfunction!(metrics_key, module)?)?;
-    module.add_function(wrap_pyfunction!(ready_key, module)?)?;
-    module.add_function(wrap_pyfunction!(replica_of_live, module)?)?;
-    module.add_function(wrap_pyfunction!(step_key, module)?)
 }

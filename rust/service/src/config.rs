@@ -12,7 +12,7 @@ use egp_wire::keys::Name;
 use serde::Deserialize;
 use thiserror::Error;
 
-/// Everything a service needs, in TOML. Unknown keys are refused.
+/// The configuration of a service, in TOML. Unknown keys are errors.
 ///
 /// ```
 /// let config = egp_service::ServiceConfig::from_toml(r#"
@@ -29,19 +29,18 @@ use thiserror::Error;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ServiceConfig {
-    /// The library file; a relative path counts from the configuration file.
+    /// The library file; a relative path starts at the folder of the configuration file.
     pub library: PathBuf,
     /// Name of this replica, unique among those the vehicles can reach. Default `main`.
     #[serde(default = "default_replica")]
     pub replica: String,
-    /// Threads that run control steps; steps with much to evaluate borrow cores that have none. Default: one a
-    /// core.
+    /// Threads that run control steps; steps with much to evaluate also use idle cores. Default: one for each core.
     #[serde(default)]
     pub workers: Option<usize>,
-    /// Vehicles that may wait at a time; more are refused as overloaded. Default 256.
+    /// Vehicles that may wait at a time; requests of more get the error `overloaded`. Default 256.
     #[serde(default = "default_queue")]
     pub queue: usize,
-    /// Time between withdrawing the announcement and refusing queries when draining, ms. Default 50.
+    /// Time between withdrawing the announcement and answering queries with an error while draining, ms. Default 50.
     #[serde(default = "default_drain")]
     pub drain_ms: u64,
     /// Time between load reports, ms. Default 500.
@@ -50,16 +49,16 @@ pub struct ServiceConfig {
     /// What to log: a level, or directives as `egp_service=debug,zenoh=warn`. Default `info,zenoh=warn`.
     #[serde(default = "default_log")]
     pub log: String,
-    /// One JSON object a line instead of text. Default false.
+    /// Whether each log line is a JSON object instead of text. Default false.
     #[serde(default)]
     pub log_json: bool,
     /// Settings of the control step.
     #[serde(default)]
     pub settings: Settings,
-    /// A zenoh JSON5 file to start from, instead of our defaults.
+    /// A zenoh JSON5 file that replaces this service's defaults.
     #[serde(default)]
     pub zenoh_file: Option<PathBuf>,
-    /// Single zenoh settings, key path to JSON5 value; they come last.
+    /// Single zenoh settings, key path to JSON5 value; they override the defaults or the file.
     #[serde(default)]
     pub zenoh: BTreeMap<String, String>,
 }
@@ -84,7 +83,7 @@ fn default_log() -> String {
     "info,zenoh=warn".to_owned()
 }
 
-/// Why a configuration was refused.
+/// Why a configuration cannot be used.
 #[derive(Debug, Error)]
 pub enum ConfigError {
     /// The file cannot be read.
@@ -92,14 +91,14 @@ pub enum ConfigError {
     Read {
         /// The file.
         path: String,
-        /// What the system said.
+        /// The error of the system.
         source: std::io::Error,
     },
     /// Not TOML, an unknown key, or a value of the wrong type.
-    #[error("configuration refused: {0}")]
+    #[error("the configuration is not valid: {0}")]
     Toml(#[from] toml::de::Error),
     /// A number out of range under `[settings]`.
-    #[error("[settings] refused: {0}")]
+    #[error("[settings] is not valid: {0}")]
     Settings(#[from] SettingsError),
     /// A value out of range.
     #[error("`{field}` must be {expected}, got {got}")]
@@ -108,7 +107,7 @@ pub enum ConfigError {
         field: &'static str,
         /// The accepted range in words.
         expected: &'static str,
-        /// The value that came.
+        /// The value at fault.
         got: String,
     },
 }
@@ -146,7 +145,7 @@ impl ServiceConfig {
         Ok(config)
     }
 
-    /// Reads a configuration file; relative paths in it count from its folder.
+    /// Reads a configuration file; relative paths in it start at its folder.
     ///
     /// # Errors
     /// [`ConfigError`] naming the file or the key at fault.

@@ -1,4 +1,4 @@
-//! What the workers call for each request.
+//! The interface by which a worker answers a request.
 
 use egp_engine::{Engine, EngineWorkspace};
 use egp_wire::{Ready, Status, WireError};
@@ -8,20 +8,20 @@ pub trait Handler: Send + Sync + 'static {
     /// Memory of one worker.
     type Workspace: Send;
 
-    /// What a client must know to make requests.
+    /// The properties of the service that a client needs to make requests.
     fn describe(&self) -> Ready;
 
     /// Memory for one more worker.
     ///
     /// # Errors
-    /// [`WireError`] when it cannot be made.
+    /// [`WireError`] if it cannot be made.
     fn workspace(&self) -> Result<Self::Workspace, WireError>;
 
     /// Answers one request: `reply` becomes the bytes of an `egp.v1.StepReply`. Returns how the solver ended, which the
     /// metrics count.
     ///
     /// # Errors
-    /// [`WireError`] as it is told to the client; the content of `reply` is then unspecified.
+    /// [`WireError`], which is sent to the client; the content of `reply` is then unspecified.
     fn step(
         &self,
         workspace: &mut Self::Workspace,

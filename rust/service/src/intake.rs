@@ -17,7 +17,7 @@ pub(crate) struct Job {
     pub(crate) deadline: Instant,
 }
 
-/// What intake and workers share.
+/// The state that intake and workers share.
 pub(crate) struct Shared {
     pub(crate) replica: Name,
     pub(crate) description: Ready,
@@ -74,7 +74,7 @@ impl Shared {
             arrived,
             deadline,
         };
-        // An idle worker tries in any case: the estimate learns only from steps that are made.
+        // An idle worker tries in any case, because only computed steps correct the estimate.
         let idle = |ahead| ahead + self.metrics.busy_workers() < self.workers;
         let in_time = |ahead| idle(ahead) || arrived + self.time_to_answer(ahead) <= deadline;
         let pushed = self
@@ -95,7 +95,7 @@ impl Shared {
         }
     }
 
-    /// When an answer may be expected behind `ahead` waiting requests, by the smoothed time of a step.
+    /// The expected time of an answer behind `ahead` waiting requests, from the smoothed time of a step.
     fn time_to_answer(&self, ahead: usize) -> Duration {
         let rounds = 1 + (ahead + self.metrics.busy_workers()) / self.workers;
         self.metrics.step_time() * u32::try_from(rounds).unwrap_or(u32::MAX)
@@ -121,7 +121,7 @@ impl Shared {
         query.refuse(error);
     }
 
-    /// What is published for those who choose among replicas.
+    /// The load, which is published for clients that choose among replicas.
     pub(crate) fn load(&self) -> Load {
         let count = |n| u32::try_from(n).unwrap_or(u32::MAX);
         Load {

@@ -2,11 +2,12 @@
 //!
 //! ```text
 //! zenoh query ─ intake ─► queue ─► worker ─► engine ─► reply
-//!               header     one slot a vehicle,        decode, step, encode
+//!               header     one slot per vehicle,      decode, step, encode
 //!               admission  earliest deadline first
 //! ```
 //!
-//! An [`egp_engine::Engine`] turns request bytes into reply bytes, here as in a vehicle's own process. [`Server`] puts it on the network; [`serve`] runs one until a signal.
+//! An [`egp_engine::Engine`] turns request bytes into reply bytes, here as in a vehicle's own process. [`Server`] makes
+//! it available on the network; [`serve`] runs one until a signal.
 
 mod config;
 mod handler;

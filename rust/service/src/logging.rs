@@ -4,10 +4,10 @@ use std::io::IsTerminal as _;
 
 use tracing_subscriber::EnvFilter;
 
-/// Logs what `filter` lets through, as text or one JSON object a line. The first call in a process wins.
+/// Logs the events that `filter` selects, each line as text or a JSON object. Later calls in a process have no effect.
 ///
 /// # Errors
-/// What is wrong with the filter.
+/// A message that says what is wrong with the filter.
 pub fn init_logging(filter: &str, json: bool) -> Result<(), String> {
     let filter =
         EnvFilter::try_new(filter).map_err(|error| format!("log filter {filter:?}: {error}"))?;
@@ -15,7 +15,7 @@ pub fn init_logging(filter: &str, json: bool) -> Result<(), String> {
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())
         .with_writer(std::io::stderr);
-    // A host that has set its own logging up keeps it.
+    // A process that has set up its own logging keeps it.
     let _ = if json {
         subscriber.json().try_init()
     } else {

@@ -1,4 +1,4 @@
-//! What the service counts, as OpenMetrics text.
+//! The metrics of the service, as OpenMetrics text.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
@@ -32,7 +32,7 @@ pub(crate) struct Metrics {
 
 impl Metrics {
     pub(crate) fn new(library: &str) -> Self {
-        // 0.1 ms to 0.4 s: from a step of two small members to one that no control period waits for.
+        // 0.1 ms to 0.4 s: from a step of two small members to one that is longer than any control period.
         let seconds = || Histogram::new(exponential_buckets(1e-4, 2.0, 13));
         let mut metrics = Self {
             registry: Registry::with_prefix("egp"),
@@ -52,15 +52,15 @@ impl Metrics {
         );
         registry.register(
             "panics",
-            "Control steps that panicked and were survived",
+            "Control steps that panicked",
             metrics.panics.clone(),
         );
         let (help, histogram) = ("Decoding, control step and encoding", metrics.step.clone());
         registry.register_with_unit("step", help, Unit::Seconds, histogram);
         let (help, histogram) = ("From arrival to a worker", metrics.queue.clone());
         registry.register_with_unit("queue", help, Unit::Seconds, histogram);
-        registry.register("queued", "Vehicles waiting", metrics.queued.clone());
-        registry.register("busy", "Workers at work", metrics.busy.clone());
+        registry.register("queued", "Vehicles that wait", metrics.queued.clone());
+        registry.register("busy", "Workers that compute a step", metrics.busy.clone());
         registry.register(
             "library",
             "The library served",
@@ -90,14 +90,14 @@ impl Metrics {
         self.queue.observe(time.as_secs_f64());
     }
 
-    /// Notes the time of a step and moves the estimate towards it, by an eighth at most: one step that the
-    /// machine held up must not make the next requests look hopeless.
+    /// Records the time of a step and moves the estimate by an eighth of the difference at most, so that one delayed
+    /// step does not lead to errors for the next requests.
     pub(crate) fn stepped(&self, time: Duration) {
         self.step.observe(time.as_secs_f64());
         let (new, old) = (micros(time), self.step_us.load(Ordering::Relaxed));
         let reach = (old / 8).max(1);
         let moved = new.clamp(old.saturating_sub(reach), old.saturating_add(reach));
-        // Workers race here; whichever wins, the estimate stays one.
+        // Workers may overwrite each other's estimates here, and each of those is valid.
         self.step_us
             .store(if old == 0 { new } else { moved }, Ordering::Relaxed);
     }

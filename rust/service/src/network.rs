@@ -1,4 +1,4 @@
-//! The one file that names zenoh.
+//! Access to the network; no other file of this crate uses zenoh.
 
 use std::{borrow::Cow, collections::BTreeMap, path::Path};
 
@@ -8,7 +8,7 @@ use zenoh::bytes::ZBytes;
 use zenoh::qos::CongestionControl;
 use zenoh::{Config, Wait};
 
-/// zenoh refused something.
+/// An operation of zenoh that failed.
 #[derive(Debug, Error)]
 #[error("{doing}: {reason}")]
 pub struct NetworkError {
@@ -25,12 +25,12 @@ impl NetworkError {
     }
 }
 
-/// What differs from zenoh's own defaults, each as its key and JSON5 value.
+/// The settings that differ from zenoh's defaults, each as its key and JSON5 value.
 const DEFAULTS: [(&str, &str); 6] = [
-    // Reachable from this machine only, until an operator says otherwise (and adds access control).
+    // The service is reachable from this machine only, unless an operator configures more (and access control).
     ("listen/endpoints", r#"["tcp/127.0.0.1:7447"]"#),
     ("scouting/multicast/enabled", "false"),
-    // Dead links are noticed within two seconds, lost ones come back within a control period or so.
+    // Dead links are detected within two seconds, and lost ones are connected again within about a control period.
     ("transport/link/tx/lease", "2000"),
     (
         "connect/retry",
@@ -42,10 +42,10 @@ const DEFAULTS: [(&str, &str); 6] = [
     ("transport/shared_memory/enabled", "false"),
 ];
 
-/// A zenoh configuration: our defaults or a JSON5 file, then single values by their key.
+/// A zenoh configuration: this service's defaults or a JSON5 file, then single values by their key.
 ///
 /// # Errors
-/// [`NetworkError`] naming the file or the key that zenoh refused.
+/// [`NetworkError`] naming the file or the key that zenoh does not accept.
 pub(crate) fn configuration(
     file: Option<&Path>,
     values: &BTreeMap<String, String>,
@@ -67,7 +67,7 @@ pub(crate) fn configuration(
     Ok(config)
 }
 
-/// A query as it came in.
+/// A query that was received.
 pub(crate) struct Query(zenoh::query::Query);
 
 impl Query {
@@ -151,7 +151,7 @@ impl Network {
         Ok(())
     }
 
-    /// Tells clients that the replica is there.
+    /// Announces the replica to clients.
     pub(crate) fn announce(&mut self, replica: &Name) -> Result<(), NetworkError> {
         let key = egp_wire::keys::live(replica);
         let token = self
@@ -171,7 +171,7 @@ impl Network {
         }
     }
 
-    /// Takes no more queries; returns when the last intake is done. Never call it from an intake.
+    /// Stops receiving queries; returns when the last intake is done. It must not be called from an intake.
     pub(crate) fn undeclare(&mut self) {
         let undeclared = self
             .queryable
@@ -189,7 +189,7 @@ impl Network {
         }
     }
 
-    /// A publisher of small values that are worth nothing when late.
+    /// A publisher of small values that may be dropped, because only the newest one is useful.
     pub(crate) fn publisher(&self, key: &str) -> Result<Publisher, NetworkError> {
         self.session
             .declare_publisher(key.to_owned())

@@ -1,8 +1,8 @@
-//! The bounded queue between intake and workers: one slot a vehicle, earliest deadline first.
+//! The bounded queue between intake and workers: one slot per vehicle, earliest deadline first.
 //!
-//! A vehicle that asks again before it was served has given up on its older request, so the newest takes
-//! its slot; one that floods the service displaces only its own requests. Serving the earliest deadline first
-//! keeps late requests from making the others late.
+//! A vehicle that asks again before it was served no longer needs the older answer, so its newest request takes the
+//! slot; a vehicle that sends too many requests displaces only its own. Serving the earliest deadline first keeps late
+//! requests from delaying the others.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -21,7 +21,7 @@ struct Waiting<T> {
 /// Why an item was not queued; it is handed back.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Refused<T> {
-    /// As many vehicles wait as may.
+    /// The largest number of vehicles wait already.
     Full(T),
     /// It would be served too late.
     Late(T),
@@ -29,10 +29,10 @@ pub(crate) enum Refused<T> {
     Closed(T),
 }
 
-/// What became of a push.
+/// The outcome of a push.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Pushed<T> {
-    /// The same vehicle's older item, whose slot is gone in any case.
+    /// The same vehicle's older item, which is removed even if the new item is not queued.
     pub(crate) superseded: Option<T>,
     /// Whether the new item waits now.
     pub(crate) queued: Result<(), Refused<T>>,
@@ -90,7 +90,7 @@ impl<T> Queue<T> {
         Pushed { superseded, queued }
     }
 
-    /// The item with the earliest deadline; waits for one. Nothing once the queue is closed and empty.
+    /// Waits for an item and returns that with the earliest deadline, or `None` once the queue is closed and empty.
     pub(crate) fn pop(&self) -> Option<T> {
         let mut waiting = self.lock();
         loop {
@@ -119,7 +119,7 @@ impl<T> Queue<T> {
         self.lock().slots.len()
     }
 
-    /// Nothing that holds the lock can leave it half changed: a poisoned one is as good as any.
+    /// A panic cannot leave the data half changed, so a poisoned lock is used like any other.
     fn lock(&self) -> MutexGuard<'_, Waiting<T>> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }

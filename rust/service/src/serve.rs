@@ -11,7 +11,7 @@ use crate::server::{Server, StartError};
 /// Why serving failed.
 #[derive(Debug, Error)]
 pub enum ServeError {
-    /// The log filter was refused.
+    /// The log filter is not valid.
     #[error("{0}")]
     Logging(String),
     /// Signals cannot be caught.
@@ -25,10 +25,10 @@ pub enum ServeError {
 /// Serves until SIGTERM or SIGINT, then drains.
 ///
 /// # Errors
-/// [`ServeError`] when the service does not start.
+/// [`ServeError`] if the service does not start.
 pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
     init_logging(&config.log, config.log_json).map_err(ServeError::Logging)?;
-    // Before the start, so that an early signal is not lost.
+    // Signals are registered before the start, so that an early one is not lost.
     let mut signals = Signals::new([SIGTERM, SIGINT]).map_err(ServeError::Signals)?;
     let server = Server::start(config)?;
     if let Some(signal) = signals.forever().next() {

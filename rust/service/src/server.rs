@@ -30,16 +30,16 @@ pub enum StartError {
     /// The replica's name is not 1 to 64 of the characters `A-Z a-z 0-9 . _ -`.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// The library or the settings were refused.
+    /// The library or the settings cannot be used.
     #[error(transparent)]
     Engine(#[from] EngineError),
     /// A worker could not be set up.
-    #[error("cannot set a worker up: {0}")]
+    #[error("cannot set up a worker: {0}")]
     Worker(#[from] WireError),
-    /// The system gave no thread.
+    /// The system could not start a thread.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
-    /// zenoh refused something.
+    /// An operation of zenoh that failed.
     #[error(transparent)]
     Network(#[from] NetworkError),
 }
@@ -95,7 +95,7 @@ impl Server {
             .network
             .declare(&replica, move |query| shared.take(query))?;
         server.start_reporter(Duration::from_millis(config.load_ms))?;
-        // Last, because from now on clients ask.
+        // The announcement comes last, because clients ask as soon as they see it.
         server.network.announce(&replica)?;
         tracing::info!(
             replica = %replica,
@@ -106,9 +106,9 @@ impl Server {
         Ok(server)
     }
 
-    /// Withdraws the announcement, serves what still comes for a moment, finishes what waits, closes.
+    /// Withdraws the announcement, serves new requests for a moment longer, finishes those that wait, and closes.
     ///
-    /// A client that asks meanwhile gets an answer or an error, never silence.
+    /// A client that asks meanwhile gets an answer or an error.
     pub fn drain(mut self) {
         tracing::info!("draining");
         self.shared.draining.store(true, Ordering::Relaxed);
@@ -139,7 +139,7 @@ impl Server {
         Ok(())
     }
 
-    /// Ends everything; the second call does nothing.
+    /// Stops network, threads and queue; a second call does nothing.
     fn stop(&mut self) {
         self.network.undeclare();
         self.shared.queue.close();

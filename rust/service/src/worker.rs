@@ -31,7 +31,8 @@ fn serve<H: Handler>(
     let waited = started - job.arrived;
     shared.metrics.waited(waited);
     let hopeless = started + shared.metrics.step_time() > job.deadline;
-    // The last request in the queue is tried even if it is likely to be late, because no other request waits for the worker.
+    // The last request in the queue is tried even if it is likely to be late, because no other request waits for the
+    // worker.
     if started > job.deadline || (hopeless && shared.queue.len() > 0) {
         let budget = micros(job.deadline - job.arrived);
         return shared.refuse(&job.query, &shared.too_late(budget));
@@ -54,7 +55,7 @@ fn serve<H: Handler>(
     }
 }
 
-/// One step; a panic in it becomes an error, and its half-written workspace is never used again.
+/// Computes one step. A panic becomes an error, and the workspace, which may be half-written, is replaced.
 fn survive<H: Handler>(
     shared: &Shared,
     handler: &H,
@@ -75,7 +76,7 @@ fn survive<H: Handler>(
         return ended;
     }
     shared.metrics.panicked();
-    tracing::error!("a control step panicked; its workspace is made anew");
+    tracing::error!("a control step panicked; its workspace is replaced");
     let detail = "the control step failed by a defect of the service; please report it";
     Err(WireError::permanent(Code::Internal, detail))
 }

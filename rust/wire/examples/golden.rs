@@ -1,4 +1,4 @@
-//! Writes the golden messages that both languages read: `cargo run -p egp-wire --example golden`.
+//! Writes the golden messages that the tests of Rust and Python read: `cargo run -p egp-wire --example golden`.
 
 use egp_testing::messages;
 

@@ -5,8 +5,9 @@ use crate::{Invalid, LibraryId, Predictions, VERSION};
 /// A component's name and the largest magnitude accepted.
 type Domain<const W: usize> = [(&'static str, f64); W];
 
-// Far beyond what a road vehicle does, near enough that products of them stay exact to many digits. The control step
-// accepts no number above MAGNITUDE, so no message may hold one that a later request would have to carry.
+// The limits are far beyond what a road vehicle reaches, and small enough that products of them stay exact to many
+// digits. The control step accepts no number above MAGNITUDE, so no message may contain one, because a later request
+// would carry it.
 const MAGNITUDE: f64 = 1e7;
 const POSITION: f64 = MAGNITUDE; // m: about the largest UTM coordinate
 const SPEED: f64 = 150.0; // m/s
@@ -44,10 +45,10 @@ pub(crate) const REFERENCE: Domain<4> = [
 ];
 pub(crate) const WIDTHS: Domain<2> = [("left", WIDTH), ("right", WIDTH)];
 
-/// Slack on the sum and the sign of weights: rounding of a solver, not an opinion.
+/// Tolerance on the sum and the sign of weights, for the rounding of a solver.
 const SIMPLEX_TOLERANCE: f64 = 1e-6;
 
-/// Every component of every row inside its domain. NaN is outside.
+/// Errors unless every component of every row is inside its domain; NaN is outside.
 pub(crate) fn domain<const W: usize>(
     field: &'static str,
     rows: &[[f64; W]],
@@ -66,7 +67,7 @@ pub(crate) fn domain<const W: usize>(
     Ok(())
 }
 
-/// Weights that are non-negative and sum to one; none at all is fine.
+/// Errors unless the weights are non-negative and sum to one, or are empty.
 pub(crate) fn simplex(field: &'static str, weights: &[f64]) -> Result<(), Invalid> {
     if weights.is_empty() {
         return Ok(());
@@ -138,7 +139,7 @@ pub(crate) fn count(field: &'static str, actual: usize, limit: usize) -> Result<
     ))
 }
 
-/// Exactly `expected` rows, or none when that is allowed.
+/// Errors unless there are exactly `expected` rows, or none if that is allowed.
 pub(crate) fn row_count(
     field: &'static str,
     actual: usize,
@@ -182,7 +183,7 @@ pub(crate) fn size(bytes: &[u8], limit: usize) -> Result<(), Invalid> {
     }
 }
 
-/// Longer budgets than this are a mistake of units.
+/// The largest budget; a longer one is in the wrong unit.
 const MAX_BUDGET_US: u32 = 10_000_000;
 
 pub(crate) fn budget(budget_us: u32) -> Result<(), Invalid> {
@@ -210,9 +211,9 @@ pub(crate) fn at_most(
     ))
 }
 
-/// `history_f` has at most one row per row of the history, each with one block per member.
+/// Errors unless `history_f` has at most one row per row of the history, each with one block per member.
 ///
-/// Predictions have no domain beyond the largest magnitude: a member may extrapolate wildly outside its data.
+/// Predictions have no domain except the largest magnitude, because a member may extrapolate far outside its data.
 pub(crate) fn predictions(
     history_f: &Predictions,
     history_rows: usize,

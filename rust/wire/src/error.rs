@@ -1,4 +1,4 @@
-//! Why a message is not valid ([`Invalid`]), and the error that travels to the client ([`WireError`]).
+//! Why a message is not valid ([`Invalid`]), and the error that is sent to the client ([`WireError`]).
 
 use prost::Message as _;
 use thiserror::Error;
@@ -14,7 +14,7 @@ pub enum Invalid {
     TooLarge {
         /// Bytes accepted.
         limit: usize,
-        /// Bytes that came.
+        /// Bytes of the message.
         actual: usize,
     },
     /// Not a protobuf encoding of the message.
@@ -26,10 +26,10 @@ pub enum Invalid {
         crate::VERSION
     )]
     Version {
-        /// Version that came.
+        /// Version of the message.
         actual: u32,
     },
-    /// A field whose shape or value is refused.
+    /// A field whose shape or value is not valid.
     #[error("{field}: {reason}")]
     Field {
         /// Name as in the `.proto`.
@@ -49,15 +49,15 @@ impl Invalid {
     }
 }
 
-/// An error as it travels to the client.
+/// The error that is sent to the client.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("{}{detail}", if field.is_empty() { String::new() } else { format!("{field}: ") })]
 pub struct WireError {
     /// What kind of error.
     pub code: Code,
-    /// Whether another attempt, here or at another replica, may succeed.
+    /// Whether another attempt, at this or another replica, may succeed.
     pub retryable: bool,
-    /// How long to wait before that, microseconds; 0 when it makes no difference.
+    /// Time to wait before another attempt, microseconds; 0 if waiting makes no difference.
     pub retry_after_us: u32,
     /// The field at fault, as named in the `.proto`; empty when none is.
     pub field: String,
@@ -77,7 +77,7 @@ impl WireError {
         }
     }
 
-    /// An error that the same request would meet again.
+    /// An error that the same request would get again.
     pub fn permanent(code: Code, detail: impl Into<String>) -> Self {
         Self {
             code,
@@ -106,10 +106,10 @@ impl WireError {
         .encode_to_vec()
     }
 
-    /// Reads an `egp.v1.Error`. A code this side does not know becomes [`Code::Unspecified`].
+    /// Reads an `egp.v1.Error`. A code that this version does not have becomes [`Code::Unspecified`].
     ///
     /// # Errors
-    /// [`Invalid`] when the bytes are no such message.
+    /// [`Invalid`] if the bytes are not such a message.
     pub fn decode(bytes: &[u8]) -> Result<Self, Invalid> {
         let error = proto::Error::decode(bytes)?;
         Ok(Self {

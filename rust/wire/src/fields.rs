@@ -1,8 +1,8 @@
-//! Reading a message field by field, where it lies: no copy, no allocation.
+//! Reading a message field by field in place, without copies and allocations.
 //!
-//! The generated messages of prost copy every `bytes` field, which a service that answers thousands of requests a
-//! second has no use for. Varints, keys and skipping are prost's. Of a number that comes twice the last counts, as in
-//! protobuf.
+//! The generated messages of prost copy every `bytes` field, which costs a service time that answers thousands of
+//! requests per second. Varints, keys and skipping are prost's. As in protobuf, the last one counts of a number that
+//! comes twice.
 
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
 
@@ -11,7 +11,7 @@ use crate::{Invalid, tensor::Tensor};
 /// The fields of a message, in the order they came.
 pub(crate) struct Fields<'a>(&'a [u8]);
 
-/// A field's value as far as the wire tells it.
+/// A field's value by its type on the wire.
 #[derive(Clone, Copy)]
 pub(crate) enum Value<'a> {
     Varint(u64),
@@ -49,7 +49,7 @@ impl<'a> Fields<'a> {
 impl<'a> Iterator for Fields<'a> {
     type Item = Result<(u32, Value<'a>), Invalid>;
 
-    /// Ends at the first error, as what follows it has no meaning.
+    /// Ends at the first error, because the bytes behind it have no meaning.
     fn next(&mut self) -> Option<Self::Item> {
         if self.0.is_empty() {
             return None;
@@ -70,7 +70,7 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// The low 32 bits, as protobuf has it.
+    /// The low 32 bits, as protobuf prescribes.
     pub(crate) fn uint32(self, field: &'static str) -> Result<u32, Invalid> {
         let [a, b, c, d, ..] = self.uint64(field)?.to_le_bytes();
         Ok(u32::from_le_bytes([a, b, c, d]))
@@ -99,7 +99,7 @@ impl<'a> Value<'a> {
         text.map_err(|error| Invalid::field(field, error.to_string()))
     }
 
-    /// Fills `slot`, once: two tensors of one name would leave open which is meant.
+    /// Fills `slot`. Errors if it is full, because two tensors of one name are ambiguous.
     pub(crate) fn tensor(
         self,
         field: &'static str,

@@ -3,7 +3,7 @@
 use crate::fields::Fields;
 use crate::{Invalid, LibraryId, Limits, check};
 
-/// What admission decides on.
+/// The fields that decide on admission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
     /// Library the request pins.
@@ -18,8 +18,8 @@ impl Header {
     /// Reads the header of an encoded request.
     ///
     /// # Errors
-    /// [`Invalid`] when the message is too large, no protobuf, of another version, or its header is
-    /// malformed. The other fields are left to [`crate::Request::decode`].
+    /// [`Invalid`] if the message is too large, not protobuf, of another version, or has a malformed header.
+    /// [`crate::Request::decode`] checks the other fields.
     pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Self, Invalid> {
         check::size(bytes, limits.message_bytes)?;
         let (mut version, mut library, mut sequence, mut budget_us) = (0, [].as_slice(), 0, 0);

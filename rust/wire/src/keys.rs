@@ -1,7 +1,7 @@
 //! Key expressions; `docs/wire.md` describes them.
 //!
-//! Each replica has its own prefix, because zenoh does not balance queries over replicas; the client
-//! chooses one. A vehicle's identity is its key, never its payload, so that access control covers it.
+//! Each replica has its own prefix, because zenoh does not balance queries over replicas; the client chooses one. A
+//! vehicle is identified by its key and not by the payload, so that access control covers it.
 
 use std::{fmt, str::FromStr};
 
@@ -53,27 +53,27 @@ impl fmt::Display for Name {
     }
 }
 
-/// What a replica declares its queryable on.
+/// The key expression of a replica's queryable.
 pub fn replica(replica: &Name) -> String {
     format!("{PREFIX}{replica}/**")
 }
 
-/// Where a vehicle asks a replica for a control step.
+/// The key on which a vehicle asks a replica for a control step.
 pub fn step(replica: &Name, fleet: &Name, vehicle: &Name) -> String {
     format!("{PREFIX}{replica}/{fleet}/{vehicle}{STEP}")
 }
 
-/// Where a replica answers whether it is alive (`text/plain`).
+/// The key on which a replica answers whether it is alive (`text/plain`).
 pub fn health(replica: &Name) -> String {
     format!("{PREFIX}{replica}/health")
 }
 
-/// Where a replica answers what it serves ([`crate::Ready`]).
+/// The key on which a replica answers what it serves ([`crate::Ready`]).
 pub fn ready(replica: &Name) -> String {
     format!("{PREFIX}{replica}/ready")
 }
 
-/// Where a replica answers its OpenMetrics text.
+/// The key on which a replica answers its OpenMetrics text.
 pub fn metrics(replica: &Name) -> String {
     format!("{PREFIX}{replica}/metrics")
 }
@@ -83,17 +83,17 @@ pub fn live(replica: &Name) -> String {
     format!("{LIVE}{replica}")
 }
 
-/// Where a replica publishes its [`crate::Load`].
+/// The key on which a replica publishes its [`crate::Load`].
 pub fn load(replica: &Name) -> String {
     format!("{LOAD}{replica}")
 }
 
-/// The replica a liveliness token belongs to.
+/// The replica to which a liveliness token belongs.
 pub fn replica_of_live(key: &str) -> Option<Name> {
     key.strip_prefix(LIVE)?.parse().ok()
 }
 
-/// What a query under a replica's prefix asks for.
+/// The purpose of a query under a replica's prefix.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Target {
     /// A control step.
@@ -111,7 +111,7 @@ pub enum Target {
     Metrics,
 }
 
-/// Reads the key of a query; none when the key has no form that a replica answers.
+/// Reads the key of a query, or returns `None` for a key that a replica does not answer.
 pub fn parse(key: &str) -> Option<Target> {
     let (_replica, rest) = key.strip_prefix(PREFIX)?.split_once('/')?;
     match rest {

@@ -1,9 +1,8 @@
-//! What travels between a vehicle and the service: typed requests, replies and errors, their protobuf
-//! encoding, and key expressions.
+//! The messages between a vehicle and the service: typed requests, replies and errors, their protobuf encoding, and key
+//! expressions.
 //!
-//! Decoding is the trust boundary: a [`Request`] or [`Reply`] that came out of `decode` has exact
-//! shapes, finite numbers inside the declared domain and weights on the simplex. The crate knows neither
-//! the network nor the mathematics.
+//! Decoding is the trust boundary: a [`Request`] or [`Reply`] that `decode` returned has exact shapes, finite numbers
+//! inside the declared domain and weights on the simplex. The crate contains neither network nor mathematics.
 //!
 //! ```
 //! use egp_wire::{Limits, Request};
@@ -53,7 +52,7 @@ pub mod proto {
 pub const FILE_DESCRIPTOR_SET: &[u8] =
     include_bytes!(concat!(env!("OUT_DIR"), "/egp.v1.descriptors.bin"));
 
-/// Version of the messages; a request with another one is refused.
+/// Version of the messages; a request with another one is an error.
 pub const VERSION: u32 = 1;
 
 /// State `[p_x, p_y, v_x, psi, v_y, omega, delta]`, SI.

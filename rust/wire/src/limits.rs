@@ -1,6 +1,6 @@
 //! Sizes above which a message is an error before its numbers are read.
 
-/// Size limits applied while decoding. The defaults fit the largest request the service is made for.
+/// Size limits applied while decoding. The defaults fit the largest request that the service is made for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Bytes of an encoded message.

@@ -1,4 +1,4 @@
-//! What the members predicted for transitions.
+//! The members' predictions of transitions.
 
 use crate::GpOutput;
 
@@ -12,7 +12,7 @@ pub struct Predictions {
 }
 
 impl Predictions {
-    /// Takes rows of `members` predictions each.
+    /// Predictions from rows with `members` of them each.
     pub fn new(members: usize, values: Vec<GpOutput>) -> Self {
         let members = if values.is_empty() { 0 } else { members };
         Self { members, values }
@@ -28,7 +28,7 @@ impl Predictions {
         self.values.is_empty()
     }
 
-    /// The rows, one a transition.
+    /// The rows, one per transition.
     pub fn rows(&self) -> impl ExactSizeIterator<Item = &[GpOutput]> {
         self.values.chunks(self.members.max(1))
     }

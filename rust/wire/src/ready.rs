@@ -1,4 +1,4 @@
-//! What a replica tells about itself to a client that is about to use it.
+//! The properties of a replica that a client needs to use it.
 
 use egp_parameters::VehicleParameters;
 use prost::Message as _;
@@ -17,7 +17,7 @@ pub struct Ready {
     pub dt: f64,
     /// Inputs in a plan, T.
     pub horizon: u32,
-    /// Transitions worth carrying, K.
+    /// Largest useful number of transitions in a request, K.
     pub history: u32,
     /// The members' surfaces, in the order of the weights.
     pub members: Vec<String>,
@@ -97,7 +97,10 @@ fn envelope(tensor: Option<proto::Tensor>) -> Result<[GpInput; 2], Invalid> {
     let (values, rest) = tensor.data.as_chunks();
     let values: Vec<f64> = values.iter().copied().map(f64::from_le_bytes).collect();
     let (rows, []) = (values.as_chunks().0, rest) else {
-        return Err(Invalid::field(FIELD, "its data are no whole number of f64"));
+        return Err(Invalid::field(
+            FIELD,
+            "its data are not a whole number of f64",
+        ));
     };
     let (Ok(rows), [2, 6]) = (<[GpInput; 2]>::try_from(rows), tensor.shape.as_slice()) else {
         return Err(Invalid::field(

@@ -7,7 +7,7 @@ use crate::{
     GpOutput, Input, Invalid, LibraryId, Limits, Predictions, State, Status, VERSION, check,
 };
 
-/// The outcome of a control step. Only [`Status::Solved`] carries a plan.
+/// The outcome of a control step. Only one with [`Status::Solved`] has a plan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reply {
     /// Library that answered.
@@ -22,11 +22,11 @@ pub struct Reply {
     pub plan_u: Vec<Input>,
     /// Adapted weights, `[N]`.
     pub weights: Vec<f64>,
-    /// Standard deviation of `[v_x, v_y, omega]`, `[T+1]` when asked for.
+    /// Standard deviation of `[v_x, v_y, omega]`, `[T+1]` if requested.
     pub sigma: Vec<GpOutput>,
     /// The members' predictions of the request's history, `[K, N]`, newest first.
     pub history_f: Predictions,
-    /// Weight of the members too light to be linearised.
+    /// Sum of the weights of members that were not linearised because their weight is too small.
     pub dropped_mass: f64,
     /// Iterations of the QP solver.
     pub iterations: u32,
@@ -44,7 +44,7 @@ impl Reply {
         out
     }
 
-    /// Like [`encode`](Self::encode), in place of what `out` held; allocates only to grow.
+    /// Like [`encode`](Self::encode), but replaces the content of `out`; allocates only to grow.
     pub fn encode_to(&self, out: &mut Vec<u8>) {
         let mut message = Writer::start(out);
         message.number(1, VERSION.into());
@@ -141,7 +141,7 @@ impl Reply {
     }
 }
 
-/// The fields as they came.
+/// The fields before they are checked.
 #[derive(Default)]
 struct Raw<'a> {
     version: u32,

@@ -8,10 +8,10 @@ use crate::{
     VERSION, WidthRow, check,
 };
 
-/// One control step asked for. T is `reference.len() - 1`, N the number of members.
+/// The request of one control step. T is `reference.len() - 1`, N the number of members.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Request {
-    /// Library the vehicle expects.
+    /// Library that the vehicle expects.
     pub library: LibraryId,
     /// Increases by one each control period.
     pub sequence: u64,
@@ -31,7 +31,7 @@ pub struct Request {
     pub plan_shift: u32,
     /// GP inputs of the last transitions, newest first.
     pub history_z: Vec<GpInput>,
-    /// What followed each of them.
+    /// Changes of the velocities over each of those transitions.
     pub history_y: Vec<GpOutput>,
     /// The members' predictions of the oldest rows of the history, `[K', N]`, newest of them first.
     pub history_f: Predictions,
@@ -85,7 +85,7 @@ impl Request {
     /// Like [`decode`](Self::decode), in the memory of a former request; allocates only to grow.
     ///
     /// # Errors
-    /// [`Invalid`], which names the first field at fault. What the request then holds means nothing.
+    /// [`Invalid`], which names the first field at fault. The content of the request is then unspecified.
     pub fn decode_from(&mut self, bytes: &[u8], limits: &Limits) -> Result<(), Invalid> {
         check::size(bytes, limits.message_bytes)?;
         let raw = Raw::read(bytes)?;
@@ -224,7 +224,7 @@ pub fn check_reference(reference: &[ReferenceRow], widths: &[WidthRow]) -> Resul
     }
 }
 
-/// The fields as they came.
+/// The fields before they are checked.
 #[derive(Default)]
 struct Raw<'a> {
     version: u32,

@@ -1,4 +1,4 @@
-//! Tensors where they lie in a message, and their values once shape, length and finiteness are found right.
+//! Tensors in place in a message, and their values after shape, length and finiteness were checked.
 
 use std::fmt;
 
@@ -48,7 +48,7 @@ impl<'a> Tensor<'a> {
         self.shape.split_at(self.rank).0
     }
 
-    /// The values, once the shape has been found to be what the data hold and every value finite.
+    /// The values. Errors unless the shape fits the data and every value is finite.
     fn values(
         &self,
         field: &'static str,

@@ -1,4 +1,4 @@
-//! Writing a message straight into a buffer. What holds its default value is left out, as proto3 has it.
+//! Writing a message straight into a buffer. Fields with their default value are left out, as proto3 prescribes.
 
 use prost::encoding::{WireType, encode_key, encode_varint, encoded_len_varint};
 
@@ -8,7 +8,7 @@ use crate::Predictions;
 pub(crate) struct Writer<'a>(&'a mut Vec<u8>);
 
 impl<'a> Writer<'a> {
-    /// Starts a message in `out`, whose former content goes and whose memory stays.
+    /// Starts a message in `out`, whose former content is cleared and whose memory is reused.
     pub(crate) fn start(out: &'a mut Vec<u8>) -> Self {
         out.clear();
         Self(out)
@@ -35,7 +35,7 @@ impl<'a> Writer<'a> {
         }
     }
 
-    /// A `Tensor` of `shape`; nothing when there are no values.
+    /// Appends a `Tensor` of `shape`, or nothing if there are no values.
     pub(crate) fn tensor(&mut self, tag: u32, shape: &[usize], values: &[f64]) {
         const KEY: usize = 1; // tags below 16 take one byte
         if values.is_empty() {

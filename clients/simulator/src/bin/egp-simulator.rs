@@ -8,18 +8,18 @@ use clap::Parser;
 use egp_simulator::{CAR, Course, Period, SimulatedVehicle, Track};
 use egp_vehicle::{GateLimits, Mode, VehicleConfig};
 
-/// What `--help` teaches.
+/// The text of `--help` behind the options.
 const HELP: &str = r"Drives a simulated car through a running service, in real time.
 
-Start the service first, then the car; both find each other on this machine without more:
+Start the service first, then the car; on one machine they need no further settings:
 
     egp-server --library surfaces.safetensors
     egp-simulator --friction 0.5,0.8,1.1 --grip 0.8
 
 The track is divided evenly among the friction coefficients. The status line shows where the car is, how
 far it is from the reference, where its commands come from (NORMAL: a new plan; TAIL: the rest of the
-last one; STOP: braking, because that has run out; WAITING: braking until the first plan), and the weights of the library's surfaces. Stop the
-service while it drives and see TAIL, then STOP.";
+last one; STOP: braking, because that has run out; WAITING: braking until the first plan), and the weights
+of the library's surfaces. If you stop the service while the car drives, you see TAIL, then STOP.";
 
 /// Drives a simulated car through a running service, in real time.
 #[derive(Parser)]
@@ -48,7 +48,7 @@ struct Arguments {
     laps: u32,
 }
 
-/// Worst figures of a drive.
+/// Largest errors and times of a drive.
 #[derive(Default)]
 struct Summary {
     periods: u32,
@@ -116,7 +116,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         summary.add(&driven);
         show(&driven, vehicle.client().weights());
         if driven.step.command.mode == Mode::Stop && driven.v_x < 0.1 {
-            return Err("the car has stopped: no plan came in time (see --help)".into());
+            return Err("the car has stopped, because no plan came in time (see --help)".into());
         }
         start += period;
     }

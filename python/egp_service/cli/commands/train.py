@@ -45,14 +45,13 @@ def train(
     trajectories. Of more than --max-points transitions, half are selected
     uniformly and half by the variance of a first fit.
 
-    The library says which vehicle it is for: controller, gate and speed
-    profile take their defaults from there. The file of --vehicle states, in
-    SI units: mass, yaw_inertia, l_f and l_r (centre of mass to the axles),
-    width; a_min (negative), a_max, power (W/kg), a_slew, all per mass;
-    steering_angle, steering_rate, steering_slew; peak_slip (of the front
-    tyres, on friction 1); lateral_grip, braking_grip and driving_grip
-    (reachable share of friction times gravity). `egp inspect` shows those of
-    a library.
+    The library states its vehicle, from which controller, gate and speed
+    profile take their defaults. The file of --vehicle states, in SI units:
+    mass, yaw_inertia, l_f and l_r (centre of mass to the axles), width; a_min
+    (negative), a_max, power (W/kg), a_slew, all per mass; steering_angle,
+    steering_rate, steering_slew; peak_slip (of the front tyres, on friction
+    1); lateral_grip, braking_grip and driving_grip (reachable share of
+    friction times gravity). `egp inspect` shows those of a library.
 
     For example:
       egp train data/*.parquet -o library.safetensors

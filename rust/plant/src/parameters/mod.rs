@@ -27,7 +27,7 @@ impl VehicleId {
         }
     }
 
-    /// What a controller of the vehicle knows about it.
+    /// The vehicle's parameters for a controller.
     pub fn vehicle(self) -> VehicleParameters {
         match self {
             Self::FordEscort => VehicleParameters::FORD_ESCORT,

@@ -7,31 +7,31 @@ use clap::Parser;
 use egp_engine::Engine;
 use egp_service::{ServiceConfig, serve};
 
-/// What `--help` teaches.
+/// The text of `--help` behind the options.
 const HELP: &str = r#"Answers the control steps of vehicles over zenoh.
 
 Try it on this machine:
 
     egp-server --library surfaces.safetensors
 
-In production, write a TOML file and pass it as --config; what is given here counts over the file:
+In production, write a TOML file and pass it as --config; options of the command line override the file:
 
     library = "surfaces.safetensors"   # made by `egp train`
     replica = "garage-1"               # unique among the replicas that vehicles can reach
-    workers = 4                        # default: one a core
+    workers = 4                        # default: one for each core
     queue = 256                        # vehicles that may wait at a time
     log_json = true
     [settings.cost]                    # the control step; every field has a default
     lateral = 30.0
-    [zenoh]                            # any zenoh setting: its key path, its JSON5 value
+    [zenoh]                            # any zenoh setting: its key path and its JSON5 value
     "listen/endpoints" = '["tls/0.0.0.0:7447"]'
 
 Without "listen/endpoints" it listens on tcp/127.0.0.1:7447 only. A service that other machines reach
-needs TLS and access control: whoever may declare its keys can answer in its place.
+needs TLS and access control, because a program that may declare its keys can answer in its place.
 
-Vehicles ask on egp/v1/r/REPLICA/FLEET/VEHICLE/step. egp/v1/r/REPLICA/health, ready and metrics tell how
-it fares; the liveliness token egp/v1/@live/REPLICA tells clients that it is there. SIGTERM drains: the
-token goes first, then what waits is answered, then the process ends with status 0."#;
+Vehicles ask on egp/v1/r/REPLICA/FLEET/VEHICLE/step. The service answers its state on the keys health,
+ready and metrics of egp/v1/r/REPLICA, and announces itself by the liveliness token egp/v1/@live/REPLICA.
+On SIGTERM it drains: it withdraws the token, answers the requests that wait, and ends with status 0."#;
 
 /// Answers the control steps of vehicles over zenoh.
 #[derive(Parser)]
@@ -58,7 +58,7 @@ struct Arguments {
     /// Log one JSON object a line.
     #[arg(long)]
     log_json: bool,
-    /// Check configuration and library, say what would be served, and end.
+    /// Check configuration and library, print what would be served, and end.
     #[arg(long)]
     check: bool,
 }
@@ -82,7 +82,7 @@ impl Arguments {
             ("connect/endpoints", self.connect),
         ] {
             if !endpoints.is_empty() {
-                // Rust's and JSON5's quoting agree on endpoints, which hold no control characters.
+                // Rust and JSON5 quote endpoints alike, because those contain no control characters.
                 config
                     .zenoh
                     .insert(key.to_owned(), format!("{endpoints:?}"));

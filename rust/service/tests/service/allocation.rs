@@ -1,5 +1,5 @@
-//! A step allocates nothing once it has seen requests of its shape: from a client's bytes to those of the reply, and
-//! the mathematics alone.
+//! A step allocates nothing after the first request of each shape: neither from a client's bytes to those of the reply,
+//! nor in the mathematics alone.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::cell::Cell;
@@ -13,7 +13,7 @@ use egp_wire::{Limits, Reply, Status};
 
 /// The allocator of this program: the system's, with a count for each thread.
 mod counting {
-    // An allocator can be written in no other way.
+    // `GlobalAlloc` is an unsafe trait.
     #![allow(unsafe_code)]
 
     use std::alloc::{GlobalAlloc, Layout, System};
@@ -29,7 +29,8 @@ mod counting {
     #[global_allocator]
     static ALLOCATOR: Counting = Counting;
 
-    // SAFETY: each call goes to `System` as it came; the count is a constant-initialised cell, which allocates nothing.
+    // SAFETY: each call is forwarded to `System` unchanged; the count is a constant-initialised cell, which allocates
+    // nothing.
     unsafe impl GlobalAlloc for Counting {
         unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
             COUNT.set(COUNT.get() + 1);

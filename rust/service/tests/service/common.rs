@@ -26,7 +26,7 @@ pub fn library_bytes() -> &'static [u8] {
     })
 }
 
-/// The same as a file, for those that load it themselves.
+/// The same library as a file.
 pub fn library_file(name: &str) -> PathBuf {
     let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
     std::fs::write(&path, library_bytes()).unwrap();
@@ -46,7 +46,7 @@ pub fn library_id() -> LibraryId {
     engine().library().id()
 }
 
-/// An endpoint nobody listens on.
+/// An endpoint that is not in use.
 pub fn free_endpoint() -> String {
     let port = TcpListener::bind("127.0.0.1:0")
         .unwrap()
@@ -71,7 +71,7 @@ pub struct Client {
     pub session: zenoh::Session,
 }
 
-/// What comes back from a query.
+/// The answer to a query.
 #[derive(Debug, PartialEq)]
 pub enum Outcome {
     Answer {
@@ -129,7 +129,7 @@ impl Client {
         self.start(key, payload)()
     }
 
-    /// Sends a query now; the function returned waits for what comes back.
+    /// Sends a query; the function returned waits for the answer.
     pub fn start(&self, key: &str, payload: &[u8]) -> impl FnOnce() -> Outcome + use<> {
         let replies = self
             .session

@@ -1,4 +1,4 @@
-//! An engine on several cores replies with the bytes of one that is alone, whoever else has the cores.
+//! An engine on several cores replies with the same bytes as one on a single core, whether or not others use the cores.
 #![allow(clippy::unwrap_used)]
 
 use std::thread;
@@ -35,7 +35,7 @@ fn replies_are_the_same_bytes_on_any_number_of_cores() {
     let expected = reply(&alone);
     let shared = alone.with_cores(usize::MAX).unwrap();
     thread::scope(|scope| {
-        // One at a time has cores to borrow, four at once have not.
+        // A single step can borrow cores; four steps at once cannot.
         for at_once in [1, 4] {
             let steps: Vec<_> = (0..at_once)
                 .map(|_| scope.spawn(|| reply(&shared)))

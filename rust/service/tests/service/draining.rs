@@ -1,4 +1,4 @@
-//! A replica that goes away answers everything that reaches it.
+//! A replica that drains answers every request that reaches it.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
 use std::io::{BufRead, BufReader};

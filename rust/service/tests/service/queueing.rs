@@ -1,4 +1,4 @@
-//! Who waits, who is displaced and who is refused, with a worker held up on purpose.
+//! Which requests wait, are displaced, or get an error, while the worker is held up on purpose.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
 use std::sync::Mutex;
@@ -12,7 +12,7 @@ use egp_wire::{Code, Header, Limits, Ready, Reply, Status, WireError};
 
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// An engine that tells when it begins a step and then waits for leave.
+/// An engine that reports when it begins a step and then waits for permission.
 struct Held {
     engine: Engine,
     begun: Sender<u64>,
@@ -45,7 +45,7 @@ impl Handler for Held {
 }
 
 struct Setup {
-    // First, so that a failing test lets the worker go before the server waits for it.
+    // This field is dropped first, so that a failing test releases the worker before the server waits for it.
     leave: Sender<()>,
     server: Server,
     client: Client,
@@ -125,7 +125,7 @@ fn a_flooding_vehicle_does_not_starve_the_others_and_the_earliest_deadline_goes_
     let flood: Vec<_> = (2..50).map(|n| setup.send("flood", n, 9000)).collect();
     let patient = setup.send("patient", 100, 8000);
     let hurried = setup.send("hurried", 200, 7000);
-    // The replaced ones are answered at once, so by then all have arrived but perhaps the last two.
+    // Replaced requests are answered at once, so all but perhaps the last two have arrived by then.
     let mut outcomes: Vec<_> = flood.into_iter().map(std::thread::spawn).collect();
     let newest = outcomes.pop().unwrap();
     for outcome in outcomes {
@@ -185,7 +185,7 @@ fn a_service_that_was_slow_once_does_not_refuse_for_ever() {
     std::thread::sleep(Duration::from_secs(2));
     setup.leave.send(()).unwrap();
     assert_eq!(sequence(&slow()), 1);
-    // Shorter than the 2 s that a step is now thought to take.
+    // The budget is shorter than the 2 s by which a step is now estimated.
     let wait = setup.send("a", 2, 1500);
     assert_eq!(setup.begun.recv_timeout(PATIENCE).unwrap(), 2);
     setup.leave.send(()).unwrap();

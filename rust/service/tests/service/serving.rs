@@ -1,4 +1,4 @@
-//! What a client gets from a replica in order.
+//! The answers of a replica that works normally.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
 use crate::common::{Client, Outcome, config, engine, free_endpoint, request, step_key};

@@ -1,11 +1,11 @@
-//! Random edits of valid examples. Random bytes alone never get past the first check of a decoder.
+//! Random edits of valid examples, because random bytes alone fail the first check of a decoder.
 
 use bolero::TypeGenerator;
 
-/// Where in the example an edit takes place, as a fraction of its length in units of 1/65536.
+/// The position of an edit in the example, as a fraction of its length in units of 1/65536.
 type Place = u16;
 
-/// Which example, and what is done to it.
+/// The number of an example, and the edits to it.
 #[derive(Clone, Debug, TypeGenerator)]
 pub struct Edits {
     example: u8,
@@ -25,11 +25,11 @@ enum Edit {
     Copy { from: Place, length: u8, at: Place },
     /// Removes everything from here on.
     Cut { at: Place },
-    /// Puts a word of the dictionary in place of what stands here.
+    /// Replaces the bytes at a position by a word of the dictionary.
     Replace { at: Place, word: u8 },
 }
 
-/// Words that decoders of one kind treat in a way of their own.
+/// Words that decoders of one kind treat specially.
 pub enum Words {
     /// Doubles at the borders of domains; each replaces eight bytes.
     Doubles,
@@ -53,7 +53,7 @@ const DOUBLES: [f64; 12] = [
 ];
 
 impl Edits {
-    /// The example chosen, edited; one choice is no bytes at all.
+    /// The chosen example after the edits; one choice is an empty example.
     pub fn apply(&self, examples: &[Vec<u8>], words: &Words) -> Vec<u8> {
         let choice = usize::from(self.example) % (examples.len() + 1);
         let mut bytes = examples.get(choice).cloned().unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Library files, sealed anew after each edit: an edit under the old seal is refused for its digest alone.
+//! Library files that are sealed again after each edit, because otherwise only the check of the seal would be tested.
 
 use std::fmt::Write as _;
 

@@ -39,7 +39,7 @@ fn an_accepted_track_is_a_lap_with_edges() {
         )
         .unwrap();
     });
-    // A kink, which most edits of a position make, is refused after tens of milliseconds.
+    // Most edits of a position make a kink, which takes tens of milliseconds to detect.
     fuzz!(5 * TIME, [centre_line, raceline], WORDS, |bytes: Vec<
         u8,
     >| {

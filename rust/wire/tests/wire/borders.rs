@@ -1,4 +1,4 @@
-//! Both sides of every limit: the last value accepted and the first one refused.
+//! Both sides of every limit: the last accepted value and the first one that is an error.
 
 use egp_testing::messages;
 use egp_wire::{Invalid, Limits, Predictions, Reply, Request};
@@ -38,12 +38,12 @@ pub(crate) fn decoded_reply(reply: &Reply) -> Result<Reply, Invalid> {
     Reply::decode(&reply.encode(), &Limits::default())
 }
 
-/// The field that is named when `request` is refused.
+/// The field that the error about `request` names.
 fn refused(request: &Request) -> Option<&'static str> {
     field(&decoded(request))
 }
 
-/// The field that is named when `reply` is refused.
+/// The field that the error about `reply` names.
 pub(crate) fn refused_reply(reply: &Reply) -> Option<&'static str> {
     field(&decoded_reply(reply))
 }

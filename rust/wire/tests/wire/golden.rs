@@ -1,4 +1,4 @@
-//! The golden files are what this version reads and writes.
+//! This version reads and writes the golden files.
 
 use egp_testing::messages;
 use egp_wire::{Limits, Ready, Reply, Request, WireError};

@@ -1,4 +1,4 @@
-//! Messages on the wire: what is written, what is read, and what is refused.
+//! Messages on the wire: what is written, what is read, and what is an error.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod answers;

@@ -1,4 +1,4 @@
-//! Decoding survives any bytes; what it accepts encodes to itself.
+//! Decoding does not panic on any bytes, and a decoded message encodes to itself.
 
 use egp_testing::messages;
 use egp_wire::{Header, Limits, Predictions, Ready, Reply, Request, WireError, proto};
@@ -74,7 +74,7 @@ proptest! {
             let limits = Limits::default();
             if let Ok(request) = Request::decode(&bytes, &limits) {
                 prop_assert!(request.validate(&limits).is_ok());
-                // Another reader of the same bytes finds the same message.
+                // prost reads the same message from the same bytes.
                 let raw = proto::StepRequest::decode(&*bytes).unwrap().encode_to_vec();
                 prop_assert_eq!(Request::decode(&raw, &limits).unwrap(), request);
             }

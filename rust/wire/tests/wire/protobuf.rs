@@ -1,4 +1,4 @@
-//! What protobuf leaves to the writer of a message and a reader must therefore take.
+//! Encodings that protobuf leaves to the writer of a message, and that a reader must therefore accept.
 
 use egp_testing::messages;
 use egp_wire::{Code, Invalid, Limits, Reply, Request, WireError, proto};

@@ -1,4 +1,4 @@
-//! Whatever is wrong with a message, the refusal says where.
+//! The error about a message that is not valid names the field at fault.
 
 use egp_testing::messages;
 use egp_wire::{Code, Header, Invalid, Limits, Ready, Reply, Request, WireError, proto};
@@ -8,7 +8,7 @@ fn limits() -> Limits {
     Limits::default()
 }
 
-/// The field that a request is refused for after `spoil`.
+/// The field that the error about a request names after `spoil`.
 fn refused(spoil: impl FnOnce(&mut Request)) -> String {
     let mut request = messages::full_request();
     spoil(&mut request);
@@ -18,7 +18,7 @@ fn refused(spoil: impl FnOnce(&mut Request)) -> String {
     }
 }
 
-/// The same on the level of protobuf, for what the typed request cannot express.
+/// The same on the level of protobuf, for faults that the typed request cannot express.
 fn refused_raw(spoil: impl FnOnce(&mut proto::StepRequest)) -> Invalid {
     let mut raw = proto::StepRequest::decode(&*messages::full_request().encode()).unwrap();
     spoil(&mut raw);
@@ -77,7 +77,7 @@ fn shapes_and_data_must_agree() {
 
 #[test]
 fn truncated_and_oversized_messages_are_refused() {
-    // Its last field is a required one; protobuf cannot tell that a trailing optional field is missing.
+    // Its last field is a required one, because protobuf cannot detect that a trailing optional field is missing.
     let bytes = messages::cold_request().encode();
     for length in 0..bytes.len() {
         assert!(

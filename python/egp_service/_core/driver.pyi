@@ -1,0 +1,103 @@
+"""The driver's state machine and the gate."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+@final
+class Query:
+    id: Final[int]
+    replica: Final[str]
+    key: Final[str]
+    payload: Final[bytes]
+    listen: Final[float]
+
+@final
+class Decision:
+    u: Final[NDArray[np.float64]]
+    mode: Final[Literal["normal", "tail", "stop", "waiting"]]
+    limited: Final[bool]
+    status: Final[str]
+    detail: Final[str]
+    lost: Final[bool]
+    envelope_distance: Final[float]
+    plan_x: Final[NDArray[np.float64] | None]
+    plan_u: Final[NDArray[np.float64] | None]
+    sigma: Final[NDArray[np.float64] | None]
+    replica: Final[str]
+    request: Final[bytes]
+    reply: Final[bytes | None]
+    late: Final[list[bytes]]
+    service_time: Final[tuple[float, float]]
+    asked: Final[int]
+
+@final
+class Driver:
+    def __new__(
+        cls,
+        ready: bytes,
+        *,
+        fleet: str,
+        vehicle: str,
+        gate: Mapping[str, float],
+        budget: float = 0.8,
+        want_sigma: bool = False,
+    ) -> Driver: ...
+    def replica_appeared(self, now: float, replica: str) -> None: ...
+    def replica_gone(self, now: float, replica: str) -> None: ...
+    def tick(
+        self,
+        now: float,
+        deadline: float,
+        x: NDArray[np.float64],
+        reference: NDArray[np.float64],
+        widths: NDArray[np.float64] | None = None,
+    ) -> None: ...
+    def wake(self, now: float) -> None: ...
+    def replied(self, now: float, query: int, payload: bytes, attachment: bytes) -> None: ...
+    def refused(self, now: float, query: int, error: bytes) -> None: ...
+    def ended(self, now: float, query: int) -> None: ...
+    def next_action(self) -> Query | Decision | None: ...
+    @property
+    def budget(self) -> float: ...
+    @property
+    def mode(self) -> Literal["normal", "tail", "stop", "waiting"]: ...
+    @property
+    def weights(self) -> NDArray[np.float64]: ...
+    def hold_weights(self, weights: NDArray[np.float64]) -> None: ...
+    def reset(self) -> None: ...
+
+@final
+class Discovery:
+    def __new__(
+        cls, *, fleet: str, vehicle: str, gate: Mapping[str, float], budget: float = 0.8
+    ) -> Discovery: ...
+    def replica_appeared(self, replica: str) -> None: ...
+    def replica_gone(self, replica: str) -> None: ...
+    @property
+    def live(self) -> list[str]: ...
+    def next_question(self) -> tuple[str, str] | None: ...
+    def is_usable(self, replica: str, answer: bytes) -> bool: ...
+    @property
+    def error(self) -> str: ...
+    @property
+    def unusable(self) -> dict[str, str]: ...
+
+@final
+class Command:
+    u: Final[tuple[float, float]]
+    mode: Final[Literal["normal", "tail", "stop", "waiting"]]
+    limited: Final[bool]
+
+@final
+class Gate:
+    def __new__(cls, dt: float, settings: Mapping[str, float]) -> Gate: ...
+    def accept(
+        self, tick: int, plan_u: Sequence[tuple[float, float]] | NDArray[np.float64]
+    ) -> None: ...
+    def command(self, tick: int, v_x: float, delta: float) -> Command: ...
+    def reset(self) -> None: ...
+    @property
+    def mode(self) -> Literal["normal", "tail", "stop", "waiting"]: ...

@@ -1,0 +1,21 @@
+"""The exceptions of the extension."""
+
+class EgpError(ValueError):
+    """An input that cannot be used, or a computation that failed.
+
+    The message says what was expected and what came.
+    """
+
+class InvalidArgumentError(EgpError):
+    """An argument of the wrong shape, or with a value outside its domain."""
+
+class RefusedError(EgpError):
+    """An error as the answer to a request; the message begins with the error's code."""
+
+class LibraryError(EgpError):
+    """A library file that failed a check.
+
+    `code` names the check, and the message says what to do next.
+    """
+
+    code: str

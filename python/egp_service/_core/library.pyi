@@ -1,0 +1,152 @@
+"""Libraries: how they are read and written."""
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from egp_service._core.vehicle import VehicleParameters
+
+@final
+class Library:
+    """A verified library: one member for each surface. It does not change after it was loaded."""
+
+    @staticmethod
+    def load(path: str | PathLike[str]) -> Library:
+        """Read, verify and factor a library file.
+
+        Raises `LibraryError` for a file that fails a check, `OSError` for one that cannot be read.
+        """
+    @property
+    def id(self) -> str:
+        """SHA-256 of the file, hexadecimal; each request states it."""
+    @property
+    def dt(self) -> float:
+        """Period over which the outputs change, s."""
+    @property
+    def kernel(self) -> str:
+        """Name of the kernel, "rbf" or "matern52"."""
+    @property
+    def vehicle(self) -> str:
+        """Name of the vehicle that the data come from."""
+    @property
+    def parameters(self) -> VehicleParameters:
+        """Parameters of the vehicle that the data come from."""
+    @property
+    def provenance(self) -> dict[str, str]:
+        """How the library was made: versions, settings, seeds."""
+    @property
+    def members(self) -> list[Member]:
+        """The members, in the order of the weights."""
+    def predict(
+        self, z: NDArray[np.float64], member: int = 0
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Predict with one member at GP inputs `z` (n, 6), all in physical units.
+
+        Returns the mean (n, 3), its Jacobian (n, 3, 6) and the variance of the latent function,
+        which excludes measurement noise, (n, 3).
+
+        >>> import numpy as np
+        >>> from egp_service import Library
+        >>> from egp_service.simulation.scenario import library_path, load_scenario
+        >>> library = Library.load(library_path(load_scenario("rounded-rectangle")))
+        >>> z = np.array([[15.0, 0.1, 0.2, 0.03, 500.0, 0.0]])
+        >>> mean, jacobian, variance = library.predict(z)
+        >>> step = np.array([[0.0, 0.0, 0.0, 1e-5, 0.0, 0.0]])
+        >>> slope = (library.predict(z + step)[0] - library.predict(z - step)[0]) / 2e-5
+        >>> bool(np.allclose(jacobian[:, :, 3], slope)), bool((variance > 0.0).all())
+        (True, True)
+        """
+
+@final
+class Member:
+    """Vehicle and GPs of one surface; hyperparameters are those of the z-scored space."""
+
+    @property
+    def label(self) -> str:
+        """Name of the surface."""
+    @property
+    def friction(self) -> float:
+        """Nominal friction coefficient of the surface; it scales the step's bound on slip."""
+    @property
+    def dataset(self) -> str:
+        """SHA-256 of the dataset that the member was trained on."""
+    @property
+    def n_points(self) -> int:
+        """Number of training points; 0 for a vehicle alone."""
+    @property
+    def envelope(self) -> NDArray[np.float64]:
+        """Smallest and largest inputs (2, 6) for which the member is meant, physical units."""
+    @property
+    def lengthscales(self) -> NDArray[np.float64]:
+        """Lengthscales of each output (3, 6)."""
+    @property
+    def outputscale(self) -> NDArray[np.float64]:
+        """Prior variances (3,)."""
+    @property
+    def noise(self) -> NDArray[np.float64]:
+        """Noise variances (3,)."""
+    @property
+    def constant(self) -> NDArray[np.float64]:
+        """Prior means (3,)."""
+    @property
+    def noise_std(self) -> NDArray[np.float64]:
+        """Standard deviations of the targets' noise (3,), output units."""
+    @property
+    def single_track(self) -> NDArray[np.float64] | None:
+        """Parameters (17,) of the single-track vehicle that the GPs are added to, or None.
+
+        m, l_f, l_r, k^2 (radius of gyration), h in kg and m; longitudinal grip D_x under drive and
+        braking; of the front tyres, then of the rear ones, the coupling e under drive and braking,
+        friction D, stiffness B and shape C.
+        """
+    @property
+    def kinematic(self) -> NDArray[np.float64] | None:
+        """Parameters (3,) of a vehicle whose wheels roll without slip, or None.
+
+        m, l_f and l_r in kg and m.
+        """
+
+@final
+class MemberData:
+    def __new__(
+        cls,
+        *,
+        label: str,
+        friction: float,
+        dataset: str,
+        inputs: NDArray[np.float64],
+        targets: NDArray[np.float64],
+        input_mean: NDArray[np.float64],
+        input_std: NDArray[np.float64],
+        target_mean: NDArray[np.float64],
+        target_std: NDArray[np.float64],
+        lengthscales: NDArray[np.float64],
+        outputscale: NDArray[np.float64],
+        noise: NDArray[np.float64],
+        constant: NDArray[np.float64],
+        alpha: NDArray[np.float64],
+        envelope: NDArray[np.float64],
+        golden_z: NDArray[np.float64],
+        golden_mean: NDArray[np.float64],
+        golden_jacobian: NDArray[np.float64],
+        golden_variance: NDArray[np.float64],
+        single_track: NDArray[np.float64] | None = None,
+        kinematic: NDArray[np.float64] | None = None,
+    ) -> MemberData: ...
+
+def write_library(
+    path: str | PathLike[str],
+    *,
+    dt: float,
+    kernel: str,
+    vehicle: str,
+    parameters: VehicleParameters,
+    members: Sequence[MemberData],
+    provenance: Mapping[str, str],
+) -> None: ...
+def write_library_subset(
+    source: str | PathLike[str], path: str | PathLike[str], members: Sequence[int]
+) -> None: ...

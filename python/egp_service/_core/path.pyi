@@ -1,0 +1,191 @@
+"""Paths, the vehicle's projection on them, speed profiles, and the reference of a step."""
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from egp_service._core.vehicle import VehicleParameters
+
+@final
+class Path:
+    """A curve by arc length `s` in m, with distances to the track's edges and zones of friction.
+
+    Closed paths wrap at their length; open ones continue straight beyond their ends. All quantities
+    are in SI units. Yaw is counter-clockwise from +x, and lateral errors are positive to the left.
+    """
+
+    @staticmethod
+    def from_points(
+        points: NDArray[np.float64], closed: bool, widths: NDArray[np.float64] | None = None
+    ) -> Path:
+        """Make a smooth path through points (n, 2), with `[left, right]` widths (n, 2) at them."""
+    @staticmethod
+    def rounded_rectangle(
+        length: float = 120.0,
+        width: float = 60.0,
+        radius: float = 15.0,
+        transition: float = 10.0,
+        track_width: float = 7.0,
+    ) -> Path:
+        """Make a counter-clockwise lap that starts along +x in the middle of the lower side.
+
+        Corners are arcs between clothoids of length `transition`.
+        """
+    @staticmethod
+    def l_shape(
+        length: float = 130.0,
+        width: float = 110.0,
+        arm: float = 50.0,
+        radius: float = 15.0,
+        transition: float = 10.0,
+        track_width: float = 7.0,
+    ) -> Path:
+        """Make a closed L with arms of width `arm`: five left turns and a right one."""
+    @staticmethod
+    def iso_3888_2(
+        vehicle_width: float,
+        margin: float = 0.1,
+        lead_in: float = 40.0,
+        lead_out: float = 40.0,
+    ) -> Path:
+        """Make the severe double lane change of ISO 3888-2, with a drivable path between the cones.
+
+        Widths reach to the cones, which start after `lead_in`; `margin` is the distance between the
+        cones and the sides of a vehicle on the path.
+        """
+    @staticmethod
+    def lane_changes(
+        length: float = 500.0,
+        offset: float = 2.5,
+        transition: float = 30.0,
+        hold: float = 20.0,
+        track_width: float = 7.0,
+    ) -> Path:
+        """Make a straight road on which the path repeatedly changes to the left lane and back."""
+    @staticmethod
+    def random(
+        seed: int, length: float = 500.0, min_radius: float = 15.0, track_width: float = 7.0
+    ) -> Path:
+        """Make a closed track from a seed: no crossing, no turn tighter than `min_radius`."""
+    @staticmethod
+    def from_csv(file: str | PathLike[str], scale: float = 1.0) -> Path:
+        """Read a closed track: a raceline (columns by `;`) or a centre line (columns by `,`).
+
+        `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2` has no widths, and its psi must fit
+        the positions, measured from +x or from +y; `x_m,y_m,w_tr_right_m,w_tr_left_m` has widths.
+        Lengths are multiplied by `scale`, which is 10 for a track of 1:10 cars.
+        """
+    def with_friction(
+        self, zones: Sequence[tuple[float, float] | tuple[float, float, float]]
+    ) -> Path:
+        """Return the same path with zones of friction.
+
+        A zone is its start as a fraction of the length, and its friction; the first starts at 0. A
+        third number is the friction to the right of the path, and the second is then that to the
+        left.
+        """
+    @property
+    def length(self) -> float:
+        """Length in m, of one lap if closed."""
+    @property
+    def closed(self) -> bool:
+        """Whether the end joins the start."""
+    def project(self, position: NDArray[np.float64], hint: float | None = None) -> Projection:
+        """Return the point of the path that is nearest to a position `[x, y]`.
+
+        With the last `s` as `hint`, the search starts there and goes downhill, so that it stays on
+        its branch where the path comes close to itself. Without a hint the whole path is searched.
+        """
+    def sample(
+        self, s: NDArray[np.float64]
+    ) -> tuple[
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+    ]:
+        """Return x, y, yaw, curvature, left, right, friction at arc lengths (n,), each (n,).
+
+        Yaw lies in (-pi, pi]; left and right are infinite on a path without widths.
+        """
+
+@final
+class Projection:
+    """A position relative to a path, and the path at its nearest point."""
+
+    @property
+    def s(self) -> float:
+        """Arc length of the nearest point; beyond an open path's ends that of its extension."""
+    @property
+    def lateral(self) -> float:
+        """Signed distance from the path, positive to its left."""
+    @property
+    def x(self) -> float:
+        """The nearest point's x."""
+    @property
+    def y(self) -> float:
+        """The nearest point's y."""
+    @property
+    def yaw(self) -> float:
+        """The path's direction, in (-pi, pi]."""
+    @property
+    def curvature(self) -> float:
+        """Curvature in 1/m, positive in left turns."""
+    @property
+    def left(self) -> float:
+        """Distance from the path to the left edge; infinite without widths."""
+    @property
+    def right(self) -> float:
+        """Distance from the path to the right edge; infinite without widths."""
+    @property
+    def friction(self) -> float:
+        """Friction coefficient."""
+
+@final
+class SpeedProfile:
+    """The fastest speed along a path within `grip` (a fraction) of the friction ellipse.
+
+    `vehicle` states the reachable shares of the friction, the strongest braking and the strongest
+    drive. `v_max` and the start and end speed of an open path are in m/s; the latter default to the
+    fastest.
+    """
+
+    def __new__(
+        cls,
+        path: Path,
+        vehicle: VehicleParameters,
+        grip: float = 0.8,
+        v_max: float = 30.0,
+        *,
+        start_speed: float | None = None,
+        end_speed: float | None = None,
+    ) -> SpeedProfile: ...
+    @staticmethod
+    def constant(path: Path, speed: float) -> SpeedProfile:
+        """Make a profile with one speed everywhere."""
+    @property
+    def lap_time(self) -> float:
+        """Seconds for the lap, or from start to end."""
+    def speed(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the speed at arc lengths (n,)."""
+
+def horizon_reference(
+    path: Path,
+    profile: SpeedProfile,
+    x: NDArray[np.float64],
+    dt: float,
+    horizon: int,
+    hint: float | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, Projection]:
+    """Return reference rows `[p_x, p_y, v_x, psi]` (horizon + 1, 4), widths and projection.
+
+    `x` is the vehicle's state (7,). Rows follow the profile by time from the vehicle's projection;
+    yaw is unwrapped relative to the vehicle's. Widths `[left, right]` (horizon + 1, 2) are None for
+    a path without. Pass the last projection's `s` as `hint`.
+    """

@@ -1,0 +1,92 @@
+"""The simulated vehicle, and the friction that it drives on."""
+
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from egp_service._core.path import Path
+from egp_service._core.vehicle import VehicleParameters
+
+@final
+class Plant:
+    """A simulated vehicle: the 29-state multi-body vehicle of the CommonRoad benchmarks.
+
+    `vehicle` is its CommonRoad number: 1 is a Ford Escort, 2 is a BMW 320i. It starts at rest in
+    the origin.
+    """
+
+    def __new__(cls, vehicle: int = 1) -> Plant: ...
+    def reset(
+        self,
+        x: float,
+        y: float,
+        yaw: float,
+        v: float,
+        yaw_rate: float = 0.0,
+        v_y: float = 0.0,
+        delta: float = 0.0,
+    ) -> None:
+        """Put the vehicle at a pose with forward speed `v >= 0` and its suspension at rest."""
+    def step(
+        self,
+        u: NDArray[np.float64],
+        dt: float,
+        friction: float | FrictionMap | Path,
+        hint: float | None = None,
+    ) -> None:
+        """Drive `dt` seconds with the constant input `u = [F_x, delta_dot]` (N, rad/s).
+
+        Friction is a number for everywhere, or that of the map's cell or of the path's zone under
+        each wheel. Wheels are located on a path as by `Path.project`: pass the last projection's
+        `s` as `hint`, or each call searches the whole path.
+
+        Raises `EgpError` for invalid input, and if the vehicle has spun; the state is then
+        unchanged.
+        """
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """All 29 states in the order of CommonRoad's multi-body vehicle."""
+    @state.setter
+    def state(self, value: NDArray[np.float64]) -> None: ...
+    @property
+    def vehicle_state(self) -> NDArray[np.float64]:
+        """The state for a controller: `[p_x, p_y, v_x, psi, v_y, omega, delta]`, SI units."""
+    @property
+    def parameters(self) -> VehicleParameters:
+        """The parameters for a controller of this vehicle."""
+    @property
+    def mass(self) -> float:
+        """Mass of the simulated vehicle in kg, which `parameters` states rounded."""
+    @property
+    def lateral_acceleration(self) -> float:
+        """Lateral acceleration of the body in m/s²."""
+
+@final
+class FrictionMap:
+    """Friction coefficients `values` (rows along +y, columns along +x) in square cells.
+
+    `origin` is the lower left corner of the grid, `cell` the side of a cell in m. Outside the grid
+    the friction is that of the nearest cell.
+    """
+
+    def __new__(
+        cls, values: NDArray[np.float64], origin: tuple[float, float], cell: float
+    ) -> FrictionMap: ...
+
+def plant_derivative(
+    state: NDArray[np.float64],
+    u: NDArray[np.float64],
+    friction: float | NDArray[np.float64],
+    vehicle: int = 1,
+) -> NDArray[np.float64]: ...
+def plant_initial_states(
+    vehicle_states: NDArray[np.float64], vehicle: int = 1
+) -> NDArray[np.float64]: ...
+def plant_step_batch(
+    states: NDArray[np.float64],
+    u: NDArray[np.float64],
+    dt: float,
+    friction: NDArray[np.float64],
+    vehicle: int = 1,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...

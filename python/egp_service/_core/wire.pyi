@@ -1,0 +1,104 @@
+"""The messages and the keys of the wire."""
+
+from collections.abc import Sequence
+from typing import Final, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from egp_service._core.vehicle import VehicleParameters
+
+LIVE_KEYS: str
+
+@final
+class Request:
+    library: Final[bytes]
+    sequence: Final[int]
+    budget_us: Final[int]
+    x: Final[NDArray[np.float64]]
+    u_prev: Final[NDArray[np.float64]]
+    weights: Final[NDArray[np.float64]]
+    plan_x: Final[NDArray[np.float64]]
+    plan_u: Final[NDArray[np.float64]]
+    plan_shift: Final[int]
+    history_z: Final[NDArray[np.float64]]
+    history_y: Final[NDArray[np.float64]]
+    history_f: Final[NDArray[np.float64]]
+    reference: Final[NDArray[np.float64]]
+    widths: Final[NDArray[np.float64]]
+    want_sigma: Final[bool]
+
+@final
+class Reply:
+    library: Final[bytes]
+    sequence: Final[int]
+    status: Final[
+        Literal["solved", "iteration_limit", "infeasible", "numerical_error", "check_failed"]
+    ]
+    plan_x: Final[NDArray[np.float64]]
+    plan_u: Final[NDArray[np.float64]]
+    weights: Final[NDArray[np.float64]]
+    sigma: Final[NDArray[np.float64]]
+    history_f: Final[NDArray[np.float64]]
+    dropped_mass: Final[float]
+    iterations: Final[int]
+    kkt_residual: Final[float]
+    solver: Final[str]
+
+@final
+class Refusal:
+    code: Final[
+        Literal[
+            "unspecified",
+            "malformed",
+            "version",
+            "invalid_field",
+            "unknown_library",
+            "overloaded",
+            "superseded",
+            "too_late",
+            "draining",
+            "internal",
+        ]
+    ]
+    retryable: Final[bool]
+    retry_after_us: Final[int]
+    field: Final[str]
+    detail: Final[str]
+
+@final
+class Ready:
+    ready: Final[bool]
+    library: Final[bytes]
+    dt: Final[float]
+    horizon: Final[int]
+    history: Final[int]
+    members: Final[list[str]]
+    envelope: Final[list[list[float]]]
+    vehicle: Final[VehicleParameters | None]
+
+def decode_request(data: bytes) -> Request: ...
+def decode_reply(data: bytes) -> Reply: ...
+def decode_error(data: bytes) -> Refusal: ...
+def decode_ready(data: bytes) -> Ready: ...
+def decode_timing(data: bytes) -> tuple[int, int]: ...
+def encode_plant_truth(
+    *,
+    time: float,
+    state: NDArray[np.float64],
+    u: Sequence[float],
+    friction: float,
+    path_s: float,
+    lateral_error: float,
+    heading_error: float,
+    speed_reference: float,
+    mode: str,
+    weights: Sequence[float] | NDArray[np.float64],
+) -> bytes: ...
+def file_descriptor_set() -> bytes: ...
+def step_key(replica: str, fleet: str, vehicle: str) -> str: ...
+def ready_key(replica: str) -> str: ...
+def health_key(replica: str) -> str: ...
+def metrics_key(replica: str) -> str: ...
+def live_key(replica: str) -> str: ...
+def replica_of_live(key: str) -> str | None: ...
