@@ -34,6 +34,11 @@ impl Kinematic {
         &self.parameters
     }
 
+    /// The change of `[v_x, v_y, omega]` over the period.
+    pub fn change(&self, z: &GpInput) -> GpOutput {
+        self.change_jacobian(z).0
+    }
+
     /// The change and its Jacobian.
     pub fn change_jacobian(&self, z: &GpInput) -> (GpOutput, GpJacobian) {
         let [v_x, v_y, omega, delta, force, delta_dot] = <[f64; NZ]>::from(*z);
@@ -79,7 +84,7 @@ mod tests {
         let (_, jacobian) = car.change_jacobian(&z);
         for (d, step) in steps.into_iter().enumerate() {
             let shift = GpInput::ith(d, step);
-            let [after, before] = [z + shift, z - shift].map(|z| car.change_jacobian(&z).0);
+            let [after, before] = [z + shift, z - shift].map(|z| car.change(&z));
             let slope = (after - before) / (2.0 * step);
             for o in 0..NY {
                 assert!((slope[o] - jacobian[(o, d)]).abs() < 1e-7, "{o} {d}");
@@ -93,6 +98,6 @@ mod tests {
         let (v, delta) = (8.0, 0.2_f64);
         let omega = v / (2.4 / delta.tan());
         let z = GpInput::new(v, 1.5 * omega, omega, delta, 0.0, 0.0);
-        assert!(Kinematic::new(&CAR, 0.02).change_jacobian(&z).0.amax() < 1e-14);
+        assert!(Kinematic::new(&CAR, 0.02).change(&z).amax() < 1e-14);
     }
 }

@@ -4,6 +4,7 @@ use super::{KINEMATIC_PARAMETERS, Kinematic, SINGLE_TRACK_PARAMETERS, SingleTrac
 use crate::{GpInput, GpJacobian, GpOutput};
 
 /// A vehicle that predicts the change of `[v_x, v_y, omega]` over one period.
+#[allow(clippy::large_enum_variant)] // few are made, and a box would be followed in each prediction
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum VehicleModel {
     /// Tyres that slip and saturate.
@@ -40,7 +41,10 @@ impl VehicleModel {
 
     /// The change of `[v_x, v_y, omega]` over the period.
     pub fn change(&self, z: &GpInput) -> GpOutput {
-        self.change_jacobian(z).0
+        match self {
+            Self::SingleTrack(vehicle) => vehicle.change(z),
+            Self::Kinematic(vehicle) => vehicle.change(z),
+        }
     }
 
     /// The change and its Jacobian.

@@ -171,3 +171,27 @@ fn a_replica_is_described_within_the_limits_of_the_client() {
         assert_eq!(field(&decode(&spoiled)), Some("members"));
     }
 }
+
+#[test]
+fn the_envelope_has_a_finite_width_in_every_component() {
+    let decode = |ready: &Ready| Ready::decode(&ready.encode(), &Limits::default());
+    let with = |low: f64, high: f64| {
+        let mut ready = messages::ready();
+        (ready.envelope[0][3], ready.envelope[1][3]) = (low, high);
+        ready
+    };
+    for (low, high) in [(-1e307, 1e307), (0.0, 1e-300), (-2.0, -1.0)] {
+        assert_eq!(decode(&with(low, high)).unwrap(), with(low, high));
+    }
+    for (low, high) in [
+        (0.5, 0.5),
+        (0.5, -0.5),
+        (0.0, f64::INFINITY),
+        (f64::NEG_INFINITY, 0.0),
+        (f64::NAN, 0.5),
+        (-1.7e308, 1.7e308),
+    ] {
+        let result = decode(&with(low, high));
+        assert_eq!(field(&result), Some("envelope"), "{low} {high}");
+    }
+}

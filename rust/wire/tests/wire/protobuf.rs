@@ -156,6 +156,17 @@ fn the_diagnostics_of_a_reply_are_written_and_read() {
 }
 
 #[test]
+fn codes_are_spelled_in_lower_case() {
+    for (code, name) in [
+        (Code::TooLate, "too_late"),
+        (Code::UnknownLibrary, "unknown_library"),
+        (Code::Unspecified, "unspecified"),
+    ] {
+        assert_eq!(WireError::permanent(code, "").code_name(), name);
+    }
+}
+
+#[test]
 fn an_error_says_whether_to_try_again_and_where_it_was() {
     let later = WireError::retryable(Code::Overloaded, 500, "the queue is full");
     assert_eq!((later.retryable, later.retry_after_us), (true, 500));
