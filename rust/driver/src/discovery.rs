@@ -5,7 +5,7 @@ use std::fmt;
 
 use egp_gate::WiderError;
 use egp_wire::keys::{self, Name};
-use egp_wire::{Invalid, Limits, Ready};
+use egp_wire::{Invalid, MessageLimits, Ready};
 use thiserror::Error;
 
 use crate::config::{DriverConfig, DriverError};
@@ -123,7 +123,7 @@ impl Discovery {
     }
 
     fn usable(&self, answer: &[u8]) -> Result<Ready, Unusable> {
-        let ready = Ready::decode(answer, &Limits::default())?;
+        let ready = Ready::decode(answer, &MessageLimits::default())?;
         if !ready.ready {
             return Err(Unusable::Draining);
         }

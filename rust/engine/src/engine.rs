@@ -5,7 +5,7 @@ use std::{fs, path::Path, sync::Arc};
 use egp_core::{
     Library, Settings, StepError, StepReply, StepRequest, VehicleParameters, Workspace, library,
 };
-use egp_wire::{Code, Limits, Ready, Reply, Request, Status, WireError};
+use egp_wire::{Code, MessageLimits, Ready, Reply, Request, Status, WireError};
 
 use crate::cores::{Cores, available_cores};
 use crate::error::EngineError;
@@ -15,7 +15,7 @@ use crate::error::EngineError;
 pub struct Engine {
     library: Library,
     settings: Settings,
-    limits: Limits,
+    limits: MessageLimits,
     cores: Option<Arc<Cores>>,
 }
 
@@ -33,7 +33,7 @@ impl Engine {
     /// # Errors
     /// [`EngineError`] if the settings are out of range, or members, horizon or window exceed the limits of the wire.
     pub fn new(library: Library, settings: Settings) -> Result<Self, EngineError> {
-        let (limits, dt) = (Limits::default(), library.dt());
+        let (limits, dt) = (MessageLimits::default(), library.dt());
         let settings = settings.complete(dt, library.vehicle());
         for (what, actual, limit) in [
             (
@@ -139,7 +139,7 @@ impl Engine {
 impl Engine {
     /// The properties of the engine that a client needs to make requests.
     pub fn describe(&self) -> Ready {
-        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX); // checked against `Limits`
+        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX); // checked against `MessageLimits`
         Ready {
             ready: true,
             library: self.library.id(),

@@ -37,7 +37,7 @@ pub enum EngineError {
         what: &'static str,
         /// Its value.
         actual: usize,
-        /// The limit of [`egp_wire::Limits`].
+        /// The limit of [`egp_wire::MessageLimits`].
         limit: usize,
     },
 }

@@ -165,7 +165,7 @@ impl Driver {
         want_sigma: bool,
     ) -> PyResult<Self> {
         let config = driver_config(fleet, vehicle, gate, budget, want_sigma)?;
-        let ready = Ready::decode(ready, &egp_wire::Limits::default()).map_err(raise)?;
+        let ready = Ready::decode(ready, &egp_wire::MessageLimits::default()).map_err(raise)?;
         egp_driver::Driver::new(config, ready)
             .map(Self)
             .map_err(InvalidArgumentError::raise)

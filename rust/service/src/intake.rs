@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use egp_wire::keys::{self, Name, Target};
-use egp_wire::{Code, Header, Limits, Load, Ready, WireError};
+use egp_wire::{Code, Header, Load, MessageLimits, Ready, WireError};
 
 use crate::metrics::{Metrics, micros};
 use crate::network::Query;
@@ -64,7 +64,7 @@ impl Shared {
             return self.refuse(&query, &no_such_key(query.key()));
         }
         let arrived = Instant::now();
-        let header = match Header::decode(&query.payload(), &Limits::default()) {
+        let header = match Header::decode(&query.payload(), &MessageLimits::default()) {
             Ok(header) => header,
             Err(invalid) => return self.refuse(&query, &invalid.into()),
         };

@@ -5,7 +5,7 @@
 //! inside the declared domain and weights on the simplex. The crate contains neither network nor mathematics.
 //!
 //! ```
-//! use egp_wire::{Limits, Request};
+//! use egp_wire::{MessageLimits, Request};
 //!
 //! let request = Request {
 //!     library: [7; 32],
@@ -15,7 +15,7 @@
 //!     reference: vec![[0.0, 0.0, 12.0, 0.0]; 21],
 //!     ..Request::default()
 //! };
-//! assert_eq!(Request::decode(&request.encode(), &Limits::default())?, request);
+//! assert_eq!(Request::decode(&request.encode(), &MessageLimits::default())?, request);
 //! # Ok::<(), egp_wire::Invalid>(())
 //! ```
 
@@ -34,7 +34,7 @@ mod writer;
 
 pub use error::{Code, Invalid, WireError};
 pub use header::Header;
-pub use limits::Limits;
+pub use limits::MessageLimits;
 pub use predictions::Predictions;
 pub use proto::{Load, PlantTruth, Status, Timing};
 pub use ready::Ready;

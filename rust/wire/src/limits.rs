@@ -2,7 +2,7 @@
 
 /// Size limits applied while decoding. The defaults fit the largest request that the service is made for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
+pub struct MessageLimits {
     /// Bytes of an encoded message.
     pub message_bytes: usize,
     /// Members of a library, N.
@@ -13,7 +13,7 @@ pub struct Limits {
     pub history: usize,
 }
 
-impl Default for Limits {
+impl Default for MessageLimits {
     fn default() -> Self {
         Self {
             message_bytes: 256 * 1024,

@@ -4,7 +4,7 @@ use egp_parameters::VehicleParameters;
 use prost::Message as _;
 
 use crate::proto::{self, VehicleParameters as VehicleMessage};
-use crate::{GpInput, Invalid, LibraryId, Limits, VERSION, check};
+use crate::{GpInput, Invalid, LibraryId, MessageLimits, VERSION, check};
 
 /// Answer of a replica's `ready` key.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,7 +52,7 @@ impl Ready {
     ///
     /// # Errors
     /// [`Invalid`], which names the first field at fault.
-    pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Self, Invalid> {
+    pub fn decode(bytes: &[u8], limits: &MessageLimits) -> Result<Self, Invalid> {
         check::size(bytes, limits.message_bytes)?;
         let raw = proto::Ready::decode(bytes)?;
         check::version(raw.version)?;

@@ -4,7 +4,7 @@ use crate::fields::Fields;
 use crate::tensor::{Tensor, read_predictions, read_rows, read_vector};
 use crate::writer::Writer;
 use crate::{
-    GpOutput, Input, Invalid, LibraryId, Limits, Predictions, State, Status, VERSION, check,
+    GpOutput, Input, Invalid, LibraryId, MessageLimits, Predictions, State, Status, VERSION, check,
 };
 
 /// The outcome of a control step. Only one with [`Status::Solved`] has a plan.
@@ -66,7 +66,7 @@ impl Reply {
     ///
     /// # Errors
     /// [`Invalid`], which names the first field at fault.
-    pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Self, Invalid> {
+    pub fn decode(bytes: &[u8], limits: &MessageLimits) -> Result<Self, Invalid> {
         check::size(bytes, limits.message_bytes)?;
         let raw = Raw::read(bytes)?;
         check::version(raw.version)?;

@@ -4,7 +4,7 @@ use crate::fields::Fields;
 use crate::tensor::{Tensor, read_array, read_predictions, read_rows, read_vector};
 use crate::writer::Writer;
 use crate::{
-    GpInput, GpOutput, Input, Invalid, LibraryId, Limits, Predictions, ReferenceRow, State,
+    GpInput, GpOutput, Input, Invalid, LibraryId, MessageLimits, Predictions, ReferenceRow, State,
     VERSION, WidthRow, check,
 };
 
@@ -76,7 +76,7 @@ impl Request {
     ///
     /// # Errors
     /// [`Invalid`], which names the first field at fault.
-    pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Self, Invalid> {
+    pub fn decode(bytes: &[u8], limits: &MessageLimits) -> Result<Self, Invalid> {
         let mut request = Self::default();
         request.decode_from(bytes, limits)?;
         Ok(request)
@@ -86,7 +86,7 @@ impl Request {
     ///
     /// # Errors
     /// [`Invalid`], which names the first field at fault. The content of the request is then unspecified.
-    pub fn decode_from(&mut self, bytes: &[u8], limits: &Limits) -> Result<(), Invalid> {
+    pub fn decode_from(&mut self, bytes: &[u8], limits: &MessageLimits) -> Result<(), Invalid> {
         check::size(bytes, limits.message_bytes)?;
         let raw = Raw::read(bytes)?;
         check::version(raw.version)?;
@@ -119,7 +119,7 @@ impl Request {
     ///
     /// # Errors
     /// [`Invalid::Field`] for the first field at fault.
-    pub fn validate(&self, limits: &Limits) -> Result<(), Invalid> {
+    pub fn validate(&self, limits: &MessageLimits) -> Result<(), Invalid> {
         check::budget(self.budget_us)?;
         check_state(&self.x)?;
         check::domain("u_prev", &[self.u_prev], &check::INPUT)?;
@@ -170,7 +170,7 @@ impl Request {
         )
     }
 
-    fn validate_history(&self, limits: &Limits) -> Result<(), Invalid> {
+    fn validate_history(&self, limits: &MessageLimits) -> Result<(), Invalid> {
         check::simplex("weights", &self.weights)?;
         check::domain("history_z", &self.history_z, &check::GP_INPUT)?;
         check::domain("history_y", &self.history_y, &check::GP_OUTPUT)?;

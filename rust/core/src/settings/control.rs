@@ -58,7 +58,7 @@ pub struct Cost {
 /// Hard bounds: what the actuators can do, and what the training data know. By default those of the library's vehicle.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Limits {
+pub struct InputBounds {
     /// Strongest braking, `F_x/m` in m/s². Default: the library's `a_min`.
     pub a_min: Option<f64>,
     /// Strongest drive, `F_x/m` in m/s². Default: the library's `a_max`.
@@ -225,7 +225,7 @@ impl Cost {
     }
 }
 
-impl Limits {
+impl InputBounds {
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
         if let Some(a_min) = self.a_min {
             check("limits.a_min", a_min, "finite and negative", |v| v < 0.0)?;

@@ -17,7 +17,7 @@ use egp_parameters::VehicleParameters;
 use serde::{Deserialize, Serialize};
 
 pub use control::{
-    Cost, Limits, Operating, OperatingSettings, Penalty, Soft, SolverKind, SolverSettings,
+    Cost, InputBounds, Operating, OperatingSettings, Penalty, Soft, SolverKind, SolverSettings,
 };
 pub use estimation::{Prior, WeightSettings};
 
@@ -43,7 +43,7 @@ pub struct Settings {
     /// Cost of eq. (18).
     pub cost: Cost,
     /// Hard bounds on inputs and their rates.
-    pub limits: Limits,
+    pub limits: InputBounds,
     /// Soft bounds on states and track edges.
     pub soft: Soft,
     /// QP solver.
@@ -111,7 +111,7 @@ impl Settings {
         self.horizon = Some(self.horizon(dt));
         self.weights.window = Some(self.weights.window(dt));
         self.mass = Some(vehicle.mass);
-        self.limits = Limits {
+        self.limits = InputBounds {
             a_min: Some(vehicle.a_min),
             a_max: Some(vehicle.a_max),
             power: Some(vehicle.power),
@@ -270,7 +270,7 @@ mod tests {
     #[test]
     fn with_the_demo_vehicle_the_defaults_are_those_of_the_published_results() {
         let settings = Settings::default().complete(0.02, &VehicleParameters::FORD_ESCORT);
-        let Limits {
+        let InputBounds {
             a_min,
             a_max,
             power,

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use egp_wire::keys::{self, Name};
-use egp_wire::{Invalid, Limits, Ready, Reply, Timing};
+use egp_wire::{Invalid, MessageLimits, Ready, Reply, Timing};
 
 use super::{Driver, Pending, Time};
 use crate::action::{Action, Query, QueryId};
@@ -176,7 +176,7 @@ impl Driver {
     /// promoted.
     pub(super) fn probed(&mut self, took: Duration, replica: &Name, answer: &[u8]) {
         let sound = |ready: &Ready| ready.ready && ready.library == self.served.library;
-        let ready = Ready::decode(answer, &Limits::default()).ok();
+        let ready = Ready::decode(answer, &MessageLimits::default()).ok();
         if took <= self.period() && ready.as_ref().is_some_and(sound) {
             self.replicas.proved(replica);
         }

@@ -6,7 +6,7 @@ use egp_driver::{Action, Driver, DriverConfig, Measurement, Query, Step};
 use egp_gate::Limits as GateLimits;
 use egp_parameters::VehicleParameters;
 use egp_wire::keys::Name;
-use egp_wire::{Code, Limits, Predictions, Ready, Reply, Request, Status, WireError};
+use egp_wire::{Code, MessageLimits, Predictions, Ready, Reply, Request, Status, WireError};
 
 pub(crate) const CAR: VehicleParameters = VehicleParameters::FORD_ESCORT;
 pub(crate) const HORIZON: u32 = 4;
@@ -97,7 +97,7 @@ pub(crate) fn decided(driver: &mut Driver) -> Step {
 }
 
 pub(crate) fn request(query: &Query) -> Request {
-    Request::decode(&query.payload, &Limits::default()).unwrap()
+    Request::decode(&query.payload, &MessageLimits::default()).unwrap()
 }
 
 /// What a sound replica replies: a plan that drives with 100 N.

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use crate::common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
 use egp_engine::{Engine, EngineWorkspace};
 use egp_service::{Handler, Server};
-use egp_wire::{Code, Header, Limits, Ready, Request, Status, WireError};
+use egp_wire::{Code, Header, MessageLimits, Ready, Request, Status, WireError};
 
 /// An engine that panics on one sequence number.
 struct Fragile(Engine);
@@ -31,7 +31,7 @@ impl Handler for Fragile {
         request: &[u8],
         reply: &mut Vec<u8>,
     ) -> Result<Status, WireError> {
-        let header = Header::decode(request, &Limits::default())?;
+        let header = Header::decode(request, &MessageLimits::default())?;
         assert!(header.sequence != POISON, "this panic is part of a test");
         self.0.step(workspace, request, reply)
     }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use crate::common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
 use egp_engine::{Engine, EngineWorkspace};
 use egp_service::{Handler, Server, ServiceConfig};
-use egp_wire::{Code, Header, Limits, Ready, Reply, Status, WireError};
+use egp_wire::{Code, Header, MessageLimits, Ready, Reply, Status, WireError};
 
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -37,7 +37,7 @@ impl Handler for Held {
         reply: &mut Vec<u8>,
     ) -> Result<Status, WireError> {
         self.begun
-            .send(Header::decode(request, &Limits::default())?.sequence)
+            .send(Header::decode(request, &MessageLimits::default())?.sequence)
             .unwrap();
         self.leave.lock().unwrap().recv().unwrap();
         self.engine.step(workspace, request, reply)
@@ -90,7 +90,9 @@ impl Setup {
 fn sequence(outcome: &Outcome) -> u64 {
     match outcome {
         Outcome::Answer { payload, .. } => {
-            Reply::decode(payload, &Limits::default()).unwrap().sequence
+            Reply::decode(payload, &MessageLimits::default())
+                .unwrap()
+                .sequence
         }
         other => panic!("{other:?}"),
     }

@@ -1,7 +1,7 @@
 //! Messages of the wire, from the golden ones. The second reader of the same bytes is prost.
 
 use egp_testing::messages;
-use egp_wire::{Header, Limits, Ready, Reply, Request, Status, WireError, proto};
+use egp_wire::{Header, MessageLimits, Ready, Reply, Request, Status, WireError, proto};
 use prost::Message as _;
 
 use crate::edits::Words;
@@ -30,7 +30,7 @@ fn all_finite(rows: &[impl AsRef<[f64]>]) -> bool {
 #[test]
 fn an_accepted_request_is_in_its_domain_and_encodes_to_itself() {
     fuzz!(golden("wire_request"), Words::Doubles, |bytes: Vec<u8>| {
-        let limits = Limits::default();
+        let limits = MessageLimits::default();
         let Ok(request) = Request::decode(&bytes, &limits) else {
             return;
         };
@@ -58,7 +58,7 @@ fn an_accepted_request_is_in_its_domain_and_encodes_to_itself() {
 #[test]
 fn a_header_says_what_its_request_says() {
     fuzz!(golden("wire_request"), Words::Doubles, |bytes: Vec<u8>| {
-        let limits = Limits::default();
+        let limits = MessageLimits::default();
         let (header, request) = (
             Header::decode(&bytes, &limits),
             Request::decode(&bytes, &limits),
@@ -83,7 +83,7 @@ fn a_header_says_what_its_request_says() {
 #[test]
 fn an_accepted_reply_is_in_its_domain_and_encodes_to_itself() {
     fuzz!(golden("wire_reply"), Words::Doubles, |bytes: Vec<u8>| {
-        let limits = Limits::default();
+        let limits = MessageLimits::default();
         let Ok(reply) = Reply::decode(&bytes, &limits) else {
             return;
         };
@@ -110,7 +110,7 @@ fn an_accepted_reply_is_in_its_domain_and_encodes_to_itself() {
 #[test]
 fn an_accepted_description_of_a_replica_is_in_its_domain_and_encodes_to_itself() {
     fuzz!(golden("wire_ready"), Words::Doubles, |bytes: Vec<u8>| {
-        let limits = Limits::default();
+        let limits = MessageLimits::default();
         let Ok(ready) = Ready::decode(&bytes, &limits) else {
             return;
         };

@@ -1,7 +1,7 @@
 //! Both sides of every limit of what a service answers: replies and descriptions of a replica.
 
 use egp_testing::messages;
-use egp_wire::{Limits, Ready, Reply, Status};
+use egp_wire::{MessageLimits, Ready, Reply, Status};
 
 use crate::borders::{decoded_reply, field, refused_reply};
 
@@ -122,7 +122,7 @@ fn numbers_about_the_qp_and_deviations_are_accepted_up_to_their_limits() {
 
 #[test]
 fn a_replica_is_described_within_the_limits_of_the_client() {
-    let limits = Limits::default();
+    let limits = MessageLimits::default();
     let bound = |limit: usize| u32::try_from(limit).unwrap();
     let decode = |ready: &Ready| Ready::decode(&ready.encode(), &limits);
     for (dt, horizon, history) in [
@@ -174,7 +174,7 @@ fn a_replica_is_described_within_the_limits_of_the_client() {
 
 #[test]
 fn the_envelope_has_a_finite_width_in_every_component() {
-    let decode = |ready: &Ready| Ready::decode(&ready.encode(), &Limits::default());
+    let decode = |ready: &Ready| Ready::decode(&ready.encode(), &MessageLimits::default());
     let with = |low: f64, high: f64| {
         let mut ready = messages::ready();
         (ready.envelope[0][3], ready.envelope[1][3]) = (low, high);

@@ -1,7 +1,7 @@
 //! Both sides of every limit: the last accepted value and the first one that is an error.
 
 use egp_testing::messages;
-use egp_wire::{Invalid, Limits, Predictions, Reply, Request};
+use egp_wire::{Invalid, MessageLimits, Predictions, Reply, Request};
 
 /// A request with a horizon of `horizon`, without plan, history and widths.
 fn request_over(horizon: usize) -> Request {
@@ -31,11 +31,11 @@ fn reply_over(horizon: usize) -> Reply {
 }
 
 fn decoded(request: &Request) -> Result<Request, Invalid> {
-    Request::decode(&request.encode(), &Limits::default())
+    Request::decode(&request.encode(), &MessageLimits::default())
 }
 
 pub(crate) fn decoded_reply(reply: &Reply) -> Result<Reply, Invalid> {
-    Reply::decode(&reply.encode(), &Limits::default())
+    Reply::decode(&reply.encode(), &MessageLimits::default())
 }
 
 /// The field that the error about `request` names.
@@ -91,7 +91,7 @@ fn weights_are_a_simplex_up_to_rounding() {
 
 #[test]
 fn the_longest_horizon_is_accepted_in_both_directions() {
-    let longest = Limits::default().horizon;
+    let longest = MessageLimits::default().horizon;
     for horizon in [1, longest] {
         assert_eq!(decoded(&request_over(horizon)).unwrap().horizon(), horizon);
         let reply = reply_over(horizon);
@@ -112,7 +112,7 @@ fn the_longest_horizon_is_accepted_in_both_directions() {
 
 #[test]
 fn validation_without_decoding_knows_the_same_horizons() {
-    let limits = Limits::default();
+    let limits = MessageLimits::default();
     assert_eq!(field(&request_over(0).validate(&limits)), Some("reference"));
     let long = request_over(limits.horizon + 1);
     assert_eq!(field(&long.validate(&limits)), Some("reference"));
@@ -120,7 +120,7 @@ fn validation_without_decoding_knows_the_same_horizons() {
 
 #[test]
 fn the_longest_history_is_accepted() {
-    let limits = Limits::default();
+    let limits = MessageLimits::default();
     let longest = request_after(limits.history);
     assert_eq!(decoded(&longest).unwrap(), longest);
     let longer = request_after(limits.history + 1);
@@ -130,7 +130,7 @@ fn the_longest_history_is_accepted() {
 
 #[test]
 fn the_largest_library_is_accepted() {
-    let members = Limits::default().members;
+    let members = MessageLimits::default().members;
     let request = |members: usize| Request {
         weights: vec![1.0 / members as f64; members],
         history_f: Predictions::new(members, vec![[0.0; 3]; 2 * members]),
@@ -179,7 +179,7 @@ fn predictions_fit_the_weights_when_both_are_there() {
     let mut ragged = request(2, &[0.5, 0.5]);
     ragged.history_f.values.push([0.0; 3]);
     assert_eq!(
-        field(&ragged.validate(&Limits::default())),
+        field(&ragged.validate(&MessageLimits::default())),
         Some("history_f")
     );
     let mut not_finite = request(2, &[0.5, 0.5]);
@@ -189,7 +189,7 @@ fn predictions_fit_the_weights_when_both_are_there() {
     assert_eq!(refused(&not_finite), Some("history_f"));
     not_finite.history_f.values[1][2] = f64::INFINITY;
     assert_eq!(
-        field(&not_finite.validate(&Limits::default())),
+        field(&not_finite.validate(&MessageLimits::default())),
         Some("history_f")
     );
 }
@@ -257,9 +257,9 @@ fn budgets_are_accepted_up_to_ten_seconds() {
 
 #[test]
 fn messages_are_accepted_up_to_the_limit_of_bytes() {
-    let tight = |bytes: usize| Limits {
+    let tight = |bytes: usize| MessageLimits {
         message_bytes: bytes,
-        ..Limits::default()
+        ..MessageLimits::default()
     };
     let (request, reply) = (
         messages::full_request().encode(),

@@ -1,7 +1,7 @@
 //! This version reads and writes the golden files.
 
 use egp_testing::messages;
-use egp_wire::{Limits, Ready, Reply, Request, WireError};
+use egp_wire::{MessageLimits, Ready, Reply, Request, WireError};
 
 fn golden(name: &str) -> Vec<u8> {
     let path = format!(
@@ -23,7 +23,7 @@ fn encoding_gives_the_golden_bytes() {
 
 #[test]
 fn decoding_the_golden_bytes_gives_the_messages() {
-    let limits = Limits::default();
+    let limits = MessageLimits::default();
     let request = |name| Request::decode(&golden(name), &limits).unwrap();
     let reply = |name| Reply::decode(&golden(name), &limits).unwrap();
     assert_eq!(request("wire_request_full"), messages::full_request());

@@ -1,7 +1,7 @@
 //! Decoding does not panic on any bytes, and a decoded message encodes to itself.
 
 use egp_testing::messages;
-use egp_wire::{Header, Limits, Predictions, Ready, Reply, Request, WireError, proto};
+use egp_wire::{Header, MessageLimits, Predictions, Ready, Reply, Request, WireError, proto};
 use proptest::{collection::vec, prelude::*};
 use prost::Message as _;
 
@@ -35,9 +35,9 @@ prop_compose! {
 proptest! {
     #[test]
     fn requests_round_trip(request in request()) {
-        let decoded = Request::decode(&request.encode(), &Limits::default()).unwrap();
+        let decoded = Request::decode(&request.encode(), &MessageLimits::default()).unwrap();
         prop_assert_eq!(&decoded, &request);
-        let header = Header::decode(&request.encode(), &Limits::default()).unwrap();
+        let header = Header::decode(&request.encode(), &MessageLimits::default()).unwrap();
         prop_assert_eq!(header.sequence, request.sequence);
     }
 
@@ -50,7 +50,7 @@ proptest! {
 
     #[test]
     fn memory_of_a_former_request_leaves_no_trace(first in request(), second in request()) {
-        let limits = Limits::default();
+        let limits = MessageLimits::default();
         let mut memory = Request::decode(&first.encode(), &limits).unwrap();
         memory.decode_from(&second.encode(), &limits).unwrap();
         prop_assert_eq!(memory, second);
@@ -58,7 +58,7 @@ proptest! {
 
     #[test]
     fn arbitrary_bytes_never_panic(bytes in vec(any::<u8>(), 0..600)) {
-        let limits = Limits::default();
+        let limits = MessageLimits::default();
         let _ = Request::decode(&bytes, &limits);
         let _ = Reply::decode(&bytes, &limits);
         let _ = Ready::decode(&bytes, &limits);
@@ -71,7 +71,7 @@ proptest! {
         for (_, mut bytes) in messages::all() {
             let at = at % bytes.len();
             bytes[at] ^= 1 << bit;
-            let limits = Limits::default();
+            let limits = MessageLimits::default();
             if let Ok(request) = Request::decode(&bytes, &limits) {
                 prop_assert!(request.validate(&limits).is_ok());
                 // prost reads the same message from the same bytes.

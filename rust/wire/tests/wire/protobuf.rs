@@ -1,7 +1,7 @@
 //! Encodings that protobuf leaves to the writer of a message, and that a reader must therefore accept.
 
 use egp_testing::messages;
-use egp_wire::{Code, Invalid, Limits, Reply, Request, WireError, proto};
+use egp_wire::{Code, Invalid, MessageLimits, Reply, Request, WireError, proto};
 use prost::Message as _;
 use prost::encoding::{WireType, encode_key, encode_varint};
 
@@ -24,7 +24,7 @@ fn varint(tag: u32, value: u64) -> Vec<u8> {
 /// The cold request with another tensor for the field `tag`, given by its bytes.
 fn with_tensor(tag: u32, tensor: &[u8]) -> Result<Request, Invalid> {
     let bytes = [messages::cold_request().encode(), delimited(tag, tensor)].concat();
-    Request::decode(&bytes, &Limits::default())
+    Request::decode(&bytes, &MessageLimits::default())
 }
 
 fn data(values: &[f64]) -> Vec<u8> {
@@ -86,14 +86,14 @@ fn the_shape_of_a_tensor_is_exactly_that_of_its_field() {
 fn of_a_number_that_comes_twice_the_last_counts() {
     let once = messages::cold_request();
     let bytes = [once.encode(), varint(3, 99), varint(16, 2)].concat();
-    let request = Request::decode(&bytes, &Limits::default()).unwrap();
+    let request = Request::decode(&bytes, &MessageLimits::default()).unwrap();
     assert_eq!((request.sequence, request.want_sigma), (99, true));
 }
 
 #[test]
 fn a_number_beyond_32_bits_is_cut_to_them() {
     let bytes = [messages::cold_request().encode(), varint(4, (1 << 32) + 5)].concat();
-    let request = Request::decode(&bytes, &Limits::default()).unwrap();
+    let request = Request::decode(&bytes, &MessageLimits::default()).unwrap();
     assert_eq!(request.budget_us, 5);
 }
 
@@ -109,7 +109,7 @@ fn fields_of_a_later_version_are_skipped() {
         }));
     }
     let bytes = [bytes, varint(101, 5), delimited(102, b"later")].concat();
-    let request = Request::decode(&bytes, &Limits::default()).unwrap();
+    let request = Request::decode(&bytes, &MessageLimits::default()).unwrap();
     assert_eq!(request, messages::cold_request());
 }
 
@@ -119,7 +119,7 @@ fn each_field_has_the_type_of_the_proto() {
         messages::cold_request().encode(),
         messages::solved_reply().encode(),
     );
-    let limits = Limits::default();
+    let limits = MessageLimits::default();
     let spoil = |bytes: &[u8], field: &[u8]| [bytes, field].concat();
     for tag in [1, 3, 4, 10, 16] {
         let error = Request::decode(&spoil(&request, &delimited(tag, &[])), &limits);

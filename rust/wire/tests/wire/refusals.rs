@@ -1,11 +1,11 @@
 //! The error about a message that is not valid names the field at fault.
 
 use egp_testing::messages;
-use egp_wire::{Code, Header, Invalid, Limits, Ready, Reply, Request, WireError, proto};
+use egp_wire::{Code, Header, Invalid, MessageLimits, Ready, Reply, Request, WireError, proto};
 use prost::Message as _;
 
-fn limits() -> Limits {
-    Limits::default()
+fn limits() -> MessageLimits {
+    MessageLimits::default()
 }
 
 /// The field that the error about a request names after `spoil`.
@@ -85,7 +85,7 @@ fn truncated_and_oversized_messages_are_refused() {
             "{length} bytes were accepted"
         );
     }
-    let tight = Limits {
+    let tight = MessageLimits {
         message_bytes: bytes.len() - 1,
         ..limits()
     };
