@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Literal, Self, final
+from typing import Literal, Self, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,6 +62,7 @@ __all__ = [
     "solve_ocp",
     "solve_weights",
     "step_key",
+    "surface_friction",
     "write_library",
     "write_library_subset",
 ]
@@ -470,11 +471,12 @@ class Path:
         """
 
     def with_friction(
-        self, zones: Sequence[tuple[float, float] | tuple[float, float, float]]
+        self, zones: Sequence[tuple[float, _Surface] | tuple[float, _Surface, _Surface]]
     ) -> Path:
-        """Give the same path zones, from 0 on: start as a fraction of the length, friction.
+        """Give the same path zones, from 0 on: start as a fraction of the length, surface.
 
-        A third number is the friction right of the path; `friction` is then the left side's alone.
+        The third member of a tuple is the surface right of the path; the second is then that of the
+        left side alone. `surface_friction` describes surfaces.
         """
 
     @property
@@ -592,9 +594,13 @@ class Plant:
     """A simulated vehicle: the 29-state multi-body vehicle of the CommonRoad benchmarks.
 
     `vehicle` is its CommonRoad number: 1 a Ford Escort, 2 a BMW 320i. Starts at rest in the origin.
+    `disturbances` are those of `egp_service.simulation.scenario.Disturbances` by name, 0 unless
+    stated. Raises `EgpError` if a name is unknown or a value out of its range.
     """
 
-    def __new__(cls, vehicle: int = 1) -> Plant: ...
+    def __new__(
+        cls, vehicle: int = 1, disturbances: Mapping[str, float] | None = None
+    ) -> Plant: ...
     def reset(
         self,
         x: float,
@@ -611,14 +617,14 @@ class Plant:
         self,
         u: NDArray[np.float64],
         dt: float,
-        friction: float | FrictionMap | Path,
+        friction: _Surface | FrictionMap | Path,
         hint: float | None = None,
     ) -> None:
         """Drive `dt` seconds under the constant input `u = [F_x, delta_dot]` (N, rad/s).
 
-        Friction is the same everywhere, or that of the map's cell or of the path's zone under each
-        wheel. On a path the wheels are sought as by `Path.project`: pass the last projection's `s`
-        as `hint`, or the whole path is searched in every call.
+        The surface is the same everywhere, or that of the map's cell or of the path's zone under
+        each wheel. On a path the wheels are sought as by `Path.project`: pass the last
+        projection's `s` as `hint`, or the whole path is searched in every call.
 
         Raises `EgpError` for refused input and when the vehicle has spun, and keeps the state then.
         """
@@ -665,16 +671,30 @@ def plant_step_batch(
     states: NDArray[np.float64],
     u: NDArray[np.float64],
     dt: float,
-    friction: NDArray[np.float64],
+    friction: NDArray[np.float64] | _Surface,
     vehicle: int = 1,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Drive n vehicles `dt` seconds on all cores without the GIL.
 
-    States (n, 29), inputs (n, 2), friction (n,). Returns the new states and which
-    vehicles completed the period; one that spun keeps its state.
+    States (n, 29), inputs (n, 2), friction (n,) or one surface for all. Returns the new states and
+    which vehicles completed the period; one that spun keeps its state.
     """
 
 # surface.rs
+
+# A surface: a friction coefficient, the name of a preset, or a table of factors.
+_Surface: TypeAlias = float | str | Mapping[str, float]
+
+def surface_friction(surface: _Surface) -> float:
+    """Friction coefficient of a surface: the ratio of its longitudinal peak force to the load.
+
+    A surface is this number alone, a preset (`dry`, `wet`, `snow`, `ice`), or a table with `peak`
+    and factors on the tyre's `stiffness`, `shape` and `curvature`, all 1 unless stated. The lateral
+    force has a peak of `0.9 peak` and the same factors, unless `lateral_peak`, `lateral_stiffness`,
+    `lateral_shape` or `lateral_curvature` say otherwise.
+
+    Raises `EgpError` if a name is unknown or a value out of its range.
+    """
 
 @final
 class FrictionMap:
