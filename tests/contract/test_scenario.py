@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from egp_service import EgpError
+from egp_service._core import Plant
 from egp_service.simulation.configuration import ConfigurationError
 from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.scenario import (
+    Disturbances,
     Scenario,
     ScenarioError,
     built_in_names,
@@ -58,6 +62,21 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         (("friction = 0.8", "friction = 0.8\nright = 0"), r"zones\[0\].right must be positive"),
         (("[track]", "[speed]\ngirp = 0.9\n[track]"), "speed: unknown field 'girp'"),
         (("[track]", "laps = true\n[track]"), "laps must be float"),
+        (("friction = 0.8", ""), r"zones\[0\]: expected `friction` or `surface`, got neither"),
+        (("friction = 0.8", 'friction = 0.8\nsurface = "ice"'), r"zones\[0\]: .*got both"),
+        (("friction = 0.8", 'surface = "mud"'), r"zones\[0\]: no surface .*dry, wet, snow, ice"),
+        (("friction = 0.8", "surface = 0.8"), r"zones\[0\]: surface must be str"),
+        (("friction = 0.8", "surface = {stiffness = 0.5}"), r"zones\[0\]: .* needs its `peak`"),
+        (("friction = 0.8", "surface = {peak = 0.5, grip = 1}"), "unknown field `grip`"),
+        (("friction = 0.8", "surface = {peak = 0}"), "friction coefficient > 0, got 0"),
+        (("friction = 0.8", "surface = {peak = 1, shape = 2}"), "0.75 to 1.218 on the shape"),
+        (
+            ("friction = 0.8", 'friction = 0.8\nright = 0.5\nsurface_right = "ice"'),
+            "`right` or `surface_right`, got both",
+        ),
+        (("[track]", "[disturbances]\nlaod = 9\n[track]"), "disturbances: unknown field 'laod'"),
+        (("[track]", "[disturbances]\nload = -9\n[track]"), "disturbance load from 0 to 1000 kg"),
+        (("[track]", "[disturbances]\nbrake_bias = 1\n[track]"), "disturbance brake_bias from"),
         (("[[zones]]", "[[zones"), "not TOML"),
     ],
 )
@@ -71,6 +90,31 @@ def test_a_split_road_has_its_own_friction_on_the_right() -> None:
     assert scenario.zones[0].right == 0.4
     assert parse(scenario.toml()) == scenario
     assert build_path(scenario).sample(np.zeros(1))[6] == pytest.approx(0.6)
+
+
+def test_a_zone_has_a_surface_in_place_of_a_friction() -> None:
+    table = "surface = {peak = 0.3, stiffness = 0.2, shape = 1.05, lateral_curvature = 1.03}"
+    scenario = parse(MINIMAL.replace("friction = 0.8", f'{table}\nsurface_right = "ice"'))
+    assert parse(scenario.toml()) == scenario
+    (zone,) = scenario.zones
+    assert zone.sides() == (zone.surface, "ice")
+    # The speed profile sees the peaks, 0.3 and 0.1.
+    assert build_path(scenario).sample(np.zeros(1))[6] == pytest.approx(0.2)
+    mixed = parse(MINIMAL.replace("friction = 0.8", 'surface = "snow"\nright = 0.5'))
+    assert mixed.zones[0].sides() == ("snow", 0.5)
+    assert mixed.zones[0].friction is None
+
+
+def test_disturbances_of_a_scenario_are_those_of_the_plant() -> None:
+    text = MINIMAL.replace("[track]", "[disturbances]\ngrade = 0.1\nload = 100\n[track]")
+    scenario = parse(text)
+    assert parse(scenario.toml()) == scenario
+    assert (scenario.disturbances.grade, scenario.disturbances.load) == (0.1, 100.0)
+    # The plant knows each field by the same name.
+    for field in fields(Disturbances):
+        Plant(1, {field.name: 0.0})
+    with pytest.raises(EgpError, match="unknown field"):
+        Plant(1, {"mood": 0.0})
 
 
 def test_an_unknown_scenario_names_the_known_ones() -> None:

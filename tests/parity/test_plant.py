@@ -21,6 +21,7 @@ from egp_service._core import (
     plant_derivative,
     plant_initial_states,
     plant_step_batch,
+    surface_friction,
 )
 
 if TYPE_CHECKING:
@@ -261,6 +262,47 @@ def test_braking_on_a_split_road_turns_to_the_side_that_grips() -> None:
     assert yaw_rate(1.0, 0.2) > 0.05
     assert yaw_rate(0.2, 1.0) < -0.05
     assert abs(yaw_rate(0.6, 0.6)) < 0.005  # the tyres are not quite symmetric
+
+
+def test_without_disturbances_the_plant_is_the_package() -> None:
+    """Zero disturbances have no bit of an effect; any other one has."""
+    names = ["load", "wear_front", "wear_rear", "brake_bias", "brake_pull", "wind_y", "grade"]
+
+    def driven(disturbances: dict[str, float] | None) -> Vector:
+        plant = Plant(1, disturbances)
+        plant.reset(0.0, 0.0, 0.1, 18.0, delta=0.01)
+        plant.step(np.array([-3000.0, 0.1]), 0.2, 0.9)
+        return plant.state
+
+    undisturbed = driven(None)
+    np.testing.assert_array_equal(
+        driven(dict.fromkeys([*names, "bank", "load_x"], 0.0)), undisturbed
+    )
+    for name in [*names, "bank"]:
+        assert np.any(driven({name: 0.1}) != undisturbed)
+
+
+def test_a_surface_is_a_number_a_preset_or_a_table() -> None:
+    def driven(surface: float | str | dict[str, float] | Path) -> Vector:
+        plant = Plant()
+        plant.reset(0.0, 0.0, 0.0, 15.0, delta=0.02)
+        plant.step(np.array([-2000.0, 0.1]), 0.2, surface)
+        return plant.state
+
+    np.testing.assert_array_equal(driven("dry"), driven(1.0))
+    np.testing.assert_array_equal(driven({"peak": 0.6}), driven(0.6))
+    same = {"peak": 0.6, "lateral_peak": 0.9 * 0.6, "lateral_stiffness": 1.0}
+    np.testing.assert_array_equal(driven(same), driven(0.6))
+    assert np.any(driven("snow") != driven(0.3))
+    assert surface_friction("snow") == 0.3
+    points = np.column_stack([np.linspace(-100.0, 100.0, 41), np.zeros(41)])
+    line = Path.from_points(points, closed=False).with_friction([(0.0, "snow")])
+    np.testing.assert_array_equal(driven(line), driven("snow"))
+    states = plant_initial_states(np.array([[0.0, 0.0, 15.0, 0.0, 0.0, 0.0, 0.02]]))
+    after, _ = plant_step_batch(states, np.array([[-2000.0, 0.1]]), 0.2, "snow")
+    np.testing.assert_array_equal(after[0], driven("snow"))
+    with pytest.raises(EgpError, match="no surface"):
+        driven("mud")
 
 
 def test_refusals_keep_the_state() -> None:

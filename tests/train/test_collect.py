@@ -36,6 +36,16 @@ def test_same_seed_same_data_in_any_number_of_processes() -> None:
     assert alone.digest() != other.digest()
 
 
+def test_a_preset_is_labelled_by_its_peak() -> None:
+    snow = collect(Experiment(friction="snow", label="snow", seed=3), SHORT, jobs=1)
+    assert snow.provenance.friction == 0.3
+    assert snow.provenance.method == "random sampling on snow + track on snow"
+    number = collect(Experiment(friction=0.3, label="snow", seed=3), SHORT, jobs=1)
+    assert snow.digest() != number.digest()
+    with pytest.raises(EgpError, match="no surface"):
+        collect(Experiment(friction="mud", label="mud"), SHORT, jobs=1)
+
+
 def test_progress_counts_runs() -> None:
     seen: list[tuple[int, int]] = []
     collect(WET, SHORT, jobs=1, report=lambda done, total: seen.append((done, total)))

@@ -40,6 +40,12 @@ def test_each_surface_gets_its_own_transitions() -> None:
     assert [dataset.digest() for dataset in again] == [dataset.digest() for dataset in datasets]
 
 
+def test_surfaces_of_the_same_friction_cannot_be_told_apart() -> None:
+    alike = [Experiment(friction="snow", label="snow"), Experiment(friction=0.3, label="mu 0.3")]
+    with pytest.raises(EgpError, match="have the same one"):
+        drive_laps(LIBRARY, alike, TWO_LAPS)
+
+
 def test_without_surfaces_there_is_nothing_to_drive_on() -> None:
     with pytest.raises(EgpError, match="no surfaces"):
         drive_laps(LIBRARY, [], TWO_LAPS)

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use egp_path::tracks::{LShape, RoundedRectangle};
 use egp_path::{Path, PathError, SpeedLimits, SpeedProfile, Zone};
-use egp_plant::Friction;
+use egp_plant::{Friction, Surface};
 use thiserror::Error;
 
 use crate::vehicle::CAR;
@@ -83,7 +83,7 @@ impl Course {
     }
 }
 
-/// Friction at a position, by its projection onto the path.
+/// Surface at a position, by its projection onto the path.
 pub(crate) struct Road<'a> {
     path: &'a Path,
     /// The last wheel's arc length, near which the search for the next one starts.
@@ -91,12 +91,12 @@ pub(crate) struct Road<'a> {
 }
 
 impl Friction for Road<'_> {
-    fn coefficient(&self, position: [f64; 2]) -> f64 {
+    fn surface(&self, position: [f64; 2]) -> Surface {
         if !position.iter().all(|value| value.is_finite()) {
-            return f64::NAN; // the plant reports the friction as an error
+            return f64::NAN.into(); // the plant reports the surface as an error
         }
         let projection = self.path.project(position, Some(self.hint.get()));
         self.hint.set(projection.s);
-        self.path.friction_beside(projection.s, projection.lateral)
+        self.path.surface_beside(projection.s, projection.lateral)
     }
 }

@@ -1,13 +1,16 @@
 """Paths, the vehicle's projection on them, speed profiles, and the reference of a step."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from egp_service._core.vehicle import VehicleParameters
+
+# A surface: a friction coefficient, the name of a preset, or a table of factors.
+_Surface: TypeAlias = float | str | Mapping[str, float]
 
 @final
 class Path:
@@ -79,13 +82,13 @@ class Path:
         Lengths are multiplied by `scale`, which is 10 for a track of 1:10 cars.
         """
     def with_friction(
-        self, zones: Sequence[tuple[float, float] | tuple[float, float, float]]
+        self, zones: Sequence[tuple[float, _Surface] | tuple[float, _Surface, _Surface]]
     ) -> Path:
-        """Return the same path with zones of friction.
+        """Return the same path with zones of other surfaces.
 
-        A zone is its start as a fraction of the length, and its friction; the first starts at 0. A
-        third number is the friction to the right of the path, and the second is then that to the
-        left.
+        A zone is its start as a fraction of the length, and its surface, which `surface_friction`
+        describes; the first starts at 0. A third member is the surface to the right of the path,
+        and the second is then that to the left.
         """
     @property
     def length(self) -> float:

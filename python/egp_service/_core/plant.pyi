@@ -1,11 +1,12 @@
-"""The simulated vehicle, and the friction that it drives on."""
+"""The simulated vehicle, and the surfaces that it drives on."""
 
+from collections.abc import Mapping
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from egp_service._core.path import Path
+from egp_service._core.path import Path, _Surface
 from egp_service._core.vehicle import VehicleParameters
 
 @final
@@ -13,10 +14,13 @@ class Plant:
     """A simulated vehicle: the 29-state multi-body vehicle of the CommonRoad benchmarks.
 
     `vehicle` is its CommonRoad number: 1 is a Ford Escort, 2 is a BMW 320i. It starts at rest in
-    the origin.
+    the origin. `disturbances` are those of `egp_service.simulation.scenario.Disturbances` by name,
+    0 unless stated. Raises `EgpError` if a name is unknown or a value out of its range.
     """
 
-    def __new__(cls, vehicle: int = 1) -> Plant: ...
+    def __new__(
+        cls, vehicle: int = 1, disturbances: Mapping[str, float] | None = None
+    ) -> Plant: ...
     def reset(
         self,
         x: float,
@@ -32,12 +36,12 @@ class Plant:
         self,
         u: NDArray[np.float64],
         dt: float,
-        friction: float | FrictionMap | Path,
+        friction: _Surface | FrictionMap | Path,
         hint: float | None = None,
     ) -> None:
         """Drive `dt` seconds with the constant input `u = [F_x, delta_dot]` (N, rad/s).
 
-        Friction is a number for everywhere, or that of the map's cell or of the path's zone under
+        The surface is the same everywhere, or that of the map's cell or of the path's zone under
         each wheel. Wheels are located on a path as by `Path.project`: pass the last projection's
         `s` as `hint`, or each call searches the whole path.
 
@@ -87,6 +91,16 @@ def plant_step_batch(
     states: NDArray[np.float64],
     u: NDArray[np.float64],
     dt: float,
-    friction: NDArray[np.float64],
+    friction: NDArray[np.float64] | _Surface,
     vehicle: int = 1,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
+def surface_friction(surface: _Surface) -> float:
+    """Return the friction coefficient of a surface: longitudinal peak force over load.
+
+    A surface is this number alone, a preset (`dry`, `wet`, `snow`, `ice`), or a table with `peak`
+    and factors on the tyre's `stiffness`, `shape` and `curvature`, all 1 unless stated. The lateral
+    force has a peak of `0.9 peak` and the same factors, unless `lateral_peak`, `lateral_stiffness`,
+    `lateral_shape` or `lateral_curvature` state others.
+
+    Raises `EgpError` if a name is unknown or a value out of its range.
+    """

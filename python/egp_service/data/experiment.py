@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import Plant, VehicleParameters
+from egp_service._core import Plant, VehicleParameters, surface_friction
 from egp_service.data.dataset import Provenance
 from egp_service.vehicle import simulated_name
 
@@ -31,12 +31,21 @@ def tool() -> str:
     return f"egp-service {version('egp-service')}"
 
 
+def parse_surface(text: str) -> float | str:
+    """Return the friction coefficient that the text states, or the text as the name of a preset."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 @dataclasses.dataclass(frozen=True)
 class Experiment:
     """One vehicle on one surface."""
 
-    friction: float
-    """Friction coefficient mu of the whole surface."""
+    friction: float | str
+    """Friction coefficient mu of the whole surface, or the name of a preset (`dry`, `wet`, `snow`,
+    `ice`)."""
     label: str
     """The surface's name; datasets of the same name are merged into one member."""
     seed: int = 0
@@ -45,6 +54,14 @@ class Experiment:
     """Control period, s."""
     vehicle: int = 1
     """CommonRoad's number: 1 Ford Escort, 2 BMW 320i."""
+
+    @property
+    def mu(self) -> float:
+        """Friction coefficient by which the surface is labelled: the peak of a preset.
+
+        Raises `EgpError` if there is no such preset, or if the coefficient is not positive.
+        """
+        return surface_friction(self.friction)
 
     @property
     def parameters(self) -> VehicleParameters:
@@ -58,11 +75,13 @@ class Experiment:
 
     def provenance(self, method: str) -> Provenance:
         """Return the provenance of data that `method` collected in this experiment."""
+        if isinstance(self.friction, str):
+            method = f"{method} on {self.friction}"
         return Provenance(
             dt=self.dt,
             vehicle=simulated_name(self.vehicle),
             surface=self.label,
-            friction=self.friction,
+            friction=self.mu,
             seed=self.seed,
             method=method,
             tool=tool(),

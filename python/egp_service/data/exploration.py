@@ -96,7 +96,8 @@ def _episode(
     low, high = settings.grip
     grip = low + (high - low) * (number + rng.uniform()) / settings.episodes
     arrives = rng.uniform() < settings.arrivals
-    before = settings.arrival_friction if arrives else experiment.friction
+    surface_before = settings.arrival_friction if arrives else experiment.friction
+    before = settings.arrival_friction if arrives else experiment.mu
     reaction = rng.uniform(*settings.reaction) if arrives else 0.0
     plant = Plant(experiment.vehicle)
     x = track.start(rng.uniform(0.0, track.length), before, grip)
@@ -105,7 +106,7 @@ def _episode(
         rng, experiment.dt, experiment.mass, experiment.parameters, rng.uniform(*settings.noise)
     )
 
-    def drive(seconds: float, surface: float, believed: Callable[[float], float]) -> bool:
+    def drive(seconds: float, surface: float | str, believed: Callable[[float], float]) -> bool:
         for k in range(round(seconds / experiment.dt)):
             x = plant.vehicle_state
             reference, on_track = track.look(x, believed(k * experiment.dt), grip, experiment.dt)
@@ -122,12 +123,12 @@ def _episode(
 
     inputs: list[NDArray[np.float64]] = []
     states: list[NDArray[np.float64]] = []
-    if not drive(settings.warm_up, before, lambda _: before):
+    if not drive(settings.warm_up, surface_before, lambda _: before):
         return np.empty((1, NX)), np.empty((0, NU))
     inputs, states = [], [plant.vehicle_state]
     drive(
         settings.seconds,
         experiment.friction,
-        lambda t: before if t < reaction else experiment.friction,
+        lambda t: before if t < reaction else experiment.mu,
     )
     return np.array(states), np.array(inputs).reshape(-1, NU)

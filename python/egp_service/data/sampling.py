@@ -62,12 +62,11 @@ def sample(
     start, inputs = _draw(experiment, count, bounds, rng)
     inputs[:, F_X] *= experiment.mass
     states = plant_initial_states(start, experiment.vehicle)
-    friction = np.full(count, experiment.friction)
     alive = np.ones(count, dtype=bool)
     history = [states]
     for _ in range(settle + keep):
         states, completed = plant_step_batch(
-            states, inputs, experiment.dt, friction, experiment.vehicle
+            states, inputs, experiment.dt, experiment.friction, experiment.vehicle
         )
         alive &= completed & (states[:, _VISIBLE[0]] > 0.5)  # noqa: PLR2004 - standing still
         history.append(states)
@@ -91,7 +90,7 @@ def _draw(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Draw vehicle states (count, 7) and inputs [a, delta_dot] (count, 2)."""
     v_x = rng.uniform(*bounds.v_x, count)
-    lateral = bounds.lateral * experiment.friction * GRAVITY * rng.uniform(-1.0, 1.0, count)
+    lateral = bounds.lateral * experiment.mu * GRAVITY * rng.uniform(-1.0, 1.0, count)
     omega = np.clip(lateral / v_x, -bounds.omega, bounds.omega)
     # Sideslip is reduced at low speed, where it decays within a period.
     sideslip = bounds.sideslip * rng.uniform(-1.0, 1.0, count) * np.minimum(1.0, v_x / 8.0)

@@ -9,7 +9,7 @@ plan.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, astuple, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -98,7 +98,7 @@ class _Loop:
         self._profile = build_profile(scenario, self.path)
         self._noise = _noise(scenario.measurement)
         self._random = np.random.default_rng(scenario.seed)
-        self._plant = Plant(scenario.vehicle)
+        self._plant = Plant(scenario.vehicle, asdict(scenario.disturbances))
         # Commands that have not yet reached the wheels.
         self._pending = deque([np.zeros(NU)] * scenario.actuator_delay)
         self._s = 0.0

@@ -47,8 +47,10 @@ def build(cls: type[_T], table: Mapping[str, object], where: str) -> _T:
 
 def _value(kind: object, value: object, where: str) -> object:  # noqa: PLR0911
     origin, arguments = get_origin(kind), get_args(kind)
-    if origin in (UnionType, typing.Union):  # the only unions are optional fields
-        return _value(arguments[0], value, where)
+    if origin in (UnionType, typing.Union):  # optional fields, or a name or a table
+        tables = [member for member in arguments if get_origin(member) is dict]
+        kind = tables[0] if tables and isinstance(value, dict) else arguments[0]
+        return _value(kind, value, where)
     if origin is tuple:
         if not isinstance(value, list):
             raise ConfigurationError(f"{where} must be an array of tables")

@@ -58,14 +58,7 @@ def build_path(scenario: Scenario) -> Path:
         path = TRACKS[track.kind](**parameters)
     except TypeError as error:
         raise ScenarioError(f"track {track.kind}: {error}") from error
-    return path.with_friction(
-        [
-            (zone.start, zone.friction)
-            if zone.right is None
-            else (zone.start, zone.friction, zone.right)
-            for zone in scenario.zones
-        ]
-    )
+    return path.with_friction([(zone.start, *zone.sides()) for zone in scenario.zones])
 
 
 def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:

@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from egp_service import shipped
-from egp_service._core import VehicleParameters
+from egp_service._core import EgpError, Plant, VehicleParameters, surface_friction
 from egp_service.control.toml_text import dumps
 from egp_service.simulation.configuration import ConfigurationError, build, without_none
 
@@ -28,14 +28,38 @@ class ScenarioError(ConfigurationError):
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """A stretch of road with its own friction; zones are in increasing order of `start`."""
+    """A stretch of road with its own surface; zones are in increasing order of `start`.
+
+    A side is given by its friction coefficient or by its surface, which is the name of a preset or
+    a table of factors (see `_core.surface_friction`).
+    """
 
     start: float
     """Start as a fraction of the path's length; a zone ends at the start of the next one."""
-    friction: float
+    friction: float | None = None
     """Friction coefficient mu."""
     right: float | None = None
     """Friction right of the path on a split road; `friction` is then that of the left side."""
+    surface: str | dict[str, float] | None = None
+    """Surface, in place of `friction`."""
+    surface_right: str | dict[str, float] | None = None
+    """Surface right of the path, in place of `right`."""
+
+    def sides(
+        self,
+    ) -> (
+        tuple[float | str | dict[str, float]]
+        | tuple[float | str | dict[str, float], float | str | dict[str, float]]
+    ):
+        """Give the surface, or the left and the right one of a split road.
+
+        Raises `ScenarioError` if a side has no surface or two.
+        """
+        left = _one_of(self.friction, self.surface, "friction", "surface")
+        if left is None:
+            raise ScenarioError("expected `friction` or `surface`, got neither")
+        right = _one_of(self.right, self.surface_right, "right", "surface_right")
+        return (left,) if right is None else (left, right)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +103,39 @@ class Measurement:
 
 
 @dataclass(frozen=True, slots=True)
+class Disturbances:
+    """Constant disturbances of the simulated vehicle that its single-track model does not have.
+
+    All are zero by default. Positions are relative to the unloaded vehicle's centre of mass.
+    """
+
+    load: float = 0.0
+    """Mass of a load at the height of the body's centre of mass, kg."""
+    load_x: float = 0.0
+    """Position of the load ahead of the centre of mass, m."""
+    load_y: float = 0.0
+    """Position of the load to the left of the centre of mass, m."""
+    wear_front: float = 0.0
+    """Share of peak force and stiffness that the front tyres have lost."""
+    wear_rear: float = 0.0
+    """Share of peak force and stiffness that the rear tyres have lost."""
+    brake_bias: float = 0.0
+    """Share of the brake torque on the front axle beyond the vehicle's own share."""
+    brake_pull: float = 0.0
+    """Share of each right wheel's brake torque that acts on the left wheel instead."""
+    wind_x: float = 0.0
+    """Velocity of the air along the map's x axis, m/s."""
+    wind_y: float = 0.0
+    """Velocity of the air along the map's y axis, m/s."""
+    wind_arm: float = 0.0
+    """Distance of the wind's lateral force ahead of the centre of mass, m."""
+    grade: float = 0.0
+    """Inclination of the road along the vehicle, rad, positive uphill."""
+    bank: float = 0.0
+    """Inclination of the road across the vehicle, rad, positive if the road rises to the left."""
+
+
+@dataclass(frozen=True, slots=True)
 class Scenario:
     """A validated scenario."""
 
@@ -100,6 +157,7 @@ class Scenario:
     """Delay from the command to the wheels, in control periods, in addition to the plant's."""
     speed: Speed = field(default_factory=Speed)
     measurement: Measurement = field(default_factory=Measurement)
+    disturbances: Disturbances = field(default_factory=Disturbances)
     control: dict[str, object] = field(default_factory=dict)
     """Settings of the control step, passed unchanged to service or engine."""
     gate: dict[str, float] = field(default_factory=dict)
@@ -161,6 +219,15 @@ def gate_settings(scenario: Scenario) -> dict[str, float]:
     return VehicleParameters.commonroad(scenario.vehicle).gate_limits() | scenario.gate
 
 
+def _one_of(
+    friction: float | None, surface: str | dict[str, float] | None, *names: str
+) -> float | str | dict[str, float] | None:
+    """Give what is stated of the two, or None."""
+    if friction is not None and surface is not None:
+        raise ScenarioError(f"expected `{names[0]}` or `{names[1]}`, got both")
+    return surface if friction is None else friction
+
+
 def _check(scenario: Scenario, origin: str) -> None:
     """Check the ranges of the values."""
     if not scenario.zones or scenario.zones[0].start != 0.0:
@@ -177,13 +244,23 @@ def _check(scenario: Scenario, origin: str) -> None:
         "speed.v_max": scenario.speed.v_max,
         "laps": scenario.laps,
         "leave_distance": scenario.leave_distance,
-        **{f"zones[{i}].friction": zone.friction for i, zone in enumerate(scenario.zones)},
         **{
-            f"zones[{i}].right": zone.right
+            f"zones[{i}].{side}": value
             for i, zone in enumerate(scenario.zones)
-            if zone.right is not None
+            for side, value in (("friction", zone.friction), ("right", zone.right))
+            if value is not None
         },
     }
     for name, value in positive.items():
         if not 0.0 < value < float("inf"):
             raise ScenarioError(f"{origin}: {name} must be positive and finite, got {value}")
+    for i, zone in enumerate(scenario.zones):
+        try:
+            for side in zone.sides():
+                surface_friction(side)
+        except EgpError as error:
+            raise ScenarioError(f"{origin}: zones[{i}]: {error}") from error
+    try:
+        Plant(scenario.vehicle, asdict(scenario.disturbances))
+    except EgpError as error:
+        raise ScenarioError(f"{origin}: {error}") from error

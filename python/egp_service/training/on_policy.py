@@ -64,11 +64,18 @@ def drive_laps(
     """Drive the laps of a round with `library`; return a dataset for each driven surface.
 
     Raises:
-        EgpError: if there are no surfaces or no lap gave data.
+        EgpError: if there are no surfaces, two of them have the same friction coefficient, by which
+            their data are told apart, or no lap gave data.
 
     """
     if not surfaces:
         raise EgpError("no surfaces to drive on")
+    kinds = {surface.friction for surface in surfaces}
+    if len({surface.mu for surface in surfaces}) < len(kinds):
+        raise EgpError(
+            "on-policy laps tell surfaces apart by their friction coefficient, but two of "
+            f"{', '.join(map(str, kinds))} have the same one"
+        )
     grips = np.linspace(*settings.grip, settings.laps)
     first = _FIRST_SEED + round_number * settings.laps
     scenarios = [
@@ -100,9 +107,7 @@ def _scenario(library: Path, surfaces: Sequence[Experiment], seed: int, grip: fl
     count = int(rng.integers(3, 7))
     starts = [0.0, *np.sort(rng.uniform(0.05, 0.95, count - 1)).tolist()]
     order = rng.permutation(len(surfaces))
-    zones = tuple(
-        Zone(start, surfaces[order[i % len(order)]].friction) for i, start in enumerate(starts)
-    )
+    zones = tuple(_zone(start, surfaces[order[i % len(order)]]) for i, start in enumerate(starts))
     kind = _TRACKS[seed % len(_TRACKS)]
     measures = {"length": float(rng.uniform(*_LENGTH))} if kind == "rounded-rectangle" else {}
     return Scenario(
@@ -118,6 +123,12 @@ def _scenario(library: Path, surfaces: Sequence[Experiment], seed: int, grip: fl
     )
 
 
+def _zone(start: float, surface: Experiment) -> Zone:
+    if isinstance(surface.friction, str):
+        return Zone(start, surface=surface.friction)
+    return Zone(start, surface.friction)
+
+
 def _drive(scenario: Scenario) -> _Driven:
     trace = drive(scenario, in_process_controller(scenario), lambda _: None).trace
     return _Driven(trace.x, trace.u, trace.friction)
@@ -128,7 +139,7 @@ def _on_surface(laps: Sequence[_Driven], surface: Experiment) -> Dataset | None:
     z, y, trajectory, step = [], [], [], []
     pieces = 0
     for lap in laps:
-        on = lap.friction == surface.friction
+        on = lap.friction == surface.mu
         rows = np.flatnonzero(on[:-1] & on[1:])
         if len(rows) == 0:
             continue

@@ -8,7 +8,7 @@
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use egp_plant::{Plant, Uniform, VehicleId, VehicleState, derivative};
+use egp_plant::{Plant, Surface, Uniform, VehicleId, VehicleState, derivative};
 
 fn right_hand_side(c: &mut Criterion) {
     let parameters = VehicleId::FordEscort.parameters();
@@ -19,7 +19,7 @@ fn right_hand_side(c: &mut Criterion) {
                 &parameters,
                 black_box(plant.state()),
                 [500.0, 0.1],
-                [0.8; 4],
+                &[Surface::from(0.8); 4],
             )
             .unwrap()
         });

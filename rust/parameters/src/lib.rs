@@ -1,4 +1,4 @@
-//! egp-parameters: the numbers that describe one vehicle, and the gravity that acts on it.
+//! egp-parameters: the numbers that describe one vehicle, the surfaces it drives on, and the gravity that acts on it.
 //!
 //! A library stores the [`VehicleParameters`] of the vehicle that its data come from. The control step, the speed
 //! profile, the gate and the simulator take their numbers from there, so that each number is written down once.
@@ -6,8 +6,10 @@
 #![forbid(unsafe_code)]
 
 mod commonroad;
+mod surface;
 mod vehicle;
 
+pub use surface::{ForceCurve, Surface, SurfaceError};
 pub use vehicle::{ParameterError, VehicleParameters};
 
 /// Gravity of all vehicle models, in m/s²: that of the CommonRoad vehicles.

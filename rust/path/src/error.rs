@@ -1,5 +1,6 @@
 //! Errors of paths, profiles and references.
 
+use egp_parameters::SurfaceError;
 use thiserror::Error;
 
 /// An invalid input; the message gives the expected and the given value and its location.
@@ -50,6 +51,9 @@ pub enum PathError {
         /// Its start.
         start: f64,
     },
+    /// A zone with a surface that is out of range.
+    #[error(transparent)]
+    Surface(#[from] SurfaceError),
     /// A parameter outside its range.
     #[error("expected {expected} for {name}, got {value}")]
     Parameter {

@@ -1,5 +1,7 @@
 //! The reference path: a curve by arc length, with widths and friction.
 
+use egp_parameters::Surface;
+
 use crate::arc_length::{ArcLengthSpline, parametrise};
 use crate::error::PathError;
 use crate::friction::{Zone, check_zones, sides_at};
@@ -98,7 +100,7 @@ impl Path {
     /// The same path with these zones of friction, the first of which starts at 0.
     ///
     /// # Errors
-    /// [`PathError`] if the starts do not increase from 0 to below 1 or a friction is not positive.
+    /// [`PathError`] if the starts do not increase from 0 to below 1 or a surface is out of range.
     pub fn with_friction(mut self, zones: &[Zone]) -> Result<Self, PathError> {
         check_zones(zones)?;
         self.zones = zones.to_vec();
@@ -143,17 +145,17 @@ impl Path {
     ///
     /// On a split road it is the mean of both sides, as for an axle with equal loads on both wheels.
     pub fn friction(&self, s: f64) -> f64 {
-        let [left, right] = self.sides(s);
+        let [left, right] = self.sides(s).map(|surface| surface.friction());
         f64::midpoint(left, right)
     }
 
-    /// Friction coefficient at a position that projects to `s` with a signed distance from the path.
-    pub fn friction_beside(&self, s: f64, lateral: f64) -> f64 {
+    /// The surface at a position that projects to `s` with a signed distance from the path.
+    pub fn surface_beside(&self, s: f64, lateral: f64) -> Surface {
         self.sides(s)[usize::from(lateral < 0.0)]
     }
 
-    /// Friction coefficients `[left, right]` of the path.
-    fn sides(&self, s: f64) -> [f64; 2] {
+    /// Surfaces `[left, right]` of the path.
+    fn sides(&self, s: f64) -> [Surface; 2] {
         sides_at(&self.zones, self.wrap(s).max(0.0) / self.length())
     }
 

@@ -6,7 +6,7 @@
 use crate::parameters::{Axle, Parameters};
 use crate::state::{AxleState, Body};
 use crate::tyre::Contact;
-use crate::{PlantError, TyreForce};
+use crate::{PlantError, Surface, TyreForce};
 
 /// An axle in a given state.
 pub(crate) struct AxleModel<'a> {
@@ -44,6 +44,8 @@ pub(crate) struct Road {
     pub y: f64,
     /// Yaw moment about the centre of mass, N m.
     pub yaw_moment: f64,
+    /// Sine and cosine of the axle's roll.
+    pub roll: (f64, f64),
 }
 
 /// Lateral positions of the wheels of an axle.
@@ -111,7 +113,7 @@ impl AxleModel<'_> {
     pub fn road(
         &self,
         camber: [f64; 2],
-        friction: [f64; 2],
+        surfaces: [&Surface; 2],
         slipping: bool,
     ) -> Result<Road, (usize, f64)> {
         let (body, state) = (self.body, self.state);
@@ -145,7 +147,7 @@ impl AxleModel<'_> {
                 slip_angle,
                 camber: camber[i],
                 load: load[i],
-                friction: friction[i],
+                surface: surfaces[i],
             };
             tyre[i] = self.vehicle.tyre.force(&contact);
         }
@@ -163,13 +165,14 @@ impl AxleModel<'_> {
             x,
             y,
             yaw_moment: self.axle.position * y + couple,
+            roll: (sin_roll, cos_roll),
         })
     }
 
     /// Roll moment on the unsprung mass, N m.
     pub fn unsprung_roll_moment(&self, suspension: &Suspension, road: &Road) -> f64 {
         let wheel = &self.vehicle.wheel;
-        let (sin_roll, cos_roll) = self.state.roll.sin_cos();
+        let (sin_roll, cos_roll) = road.roll;
         let wheels: f64 = wheel_offsets(self.axle)
             .into_iter()
             .enumerate()

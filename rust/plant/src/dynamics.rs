@@ -1,14 +1,15 @@
 //! The right-hand side of the 29 differential equations.
 
 use crate::axle::{AxleModel, Suspension, spun};
+use crate::effects::Effects;
 use crate::state::{AxleState, Body, NX, StateVector, WHEELS};
-use crate::{GRAVITY, Parameters, PlantError};
+use crate::{Disturbances, Parameters, PlantError, Surface};
 
 /// Speed, m/s, below which slip is undefined and the vehicle moves as a kinematic single track.
 pub const KINEMATIC_SPEED: f64 = 0.1;
 
-/// `dx/dt` for the input `[F_x, delta_dot]` (N, rad/s) and the friction under each wheel (front -y, front +y,
-/// rear -y, rear +y).
+/// `dx/dt` for the input `[F_x, delta_dot]` (N, rad/s) and the surface under each wheel (front -y, front +y,
+/// rear -y, rear +y), without disturbances.
 ///
 /// The input is first saturated by the actuator limits. As in the original, the load of a lifted wheel is negative,
 /// which pulls the vehicle down and reverses the tyre force. The equations are therefore not realistic above a lateral
@@ -20,7 +21,19 @@ pub fn derivative(
     parameters: &Parameters,
     x: &StateVector,
     input: [f64; 2],
-    friction: [f64; 4],
+    surfaces: &[Surface; 4],
+) -> Result<StateVector, PlantError> {
+    let effects = Effects::new(parameters, &Disturbances::default());
+    disturbed_derivative(parameters, &effects, x, input, surfaces)
+}
+
+/// [`derivative`] of a disturbed vehicle. The wear of the tyres is already in `surfaces`.
+pub(crate) fn disturbed_derivative(
+    parameters: &Parameters,
+    effects: &Effects,
+    x: &StateVector,
+    input: [f64; 2],
+    surfaces: &[Surface; 4],
 ) -> Result<StateVector, PlantError> {
     let body = Body::of(x);
     let states = AxleState::both(x);
@@ -33,20 +46,24 @@ pub fn derivative(
 
     let suspension = [axles[0].suspension(), axles[1].suspension()];
     let front = axles[0]
-        .road(suspension[0].camber, [friction[0], friction[1]], slipping)
+        .road(suspension[0].camber, [&surfaces[0], &surfaces[1]], slipping)
         .map_err(|wheel| spun(0, wheel))?;
     let rear = axles[1]
-        .road(suspension[1].camber, [friction[2], friction[3]], slipping)
+        .road(suspension[1].camber, [&surfaces[2], &surfaces[3]], slipping)
         .map_err(|wheel| spun(1, wheel))?;
     let road = [front, rear];
 
     let sprung = &parameters.sprung;
     let sum_x = road[0].x + road[1].x;
-    let yaw_moment = road[0].yaw_moment + road[1].yaw_moment;
-    let roll_moment =
-        axles[0].sprung_roll_moment(&suspension[0]) + axles[1].sprung_roll_moment(&suspension[1]);
-    let (sin_roll, cos_roll) = body.roll.sin_cos();
+    let wind = effects.wind_force(&body);
+    let force = [sum_x, road[0].y + road[1].y + wind];
+    let yaw_moment = road[0].yaw_moment + road[1].yaw_moment + effects.yaw_moment(force, wind);
     let springs = suspension.each_ref().map(|s| s.spring[0] + s.spring[1]);
+    let lift = springs[0] + springs[1];
+    let roll_moment = axles[0].sprung_roll_moment(&suspension[0])
+        + axles[1].sprung_roll_moment(&suspension[1])
+        + effects.sprung_centre[1] * lift;
+    let (sin_roll, cos_roll) = body.roll.sin_cos();
     let joints = suspension[0].joint + suspension[1].joint;
     let centripetal = body.omega * body.v_x;
 
@@ -56,27 +73,31 @@ pub fn derivative(
         let (sin, cos) = body.psi.sin_cos();
         f[0] = body.v_x * cos - body.v_y * sin;
         f[1] = body.v_x * sin + body.v_y * cos;
-        f[3] = sum_x / parameters.mass + body.omega * body.v_y;
+        f[3] = sum_x / effects.mass + body.omega * body.v_y + effects.gravity[0];
         f[4] = body.omega;
-        let product = sprung.roll_yaw_product / sprung.roll_inertia;
+        let product = sprung.roll_yaw_product / effects.roll_inertia;
         f[5] = (yaw_moment + product * roll_moment)
-            / (parameters.yaw_inertia - sprung.roll_yaw_product * product);
+            / (effects.yaw_inertia - sprung.roll_yaw_product * product);
     } else {
-        kinematic(parameters, &body, [acceleration, steering_rate], &mut f);
+        let net = acceleration * (parameters.mass / effects.mass) + effects.gravity[0];
+        kinematic(parameters, &body, [net, steering_rate], &mut f);
     }
 
     f[6] = body.roll_rate;
-    let product = sprung.roll_yaw_product / parameters.yaw_inertia;
+    let product = sprung.roll_yaw_product / effects.yaw_inertia;
     f[7] = (product * yaw_moment + roll_moment)
-        / (sprung.roll_inertia - sprung.roll_yaw_product * product);
+        / (effects.roll_inertia - sprung.roll_yaw_product * product);
     f[8] = body.pitch_rate;
     f[9] = (axles[0].axle.position * springs[0]
         + axles[1].axle.position * springs[1]
-        + sum_x * (sprung.height - body.z))
-        / sprung.pitch_inertia;
-    f[10] = sprung_lateral_acceleration(parameters, &body, &suspension) - centripetal;
+        + sum_x * (sprung.height - body.z)
+        - effects.sprung_centre[0] * lift)
+        / effects.pitch_inertia;
+    f[10] = sprung_lateral_acceleration(effects, (sin_roll, cos_roll), &suspension, wind)
+        - centripetal
+        + effects.gravity[1];
     f[11] = body.v_z;
-    f[12] = GRAVITY - ((springs[0] + springs[1]) * cos_roll - joints * sin_roll) / sprung.mass;
+    f[12] = effects.gravity[2] - (lift * cos_roll - joints * sin_roll) / effects.sprung_mass;
 
     for (i, model) in axles.iter().enumerate() {
         let (axle, state, at) = (model.axle, model.state, 13 + 5 * i);
@@ -84,15 +105,16 @@ pub fn derivative(
         f[at] = state.roll_rate;
         f[at + 1] = model.unsprung_roll_moment(suspension, road) / axle.roll_inertia;
         f[at + 2] = (road.y - suspension.joint * cos_roll - spring * sin_roll) / axle.unsprung_mass
-            - centripetal;
+            - centripetal
+            + effects.gravity[1];
         f[at + 3] = state.v_z;
         let lift = road.load[0] + road.load[1] + suspension.joint * sin_roll - spring * cos_roll;
-        f[at + 4] = GRAVITY - lift / axle.unsprung_mass;
+        f[at + 4] = effects.gravity[2] - lift / axle.unsprung_mass;
 
-        let share = if acceleration > 0.0 {
-            axle.drive_share
+        let (share, side) = if acceleration > 0.0 {
+            (axle.drive_share, [1.0; 2])
         } else {
-            axle.brake_share
+            (effects.brake_share[i], effects.brake_side)
         };
         let torque = 0.5 * share * parameters.mass * parameters.wheel.radius * acceleration;
         for w in 0..2 {
@@ -100,7 +122,8 @@ pub fn derivative(
             f[WHEELS.start + 2 * i + w] = if state.spin[w] < 0.0 {
                 0.0
             } else {
-                (torque - parameters.wheel.radius * road.tyre[w].x) / parameters.wheel.inertia
+                (side[w] * torque - parameters.wheel.radius * road.tyre[w].x)
+                    / parameters.wheel.inertia
             };
         }
         f[27 + i] = suspension.joint_rate;
@@ -108,14 +131,20 @@ pub fn derivative(
     Ok(f)
 }
 
-/// Lateral acceleration of the sprung mass, m/s², as measured by an accelerometer in the body.
+/// Lateral acceleration of the sprung mass, m/s², as measured by an accelerometer in the body, which does not feel
+/// gravity.
 ///
-/// It depends on suspension and joints only, so neither input nor friction is needed.
-pub fn lateral_acceleration(parameters: &Parameters, x: &StateVector) -> f64 {
+/// It depends on suspension, joints and wind only, so neither input nor surface is needed.
+pub(crate) fn lateral_acceleration(
+    parameters: &Parameters,
+    effects: &Effects,
+    x: &StateVector,
+) -> f64 {
     let body = Body::of(x);
     let states = AxleState::both(x);
     let suspension = axles(parameters, &body, &states).map(|axle| axle.suspension());
-    sprung_lateral_acceleration(parameters, &body, &suspension)
+    let wind = effects.wind_force(&body);
+    sprung_lateral_acceleration(effects, body.roll.sin_cos(), &suspension, wind)
 }
 
 /// Sets yaw rate, lateral speeds and wheel speeds to those of the kinematic single track with rolling wheels.
@@ -163,17 +192,18 @@ fn axles<'a>(
     ]
 }
 
+/// [`lateral_acceleration`], given sine and cosine of the body's roll and the force of the wind.
 fn sprung_lateral_acceleration(
-    parameters: &Parameters,
-    body: &Body,
+    effects: &Effects,
+    (sin_roll, cos_roll): (f64, f64),
     suspension: &[Suspension; 2],
+    wind: f64,
 ) -> f64 {
-    let (sin_roll, cos_roll) = body.roll.sin_cos();
     let force: f64 = suspension
         .iter()
         .map(|s| s.joint * cos_roll + (s.spring[0] + s.spring[1]) * sin_roll)
         .sum();
-    force / parameters.sprung.mass
+    (force + wind) / effects.sprung_mass
 }
 
 /// Planar motion at walking speed: a kinematic single track about the centre of mass.

@@ -1,5 +1,6 @@
 //! Errors of the plant.
 
+use egp_parameters::SurfaceError;
 use thiserror::Error;
 
 /// An invalid input or a failed step. The state is then unchanged.
@@ -19,9 +20,23 @@ pub enum PlantError {
     /// A period that is not positive.
     #[error("expected a period dt > 0 in seconds, got {0}")]
     Period(f64),
-    /// A friction coefficient for which the tyre has no force law.
-    #[error("expected a friction coefficient > 0, got {0}; dry asphalt is about 1, ice 0.1")]
-    Friction(f64),
+    /// A surface for which the tyre has no force law.
+    #[error(transparent)]
+    Surface(#[from] SurfaceError),
+    /// A disturbance out of its range.
+    #[error("expected the disturbance {name} from {low} to {high} {unit}, got {value}")]
+    Disturbance {
+        /// The field of [`crate::Disturbances`].
+        name: &'static str,
+        /// Its unit.
+        unit: &'static str,
+        /// Smallest value.
+        low: f64,
+        /// Largest value.
+        high: f64,
+        /// The given value.
+        value: f64,
+    },
     /// A friction map that is not a grid.
     #[error("expected rows x columns = {expected} friction values in at least one cell, got {got}")]
     MapShape {

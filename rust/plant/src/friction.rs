@@ -1,42 +1,40 @@
-//! Friction of the road at a position.
+//! Surface of the road at a position.
 
-use crate::PlantError;
+use crate::{PlantError, Surface};
 
-/// The friction coefficient under a wheel.
-///
-/// The coefficient `mu` is the ratio of the longitudinal peak force to the load; for the lateral force it is `0.9 mu`.
+/// The surface under a wheel.
 pub trait Friction {
-    /// Coefficient at a contact position `[x, y]`, m.
-    fn coefficient(&self, position: [f64; 2]) -> f64;
+    /// Surface at a contact position `[x, y]`, m.
+    fn surface(&self, position: [f64; 2]) -> Surface;
 }
 
 impl<F: Friction + ?Sized> Friction for &F {
-    fn coefficient(&self, position: [f64; 2]) -> f64 {
-        (**self).coefficient(position)
+    fn surface(&self, position: [f64; 2]) -> Surface {
+        (**self).surface(position)
     }
 }
 
-/// A surface of constant friction.
+/// The same surface everywhere.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Uniform(f64);
+pub struct Uniform(Surface);
 
 impl Uniform {
-    /// A surface of coefficient `mu`.
+    /// A road of one surface, or of the friction coefficient `mu`.
     ///
     /// # Errors
-    /// [`PlantError::Friction`] unless `mu` is finite and positive.
-    pub fn new(mu: f64) -> Result<Self, PlantError> {
-        checked(mu).map(Self)
+    /// [`PlantError::Surface`] if the surface is out of range.
+    pub fn new(surface: impl Into<Surface>) -> Result<Self, PlantError> {
+        checked(surface.into()).map(Self)
     }
 }
 
 impl Friction for Uniform {
-    fn coefficient(&self, _position: [f64; 2]) -> f64 {
+    fn surface(&self, _position: [f64; 2]) -> Surface {
         self.0
     }
 }
 
-/// Friction on a regular grid aligned with the axes, constant within a cell. Outside the grid the friction is that of
+/// Surfaces on a regular grid aligned with the axes, constant within a cell. Outside the grid the surface is that of
 /// the nearest border cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Map {
@@ -44,21 +42,21 @@ pub struct Map {
     cell: f64,
     columns: usize,
     rows: usize,
-    values: Vec<f64>,
+    values: Vec<Surface>,
 }
 
 impl Map {
     /// A grid of `rows x columns` square cells of side `cell` (m) whose lower left corner is `origin` (m).
     ///
-    /// `values` are in row-major order; rows increase along +y, columns along +x.
+    /// `values` are surfaces or friction coefficients in row-major order; rows increase along +y, columns along +x.
     ///
     /// # Errors
-    /// [`PlantError::MapShape`], [`PlantError::MapCell`], [`PlantError::NotFinite`], [`PlantError::Friction`].
+    /// [`PlantError::MapShape`], [`PlantError::MapCell`], [`PlantError::NotFinite`], [`PlantError::Surface`].
     pub fn new(
         origin: [f64; 2],
         cell: f64,
         [rows, columns]: [usize; 2],
-        values: Vec<f64>,
+        values: Vec<impl Into<Surface>>,
     ) -> Result<Self, PlantError> {
         for coordinate in origin {
             crate::error::finite("map origin", coordinate)?;
@@ -72,9 +70,10 @@ impl Map {
                 got: values.len(),
             });
         }
-        for &value in &values {
-            checked(value)?;
-        }
+        let values = values
+            .into_iter()
+            .map(|value| checked(value.into()))
+            .collect::<Result<_, _>>()?;
         Ok(Self {
             origin,
             cell,
@@ -86,7 +85,7 @@ impl Map {
 }
 
 impl Friction for Map {
-    fn coefficient(&self, position: [f64; 2]) -> f64 {
+    fn surface(&self, position: [f64; 2]) -> Surface {
         // Float to integer casts saturate, so positions left of or below the grid use its first cells.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         let index = |i: usize, count: usize| {
@@ -96,18 +95,17 @@ impl Friction for Map {
     }
 }
 
-/// `mu` if it is finite and positive.
-pub(crate) fn checked(mu: f64) -> Result<f64, PlantError> {
-    if mu.is_finite() && mu > 0.0 {
-        Ok(mu)
-    } else {
-        Err(PlantError::Friction(mu))
-    }
+/// The surface if it is within range.
+pub(crate) fn checked(surface: Surface) -> Result<Surface, PlantError> {
+    surface.validate()?;
+    Ok(surface)
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use egp_parameters::SurfaceError;
+
     use super::*;
 
     #[test]
@@ -119,19 +117,19 @@ mod tests {
             vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
         )
         .unwrap();
-        assert_eq!(map.coefficient([10.5, -4.0]), 0.1);
-        assert_eq!(map.coefficient([13.9, -3.1]), 0.2);
-        assert_eq!(map.coefficient([14.1, -2.9]), 0.6);
-        assert_eq!(map.coefficient([-1e9, 1e9]), 0.4);
-        assert_eq!(map.coefficient([1e9, -1e9]), 0.3);
+        assert_eq!(map.surface([10.5, -4.0]).friction(), 0.1);
+        assert_eq!(map.surface([13.9, -3.1]).friction(), 0.2);
+        assert_eq!(map.surface([14.1, -2.9]).friction(), 0.6);
+        assert_eq!(map.surface([-1e9, 1e9]).friction(), 0.4);
+        assert_eq!(map.surface([1e9, -1e9]).friction(), 0.3);
     }
 
     #[test]
     fn invalid_surfaces_are_errors() {
-        assert_eq!(Uniform::new(0.0), Err(PlantError::Friction(0.0)));
+        assert_eq!(Uniform::new(0.0), Err(SurfaceError::Peak(0.0).into()));
         assert!(matches!(
             Uniform::new(f64::NAN),
-            Err(PlantError::Friction(_))
+            Err(PlantError::Surface(_))
         ));
         assert_eq!(
             Map::new([0.0; 2], 1.0, [2, 2], vec![1.0]),
@@ -146,7 +144,7 @@ mod tests {
         );
         assert_eq!(
             Map::new([0.0; 2], 1.0, [1, 1], vec![-1.0]),
-            Err(PlantError::Friction(-1.0))
+            Err(SurfaceError::Peak(-1.0).into())
         );
     }
 }

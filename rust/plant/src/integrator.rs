@@ -1,8 +1,9 @@
 //! Classical Runge-Kutta integration and its longest substep.
 
-use crate::dynamics::KINEMATIC_SPEED;
+use crate::dynamics::{KINEMATIC_SPEED, disturbed_derivative};
+use crate::effects::Effects;
 use crate::state::{NX, StateVector};
-use crate::{Parameters, PlantError, derivative};
+use crate::{Parameters, PlantError, Surface};
 
 /// Longest substep at any speed, s.
 pub const MAX_SUBSTEP: f64 = 5e-3;
@@ -14,25 +15,37 @@ pub const MAX_SUBSTEP: f64 = 5e-3;
 /// stable up to `2.78 tau`; `2 tau` at static load leaves a margin for load transfer. At walking speed there is no
 /// slip.
 pub fn longest_substep(parameters: &Parameters, v_x: f64) -> f64 {
+    disturbed_longest_substep(parameters, v_x, 1.0, 0.0)
+}
+
+/// [`longest_substep`] where surfaces scale the stiffness by at most `stiffness` and a load of `weight` N may act on one
+/// wheel. A lower stiffness does not lengthen the substep, because the other modes have the same time constants.
+pub(crate) fn disturbed_longest_substep(
+    parameters: &Parameters,
+    v_x: f64,
+    stiffness: f64,
+    weight: f64,
+) -> f64 {
     if v_x < KINEMATIC_SPEED {
         return MAX_SUBSTEP;
     }
     let [front, rear] = parameters.static_wheel_loads();
     let wheel = &parameters.wheel;
-    let stiffness = parameters.tyre.p_kx1 * front.max(rear);
+    let stiffness = stiffness.max(1.0) * parameters.tyre.p_kx1 * (front.max(rear) + weight);
     let tau = wheel.inertia * v_x / (wheel.radius * wheel.radius * stiffness);
     MAX_SUBSTEP.min(2.0 * tau)
 }
 
-/// The state after `h` seconds under constant input and friction.
+/// The state after `h` seconds under constant input and surfaces.
 pub(crate) fn rk4(
     parameters: &Parameters,
+    effects: &Effects,
     x: &StateVector,
     input: [f64; 2],
-    friction: [f64; 4],
+    surfaces: &[Surface; 4],
     h: f64,
 ) -> Result<StateVector, PlantError> {
-    let slope = |x: &StateVector| derivative(parameters, x, input, friction);
+    let slope = |x: &StateVector| disturbed_derivative(parameters, effects, x, input, surfaces);
     let k1 = slope(x)?;
     let k2 = slope(&along(x, &k1, 0.5 * h))?;
     let k3 = slope(&along(x, &k2, 0.5 * h))?;

@@ -1,4 +1,4 @@
-//! egp-plant: simulation of a 29-state multi-body vehicle on a surface with given friction.
+//! egp-plant: simulation of a 29-state multi-body vehicle on given road surfaces.
 //!
 //! The equations are those of the multi-body vehicle of the CommonRoad benchmarks (Althoff and Würsching,
 //! "CommonRoad: Vehicle Models", 2020, section on the multi-body model, after R. W. Allen et al.,
@@ -26,7 +26,9 @@
 
 mod axle;
 mod batch;
+mod disturbances;
 mod dynamics;
+mod effects;
 mod error;
 mod friction;
 mod integrator;
@@ -36,10 +38,11 @@ mod plant;
 mod state;
 mod tyre;
 
-pub use egp_parameters::GRAVITY;
+pub use egp_parameters::{ForceCurve, GRAVITY, Surface, SurfaceError};
 
 pub use batch::{BatchItem, step_batch};
-pub use dynamics::{KINEMATIC_SPEED, derivative, lateral_acceleration};
+pub use disturbances::Disturbances;
+pub use dynamics::{KINEMATIC_SPEED, derivative};
 pub use error::PlantError;
 pub use friction::{Friction, Map, Uniform};
 pub use integrator::{MAX_SUBSTEP, longest_substep};

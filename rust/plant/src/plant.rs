@@ -1,12 +1,12 @@
 //! The simulated vehicle.
 
 use crate::axle::wheel_offsets;
-use crate::dynamics::{KINEMATIC_SPEED, roll_without_slip};
+use crate::dynamics::{KINEMATIC_SPEED, lateral_acceleration, roll_without_slip};
+use crate::effects::Effects;
 use crate::error::finite;
-use crate::friction::checked;
-use crate::integrator::{longest_substep, rk4};
+use crate::integrator::{disturbed_longest_substep, rk4};
 use crate::state::{STATE_NAMES, StateVector, VehicleState, WHEELS, initial_state, settled};
-use crate::{Friction, Parameters, PlantError, lateral_acceleration};
+use crate::{Disturbances, Friction, Parameters, PlantError, Surface};
 
 /// A vehicle and its state.
 ///
@@ -17,6 +17,7 @@ use crate::{Friction, Parameters, PlantError, lateral_acceleration};
 #[derive(Clone, Debug)]
 pub struct Plant {
     parameters: Parameters,
+    effects: Effects,
     state: StateVector,
 }
 
@@ -24,7 +25,25 @@ impl Plant {
     /// A vehicle at rest in the origin, heading along +x.
     pub fn new(parameters: Parameters) -> Self {
         let state = settled(&parameters, &VehicleState::default());
-        Self { parameters, state }
+        let effects = Effects::new(&parameters, &Disturbances::default());
+        Self {
+            parameters,
+            effects,
+            state,
+        }
+    }
+
+    /// Replaces the disturbances of the vehicle, which has none at first.
+    ///
+    /// The state is kept, so a load sinks into the springs during the first second. A vehicle that stands on a slope does
+    /// not roll backward, and at walking speed neither wind nor bank move it sideways.
+    ///
+    /// # Errors
+    /// [`PlantError::Disturbance`] if a value is out of its range. The disturbances are then unchanged.
+    pub fn disturb(&mut self, disturbances: &Disturbances) -> Result<(), PlantError> {
+        disturbances.validate(&self.parameters)?;
+        self.effects = Effects::new(&self.parameters, disturbances);
+        Ok(())
     }
 
     /// The vehicle's parameters.
@@ -44,7 +63,7 @@ impl Plant {
 
     /// Lateral acceleration of the body, m/s².
     pub fn lateral_acceleration(&self) -> f64 {
-        lateral_acceleration(&self.parameters, &self.state)
+        lateral_acceleration(&self.parameters, &self.effects, &self.state)
     }
 
     /// Resets the vehicle to a state with its suspension at rest and its wheels rolling.
@@ -73,7 +92,7 @@ impl Plant {
 
     /// Moves by `dt` seconds under the constant input `[F_x, delta_dot]` (N, rad/s).
     ///
-    /// Friction is evaluated under each wheel once per substep (at most [`crate::MAX_SUBSTEP`]).
+    /// The surface is evaluated under each wheel once per substep (at most [`crate::MAX_SUBSTEP`]).
     ///
     /// # Errors
     /// [`PlantError`] if an input is invalid, or [`PlantError::Spun`] or [`PlantError::Diverged`] if the step fails.
@@ -88,10 +107,11 @@ impl Plant {
         let mut state = self.state;
         let mut remaining = dt;
         while remaining > 0.0 {
+            let surfaces = self.surfaces_under_wheels(&state, friction)?;
             // Equal substeps over the remaining time avoid a very short last substep.
-            let count = (remaining / longest_substep(&self.parameters, state[3])).ceil();
+            let count = (remaining / self.longest_substep(&state, &surfaces)).ceil();
             let h = remaining / count;
-            state = self.substep(&state, input, h, friction)?;
+            state = self.substep(&state, input, h, &surfaces)?;
             remaining = if count > 1.0 { remaining - h } else { 0.0 };
         }
         self.state = state;
@@ -103,17 +123,18 @@ impl Plant {
         state: &StateVector,
         [force, steering_rate]: [f64; 2],
         h: f64,
-        friction: &(impl Friction + ?Sized),
+        surfaces: &[Surface; 4],
     ) -> Result<StateVector, PlantError> {
-        let mu = self.friction_under_wheels(state, friction)?;
         let v_x = state[3];
         // Braking ends at standstill, which a substep that starts above walking speed cannot reach.
         let force = if v_x < KINEMATIC_SPEED {
-            force.max(-self.parameters.mass * v_x / h)
+            let mass = self.effects.mass;
+            force.max(-mass * v_x / h - mass * self.effects.gravity[0])
         } else {
             force
         };
-        let mut next = rk4(&self.parameters, state, [force, steering_rate], mu, h)?;
+        let input = [force, steering_rate];
+        let mut next = rk4(&self.parameters, &self.effects, state, input, surfaces, h)?;
         if let Some(i) = next.iter().position(|value| !value.is_finite()) {
             return Err(PlantError::Diverged {
                 name: STATE_NAMES[i],
@@ -131,27 +152,51 @@ impl Plant {
         Ok(next)
     }
 
-    fn friction_under_wheels(
+    fn longest_substep(&self, state: &StateVector, surfaces: &[Surface; 4]) -> f64 {
+        let mut stiffest = 1.0;
+        for surface in surfaces {
+            for stiffness in [surface.longitudinal.stiffness, surface.lateral.stiffness] {
+                if stiffness > stiffest {
+                    stiffest = stiffness;
+                }
+            }
+        }
+        let weight = self.effects.weight;
+        disturbed_longest_substep(&self.parameters, state[3], stiffest, weight)
+    }
+
+    /// The surface under each wheel as its tyre finds it.
+    fn surfaces_under_wheels(
         &self,
         state: &StateVector,
         friction: &(impl Friction + ?Sized),
-    ) -> Result<[f64; 4], PlantError> {
+    ) -> Result<[Surface; 4], PlantError> {
         let [front, rear] = self.parameters.axles();
         let [a, b] = wheel_offsets(front);
         let [c, d] = wheel_offsets(rear);
         let (sin, cos) = state[4].sin_cos();
-        let mut mu = [0.0; 4];
+        let [new_front, new_rear] = self.effects.tyres;
         let contacts = [
             (front.position, a),
             (front.position, b),
             (rear.position, c),
             (rear.position, d),
         ];
-        for (mu, (x, y)) in mu.iter_mut().zip(contacts) {
-            let contact = [state[0] + x * cos - y * sin, state[1] + x * sin + y * cos];
-            *mu = checked(friction.coefficient(contact))?;
+        let mut surfaces = contacts.map(|(x, y)| {
+            friction.surface([state[0] + x * cos - y * sin, state[1] + x * sin + y * cos])
+        });
+        for surface in &surfaces {
+            surface.validate()?;
         }
-        Ok(mu)
+        if new_front < 1.0 || new_rear < 1.0 {
+            for (surface, left) in surfaces
+                .iter_mut()
+                .zip([new_front, new_front, new_rear, new_rear])
+            {
+                *surface = surface.worn(left);
+            }
+        }
+        Ok(surfaces)
     }
 }
 

@@ -3,13 +3,14 @@
 //! H. B. Pacejka, "Tire and Vehicle Dynamics", 3rd ed., section 4.3.2, without turn slip, with the simplifications of
 //! the CommonRoad vehicles (shape and stiffness do not vary with load, no ply-steer terms).
 
-/// Ratio of lateral to longitudinal friction coefficient. Surfaces are specified by the longitudinal coefficient.
-const LATERAL_OVER_LONGITUDINAL: f64 = 0.9;
+use egp_parameters::{ForceCurve, Surface};
 
 /// Coefficients named as in the reference: `p` pure slip, `r` combined slip, `x` longitudinal, `y` lateral,
 /// `b c d e k` stiffness, shape, peak, curvature and slip stiffness factors, `h v` horizontal and vertical shifts.
 ///
-/// The peaks `p_dx1` and `p_dy1` are not parameters; they are the friction of the surface, `mu` and `0.9 mu`.
+/// The peaks `p_dx1` and `p_dy1` are not parameters; they are the friction of the surface. Its factors scale the pure-slip
+/// stiffness `k`, shape `c` and curvature `e` as Pacejka's `lambda` do; the coefficients of combined slip and the shifts are
+/// the same on all surfaces.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(missing_docs)]
 pub struct TyreParameters {
@@ -81,9 +82,9 @@ impl TyreParameters {
     };
 }
 
-/// Slip, load and friction of a tyre's contact.
+/// Slip, load and surface of a tyre's contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Contact {
+pub struct Contact<'a> {
     /// Longitudinal slip `1 - R w / u`: 0 rolling, 1 locked, negative when driven.
     pub slip: f64,
     /// Slip angle, rad.
@@ -92,8 +93,8 @@ pub struct Contact {
     pub camber: f64,
     /// Vertical load, N.
     pub load: f64,
-    /// Friction coefficient of the surface under this wheel, > 0.
-    pub friction: f64,
+    /// The surface under this wheel.
+    pub surface: &'a Surface,
 }
 
 /// Force of the road on a tyre in the wheel's axes, N.
@@ -107,17 +108,17 @@ pub struct TyreForce {
 
 impl TyreParameters {
     /// Force under combined slip.
-    pub fn force(&self, contact: &Contact) -> TyreForce {
+    pub fn force(&self, contact: &Contact<'_>) -> TyreForce {
         let &Contact {
             slip,
             slip_angle,
             camber,
             load,
-            friction,
+            surface,
         } = contact;
-        let mu_y = LATERAL_OVER_LONGITUDINAL * friction * (1.0 - self.p_dy3 * camber * camber);
-        let pure_x = self.pure_longitudinal(slip, camber, load, friction);
-        let pure_y = self.pure_lateral(slip_angle, camber, load, mu_y);
+        let mu_y = surface.lateral.peak * (1.0 - self.p_dy3 * camber * camber);
+        let pure_x = self.pure_longitudinal(slip, camber, load, &surface.longitudinal);
+        let pure_y = self.pure_lateral(slip_angle, camber, load, mu_y, &surface.lateral);
 
         let b_x = self.r_bx1 * cos_atan(self.r_bx2 * slip);
         let weight_x = reduction(b_x, self.r_cx1, self.r_ex1, self.r_hx1, slip_angle);
@@ -137,22 +138,31 @@ impl TyreParameters {
     }
 
     /// `D sin(C atan(..) + S_v)`, with the shift inside the sine as in the original.
-    fn pure_longitudinal(&self, slip: f64, camber: f64, load: f64, friction: f64) -> f64 {
-        let mu_x = friction * (1.0 - self.p_dx3 * camber * camber);
+    fn pure_longitudinal(&self, slip: f64, camber: f64, load: f64, curve: &ForceCurve) -> f64 {
+        let mu_x = curve.peak * (1.0 - self.p_dx3 * camber * camber);
         let shift = load * self.p_vx1;
         // The load cancels in B because B C D = K = p_kx1 load, so an unloaded tyre needs no special case.
-        let b = self.p_kx1 / (self.p_cx1 * mu_x);
-        let angle = magic_angle(b, self.p_cx1, self.p_ex1, self.p_hx1 - slip);
+        let (k, c) = (curve.stiffness * self.p_kx1, curve.shape * self.p_cx1);
+        let e = curve.curvature * self.p_ex1;
+        let angle = magic_angle(k / (c * mu_x), c, e, self.p_hx1 - slip);
         mu_x * load * (angle + shift).sin()
     }
 
     /// `D sin(C atan(..)) + S_v`; the sign of both shifts is that of the camber.
-    fn pure_lateral(&self, slip_angle: f64, camber: f64, load: f64, mu_y: f64) -> f64 {
+    fn pure_lateral(
+        &self,
+        slip_angle: f64,
+        camber: f64,
+        load: f64,
+        mu_y: f64,
+        curve: &ForceCurve,
+    ) -> f64 {
         let side = if camber == 0.0 { 0.0 } else { camber.signum() };
         let horizontal = side * (self.p_hy1 + self.p_hy3 * camber.abs());
         let vertical = side * load * (self.p_vy1 + self.p_vy3 * camber.abs());
-        let b = self.p_ky1 / (self.p_cy1 * mu_y);
-        let angle = magic_angle(b, self.p_cy1, self.p_ey1, slip_angle + horizontal);
+        let (k, c) = (curve.stiffness * self.p_ky1, curve.shape * self.p_cy1);
+        let e = curve.curvature * self.p_ey1;
+        let angle = magic_angle(k / (c * mu_y), c, e, slip_angle + horizontal);
         mu_y * load * angle.sin() + vertical
     }
 }

@@ -3,8 +3,8 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use egp_plant::{
-    BatchItem, Contact, Friction, GRAVITY, MAX_SUBSTEP, Map, Plant, PlantError, Uniform, VehicleId,
-    VehicleState, derivative, initial_state, longest_substep, step_batch,
+    BatchItem, Contact, Friction, GRAVITY, MAX_SUBSTEP, Map, Plant, PlantError, Surface, Uniform,
+    VehicleId, VehicleState, derivative, initial_state, longest_substep, step_batch,
 };
 use proptest::prelude::*;
 
@@ -30,7 +30,7 @@ proptest! {
         load in 0.0..9000.0f64, friction in 0.05..1.5f64,
     ) {
         let tyre = VehicleId::FordEscort.parameters().tyre;
-        let force = tyre.force(&Contact { slip, slip_angle, camber, load, friction });
+        let force = tyre.force(&Contact { slip, slip_angle, camber, load, surface: &friction.into() });
         // The weighting factors exceed 1 because of the shifts; the lateral force also has the vertical shift of 0.04
         // load.
         prop_assert!(force.x.abs() <= 1.02 * friction * load);
@@ -86,7 +86,7 @@ fn a_settled_vehicle_carries_its_weight() {
         assert!((2.0 * (front + rear) - weight).abs() < 1e-9 * weight);
 
         let x = initial_state(&parameters, &at_speed(20.0)).unwrap();
-        let f = derivative(&parameters, &x, [0.0; 2], [1.0; 4]).unwrap();
+        let f = derivative(&parameters, &x, [0.0; 2], &[Surface::from(1.0); 4]).unwrap();
         for vertical in [12, 17, 22] {
             assert!(
                 f[vertical].abs() < 1e-9,
@@ -170,7 +170,7 @@ fn brakes_stop_and_hold_and_the_vehicle_drives_away_again() {
 fn braking_with_ice_on_the_left_turns_the_vehicle_right() {
     // This checks the wheel order: y is to the left. Cells are 1 km wide.
     let split = Map::new([-1000.0, -1000.0], 1000.0, [2, 2], vec![1.0, 1.0, 0.2, 0.2]).unwrap();
-    assert_eq!(split.coefficient([0.0, 0.7]), 0.2);
+    assert_eq!(split.surface([0.0, 0.7]).friction(), 0.2);
     for vehicle in VEHICLES {
         let mut plant = plant(vehicle, at_speed(20.0));
         let brake = [-6.0 * plant.parameters().mass, 0.0];
@@ -294,7 +294,7 @@ fn controllers_know_the_vehicles_that_are_simulated() {
                 slip_angle,
                 camber: 0.0,
                 load: 3000.0,
-                friction: 1.0,
+                surface: &Surface::from(1.0),
             };
             plant.tyre.force(&contact).y.abs()
         };

@@ -66,7 +66,7 @@ mod _core {
         #[pymodule_export]
         use crate::plant::{Plant, plant_derivative, plant_initial_states, plant_step_batch};
         #[pymodule_export]
-        use crate::surface::FrictionMap;
+        use crate::surface::{FrictionMap, surface_friction};
     }
 
     #[pymodule]

@@ -52,6 +52,11 @@ macro_rules! methods {
                 fields.map(|(name, _, value)| (name, value)).collect()
             }
 
+            #[doc = doc!(VehicleParameters.gate_limits)]
+            fn gate_limits(&self) -> BTreeMap<&'static str, f64> {
+                let limits = Limits::of(&self.0).fields().into_iter();
+                limits.map(|(name, _, value)| (name, value)).collect()
+            }
 
             fn __repr__(&self) -> String {
                 let field = |(name, _, value)| format!("{name}={value:?}");

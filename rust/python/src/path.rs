@@ -14,6 +14,7 @@ use pyo3::prelude::*;
 use crate::array::{Matrix, NewMatrix, NewVector, Vector, array, fixed, rows, vector};
 use crate::error::{EgpError, raise};
 use crate::parameters::VehicleParameters;
+use crate::surface::SurfaceValue;
 
 /// x, y, yaw, curvature, left, right, friction.
 type Samples<'py> = (
@@ -28,11 +29,11 @@ type Samples<'py> = (
 /// Rows of the reference, rows of the widths if the path has any, and the projection.
 type Reference<'py> = (NewMatrix<'py>, Option<NewMatrix<'py>>, Projection);
 
-/// Start and friction of a zone; a split zone has a friction to the left and one to the right.
+/// Start and surface of a zone; a split zone has a surface to the left and one to the right.
 #[derive(FromPyObject)]
 enum ZoneTuple {
-    Even(f64, f64),
-    Split(f64, f64, f64),
+    Even(f64, SurfaceValue),
+    Split(f64, SurfaceValue, SurfaceValue),
 }
 
 #[doc = doc!(Path)]
@@ -168,14 +169,14 @@ impl Path {
         let zones: Vec<_> = zones
             .into_iter()
             .map(|zone| match zone {
-                ZoneTuple::Even(start, friction) => Zone::new(start, friction),
-                ZoneTuple::Split(start, friction, right) => Zone {
+                ZoneTuple::Even(start, surface) => Ok(Zone::new(start, surface.surface()?)),
+                ZoneTuple::Split(start, surface, right) => Ok(Zone {
                     start,
-                    friction,
-                    right: Some(right),
-                },
+                    surface: surface.surface()?,
+                    right: Some(right.surface()?),
+                }),
             })
-            .collect();
+            .collect::<PyResult<_>>()?;
         self.0
             .clone()
             .with_friction(&zones)

@@ -1,12 +1,18 @@
 //! `Plant` and the functions on many states at once.
 
-use egp_plant::{BatchItem, NX, Parameters, StateVector, Uniform, VehicleId, VehicleState};
+use std::collections::BTreeMap;
+
+use egp_plant::{
+    BatchItem, Disturbances, NX, Parameters, StateVector, Surface, Uniform, VehicleId, VehicleState,
+};
 use pyo3::prelude::*;
+use serde::Deserialize as _;
+use serde::de::value::{Error, MapDeserializer};
 
 use crate::array::{Matrix, NewMatrix, NewVector, Vector, array, fixed, rows, vector};
 use crate::error::{EgpError, raise};
 use crate::parameters::VehicleParameters;
-use crate::surface::Surface;
+use crate::surface::{Road, SurfaceValue};
 
 /// A batch after one period: the states, and which plants completed it.
 type Stepped<'py> = (NewMatrix<'py>, NewVector<'py, bool>);
@@ -18,10 +24,17 @@ pub struct Plant(egp_plant::Plant, VehicleId);
 #[pymethods]
 impl Plant {
     #[new]
-    #[pyo3(signature = (vehicle = 1))]
-    fn new(vehicle: u32) -> PyResult<Self> {
+    #[pyo3(signature = (vehicle = 1, disturbances = None))]
+    fn new(vehicle: u32, disturbances: Option<BTreeMap<String, f64>>) -> PyResult<Self> {
         let id = VehicleId::try_from(vehicle).map_err(raise)?;
-        Ok(Self(egp_plant::Plant::new(id.parameters()), id))
+        let mut plant = egp_plant::Plant::new(id.parameters());
+        if let Some(fields) = disturbances {
+            let deserializer = MapDeserializer::<_, Error>::new(fields.into_iter());
+            let disturbances = Disturbances::deserialize(deserializer)
+                .map_err(|error| raise(format!("disturbances: {error}")))?;
+            plant.disturb(&disturbances).map_err(raise)?;
+        }
+        Ok(Self(plant, id))
     }
 
     #[doc = doc!(Plant.reset)]
@@ -47,7 +60,7 @@ impl Plant {
         &mut self,
         u: Vector<'_>,
         dt: f64,
-        friction: Surface<'_>,
+        friction: Road<'_>,
         hint: Option<f64>,
     ) -> PyResult<()> {
         let input = fixed("u", &u)?;
@@ -103,6 +116,22 @@ pub enum WheelFriction<'py> {
     Wheels(Vector<'py>),
 }
 
+/// A friction coefficient for each vehicle of a batch, or one surface for all.
+#[derive(FromPyObject)]
+pub enum BatchSurface<'py> {
+    Each(Vector<'py>),
+    One(SurfaceValue),
+}
+
+impl BatchSurface<'_> {
+    fn surfaces(&self, count: usize) -> PyResult<Vec<Surface>> {
+        match self {
+            Self::Each(frictions) => Ok(frictions.as_array().iter().map(|&mu| mu.into()).collect()),
+            Self::One(value) => Ok(vec![value.surface()?; count]),
+        }
+    }
+}
+
 /// Right-hand side of the 29 differential equations.
 ///
 /// `friction` is one coefficient or four: front -y, front +y, rear -y, rear +y, with y to the left.
@@ -115,7 +144,7 @@ pub fn plant_derivative<'py>(
     friction: WheelFriction<'py>,
     vehicle: u32,
 ) -> PyResult<NewVector<'py>> {
-    let friction = match friction {
+    let friction: [f64; 4] = match friction {
         WheelFriction::Uniform(mu) => [mu; 4],
         WheelFriction::Wheels(mu) => fixed("friction", &mu)?,
     };
@@ -123,7 +152,7 @@ pub fn plant_derivative<'py>(
         &parameters(vehicle)?,
         &fixed("state", &state)?,
         fixed("u", &u)?,
-        friction,
+        &friction.map(Surface::from),
     )
     .map(|slope| vector(py, slope))
     .map_err(raise)
@@ -149,8 +178,8 @@ pub fn plant_initial_states<'py>(
 
 /// Drive n vehicles `dt` seconds on all cores without the GIL.
 ///
-/// States (n, 29), inputs (n, 2), friction (n,). Returns the new states and which vehicles completed the period; one
-/// that spun keeps its state.
+/// States (n, 29), inputs (n, 2), friction (n,) or one surface for all. Returns the new states and which vehicles
+/// completed the period; one that spun keeps its state.
 #[pyfunction]
 #[pyo3(signature = (states, u, dt, friction, vehicle = 1))]
 pub fn plant_step_batch<'py>(
@@ -158,14 +187,14 @@ pub fn plant_step_batch<'py>(
     states: Matrix<'py>,
     u: Matrix<'py>,
     dt: f64,
-    friction: Vector<'py>,
+    friction: BatchSurface<'py>,
     vehicle: u32,
 ) -> PyResult<Stepped<'py>> {
     let parameters = parameters(vehicle)?;
     let states = rows::<NX>("states", &states)?;
     let inputs = rows::<2>("u", &u)?;
-    let friction = friction.as_array();
-    for (name, count) in [("u", inputs.len()), ("friction", friction.len())] {
+    let surfaces = friction.surfaces(states.len())?;
+    for (name, count) in [("u", inputs.len()), ("friction", surfaces.len())] {
         if count != states.len() {
             let expected = states.len();
             return Err(EgpError::new_err(format!(
@@ -173,14 +202,14 @@ pub fn plant_step_batch<'py>(
             )));
         }
     }
-    let mut items = (states.iter().zip(inputs).zip(friction))
-        .map(|((state, input), &mu)| {
+    let mut items = (states.iter().zip(inputs).zip(surfaces))
+        .map(|((state, input), surface)| {
             let mut plant = egp_plant::Plant::new(parameters.clone());
             plant.set_state(state)?;
             Ok(BatchItem {
                 plant,
                 input,
-                friction: Uniform::new(mu)?,
+                friction: Uniform::new(surface)?,
             })
         })
         .collect::<Result<Vec<_>, egp_plant::PlantError>>()

@@ -1,13 +1,76 @@
-//! Surfaces for a plant: a coefficient, a map, or a path with friction zones.
+//! Surfaces for a plant: one surface, a map, or a path with zones of surfaces.
 
 use std::cell::Cell;
+use std::collections::BTreeMap;
 
-use egp_plant::{Friction, Map, Uniform};
+use egp_plant::{Friction, Map, Surface, Uniform};
 use pyo3::prelude::*;
 
 use crate::array::Matrix;
 use crate::error::raise;
 use crate::path::Path;
+
+/// A surface: a friction coefficient, the name of a preset, or a table of factors.
+#[derive(FromPyObject)]
+pub enum SurfaceValue {
+    Friction(f64),
+    Preset(String),
+    Table(BTreeMap<String, f64>),
+}
+
+impl SurfaceValue {
+    /// The surface, whose values may be out of range.
+    ///
+    /// # Errors
+    /// An unknown preset, or a table without a peak or with an unknown field.
+    pub fn surface(&self) -> PyResult<Surface> {
+        match self {
+            Self::Friction(mu) => Ok((*mu).into()),
+            Self::Preset(name) => Surface::named(name).ok_or_else(|| {
+                let known = Surface::PRESETS.map(|(name, _)| name).join(", ");
+                raise(format!("no surface {name:?}; known: {known}"))
+            }),
+            Self::Table(table) => from_table(table.clone()).map_err(raise),
+        }
+    }
+}
+
+/// The surface of a table. Factors are 1 unless they are stated, and the lateral curve is that of [`Surface::new`].
+fn from_table(mut table: BTreeMap<String, f64>) -> Result<Surface, String> {
+    let peak =
+        (table.remove("peak")).ok_or("a surface needs its `peak`, the friction coefficient")?;
+    let mut factor = |name| table.remove(name).unwrap_or(1.0);
+    let mut surface = Surface::new(
+        peak,
+        factor("stiffness"),
+        factor("shape"),
+        factor("curvature"),
+    );
+    let lateral = &mut surface.lateral;
+    for (name, value) in [
+        ("lateral_peak", &mut lateral.peak),
+        ("lateral_stiffness", &mut lateral.stiffness),
+        ("lateral_shape", &mut lateral.shape),
+        ("lateral_curvature", &mut lateral.curvature),
+    ] {
+        *value = table.remove(name).unwrap_or(*value);
+    }
+    match table.into_keys().next() {
+        Some(unknown) => Err(format!(
+            "unknown field `{unknown}` of a surface; known: peak, stiffness, shape, curvature, lateral_peak, \
+             lateral_stiffness, lateral_shape, lateral_curvature"
+        )),
+        None => Ok(surface),
+    }
+}
+
+#[doc = doc!(surface_friction)]
+#[pyfunction]
+pub fn surface_friction(surface: SurfaceValue) -> PyResult<f64> {
+    let surface = surface.surface()?;
+    surface.validate().map_err(raise)?;
+    Ok(surface.friction())
+}
 
 #[doc = doc!(FrictionMap)]
 #[pyclass(module = "egp_service._core", frozen)]
@@ -28,20 +91,23 @@ impl FrictionMap {
 
 /// The `friction` argument of a step.
 #[derive(FromPyObject)]
-pub enum Surface<'py> {
-    Uniform(f64),
+pub enum Road<'py> {
+    // The members are tried in this order, and each failed attempt makes an exception: the usual ones come first.
+    Friction(f64),
     Map(Bound<'py, FrictionMap>),
     Path(Bound<'py, Path>),
+    Surface(SurfaceValue),
 }
 
-impl Surface<'_> {
-    /// The friction for the plant; on a path the search for the first wheel starts at the arc length `hint`.
+impl Road<'_> {
+    /// The surfaces for the plant; on a path the search for the first wheel starts at the arc length `hint`.
     ///
     /// # Errors
-    /// Errors if the coefficient is not positive.
+    /// Errors if the surface is unknown or out of range.
     pub fn friction(&self, hint: Option<f64>) -> PyResult<Box<dyn Friction + '_>> {
         Ok(match self {
-            Self::Uniform(mu) => Box::new(Uniform::new(*mu).map_err(raise)?),
+            Self::Friction(mu) => Box::new(Uniform::new(*mu).map_err(raise)?),
+            Self::Surface(value) => Box::new(Uniform::new(value.surface()?).map_err(raise)?),
             Self::Map(map) => Box::new(&map.get().0),
             Self::Path(path) => Box::new(OnPath {
                 path: &path.get().0,
@@ -51,7 +117,7 @@ impl Surface<'_> {
     }
 }
 
-/// The friction of a path beside the nearest point on it.
+/// The surface of a path beside the nearest point on it.
 struct OnPath<'a> {
     path: &'a egp_path::Path,
     /// Arc length under the last wheel, where the search for the next one starts.
@@ -59,9 +125,9 @@ struct OnPath<'a> {
 }
 
 impl Friction for OnPath<'_> {
-    fn coefficient(&self, position: [f64; 2]) -> f64 {
+    fn surface(&self, position: [f64; 2]) -> Surface {
         let projection = self.path.project(position, self.last.get());
         self.last.set(Some(projection.s));
-        self.path.friction_beside(projection.s, projection.lateral)
+        self.path.surface_beside(projection.s, projection.lateral)
     }
 }

@@ -12,7 +12,10 @@ from egp_service.cli.options import Cluster, Jobs
 def collect(
     output: Annotated[Path, typer.Option("--output", "-o", help="Parquet file to write.")],
     friction: Annotated[
-        float, typer.Option(help="Friction coefficient; for a log, its nominal value.")
+        str,
+        typer.Option(
+            help="Friction coefficient, or dry, wet, snow or ice; for a log, its nominal value."
+        ),
     ],
     surface: Annotated[
         str | None, typer.Option(help="Name of the surface; one name gives one member.")
@@ -49,22 +52,25 @@ def collect(
 
     For example:
       egp collect -o data/wet.parquet --friction 0.5 --surface wet
+      egp collect -o data/snow.parquet --friction snow
       egp collect -o data/ice.parquet --friction 0.2 --surface ice
           --from-csv drive.csv --mass 1400 --column time=t:s
           --column v_x=speed:km/h --column v_y=lateral_speed:m/s
           --column omega=yaw_rate:deg/s --column delta=wheel_angle:deg
           --column a_x=accel:g
     """
-    from egp_service._core import EgpError
+    from egp_service._core import EgpError, surface_friction
     from egp_service.cli.progress import collecting
     from egp_service.data.collect import CollectionSettings
     from egp_service.data.collect import collect as collect_dataset
     from egp_service.data.csv_import import Column, import_csv
     from egp_service.data.dataset import Provenance
-    from egp_service.data.experiment import Experiment, tool
+    from egp_service.data.experiment import Experiment, parse_surface, tool
 
     console = Console()
-    label = surface or f"mu {friction:g}"
+    road = parse_surface(friction)
+    mu = surface_friction(road)
+    label = surface or (road if isinstance(road, str) else f"mu {road:g}")
     if from_csv is not None:
         columns = {}
         for text in column or []:
@@ -72,7 +78,7 @@ def collect(
             if not equals:
                 raise EgpError(f"--column {text}: expected QUANTITY=COLUMN:UNIT")
             columns[quantity] = Column.parse(rest)
-        provenance = Provenance(dt, vehicle, label, friction, seed, f"log {from_csv.name}", tool())
+        provenance = Provenance(dt, vehicle, label, mu, seed, f"log {from_csv.name}", tool())
         dataset = import_csv(from_csv, columns, provenance, mass=mass, separator=separator)
     else:
         if not vehicle.isdecimal():
@@ -80,7 +86,7 @@ def collect(
         settings = CollectionSettings(runs=runs, samples=samples)
         if track:
             settings = CollectionSettings(tuple(track), runs, samples)
-        experiment = Experiment(friction, label, seed, dt, int(vehicle))
+        experiment = Experiment(road, label, seed, dt, int(vehicle))
         with collecting(console) as report:
             dataset = collect_dataset(
                 experiment,

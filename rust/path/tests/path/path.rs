@@ -4,6 +4,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use egp_parameters::{Surface, SurfaceError};
 use egp_path::tracks::RoundedRectangle;
 use egp_path::{Path, PathError, Zone};
 use proptest::prelude::*;
@@ -185,7 +186,7 @@ fn widths_and_friction_follow_the_arc_length() {
 fn a_split_road_has_two_sides() {
     let points: Vec<_> = (0..20).map(|i| [f64::from(i) * 5.0, 0.0]).collect();
     let split = Zone {
-        right: Some(0.5),
+        right: Some(0.5.into()),
         ..Zone::new(0.5, 1.1)
     };
     let path = Path::from_points(&points, false, None)
@@ -193,14 +194,27 @@ fn a_split_road_has_two_sides() {
         .with_friction(&[Zone::new(0.0, 0.8), split])
         .unwrap();
     let beside = [(10.0, 1.0), (10.0, -1.0), (60.0, 1.0), (60.0, -1.0)]
-        .map(|(s, lateral)| path.friction_beside(s, lateral));
+        .map(|(s, lateral)| path.surface_beside(s, lateral).friction());
     assert_eq!(beside, [0.8, 0.8, 1.1, 0.5]);
     assert_eq!(path.sample(60.0).friction, 0.8);
-    let icy = Zone {
-        right: Some(0.0),
+    let slick = Zone {
+        right: Some(0.0.into()),
         ..split
     };
-    assert!(path.with_friction(&[Zone::new(0.0, 0.8), icy]).is_err());
+    let error = path.clone().with_friction(&[Zone::new(0.0, 0.8), slick]);
+    assert_eq!(
+        error.unwrap_err(),
+        PathError::Surface(SurfaceError::Peak(0.0))
+    );
+    // The friction of a surface with a shape is its peak.
+    let icy = Zone {
+        right: Some(Surface::ICE),
+        ..Zone::new(0.0, Surface::SNOW)
+    };
+    let path = path.with_friction(&[icy]).unwrap();
+    assert_eq!(path.surface_beside(10.0, 1.0), Surface::SNOW);
+    assert_eq!(path.surface_beside(10.0, -1.0), Surface::ICE);
+    assert_eq!(path.friction(10.0), 0.2);
 }
 
 #[test]
