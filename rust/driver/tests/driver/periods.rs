@@ -475,3 +475,15 @@ fn a_yaw_must_point_along_the_reference_where_its_points_are_apart() {
         "too close to have a direction"
     );
 }
+
+#[test]
+fn points_exactly_5_cm_apart_have_no_direction() {
+    let mut driver = driver(&["a"]);
+    let mut to_and_fro = measurement();
+    for (t, row) in to_and_fro.reference.iter_mut().enumerate() {
+        let p_x = if t % 2 == 0 { 0.0 } else { 0.05 };
+        *row = [p_x, 0.0, 12.0, std::f64::consts::FRAC_PI_2];
+    }
+    driver.tick(ms(20), ms(36), to_and_fro).unwrap();
+    asked(&mut driver);
+}
