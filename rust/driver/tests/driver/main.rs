@@ -4,6 +4,7 @@
 mod carry;
 mod gate;
 mod in_process;
+mod measurements;
 mod periods;
 mod probes;
 mod replies;

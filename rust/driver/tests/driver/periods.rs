@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
-use egp_driver::{Lost, Measurement, Outcome};
+use egp_driver::Outcome;
 use egp_gate::Mode;
 use egp_wire::{Code, Status, Timing};
 use prost::Message as _;
 
 use crate::world::{
-    BUDGET, HORIZON, LISTEN, PERIOD, answered_period, asked, decided, driver, error, infeasible,
+    BUDGET, HORIZON, LISTEN, answered_period, asked, decided, driver, error, infeasible,
     measurement, ms, name, request, served, solved, tick,
 };
 
@@ -75,7 +75,7 @@ fn a_silent_replica_is_waited_for_until_the_deadline_and_then_asked_last() {
     tick(&mut driver, ms(40));
     let query = asked(&mut driver);
     assert_eq!(query.replica, first);
-    driver.wake(ms(56) - Duration::from_nanos(1));
+    driver.wake(ms(55) + Duration::from_nanos(999_999));
     assert!(driver.next_action().is_none());
     driver.wake(ms(56));
     let step = decided(&mut driver);
@@ -382,96 +382,4 @@ fn weights_can_be_given_and_held() {
     tick(&mut driver, ms(80));
     let held = request(&asked(&mut driver));
     assert_eq!((held.weights, held.history_z.len()), (vec![0.5, 0.5], 0));
-}
-
-#[test]
-fn a_state_that_cannot_be_used_stops_the_vehicle_and_leaves_a_gap_in_the_history() {
-    let mut driver = driver(&["a"]);
-    answered_period(&mut driver, ms(20));
-    answered_period(&mut driver, ms(40));
-    let mut unknown = measurement();
-    unknown.x[2] = f64::NAN;
-    driver.tick(ms(60), ms(76), unknown).unwrap();
-    let step = decided(&mut driver);
-    assert_eq!(step.command.mode, Mode::Stop);
-    assert_eq!(step.outcome.name(), "invalid_state");
-    assert!(step.outcome.detail().starts_with("x: row 0: v_x"));
-    assert!(step.command.u.iter().all(|value| value.is_finite()));
-    assert_eq!((step.situation, step.replica), (None, None));
-    tick(&mut driver, ms(80));
-    let request = request(&asked(&mut driver));
-    assert_eq!((request.sequence, request.history_z.len()), (4, 0));
-    assert_eq!(request.u_prev, step.command.u);
-}
-
-#[test]
-fn a_lost_vehicle_is_stopped_and_goes_on_asking() {
-    let mut driver = driver(&["a"]);
-    let mut away = measurement();
-    away.x[1] += 26.0;
-    for period in 1..=3 {
-        let now = PERIOD * period;
-        driver.tick(now, now + BUDGET, away.clone()).unwrap();
-        let query = asked(&mut driver);
-        driver.replied(now, query.id, &solved(&query).encode(), b"");
-        let step = decided(&mut driver);
-        let lost = (period == 3).then_some(Lost::Distance(26.0));
-        assert_eq!(step.lost, lost);
-        assert_eq!(step.command.mode == Mode::Stop, lost.is_some());
-        assert!(step.outcome.is_solved());
-    }
-}
-
-#[test]
-fn a_reference_or_widths_of_another_length_open_no_period() {
-    let mut driver = driver(&["a"]);
-    let rows = HORIZON as usize + 1;
-    let mut refused = |measurement: Measurement, words: &str| {
-        let error = driver.tick(ms(20), ms(36), measurement).unwrap_err();
-        assert!(error.to_string().starts_with(words), "{error}");
-        assert!(driver.next_action().is_none());
-    };
-    for wrong in [rows - 1, rows + 1] {
-        let mut reference = measurement();
-        reference.reference.resize(wrong, [3.96, 4.0, 12.0, 0.0]);
-        refused(reference, "reference: expected 5 rows");
-        let mut widths = measurement();
-        widths.widths = vec![[2.0; 2]; wrong];
-        refused(widths, "widths: expected 5 rows");
-    }
-    let mut fast = measurement();
-    fast.reference[1][2] = 1e3;
-    refused(fast, "reference: row 1: v_x");
-    let mut fitting = measurement();
-    fitting.widths = vec![[2.0; 2]; rows];
-    driver.tick(ms(20), ms(36), fitting).unwrap();
-    assert_eq!(request(&asked(&mut driver)).widths.len(), rows);
-}
-
-#[test]
-fn a_yaw_must_point_along_the_reference_where_its_points_are_apart() {
-    let mut driver = driver(&["a"]);
-    let mut accepted = |spacing: [f64; 2], psi: f64| {
-        let row = |t: u32| {
-            let t = f64::from(t);
-            [3.0 + spacing[0] * t, 4.0 + spacing[1] * t, 12.0, psi]
-        };
-        let measurement = Measurement {
-            reference: (0..=HORIZON).map(row).collect(),
-            ..measurement()
-        };
-        driver.tick(ms(20), ms(36), measurement).is_ok()
-    };
-    assert!(accepted([0.25, 0.0], -0.5), "the largest deviation");
-    assert!(!accepted([0.25, 0.0], -0.5 - 1e-9));
-    assert!(!accepted([0.25, 0.0], 0.6));
-    assert!(accepted([0.0, 0.25], std::f64::consts::FRAC_PI_2));
-    assert!(!accepted([0.0, 0.25], 0.0));
-    assert!(accepted([0.0, -0.25], -std::f64::consts::FRAC_PI_2));
-    assert!(accepted([-0.25, 0.0], std::f64::consts::PI));
-    assert!(!accepted([0.0625, 0.0], 3.0));
-    assert!(
-        accepted([0.03125, 0.0], 3.0),
-        "too close to have a direction"
-    );
 }

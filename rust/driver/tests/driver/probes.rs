@@ -51,8 +51,11 @@ fn a_replica_is_probed_after_a_second_and_asked_first_again_once_it_answers() {
 #[test]
 fn probes_have_numbers_of_their_own() {
     let (mut driver, _) = after_a_failure();
+    tick(&mut driver, ms(1035));
+    let before = asked(&mut driver);
     tick(&mut driver, ms(1036));
     let (probe, query) = (probed(&mut driver), asked(&mut driver));
+    assert!(before.id < probe.id && probe.id < query.id);
     driver.replied(ms(1037), probe.id, &served().encode(), b"");
     assert!(driver.next_action().is_none(), "a probe decides no period");
     driver.replied(ms(1038), query.id, &solved(&query).encode(), b"");
