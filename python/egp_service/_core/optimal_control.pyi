@@ -5,8 +5,6 @@ from typing import Literal, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from egp_service._core.vehicle import VehicleParameters
-
 @final
 class OcpWeights:
     """Quadratic cost of `solve_ocp`; every term is `1/2 weight * error^2`.

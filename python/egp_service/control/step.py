@@ -119,6 +119,7 @@ class StepController(ABC):
     """Inputs in a plan, T."""
     members: Sequence[str]
     """Surfaces, in the order of the weights."""
+    _driver: Driver | InProcessDriver
 
     def step(
         self,
