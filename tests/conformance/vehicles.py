@@ -312,8 +312,12 @@ def _wait_for_all(count: int) -> None:
 
 
 def _built_example() -> str:
-    """Build the Rust vehicle and give the path of its program."""
-    command = ["cargo", "build", "--locked", "--message-format=json", "-p", "egp-vehicle"]
+    """Build the Rust vehicle and give the path of its program.
+
+    Profile and packages are those of `make rust-test`, so that nothing is compiled twice.
+    """
+    packages = ["--workspace", "--exclude", "egp-bench", "--exclude", "egp-testing"]
+    command = ["cargo", "build", "--release", "--locked", *packages, "--message-format=json"]
     output = subprocess.run(
         [*command, "--example", "stdin_vehicle"], cwd=ROOT, check=True, capture_output=True
     ).stdout
