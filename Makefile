@@ -38,11 +38,10 @@ lint: .venv/built-dev ## Check format, lints, types, stubs and import rules
 deny: ## Check licences, sources and advisories of the Rust crates, with cargo-deny and the network
 	cargo deny --locked check $(CHECKS)
 
-# The same profile as the extension, and without the crates that change the features of zenoh's dependencies: what the
+# The same profile as the extension, and without criterion, which changes the features of zenoh's dependencies: what the
 # extension was built with is not compiled again.
 rust-test: .venv/built-dev ## Run the Rust tests
-	cargo test --release --locked --workspace --exclude egp-bench --exclude egp-testing
-	cargo test --release --locked --package egp-testing
+	cargo test --release --locked --workspace --exclude egp-bench
 
 # Tests of the service have deadlines to keep, so they run alone; all others share the cores.
 ALONE := tests/service tests/conformance

@@ -316,7 +316,7 @@ def _built_example() -> str:
 
     Profile and packages are those of `make rust-test`, so that nothing is compiled twice.
     """
-    packages = ["--workspace", "--exclude", "egp-bench", "--exclude", "egp-testing"]
+    packages = ["--workspace", "--exclude", "egp-bench"]
     command = ["cargo", "build", "--release", "--locked", *packages, "--message-format=json"]
     output = subprocess.run(
         [*command, "--example", "stdin_vehicle"], cwd=ROOT, check=True, capture_output=True
