@@ -77,6 +77,13 @@ INFEASIBLE = {
     "iterations": 9,
     "kkt_residual": 2.0**-30,
     "solver": "clarabel",
+    "friction": {
+        "mean": 0.625,
+        "std": 0.125,
+        "lower": 0.5,
+        "upper": 0.75,
+        "information": 1.5,
+    },
 }
 SOLVED = INFEASIBLE | {
     "status": "STATUS_SOLVED",

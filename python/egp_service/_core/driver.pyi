@@ -6,6 +6,8 @@ from typing import Final, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
+from egp_service._core.wire import Friction
+
 @final
 class Query:
     id: Final[int]
@@ -26,6 +28,7 @@ class Decision:
     plan_x: Final[NDArray[np.float64] | None]
     plan_u: Final[NDArray[np.float64] | None]
     sigma: Final[NDArray[np.float64] | None]
+    friction: Final[Friction | None]
     replica: Final[str]
     request: Final[bytes]
     reply: Final[bytes | None]

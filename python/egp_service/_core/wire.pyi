@@ -29,6 +29,14 @@ class Request:
     want_sigma: Final[bool]
 
 @final
+class Friction:
+    mean: Final[float]
+    std: Final[float]
+    lower: Final[float]
+    upper: Final[float]
+    information: Final[float]
+
+@final
 class Reply:
     library: Final[bytes]
     sequence: Final[int]
@@ -44,6 +52,7 @@ class Reply:
     iterations: Final[int]
     kkt_residual: Final[float]
     solver: Final[str]
+    friction: Final[Friction | None]
 
 @final
 class Refusal:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from egp_service._core import Decision, Driver, InProcessDriver
+    from egp_service._core import Decision, Driver, Friction, InProcessDriver
 
     Measured: TypeAlias = tuple[
         NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None
@@ -59,6 +59,8 @@ class Step:
     """(T, 2)."""
     sigma: NDArray[np.float64] | None
     """Standard deviations (T+1, 3) of `[v_x, v_y, omega]` along the plan, if requested."""
+    friction: Friction | None
+    """Posterior of the friction coefficient from the last transitions; `None` without a reply."""
     timings: Timings
     replica: str
     """Name of the replica that replied or was asked last; empty if none was asked."""
@@ -89,6 +91,7 @@ class Step:
             plan_x=decision.plan_x,
             plan_u=decision.plan_u,
             sigma=decision.sigma,
+            friction=decision.friction,
             timings=Timings(total, queue, compute),
             replica=decision.replica,
             request=decision.request,

@@ -5,6 +5,7 @@
 
 pub mod ensemble;
 pub mod executor;
+pub mod friction;
 pub mod gp;
 pub mod kernel;
 pub mod library;
@@ -27,6 +28,7 @@ use nalgebra::{SMatrix, SVector};
 pub use egp_parameters::VehicleParameters;
 pub use ensemble::{Ensemble, EnsembleError, EnsembleVariance, MixtureScratch};
 pub use executor::{Executor, Sequential};
+pub use friction::FrictionEstimate;
 pub use gp::VarianceScratch;
 pub use kernel::Kernel;
 pub use library::{Library, LibraryError, Member};

@@ -5,7 +5,7 @@ use std::{fs, path::Path, sync::Arc};
 use egp_core::{
     Library, Settings, StepError, StepReply, StepRequest, VehicleParameters, Workspace, library,
 };
-use egp_wire::{Code, MessageLimits, Ready, Reply, Request, Status, WireError};
+use egp_wire::{Code, Friction, MessageLimits, Ready, Reply, Request, Status, WireError};
 
 use crate::cores::{Cores, available_cores};
 use crate::error::EngineError;
@@ -228,6 +228,7 @@ impl Engine {
             iterations,
             kkt_residual,
             solver: name,
+            friction,
         } = reply;
         *library = self.library.id();
         *answered = sequence;
@@ -243,6 +244,14 @@ impl Engine {
         *kkt_residual = step.kkt_residual;
         name.clear();
         name.push_str(solver);
+        let found = &step.friction;
+        *friction = Some(Friction {
+            mean: found.mean,
+            std: found.std,
+            lower: found.lower,
+            upper: found.upper,
+            information: found.information,
+        });
     }
 }
 

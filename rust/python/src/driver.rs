@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use crate::array::{KeptMatrix, KeptVector, Matrix, NewVector, Vector, fixed, rows, vector};
 use crate::error::{InvalidArgumentError, raise};
 use crate::gate::{configure, mode_name};
-use crate::wire::matrix;
+use crate::wire::{Friction, matrix};
 
 /// A question to a replica, to be sent as it is. The driver is told the answer with the query's `id`.
 #[pyclass(module = "egp_service._core", frozen, get_all)]
@@ -51,6 +51,8 @@ pub struct Decision {
     plan_u: Option<KeptMatrix>,
     /// Standard deviations along the plan (T+1, 3).
     sigma: Option<KeptMatrix>,
+    /// Friction that the last transitions indicate; None without a reply.
+    friction: Option<Friction>,
     /// Name of the replica that replied, or that was asked last.
     replica: String,
     /// Bytes of the request; empty if none was made.
@@ -82,6 +84,7 @@ impl Decision {
             plan_x: rows_of(py, reply.map(|reply| &reply.plan_x))?,
             plan_u: rows_of(py, reply.map(|reply| &reply.plan_u))?,
             sigma: rows_of(py, reply.map(|reply| &reply.sigma))?,
+            friction: (reply.and_then(|reply| reply.friction.as_ref())).map(Friction::from),
             replica: step
                 .replica
                 .map_or_else(String::new, |name| name.to_string()),

@@ -91,6 +91,7 @@ mod _core {
         const LIVE_KEYS: &str = egp_wire::keys::ALL_LIVE;
         #[pymodule_export]
         use crate::wire::{
+            Friction,
             Refusal, Replica, Reply, Request, decode_error, decode_ready, decode_reply,
             decode_request, decode_timing, encode_plant_truth, file_descriptor_set, health_key,
             live_key, metrics_key, ready_key, replica_of_live, step_key,

@@ -41,6 +41,34 @@ pub struct Request {
     want_sigma: bool,
 }
 
+/// Posterior of the friction coefficient, from the last transitions and a uniform prior.
+#[pyclass(module = "egp_service._core", frozen, get_all)]
+#[derive(Clone)]
+pub struct Friction {
+    /// Mean.
+    mean: f64,
+    /// Standard deviation.
+    std: f64,
+    /// 5 % quantile.
+    lower: f64,
+    /// 95 % quantile.
+    upper: f64,
+    /// What the transitions told, nats.
+    information: f64,
+}
+
+impl From<&egp_wire::Friction> for Friction {
+    fn from(friction: &egp_wire::Friction) -> Self {
+        Self {
+            mean: friction.mean,
+            std: friction.std,
+            lower: friction.lower,
+            upper: friction.upper,
+            information: friction.information,
+        }
+    }
+}
+
 /// A validated reply with the fields of the .proto; a field that is absent has no rows. Only a "solved" one has a plan.
 #[pyclass(module = "egp_service._core", frozen, get_all)]
 pub struct Reply {
@@ -56,6 +84,7 @@ pub struct Reply {
     iterations: u32,
     kkt_residual: f64,
     solver: String,
+    friction: Option<Friction>,
 }
 
 /// An error reply of the service.
@@ -136,6 +165,7 @@ pub fn decode_reply(py: Python<'_>, data: &[u8]) -> PyResult<Reply> {
         iterations: reply.iterations,
         kkt_residual: reply.kkt_residual,
         solver: reply.solver,
+        friction: reply.friction.as_ref().map(Friction::from),
     })
 }
 

@@ -22,6 +22,7 @@
 mod check;
 mod error;
 mod fields;
+mod friction;
 mod header;
 pub mod keys;
 mod limits;
@@ -33,6 +34,7 @@ mod tensor;
 mod writer;
 
 pub use error::{Code, Invalid, WireError};
+pub use friction::Friction;
 pub use header::Header;
 pub use limits::MessageLimits;
 pub use predictions::Predictions;

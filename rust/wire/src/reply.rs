@@ -1,6 +1,7 @@
 //! The reply to one control step.
 
 use crate::fields::Fields;
+use crate::friction::Friction;
 use crate::tensor::{Tensor, read_predictions, read_rows, read_vector};
 use crate::writer::Writer;
 use crate::{
@@ -34,6 +35,8 @@ pub struct Reply {
     pub kkt_residual: f64,
     /// Name of the QP solver.
     pub solver: String,
+    /// Friction that the transitions indicate; absent from older services.
+    pub friction: Option<Friction>,
 }
 
 impl Reply {
@@ -60,6 +63,9 @@ impl Reply {
         message.number(11, self.iterations.into());
         message.double(12, self.kkt_residual);
         message.bytes(13, self.solver.as_bytes());
+        if let Some(friction) = &self.friction {
+            message.doubles(14, &friction.values());
+        }
     }
 
     /// Reads and validates an `egp.v1.StepReply`. A vehicle checks every number, because a service may be faulty.
@@ -79,6 +85,7 @@ impl Reply {
             iterations: raw.iterations,
             kkt_residual: raw.kkt_residual,
             solver: raw.solver.to_owned(),
+            friction: raw.friction.map(Friction::read).transpose()?,
             ..Self::default()
         };
         read_rows("plan_x", raw.plan_x, stages, &mut reply.plan_x)?;
@@ -157,6 +164,7 @@ struct Raw<'a> {
     iterations: u32,
     kkt_residual: f64,
     solver: &'a str,
+    friction: Option<&'a [u8]>,
 }
 
 impl<'a> Raw<'a> {
@@ -178,6 +186,7 @@ impl<'a> Raw<'a> {
                 11 => raw.iterations = value.uint32("iterations")?,
                 12 => raw.kkt_residual = value.double("kkt_residual")?,
                 13 => raw.solver = value.text("solver")?,
+                14 => raw.friction = Some(value.bytes("friction")?),
                 _ => {}
             }
         }

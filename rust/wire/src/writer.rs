@@ -66,6 +66,16 @@ impl<'a> Writer<'a> {
         self.tensor(tag, &shape, predictions.values.as_flattened());
     }
 
+    /// Appends a message of doubles with the tags 1, 2 and so on.
+    pub(crate) fn doubles(&mut self, tag: u32, values: &[f64]) {
+        const SIZE: usize = 1 + size_of::<f64>(); // tags below 16 take one byte
+        let written = values.iter().filter(|value| **value != 0.0).count();
+        self.length(tag, written * SIZE);
+        for (tag, value) in (1..).zip(values) {
+            self.double(tag, *value);
+        }
+    }
+
     fn length(&mut self, tag: u32, length: usize) {
         encode_key(tag, WireType::LengthDelimited, self.0);
         encode_varint(length as u64, self.0);

@@ -125,7 +125,7 @@ fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
     }
 }
 
-/// Estimates the weights from the window. Predictions that the request lacks are computed for all members and returned.
+/// Estimates weights and friction from the window. Predictions that the request lacks are computed for all members and returned.
 fn estimate_weights(
     library: &Library,
     settings: &Settings,
@@ -155,6 +155,13 @@ fn estimate_weights(
         settings.weights.prior,
         &ws.previous,
         &mut reply.weights,
+    );
+    reply.friction = ws.friction.estimate(
+        members,
+        rows.history_z,
+        &reply.history_f,
+        rows.history_y,
+        &ws.previous,
     );
 }
 

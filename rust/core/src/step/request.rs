@@ -1,5 +1,6 @@
 //! Input and output of a step. All matrices are flat and row-major.
 
+use crate::friction::FrictionEstimate;
 use crate::solver::Status;
 
 /// Input of a step, borrowed. `T` is the horizon of the settings, `N` the number of members, `k <= K` the number of
@@ -44,6 +45,8 @@ pub struct StepReply {
     pub plan_u: Vec<f64>,
     /// Weights, `[N]`, on the simplex.
     pub weights: Vec<f64>,
+    /// Friction coefficient that the window indicates.
+    pub friction: FrictionEstimate,
     /// Standard deviation of `[v_x, v_y, omega]` at each stage given the previous stage, `[T+1, 3]`; it includes noise
     /// and disagreement of the members. Empty unless requested.
     pub sigma: Vec<f64>,
@@ -64,6 +67,7 @@ impl Default for StepReply {
             plan_x: Vec::new(),
             plan_u: Vec::new(),
             weights: Vec::new(),
+            friction: FrictionEstimate::default(),
             sigma: Vec::new(),
             history_f: Vec::new(),
             dropped_mass: 0.0,
@@ -86,6 +90,7 @@ impl StepReply {
             field.clear();
         }
         self.status = Status::NumericalError;
+        self.friction = FrictionEstimate::default();
         self.dropped_mass = 0.0;
         self.iterations = 0;
         self.kkt_residual = f64::INFINITY;

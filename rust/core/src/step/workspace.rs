@@ -6,6 +6,7 @@ use egp_parameters::VehicleParameters;
 
 use super::StepError;
 use crate::executor::{Executor, Sequential};
+use crate::friction::FrictionEstimator;
 use crate::linearisation::Linearisation;
 use crate::ocp::soft_rows;
 use crate::qp::{OcpQp, OcpSolution};
@@ -34,6 +35,7 @@ pub struct Workspace {
     pub(super) vehicle: VehicleParameters,
     pub(super) noise: WindowNoise,
     pub(super) estimator: WeightEstimator,
+    pub(super) friction: FrictionEstimator,
     pub(super) previous: Vec<f64>,
     pub(super) active: Vec<f64>,
     pub(super) reference: Vec<State>,
@@ -73,6 +75,7 @@ impl Workspace {
             vehicle: settings.vehicle(library.vehicle()),
             noise: WindowNoise::of(library, &settings.weights),
             estimator: WeightEstimator::new(n, settings.weights.window(dt)),
+            friction: FrictionEstimator::new(library, &settings.weights),
             previous: vec![0.0; n],
             active: vec![0.0; n],
             reference: vec![State::zeros(); horizon + 1],

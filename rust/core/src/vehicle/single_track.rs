@@ -13,6 +13,11 @@ pub const SLOWEST: f64 = 3.0;
 /// Number of parameters of a [`SingleTrack`].
 pub const SINGLE_TRACK_PARAMETERS: usize = 17;
 
+/// Powers of a factor on the friction in the parameters, in the order of [`SingleTrack::new`]: what the tyres transmit
+/// is proportional to it, and their slope at zero slip, `B C D`, does not depend on it.
+const FRICTION_POWERS: [i32; SINGLE_TRACK_PARAMETERS] =
+    [0, 0, 0, 0, 0, 1, 1, -1, -1, 1, -1, 0, -1, -1, 1, -1, 0];
+
 /// One axle: where it is, what it carries and how its tyres hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Axle {
@@ -106,6 +111,20 @@ impl SingleTrack {
             ],
             parameters: *parameters,
         }
+    }
+
+    /// The same vehicle on a road of `ratio` times the friction: its tyres transmit `ratio` times the force, with the
+    /// same slope at zero slip.
+    pub(crate) fn with_friction(&self, ratio: f64) -> Self {
+        let scaled = |i: usize| self.parameters[i] * ratio.powi(FRICTION_POWERS[i]);
+        Self::new(&std::array::from_fn(scaled), self.dt)
+    }
+
+    /// The vehicle whose parameters lie at `share` of the way to those of `other`, geometrically.
+    pub(crate) fn between(&self, other: &Self, share: f64) -> Self {
+        let blend = |a: f64, b: f64| a * (b / a).powf(share);
+        let blended = |i: usize| blend(self.parameters[i], other.parameters[i]);
+        Self::new(&std::array::from_fn(blended), self.dt)
     }
 
     /// The parameters, in the order of [`SingleTrack::new`].

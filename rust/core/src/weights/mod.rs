@@ -19,7 +19,7 @@ use gram::Gram;
 use noise::Row;
 
 use crate::settings::Prior;
-use crate::{GpOutput, NY};
+use crate::NY;
 
 /// Ridge on `H` relative to its largest entry. With identical members and no quadratic prior it selects the minimiser
 /// nearest to the previous weights.
@@ -68,9 +68,9 @@ impl WeightEstimator {
         let n = previous.len();
         w.copy_from_slice(previous);
         self.whitened.clear();
-        let transitions = || predictions.chunks_exact(n * NY).zip(measured);
-        let errors = transitions().map(|(row, y)| error(row, y, previous));
-        for ((row, y), whitening) in transitions().zip(noise.likeliest(errors)) {
+        let transitions = predictions.chunks_exact(n * NY).zip(measured);
+        let rows = noise.rows(predictions, measured, previous);
+        for ((row, y), whitening) in transitions.zip(rows) {
             self.add_transition(row, y, whitening);
         }
         self.whitened.multiply();
@@ -114,14 +114,6 @@ impl WeightEstimator {
             }
         }
     }
-}
-
-/// Error of the blended prediction of a transition.
-fn error(predicted: &[f64], measured: &[f64; NY], weights: &[f64]) -> GpOutput {
-    let predicted = predicted.as_chunks::<NY>().0.iter().zip(weights);
-    predicted.fold(GpOutput::from(*measured), |error, (f, w)| {
-        error - GpOutput::from(*f) * *w
-    })
 }
 
 /// Writes the largest `max_active` weights above `threshold`, scaled to sum to 1, to `active`; the other entries are

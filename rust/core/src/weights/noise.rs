@@ -1,7 +1,7 @@
 //! Covariance of the errors in the window, from which `S` of eq. (6) follows.
 
 use crate::settings::WeightSettings;
-use crate::{GpOutput, Library};
+use crate::{GpOutput, Library, NY};
 
 /// Candidate fractions of the members' noise: errors over all training data are larger than errors in a steady bend.
 const MODEL: [f64; 2] = [1.0, 0.5];
@@ -34,7 +34,7 @@ pub struct WindowNoise {
 
 /// One transition's row of `L` for each output: bidiagonal, with `L Lᵀ` the covariance of consecutive errors.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Row {
+pub(crate) struct Row {
     /// Reciprocal diagonal.
     inverse: GpOutput,
     /// Entry left of the diagonal; zero for the first transition.
@@ -107,9 +107,21 @@ impl WindowNoise {
         }
     }
 
+    /// The whitening of consecutive transitions, at the level with the largest likelihood of the errors under the
+    /// weights `previous`: rows `[N * 3]` of predictions, and the measured changes.
+    pub(crate) fn rows(
+        &self,
+        predictions: &[f64],
+        measured: &[[f64; NY]],
+        previous: &[f64],
+    ) -> impl Iterator<Item = &Row> {
+        let transitions = predictions.chunks_exact(previous.len() * NY).zip(measured);
+        self.likeliest(transitions.map(|(row, y)| error(row, y, previous)))
+    }
+
     /// Rows of the level with the largest likelihood of `errors`, one error for each of consecutive transitions. Rows
     /// of the first level if there are no errors or if no likelihood is finite.
-    pub(super) fn likeliest(
+    fn likeliest(
         &self,
         errors: impl Iterator<Item = GpOutput>,
     ) -> impl Iterator<Item = &Row> {
@@ -137,6 +149,14 @@ impl WindowNoise {
             .0;
         self.rows.iter().skip(likeliest).step_by(self.levels)
     }
+}
+
+/// Error of the blended prediction of a transition.
+fn error(predicted: &[f64], measured: &[f64; NY], weights: &[f64]) -> GpOutput {
+    let predicted = predicted.as_chunks::<NY>().0.iter().zip(weights);
+    predicted.fold(GpOutput::from(*measured), |error, (f, w)| {
+        error - GpOutput::from(*f) * *w
+    })
 }
 
 #[cfg(test)]

@@ -42,6 +42,7 @@ fn answer(request: &Request, status: Status, mark: f64) -> Reply {
         iterations: 1,
         kkt_residual: 0.0,
         solver: String::new(),
+        friction: None,
     }
 }
 

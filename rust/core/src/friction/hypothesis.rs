@@ -1,0 +1,71 @@
+//! The model of a vehicle on a road of a given friction coefficient, from the members.
+
+use crate::vehicle::{SingleTrack, VehicleModel};
+use crate::{GpInput, GpOutput, Member, NY};
+
+/// A model for one friction coefficient `mu`:
+///
+/// ```text
+/// f_mu(z) = vehicle_mu(z) + (1 - t) (f_a(z) - vehicle_a(z)) + t (f_b(z) - vehicle_b(z))
+/// t = ln(mu / mu_a) / ln(mu_b / mu_a)
+/// ```
+///
+/// Members `a` and `b` have the nearest frictions below and above. Parameters of `vehicle_mu` are interpolated like
+/// `t`, geometrically, so that its tyres saturate at the right force; a blend of two predictions would be wrong for
+/// every force that only one of the surfaces can transmit. Beyond the members' range `a = b` is the nearest member, and
+/// the forces of its tyres are scaled. Where a neighbour has no single-track vehicle, the model is the blend of the
+/// members' predictions.
+#[derive(Debug, Clone)]
+pub(super) struct Hypothesis {
+    vehicle: Option<SingleTrack>,
+    members: [usize; 2],
+    /// `t`.
+    share: f64,
+}
+
+impl Hypothesis {
+    /// `None` without members.
+    pub fn new(mu: f64, members: &[Member]) -> Option<Self> {
+        let below = nearest(mu, members, |friction| friction <= mu);
+        let above = nearest(mu, members, |friction| friction > mu);
+        let [a, b] = [below.or(above)?, above.or(below)?];
+        let (low, high) = (members[a].friction(), members[b].friction());
+        let vehicles = [a, b].map(|i| match members[i].vehicle() {
+            Some(VehicleModel::SingleTrack(vehicle)) => Some(vehicle),
+            _ => None,
+        });
+        let (vehicle, share) = if a == b {
+            let scaled = vehicles[0].map(|vehicle| vehicle.with_friction(mu / low));
+            (scaled, 0.0)
+        } else {
+            let share = (mu / low).ln() / (high / low).ln();
+            let [below, above] = vehicles;
+            let between = below.zip(above).map(|(a, b)| a.between(b, share));
+            (between, share)
+        };
+        Some(Self {
+            vehicle,
+            members: [a, b],
+            share,
+        })
+    }
+
+    /// The change of `[v_x, v_y, omega]` over one period, from the members' predictions `f` and what their GPs added
+    /// to their vehicles.
+    pub fn change(&self, z: &GpInput, f: &[[f64; NY]], learned: &[GpOutput]) -> GpOutput {
+        let blend = |a: GpOutput, b: GpOutput| a + (b - a) * self.share;
+        let [a, b] = self.members;
+        match &self.vehicle {
+            Some(vehicle) => vehicle.change(z) + blend(learned[a], learned[b]),
+            None => blend(f[a].into(), f[b].into()),
+        }
+    }
+}
+
+/// The member with the friction nearest to `mu`, by ratio, among those on one side.
+fn nearest(mu: f64, members: &[Member], side: impl Fn(f64) -> bool) -> Option<usize> {
+    let distance = |i: usize| (members[i].friction() / mu).ln().abs();
+    (0..members.len())
+        .filter(|i| side(members[*i].friction()))
+        .min_by(|i, j| distance(*i).total_cmp(&distance(*j)))
+}

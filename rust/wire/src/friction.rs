@@ -1,0 +1,70 @@
+//! The friction that a step found.
+
+use crate::Invalid;
+use crate::fields::Fields;
+
+/// Posterior of the friction coefficient, from the transitions of the request.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Friction {
+    /// Mean.
+    pub mean: f64,
+    /// Standard deviation.
+    pub std: f64,
+    /// 5 % quantile.
+    pub lower: f64,
+    /// 95 % quantile.
+    pub upper: f64,
+    /// What the transitions told: Kullback-Leibler divergence from the prior, in nats.
+    pub information: f64,
+}
+
+/// Largest friction coefficient that is read.
+const LARGEST: f64 = 10.0;
+/// Largest information that is read, nats.
+const MOST_INFORMATION: f64 = 1e3;
+const FIELD: &str = "friction";
+
+impl Friction {
+    /// In the order of the tags.
+    pub(crate) fn values(&self) -> [f64; 5] {
+        [self.mean, self.std, self.lower, self.upper, self.information]
+    }
+
+    /// Reads and validates an `egp.v1.Friction`.
+    pub(crate) fn read(message: &[u8]) -> Result<Self, Invalid> {
+        let mut values = [0.0; 5];
+        for field in Fields::of(message) {
+            let (tag, value) = field?;
+            if let Some(slot) = (tag as usize).checked_sub(1).and_then(|i| values.get_mut(i)) {
+                *slot = value.double(FIELD)?;
+            }
+        }
+        let [mean, std, lower, upper, information] = values;
+        let friction = Self {
+            mean,
+            std,
+            lower,
+            upper,
+            information,
+        };
+        friction.validate()?;
+        Ok(friction)
+    }
+
+    /// Errors unless all values are in their ranges and the interval's ends are in order.
+    pub(crate) fn validate(&self) -> Result<(), Invalid> {
+        let names = ["mean", "std", "lower", "upper", "information"];
+        let limits = [LARGEST, LARGEST, LARGEST, LARGEST, MOST_INFORMATION];
+        for ((name, value), limit) in names.iter().zip(self.values()).zip(limits) {
+            if !(0.0..=limit).contains(&value) {
+                let detail = format!("expected {name} in [0, {limit}], got {value}");
+                return Err(Invalid::field(FIELD, detail));
+            }
+        }
+        if self.lower > self.upper {
+            let detail = format!("lower = {} is above upper = {}", self.lower, self.upper);
+            return Err(Invalid::field(FIELD, detail));
+        }
+        Ok(())
+    }
+}
