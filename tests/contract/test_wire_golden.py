@@ -83,6 +83,7 @@ INFEASIBLE = {
         "lower": 0.5,
         "upper": 0.75,
         "information": 1.5,
+        "log_likelihood": [-0.25 * i for i in range(17)],
     },
 }
 SOLVED = INFEASIBLE | {

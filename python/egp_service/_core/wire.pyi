@@ -35,6 +35,7 @@ class Friction:
     lower: Final[float]
     upper: Final[float]
     information: Final[float]
+    log_likelihood: Final[NDArray[np.float64]]
 
 @final
 class Reply:

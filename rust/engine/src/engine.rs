@@ -251,6 +251,7 @@ impl Engine {
             lower: found.lower,
             upper: found.upper,
             information: found.information,
+            log_likelihood: found.log_likelihood,
         });
     }
 }

@@ -6,9 +6,13 @@
 #![forbid(unsafe_code)]
 
 mod commonroad;
+mod friction;
 mod surface;
 mod vehicle;
 
+pub use friction::{
+    FRICTION_HYPOTHESES, FRICTION_RANGE, friction_hypotheses, interpolate_hypotheses,
+};
 pub use surface::{ForceCurve, Surface, SurfaceError};
 pub use vehicle::{ParameterError, VehicleParameters};
 

@@ -54,6 +54,14 @@ pub enum PathError {
     /// A zone with a surface that is out of range.
     #[error(transparent)]
     Surface(#[from] SurfaceError),
+    /// Another number of places than the planner has.
+    #[error("expected the friction at {expected} places, got {got}")]
+    Places {
+        /// Number of places.
+        expected: usize,
+        /// Number of values given.
+        got: usize,
+    },
     /// A parameter outside its range.
     #[error("expected {expected} for {name}, got {value}")]
     Parameter {

@@ -39,9 +39,9 @@ pub fn horizon_reference(
         |_| true,
     )?;
     check("dt", dt, "a positive number of seconds", |dt| dt > 0.0)?;
-    if profile.length() != path.length() {
+    if profile.path_length() != path.length() {
         return Err(PathError::ForeignProfile {
-            profile: profile.length(),
+            profile: profile.path_length(),
             path: path.length(),
         });
     }

@@ -1,8 +1,8 @@
 //! Reference paths: geometry, speed profile and the controller's reference over its horizon.
 //!
 //! A [`Path`] is a curve parametrised by its arc length `s`, with distances to the track's edges and zones of friction.
-//! A [`SpeedProfile`] gives the speed at each point of the path, and [`horizon_reference`] samples both by time from
-//! the vehicle's position. [`tracks`] computes the built-in tracks from their definitions, and [`formats`] reads the
+//! A [`SpeedProfile`] gives the speed at each point of the path, a [`SpeedPlanner`] that of the next 250 m for friction
+//! that is only believed, and [`horizon_reference`] samples path and profile by time from the vehicle's position. [`tracks`] computes the built-in tracks from their definitions, and [`formats`] reads the
 //! track files of other projects.
 //!
 //! SI units and radians; yaw counter-clockwise from +x, lateral errors positive to the left. On an
@@ -15,8 +15,10 @@ mod error;
 pub mod formats;
 mod friction;
 mod horizon;
+mod knot;
 mod limits;
 mod path;
+mod planner;
 mod projection;
 mod speed;
 mod spline;
@@ -27,5 +29,6 @@ pub use friction::Zone;
 pub use horizon::horizon_reference;
 pub use limits::SpeedLimits;
 pub use path::{Path, Sample};
+pub use planner::SpeedPlanner;
 pub use projection::Projection;
 pub use speed::SpeedProfile;

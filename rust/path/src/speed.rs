@@ -1,8 +1,7 @@
 //! Speed profiles of paths.
 
-use egp_parameters::STANDARD_GRAVITY;
-
 use crate::error::{PathError, check};
+use crate::knot::Knot;
 use crate::limits::SpeedLimits;
 use crate::path::Path;
 
@@ -10,7 +9,12 @@ use crate::path::Path;
 /// closed form.
 #[derive(Debug, Clone)]
 pub struct SpeedProfile {
+    /// Length in m of the path.
+    path: f64,
+    /// Whether it repeats, which a profile of a whole closed path does.
     closed: bool,
+    /// Arc length in m of the first knot.
+    start: f64,
     step: f64,
     /// `v²` at each knot, the end included.
     squares: Vec<f64>,
@@ -28,11 +32,7 @@ impl SpeedProfile {
     pub fn new(path: &Path, limits: &SpeedLimits) -> Result<Self, PathError> {
         limits.check(path.closed())?;
         let knots = Knot::along(path, limits);
-        let top = limits.v_max * limits.v_max;
-        let mut squares: Vec<f64> = knots
-            .iter()
-            .map(|knot| top.min(knot.lateral / knot.curvature))
-            .collect();
+        let mut squares: Vec<f64> = knots.iter().map(|knot| knot.cornering(limits)).collect();
         let count = knots.len();
         // No other knot lowers the speed of a lap's slowest knot, so passes that start there give a periodic profile.
         let mut first = 0;
@@ -50,19 +50,14 @@ impl SpeedProfile {
             }
         }
         let pairs = (0..path.piece_count()).map(|k| ((first + k) % count, (first + k + 1) % count));
-        let mut limit = |from: usize, to: usize, allowed: &dyn Fn(&Knot, f64) -> f64| {
-            squares[to] = reach(
-                (&knots[from], squares[from]),
-                (&knots[to], squares[to]),
-                path.step(),
-                allowed,
-            );
-        };
+        let step = path.step();
         for (knot, next) in pairs.clone().rev() {
-            limit(next, knot, &|at, square| at.braking(limits, square));
+            squares[knot] =
+                knots[knot].before(&knots[next], squares[next], limits, step, squares[knot]);
         }
         for (knot, next) in pairs {
-            limit(knot, next, &|at, square| at.driving(limits, square));
+            squares[next] =
+                knots[next].after(&knots[knot], squares[knot], limits, step, squares[next]);
         }
         if path.closed() {
             squares.push(squares[0]);
@@ -83,31 +78,66 @@ impl SpeedProfile {
     }
 
     fn from_squares(path: &Path, squares: Vec<f64>) -> Self {
-        let step = path.step();
-        let mut times = vec![0.0; squares.len()];
-        for i in 1..times.len() {
-            times[i] = times[i - 1] + 2.0 * step / (squares[i - 1].sqrt() + squares[i].sqrt());
-        }
-        Self {
+        let mut profile = Self {
+            path: path.length(),
             closed: path.closed(),
-            step,
+            start: 0.0,
+            step: path.step(),
+            times: vec![0.0; squares.len()],
             squares,
-            times,
+        };
+        profile.integrate();
+        profile
+    }
+
+    /// A profile of part of a path, for `knots` knots `step` m apart, to be filled by a planner.
+    pub(crate) fn part_of(path: &Path, step: f64, knots: usize) -> Self {
+        Self {
+            path: path.length(),
+            closed: false,
+            start: 0.0,
+            step,
+            squares: vec![0.0; knots],
+            times: vec![0.0; knots],
         }
     }
 
-    /// Length in m of the profile's path.
+    /// Lets the profile begin at `start`, writes `v²` at its knots with `fill`, and computes the times.
+    pub(crate) fn refill(&mut self, start: f64, fill: impl FnOnce(&mut [f64])) {
+        self.start = start;
+        fill(&mut self.squares);
+        self.integrate();
+    }
+
+    fn integrate(&mut self) {
+        for (i, pair) in self.squares.windows(2).enumerate() {
+            let speeds = pair[0].sqrt() + pair[1].sqrt();
+            self.times[i + 1] = self.times[i] + 2.0 * self.step / speeds;
+        }
+    }
+
+    /// Length in m of the path that the profile belongs to.
+    pub(crate) fn path_length(&self) -> f64 {
+        self.path
+    }
+
+    /// Length in m of the profile.
     pub fn length(&self) -> f64 {
         self.step * (self.squares.len() - 1) as f64
     }
 
-    /// Time in s of a lap, or from start to end of an open path.
+    /// Time in s of a lap, or from the profile's start to its end.
     pub fn lap_time(&self) -> f64 {
         self.times[self.times.len() - 1]
     }
 
-    /// Speed in m/s at arc length `s`; constant beyond the ends of an open path.
+    /// Speed in m/s at arc length `s`; constant beyond the profile's ends, unless it is that of a lap.
     pub fn speed(&self, s: f64) -> f64 {
+        self.speed_after(s - self.start)
+    }
+
+    /// Speed at a distance from the first knot.
+    fn speed_after(&self, s: f64) -> f64 {
         let s = if self.closed {
             s.rem_euclid(self.length())
         } else {
@@ -119,20 +149,20 @@ impl SpeedProfile {
             .sqrt()
     }
 
-    /// Time in s at which the profile passes `s`, with `s = 0` at time 0. Time continues to increase over the laps of a
-    /// closed path.
+    /// Time in s at which the profile passes `s`, with time 0 at its start. Time continues to increase over the laps of
+    /// a closed path.
     pub fn time(&self, s: f64) -> f64 {
-        let (laps, s) = self.split(s, self.length());
+        let (laps, s) = self.split(s - self.start, self.length());
         let inside = s.clamp(0.0, self.length());
         let (i, u) = self.locate(inside);
         let mut time = laps * self.lap_time() + self.times[i];
         if u > 0.0 {
-            time += 2.0 * u / (self.squares[i].sqrt() + self.speed(inside));
+            time += 2.0 * u / (self.squares[i].sqrt() + self.speed_after(inside));
         }
         if s == inside {
             time
         } else {
-            time + (s - inside) / self.speed(inside)
+            time + (s - inside) / self.speed_after(inside)
         }
     }
 
@@ -151,9 +181,9 @@ impl SpeedProfile {
         let beyond = if time == inside {
             0.0
         } else {
-            (time - inside) * self.speed(s)
+            (time - inside) * self.speed_after(s)
         };
-        laps * self.length() + s + beyond
+        self.start + laps * self.length() + s + beyond
     }
 
     /// Number of whole laps of a closed path, and the remainder.
@@ -175,75 +205,4 @@ impl SpeedProfile {
     fn acceleration(&self, i: usize) -> f64 {
         (self.squares[i + 1] - self.squares[i]) / (2.0 * self.step)
     }
-}
-
-/// Bounds of the speed at one knot.
-struct Knot {
-    /// Absolute curvature in 1/m.
-    curvature: f64,
-    /// Usable grip in m/s².
-    grip: f64,
-    /// Largest lateral acceleration in m/s².
-    lateral: f64,
-}
-
-impl Knot {
-    fn along(path: &Path, limits: &SpeedLimits) -> Vec<Self> {
-        let step = path.step();
-        (0..path.piece_count() + usize::from(!path.closed()))
-            .map(|knot| {
-                let s = knot as f64 * step;
-                let friction = [s - step, s, s + step]
-                    .map(|s| path.friction(s))
-                    .into_iter()
-                    .fold(f64::INFINITY, f64::min);
-                let grip = limits.grip * friction * STANDARD_GRAVITY;
-                Self {
-                    curvature: path.sample(s).curvature.abs(),
-                    grip,
-                    lateral: limits.lateral * grip,
-                }
-            })
-            .collect()
-    }
-
-    /// The share of the longitudinal grip that remains when cornering at `v²`, from the friction ellipse.
-    fn longitudinal_share(&self, square: f64) -> f64 {
-        let load = square * self.curvature / self.lateral;
-        (1.0 - load * load).max(0.0).sqrt()
-    }
-
-    fn braking(&self, limits: &SpeedLimits, square: f64) -> f64 {
-        (limits.braking * self.grip * self.longitudinal_share(square)).min(limits.a_brake)
-    }
-
-    fn driving(&self, limits: &SpeedLimits, square: f64) -> f64 {
-        let motor = limits.a_drive.min(limits.power / square.sqrt());
-        (limits.driving * self.grip * self.longitudinal_share(square)).min(motor)
-    }
-}
-
-/// The largest `v²` at `to`, at most `limit`, that can be reached from `from` with the acceleration allowed at both
-/// knots. The allowed acceleration decreases with speed, so bisection finds the bound.
-fn reach(
-    (from, start): (&Knot, f64),
-    (to, limit): (&Knot, f64),
-    step: f64,
-    allowed: &dyn Fn(&Knot, f64) -> f64,
-) -> f64 {
-    let feasible = |square: f64| square - start <= 2.0 * step * allowed(to, square);
-    let most = limit.min(start + 2.0 * step * allowed(from, start));
-    if most <= start || feasible(most) {
-        return most;
-    }
-    let (mut low, mut high) = (start, most);
-    for _ in 0..50 {
-        let middle = f64::midpoint(low, high);
-        if feasible(middle) {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-    low
 }

@@ -52,7 +52,7 @@ pub struct Decision {
     /// Standard deviations along the plan (T+1, 3).
     sigma: Option<KeptMatrix>,
     /// Friction that the last transitions indicate; None without a reply.
-    friction: Option<Friction>,
+    friction: Option<Py<Friction>>,
     /// Name of the replica that replied, or that was asked last.
     replica: String,
     /// Bytes of the request; empty if none was made.
@@ -84,7 +84,10 @@ impl Decision {
             plan_x: rows_of(py, reply.map(|reply| &reply.plan_x))?,
             plan_u: rows_of(py, reply.map(|reply| &reply.plan_u))?,
             sigma: rows_of(py, reply.map(|reply| &reply.sigma))?,
-            friction: (reply.and_then(|reply| reply.friction.as_ref())).map(Friction::from),
+            friction: match reply {
+                Some(reply) => Friction::of(py, reply)?,
+                None => None,
+            },
             replica: step
                 .replica
                 .map_or_else(String::new, |name| name.to_string()),

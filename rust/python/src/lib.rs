@@ -14,6 +14,7 @@ mod library_writer;
 mod ocp;
 mod parameters;
 mod path;
+mod planner;
 mod plant;
 mod problem;
 mod service;
@@ -59,6 +60,8 @@ mod _core {
     mod path {
         #[pymodule_export]
         use crate::path::{Path, Projection, SpeedProfile, horizon_reference};
+        #[pymodule_export]
+        use crate::planner::{RoadBelief, SpeedPlanner};
     }
 
     #[pymodule]
@@ -91,8 +94,7 @@ mod _core {
         const LIVE_KEYS: &str = egp_wire::keys::ALL_LIVE;
         #[pymodule_export]
         use crate::wire::{
-            Friction,
-            Refusal, Replica, Reply, Request, decode_error, decode_ready, decode_reply,
+            Friction, Refusal, Replica, Reply, Request, decode_error, decode_ready, decode_reply,
             decode_request, decode_timing, encode_plant_truth, file_descriptor_set, health_key,
             live_key, metrics_key, ready_key, replica_of_live, step_key,
         };

@@ -276,7 +276,13 @@ impl Projection {
 
 #[doc = doc!(SpeedProfile)]
 #[pyclass(module = "egp_service._core", frozen)]
-pub struct SpeedProfile(egp_path::SpeedProfile);
+pub struct SpeedProfile(pub egp_path::SpeedProfile);
+
+impl SpeedProfile {
+    pub fn of(profile: egp_path::SpeedProfile) -> Self {
+        Self(profile)
+    }
+}
 
 #[pymethods]
 impl SpeedProfile {

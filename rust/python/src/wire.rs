@@ -43,7 +43,6 @@ pub struct Request {
 
 /// Posterior of the friction coefficient, from the last transitions and a uniform prior.
 #[pyclass(module = "egp_service._core", frozen, get_all)]
-#[derive(Clone)]
 pub struct Friction {
     /// Mean.
     mean: f64,
@@ -55,17 +54,25 @@ pub struct Friction {
     upper: f64,
     /// What the transitions told, nats.
     information: f64,
+    /// Logarithm of the likelihood of each friction coefficient of `friction_hypotheses()`, relative to the largest.
+    log_likelihood: KeptVector,
 }
 
-impl From<&egp_wire::Friction> for Friction {
-    fn from(friction: &egp_wire::Friction) -> Self {
-        Self {
-            mean: friction.mean,
-            std: friction.std,
-            lower: friction.lower,
-            upper: friction.upper,
-            information: friction.information,
-        }
+impl Friction {
+    /// The friction of a reply, if it has one.
+    pub fn of(py: Python<'_>, reply: &egp_wire::Reply) -> PyResult<Option<Py<Self>>> {
+        let object = |friction: &egp_wire::Friction| {
+            let friction = Self {
+                mean: friction.mean,
+                std: friction.std,
+                lower: friction.lower,
+                upper: friction.upper,
+                information: friction.information,
+                log_likelihood: vector(py, friction.log_likelihood).unbind(),
+            };
+            Py::new(py, friction)
+        };
+        reply.friction.as_ref().map(object).transpose()
     }
 }
 
@@ -84,7 +91,7 @@ pub struct Reply {
     iterations: u32,
     kkt_residual: f64,
     solver: String,
-    friction: Option<Friction>,
+    friction: Option<Py<Friction>>,
 }
 
 /// An error reply of the service.
@@ -152,6 +159,7 @@ pub fn decode_reply(py: Python<'_>, data: &[u8]) -> PyResult<Reply> {
     let reply = egp_wire::Reply::decode(data, &MessageLimits::default()).map_err(raise)?;
     let status = reply.status.as_str_name().trim_start_matches("STATUS_");
     let members = reply.weights.len();
+    let friction = Friction::of(py, &reply)?;
     Ok(Reply {
         library: reply.library.to_vec().into(),
         sequence: reply.sequence,
@@ -165,7 +173,7 @@ pub fn decode_reply(py: Python<'_>, data: &[u8]) -> PyResult<Reply> {
         iterations: reply.iterations,
         kkt_residual: reply.kkt_residual,
         solver: reply.solver,
-        friction: reply.friction.as_ref().map(Friction::from),
+        friction,
     })
 }
 

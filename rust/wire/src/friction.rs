@@ -1,5 +1,7 @@
 //! The friction that a step found.
 
+use egp_parameters::FRICTION_HYPOTHESES;
+
 use crate::Invalid;
 use crate::fields::Fields;
 
@@ -16,26 +18,43 @@ pub struct Friction {
     pub upper: f64,
     /// What the transitions told: Kullback-Leibler divergence from the prior, in nats.
     pub information: f64,
+    /// Logarithm of the likelihood of each of [`egp_parameters::friction_hypotheses`], relative to the largest.
+    pub log_likelihood: [f64; FRICTION_HYPOTHESES],
 }
 
 /// Largest friction coefficient that is read.
 const LARGEST: f64 = 10.0;
 /// Largest information that is read, nats.
 const MOST_INFORMATION: f64 = 1e3;
+/// Smallest logarithm that is read.
+const LEAST: f64 = -1e6;
+const LOG_LIKELIHOOD: u32 = 6;
 const FIELD: &str = "friction";
 
 impl Friction {
-    /// In the order of the tags.
+    /// The numbers, in the order of their tags.
     pub(crate) fn values(&self) -> [f64; 5] {
-        [self.mean, self.std, self.lower, self.upper, self.information]
+        [
+            self.mean,
+            self.std,
+            self.lower,
+            self.upper,
+            self.information,
+        ]
     }
 
     /// Reads and validates an `egp.v1.Friction`.
     pub(crate) fn read(message: &[u8]) -> Result<Self, Invalid> {
         let mut values = [0.0; 5];
+        let mut log_likelihood = [0.0; FRICTION_HYPOTHESES];
         for field in Fields::of(message) {
             let (tag, value) = field?;
-            if let Some(slot) = (tag as usize).checked_sub(1).and_then(|i| values.get_mut(i)) {
+            if tag == LOG_LIKELIHOOD {
+                log_likelihood = hypotheses(value.bytes(FIELD)?)?;
+            } else if let Some(slot) = (tag as usize)
+                .checked_sub(1)
+                .and_then(|i| values.get_mut(i))
+            {
                 *slot = value.double(FIELD)?;
             }
         }
@@ -46,6 +65,7 @@ impl Friction {
             lower,
             upper,
             information,
+            log_likelihood,
         };
         friction.validate()?;
         Ok(friction)
@@ -61,10 +81,32 @@ impl Friction {
                 return Err(Invalid::field(FIELD, detail));
             }
         }
+        if let Some(value) =
+            (self.log_likelihood.iter()).find(|value| !(LEAST..=0.0).contains(*value))
+        {
+            let detail = format!("expected log_likelihood in [{LEAST}, 0], got {value}");
+            return Err(Invalid::field(FIELD, detail));
+        }
         if self.lower > self.upper {
             let detail = format!("lower = {} is above upper = {}", self.lower, self.upper);
             return Err(Invalid::field(FIELD, detail));
         }
         Ok(())
+    }
+}
+
+/// Errors unless there is a number for each hypothesis.
+fn hypotheses(bytes: &[u8]) -> Result<[f64; FRICTION_HYPOTHESES], Invalid> {
+    let (values, rest) = bytes.as_chunks();
+    let values: Result<&[[u8; 8]; FRICTION_HYPOTHESES], _> = values.try_into();
+    match (values, rest) {
+        (Ok(values), []) => Ok(values.map(f64::from_le_bytes)),
+        _ => Err(Invalid::field(
+            FIELD,
+            format!(
+                "expected {FRICTION_HYPOTHESES} numbers in log_likelihood, got {} bytes",
+                bytes.len()
+            ),
+        )),
     }
 }

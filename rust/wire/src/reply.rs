@@ -64,7 +64,7 @@ impl Reply {
         message.double(12, self.kkt_residual);
         message.bytes(13, self.solver.as_bytes());
         if let Some(friction) = &self.friction {
-            message.doubles(14, &friction.values());
+            message.doubles(14, &friction.values(), &friction.log_likelihood);
         }
     }
 

@@ -66,14 +66,21 @@ impl<'a> Writer<'a> {
         self.tensor(tag, &shape, predictions.values.as_flattened());
     }
 
-    /// Appends a message of doubles with the tags 1, 2 and so on.
-    pub(crate) fn doubles(&mut self, tag: u32, values: &[f64]) {
-        const SIZE: usize = 1 + size_of::<f64>(); // tags below 16 take one byte
+    /// Appends a message of doubles with the tags 1, 2 and so on, and `list` with the tag after them.
+    pub(crate) fn doubles(&mut self, tag: u32, values: &[f64], list: &[f64]) {
+        const KEY: usize = 1; // tags below 16 take one byte
         let written = values.iter().filter(|value| **value != 0.0).count();
-        self.length(tag, written * SIZE);
-        for (tag, value) in (1..).zip(values) {
-            self.double(tag, *value);
+        let data = size_of_val(list);
+        let list_size = KEY + encoded_len_varint(data as u64) + data;
+        self.length(tag, written * (KEY + size_of::<f64>()) + list_size);
+        let mut next = 1;
+        for value in values {
+            self.double(next, *value);
+            next += 1;
         }
+        self.length(next, data);
+        self.0
+            .extend(list.iter().flat_map(|value| value.to_le_bytes()));
     }
 
     fn length(&mut self, tag: u32, length: usize) {

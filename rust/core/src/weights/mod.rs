@@ -18,8 +18,8 @@ pub use noise::WindowNoise;
 use gram::Gram;
 use noise::Row;
 
-use crate::settings::Prior;
 use crate::NY;
+use crate::settings::Prior;
 
 /// Ridge on `H` relative to its largest entry. With identical members and no quadratic prior it selects the minimiser
 /// nearest to the previous weights.

@@ -121,10 +121,7 @@ impl WindowNoise {
 
     /// Rows of the level with the largest likelihood of `errors`, one error for each of consecutive transitions. Rows
     /// of the first level if there are no errors or if no likelihood is finite.
-    fn likeliest(
-        &self,
-        errors: impl Iterator<Item = GpOutput>,
-    ) -> impl Iterator<Item = &Row> {
+    fn likeliest(&self, errors: impl Iterator<Item = GpOutput>) -> impl Iterator<Item = &Row> {
         let mut white = [GpOutput::zeros(); LEVELS];
         let mut squares = [0.0; LEVELS];
         let mut last: &[Row] = &[];

@@ -1,0 +1,107 @@
+//! What the friction ellipse allows at one knot of a speed profile.
+
+use egp_parameters::STANDARD_GRAVITY;
+
+use crate::limits::SpeedLimits;
+use crate::path::Path;
+
+/// Bounds of the speed at one knot.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Knot {
+    /// Absolute curvature in 1/m.
+    curvature: f64,
+    /// Usable grip in m/s².
+    grip: f64,
+    /// Largest lateral acceleration in m/s².
+    lateral: f64,
+}
+
+impl Knot {
+    pub fn new(curvature: f64, friction: f64, limits: &SpeedLimits) -> Self {
+        let grip = limits.grip * friction * STANDARD_GRAVITY;
+        Self {
+            curvature,
+            grip,
+            lateral: limits.lateral * grip,
+        }
+    }
+
+    /// The knots of a path, each with the lowest friction within a step.
+    pub fn along(path: &Path, limits: &SpeedLimits) -> Vec<Self> {
+        let step = path.step();
+        (0..path.piece_count() + usize::from(!path.closed()))
+            .map(|knot| {
+                let s = knot as f64 * step;
+                let friction = [s - step, s, s + step]
+                    .map(|s| path.friction(s))
+                    .into_iter()
+                    .fold(f64::INFINITY, f64::min);
+                Self::new(path.sample(s).curvature.abs(), friction, limits)
+            })
+            .collect()
+    }
+
+    /// The largest `v²` in the bend.
+    pub fn cornering(&self, limits: &SpeedLimits) -> f64 {
+        (limits.v_max * limits.v_max).min(self.lateral / self.curvature)
+    }
+
+    /// The largest `v²`, at most `most`, from which braking reaches `square` at the `next` knot, `step` m ahead.
+    pub fn before(
+        &self,
+        next: &Self,
+        square: f64,
+        limits: &SpeedLimits,
+        step: f64,
+        most: f64,
+    ) -> f64 {
+        let there =
+            (limits.braking * next.grip * next.longitudinal_share(square)).min(limits.a_brake);
+        let most = most.min(square + 2.0 * step * there);
+        let here = self.reach(square, 2.0 * step * limits.braking * self.grip);
+        most.min(here).min(square + 2.0 * step * limits.a_brake)
+    }
+
+    /// The largest `v²`, at most `most`, that drive reaches from `square` at the knot `last`, `step` m behind.
+    pub fn after(
+        &self,
+        last: &Self,
+        square: f64,
+        limits: &SpeedLimits,
+        step: f64,
+        most: f64,
+    ) -> f64 {
+        let motor = |square: f64| limits.a_drive.min(limits.power / square.sqrt());
+        let there =
+            (limits.driving * last.grip * last.longitudinal_share(square)).min(motor(square));
+        let most = most.min(square + 2.0 * step * there);
+        if most <= square {
+            return most;
+        }
+        let here = self.reach(square, 2.0 * step * limits.driving * self.grip);
+        // The power limit at the faster end.
+        most.min(here).min(square + 2.0 * step * motor(most))
+    }
+
+    /// The smallest `v²` that full braking, without regard to the bend, reaches from `square` within `step` m.
+    pub fn full_braking(&self, square: f64, limits: &SpeedLimits, step: f64) -> f64 {
+        let deceleration = (limits.braking * self.grip).min(limits.a_brake);
+        (square - 2.0 * step * deceleration).max(0.0)
+    }
+
+    /// The share of the longitudinal grip that remains when cornering at `v²`, from the friction ellipse.
+    fn longitudinal_share(&self, square: f64) -> f64 {
+        let load = square * self.curvature / self.lateral;
+        (1.0 - load * load).max(0.0).sqrt()
+    }
+
+    /// The largest `v²` at this knot whose distance from `start` is at most `range` times the longitudinal share left
+    /// at it: the larger root of `(x - start)² = range² (1 - (x / limit)²)`, where `limit` is the largest `v²` in the
+    /// bend.
+    fn reach(&self, start: f64, range: f64) -> f64 {
+        let ratio = range * self.curvature / self.lateral;
+        let a = 1.0 + ratio * ratio;
+        let root = (start * start - a * (start * start - range * range)).max(0.0);
+        (start + root.sqrt()) / a
+    }
+}

@@ -1,0 +1,144 @@
+//! Reference speed ahead of the vehicle, for friction that is only believed.
+
+use crate::error::{PathError, check};
+use crate::knot::Knot;
+use crate::limits::SpeedLimits;
+use crate::path::Path;
+use crate::speed::SpeedProfile;
+
+/// Distance that is planned, m; a vehicle stops within it from 25 m/s on friction 0.3.
+const DISTANCE: f64 = 250.0;
+/// Distance between knots in m, at most.
+const SPACING: f64 = 1.0;
+
+/// Plans the speed over the next 250 m of a path, once in each control period. Allocates nothing while planning.
+#[derive(Debug, Clone)]
+pub struct SpeedPlanner {
+    limits: SpeedLimits,
+    closed: bool,
+    step: f64,
+    /// Largest absolute curvature within half a step of each knot of the path, 1/m.
+    curvature: Vec<f64>,
+    knots: Vec<Knot>,
+    profile: SpeedProfile,
+}
+
+impl SpeedPlanner {
+    /// A planner for a path. The path's zones of friction are not used.
+    ///
+    /// # Errors
+    /// [`PathError`] if a limit is out of range or a closed path has a start or end speed.
+    pub fn new(path: &Path, limits: &SpeedLimits) -> Result<Self, PathError> {
+        const BETWEEN: usize = 4;
+        limits.check(path.closed())?;
+        let pieces = (path.length() / SPACING).ceil();
+        let step = path.length() / pieces;
+        let pieces = pieces as usize;
+        let curvature = (0..pieces + usize::from(!path.closed()))
+            .map(|knot| {
+                let parts = (0..=BETWEEN).map(|i| i as f64 / BETWEEN as f64 - 0.5);
+                parts.fold(0.0_f64, |most, part| {
+                    let s = (knot as f64 + part) * step;
+                    most.max(path.sample(s).curvature.abs())
+                })
+            })
+            .collect();
+        let knots = (DISTANCE / step).ceil() as usize + 1;
+        Ok(Self {
+            limits: *limits,
+            closed: path.closed(),
+            step,
+            curvature,
+            knots: vec![Knot::default(); knots],
+            profile: SpeedProfile::part_of(path, step, knots),
+        })
+    }
+
+    /// Distance in m between the places of [`Self::plan`].
+    pub fn step(&self) -> f64 {
+        self.step
+    }
+
+    /// Number of places of [`Self::plan`].
+    pub fn places(&self) -> usize {
+        self.knots.len()
+    }
+
+    /// Arc length of the first place for a vehicle at `s`: the last knot that it has passed.
+    pub fn start(&self, s: f64) -> f64 {
+        (s / self.step).floor() * self.step
+    }
+
+    /// The fastest speed from `s` on, by a backward pass for braking and a forward pass for driving from the present
+    /// speed `v`. Where the vehicle is too fast for what lies ahead, the plan brakes with all grip.
+    ///
+    /// `friction` has the friction coefficient to plan for at each place, [`Self::step`] m apart from [`Self::start`]
+    /// on. Without a present speed the plan begins with the largest one.
+    ///
+    /// # Errors
+    /// [`PathError`] if a number is out of range or `friction` has another length than [`Self::places`].
+    pub fn plan(
+        &mut self,
+        s: f64,
+        v: Option<f64>,
+        friction: &[f64],
+    ) -> Result<&SpeedProfile, PathError> {
+        check("s", s, "a finite arc length", |_| true)?;
+        check("v", v.unwrap_or_default(), "a finite speed", |_| true)?;
+        if friction.len() != self.knots.len() {
+            return Err(PathError::Places {
+                expected: self.knots.len(),
+                got: friction.len(),
+            });
+        }
+        for mu in friction {
+            check("friction", *mu, "a positive number", |mu| mu > 0.0)?;
+        }
+        let first = (s / self.step).floor();
+        let Self {
+            limits,
+            closed,
+            step,
+            curvature,
+            knots,
+            profile,
+        } = self;
+        for (i, (knot, mu)) in knots.iter_mut().zip(friction).enumerate() {
+            let index = first + i as f64;
+            let curvature = if *closed {
+                curvature[index.rem_euclid(curvature.len() as f64) as usize]
+            } else if index < 0.0 {
+                0.0
+            } else {
+                curvature.get(index as usize).copied().unwrap_or(0.0)
+            };
+            *knot = Knot::new(curvature, *mu, limits);
+        }
+        let end = limits.end_speed.map(|speed| {
+            let end = curvature.len() as f64 - 1.0 - first;
+            (end.max(0.0) as usize, speed * speed)
+        });
+        profile.refill(first * *step, |squares| {
+            for (square, knot) in squares.iter_mut().zip(&*knots) {
+                *square = knot.cornering(limits);
+            }
+            if let Some((end, most)) = end {
+                for square in squares.iter_mut().skip(end) {
+                    *square = square.min(most);
+                }
+            }
+            for i in (1..squares.len()).rev() {
+                let most = squares[i - 1];
+                squares[i - 1] = knots[i - 1].before(&knots[i], squares[i], limits, *step, most);
+            }
+            squares[0] = v.map_or(squares[0], |v| v.max(0.0).powi(2));
+            for i in 1..squares.len() {
+                let fastest =
+                    knots[i].after(&knots[i - 1], squares[i - 1], limits, *step, squares[i]);
+                let slowest = knots[i - 1].full_braking(squares[i - 1], limits, *step);
+                squares[i] = fastest.max(slowest);
+            }
+        });
+        Ok(&self.profile)
+    }
+}
