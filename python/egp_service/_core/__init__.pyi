@@ -4,6 +4,7 @@ A name that the package's public interface can reach has its documentation here,
 `rust/python/build.rs` copies it for `help()`. All other names are documented in `rust/python/src`.
 """
 
+from egp_service._core.belief import *
 from egp_service._core.driver import *
 from egp_service._core.error import *
 from egp_service._core.library import *

@@ -178,56 +178,6 @@ class SpeedProfile:
     def speed(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the speed at arc lengths (n,)."""
 
-@final
-class SpeedPlanner:
-    """Plans the speed over the next 250 m of a path, once in each control period.
-
-    `grip` and `v_max` are those of `SpeedProfile`. The path's zones of friction are not used.
-    """
-
-    def __new__(
-        cls, path: Path, vehicle: VehicleParameters, grip: float = 0.8, v_max: float = 30.0
-    ) -> SpeedPlanner: ...
-    def places(self, s: float) -> NDArray[np.float64]:
-        """Return the arc lengths (n,) at which `plan` needs the friction, for a vehicle at `s`."""
-    def plan(
-        self, s: float, friction: NDArray[np.float64], v: float | None = None
-    ) -> SpeedProfile:
-        """Plan the fastest speed from `s` on for the friction coefficients (n,) at the `places`.
-
-        The plan begins with the present speed `v` in m/s, or without one with the largest speed.
-        Where the vehicle is too fast for what lies ahead, the plan brakes with all grip. Raises
-        `EgpError` if a number is out of range.
-        """
-    def plan_by_belief(
-        self, s: float, belief: RoadBelief, risk: float, v: float | None = None
-    ) -> SpeedProfile:
-        """Plan for the friction below which the road's lies with the probability `risk`."""
-
-@final
-class RoadBelief:
-    """Belief about the friction along a path, from evidence in cells of at most 2 m.
-
-    From place to place the friction stays or, on average every `change_distance` m, is drawn anew
-    from its prior. `commitment` is the distance in m over which the vehicle cannot react to a
-    change, and `capacity` the largest logarithm of a likelihood ratio that a cell keeps.
-    """
-
-    def __new__(
-        cls,
-        path: Path,
-        *,
-        change_distance: float = 200.0,
-        commitment: float = 40.0,
-        capacity: float = 6.0,
-    ) -> RoadBelief: ...
-    def observe(
-        self, start: float, end: float, log_likelihood: NDArray[np.float64], weight: float
-    ) -> None:
-        """Add `weight` times the evidence of `Friction` to the cells from `start` to `end`."""
-    def quantiles(self, s: float, shares: Sequence[float]) -> list[float]:
-        """Return three quantiles of the friction at `s`."""
-
 def horizon_reference(
     path: Path,
     profile: SpeedProfile,

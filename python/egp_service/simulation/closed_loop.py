@@ -17,6 +17,7 @@ import numpy as np
 from egp_service._core import EgpError, Library, Plant, horizon_reference
 from egp_service.quantities import NU, NX, POSITION, PSI, V_X
 from egp_service.simulation.course import build_path, build_profile
+from egp_service.simulation.reference import speed_reference
 from egp_service.simulation.scenario import library_path
 from egp_service.simulation.summary import Ending, Summary, summarise
 from egp_service.simulation.trace import Period, Trace, Truth
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from egp_service._core import Path, Projection
+    from egp_service._core import Path, Projection, RoadBelief
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Measurement, Scenario
 
@@ -34,8 +35,9 @@ if TYPE_CHECKING:
 FRICTION_UPDATES = 10
 # s; the first step may take longer because connections and caches are cold.
 FIRST_DEADLINE = 2.0
-# A run ends after this multiple of the reference's time.
-PATIENCE = 2.0
+# A run ends after this multiple of the time of the reference that knows all zones. A reference that
+# knows less is slower.
+PATIENCE = {"zones": 2.0, "here": 4.0, "nothing": 4.0}
 STANDSTILL = 0.3
 
 
@@ -57,8 +59,16 @@ class Run:
         return build_path(self.scenario)
 
 
-def drive(scenario: Scenario, controller: StepController, observe: Callable[[Period], None]) -> Run:
+def drive(
+    scenario: Scenario,
+    controller: StepController,
+    observe: Callable[[Period], None],
+    belief: RoadBelief | None = None,
+) -> Run:
     """Drive the scenario with `controller` and call `observe` with each period.
+
+    `belief` is what earlier runs found about the road; what this run finds is added to it. It is
+    used if the scenario's reference speed knows nothing.
 
     The members' friction coefficients, which pictures show, are read from the scenario's library
     file; the controller may use another one.
@@ -66,7 +76,7 @@ def drive(scenario: Scenario, controller: StepController, observe: Callable[[Per
     Raises `EgpError` if the scenario's track cannot be built. A loss of control is not an exception
     but the run's ending.
     """
-    loop = _Loop(scenario, controller)
+    loop = _Loop(scenario, controller, belief)
     periods: list[Period] = []
     ending = None
     while ending is None:
@@ -91,11 +101,13 @@ def drive(scenario: Scenario, controller: StepController, observe: Callable[[Per
 class _Loop:
     """State of the closed loop between periods."""
 
-    def __init__(self, scenario: Scenario, controller: StepController) -> None:
+    def __init__(
+        self, scenario: Scenario, controller: StepController, belief: RoadBelief | None
+    ) -> None:
         self._scenario = scenario
         self._controller = controller
         self.path = build_path(scenario)
-        self._profile = build_profile(scenario, self.path)
+        self._speed = speed_reference(scenario, self.path, belief)
         self._noise = _noise(scenario.measurement)
         self._random = np.random.default_rng(scenario.seed)
         self._plant = Plant(scenario.vehicle, asdict(scenario.disturbances))
@@ -106,11 +118,14 @@ class _Loop:
         self._ticks = 0
         laps = scenario.laps if self.path.closed else 1.0
         self._goal = laps * self.path.length
-        self._time_limit = 10.0 + PATIENCE * laps * self._profile.lap_time
+        told = laps * build_profile(scenario, self.path).lap_time
+        self._time_limit = 10.0 + PATIENCE[scenario.speed.knows] * told
         x, y, yaw, *_ = (column[0] for column in self.path.sample(np.zeros(1)))
         v_start = scenario.speed.v_start
-        speed = self._profile.speed(np.zeros(1))[0] if v_start is None else v_start
-        self._plant.reset(x, y, yaw, speed)
+        if v_start is None:
+            profile, _ = self._speed.plan(0.0, None)
+            v_start = float(profile.speed(np.zeros(1))[0])
+        self._plant.reset(x, y, yaw, v_start)
 
     @property
     def _time(self) -> float:
@@ -120,6 +135,8 @@ class _Loop:
         """Compute the step of this period."""
         x = self._plant.vehicle_state
         projection = self._project(x)
+        measured = x + self._noise * self._random.standard_normal(NX)
+        profile, planned = self._speed.plan(projection.s, float(measured[V_X]))
         truth = Truth(
             time=self._time,
             x=x,
@@ -128,12 +145,12 @@ class _Loop:
             path_s=projection.s,
             lateral_error=projection.lateral,
             heading_error=_wrap(x[PSI] - projection.yaw),
-            speed_reference=float(self._profile.speed(np.array([projection.s]))[0]),
+            speed_reference=float(profile.speed(np.array([projection.s]))[0]),
+            friction_planned=planned,
         )
-        measured = x + self._noise * self._random.standard_normal(NX)
         reference, widths, _ = horizon_reference(
             self.path,
-            self._profile,
+            profile,
             measured,
             self._controller.dt,
             self._controller.horizon,
@@ -141,6 +158,7 @@ class _Loop:
         )
         deadline = FIRST_DEADLINE if self._ticks == 0 else None
         step = self._controller.step(measured, reference, widths, deadline=deadline)
+        self._speed.found(step.friction)
         return Period(truth, step)
 
     def advance(self, period: Period) -> Ending | None:

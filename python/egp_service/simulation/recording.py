@@ -74,6 +74,7 @@ class Recording:
             speed_reference=truth.speed_reference,
             mode=step.mode,
             weights=step.weights.tolist(),
+            friction_planned=truth.friction_planned,
         )
         self._message("/plant", message, truth.time)
 

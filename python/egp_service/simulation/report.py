@@ -48,6 +48,7 @@ STYLE = {
     "savefig.facecolor": "white",
 }
 INK, MUTED, ALARM = "#1f2937", "#8a8f98", "#c2410c"
+FOUND, PLANNED = "#4ba3c7", "#6a994e"
 MEMBER_COLOURS = ("#4ba3c7", "#e0a13a", "#6a994e", "#9d6bb0", "#c8553d", "#5c677d")
 # From ice to dry asphalt.
 SURFACE = LinearSegmentedColormap.from_list("surface", ["#cfe6f5", "#b9c2c9", "#82878d"])
@@ -66,7 +67,7 @@ def draw_run(run: Run, folder: FilePath) -> list[FilePath]:
 
 
 def draw_weights(run: Run, path: FilePath, title: str | None = None) -> FilePath:
-    """Draw weights, estimated and true friction, and the grip used in corners."""
+    """Draw weights, the friction (true, found and planned for), and the grip used in corners."""
     return _save(_weights_figure, run, path, title)
 
 
@@ -189,9 +190,15 @@ def _weights_figure(run: Run) -> Figure:
     for ax in (middle, bottom):
         draw_zones(ax, run.path, float(trace.distance[-1]))
     middle.step(trace.distance, trace.friction, color=INK, where="post", label="true friction")
+    lower, upper = trace.friction_found.T
+    middle.fill_between(
+        trace.distance, lower, upper, color=FOUND, alpha=0.35, linewidth=0, label="found, 90 %"
+    )
     middle.plot(distance, weights @ run.frictions, color=ALARM, label="the members', weighted")
-    middle.set(ylabel="μ", ylim=(0.2, 1.35))
-    middle.legend(loc="lower right", ncols=2)
+    if run.scenario.speed.knows != "zones":
+        middle.plot(trace.distance, trace.friction_planned, color=PLANNED, label="planned for")
+    middle.set(ylabel="μ", ylim=(0.0, 1.4))
+    middle.legend(loc="lower right", ncols=4)
     grip = np.abs(trace.x[:, V_X] * trace.x[:, OMEGA]) / (GRAVITY * trace.friction)
     bottom.fill_between(trace.distance, grip, color=MUTED, linewidth=0)
     bottom.set(xlabel="distance [m]", ylabel="grip used\nin corners", ylim=(0.0, 1.0))

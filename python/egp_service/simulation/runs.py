@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from egp_service._core import RoadBelief
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
     from egp_service.simulation.trace import Period
@@ -33,9 +34,16 @@ def new_folder(root: Path, name: str) -> Path:
 
 
 def record_run(
-    scenario: Scenario, controller: StepController, folder: Path, observe: Callable[[Period], None]
+    scenario: Scenario,
+    controller: StepController,
+    folder: Path,
+    observe: Callable[[Period], None],
+    belief: RoadBelief | None = None,
 ) -> Run:
-    """Drive the scenario and write `scenario.toml`, `run.mcap` and `summary.json` to `folder`."""
+    """Drive the scenario and write `scenario.toml`, `run.mcap` and `summary.json` to `folder`.
+
+    `belief` is what earlier runs found about the road, see `drive`.
+    """
     write_text(folder / "scenario.toml", scenario.toml())
     with Recording.create(folder / "run.mcap") as recording:
 
@@ -43,6 +51,6 @@ def record_run(
             recording.add(period)
             observe(period)
 
-        run = drive(scenario, controller, both)
+        run = drive(scenario, controller, both, belief)
     write_text(folder / "summary.json", json.dumps(run.summary.as_json(), indent=2) + "\n")
     return run

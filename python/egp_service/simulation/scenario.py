@@ -20,6 +20,7 @@ from egp_service.simulation.configuration import ConfigurationError, build, with
 BUILT_IN = resources.files("egp_service.simulation") / "scenarios"
 DEMO_LIBRARY = "demo"
 MAX_DELAY = 100
+KNOWLEDGE = ("zones", "here", "nothing")
 
 
 class ScenarioError(ConfigurationError):
@@ -80,8 +81,17 @@ class Speed:
     """The reference speed, which uses the fraction `grip` of the friction, up to `v_max`."""
 
     grip: float = 0.85
-    """Fraction of the friction that the speed profile uses; on a split road, of the mean of both
-    sides. The profile depends on the zones, which are unknown to the controller."""
+    """Fraction of the friction that the reference speed uses; on a split road, of the mean of both
+    sides."""
+    knows: str = "zones"
+    """What the reference speed depends on: `zones`, the friction of all zones; `here`, the friction
+    under the vehicle, as if it were the same everywhere; `nothing`, what the control steps found.
+    The controller's model knows nothing of the zones in any case."""
+    risk: float = 0.05
+    """With `nothing`: probability that a place has less friction than its speed is planned for."""
+    friction: float | None = None
+    """With `nothing`: a friction assumed everywhere, in place of what was found. With `here`: the
+    largest friction to plan for."""
     v_max: float = 20.0
     """Largest speed, m/s."""
     constant: bool = False
@@ -239,9 +249,19 @@ def _check(scenario: Scenario, origin: str) -> None:
         raise ScenarioError(
             f"{origin}: actuator_delay must be in 0..={MAX_DELAY}, got {scenario.actuator_delay}"
         )
+    if scenario.speed.knows not in KNOWLEDGE:
+        raise ScenarioError(
+            f"{origin}: speed.knows must be one of {', '.join(KNOWLEDGE)}, "
+            f"got {scenario.speed.knows!r}"
+        )
+    if not 0.0 < scenario.speed.risk < 1.0:
+        raise ScenarioError(
+            f"{origin}: speed.risk must be between 0 and 1, got {scenario.speed.risk}"
+        )
     positive = {
         "speed.grip": scenario.speed.grip,
         "speed.v_max": scenario.speed.v_max,
+        "speed.friction": 1.0 if scenario.speed.friction is None else scenario.speed.friction,
         "laps": scenario.laps,
         "leave_distance": scenario.leave_distance,
         **{

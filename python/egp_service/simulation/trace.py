@@ -35,6 +35,8 @@ class Truth:
     """Yaw less the path's direction, rad."""
     speed_reference: float
     """Reference speed, m/s."""
+    friction_planned: float
+    """Friction coefficient for which the reference speed is planned here; NaN if for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,10 @@ class Trace:
     lateral_error: NDArray[np.float64]
     heading_error: NDArray[np.float64]
     speed_error: NDArray[np.float64]
+    friction_planned: NDArray[np.float64]
+    friction_found: NDArray[np.float64]
+    """(n, 2), 90 % interval of the friction that the last transitions indicate; NaN without a
+    reply."""
     weights: NDArray[np.float64]
     """(n, N); NaN before the first reply."""
     step_time: NDArray[np.float64]
@@ -79,6 +85,8 @@ class Trace:
             "lateral_error": [truth.lateral_error for truth in truths],
             "heading_error": [truth.heading_error for truth in truths],
             "speed_error": [truth.x[V_X] - truth.speed_reference for truth in truths],
+            "friction_planned": [truth.friction_planned for truth in truths],
+            "friction_found": np.array([_interval(step) for step in steps]).reshape(-1, 2),
             "weights": np.array(
                 [step.weights if step.weights.size else unknown for step in steps]
             ).reshape(len(steps), members),
@@ -91,3 +99,8 @@ class Trace:
     def __len__(self) -> int:
         """Count the periods."""
         return len(self.time)
+
+
+def _interval(step: Step) -> tuple[float, float]:
+    friction = step.friction
+    return (np.nan, np.nan) if friction is None else (friction.lower, friction.upper)

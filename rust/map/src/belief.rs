@@ -1,5 +1,8 @@
 //! Belief about the friction along a road.
 
+use std::collections::VecDeque;
+use std::mem::take;
+
 use egp_parameters::FRICTION_HYPOTHESES;
 
 use crate::grid::{Grid, Row, interpolate, normalise, to_probabilities};
@@ -19,6 +22,8 @@ pub struct BeliefSettings {
     pub commitment: f64,
     /// Largest logarithm of a likelihood ratio that a cell keeps, in nats.
     pub capacity: f64,
+    /// Number of transitions `K` from which a control step estimates the friction.
+    pub window: usize,
 }
 
 impl Default for BeliefSettings {
@@ -27,6 +32,7 @@ impl Default for BeliefSettings {
             change_distance: 200.0,
             commitment: 40.0,
             capacity: 6.0,
+            window: 25,
         }
     }
 }
@@ -55,13 +61,16 @@ pub struct RoadBelief {
     grid: Grid,
     closed: bool,
     cell: f64,
+    /// Where the vehicle was at the starts of the last periods, newest last.
+    track: VecDeque<f64>,
     /// Logarithm of the likelihood in each cell, at most 0.
     evidence: Vec<Row>,
     /// Its exponential.
     likelihood: Vec<Row>,
-    /// Memory of the forward recursion.
+    /// Messages of the forward recursion: probabilities before the cell's own evidence.
     forward: Vec<Row>,
-    masses: Vec<Row>,
+    /// Messages of the backward recursion.
+    backward: Vec<Row>,
 }
 
 impl RoadBelief {
@@ -75,6 +84,7 @@ impl RoadBelief {
             ("change_distance", settings.change_distance),
             ("commitment", settings.commitment),
             ("capacity", settings.capacity),
+            ("window", settings.window as f64),
         ] {
             positive(name, value)?;
         }
@@ -84,40 +94,84 @@ impl RoadBelief {
             grid: Grid::new(),
             closed,
             cell: length / cells,
+            track: VecDeque::with_capacity(settings.window + 1),
             evidence: vec![[0.0; _]; cells as usize],
             likelihood: vec![[1.0; _]; cells as usize],
             forward: Vec::new(),
-            masses: Vec::new(),
+            backward: Vec::new(),
         })
     }
 
-    /// Adds `weight` times a logarithm of a likelihood to the cells from `from` to `to` (m along the road), each by
-    /// its share of the stretch.
+    /// Length in m of the road.
+    pub fn length(&self) -> f64 {
+        self.cell * self.evidence.len() as f64
+    }
+
+    /// Whether the road is a lap.
+    pub fn closed(&self) -> bool {
+        self.closed
+    }
+
+    pub(crate) fn evidence(&self) -> &[Row] {
+        &self.evidence
+    }
+
+    /// Opens a control period of a vehicle at `s`, and adds what the last control step found.
+    ///
+    /// The estimate of a window belongs to the road that the vehicle passed in it. Its evidence goes to the middle third,
+    /// so that a change of the surface is found where it is, and each period adds `1 / window` of it, because
+    /// successive windows share all transitions but one.
     ///
     /// # Errors
-    /// [`BeliefError`] unless all numbers are finite, `from <= to`, and the likelihoods' logarithms are at most 0.
-    pub fn observe(
+    /// [`BeliefError`] unless `s` is finite and the likelihoods' logarithms are finite and at most 0.
+    pub fn update(
         &mut self,
-        from: f64,
-        to: f64,
-        log_likelihood: &[f64; FRICTION_HYPOTHESES],
-        weight: f64,
+        s: f64,
+        log_likelihood: Option<&[f64; FRICTION_HYPOTHESES]>,
     ) -> Result<(), BeliefError> {
-        finite("from", from)?;
-        finite("to", to)?;
-        positive("weight", weight)?;
-        for value in log_likelihood {
-            if !(f64::MIN..=0.0).contains(value) {
-                return Err(BeliefError {
-                    name: "log_likelihood",
-                    expected: "finite numbers of at most 0",
-                    value: *value,
-                });
+        finite("s", s)?;
+        let window = self.settings.window;
+        if let Some(log_likelihood) = log_likelihood {
+            for value in log_likelihood {
+                if !(f64::MIN..=0.0).contains(value) {
+                    return Err(BeliefError {
+                        name: "log_likelihood",
+                        expected: "finite numbers of at most 0",
+                        value: *value,
+                    });
+                }
+            }
+            if self.track.len() > window {
+                let (from, to) = (self.track[window / 3], self.track[2 * window / 3]);
+                self.add(from, to, log_likelihood);
             }
         }
-        let log_likelihood = interpolate(log_likelihood);
+        if self.track.len() > window {
+            self.track.pop_front();
+        }
+        self.track.push_back(s);
+        Ok(())
+    }
+
+    /// Forgets where the vehicle was, for instance after it was moved; what it found remains.
+    pub fn leave(&mut self) {
+        self.track.clear();
+    }
+
+    /// Adds one period's evidence to the cells from `from` to `to`, each by its share of the stretch.
+    fn add(&mut self, from: f64, to: f64, log_likelihood: &[f64; FRICTION_HYPOTHESES]) {
+        let lap = if self.closed && to < from - 0.5 * self.length() {
+            self.length()
+        } else {
+            0.0
+        };
+        let to = to + lap;
         let (first, last) = (self.index(from), self.index(to));
-        for index in first..=last.min(first + self.evidence.len() as i64 - 1) {
+        if to < from || last - first >= self.evidence.len() as i64 {
+            return; // backwards, or moved
+        }
+        let log_likelihood = interpolate(log_likelihood);
+        for index in first..=last {
             let (start, end) = (index as f64 * self.cell, (index + 1) as f64 * self.cell);
             let share = if to > from {
                 (to.min(end) - from.max(start)) / (to - from)
@@ -127,18 +181,22 @@ impl RoadBelief {
             let Some(cell) = self.stored(index) else {
                 continue;
             };
-            let evidence = &mut self.evidence[cell];
-            for (sum, value) in evidence.iter_mut().zip(&log_likelihood) {
-                *sum += weight * share * value;
-            }
-            let most = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            let least = -self.settings.capacity;
-            evidence
-                .iter_mut()
-                .for_each(|value| *value = (*value - most).max(least));
-            self.likelihood[cell] = evidence.map(f64::exp);
+            self.add_to_cell(cell, share / self.settings.window as f64, &log_likelihood);
         }
-        Ok(())
+    }
+
+    /// Adds `weight` times a logarithm of a likelihood to a cell.
+    pub(crate) fn add_to_cell(&mut self, cell: usize, weight: f64, log_likelihood: &Row) {
+        let evidence = &mut self.evidence[cell];
+        for (sum, value) in evidence.iter_mut().zip(log_likelihood) {
+            *sum += weight * value;
+        }
+        let most = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let least = -self.settings.capacity;
+        for value in evidence.iter_mut() {
+            *value = (*value - most).max(least);
+        }
+        self.likelihood[cell] = evidence.map(f64::exp);
     }
 
     /// Writes the friction to plan for at places `step` m apart from `start` on: the coefficient below which the
@@ -155,80 +213,75 @@ impl RoadBelief {
     ) -> Result<(), BeliefError> {
         finite("start", start)?;
         positive("step", step)?;
-        if !(risk > 0.0 && risk < 1.0) {
-            return Err(BeliefError {
-                name: "risk",
-                expected: "a probability in (0, 1)",
-                value: risk,
-            });
-        }
+        probability("risk", risk)?;
         let first = self.index(start);
         let last = self.index(start + step * friction.len().saturating_sub(1) as f64);
         self.smooth(first, last);
         let committed = 1.0 - (-self.settings.commitment / self.settings.change_distance).exp();
         let prior = self.grid.prior;
+        let mut known = (first - 1, 0.0);
         for (i, out) in friction.iter_mut().enumerate() {
             let index = self.index(start + step * i as f64);
-            let place = (index - first) as usize;
-            let likelihood = self.likelihood_of(index);
-            let masses: Row = std::array::from_fn(|h| {
-                let predicted = self.forward[place][h];
-                let predicted = predicted + committed * (prior[h] - predicted);
-                predicted * likelihood[h] * self.masses[place][h]
-            });
-            *out = self.grid.quantile(&masses, risk);
+            if index != known.0 {
+                let place = (index - first) as usize;
+                let (forward, backward) = (&self.forward[place], &self.backward[place]);
+                let likelihood = self.likelihood_of(index);
+                let masses: Row = std::array::from_fn(|h| {
+                    let predicted = forward[h] + committed * (prior[h] - forward[h]);
+                    predicted * likelihood[h] * backward[h]
+                });
+                known = (index, self.grid.quantile(&masses, risk));
+            }
+            *out = known.1;
         }
         Ok(())
     }
 
-    /// Quantiles of the friction at a place.
+    /// The friction below which that at `s` lies with the probability `share`, without regard to the commitment.
     ///
     /// # Errors
-    /// [`BeliefError`] unless `s` is finite.
-    pub fn quantiles<const N: usize>(
-        &mut self,
-        s: f64,
-        shares: [f64; N],
-    ) -> Result<[f64; N], BeliefError> {
+    /// [`BeliefError`] unless `s` is finite and `share` in (0, 1).
+    pub fn quantile(&mut self, s: f64, share: f64) -> Result<f64, BeliefError> {
+        probability("share", share)?;
         finite("s", s)?;
         let index = self.index(s);
         self.smooth(index, index);
         let likelihood = self.likelihood_of(index);
-        let masses: Row =
-            std::array::from_fn(|h| self.forward[0][h] * likelihood[h] * self.masses[0][h]);
-        Ok(shares.map(|share| self.grid.quantile(&masses, share)))
+        let (forward, backward) = (&self.forward[0], &self.backward[0]);
+        let masses: Row = std::array::from_fn(|h| forward[h] * likelihood[h] * backward[h]);
+        Ok(self.grid.quantile(&masses, share))
     }
 
-    /// Computes the forward messages (probabilities before the cell's own evidence) and the backward messages of the
-    /// cells `first..=last`.
+    /// Computes the messages of the cells `first..=last`.
     fn smooth(&mut self, first: i64, last: i64) {
         let reach = (REACH / self.cell).ceil() as i64;
         let change = 1.0 - (-self.cell / self.settings.change_distance).exp();
         let prior = self.grid.prior;
-        self.forward.clear();
-        self.masses.clear();
-        self.masses.resize((last - first + 1) as usize, [0.0; _]);
+        let (mut forward, mut backward) = (take(&mut self.forward), take(&mut self.backward));
+        forward.clear();
         let mut message = prior;
         for index in first - reach..=last {
             if index >= first {
-                self.forward.push(message);
+                forward.push(message);
             }
             let likelihood = self.likelihood_of(index);
-            (0..message.len()).for_each(|h| message[h] *= likelihood[h]);
+            (message.iter_mut().zip(likelihood)).for_each(|(m, l)| *m *= l);
             to_probabilities(&mut message);
-            (0..message.len()).for_each(|h| message[h] += change * (prior[h] - message[h]));
+            (message.iter_mut().zip(&prior)).for_each(|(m, p)| *m += change * (p - *m));
         }
+        backward.resize(forward.len(), [0.0; _]);
         let mut message: Row = [1.0; _];
         for index in (first..=last + reach).rev() {
             if index <= last {
-                self.masses[(index - first) as usize] = message;
+                backward[(index - first) as usize] = message;
             }
             let likelihood = self.likelihood_of(index);
-            (0..message.len()).for_each(|h| message[h] *= likelihood[h]);
+            (message.iter_mut().zip(likelihood)).for_each(|(m, l)| *m *= l);
             let mean: f64 = message.iter().zip(&prior).map(|(m, p)| m * p).sum();
-            (0..message.len()).for_each(|h| message[h] += change * (mean - message[h]));
+            (message.iter_mut()).for_each(|m| *m += change * (mean - *m));
             normalise(&mut message);
         }
+        (self.forward, self.backward) = (forward, backward);
     }
 
     fn index(&self, s: f64) -> i64 {
@@ -244,9 +297,10 @@ impl RoadBelief {
         (0..count).contains(&index).then_some(index as usize)
     }
 
-    fn likelihood_of(&self, index: i64) -> Row {
+    fn likelihood_of(&self, index: i64) -> &Row {
+        const UNKNOWN: Row = [1.0; _];
         self.stored(index)
-            .map_or([1.0; _], |cell| self.likelihood[cell])
+            .map_or(&UNKNOWN, |cell| &self.likelihood[cell])
     }
 }
 
@@ -268,6 +322,17 @@ fn positive(name: &'static str, value: f64) -> Result<(), BeliefError> {
     Err(BeliefError {
         name,
         expected: "a positive number",
+        value,
+    })
+}
+
+fn probability(name: &'static str, value: f64) -> Result<(), BeliefError> {
+    if value > 0.0 && value < 1.0 {
+        return Ok(());
+    }
+    Err(BeliefError {
+        name,
+        expected: "a probability in (0, 1)",
         value,
     })
 }

@@ -5,7 +5,7 @@ use egp_parameters::{FRICTION_HYPOTHESES, FRICTION_RANGE, interpolate_hypotheses
 /// Number of friction coefficients between two hypotheses of the control step, that of one of them included.
 const FINER: usize = 3;
 /// Number of friction coefficients, equidistant in `ln mu`.
-const LEVELS: usize = (FRICTION_HYPOTHESES - 1) * FINER + 1;
+pub(crate) const LEVELS: usize = (FRICTION_HYPOTHESES - 1) * FINER + 1;
 
 /// A probability, a likelihood or its logarithm for each friction coefficient.
 pub(crate) type Row = [f64; LEVELS];

@@ -5,6 +5,8 @@
 #![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts and cell indices are small and positive
 
 mod belief;
+mod file;
 mod grid;
 
 pub use belief::{BeliefError, BeliefSettings, RoadBelief};
+pub use file::StoredBeliefError;

@@ -6,6 +6,7 @@
 include!(concat!(env!("OUT_DIR"), "/doc.rs"));
 
 mod array;
+mod belief;
 mod driver;
 mod error;
 mod gate;
@@ -14,7 +15,6 @@ mod library_writer;
 mod ocp;
 mod parameters;
 mod path;
-mod planner;
 mod plant;
 mod problem;
 mod service;
@@ -25,6 +25,12 @@ mod wire;
 #[pyo3::pymodule(module = "egp_service")]
 mod _core {
     use pyo3::prelude::*;
+
+    #[pymodule]
+    mod belief {
+        #[pymodule_export]
+        use crate::belief::{RoadBelief, SpeedPlanner};
+    }
 
     #[pymodule]
     mod driver {
@@ -60,8 +66,6 @@ mod _core {
     mod path {
         #[pymodule_export]
         use crate::path::{Path, Projection, SpeedProfile, horizon_reference};
-        #[pymodule_export]
-        use crate::planner::{RoadBelief, SpeedPlanner};
     }
 
     #[pymodule]

@@ -219,7 +219,8 @@ pub fn decode_timing(data: &[u8]) -> PyResult<(u32, u32)> {
 /// Bytes of a PlantTruth for a recording; `state` is [p_x, p_y, v_x, psi, v_y, omega, delta].
 #[pyfunction]
 #[pyo3(signature = (
-    *, time, state, u, friction, path_s, lateral_error, heading_error, speed_reference, mode, weights
+    *, time, state, u, friction, path_s, lateral_error, heading_error, speed_reference, mode, weights,
+    friction_planned
 ))]
 #[allow(clippy::too_many_arguments)]
 pub fn encode_plant_truth(
@@ -233,6 +234,7 @@ pub fn encode_plant_truth(
     speed_reference: f64,
     mode: String,
     weights: Vec<f64>,
+    friction_planned: f64,
 ) -> PyResult<Cow<'static, [u8]>> {
     let [p_x, p_y, v_x, psi, v_y, omega, delta]: State = fixed("state", &state)?;
     let [force, steering_rate] = u;
@@ -254,6 +256,7 @@ pub fn encode_plant_truth(
         speed_reference,
         mode,
         weights,
+        friction_planned,
     };
     Ok(truth.encode_to_vec().into())
 }

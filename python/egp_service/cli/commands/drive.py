@@ -31,6 +31,10 @@ def drive(
         str | None, typer.Option(help="Endpoint of a running service, such as tcp/127.0.0.1:7447.")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed in place of the scenario's.")] = None,
+    road: Annotated[
+        Path | None,
+        typer.Option(help="File of what is known about the road's friction; read, then updated."),
+    ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
         "runs"
     ),
@@ -45,11 +49,13 @@ def drive(
       egp drive
       egp drive -s lane-change --library library.safetensors
       egp drive -s my-scenario.toml --in-process
+      egp drive -s random --road random.road    (and once more: faster)
     """
     from functools import partial
 
     from egp_service.cli.status_line import StatusLine
     from egp_service.cli.tables import summary_table
+    from egp_service.simulation.reference import load_belief, store_belief
     from egp_service.simulation.runs import new_folder, record_run
     from egp_service.simulation.scenario import load_scenario
 
@@ -59,10 +65,13 @@ def drive(
         chosen = replace(chosen, library=str(library))
     if seed is not None:
         chosen = replace(chosen, seed=seed)
+    belief = load_belief(chosen, road)
     with _controller(chosen, in_process=in_process, connect=connect) as controller:
         folder = new_folder(output, chosen.name)
         with StatusLine(console) as line:
-            run = record_run(chosen, controller, folder, partial(line.show, chosen.name))
+            run = record_run(chosen, controller, folder, partial(line.show, chosen.name), belief)
+    if road is not None:
+        store_belief(belief, road)
     console.print(summary_table([(chosen.name, run.summary)]))
     if pictures:
         from egp_service.simulation.report import draw_run

@@ -1,0 +1,87 @@
+"""Belief about the friction along a road, and the speed that it allows."""
+
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from egp_service._core.path import Path, SpeedProfile
+from egp_service._core.vehicle import VehicleParameters
+
+@final
+class RoadBelief:
+    """Belief about the friction along a path, from what control steps found in cells of 2 m.
+
+    From cell to cell the friction stays or, on average every `change_distance` m (default 200), is
+    drawn anew from a uniform distribution over 0.1 to 1.3. Plans reckon with a change at every place
+    within the last `commitment` m (40), over which the vehicle cannot react. `capacity` is the
+    largest logarithm of a likelihood ratio that a cell keeps (6 nats), and `window` the number of
+    transitions from which a step estimates the friction (25). Raises `EgpError` unless all are
+    positive.
+    """
+
+    def __new__(
+        cls,
+        path: Path,
+        *,
+        change_distance: float | None = None,
+        commitment: float | None = None,
+        capacity: float | None = None,
+        window: int | None = None,
+    ) -> RoadBelief: ...
+    def to_bytes(self) -> bytes:
+        """Return the evidence of all cells, to be stored; equal beliefs give equal bytes."""
+    def recall(self, data: bytes) -> None:
+        """Add the evidence of a belief about the same road that `to_bytes` returned.
+
+        Raises `EgpError` if the data are no stored belief, are damaged, or are about another road;
+        the belief is then unchanged.
+
+        >>> from egp_service import Path
+        >>> path = Path.rounded_rectangle()
+        >>> RoadBelief(path).recall(RoadBelief(path).to_bytes())
+        """
+    def update(self, s: float, log_likelihood: NDArray[np.float64] | None = None) -> None:
+        """Open a control period at arc length `s` with what the last step found.
+
+        `log_likelihood` (17,) is that of its `Friction`; without it nothing is added.
+        """
+    def leave(self) -> None:
+        """Forget where the vehicle was, for instance after it was moved."""
+    def ahead(self, places: NDArray[np.float64], risk: float) -> NDArray[np.float64]:
+        """Return the friction to plan for at equidistant arc lengths (n,), those of `places`.
+
+        It is the friction below which that of each place lies with the probability `risk`, reckoning
+        with a change within the last `commitment` m. Raises `EgpError` unless `risk` is between 0
+        and 1.
+        """
+    def quantiles(self, s: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+        """Return the friction below which that at arc lengths (n,) lies with probability `share`.
+
+        >>> from egp_service import Path
+        >>> road = RoadBelief(Path.rounded_rectangle())
+        >>> road.quantiles(np.array([10.0]), 0.5).round(2).tolist()  # nothing is known
+        [0.7]
+        """
+
+@final
+class SpeedPlanner:
+    """Plans the speed over the next 250 m of a path, once in each control period.
+
+    `grip` and `v_max` are those of `SpeedProfile`. The path's zones of friction are not used.
+    """
+
+    def __new__(
+        cls, path: Path, vehicle: VehicleParameters, grip: float = 0.8, v_max: float = 30.0
+    ) -> SpeedPlanner: ...
+    def places(self, s: float) -> NDArray[np.float64]:
+        """Return the arc lengths (n,) at which `plan` needs the friction, for a vehicle at `s`."""
+    def plan(
+        self, s: float, friction: NDArray[np.float64], v: float | None = None
+    ) -> SpeedProfile:
+        """Plan the fastest speed from `s` on for the friction coefficients (n,) at the `places`.
+
+        The plan begins with the present speed `v` in m/s, or without one with the largest speed.
+        Where the vehicle is too fast for what lies ahead, the plan brakes with all grip. Raises
+        `EgpError` if a number is out of range.
+        """

@@ -1,0 +1,147 @@
+"""The reference speed of a run, by what is known about the road's friction."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egp_service._core import EgpError, RoadBelief, SpeedPlanner, VehicleParameters
+from egp_service.files import replacing
+from egp_service.simulation.course import build_path, build_profile
+from egp_service.simulation.scenario import ScenarioError
+
+if TYPE_CHECKING:
+    from pathlib import Path as FilePath
+
+    from numpy.typing import NDArray
+
+    from egp_service._core import Friction, Path, SpeedProfile
+    from egp_service.simulation.scenario import Scenario
+
+
+class SpeedReference(ABC):
+    """Plans the reference speed, once in each control period."""
+
+    @abstractmethod
+    def plan(self, s: float, v: float | None) -> tuple[SpeedProfile, float]:
+        """Return the profile for a vehicle at `s` with the speed `v`, and the friction there.
+
+        The friction is that for which the speed is planned, NaN if the speed does not depend on it.
+        Without `v` the profile begins with the largest speed.
+        """
+
+    def found(self, friction: Friction | None) -> None:
+        """Take note of what the last control step found."""
+
+
+class _Given(SpeedReference):
+    """A profile of the whole path."""
+
+    def __init__(self, scenario: Scenario, path: Path) -> None:
+        self._profile = build_profile(scenario, path)
+        self._path = None if scenario.speed.constant else path
+
+    def plan(self, s: float, v: float | None) -> tuple[SpeedProfile, float]:
+        """Return the same profile everywhere."""
+        if self._path is None:
+            return self._profile, float("nan")
+        return self._profile, _friction_at(self._path, s)
+
+
+class _Planned(SpeedReference):
+    """A plan from the vehicle's place and speed on."""
+
+    def __init__(self, scenario: Scenario, path: Path) -> None:
+        car = VehicleParameters.commonroad(scenario.vehicle)
+        self._planner = SpeedPlanner(path, car, scenario.speed.grip, scenario.speed.v_max)
+
+    def plan(self, s: float, v: float | None) -> tuple[SpeedProfile, float]:
+        """Plan for the friction that is believed."""
+        friction = self._friction(s, self._planner.places(s))
+        return self._planner.plan(s, friction, v), float(friction[0])
+
+    @abstractmethod
+    def _friction(self, s: float, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the friction to plan for at the places."""
+
+
+class _Believed(_Planned):
+    """The friction that control steps found."""
+
+    def __init__(self, scenario: Scenario, path: Path, belief: RoadBelief) -> None:
+        super().__init__(scenario, path)
+        self._risk = scenario.speed.risk
+        self._belief = belief
+        self._found: Friction | None = None
+
+    def found(self, friction: Friction | None) -> None:
+        self._found = friction
+
+    def _friction(self, s: float, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        found = self._found
+        self._belief.update(s, None if found is None else found.log_likelihood)
+        return self._belief.ahead(places, self._risk)
+
+
+class _Here(_Planned):
+    """The friction under the vehicle, everywhere."""
+
+    def __init__(self, scenario: Scenario, path: Path) -> None:
+        super().__init__(scenario, path)
+        self._path = path
+        self._most = scenario.speed.friction or float("inf")
+
+    def _friction(self, s: float, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.full_like(places, min(self._most, _friction_at(self._path, s)))
+
+
+class _Assumed(_Planned):
+    """One friction everywhere."""
+
+    def __init__(self, scenario: Scenario, path: Path, friction: float) -> None:
+        super().__init__(scenario, path)
+        self._assumed = friction
+
+    def _friction(self, s: float, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.full_like(places, self._assumed)
+
+
+def speed_reference(
+    scenario: Scenario, path: Path, belief: RoadBelief | None = None
+) -> SpeedReference:
+    """Return the reference speed of a scenario; `belief` is what is known from earlier runs."""
+    speed = scenario.speed
+    if speed.constant or speed.knows == "zones":
+        return _Given(scenario, path)
+    if speed.knows == "here":
+        return _Here(scenario, path)
+    if speed.friction is not None:
+        return _Assumed(scenario, path, speed.friction)
+    return _Believed(scenario, path, RoadBelief(path) if belief is None else belief)
+
+
+def load_belief(scenario: Scenario, file: FilePath | None) -> RoadBelief:
+    """Return what `file` says about the scenario's road; nothing is known without such a file.
+
+    Raises `ScenarioError` if the file cannot be read, or is about another road.
+    """
+    belief = RoadBelief(build_path(scenario))
+    if file is not None and file.exists():
+        try:
+            belief.recall(file.read_bytes())
+        except (OSError, EgpError) as error:
+            raise ScenarioError(f"{file}: {error}") from error
+    return belief
+
+
+def store_belief(belief: RoadBelief, file: FilePath) -> None:
+    """Write what is known about a road to `file`, which is replaced when it is complete."""
+    with replacing(file) as beside:
+        beside.write_bytes(belief.to_bytes())
+
+
+def _friction_at(path: Path, s: float) -> float:
+    """Return the true friction at `s`, the mean of both sides of a split road."""
+    return float(path.sample(np.array([s]))[-1][0])

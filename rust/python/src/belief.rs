@@ -1,0 +1,134 @@
+//! The speed planner and the belief about the road's friction.
+
+use std::borrow::Cow;
+
+use egp_map::BeliefSettings;
+use egp_parameters::FRICTION_HYPOTHESES;
+use egp_path::SpeedLimits;
+use pyo3::prelude::*;
+
+use crate::array::{NewVector, Vector, fixed, vector};
+use crate::error::raise;
+use crate::parameters::VehicleParameters;
+use crate::path::{Path, SpeedProfile};
+
+#[doc = doc!(SpeedPlanner)]
+#[pyclass(module = "egp_service._core")]
+pub struct SpeedPlanner(egp_path::SpeedPlanner);
+
+#[pymethods]
+impl SpeedPlanner {
+    #[new]
+    #[pyo3(signature = (path, vehicle, grip = 0.8, v_max = 30.0))]
+    fn new(path: &Path, vehicle: &VehicleParameters, grip: f64, v_max: f64) -> PyResult<Self> {
+        let limits = SpeedLimits {
+            grip,
+            v_max,
+            ..SpeedLimits::of(&vehicle.0)
+        };
+        egp_path::SpeedPlanner::new(&path.0, &limits)
+            .map(Self)
+            .map_err(raise)
+    }
+
+    #[doc = doc!(SpeedPlanner.places)]
+    fn places<'py>(&self, py: Python<'py>, s: f64) -> NewVector<'py> {
+        let (start, step) = (self.0.start(s), self.0.step());
+        vector(py, (0..self.0.places()).map(|i| start + i as f64 * step))
+    }
+
+    #[doc = doc!(SpeedPlanner.plan)]
+    #[pyo3(signature = (s, friction, v = None))]
+    fn plan(&mut self, s: f64, friction: Vector<'_>, v: Option<f64>) -> PyResult<SpeedProfile> {
+        let friction: Vec<f64> = friction.as_array().iter().copied().collect();
+        let profile = self.0.plan(s, v, &friction).map_err(raise)?;
+        Ok(SpeedProfile::of(profile.clone()))
+    }
+}
+
+#[doc = doc!(RoadBelief)]
+#[pyclass(module = "egp_service._core")]
+pub struct RoadBelief(egp_map::RoadBelief);
+
+#[pymethods]
+impl RoadBelief {
+    #[new]
+    #[pyo3(signature = (path, *, change_distance = None, commitment = None, capacity = None, window = None))]
+    fn new(
+        path: &Path,
+        change_distance: Option<f64>,
+        commitment: Option<f64>,
+        capacity: Option<f64>,
+        window: Option<usize>,
+    ) -> PyResult<Self> {
+        let default = BeliefSettings::default();
+        let settings = BeliefSettings {
+            change_distance: change_distance.unwrap_or(default.change_distance),
+            commitment: commitment.unwrap_or(default.commitment),
+            capacity: capacity.unwrap_or(default.capacity),
+            window: window.unwrap_or(default.window),
+        };
+        let path = &path.0;
+        egp_map::RoadBelief::new(path.length(), path.closed(), &settings)
+            .map(Self)
+            .map_err(raise)
+    }
+
+    #[doc = doc!(RoadBelief.recall)]
+    fn recall(&mut self, data: &[u8]) -> PyResult<()> {
+        self.0.recall(data).map_err(raise)
+    }
+
+    #[doc = doc!(RoadBelief.to_bytes)]
+    fn to_bytes(&self) -> Cow<'static, [u8]> {
+        self.0.to_bytes().into()
+    }
+
+    #[doc = doc!(RoadBelief.update)]
+    #[pyo3(signature = (s, log_likelihood = None))]
+    fn update(&mut self, s: f64, log_likelihood: Option<Vector<'_>>) -> PyResult<()> {
+        let evidence = log_likelihood
+            .map(|values| fixed::<FRICTION_HYPOTHESES>("log_likelihood", &values))
+            .transpose()?;
+        self.0.update(s, evidence.as_ref()).map_err(raise)
+    }
+
+    #[doc = doc!(RoadBelief.leave)]
+    fn leave(&mut self) {
+        self.0.leave();
+    }
+
+    #[doc = doc!(RoadBelief.ahead)]
+    fn ahead<'py>(
+        &mut self,
+        py: Python<'py>,
+        places: Vector<'py>,
+        risk: f64,
+    ) -> PyResult<NewVector<'py>> {
+        let places = places.as_array();
+        let (start, step) = match (places.first(), places.get(1)) {
+            (Some(first), Some(second)) => (*first, second - first),
+            (Some(first), None) => (*first, 1.0),
+            _ => return Ok(vector(py, [])),
+        };
+        let mut friction = vec![0.0; places.len()];
+        self.0
+            .ahead(start, step, risk, &mut friction)
+            .map_err(raise)?;
+        Ok(vector(py, friction))
+    }
+
+    #[doc = doc!(RoadBelief.quantiles)]
+    fn quantiles<'py>(
+        &mut self,
+        py: Python<'py>,
+        s: Vector<'py>,
+        share: f64,
+    ) -> PyResult<NewVector<'py>> {
+        let s = s.as_array();
+        let found: PyResult<Vec<f64>> = (s.iter())
+            .map(|s| self.0.quantile(*s, share).map_err(raise))
+            .collect();
+        Ok(vector(py, found?))
+    }
+}
