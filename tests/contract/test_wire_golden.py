@@ -159,8 +159,10 @@ def test_the_extension_reads_requests(file: str, values: dict[str, Any]) -> None
 def test_the_extension_reads_replies() -> None:
     reply = _core.decode_reply(golden("reply_solved"))
     assert reply.status == "solved"
-    for field in SOLVED.keys() - {"version", "status"}:
+    for field in SOLVED.keys() - {"version", "status", "friction"}:
         np.testing.assert_array_equal(getattr(reply, field), SOLVED[field])
+    for field, value in SOLVED["friction"].items():
+        np.testing.assert_array_equal(getattr(reply.friction, field), value)
     assert _core.decode_reply(golden("reply_infeasible")).plan_u.shape == (0, 2)
 
 
@@ -220,7 +222,9 @@ def test_plant_truth_is_plain_numbers() -> None:
         speed_reference=15.0,
         mode="NORMAL",
         weights=[0.25, 0.75],
+        friction_planned=0.375,
     )
     truth = message("PlantTruth").FromString(data)
     assert (truth.p_x, truth.v_x, truth.delta) == (0.0, 2.0, 6.0)
     assert (truth.force, truth.friction, list(truth.weights)) == (1000.0, 0.5, [0.25, 0.75])
+    assert truth.friction_planned == 0.375

@@ -9,7 +9,7 @@ use crate::grid::{Grid, Row, interpolate, normalise, to_probabilities};
 
 /// Length of a cell in m, at most.
 const CELL: f64 = 2.0;
-/// Stretch in m behind the first and ahead of the last place whose evidence counts.
+/// Stretch in m behind the first and ahead of the last planned place whose evidence counts; it limits the time of a plan.
 const REACH: f64 = 60.0;
 
 /// How a road's friction changes, and how careful the plans are.
@@ -216,7 +216,7 @@ impl RoadBelief {
         probability("risk", risk)?;
         let first = self.index(start);
         let last = self.index(start + step * friction.len().saturating_sub(1) as f64);
-        self.smooth(first, last);
+        self.smooth(first, last, REACH);
         let committed = 1.0 - (-self.settings.commitment / self.settings.change_distance).exp();
         let prior = self.grid.prior;
         let mut known = (first - 1, 0.0);
@@ -245,16 +245,16 @@ impl RoadBelief {
         probability("share", share)?;
         finite("s", s)?;
         let index = self.index(s);
-        self.smooth(index, index);
+        self.smooth(index, index, 3.0 * self.settings.change_distance);
         let likelihood = self.likelihood_of(index);
         let (forward, backward) = (&self.forward[0], &self.backward[0]);
         let masses: Row = std::array::from_fn(|h| forward[h] * likelihood[h] * backward[h]);
         Ok(self.grid.quantile(&masses, share))
     }
 
-    /// Computes the messages of the cells `first..=last`.
-    fn smooth(&mut self, first: i64, last: i64) {
-        let reach = (REACH / self.cell).ceil() as i64;
+    /// Computes the messages of the cells `first..=last` from evidence up to `reach` m beyond them.
+    fn smooth(&mut self, first: i64, last: i64, reach: f64) {
+        let reach = (reach / self.cell).ceil().min(self.evidence.len() as f64) as i64;
         let change = 1.0 - (-self.cell / self.settings.change_distance).exp();
         let prior = self.grid.prior;
         let (mut forward, mut backward) = (take(&mut self.forward), take(&mut self.backward));

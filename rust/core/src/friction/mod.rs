@@ -8,11 +8,11 @@
 //! p(mu) ∝ p_0(mu) exp(-J(mu) / (2 tau max(1, min J / n))),    n = number of errors
 //! ```
 //!
-//! `p_0` is uniform over [`RANGE`], and `J` is interpolated in `ln mu`. With 9 hypotheses the 90 % interval of the
-//! posterior contained the true value in 85 % of the informed windows, with 17 in 90 %. The exponent `1 / tau` with [`TEMPERATURE`] makes the posterior wider than that of
-//! independent errors, because the errors of a model are similar from one period to the next (a power posterior;
-//! Grünwald and van Ommen, *Inconsistency of Bayesian Inference for Misspecified Linear Models*, Bayesian Analysis
-//! 12(4), 2017). A window that no hypothesis explains, `min J > n`, widens it further. Nothing but the window is
+//! `p_0` is uniform over [`RANGE`], and `J` is interpolated in `ln mu`. The exponent `1 / tau` with [`TEMPERATURE`] makes
+//! the posterior wider than that of independent errors, because the errors of a model are similar from one period to the
+//! next (a power posterior; Grünwald and van Ommen, *Inconsistency of Bayesian Inference for Misspecified Linear Models*,
+//! Bayesian Analysis 12(4), 2017). A window that no hypothesis explains, `min J > n`, widens it further. With 9 hypotheses
+//! the 90 % interval contained the true value in 85 % of the informed windows, with 17 in 90 %. Nothing but the window is
 //! remembered, so without excitation the posterior returns to the prior within the length of the window.
 
 mod hypothesis;
@@ -24,11 +24,9 @@ use egp_parameters::{
 use hypothesis::Hypothesis;
 
 use crate::settings::WeightSettings;
-use crate::weights::WindowNoise;
+use crate::weights::{TEMPERATURE, WindowNoise};
 use crate::{GpInput, GpOutput, Library, Member, NY};
 
-/// `tau`, for which the 90 % interval contains the true value in 88 to 92 % of the informed windows.
-const TEMPERATURE: f64 = 3.0;
 /// Number of points at which the density is evaluated.
 const POINTS: usize = 121;
 /// Probabilities of the interval's ends.

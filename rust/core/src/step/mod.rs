@@ -125,8 +125,8 @@ fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
     }
 }
 
-/// Estimates weights and friction from the window. Weights change only if the window tells something about the friction:
-/// without excitation the members differ by less than the noise, which the weights would follow. Predictions that the request lacks are computed for all members and returned.
+/// Estimates weights and friction from the window. Weights change only if the window tells the members apart:
+/// without excitation they differ by less than the noise, which the weights would follow. Predictions that the request lacks are computed for all members and returned.
 fn estimate_weights(
     library: &Library,
     settings: &Settings,
@@ -164,7 +164,7 @@ fn estimate_weights(
         rows.history_y,
         &ws.previous,
     );
-    if !reply.friction.informed() {
+    if settings.weights.whiten && !ws.estimator.informed(&reply.weights) {
         reply.weights.copy_from_slice(&ws.previous);
     }
 }

@@ -28,6 +28,10 @@ impl Gram {
         self.columns.div_ceil(LANES)
     }
 
+    pub fn row_count(&self) -> usize {
+        self.rows.len() / self.blocks()
+    }
+
     /// Removes all rows.
     pub fn clear(&mut self) {
         self.rows.clear();

@@ -25,6 +25,9 @@ use crate::settings::Prior;
 /// nearest to the previous weights.
 const RIDGE: f64 = 1e-10;
 
+/// Reciprocal of the power of likelihoods, because a model's errors are similar from one period to the next.
+pub(crate) const TEMPERATURE: f64 = 3.0;
+
 /// Estimator of the weights of `N` members, with its memory.
 #[derive(Debug, Clone)]
 pub struct WeightEstimator {
@@ -103,6 +106,24 @@ impl WeightEstimator {
             alpha,
         };
         self.solver.solve(&qp, w)
+    }
+
+    /// Whether the last window tells the members apart: the worst of them explains it worse than the weights `w` do, by
+    /// at least one nat of the likelihood raised to the power `1 /` [`TEMPERATURE`]. The noise of the window must have
+    /// been that of the errors.
+    pub fn informed(&self, w: &[f64]) -> bool {
+        let n = w.len();
+        let product = |i: usize, j: usize| self.whitened.products(i)[j];
+        let of_member = |i: usize| product(i, i) - 2.0 * product(i, n);
+        let of_weights: f64 = (0..n)
+            .map(|i| {
+                let row: f64 = w.iter().enumerate().map(|(j, w)| w * product(i, j)).sum();
+                w[i] * (row - 2.0 * product(i, n))
+            })
+            .sum();
+        let worst = (0..n).map(of_member).fold(f64::NEG_INFINITY, f64::max);
+        let misfit = (product(n, n) + of_weights) / self.whitened.row_count().max(1) as f64;
+        worst - of_weights >= 2.0 * TEMPERATURE * misfit.max(1.0)
     }
 
     /// Adds the rows of a transition to `S [F Y]`.

@@ -2,6 +2,7 @@
 
 mod ensemble;
 mod executor;
+mod friction;
 mod gp;
 mod horizon_variance;
 mod library;

@@ -143,7 +143,7 @@ fn the_bits_of_a_reply_do_not_depend_on_earlier_requests() {
 #[test]
 fn carried_predictions_equal_computed_ones() {
     let settings = settings();
-    let request = Request::circle();
+    let request = cornering_on(&library().members()[0]);
     let fresh = solve(&request, &settings);
     assert_eq!(fresh.history_f.len(), 10 * 2 * 3);
     let mut carried = request.clone();
@@ -157,21 +157,35 @@ fn carried_predictions_equal_computed_ones() {
     );
 }
 
+/// A request whose history is that of a hard corner on a member's surface.
+fn cornering_on(member: &egp_core::Member) -> Request {
+    let mut request = Request::circle();
+    request.history_z = (0..10)
+        .flat_map(|i| [14.0, 0.1, 0.5, 0.1 + 0.02 * f64::from(i), 500.0, 0.1])
+        .collect();
+    let inputs = request.history_z.as_chunks::<6>().0.iter();
+    request.history_y = inputs
+        .flat_map(|z| <[f64; 3]>::from(member.mean(&(*z).into())))
+        .collect();
+    request
+}
+
+#[test]
+fn a_window_that_does_not_tell_the_members_apart_leaves_the_weights() {
+    let mut request = Request::circle();
+    request.weights = vec![0.3, 0.7];
+    let reply = solve(&request, &settings());
+    assert_eq!(reply.weights, request.weights);
+    let mut paper = settings();
+    paper.weights.whiten = false;
+    assert_ne!(solve(&request, &paper).weights, request.weights);
+}
+
 #[test]
 fn weights_identify_the_surface_and_stay_constant_without_history() {
     let settings = settings();
     for (member, expected) in library().members().iter().zip([[1.0, 0.0], [0.0, 1.0]]) {
-        let mut request = Request::circle();
-        request.history_z = (0..10)
-            .flat_map(|i| [14.0, 0.1, 0.5, 0.1 + 0.02 * f64::from(i), 500.0, 0.1])
-            .collect();
-        request.history_y = request
-            .history_z
-            .as_chunks::<6>()
-            .0
-            .iter()
-            .flat_map(|z| <[f64; 3]>::from(member.mean(&(*z).into())))
-            .collect();
+        let mut request = cornering_on(member);
         let mut weights = vec![];
         for _ in 0..20 {
             request.weights = weights;
@@ -324,7 +338,7 @@ fn measurement_noise_matters_only_in_a_whitened_window() {
         let mut settings = settings();
         settings.weights.whiten = whiten;
         settings.weights.measurement = [measurement; 3];
-        solve(&warm(), &settings).weights
+        solve(&cornering_on(&library().members()[0]), &settings).weights
     };
     assert_ne!(weights(true, 0.0), weights(true, 0.03));
     assert_eq!(weights(false, 0.0), weights(false, 0.03));

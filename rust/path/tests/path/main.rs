@@ -3,5 +3,6 @@
 mod formats;
 mod horizon;
 mod path;
+mod planner;
 mod speed;
 mod tracks;

@@ -1,0 +1,144 @@
+//! The friction of a window whose transitions come from a vehicle on a known surface.
+#![allow(clippy::unwrap_used)]
+
+use egp_core::friction::{FrictionEstimate, FrictionEstimator};
+use egp_core::library::{LibrarySpec, MemberData, encode};
+use egp_core::settings::WeightSettings;
+use egp_core::vehicle::ModelParameters;
+use egp_core::{GpInput, Kernel, Library, Member, NY};
+use egp_testing::libraries;
+
+/// A library of vehicles alone, whose tyres have the same slope at zero slip on every surface.
+fn library(frictions: &[f64]) -> Library {
+    let spec = libraries::spec(Kernel::Rbf, frictions, 8, 1);
+    let alone = |member: &MemberData| {
+        let mu = member.friction;
+        let axle = [0.5, 0.5, 0.9 * mu, 16.0 / mu, 1.4];
+        let mut parameters = [
+            1226.0,
+            0.88,
+            1.51,
+            1.5,
+            0.5,
+            0.4 * mu,
+            0.7 * mu,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+        ];
+        parameters[7..12].copy_from_slice(&axle);
+        parameters[12..].copy_from_slice(&axle);
+        MemberData {
+            inputs: vec![],
+            targets: vec![],
+            golden_z: vec![],
+            golden_mean: vec![],
+            golden_jacobian: vec![],
+            golden_variance: vec![],
+            alpha: Default::default(),
+            constant: [0.0; NY],
+            target_mean: [0.0; NY],
+            target_std: [0.01; NY],
+            noise: [0.1; NY],
+            vehicle: Some(ModelParameters::SingleTrack(parameters)),
+            ..member.clone()
+        }
+    };
+    let members = spec.members.iter().map(alone).collect();
+    Library::from_bytes(
+        &encode(&LibrarySpec {
+            members,
+            dt: 0.02,
+            ..spec
+        })
+        .unwrap(),
+    )
+    .unwrap()
+}
+
+/// Inputs of half a second of steering at 15 m/s; `steering` is the largest angle of the front wheels in rad.
+fn window(steering: f64) -> Vec<[f64; 6]> {
+    (0..25)
+        .map(|k| {
+            let delta = steering * (0.6 + 0.4 * (0.5 * f64::from(k)).sin());
+            [15.0, 0.2 * delta, 3.0 * delta, delta, 300.0, 0.1]
+        })
+        .collect()
+}
+
+fn changes(member: &Member, z: &[[f64; 6]]) -> Vec<[f64; NY]> {
+    z.iter()
+        .map(|z| member.mean(&GpInput::from(*z)).into())
+        .collect()
+}
+
+/// The estimate of `library` from transitions on the only surface of `truth`.
+fn estimate(library: &Library, truth: &Library, z: &[[f64; 6]]) -> FrictionEstimate {
+    let members = library.members();
+    let columns: Vec<_> = members.iter().map(|member| changes(member, z)).collect();
+    let predictions: Vec<f64> = (0..z.len())
+        .flat_map(|k| columns.iter().flat_map(move |column| column[k]))
+        .collect();
+    let previous = vec![1.0 / members.len() as f64; members.len()];
+    FrictionEstimator::new(library, &WeightSettings::default()).estimate(
+        members,
+        z,
+        &predictions,
+        &changes(&truth.members()[0], z),
+        &previous,
+    )
+}
+
+#[test]
+fn the_friction_is_found_between_the_members_and_beyond_them() {
+    let ensemble = library(&[0.5, 1.1]);
+    let slides = window(0.3);
+    for mu in [0.25, 0.35, 0.5, 0.65, 0.8, 1.0] {
+        let found = estimate(&ensemble, &library(&[mu]), &slides);
+        assert!(
+            found.informed() && (found.mean - mu).abs() < 0.05,
+            "{mu}: {found:?}"
+        );
+        assert!(
+            found.lower < mu && mu < found.upper && found.std < 0.06,
+            "{mu}: {found:?}"
+        );
+        assert!(found.upper - found.lower < 0.2, "{mu}: {found:?}");
+        assert!(found.log_likelihood.iter().all(|value| *value <= 0.0));
+    }
+}
+
+#[test]
+fn forces_that_all_surfaces_transmit_bound_the_friction_from_below_only() {
+    let ensemble = library(&[0.5, 1.1]);
+    let found = estimate(&ensemble, &library(&[0.9]), &window(0.02));
+    assert!(found.lower > 0.3 && found.upper > 1.15, "{found:?}");
+}
+
+#[test]
+fn a_window_without_excitation_gives_the_prior() {
+    let ensemble = library(&[0.5, 1.1]);
+    let straight = estimate(&ensemble, &library(&[0.5]), &window(0.0));
+    assert!(
+        !straight.informed() && straight.information < 0.02,
+        "{straight:?}"
+    );
+    let empty = estimate(&ensemble, &library(&[0.5]), &[]);
+    assert_eq!(empty, FrictionEstimate::default());
+    assert!((empty.mean - 0.7).abs() < 1e-12 && (empty.lower - 0.16).abs() < 1e-12);
+}
+
+#[test]
+fn members_without_vehicles_are_blended() {
+    let gps = libraries::library(Kernel::Rbf, &[0.5, 1.1], 250, 3);
+    let z = window(0.3);
+    let found = estimate(&gps, &gps, &z);
+    assert!(found.upper < 0.75, "{found:?}");
+}

@@ -1,0 +1,189 @@
+//! Beliefs about roads of known friction.
+#![allow(clippy::unwrap_used)]
+
+use egp_map::{BeliefSettings, RoadBelief};
+use egp_parameters::{FRICTION_HYPOTHESES, friction_hypotheses};
+
+const LENGTH: f64 = 500.0;
+
+fn belief() -> RoadBelief {
+    RoadBelief::new(LENGTH, true, &BeliefSettings::default()).unwrap()
+}
+
+/// Evidence for a friction coefficient that is known to 5 %.
+fn evidence(mu: f64) -> [f64; FRICTION_HYPOTHESES] {
+    friction_hypotheses().map(|hypothesis| -0.5 * ((hypothesis / mu).ln() / 0.05).powi(2))
+}
+
+/// Drives from `from` to `to` at 10 m/s; `found` gives the evidence at a place.
+fn drive(
+    belief: &mut RoadBelief,
+    from: f64,
+    to: f64,
+    found: impl Fn(f64) -> Option<[f64; FRICTION_HYPOTHESES]>,
+) {
+    let periods = ((to - from) / 0.2) as usize;
+    for period in 0..periods {
+        let s = from + 0.2 * period as f64;
+        // The window covers the last 5 m.
+        let evidence = found((s - 2.5).rem_euclid(LENGTH));
+        belief
+            .update(s.rem_euclid(LENGTH), evidence.as_ref())
+            .unwrap();
+    }
+}
+
+fn quantiles(belief: &mut RoadBelief, s: f64) -> [f64; 3] {
+    [0.05, 0.5, 0.95].map(|share| belief.quantile(s, share).unwrap())
+}
+
+#[test]
+fn nothing_is_known_at_first() {
+    for (found, share) in quantiles(&mut belief(), 123.0)
+        .iter()
+        .zip([0.05, 0.5, 0.95])
+    {
+        assert!(
+            (found - (0.1 + 1.2 * share)).abs() < 0.01,
+            "{found} {share}"
+        );
+    }
+}
+
+#[test]
+fn a_lap_is_remembered_with_its_borders() {
+    let mut belief = belief();
+    let truth = |s: f64| if s < 200.0 { 0.9 } else { 0.4 };
+    drive(&mut belief, 0.0, LENGTH + 10.0, |s| {
+        Some(evidence(truth(s)))
+    });
+    for s in [20.0, 100.0, 190.0, 210.0, 300.0, 480.0] {
+        let [low, middle, high] = quantiles(&mut belief, s);
+        let mu = truth(s);
+        assert!((middle - mu).abs() < 0.04, "{s}: {low} {middle} {high}");
+        assert!(
+            low > 0.85 * mu && high < 1.15 * mu,
+            "{s}: {low} {middle} {high}"
+        );
+    }
+    let mut friction = [0.0; 251];
+    belief.ahead(100.0, 1.0, 0.05, &mut friction).unwrap();
+    assert!(
+        friction[..85].iter().all(|mu| (0.75..0.9).contains(mu)),
+        "{friction:?}"
+    );
+    assert!(
+        friction[115..].iter().all(|mu| (0.33..0.4).contains(mu)),
+        "{friction:?}"
+    );
+}
+
+#[test]
+fn what_is_known_fades_with_the_distance() {
+    let mut belief = belief();
+    drive(&mut belief, 0.0, 100.0, |_| Some(evidence(0.9)));
+    let lower = [90.0, 130.0, 200.0, 300.0].map(|s| belief.quantile(s, 0.1).unwrap());
+    assert!(lower.windows(2).all(|pair| pair[0] > pair[1]), "{lower:?}");
+    let mut friction = [0.0; 2];
+    let mut planned = |risk| {
+        belief.ahead(95.0, 1.0, risk, &mut friction).unwrap();
+        friction[0]
+    };
+    // A change within the last 40 m is likelier than 5 %, and then all frictions are possible.
+    assert!(planned(0.05) < 0.5 && planned(0.05) > 0.3);
+    assert!(planned(0.3) > 0.8);
+}
+
+#[test]
+fn new_evidence_contradicts_old() {
+    let mut belief = belief();
+    drive(&mut belief, 0.0, 20.0 * LENGTH, |_| Some(evidence(1.0)));
+    drive(&mut belief, 0.0, 60.0, |_| Some(evidence(0.3)));
+    let [_, middle, _] = quantiles(&mut belief, 40.0);
+    let mut twice = belief.clone();
+    drive(&mut twice, 0.0, 60.0, |_| Some(evidence(0.3)));
+    let [_, again, _] = quantiles(&mut twice, 40.0);
+    assert!(middle < 0.6 && again < 0.35, "{middle} {again}");
+}
+
+#[test]
+fn periods_without_evidence_and_jumps_add_nothing() {
+    let mut belief = belief();
+    let empty = belief.to_bytes();
+    drive(&mut belief, 0.0, 100.0, |_| None);
+    assert_eq!(belief.to_bytes(), empty);
+    belief.leave();
+    for period in 0..200 {
+        // Backwards, which no path planner does.
+        let s = 300.0 - 0.2 * f64::from(period);
+        belief.update(s, Some(&evidence(0.5))).unwrap();
+    }
+    assert_eq!(belief.to_bytes(), empty);
+}
+
+#[test]
+fn a_stored_belief_is_the_same_belief() {
+    let mut belief = belief();
+    drive(&mut belief, 0.0, 700.0, |s| {
+        Some(evidence(0.3 + s / 1000.0))
+    });
+    let bytes = belief.to_bytes();
+    let mut again = self::belief();
+    again.recall(&bytes).unwrap();
+    assert_eq!(again.to_bytes(), bytes);
+    assert_eq!(quantiles(&mut again, 333.0), quantiles(&mut belief, 333.0));
+}
+
+#[test]
+fn bytes_that_are_no_belief_about_this_road_are_errors_and_change_nothing() {
+    let mut stored = belief();
+    drive(&mut stored, 0.0, 100.0, |_| Some(evidence(0.5)));
+    let bytes = stored.to_bytes();
+    let refused = |bytes: &[u8], length: f64, closed: bool| {
+        let settings = BeliefSettings::default();
+        let mut other = RoadBelief::new(length, closed, &settings).unwrap();
+        let before = other.to_bytes();
+        let error = other.recall(bytes).unwrap_err().to_string();
+        assert_eq!(other.to_bytes(), before);
+        error
+    };
+    assert!(refused(&bytes, 501.0, true).contains("about a road of 500 m (lap), this one has 501"));
+    assert!(refused(&bytes, LENGTH, false).contains("(road)"));
+    assert!(refused(b"no belief", LENGTH, true).contains("not a stored belief"));
+    for end in [0, 8, 100, bytes.len() - 1] {
+        assert!(refused(&bytes[..end], LENGTH, true).contains("not a stored belief"));
+    }
+    let mut spoiled = bytes.clone();
+    let last = spoiled.len() - 8;
+    spoiled[last..].copy_from_slice(&f64::NAN.to_le_bytes());
+    assert!(refused(&spoiled, LENGTH, true).contains("NaN"));
+}
+
+#[test]
+fn numbers_out_of_range_are_errors() {
+    let settings = BeliefSettings {
+        change_distance: 0.0,
+        ..BeliefSettings::default()
+    };
+    assert!(
+        RoadBelief::new(LENGTH, true, &settings)
+            .unwrap_err()
+            .to_string()
+            .contains("change_distance")
+    );
+    assert!(RoadBelief::new(f64::NAN, true, &BeliefSettings::default()).is_err());
+    let mut belief = belief();
+    assert!(belief.update(f64::NAN, None).is_err());
+    for spoiled in [f64::NAN, 0.5, f64::NEG_INFINITY] {
+        assert!(
+            belief
+                .update(0.0, Some(&[spoiled; FRICTION_HYPOTHESES]))
+                .is_err()
+        );
+    }
+    for risk in [0.0, 1.0, f64::NAN] {
+        assert!(belief.ahead(0.0, 1.0, risk, &mut [0.0; 3]).is_err());
+        assert!(belief.quantile(0.0, risk).is_err());
+    }
+    assert!(belief.ahead(0.0, 0.0, 0.1, &mut [0.0; 3]).is_err());
+}

@@ -1,0 +1,132 @@
+//! Plans of the speed ahead.
+#![allow(clippy::unwrap_used)]
+
+use egp_parameters::{STANDARD_GRAVITY, VehicleParameters};
+use egp_path::tracks::RoundedRectangle;
+use egp_path::{Path, PathError, SpeedLimits, SpeedPlanner, SpeedProfile, horizon_reference};
+
+fn lap() -> Path {
+    RoundedRectangle::default().path().unwrap()
+}
+
+fn limits() -> SpeedLimits {
+    SpeedLimits::of(&VehicleParameters::FORD_ESCORT)
+}
+
+/// Speeds of a plan at its places, for one friction everywhere.
+fn plan(path: &Path, s: f64, v: Option<f64>, friction: f64) -> Vec<f64> {
+    let mut planner = SpeedPlanner::new(path, &limits()).unwrap();
+    let friction = vec![friction; planner.places()];
+    let (start, step) = (planner.start(s), planner.step());
+    let profile = planner.plan(s, v, &friction).unwrap();
+    (0..friction.len())
+        .map(|i| profile.speed(start + i as f64 * step))
+        .collect()
+}
+
+#[test]
+fn on_known_friction_the_plan_is_the_profile() {
+    let path = lap();
+    let profile = SpeedProfile::new(&path, &limits()).unwrap();
+    for s in [0.0, 40.0, 77.7, 200.0, 395.0] {
+        // The profile's friction is 1 on a path without zones. What the plan does not see yet may slow it later.
+        let speeds = plan(&path, s, Some(profile.speed(s)), 1.0);
+        for (i, speed) in speeds.iter().take(150).enumerate() {
+            let expected = profile.speed(s + i as f64);
+            assert!(
+                (speed - expected).abs() < 0.5,
+                "{s} {i}: {speed} {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_vehicle_that_is_too_fast_brakes_with_all_grip() {
+    let (path, friction) = (lap(), 0.3);
+    let speeds = plan(&path, 20.0, Some(25.0), friction);
+    let braking = limits().braking * limits().grip * friction * STANDARD_GRAVITY;
+    for pair in speeds.windows(2).take(40) {
+        let slowed = (pair[0].powi(2) - pair[1].powi(2)) / 2.0;
+        assert!(
+            (slowed - braking).abs() < 0.02 * braking,
+            "{pair:?} {braking}"
+        );
+    }
+}
+
+#[test]
+fn a_standing_vehicle_drives_off() {
+    let speeds = plan(&lap(), 0.0, Some(0.0), 0.8);
+    assert_eq!(speeds[0], 0.0);
+    assert!(speeds[1] > 1.0 && speeds.windows(2).take(20).all(|pair| pair[0] < pair[1]));
+}
+
+#[test]
+fn less_friction_ahead_slows_the_plan_before_it() {
+    let path = lap();
+    let mut planner = SpeedPlanner::new(&path, &limits()).unwrap();
+    let mut friction = vec![1.0; planner.places()];
+    let fast = planner.plan(0.0, Some(10.0), &friction).unwrap().clone();
+    friction[100..].fill(0.2);
+    let slow = planner.plan(0.0, Some(10.0), &friction).unwrap();
+    assert_eq!(fast.speed(10.0), slow.speed(10.0));
+    assert!(slow.speed(100.0) < 0.6 * fast.speed(100.0));
+    assert!(slow.speed(90.0) < fast.speed(90.0));
+}
+
+#[test]
+fn the_reference_over_the_horizon_follows_a_plan_across_the_end_of_a_lap() {
+    let path = lap();
+    let mut planner = SpeedPlanner::new(&path, &limits()).unwrap();
+    let friction = vec![0.8; planner.places()];
+    let s = path.length() - 3.0;
+    let place = path.sample(s);
+    let profile = planner.plan(s, Some(10.0), &friction).unwrap();
+    let (mut reference, mut widths) = (vec![[0.0; 4]; 41], vec![[0.0; 2]; 41]);
+    let position = [place.x, place.y];
+    let (reference, widths) = (&mut reference[..], &mut widths[..]);
+    horizon_reference(
+        &path,
+        profile,
+        position,
+        place.yaw,
+        0.02,
+        Some(s),
+        reference,
+        widths,
+    )
+    .unwrap();
+    for pair in reference.windows(2) {
+        let distance = (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]);
+        let mean = 0.5 * (pair[0][2] + pair[1][2]);
+        assert!((distance - 0.02 * mean).abs() < 1e-3, "{pair:?}");
+    }
+    assert!(reference[40][2] > 10.0);
+}
+
+#[test]
+fn numbers_out_of_range_are_errors() {
+    let path = lap();
+    let mut planner = SpeedPlanner::new(&path, &limits()).unwrap();
+    let places = planner.places();
+    let mut refused = |s: f64, v: f64, friction: Vec<f64>| {
+        planner.plan(s, Some(v), &friction).unwrap_err().to_string()
+    };
+    assert!(refused(f64::NAN, 1.0, vec![1.0; places]).contains("arc length"));
+    assert!(refused(0.0, f64::INFINITY, vec![1.0; places]).contains("speed"));
+    assert!(refused(0.0, 1.0, vec![0.0; places]).contains("friction"));
+    let short = refused(0.0, 1.0, vec![1.0; 3]);
+    assert_eq!(
+        short,
+        format!("expected the friction at {places} places, got 3")
+    );
+    let start = SpeedLimits {
+        start_speed: Some(1.0),
+        ..limits()
+    };
+    assert!(matches!(
+        SpeedPlanner::new(&path, &start),
+        Err(PathError::Parameter { .. })
+    ));
+}
