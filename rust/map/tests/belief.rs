@@ -86,7 +86,7 @@ fn what_is_known_fades_with_the_distance() {
     assert!(lower.windows(2).all(|pair| pair[0] > pair[1]), "{lower:?}");
     let mut friction = [0.0; 2];
     let mut planned = |risk| {
-        belief.ahead(95.0, 1.0, risk, &mut friction).unwrap();
+        belief.ahead(101.0, 1.0, risk, &mut friction).unwrap();
         friction[0]
     };
     // A change within the last 40 m is likelier than 5 %, and then all frictions are possible.
