@@ -66,6 +66,14 @@ FULL = COLD | {
     "widths": ramp((5, 2), 3.0, 0.25),
     "want_sigma": True,
 }
+FRICTION = {
+    "mean": 0.625,
+    "std": 0.125,
+    "lower": 0.5,
+    "upper": 0.75,
+    "information": 1.5,
+    "log_likelihood": [-0.25 * i for i in range(17)],
+}
 INFEASIBLE = {
     "version": 1,
     "library": LIBRARY,
@@ -77,14 +85,7 @@ INFEASIBLE = {
     "iterations": 9,
     "kkt_residual": 2.0**-30,
     "solver": "clarabel",
-    "friction": {
-        "mean": 0.625,
-        "std": 0.125,
-        "lower": 0.5,
-        "upper": 0.75,
-        "information": 1.5,
-        "log_likelihood": [-0.25 * i for i in range(17)],
-    },
+    "friction": FRICTION,
 }
 SOLVED = INFEASIBLE | {
     "status": "STATUS_SOLVED",
@@ -161,7 +162,7 @@ def test_the_extension_reads_replies() -> None:
     assert reply.status == "solved"
     for field in SOLVED.keys() - {"version", "status", "friction"}:
         np.testing.assert_array_equal(getattr(reply, field), SOLVED[field])
-    for field, value in SOLVED["friction"].items():
+    for field, value in FRICTION.items():
         np.testing.assert_array_equal(getattr(reply.friction, field), value)
     assert _core.decode_reply(golden("reply_infeasible")).plan_u.shape == (0, 2)
 

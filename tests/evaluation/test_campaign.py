@@ -69,6 +69,7 @@ def outcome(
         reason="completed" if completed else "left the road",
         time=time,
         distance=400.0,
+        lap_times=(time,),
         lateral_max=3 * rms,
         lateral_rms=rms,
         speed_rms=0.1,

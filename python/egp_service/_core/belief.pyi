@@ -13,10 +13,10 @@ class RoadBelief:
     """Belief about the friction along a path, from what control steps found in cells of 2 m.
 
     From cell to cell the friction stays or, on average every `change_distance` m (default 200), is
-    drawn anew from a uniform distribution over 0.1 to 1.3. Plans reckon with a change at every place
-    within the last `commitment` m (40), over which the vehicle cannot react. `capacity` is the
-    largest logarithm of a likelihood ratio that a cell keeps (6 nats), and `window` the number of
-    transitions from which a step estimates the friction (25). Raises `EgpError` unless all are
+    drawn anew from a uniform distribution over 0.1 to 1.3. Plans reckon with a change at every
+    place within the last `commitment` m (40), over which the vehicle cannot react. `capacity` is
+    the largest logarithm of a likelihood ratio that a cell keeps (6 nats), and `window` the number
+    of transitions from which a step estimates the friction (25). Raises `EgpError` unless all are
     positive.
     """
 
@@ -51,9 +51,9 @@ class RoadBelief:
     def ahead(self, places: NDArray[np.float64], risk: float) -> NDArray[np.float64]:
         """Return the friction to plan for at equidistant arc lengths (n,), those of `places`.
 
-        It is the friction below which that of each place lies with the probability `risk`, reckoning
-        with a change within the last `commitment` m. Raises `EgpError` unless `risk` is between 0
-        and 1.
+        It is the friction below which that of each place lies with the probability `risk`,
+        reckoning with a change within the last `commitment` m. Raises `EgpError` unless `risk` is
+        between 0 and 1.
         """
     def quantiles(self, s: NDArray[np.float64], share: float) -> NDArray[np.float64]:
         """Return the friction below which that at arc lengths (n,) lies with probability `share`.
@@ -76,9 +76,7 @@ class SpeedPlanner:
     ) -> SpeedPlanner: ...
     def places(self, s: float) -> NDArray[np.float64]:
         """Return the arc lengths (n,) at which `plan` needs the friction, for a vehicle at `s`."""
-    def plan(
-        self, s: float, friction: NDArray[np.float64], v: float | None = None
-    ) -> SpeedProfile:
+    def plan(self, s: float, friction: NDArray[np.float64], v: float | None = None) -> SpeedProfile:
         """Plan the fastest speed from `s` on for the friction coefficients (n,) at the `places`.
 
         The plan begins with the present speed `v` in m/s, or without one with the largest speed.

@@ -49,6 +49,8 @@ class Outcome:
     """Duration, s."""
     distance: float
     """Distance driven, m."""
+    lap_times: tuple[float, ...]
+    """Duration of each complete lap, s."""
     lateral_max: float
     """Largest lateral error, m."""
     lateral_rms: float
@@ -156,7 +158,8 @@ class Campaign:
             else:
                 write_library_subset(self._source, path, members)
         control = {**scenario.control, **(contender.control or {})}
-        scenario = replace(scenario, library=str(path), control=control)
+        speed = replace(scenario.speed, **(contender.speed or {}))
+        scenario = replace(scenario, library=str(path), control=control, speed=speed)
         if is_baseline and contender.kind != "fitted":
             # The library is for the scenario's vehicle, so the gate has to be, too.
             scenario = replace(scenario, gate={})
@@ -229,6 +232,7 @@ def _outcome(trial: Trial, run: Run) -> Outcome:
         reason=summary.ending.reason,
         time=summary.ending.time,
         distance=summary.ending.distance,
+        lap_times=lap_times(trial.scenario, run),
         lateral_max=summary.lateral_error.max,
         lateral_rms=summary.lateral_error.rms,
         speed_rms=summary.speed_error.rms,
@@ -243,6 +247,17 @@ def _outcome(trial: Trial, run: Run) -> Outcome:
 
 def _is_resolved(trial: Trial) -> bool:
     return trial.experiment == "friction-step" and trial.contender.name == ENSEMBLE
+
+
+def lap_times(scenario: Scenario, run: Run) -> tuple[float, ...]:
+    """Seconds of each complete lap of a closed track."""
+    path = build_path(scenario)
+    if not path.closed:
+        return ()
+    trace, ending = run.trace, run.summary.ending
+    laps = round(scenario.laps) if ending.completed else int(ending.distance // path.length)
+    ends = np.interp(np.arange(1, laps + 1) * path.length, trace.distance, trace.time)
+    return tuple(float(time) for time in np.diff(ends, prepend=0.0))
 
 
 def off_track(scenario: Scenario, run: Run) -> float:

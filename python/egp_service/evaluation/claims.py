@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from egp_service.evaluation import unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.evaluation.experiments import EXACT
+from egp_service.evaluation.experiments import ASSUMED, BELIEF, EXACT, HERE, RISKS
 from egp_service.evaluation.statistics import grouped, mean
 from egp_service.quantities import MOTION_LABELS
 
@@ -32,6 +33,7 @@ MIXED: Final = ("varying-speed", "unseen-track", "lane-change", "four-members", 
 _SHARE: Final = 0.95
 _REGRET: Final = 1.2
 _SETTLED: Final = 0.5  # s
+_FIVE_LAPS: Final = 1.12
 _EXCITED: Final = tuple(
     f"{acceleration} m/s² lateral{sensors}" for sensors in ("", EXACT) for acceleration in (2, 3, 4)
 )
@@ -54,6 +56,7 @@ def check(outcomes: Sequence[Outcome], predictions: Sequence[PredictionOutcome])
         *_regret(outcomes),
         *_best(outcomes),
         *_settling(outcomes),
+        *_unknown(outcomes),
     ]
     if predictions:
         claims += _ordering(predictions)
@@ -101,6 +104,41 @@ def _beyond(outcomes: Sequence[Outcome]) -> list[Claim]:
             f"{through} of {len(own)}",
         )
     ]
+
+
+def _unknown(outcomes: Sequence[Outcome]) -> list[Claim]:
+    groups = grouped(outcomes)
+    claims = []
+    for source, name, fewer in (
+        (ASSUMED, "the best assumed friction", 0.0),
+        (HERE, "a reference that is told the friction under the vehicle", 2.0 / 30.0),
+    ):
+        gap = unknown_roads.frontier_gap(groups, source)
+        if gap is not None:
+            runs = max(g.runs for g in groups if g.experiment == unknown_roads.FIRST)
+            text = f" but {fewer:.0%} of the runs" if fewer else ""
+            claims.append(
+                Claim(
+                    f"On a first lap it completes at least as many runs as {name} at equal time"
+                    f"{text}",
+                    gap[0] >= -fewer * runs,
+                    f"at worst {gap[0]:+.1f} of {runs} ({gap[1]})",
+                )
+            )
+    careful = f"{BELIEF}{RISKS[0]:.0%}"
+    for group in groups:
+        if (group.experiment, group.contender) == (unknown_roads.LATER, careful):
+            laps = unknown_roads.lap_ratios(outcomes, careful)
+            claims.append(
+                Claim(
+                    f"Five laps from a cold start at a risk of {RISKS[0]:.0%} are completed, in at "
+                    f"most {_FIVE_LAPS} times the oracle's time",
+                    group.completed == group.runs and group.time_regret.value <= _FIVE_LAPS,
+                    f"{group.completed} of {group.runs}, {group.time_regret.value:.3f}; laps "
+                    + ", ".join(f"{lap.value:.3f}" for lap in laps),
+                )
+            )
+    return claims
 
 
 def _regret(outcomes: Sequence[Outcome]) -> list[Claim]:

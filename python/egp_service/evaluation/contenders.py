@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -110,6 +110,8 @@ class Contender:
     members: tuple[int, ...] = ()
     control: Mapping[str, object] | None = None
     """Settings that override the scenario's."""
+    speed: Mapping[str, Any] | None = None
+    """Fields of `Speed` that override the scenario's: what its reference speed knows."""
 
 
 def make(contender: Contender, scenario: Scenario) -> Controller:

@@ -37,6 +37,12 @@ CUSTOM_TRACK: Final = Track(
     "rounded-rectangle",
     parameters={"length": 140.0, "width": 80.0, "radius": 20.0, "transition": 12.0},
 )
+# Sources of the reference speed's friction: what control steps found, one value everywhere, and the
+# friction under the vehicle.
+BELIEF: Final = "found, risk "
+ASSUMED: Final = "assumed "
+HERE: Final = "told here, "
+RISKS: Final = (0.03, 0.05, 0.1, 0.2)
 _ZONE_JITTER: Final = 0.02  # largest shift of zones as a share of the path's length
 
 
@@ -67,6 +73,8 @@ class ClosedLoopExperiment:
     contenders: tuple[Contender, ...]
     seeds: int
     quick_seeds: int
+    frictions: tuple[float, float] = (0.5, 1.1)
+    """Range of the frictions of random roads."""
 
     @property
     def compared(self) -> str:
@@ -78,7 +86,7 @@ class ClosedLoopExperiment:
         for seed in seeds:
             for condition, scenario in self.conditions:
                 # All contenders have the same road and noise for the same seed.
-                driven = _jittered(replace(scenario, seed=seed), seed)
+                driven = _jittered(replace(scenario, seed=seed), seed, self.frictions)
                 for contender in self.contenders:
                     yield Trial(self.name, condition, contender, driven)
 
@@ -303,6 +311,69 @@ def _friction_step() -> ClosedLoopExperiment:
     )
 
 
+def _unknown_roads() -> ClosedLoopExperiment:
+    base = _scenario(Track("random"), ((0.0, 1.0),), 0.9)
+    return ClosedLoopExperiment(
+        "unknown-roads",
+        "Roads of unknown friction, first lap (beyond the paper)",
+        "The reference speed is not told the friction: what does each source of it cost in time, "
+        "and how many laps end beside the road? The oracle is told all zones.",
+        (("first lap", replace(base, leave_distance=3.5)),),
+        (
+            Contender(ORACLE, "ensemble", TWO),
+            *(
+                Contender(f"{BELIEF}{risk:.0%}", "ensemble", TWO, speed=_believed(risk))
+                for risk in RISKS
+            ),
+            *(
+                Contender(
+                    f"{ASSUMED}{mu:g}",
+                    "ensemble",
+                    TWO,
+                    speed={"knows": "nothing", "friction": mu},
+                )
+                for mu in (0.3, 0.35, 0.4, 0.5, 0.6)
+            ),
+            *(
+                Contender(
+                    f"{HERE}{share:.0%} of it, at most {most:g}",
+                    "ensemble",
+                    TWO,
+                    speed={"knows": "here", "friction": most, "grip": 0.9 * share},
+                )
+                for share, most in ((1.0, 1.1), (0.8, 1.1), (0.8, 0.5), (1.0, 0.4))
+            ),
+        ),
+        seeds=30,
+        quick_seeds=1,
+        frictions=(0.25, 1.1),
+    )
+
+
+def _remembered_roads() -> ClosedLoopExperiment:
+    base = _scenario(Track("random"), ((0.0, 1.0),), 0.9)
+    return ClosedLoopExperiment(
+        "remembered-roads",
+        "Roads of unknown friction, five laps (beyond the paper)",
+        "What the first lap found is remembered by place: how fast do the next laps become?",
+        (("five laps", replace(base, leave_distance=3.5, laps=5.0)),),
+        (
+            Contender(ORACLE, "ensemble", TWO),
+            *(
+                Contender(f"{BELIEF}{risk:.0%}", "ensemble", TWO, speed=_believed(risk))
+                for risk in RISKS[:3]
+            ),
+        ),
+        seeds=20,
+        quick_seeds=1,
+        frictions=(0.25, 1.1),
+    )
+
+
+def _believed(risk: float) -> dict[str, object]:
+    return {"knows": "nothing", "risk": risk}
+
+
 def on_track(experiment: ClosedLoopExperiment, file: Path, scale: float) -> ClosedLoopExperiment:
     """Return the experiment on a track from a CSV file with lengths multiplied by `scale`.
 
@@ -318,15 +389,15 @@ def on_track(experiment: ClosedLoopExperiment, file: Path, scale: float) -> Clos
     return replace(experiment, conditions=conditions)
 
 
-def _jittered(scenario: Scenario, seed: int) -> Scenario:
+def _jittered(scenario: Scenario, seed: int, frictions: tuple[float, float]) -> Scenario:
     """Shift zone borders randomly, or draw new zones on a random track."""
     rng = np.random.default_rng([seed, 7])
     if scenario.track.kind == "random":
         count = int(rng.integers(3, 7))
         borders = np.sort(rng.uniform(0.05, 0.95, count - 1))
         starts = (0.0, *(float(border) for border in borders))
-        frictions = rng.uniform(0.5, 1.1, count)
-        zones = tuple(Zone(s, float(mu)) for s, mu in zip(starts, frictions, strict=True))
+        drawn = rng.uniform(*frictions, count)
+        zones = tuple(Zone(s, float(mu)) for s, mu in zip(starts, drawn, strict=True))
         return replace(scenario, zones=zones)
     shift = float(rng.uniform(-_ZONE_JITTER, _ZONE_JITTER))
     first, *others = scenario.zones
@@ -342,6 +413,8 @@ EXPERIMENTS: Final = (
     _friction_step(),
     _unseen_track(),
     _hard_roads(),
+    _unknown_roads(),
+    _remembered_roads(),
 )
 # `entry_speed.find` turns each of its trials into a highest entry speed.
 OBSTACLE_AVOIDANCE: Final = _obstacle_avoidance()

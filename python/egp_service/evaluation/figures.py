@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+from egp_service.evaluation import unknown_roads
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.quantities import MOTION_LABELS
@@ -42,6 +43,33 @@ def colours(contenders: Sequence[str]) -> dict[str, str]:
     """Colours of the contenders: dark for the ensemble, grey for the oracle."""
     others = [name for name in contenders if name not in {ENSEMBLE, ORACLE}]
     return {ENSEMBLE: INK, ORACLE: MUTED} | dict(zip(others, cycle(MEMBER_COLOURS), strict=False))
+
+
+def draw_risk(groups: Sequence[Group], path: Path) -> Path:
+    """Draw lap times over the share of departures, for each source of the friction."""
+    with plt.style.context(STYLE):
+        figure, ax = plt.subplots(figsize=(8.0, 4.6))
+        kinds = dict.fromkeys(unknown_roads.kind(g.contender) for g in groups)
+        for name, colour in zip(kinds, (MUTED, INK, *MEMBER_COLOURS), strict=False):
+            own = [
+                g
+                for g in groups
+                if unknown_roads.kind(g.contender) == name and np.isfinite(g.time_regret.value)
+            ]
+            own.sort(key=lambda g: g.time_regret.value)
+            lost = [100.0 * (1.0 - g.share.value) for g in own]
+            time = [g.time_regret.value for g in own]
+            ax.plot(time, lost, "o-", color=colour, label=name)
+            for g, x, y in zip(own, time, lost, strict=True):
+                label = g.contender.split(" ", 1)[-1] if g.contender != ORACLE else ""
+                ax.annotate(
+                    label, (x, y), (4, 4), textcoords="offset points", fontsize=7, color=colour
+                )
+        ax.set(xlabel="lap time / that of a reference that is told all zones")
+        ax.set(ylabel="departures [%]", title="First lap on roads of unknown friction")
+        ax.set_ylim(bottom=0.0)
+        ax.legend()
+        return _save(figure, path)
 
 
 def draw_prediction(outcomes: Sequence[PredictionOutcome], path: Path) -> Path:

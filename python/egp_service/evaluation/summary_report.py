@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service.evaluation import figures
+from egp_service.evaluation import figures, unknown_roads
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.entry_speed import SLOWEST
@@ -128,6 +128,8 @@ def headline(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
     for name, condition in dict.fromkeys((g.experiment, g.condition) for g in groups):
         here = [g for g in groups if (g.experiment, g.condition) == (name, condition)]
         named = {g.contender: g for g in here}
+        if ENSEMBLE not in named:  # which compares reference speeds, not controllers
+            continue
         others = [g for g in here if g.contender not in {ENSEMBLE, *VARIANTS, ORACLE}]
         best = max(others, key=lambda g: (g.completed, -g.lateral_rms.value), default=None)
         rows.append(
@@ -158,6 +160,12 @@ def _section(
     experiment = next(e for e in EXPERIMENTS if e.name == name)
     pictures = [figures.draw_completion(groups, folder / f"{name}.png")]
     tables = [group_table(groups)]
+    if name == unknown_roads.FIRST:
+        pictures.append(figures.draw_risk(groups, folder / "risk.png"))
+    if rows := unknown_roads.lap_rows(groups, outcomes) if name == unknown_roads.LATER else []:
+        laps = tuple(f"lap {lap + 1}" for lap in range(max(map(len, rows)) - 3))
+        heads = ("lap time / oracle's", "completed", "all laps", *laps)
+        tables.append(plain_table(heads, rows))
     if name == "friction-step":
         pictures.append(figures.draw_settling(outcomes, folder / "settling.png"))
     if compared := [(d.contender, d.run) for d in shown if d.condition == experiment.compared]:

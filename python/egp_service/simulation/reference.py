@@ -32,7 +32,7 @@ class SpeedReference(ABC):
         Without `v` the profile begins with the largest speed.
         """
 
-    def found(self, friction: Friction | None) -> None:
+    def found(self, friction: Friction | None) -> None:  # noqa: B027 - most references learn nothing
         """Take note of what the last control step found."""
 
 
@@ -43,7 +43,7 @@ class _Given(SpeedReference):
         self._profile = build_profile(scenario, path)
         self._path = None if scenario.speed.constant else path
 
-    def plan(self, s: float, v: float | None) -> tuple[SpeedProfile, float]:
+    def plan(self, s: float, v: float | None) -> tuple[SpeedProfile, float]:  # noqa: ARG002
         """Return the same profile everywhere."""
         if self._path is None:
             return self._profile, float("nan")
@@ -104,7 +104,11 @@ class _Assumed(_Planned):
         super().__init__(scenario, path)
         self._assumed = friction
 
-    def _friction(self, s: float, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _friction(
+        self,
+        s: float,  # noqa: ARG002
+        places: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
         return np.full_like(places, self._assumed)
 
 

@@ -249,15 +249,7 @@ def _check(scenario: Scenario, origin: str) -> None:
         raise ScenarioError(
             f"{origin}: actuator_delay must be in 0..={MAX_DELAY}, got {scenario.actuator_delay}"
         )
-    if scenario.speed.knows not in KNOWLEDGE:
-        raise ScenarioError(
-            f"{origin}: speed.knows must be one of {', '.join(KNOWLEDGE)}, "
-            f"got {scenario.speed.knows!r}"
-        )
-    if not 0.0 < scenario.speed.risk < 1.0:
-        raise ScenarioError(
-            f"{origin}: speed.risk must be between 0 and 1, got {scenario.speed.risk}"
-        )
+    _check_speed(scenario.speed, origin)
     positive = {
         "speed.grip": scenario.speed.grip,
         "speed.v_max": scenario.speed.v_max,
@@ -284,3 +276,12 @@ def _check(scenario: Scenario, origin: str) -> None:
         Plant(scenario.vehicle, asdict(scenario.disturbances))
     except EgpError as error:
         raise ScenarioError(f"{origin}: {error}") from error
+
+
+def _check_speed(speed: Speed, origin: str) -> None:
+    if speed.knows not in KNOWLEDGE:
+        raise ScenarioError(
+            f"{origin}: speed.knows must be one of {', '.join(KNOWLEDGE)}, got {speed.knows!r}"
+        )
+    if not 0.0 < speed.risk < 1.0:
+        raise ScenarioError(f"{origin}: speed.risk must be between 0 and 1, got {speed.risk}")

@@ -194,7 +194,7 @@ impl RoadBelief {
         let most = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let least = -self.settings.capacity;
         for value in evidence.iter_mut() {
-            *value = (*value - most).max(least);
+            *value = (*value - most).max(least) + 0.0; // no negative zero, which is not kept by a sum
         }
         self.likelihood[cell] = evidence.map(f64::exp);
     }

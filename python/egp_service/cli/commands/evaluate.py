@@ -58,8 +58,8 @@ def evaluate(
     """Run the paper's experiments with baselines, and write report.html.
 
     Experiments: prediction, varying-speed, lane-change, four-members,
-    random-roads, friction-step, unseen-track, hard-roads, iso-3888-2,
-    step-times.
+    random-roads, friction-step, unseen-track, hard-roads, unknown-roads,
+    remembered-roads, iso-3888-2, step-times.
 
     The same command resumes an interrupted evaluation. Requires the extras train
     and viz; with the extra paper, step-times includes the paper's stack.
