@@ -20,6 +20,8 @@ from egp_service.training.validation_report import draw_validation
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from egp_service.data.dataset import Dataset
     from egp_service.training.gaussian_process import KernelName
 
@@ -86,8 +88,15 @@ VEHICLE = np.array(
 )
 
 
-def test_the_vehicle_is_found_again() -> None:
-    known = VEHICLE
+# The same vehicle on ice: the grips, which are also those of the axles, and the slip of the peaks.
+ON_ICE = VEHICLE.copy()
+ON_ICE[[5, 6, 9, 14]] = 0.04, 0.08, 0.09, 0.09
+ON_ICE[[7, 8, 12, 13]] *= 12.0
+ON_ICE[[10, 15]] = 6.0, 7.0
+
+
+@pytest.mark.parametrize("known", [VEHICLE, ON_ICE], ids=["road", "ice"])
+def test_the_vehicle_is_found_again(known: NDArray[np.float64]) -> None:
     rng = np.random.default_rng(0)
     bounds = np.array([8.0, 0.6, 0.5, 0.1, 6000.0, 0.3])
     z = np.array([15.0, *np.zeros(5)]) + bounds * rng.uniform(-1.0, 1.0, (2000, 6))

@@ -69,7 +69,15 @@ class Member:
         """Name of the surface."""
     @property
     def friction(self) -> float:
-        """Nominal friction coefficient of the surface; it scales the step's bound on slip."""
+        """Nominal friction coefficient of the surface."""
+    @property
+    def peak_slip(self) -> float:
+        """Slip angle in rad, to which the step by default bounds that of the front tyres.
+
+        Of a single-track vehicle the angle at which its front force is largest,
+        `tan(pi / (2 C)) / B`, at most 0.4. Of other members `peak_slip` of the library's vehicle
+        times the friction.
+        """
     @property
     def dataset(self) -> str:
         """SHA-256 of the dataset that the member was trained on."""

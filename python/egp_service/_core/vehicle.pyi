@@ -81,7 +81,10 @@ class VehicleParameters:
         """Largest change of the steering rate per second, rad/s²."""
     @property
     def peak_slip(self) -> float:
-        """Slip angle at which the front tyres' force peaks on friction 1, rad."""
+        """Slip angle at which the front tyres' force peaks on friction 1, rad.
+
+        It bounds the slip on surfaces whose member has no fitted tyres, times their friction.
+        """
     @property
     def lateral_grip(self) -> float:
         """Reachable lateral acceleration as a share of mu g."""

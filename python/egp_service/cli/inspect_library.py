@@ -64,10 +64,22 @@ def summary(path: Path, library: Library) -> Table:
 
 def members(members: Iterable[Member]) -> Table:
     """Return a table with a row for each surface."""
-    table = Table("member", "friction", "points", "dataset", title="Surfaces", box=box.SIMPLE_HEAD)
+    table = Table(
+        "member",
+        "friction",
+        "peak slip rad",
+        "points",
+        "dataset",
+        title="Surfaces",
+        box=box.SIMPLE_HEAD,
+    )
     for member in members:
         table.add_row(
-            member.label, f"{member.friction:g}", str(member.n_points), member.dataset[:12]
+            member.label,
+            f"{member.friction:g}",
+            f"{member.peak_slip:.3f}",
+            str(member.n_points),
+            member.dataset[:12],
         )
     return table
 

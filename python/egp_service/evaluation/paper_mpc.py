@@ -81,13 +81,13 @@ class Mpc:
         reference: Array,
         edges: Array,
         operating: Array,
-        friction: float,
+        slip: float,
     ) -> tuple[Array, Array]:
         """Plan ``(T+1, 7)`` and scaled inputs ``(T, 2)``.
 
         Dynamics are ``A (T, 7, 7)``, ``B (T, 7, 2)`` for scaled inputs and ``c (T, 7)`` along the
-        operating states ``(T+1, 7)``, `friction` the surface's coefficient. Raises `EgpError` if
-        OSQP finds no plan.
+        operating states ``(T+1, 7)``, `slip` the largest slip angle of the front tyres, rad. Raises
+        `EgpError` if OSQP finds no plan.
         """
         cost, limits, soft = (self.settings[name] for name in ("cost", "limits", "soft"))
         a, b, c = dynamics
@@ -112,8 +112,8 @@ class Mpc:
         sideways = operating[1:, V_Y] + soft["front"] * operating[1:, OMEGA]
         moving = operating[1:, V_X] >= SLOWEST
         direction = np.arctan(sideways / np.maximum(operating[1:, V_X], SLOWEST))
-        slip = np.where(moving, soft["slip"] * friction, np.inf)[:, None] * np.array([-1.0, 1.0])
-        self.steering.value = np.clip(direction[:, None] + slip, -soft["delta"], soft["delta"])
+        allowed = np.where(moving, slip, np.inf)[:, None] * np.array([-1.0, 1.0])
+        self.steering.value = np.clip(direction[:, None] + allowed, -soft["delta"], soft["delta"])
         self.normal.value = np.stack([-np.sin(reference[1:, PSI]), np.cos(reference[1:, PSI])], -1)
         self.edges.value = edges
         self.problem.solve(solver=cp.OSQP, warm_start=True, ignore_dpp=False)

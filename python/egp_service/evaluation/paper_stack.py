@@ -228,7 +228,13 @@ class PaperStack:
         self.mpc = Mpc(self.horizon, dt, settings)
         self.margin = settings["soft"]["edge_margin"]
         self.yaw_at = settings["operating"]["yaw_at"]
-        self.friction = np.array([member.friction for member in library.members])
+        stated = settings["soft"].get("slip")
+        self.slips = np.array(
+            [
+                member.peak_slip if stated is None else stated * member.friction
+                for member in library.members
+            ]
+        )
 
     def step(self, request: Request) -> PaperStep:
         """Compute one step from a request with a full window and a plan."""
@@ -259,7 +265,7 @@ class PaperStack:
             reference=reference,
             edges=edges,
             operating=x,
-            friction=float(w @ self.friction),
+            slip=float(w @ self.slips),
         )
         phases.mpc = clock.lap()
         return PaperStep(plan_x, plan_u * [self.mass, 1.0], w, phases)

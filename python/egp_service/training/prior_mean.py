@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SLOWEST: Final = 3.0  # m/s; slip angles are computed with at least this speed
-# Start and bounds of the fit: small cars to vans, gravel to racing tyres. A shape above 2 would
+# Start and bounds of the fit: small cars to vans, tyres from ice to racing. A shape above 2 would
 # reverse the force at large slip, and with a shape below 1 the force would have no peak.
 _PARAMETERS: Final = {
     "m": (1300.0, 300.0, 4000.0),
@@ -28,16 +28,16 @@ _PARAMETERS: Final = {
     "l_r": (1.4, 0.3, 3.0),
     "k²": (1.6, 0.2, 6.0),
     "h": (0.5, 0.1, 1.5),
-    "D_d": (0.8, 0.05, 2.0),
-    "D_b": (0.8, 0.1, 2.0),
-    "e_df": (1.0, 0.1, 10.0),
-    "e_bf": (1.0, 0.1, 10.0),
-    "D_f": (0.8, 0.1, 2.0),
+    "D_d": (0.8, 0.02, 2.0),
+    "D_b": (0.8, 0.02, 2.0),
+    "e_df": (1.0, 0.1, 100.0),
+    "e_bf": (1.0, 0.1, 100.0),
+    "D_f": (0.8, 0.02, 2.0),
     "B_f": (20.0, 4.0, 80.0),
     "C_f": (1.4, 1.05, 1.9),
-    "e_dr": (1.0, 0.1, 10.0),
-    "e_br": (1.0, 0.1, 10.0),
-    "D_r": (0.8, 0.1, 2.0),
+    "e_dr": (1.0, 0.1, 100.0),
+    "e_br": (1.0, 0.1, 100.0),
+    "D_r": (0.8, 0.02, 2.0),
     "B_r": (20.0, 4.0, 80.0),
     "C_r": (1.4, 1.05, 1.9),
 }

@@ -185,7 +185,7 @@ fn phases(c: &mut Criterion, library: &Library) {
     let road = Road {
         x: &targets,
         widths: &[[3.0; 2]; 21],
-        friction: 0.8,
+        slip: 0.96,
     };
     let vehicle = settings.vehicle(library.vehicle());
     let setup = Setup {

@@ -154,6 +154,12 @@ impl Member {
         self.get().friction()
     }
 
+    #[doc = doc!(Member.peak_slip)]
+    #[getter]
+    fn peak_slip(&self) -> f64 {
+        self.get().peak_slip(self.library.vehicle())
+    }
+
     #[doc = doc!(Member.dataset)]
     #[getter]
     fn dataset(&self) -> &str {

@@ -1,5 +1,7 @@
 //! One surface's vehicle and the GPs that are added to it, in physical units.
 
+use egp_parameters::VehicleParameters;
+
 use super::data::MemberData;
 use crate::gp::{Gp, Horizon, Hyperparameters, SingularCovariance};
 use crate::scaler::Scaler;
@@ -61,9 +63,22 @@ impl Member {
         &self.label
     }
 
-    /// Nominal friction coefficient of the surface; the step's bound on slip is proportional to it.
+    /// Nominal friction coefficient of the surface.
     pub fn friction(&self) -> f64 {
         self.friction
+    }
+
+    /// Slip angle of the front tyres in rad beyond which more slip gives no more force on this surface: the peak of the
+    /// fitted axle, [`SingleTrack::peak_slip`](crate::vehicle::SingleTrack::peak_slip).
+    ///
+    /// A member without a single-track vehicle has no tyres of its own. Those of `vehicle` take their place, whose peak
+    /// is taken to move in proportion to the friction, as if the stiffness were the same on all surfaces (Pacejka, *Tire
+    /// and Vehicle Dynamics*, 3rd ed., section 1.2.1).
+    pub fn peak_slip(&self, vehicle: &VehicleParameters) -> f64 {
+        match &self.vehicle {
+            Some(VehicleModel::SingleTrack(fitted)) => fitted.peak_slip(),
+            Some(VehicleModel::Kinematic(_)) | None => vehicle.peak_slip * self.friction,
+        }
     }
 
     /// SHA-256 of the dataset the member was trained on, hexadecimal.

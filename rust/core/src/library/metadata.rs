@@ -49,7 +49,7 @@ pub enum PriorMean {
 pub struct MemberMetadata {
     /// The surface's name.
     pub label: String,
-    /// Nominal friction coefficient of the surface; the step's bound on slip is proportional to it.
+    /// Nominal friction coefficient of the surface.
     pub friction: f64,
     /// SHA-256 of the dataset the member was trained on, hexadecimal.
     pub dataset: String,

@@ -64,7 +64,7 @@ pub(super) fn hard(vehicle: &VehicleParameters, dt: f64, operating: &[State], qp
 pub(super) fn soft(
     soft: &Soft,
     vehicle: &VehicleParameters,
-    friction: f64,
+    slip: f64,
     operating: &State,
     reference: &State,
     widths: Option<&[f64; 2]>,
@@ -73,7 +73,7 @@ pub(super) fn soft(
     let [v_y, omega] = soft.envelope.unwrap_or([1.0; 2]);
     *rows = [
         interval(V_X, 0.0, soft.v_x_max),
-        steering(vehicle, friction, operating),
+        steering(vehicle, slip, operating),
         widths.map_or_else(SoftRow::inactive, |widths| {
             track(reference, widths, soft.edge_margin(vehicle.width))
         }),
@@ -90,23 +90,20 @@ fn interval(state: usize, lower: f64, upper: f64) -> SoftRow {
     }
 }
 
-/// The steering angles at which the front tyres slip by at most `peak_slip` times the friction while they move as in
-/// the operating state; at very low speed only the largest steering angle is bounded.
+/// The steering angles at which the front tyres slip by at most `slip` rad while they move as in the operating state; at
+/// very low speed only the largest steering angle is bounded.
 ///
 /// Beyond the peak of the tyres' force more steering gives less force. A controller whose model is linearised there, or
 /// predicts the peak at a wrong angle, steers to the limit and loses the remaining force (Beal and Gerdes, *Model
 /// Predictive Control for Vehicle Stabilization at the Limits of Handling*, IEEE Transactions on Control Systems
-/// Technology 21(4), 2013). The slope of the force at small slip hardly depends on the surface but the largest force is
-/// proportional to the friction, and so is the slip angle of the peak (Pacejka, *Tire and Vehicle Dynamics*, 3rd ed.,
-/// section 1.2.1).
-fn steering(vehicle: &VehicleParameters, friction: f64, operating: &State) -> SoftRow {
+/// Technology 21(4), 2013).
+fn steering(vehicle: &VehicleParameters, slip: f64, operating: &State) -> SoftRow {
     let delta = vehicle.steering_angle;
     if operating[V_X] < SLOWEST {
         return interval(DELTA, -delta, delta);
     }
     let sideways = operating[V_Y] + vehicle.l_f * operating[OMEGA];
     let direction = (sideways / operating[V_X]).atan();
-    let slip = vehicle.peak_slip * friction;
     let bound = |angle: f64| angle.clamp(-delta, delta);
     interval(DELTA, bound(direction - slip), bound(direction + slip))
 }
@@ -162,13 +159,12 @@ mod tests {
     #[test]
     fn the_front_slip_angle_is_bounded() {
         let car = VehicleParameters {
-            peak_slip: 0.2,
             l_f: 1.0,
             ..VehicleParameters::FORD_ESCORT
         };
         let mut x = State::zeros();
         (x[V_X], x[V_Y], x[OMEGA]) = (20.0, -6.0, 1.0);
-        let row = steering(&car, 0.5, &x);
+        let row = steering(&car, 0.1, &x);
         let direction = (-0.25_f64).atan();
         assert_eq!(row.normal, State::ith(DELTA, 1.0));
         assert!((row.lower - (direction - 0.1)).abs() < 1e-15);
@@ -176,10 +172,10 @@ mod tests {
         // At parking speed the full steering angle is allowed.
         let mut parking = State::zeros();
         (parking[V_X], parking[OMEGA]) = (1.0, 0.3);
-        assert_eq!(steering(&car, 0.5, &parking).upper, car.steering_angle);
+        assert_eq!(steering(&car, 0.1, &parking).upper, car.steering_angle);
         // In a slide the bound on slip exceeds the largest steering angle.
         x[V_Y] = 60.0;
-        let row = steering(&car, 0.5, &x);
+        let row = steering(&car, 0.1, &x);
         assert!(row.lower == car.steering_angle && row.upper == car.steering_angle);
     }
 

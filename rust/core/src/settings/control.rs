@@ -92,7 +92,7 @@ pub struct Soft {
     /// Largest steering angle in rad. Default: the library's `steering_angle`.
     pub delta: Option<f64>,
     /// Largest slip angle of the front tyres on friction 1, in rad, at the price of `steering`; times the blend's
-    /// friction on other surfaces; 5 is as good as none. Default: the library's `peak_slip`.
+    /// friction on other surfaces; 5 is as good as none. Default: [`crate::Member::peak_slip`] of the members, blended.
     pub slip: Option<f64>,
     /// Distance from the centre of mass to the front axle in m. Default: the library's `l_f`.
     pub front: Option<f64>,

@@ -104,7 +104,7 @@ impl Settings {
     }
 
     /// The same settings with every value stated that by default depends on the library: on its period of `dt` s, or on
-    /// the vehicle it was trained for.
+    /// the vehicle it was trained for. `soft.slip` stays as it is, because its default differs between the members.
     #[must_use]
     pub fn complete(mut self, dt: f64, library: &VehicleParameters) -> Self {
         let vehicle = self.vehicle(library);
@@ -120,7 +120,6 @@ impl Settings {
             delta_dot_slew: Some(vehicle.steering_slew),
         };
         self.soft.delta = Some(vehicle.steering_angle);
-        self.soft.slip = Some(vehicle.peak_slip);
         self.soft.front = Some(vehicle.l_f);
         self.soft.edge_margin = Some(self.soft.edge_margin(vehicle.width));
         self
@@ -285,7 +284,7 @@ mod tests {
         assert_eq!((power, delta_dot), (Some(54.7), Some(0.4)));
         assert_eq!((a_slew, delta_dot_slew), (Some(60.0), Some(8.0)));
         let soft = settings.soft;
-        assert_eq!((soft.delta, soft.slip), (Some(0.91), Some(0.12)));
+        assert_eq!((soft.delta, soft.slip), (Some(0.91), None));
         assert_eq!((soft.front, soft.edge_margin), (Some(0.9), Some(1.1)));
     }
 

@@ -65,14 +65,13 @@ pub fn step(
         &settings.operating,
         edges,
     );
-    let frictions = library.members().iter().map(Member::friction);
-    let friction = (frictions.zip(&ws.active))
-        .map(|(mu, weight)| mu * weight)
+    let slip = (ws.slips.iter().zip(&ws.active))
+        .map(|(slip, weight)| slip * weight)
         .sum();
     let road = Road {
         x: &ws.reference,
         widths: rows.widths,
-        friction,
+        slip,
     };
     let setup = Setup {
         settings,

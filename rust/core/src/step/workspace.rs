@@ -14,7 +14,7 @@ use crate::settings::SettingsError;
 use crate::solver::{self, QpSolver, SolverSetupError};
 use crate::trajectory::Guess;
 use crate::weights::{WeightEstimator, WindowNoise};
-use crate::{GpInput, GpOutput, Input, Library, MixtureScratch, Settings, State};
+use crate::{GpInput, GpOutput, Input, Library, Member, MixtureScratch, Settings, State};
 
 /// A workspace that could not be created.
 #[derive(Debug, thiserror::Error)]
@@ -33,6 +33,8 @@ pub struct Workspace {
     settings: Settings,
     /// The vehicle to control.
     pub(super) vehicle: VehicleParameters,
+    /// Bound on the front tyres' slip angle on each member's surface, rad.
+    pub(super) slips: Vec<f64>,
     pub(super) noise: WindowNoise,
     pub(super) estimator: WeightEstimator,
     pub(super) friction: FrictionEstimator,
@@ -69,10 +71,17 @@ impl Workspace {
         let horizon = settings.horizon(dt);
         let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
         let solvers = solver::solvers(&qp, &settings.solver)?;
+        let vehicle = settings.vehicle(library.vehicle());
+        let slip = |member: &Member| match settings.soft.slip {
+            Some(slip) => slip * member.friction(),
+            None => member.peak_slip(&vehicle),
+        };
+        let slips = library.members().iter().map(slip).collect();
         Ok(Self {
             library: library.id(),
             settings: settings.clone(),
-            vehicle: settings.vehicle(library.vehicle()),
+            vehicle,
+            slips,
             noise: WindowNoise::of(library, &settings.weights),
             estimator: WeightEstimator::new(n, settings.weights.window(dt)),
             friction: FrictionEstimator::new(library, &settings.weights),

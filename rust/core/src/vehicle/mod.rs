@@ -11,7 +11,7 @@ pub use frame::{Frame, wrap};
 pub use kinematic::{KINEMATIC_PARAMETERS, Kinematic};
 pub use kinematics::{gp_input, jacobians, successor};
 pub use model::{ModelParameters, VehicleModel};
-pub use single_track::{SINGLE_TRACK_PARAMETERS, SLOWEST, SingleTrack};
+pub use single_track::{LARGEST_PEAK_SLIP, SINGLE_TRACK_PARAMETERS, SLOWEST, SingleTrack};
 
 /// Index of `p_x` in the state, m.
 pub const P_X: usize = 0;

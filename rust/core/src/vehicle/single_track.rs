@@ -1,5 +1,6 @@
 //! A single-track vehicle whose tyres saturate: what a member believes where it has no data.
 
+use std::f64::consts::FRAC_PI_2;
 use std::ops::AddAssign;
 
 use egp_parameters::GRAVITY;
@@ -9,6 +10,10 @@ use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
 
 /// Slip angles lose their meaning when the vehicle stands; below this speed, m/s, they are taken at it or left alone.
 pub const SLOWEST: f64 = 3.0;
+
+/// Largest [`SingleTrack::peak_slip`], rad. Tyres on ice, whose peaks need the largest slip of the common surfaces, peak
+/// at 0.39 rad in the table of `docs/surfaces.md`. Where a fitted force peaks beyond this, the force is nearly constant.
+pub const LARGEST_PEAK_SLIP: f64 = 0.4;
 
 /// Number of parameters of a [`SingleTrack`].
 pub const SINGLE_TRACK_PARAMETERS: usize = 17;
@@ -130,6 +135,17 @@ impl SingleTrack {
     /// The parameters, in the order of [`SingleTrack::new`].
     pub fn parameters(&self) -> &[f64; SINGLE_TRACK_PARAMETERS] {
         &self.parameters
+    }
+
+    /// Slip angle in rad at which the lateral force of the front axle is largest, `tan(pi / (2 C)) / B`, or
+    /// [`LARGEST_PEAK_SLIP`] if that is less. For `C <= 1` the force rises with every slip angle and has no peak.
+    pub fn peak_slip(&self) -> f64 {
+        let [front, _] = &self.axles;
+        if front.shape <= 1.0 {
+            return LARGEST_PEAK_SLIP;
+        }
+        let peak = (FRAC_PI_2 / front.shape).tan() / front.stiffness;
+        peak.min(LARGEST_PEAK_SLIP)
     }
 
     /// The change of `[v_x, v_y, omega]` over the period.
@@ -309,6 +325,34 @@ mod tests {
         let turning_in = |force: f64| car.change(&GpInput::new(9.0, 0.0, 0.0, 0.1, force, 0.0))[2];
         assert!(turning_in(1000.0) > 0.9 * turning_in(0.0));
         assert!(turning_in(10_000.0) < 0.5 * turning_in(0.0));
+    }
+
+    #[test]
+    fn the_front_force_is_largest_at_the_peak_slip() {
+        let with = |stiffness: f64, shape: f64| {
+            let mut parameters = CAR;
+            (parameters[10], parameters[11]) = (stiffness, shape);
+            SingleTrack::new(&parameters, 0.02)
+        };
+        // The yaw acceleration by steering alone, from which the cosine of the steering angle is divided out.
+        let force = |car: &SingleTrack, slip: f64| {
+            car.change(&GpInput::new(20.0, 0.0, 0.0, slip, 0.0, 0.0))[2] / slip.cos()
+        };
+        for (stiffness, shape) in [(40.0, 1.35), (16.5, 1.41), (28.0, 1.9), (12.0, 1.2)] {
+            let car = with(stiffness, shape);
+            let peak = car.peak_slip();
+            let [less, most, more] = [0.99, 1.0, 1.01].map(|share| force(&car, share * peak));
+            assert!(
+                peak < LARGEST_PEAK_SLIP && most > less && most > more,
+                "{stiffness} {shape}"
+            );
+        }
+        // Peaks that are far out, at infinity, or do not exist.
+        for shape in [1.05, 1.0, 0.9] {
+            let car = with(20.0, shape);
+            assert!(car.peak_slip() == LARGEST_PEAK_SLIP);
+            assert!(force(&car, LARGEST_PEAK_SLIP) > force(&car, 0.99 * LARGEST_PEAK_SLIP));
+        }
     }
 
     #[test]

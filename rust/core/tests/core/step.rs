@@ -3,8 +3,11 @@
 
 use std::f64::consts::{PI, TAU};
 
+use egp_core::library::encode;
 use egp_core::settings::Operating;
-use egp_core::{Status, StepReply, Workspace, step};
+use egp_core::vehicle::ModelParameters;
+use egp_core::{Kernel, Library, Status, StepReply, Workspace, step};
+use egp_testing::libraries;
 use egp_testing::requests::{Request, library, settings, solve, warm};
 
 /// Mass of the vehicle that the tests' library is for, kg.
@@ -271,7 +274,7 @@ fn the_plan_stays_within_the_track_edges() {
 }
 
 #[test]
-fn the_slip_of_the_front_tyres_is_bounded_by_the_blended_friction() {
+fn a_stated_slip_of_the_front_tyres_is_bounded_by_the_blended_friction() {
     let mut settings = settings();
     (settings.soft.slip, settings.soft.steering.linear) = (Some(0.1), 1e5);
     let mut request = Request::circle();
@@ -294,6 +297,48 @@ fn the_slip_of_the_front_tyres_is_bounded_by_the_blended_friction() {
             (found - 0.1 * friction).abs() < 0.01,
             "{friction}: {largest:?}"
         );
+    }
+}
+
+#[test]
+fn by_default_the_slip_is_bounded_by_the_blended_peaks_of_the_members() {
+    let mut spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0);
+    // B and C of the front tyres; the second ones peak at a smaller slip, although the friction is larger.
+    for (data, [stiffness, shape]) in spec.members.iter_mut().zip([[15.0, 1.6], [40.0, 1.35]]) {
+        data.vehicle = Some(ModelParameters::SingleTrack([
+            1225.0, 0.9, 1.5, 1.6, 0.45, 0.5, 0.8, 0.3, 0.3, 0.9, stiffness, shape, 0.3, 0.3, 1.1,
+            20.0, 1.2,
+        ]));
+        (data.inputs, data.targets, data.alpha) = (vec![], vec![], Default::default());
+        (data.target_mean, data.constant, data.outputscale) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+        (data.golden_z, data.golden_mean) = (vec![], vec![]);
+        (data.golden_jacobian, data.golden_variance) = (vec![], vec![]);
+    }
+    let library = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
+    let mut request = Request::circle();
+    (request.history_z, request.history_y) = (vec![], vec![]);
+    request.x[1] = -4.0; // far enough from the path to need the largest allowed slip
+    let mut plan = |weights: [f64; 2], slip| {
+        let mut settings = settings();
+        settings.soft.slip = slip;
+        request.weights = weights.to_vec();
+        let mut ws = Workspace::new(&library, &settings).unwrap();
+        let mut reply = StepReply::default();
+        step(&library, &settings, &request.borrow(), &mut ws, &mut reply).unwrap();
+        assert_eq!(reply.status, Status::Solved);
+        reply.plan_x
+    };
+    let [first, second] = [(PI / 3.2).tan() / 15.0, (PI / 2.7).tan() / 40.0];
+    for (weights, friction, peak) in [
+        ([1.0, 0.0], 0.5, first),
+        ([0.5, 0.5], 0.8, 0.5 * (first + second)),
+        ([0.0, 1.0], 1.1, second),
+    ] {
+        let (own, stated) = (plan(weights, None), plan(weights, Some(peak / friction)));
+        let other = plan(weights, Some(1.1 * peak / friction));
+        // Measured: 0, and at least 6.6e-3.
+        assert!(largest_difference(&own, &stated) < 1e-9, "{weights:?}");
+        assert!(largest_difference(&own, &other) > 3e-3, "{weights:?}");
     }
 }
 

@@ -1,0 +1,99 @@
+"""How much of the tyres a library of surfaces uses, and how well it drives on them.
+
+usage: surface_laps.py LIBRARY
+
+LIBRARY is made by `egp train --recipe` with the shipped `surfaces-recipe.toml`. The first table has
+the share of the front axle's largest lateral force that the bound on slip leaves on each surface.
+The second one has laps of random tracks with measurement noise, on each surface and over all of
+them, of the ensemble and of the member of the surface under the car (the oracle).
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service._core import Library, plant_initial_states, plant_step_batch
+from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, make
+from egp_service.evaluation.experiments import NOISE
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.scenario import Scenario, Speed, Track, Zone
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+SURFACES: Final = ("dry", "wet", "snow", "ice")
+SEEDS: Final = 20
+GRIPS: Final = (0.8, 0.9)
+SPEED: Final = 15.0
+SHORT: Final = 1e-5  # s, in which the vehicle hardly moves
+OMEGA, FRONT_WHEELS = 5, slice(23, 25)  # in the 29 states
+
+
+def front_force(surface: str, slips: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lateral force of the simulated front axle at these slip angles, in any unit.
+
+    The vehicle drives straight ahead, so the front wheels alone turn it, and they roll freely.
+    """
+    vehicle = np.zeros((len(slips), 7))
+    vehicle[:, 2], vehicle[:, 6] = SPEED, slips
+    before = plant_initial_states(vehicle)
+    before[:, FRONT_WHEELS] *= np.cos(slips)[:, None]
+    after, _ = plant_step_batch(before, np.zeros((len(slips), 2)), SHORT, surface)
+    return np.asarray((after[:, OMEGA] - before[:, OMEGA]) / np.cos(slips))
+
+
+def usable(surface: str, bound: float) -> float:
+    """Largest force up to the slip `bound` as a share of the largest force at any slip."""
+    slips = np.linspace(0.0, 0.5, 1001)
+    force = front_force(surface, slips)
+    force -= force[0]
+    return float(force[slips <= bound].max() / force.max())
+
+
+def laps(
+    library: str, kind: str, grip: float, surfaces: tuple[str, ...]
+) -> tuple[int, float, float]:
+    """Completed runs over zones of equal length, and median RMS and largest lateral error in m."""
+    zones = tuple(Zone(n / len(surfaces), surface=name) for n, name in enumerate(surfaces))
+    completed, errors = 0, []
+    for seed in range(SEEDS):
+        scenario = Scenario(
+            name="surfaces",
+            track=Track("random"),
+            zones=zones,
+            library=library,
+            seed=seed,
+            speed=Speed(grip=grip, v_max=18.0),
+            measurement=NOISE,
+        )
+        controller = make(Contender(kind, kind), scenario)
+        summary = drive(scenario, controller, lambda _: None).summary
+        completed += summary.ending.completed
+        errors.append((summary.lateral_error.rms, summary.lateral_error.max))
+    rms, largest = np.median(errors, axis=0)
+    return completed, float(rms), float(largest)
+
+
+def main(library: str) -> None:
+    """Print both tables."""
+    print("surface  bound on slip  share of the peak")
+    for member in Library.load(library).members:
+        share = usable(member.label, member.peak_slip)
+        print(f"{member.label:7} {member.peak_slip:9.3f} rad {100 * share:16.1f} %")
+    print("lap   grip  contender  completed  RMS, max m")
+    for surfaces in (*((name,) for name in SURFACES), SURFACES):
+        name = surfaces[0] if len(surfaces) == 1 else "all"
+        for grip in GRIPS:
+            for kind in (ENSEMBLE, ORACLE):
+                completed, rms, largest = laps(library, kind, grip, surfaces)
+                runs = f"{completed}/{SEEDS}"
+                print(f"{name:5} {grip:4.0%}  {kind:9}  {runs:9}  {rms:.3f}, {largest:.2f}")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    main(sys.argv[1])
