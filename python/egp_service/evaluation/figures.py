@@ -61,9 +61,12 @@ def draw_risk(groups: Sequence[Group], path: Path) -> Path:
             time = [g.time_regret.value for g in own]
             ax.plot(time, lost, "o-", color=colour, label=name)
             for g, x, y in zip(own, time, lost, strict=True):
-                label = g.contender.split(" ", 1)[-1] if g.contender != ORACLE else ""
+                # The sources' curves are close: labels of one are below it.
+                below = g.contender.startswith(unknown_roads.HERE)
+                label = "" if g.contender == ORACLE else g.contender.split(", ", 1)[-1]
+                offset = (4, -11) if below else (4, 4)
                 ax.annotate(
-                    label, (x, y), (4, 4), textcoords="offset points", fontsize=7, color=colour
+                    label, (x, y), offset, textcoords="offset points", fontsize=7, color=colour
                 )
         ax.set(xlabel="lap time / that of a reference that is told all zones")
         ax.set(ylabel="departures [%]", title="First lap on roads of unknown friction")

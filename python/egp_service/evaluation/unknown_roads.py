@@ -24,7 +24,8 @@ def frontier_gap(groups: Sequence[Group], source: str) -> tuple[float, str] | No
     """Return by how many completed runs the belief exceeds a `source` at equal time, at worst.
 
     `source` is `ASSUMED` or `HERE`. Between the source's variants its completions are interpolated
-    over the time; settings of the belief that are slower or faster than all of them are left out.
+    over the time, and a slower setting of the belief is compared with the best of them; settings
+    that are faster than all of them are left out.
     Also returns the worst setting's name. None if nothing can be compared.
     """
     own = [g for g in groups if g.experiment == FIRST and np.isfinite(g.time_regret.value)]
@@ -38,7 +39,7 @@ def frontier_gap(groups: Sequence[Group], source: str) -> tuple[float, str] | No
     gaps = [
         (g.completed - float(np.interp(g.time_regret.value, times, best)), g.contender)
         for g in own
-        if g.contender.startswith(BELIEF) and times[0] <= g.time_regret.value <= times[-1]
+        if g.contender.startswith(BELIEF) and times[0] <= g.time_regret.value
     ]
     return min(gaps, default=None)
 

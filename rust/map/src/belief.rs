@@ -12,6 +12,10 @@ const CELL: f64 = 2.0;
 /// Stretch in m behind the first and ahead of the last planned place whose evidence counts; it limits the time of a plan.
 const REACH: f64 = 60.0;
 
+/// Distance in m by which a border of surfaces may be found too late or too early, since a window covers several
+/// metres: plans take the lowest friction within it.
+const BLUR: f64 = 4.0;
+
 /// How a road's friction changes, and how careful the plans are.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BeliefSettings {
@@ -214,25 +218,27 @@ impl RoadBelief {
         finite("start", start)?;
         positive("step", step)?;
         probability("risk", risk)?;
-        let first = self.index(start);
-        let last = self.index(start + step * friction.len().saturating_sub(1) as f64);
+        let blur = (BLUR / self.cell).round() as i64;
+        let first = self.index(start) - blur;
+        let last = self.index(start + step * friction.len().saturating_sub(1) as f64) + blur;
         self.smooth(first, last, REACH);
         let committed = 1.0 - (-self.settings.commitment / self.settings.change_distance).exp();
         let prior = self.grid.prior;
-        let mut known = (first - 1, 0.0);
+        let cell = |index: i64| {
+            let place = (index - first) as usize;
+            let (forward, backward) = (&self.forward[place], &self.backward[place]);
+            let likelihood = self.likelihood_of(index);
+            let masses: Row = std::array::from_fn(|h| {
+                let predicted = forward[h] + committed * (prior[h] - forward[h]);
+                predicted * likelihood[h] * backward[h]
+            });
+            self.grid.quantile(&masses, risk)
+        };
+        let cells: Vec<f64> = (first..=last).map(cell).collect();
         for (i, out) in friction.iter_mut().enumerate() {
-            let index = self.index(start + step * i as f64);
-            if index != known.0 {
-                let place = (index - first) as usize;
-                let (forward, backward) = (&self.forward[place], &self.backward[place]);
-                let likelihood = self.likelihood_of(index);
-                let masses: Row = std::array::from_fn(|h| {
-                    let predicted = forward[h] + committed * (prior[h] - forward[h]);
-                    predicted * likelihood[h] * backward[h]
-                });
-                known = (index, self.grid.quantile(&masses, risk));
-            }
-            *out = known.1;
+            let centre = (self.index(start + step * i as f64) - first - blur) as usize;
+            let near = &cells[centre..=centre + 2 * blur as usize];
+            *out = near.iter().copied().fold(f64::INFINITY, f64::min);
         }
         Ok(())
     }

@@ -41,7 +41,7 @@ pub struct Request {
     want_sigma: bool,
 }
 
-/// Posterior of the friction coefficient, from the last transitions and a uniform prior.
+#[doc = doc!(Friction)]
 #[pyclass(module = "egp_service._core", frozen, get_all)]
 pub struct Friction {
     /// Mean.
@@ -54,7 +54,7 @@ pub struct Friction {
     upper: f64,
     /// What the transitions told, nats.
     information: f64,
-    /// Logarithm of the likelihood of each friction coefficient of `friction_hypotheses()`, relative to the largest.
+    /// Logarithm of the likelihood of each friction coefficient of the wire's hypotheses, relative to the largest.
     log_likelihood: KeptVector,
 }
 

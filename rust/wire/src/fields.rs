@@ -105,10 +105,15 @@ impl<'a> Value<'a> {
         field: &'static str,
         slot: &mut Option<Tensor<'a>>,
     ) -> Result<(), Invalid> {
-        match slot.replace(Tensor::read(field, self.bytes(field)?)?) {
-            Some(_) => Err(Invalid::field(field, "comes twice; send it once")),
-            None => Ok(()),
-        }
+        once(field, slot, Tensor::read(field, self.bytes(field)?)?)
+    }
+}
+
+/// Fills `slot`. Errors if it is full.
+pub(crate) fn once<T>(field: &'static str, slot: &mut Option<T>, value: T) -> Result<(), Invalid> {
+    match slot.replace(value) {
+        Some(_) => Err(Invalid::field(field, "comes twice; send it once")),
+        None => Ok(()),
     }
 }
 

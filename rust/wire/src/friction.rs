@@ -3,7 +3,7 @@
 use egp_parameters::FRICTION_HYPOTHESES;
 
 use crate::Invalid;
-use crate::fields::Fields;
+use crate::fields::{Fields, once};
 
 /// Posterior of the friction coefficient, from the transitions of the request.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,11 +46,11 @@ impl Friction {
     /// Reads and validates an `egp.v1.Friction`.
     pub(crate) fn read(message: &[u8]) -> Result<Self, Invalid> {
         let mut values = [0.0; 5];
-        let mut log_likelihood = [0.0; FRICTION_HYPOTHESES];
+        let mut log_likelihood = None;
         for field in Fields::of(message) {
             let (tag, value) = field?;
             if tag == LOG_LIKELIHOOD {
-                log_likelihood = hypotheses(value.bytes(FIELD)?)?;
+                once(FIELD, &mut log_likelihood, hypotheses(value.bytes(FIELD)?)?)?;
             } else if let Some(slot) = (tag as usize)
                 .checked_sub(1)
                 .and_then(|i| values.get_mut(i))
@@ -65,7 +65,7 @@ impl Friction {
             lower,
             upper,
             information,
-            log_likelihood,
+            log_likelihood: log_likelihood.unwrap_or([0.0; _]),
         };
         friction.validate()?;
         Ok(friction)

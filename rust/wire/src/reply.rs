@@ -1,6 +1,6 @@
 //! The reply to one control step.
 
-use crate::fields::Fields;
+use crate::fields::{Fields, once};
 use crate::friction::Friction;
 use crate::tensor::{Tensor, read_predictions, read_rows, read_vector};
 use crate::writer::Writer;
@@ -186,7 +186,7 @@ impl<'a> Raw<'a> {
                 11 => raw.iterations = value.uint32("iterations")?,
                 12 => raw.kkt_residual = value.double("kkt_residual")?,
                 13 => raw.solver = value.text("solver")?,
-                14 => raw.friction = Some(value.bytes("friction")?),
+                14 => once("friction", &mut raw.friction, value.bytes("friction")?)?,
                 _ => {}
             }
         }

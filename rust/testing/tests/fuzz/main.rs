@@ -4,6 +4,7 @@
 //! Every target states properties of the values that its decoder accepts, besides that the decoder does not panic.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+mod belief;
 mod edits;
 mod key;
 mod library;

@@ -1,7 +1,7 @@
 //! Both sides of every limit of what a service answers: replies and descriptions of a replica.
 
 use egp_testing::messages;
-use egp_wire::{MessageLimits, Ready, Reply, Status};
+use egp_wire::{Friction, MessageLimits, Ready, Reply, Status};
 
 use crate::borders::{decoded_reply, field, refused_reply};
 
@@ -193,5 +193,42 @@ fn the_envelope_has_a_finite_width_in_every_component() {
     ] {
         let result = decode(&with(low, high));
         assert_eq!(field(&result), Some("envelope"), "{low} {high}");
+    }
+}
+
+#[test]
+fn a_friction_is_accepted_up_to_its_limits() {
+    let with = |change: fn(&mut Friction)| {
+        let mut reply = messages::solved_reply();
+        let mut friction = reply.friction.unwrap();
+        change(&mut friction);
+        reply.friction = Some(friction);
+        reply
+    };
+    let none = Reply {
+        friction: None,
+        ..messages::solved_reply()
+    };
+    let accepted: [fn(&mut Friction); 4] = [
+        |f| (f.mean, f.upper) = (10.0, 10.0),
+        |f| (f.lower, f.upper) = (0.5, 0.5),
+        |f| f.information = 1e3,
+        |f| f.log_likelihood = [-1e6; 17],
+    ];
+    for reply in accepted.map(with).into_iter().chain([none]) {
+        assert_eq!(decoded_reply(&reply).unwrap(), reply);
+    }
+    let spoiled: [fn(&mut Friction); 8] = [
+        |f| f.mean = f64::NAN,
+        |f| f.mean = 10.1,
+        |f| f.std = -0.1,
+        |f| (f.lower, f.upper) = (0.6, 0.5),
+        |f| f.information = 1.1e3,
+        |f| f.log_likelihood[3] = 0.1,
+        |f| f.log_likelihood[16] = -1.1e6,
+        |f| f.log_likelihood[0] = f64::NAN,
+    ];
+    for reply in spoiled.map(with) {
+        assert_eq!(refused_reply(&reply), Some("friction"));
     }
 }

@@ -1,0 +1,41 @@
+//! Stored beliefs about roads.
+
+use egp_map::{BeliefSettings, RoadBelief};
+use egp_parameters::friction_hypotheses;
+
+use crate::edits::Words;
+use crate::fuzz;
+
+fn road() -> RoadBelief {
+    RoadBelief::new(20.0, true, &BeliefSettings::default()).unwrap()
+}
+
+/// A belief with evidence in most of its cells.
+fn example() -> Vec<u8> {
+    let mut belief = road();
+    let evidence = friction_hypotheses().map(|mu| -0.5 * ((mu / 0.5).ln() / 0.2).powi(2));
+    for period in 0..80 {
+        belief
+            .update(0.2 * f64::from(period), Some(&evidence))
+            .unwrap();
+    }
+    belief.to_bytes()
+}
+
+#[test]
+fn what_is_recalled_can_be_planned_for() {
+    fuzz!([example()], Words::Doubles, |bytes: Vec<u8>| {
+        let mut belief = road();
+        let before = belief.to_bytes();
+        if belief.recall(&bytes).is_err() {
+            assert_eq!(belief.to_bytes(), before);
+            return;
+        }
+        let mut friction = [0.0; 25];
+        belief.ahead(0.0, 1.0, 0.05, &mut friction).unwrap();
+        assert!(
+            friction.iter().all(|mu| (0.1..=1.3).contains(mu)),
+            "{friction:?}"
+        );
+    });
+}
