@@ -12,6 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from egp_service.evaluation import unknown_roads
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
+from egp_service.evaluation.experiments import HERE
 from egp_service.quantities import MOTION_LABELS
 from egp_service.simulation.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE
 
@@ -62,7 +63,7 @@ def draw_risk(groups: Sequence[Group], path: Path) -> Path:
             ax.plot(time, lost, "o-", color=colour, label=name)
             for g, x, y in zip(own, time, lost, strict=True):
                 # The sources' curves are close: labels of one are below it.
-                below = g.contender.startswith(unknown_roads.HERE)
+                below = g.contender.startswith(HERE)
                 label = "" if g.contender == ORACLE else g.contender.split(", ", 1)[-1]
                 offset = (4, -11) if below else (4, 4)
                 ax.annotate(

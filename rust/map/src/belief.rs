@@ -284,7 +284,9 @@ impl RoadBelief {
             let likelihood = self.likelihood_of(index);
             (message.iter_mut().zip(likelihood)).for_each(|(m, l)| *m *= l);
             let mean: f64 = message.iter().zip(&prior).map(|(m, p)| m * p).sum();
-            (message.iter_mut()).for_each(|m| *m += change * (mean - *m));
+            for m in &mut message {
+                *m += change * (mean - *m);
+            }
             normalise(&mut message);
         }
         (self.forward, self.backward) = (forward, backward);

@@ -54,11 +54,15 @@ pub(crate) fn interpolate(hypotheses: &[f64; FRICTION_HYPOTHESES]) -> Row {
 pub(crate) fn normalise(row: &mut Row) {
     let most = row.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     let scale = most.recip();
-    row.iter_mut().for_each(|value| *value *= scale);
+    for value in row {
+        *value *= scale;
+    }
 }
 
 /// Divides by the sum.
 pub(crate) fn to_probabilities(row: &mut Row) {
     let scale = row.iter().sum::<f64>().max(f64::MIN_POSITIVE).recip();
-    row.iter_mut().for_each(|value| *value *= scale);
+    for value in row {
+        *value *= scale;
+    }
 }

@@ -2,7 +2,12 @@
 //!
 //! A [`RoadBelief`] collects the evidence of control steps in cells along the road, and gives the friction to plan for.
 
-#![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts and cell indices are small and positive
+// Counts and indices of cells are small.
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::cast_possible_wrap
+)]
 
 mod belief;
 mod file;

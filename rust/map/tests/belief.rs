@@ -1,5 +1,9 @@
 //! Beliefs about roads of known friction.
-#![allow(clippy::unwrap_used)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss
+)]
 
 use egp_map::{BeliefSettings, RoadBelief};
 use egp_parameters::{FRICTION_HYPOTHESES, friction_hypotheses};

@@ -1,14 +1,14 @@
 //! The friction coefficient that the last transitions indicate, and how sure it is.
 //!
 //! The estimate is the posterior of the friction coefficient `mu` given the window of eq. (6). Each of
-//! [`friction_hypotheses`] has a model ([`Hypothesis`]), whose whitened errors `e` over the window give a likelihood:
+//! [`friction_hypotheses`] has a model, whose whitened errors `e` over the window give a likelihood:
 //!
 //! ```text
 //! J(mu) = sum over the window of ||S (y - f_mu)||²
 //! p(mu) ∝ p_0(mu) exp(-J(mu) / (2 tau max(1, min J / n))),    n = number of errors
 //! ```
 //!
-//! `p_0` is uniform over [`RANGE`], and `J` is interpolated in `ln mu`. The exponent `1 / tau` with [`TEMPERATURE`] makes
+//! `p_0` is uniform over [`RANGE`], and `J` is interpolated in `ln mu`. The exponent `1 / tau` with `tau = 3` makes
 //! the posterior wider than that of independent errors, because the errors of a model are similar from one period to the
 //! next (a power posterior; Grünwald and van Ommen, *Inconsistency of Bayesian Inference for Misspecified Linear Models*,
 //! Bayesian Analysis 12(4), 2017). A window that no hypothesis explains, `min J > n`, widens it further. With 9 hypotheses

@@ -109,7 +109,7 @@ impl WeightEstimator {
     }
 
     /// Whether the last window tells the members apart: the worst of them explains it worse than the weights `w` do, by
-    /// at least one nat of the likelihood raised to the power `1 /` [`TEMPERATURE`]. The noise of the window must have
+    /// at least one nat of the likelihood raised to the power 1/3. The noise of the window must have
     /// been that of the errors.
     pub fn informed(&self, w: &[f64]) -> bool {
         let n = w.len();
