@@ -175,13 +175,14 @@ fn cornering_on(member: &egp_core::Member) -> Request {
 
 #[test]
 fn a_window_that_does_not_tell_the_members_apart_leaves_the_weights() {
-    let mut request = Request::circle();
+    let mut request = cornering_on(&library().members()[0]);
     request.weights = vec![0.3, 0.7];
-    let reply = solve(&request, &settings());
-    assert_eq!(reply.weights, request.weights);
-    let mut paper = settings();
-    paper.weights.whiten = false;
-    assert_ne!(solve(&request, &paper).weights, request.weights);
+    let mut settings = settings();
+    assert_ne!(solve(&request, &settings).weights, request.weights);
+    settings.weights.measurement = [50.0; 3]; // sensors that say nothing
+    assert_eq!(solve(&request, &settings).weights, request.weights);
+    settings.weights.whiten = false; // the paper's weights follow any window
+    assert_ne!(solve(&request, &settings).weights, request.weights);
 }
 
 #[test]
