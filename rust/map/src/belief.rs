@@ -16,6 +16,15 @@ const REACH: f64 = 60.0;
 /// metres: plans take the lowest friction within it.
 const BLUR: f64 = 4.0;
 
+/// Largest arc length, m.
+const FARTHEST: f64 = 1e9;
+/// Longest road, m.
+const LONGEST: f64 = 1e6;
+/// Longest stretch to plan for, m.
+const AHEAD: f64 = 1e4;
+/// Longest window, in transitions.
+const WINDOW: f64 = 1000.0;
+
 /// How a road's friction changes, and how careful the plans are.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BeliefSettings {
@@ -81,14 +90,16 @@ impl RoadBelief {
     /// A belief without evidence about a road of `length` m, which is a lap if `closed`.
     ///
     /// # Errors
-    /// [`BeliefError`] unless the length and the settings are positive and finite.
+    /// [`BeliefError`] unless the settings are positive and finite, the length is at most 1000 km, and the window at most
+    /// 1000 transitions.
     pub fn new(length: f64, closed: bool, settings: &BeliefSettings) -> Result<Self, BeliefError> {
+        at_most("length", length, LONGEST, "a length of at most 1e6 m")?;
+        let window = settings.window as f64;
+        at_most("window", window, WINDOW, "1 to 1000 transitions")?;
         for (name, value) in [
-            ("length", length),
             ("change_distance", settings.change_distance),
             ("commitment", settings.commitment),
             ("capacity", settings.capacity),
-            ("window", settings.window as f64),
         ] {
             positive(name, value)?;
         }
@@ -133,7 +144,7 @@ impl RoadBelief {
         s: f64,
         log_likelihood: Option<&[f64; FRICTION_HYPOTHESES]>,
     ) -> Result<(), BeliefError> {
-        finite("s", s)?;
+        place("s", s)?;
         let window = self.settings.window;
         if let Some(log_likelihood) = log_likelihood {
             for value in log_likelihood {
@@ -207,7 +218,7 @@ impl RoadBelief {
     /// friction lies with the probability `risk`.
     ///
     /// # Errors
-    /// [`BeliefError`] unless `start` is finite, `step` positive, and `risk` in (0, 1).
+    /// [`BeliefError`] unless `start` is an arc length, the places cover at most 10 km, and `risk` is in (0, 1).
     pub fn ahead(
         &mut self,
         start: f64,
@@ -215,8 +226,16 @@ impl RoadBelief {
         risk: f64,
         friction: &mut [f64],
     ) -> Result<(), BeliefError> {
-        finite("start", start)?;
+        place("start", start)?;
         positive("step", step)?;
+        let stretch = step * friction.len() as f64;
+        if stretch > AHEAD {
+            return Err(BeliefError {
+                name: "step times the number of places",
+                expected: "at most 1e4 m",
+                value: stretch,
+            });
+        }
         probability("risk", risk)?;
         let blur = (BLUR / self.cell).round() as i64;
         let first = self.index(start) - blur;
@@ -249,7 +268,7 @@ impl RoadBelief {
     /// [`BeliefError`] unless `s` is finite and `share` in (0, 1).
     pub fn quantile(&mut self, s: f64, share: f64) -> Result<f64, BeliefError> {
         probability("share", share)?;
-        finite("s", s)?;
+        place("s", s)?;
         let index = self.index(s);
         self.smooth(index, index, 3.0 * self.settings.change_distance);
         let likelihood = self.likelihood_of(index);
@@ -312,13 +331,31 @@ impl RoadBelief {
     }
 }
 
-fn finite(name: &'static str, value: f64) -> Result<(), BeliefError> {
-    if value.is_finite() {
+/// Errors unless `value` is an arc length whose cell can be counted.
+fn place(name: &'static str, value: f64) -> Result<(), BeliefError> {
+    if value.abs() <= FARTHEST {
         return Ok(());
     }
     Err(BeliefError {
         name,
-        expected: "a finite number",
+        expected: "an arc length within ±1e9 m",
+        value,
+    })
+}
+
+fn at_most(
+    name: &'static str,
+    value: f64,
+    limit: f64,
+    expected: &'static str,
+) -> Result<(), BeliefError> {
+    positive(name, value)?;
+    if value <= limit {
+        return Ok(());
+    }
+    Err(BeliefError {
+        name,
+        expected,
         value,
     })
 }

@@ -190,4 +190,20 @@ fn numbers_out_of_range_are_errors() {
         assert!(belief.quantile(0.0, risk).is_err());
     }
     assert!(belief.ahead(0.0, 0.0, 0.1, &mut [0.0; 3]).is_err());
+    for far in [1.1e9, -1.1e9, f64::INFINITY, 1e300] {
+        assert!(belief.update(far, None).is_err());
+        assert!(belief.ahead(far, 1.0, 0.1, &mut [0.0; 3]).is_err());
+        assert!(belief.quantile(far, 0.5).is_err());
+    }
+    assert!(belief.ahead(-1e9, 1.0, 0.1, &mut [0.0; 3]).is_ok());
+    assert!(belief.ahead(0.0, 1e300, 0.1, &mut [0.0; 3]).is_err());
+    assert!(belief.ahead(0.0, 5e3, 0.1, &mut [0.0; 3]).is_err());
+    assert!(RoadBelief::new(1.1e6, true, &BeliefSettings::default()).is_err());
+    for window in [0, 1001, usize::MAX] {
+        let settings = BeliefSettings {
+            window,
+            ..BeliefSettings::default()
+        };
+        assert!(RoadBelief::new(LENGTH, true, &settings).is_err());
+    }
 }
