@@ -17,7 +17,7 @@ import numpy as np
 
 from egp_service._core import Library, plant_initial_states, plant_step_batch
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, make
-from egp_service.evaluation.experiments import NOISE
+from egp_service.evaluation.experiment import NOISE
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.scenario import Scenario, Speed, Track, Zone
 

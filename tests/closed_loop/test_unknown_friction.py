@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from egp_service._core import RoadBelief, decode_reply
-from egp_service.evaluation.experiments import NOISE
+from egp_service.evaluation.experiment import NOISE
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.in_process import in_process_controller

@@ -22,7 +22,8 @@ from egp_service.evaluation.campaign import (
 from egp_service.evaluation.claims import POOLED, check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, interpolated_weights
 from egp_service.evaluation.entry_speed import RESOLUTION, SLOWEST, highest
-from egp_service.evaluation.experiments import EXPERIMENTS, NOISE, OBSTACLE_AVOIDANCE, Trial
+from egp_service.evaluation.experiment import NOISE, Trial
+from egp_service.evaluation.experiments import EXPERIMENTS, OBSTACLE_AVOIDANCE
 from egp_service.evaluation.prediction import PredictionOutcome
 from egp_service.evaluation.settling import settling_times
 from egp_service.evaluation.statistics import Interval, grouped, mean, median, wilson

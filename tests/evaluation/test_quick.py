@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from egp_service.cli import app
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.evaluation.experiments import EXACT, NOISE
+from egp_service.evaluation.experiment import NOISE
+from egp_service.evaluation.experiments import EXACT
 from egp_service.evaluation.scaling import OURS, PAPER
 
 if TYPE_CHECKING:

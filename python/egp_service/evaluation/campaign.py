@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from _typeshed import DataclassInstance
 
-    from egp_service.evaluation.experiments import ClosedLoopExperiment, Trial
+    from egp_service.evaluation.experiment import ClosedLoopExperiment, Trial
     from egp_service.simulation.closed_loop import Run
     from egp_service.simulation.scenario import Scenario
 

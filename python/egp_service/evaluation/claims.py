@@ -9,8 +9,9 @@ import numpy as np
 
 from egp_service.evaluation import unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.evaluation.experiments import ASSUMED, BELIEF, EXACT, HERE, RISKS
+from egp_service.evaluation.experiments import EXACT
 from egp_service.evaluation.statistics import grouped, mean
+from egp_service.evaluation.unknown_roads import ASSUMED, BELIEF, HERE, RISKS
 from egp_service.quantities import MOTION_LABELS
 
 if TYPE_CHECKING:

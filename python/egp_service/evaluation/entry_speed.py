@@ -16,7 +16,7 @@ from egp_service.simulation.scenario import Speed
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from egp_service.evaluation.experiments import Trial
+    from egp_service.evaluation.experiment import Trial
 
 SLOWEST: Final = 7.0  # m/s
 RESOLUTION: Final = 0.25

@@ -7,88 +7,41 @@ libraries determines it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from egp_service._core import VehicleParameters
+from egp_service.evaluation import unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, PAPER_WEIGHTS, Contender
+from egp_service.evaluation.experiment import (
+    M05,
+    M06,
+    M09,
+    M11,
+    POOLED,
+    TWO,
+    ClosedLoopExperiment,
+    on_surfaces,
+)
 from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track, Zone
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
-# Members of the evaluation library, by friction.
-M05, M06, M09, M11, POOLED = 0, 1, 2, 3, 4
-TWO: Final = (M05, M11)
 # Members of the same two surfaces with constant means as in the paper.
 CONSTANT_MEAN: Final = (5, 6)
 FOUR: Final = (M05, M06, M09, M11)
-# A survey-grade satellite receiver with a good inertial unit and a steering encoder.
-NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
 # Suffix of conditions without measurement noise.
 EXACT: Final = ", exact sensors"
-FASTEST: Final = 25.0
 HALF_WIDTH: Final = 0.837  # half of the vehicle's width, m
 CUSTOM_TRACK: Final = Track(
     "rounded-rectangle",
     parameters={"length": 140.0, "width": 80.0, "radius": 20.0, "transition": 12.0},
 )
-# Sources of the reference speed's friction: what control steps found, one value everywhere, and the
-# friction under the vehicle.
-BELIEF: Final = "found, risk "
-ASSUMED: Final = "assumed "
-HERE: Final = "told here, "
-RISKS: Final = (0.03, 0.05, 0.1, 0.2)
-_ZONE_JITTER: Final = 0.02  # largest shift of zones as a share of the path's length
-
-
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """One run: a contender in a scenario."""
-
-    experiment: str
-    condition: str
-    contender: Contender
-    scenario: Scenario
-    """Scenario with the run's seed; its library is set when the run starts."""
-
-    @property
-    def key(self) -> tuple[str, str, str, int]:
-        """Unique key of the trial."""
-        return self.experiment, self.condition, self.contender.name, self.scenario.seed
-
-
-@dataclass(frozen=True, slots=True)
-class ClosedLoopExperiment:
-    """One experiment: all contenders at all conditions, for any seeds."""
-
-    name: str
-    title: str
-    question: str
-    conditions: tuple[tuple[str, Scenario], ...]
-    contenders: tuple[Contender, ...]
-    seeds: int
-    quick_seeds: int
-    frictions: tuple[float, float] = (0.5, 1.1)
-    """Range of the frictions of random roads."""
-
-    @property
-    def compared(self) -> str:
-        """The condition whose drives are drawn side by side: the second, or the only one."""
-        return self.conditions[min(1, len(self.conditions) - 1)][0]
-
-    def trials(self, seeds: Iterable[int]) -> Iterator[Trial]:
-        """Yield every contender at every condition for each seed."""
-        for seed in seeds:
-            for condition, scenario in self.conditions:
-                # All contenders have the same road and noise for the same seed.
-                driven = _jittered(replace(scenario, seed=seed), seed, self.frictions)
-                for contender in self.contenders:
-                    yield Trial(self.name, condition, contender, driven)
 
 
 def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender, ...]:
@@ -118,22 +71,9 @@ _ALL_OF_FOUR: Final = contenders(FOUR, LABELS)
 _AVOIDING: Final = {ENSEMBLE, "pooled GP", "nominal single-track", "kinematic", ORACLE}
 
 
-def _scenario(
-    track: Track, zones: Sequence[tuple[float, float]], grip: float, v_max: float = FASTEST
-) -> Scenario:
-    """Return a scenario with a speed profile that uses the fraction `grip` of the friction."""
-    return Scenario(
-        name="evaluation",
-        track=track,
-        zones=tuple(Zone(start, friction) for start, friction in zones),
-        speed=Speed(grip=grip, v_max=v_max),
-        measurement=NOISE,
-    )
-
-
 def _steady(track: Track, zones: Sequence[tuple[float, float]], speed: float) -> Scenario:
     """Return a scenario with a constant speed on all surfaces."""
-    return replace(_scenario(track, zones, 1.0), speed=Speed(v_max=speed, constant=True))
+    return replace(on_surfaces(track, zones, 1.0), speed=Speed(v_max=speed, constant=True))
 
 
 def _varying_speed() -> ClosedLoopExperiment:
@@ -143,7 +83,7 @@ def _varying_speed() -> ClosedLoopExperiment:
         "Track with varying speed (paper, experiment 2)",
         "At which fraction of the grip does each controller begin to fail?",
         tuple(
-            (f"{grip:.0%} of grip", _scenario(CUSTOM_TRACK, zones, grip))
+            (f"{grip:.0%} of grip", on_surfaces(CUSTOM_TRACK, zones, grip))
             for grip in (0.80, 0.90, 0.95, 1.00)
         ),
         _ALL_OF_TWO,
@@ -159,7 +99,7 @@ def _unseen_track() -> ClosedLoopExperiment:
         "unseen-track",
         "Unseen long circuit at 14 m/s (paper, experiment 3)",
         "Does the library generalise to a track without training data?",
-        (("14 m/s", _scenario(circuit, zones, 0.9, 14.0)),),
+        (("14 m/s", on_surfaces(circuit, zones, 0.9, 14.0)),),
         _ALL_OF_TWO,
         seeds=20,
         quick_seeds=1,
@@ -217,7 +157,7 @@ def _four_members() -> ClosedLoopExperiment:
         tuple(
             (
                 f"changes {where}",
-                _scenario(CUSTOM_TRACK, tuple(zip(starts, frictions, strict=True)), 0.9),
+                on_surfaces(CUSTOM_TRACK, tuple(zip(starts, frictions, strict=True)), 0.9),
             )
             for where, starts in (("in corners", corners), ("on straights", straights))
         ),
@@ -232,7 +172,7 @@ def _random_roads() -> ClosedLoopExperiment:
         "random-roads",
         "Random tracks with random frictions (beyond the paper)",
         "A new track and a new friction map for every seed.",
-        (("90% of grip", _scenario(Track("random"), ((0.0, 1.0),), 0.9)),),
+        (("90% of grip", on_surfaces(Track("random"), ((0.0, 1.0),), 0.9)),),
         _ALL_OF_TWO,
         seeds=30,
         quick_seeds=2,
@@ -250,7 +190,7 @@ def _hard_roads() -> ClosedLoopExperiment:
         (0.70, 5.0, 1.1),
     ):
         icy += [(start, 0.25), (start + patch / length, around)]
-    plain = _scenario(CUSTOM_TRACK, base, 0.85)
+    plain = on_surfaces(CUSTOM_TRACK, base, 0.85)
     # The gate is that of vehicle 1, as the library is: the driver accepts no gate of another mass.
     other = replace(plain, vehicle=2, gate=VehicleParameters.commonroad(1).gate_limits())
     loud = Measurement(position=0.06, v_x=0.09, psi=0.006, v_y=0.09, omega=0.015, delta=0.003)
@@ -274,10 +214,10 @@ def _hard_roads() -> ClosedLoopExperiment:
             ("split 1.1 | 0.5 for a third", replace(plain, zones=partly)),
             (
                 "split 1.1 | 0.5, 75% of grip",
-                replace(_scenario(CUSTOM_TRACK, base, 0.75), zones=split),
+                replace(on_surfaces(CUSTOM_TRACK, base, 0.75), zones=split),
             ),
-            ("μ 0.35", _scenario(CUSTOM_TRACK, ((0.0, 0.35),), 0.85)),
-            ("μ 1.3", _scenario(CUSTOM_TRACK, ((0.0, 1.3),), 0.85)),
+            ("μ 0.35", on_surfaces(CUSTOM_TRACK, ((0.0, 0.35),), 0.85)),
+            ("μ 1.3", on_surfaces(CUSTOM_TRACK, ((0.0, 1.3),), 0.85)),
         ),
         _ALL_OF_TWO,
         seeds=5,
@@ -311,69 +251,6 @@ def _friction_step() -> ClosedLoopExperiment:
     )
 
 
-def _unknown_roads() -> ClosedLoopExperiment:
-    base = _scenario(Track("random"), ((0.0, 1.0),), 0.9)
-    return ClosedLoopExperiment(
-        "unknown-roads",
-        "Roads of unknown friction, first lap (beyond the paper)",
-        "The reference speed is not told the friction: what does each source of it cost in time, "
-        "and how many laps end beside the road? The oracle is told all zones.",
-        (("first lap", replace(base, leave_distance=3.5)),),
-        (
-            Contender(ORACLE, "ensemble", TWO),
-            *(
-                Contender(f"{BELIEF}{risk:.0%}", "ensemble", TWO, speed=_believed(risk))
-                for risk in RISKS
-            ),
-            *(
-                Contender(
-                    f"{ASSUMED}{mu:g}",
-                    "ensemble",
-                    TWO,
-                    speed={"knows": "nothing", "friction": mu},
-                )
-                for mu in (0.3, 0.35, 0.4, 0.5, 0.6)
-            ),
-            *(
-                Contender(
-                    f"{HERE}{share:.0%} of it, at most {most:g}",
-                    "ensemble",
-                    TWO,
-                    speed={"knows": "here", "friction": most, "grip": 0.9 * share},
-                )
-                for share, most in ((1.0, 1.1), (0.8, 1.1), (0.8, 0.5), (1.0, 0.4))
-            ),
-        ),
-        seeds=30,
-        quick_seeds=1,
-        frictions=(0.25, 1.1),
-    )
-
-
-def _remembered_roads() -> ClosedLoopExperiment:
-    base = _scenario(Track("random"), ((0.0, 1.0),), 0.9)
-    return ClosedLoopExperiment(
-        "remembered-roads",
-        "Roads of unknown friction, five laps (beyond the paper)",
-        "What the first lap found is remembered by place: how fast do the next laps become?",
-        (("five laps", replace(base, leave_distance=3.5, laps=5.0)),),
-        (
-            Contender(ORACLE, "ensemble", TWO),
-            *(
-                Contender(f"{BELIEF}{risk:.0%}", "ensemble", TWO, speed=_believed(risk))
-                for risk in RISKS[:3]
-            ),
-        ),
-        seeds=20,
-        quick_seeds=1,
-        frictions=(0.25, 1.1),
-    )
-
-
-def _believed(risk: float) -> dict[str, object]:
-    return {"knows": "nothing", "risk": risk}
-
-
 def on_track(experiment: ClosedLoopExperiment, file: Path, scale: float) -> ClosedLoopExperiment:
     """Return the experiment on a track from a CSV file with lengths multiplied by `scale`.
 
@@ -389,22 +266,6 @@ def on_track(experiment: ClosedLoopExperiment, file: Path, scale: float) -> Clos
     return replace(experiment, conditions=conditions)
 
 
-def _jittered(scenario: Scenario, seed: int, frictions: tuple[float, float]) -> Scenario:
-    """Shift zone borders randomly, or draw new zones on a random track."""
-    rng = np.random.default_rng([seed, 7])
-    if scenario.track.kind == "random":
-        count = int(rng.integers(3, 7))
-        borders = np.sort(rng.uniform(0.05, 0.95, count - 1))
-        starts = (0.0, *(float(border) for border in borders))
-        drawn = rng.uniform(*frictions, count)
-        zones = tuple(Zone(s, float(mu)) for s, mu in zip(starts, drawn, strict=True))
-        return replace(scenario, zones=zones)
-    shift = float(rng.uniform(-_ZONE_JITTER, _ZONE_JITTER))
-    first, *others = scenario.zones
-    moved = (replace(zone, start=zone.start + shift) for zone in others)
-    return replace(scenario, zones=(first, *moved))
-
-
 EXPERIMENTS: Final = (
     _varying_speed(),
     _lane_change(),
@@ -413,8 +274,8 @@ EXPERIMENTS: Final = (
     _friction_step(),
     _unseen_track(),
     _hard_roads(),
-    _unknown_roads(),
-    _remembered_roads(),
+    unknown_roads.first_lap(),
+    unknown_roads.five_laps(),
 )
 # `entry_speed.find` turns each of its trials into a highest entry speed.
 OBSTACLE_AVOIDANCE: Final = _obstacle_avoidance()

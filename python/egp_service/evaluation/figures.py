@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from egp_service.evaluation import unknown_roads
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.evaluation.experiments import HERE
+from egp_service.evaluation.unknown_roads import HERE
 from egp_service.quantities import MOTION_LABELS
 from egp_service.simulation.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE
 

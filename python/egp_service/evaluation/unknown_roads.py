@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.evaluation.contenders import ORACLE
-from egp_service.evaluation.experiments import ASSUMED, BELIEF, HERE
+from egp_service.evaluation.contenders import ORACLE, Contender
+from egp_service.evaluation.experiment import TWO, ClosedLoopExperiment, on_surfaces
 from egp_service.evaluation.statistics import median
+from egp_service.simulation.scenario import Track
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,6 +20,77 @@ if TYPE_CHECKING:
 
 FIRST: Final = "unknown-roads"
 LATER: Final = "remembered-roads"
+# Sources of the reference speed's friction: what control steps found, one value everywhere, and the
+# friction under the vehicle.
+BELIEF: Final = "found, risk "
+ASSUMED: Final = "assumed "
+HERE: Final = "told here, "
+RISKS: Final = (0.03, 0.05, 0.1, 0.2)
+
+
+def first_lap() -> ClosedLoopExperiment:
+    """Return the experiment of one lap, for all sources of the friction."""
+    base = on_surfaces(Track("random"), ((0.0, 1.0),), 0.9)
+    return ClosedLoopExperiment(
+        FIRST,
+        "Roads of unknown friction, first lap (beyond the paper)",
+        "The reference speed is not told the friction: what does each source of it cost in time, "
+        "and how many laps end beside the road? The oracle is told all zones.",
+        (("first lap", replace(base, leave_distance=3.5)),),
+        (
+            Contender(ORACLE, "ensemble", TWO),
+            *(
+                Contender(f"{BELIEF}{risk:.0%}", "ensemble", TWO, speed=_believed(risk))
+                for risk in RISKS
+            ),
+            *(
+                Contender(
+                    f"{ASSUMED}{mu:g}",
+                    "ensemble",
+                    TWO,
+                    speed={"knows": "nothing", "friction": mu},
+                )
+                for mu in (0.3, 0.35, 0.4, 0.5, 0.6)
+            ),
+            *(
+                Contender(
+                    f"{HERE}{share:.0%} of it, at most {most:g}",
+                    "ensemble",
+                    TWO,
+                    speed={"knows": "here", "friction": most, "grip": 0.9 * share},
+                )
+                for share, most in ((1.0, 1.1), (0.8, 1.1), (0.8, 0.5), (1.0, 0.4))
+            ),
+        ),
+        seeds=30,
+        quick_seeds=1,
+        frictions=(0.25, 1.1),
+    )
+
+
+def five_laps() -> ClosedLoopExperiment:
+    """Return the experiment of five laps, for what the control steps found."""
+    base = on_surfaces(Track("random"), ((0.0, 1.0),), 0.9)
+    return ClosedLoopExperiment(
+        LATER,
+        "Roads of unknown friction, five laps (beyond the paper)",
+        "What the first lap found is remembered by place: how fast do the next laps become?",
+        (("five laps", replace(base, leave_distance=3.5, laps=5.0)),),
+        (
+            Contender(ORACLE, "ensemble", TWO),
+            *(
+                Contender(f"{BELIEF}{risk:.0%}", "ensemble", TWO, speed=_believed(risk))
+                for risk in RISKS[:3]
+            ),
+        ),
+        seeds=20,
+        quick_seeds=1,
+        frictions=(0.25, 1.1),
+    )
+
+
+def _believed(risk: float) -> dict[str, object]:
+    return {"knows": "nothing", "risk": risk}
 
 
 def frontier_gap(groups: Sequence[Group], source: str) -> tuple[float, str] | None:

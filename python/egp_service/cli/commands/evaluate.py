@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from egp_service.evaluation.batch import Batch
     from egp_service.evaluation.campaign import Campaign, Outcome
     from egp_service.evaluation.entry_speed import EntrySpeed
-    from egp_service.evaluation.experiments import ClosedLoopExperiment
+    from egp_service.evaluation.experiment import ClosedLoopExperiment
     from egp_service.evaluation.prediction import SeedOutcomes
 
 _SHOWN = ("varying-speed", "unseen-track", "lane-change", "four-members")
