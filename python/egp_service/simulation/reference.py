@@ -136,7 +136,9 @@ def load_belief(scenario: Scenario, file: FilePath | None) -> RoadBelief:
         try:
             belief.recall(file.read_bytes())
         except (OSError, EgpError) as error:
-            raise ScenarioError(f"{file}: {error}") from error
+            raise ScenarioError(
+                f"{file}: {error}; delete it to begin anew, or name another file"
+            ) from error
     return belief
 
 

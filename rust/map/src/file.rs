@@ -39,7 +39,10 @@ pub enum StoredBeliefError {
 
 impl RoadBelief {
     /// The evidence as bytes; equal beliefs give equal bytes.
-    pub fn to_bytes(&self) -> Vec<u8> {
+    ///
+    /// # Errors
+    /// [`StoredBeliefError::Container`] if the container cannot be written.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, StoredBeliefError> {
         let values: Vec<u8> = (self.evidence().iter().flatten())
             .flat_map(|value| value.to_le_bytes())
             .collect();
@@ -48,9 +51,8 @@ impl RoadBelief {
             format!("{} {}", self.length(), kind(self.closed())),
         )]);
         let shape = vec![self.evidence().len(), LEVELS];
-        TensorView::new(Dtype::F64, shape, &values)
-            .and_then(|view| serialize([(TENSOR, view)], Some(metadata)))
-            .unwrap_or_default()
+        let view = TensorView::new(Dtype::F64, shape, &values)?;
+        Ok(serialize([(TENSOR, view)], Some(metadata))?)
     }
 
     /// Adds the evidence of a belief about the same road, from the bytes of [`Self::to_bytes`].

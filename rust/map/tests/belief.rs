@@ -113,16 +113,16 @@ fn new_evidence_contradicts_old() {
 #[test]
 fn periods_without_evidence_and_jumps_add_nothing() {
     let mut belief = belief();
-    let empty = belief.to_bytes();
+    let empty = belief.to_bytes().unwrap();
     drive(&mut belief, 0.0, 100.0, |_| None);
-    assert_eq!(belief.to_bytes(), empty);
+    assert_eq!(belief.to_bytes().unwrap(), empty);
     belief.leave();
     for period in 0..200 {
         // Backwards, which no path planner does.
         let s = 300.0 - 0.2 * f64::from(period);
         belief.update(s, Some(&evidence(0.5))).unwrap();
     }
-    assert_eq!(belief.to_bytes(), empty);
+    assert_eq!(belief.to_bytes().unwrap(), empty);
 }
 
 #[test]
@@ -131,10 +131,10 @@ fn a_stored_belief_is_the_same_belief() {
     drive(&mut belief, 0.0, 700.0, |s| {
         Some(evidence(0.3 + s / 1000.0))
     });
-    let bytes = belief.to_bytes();
+    let bytes = belief.to_bytes().unwrap();
     let mut again = self::belief();
     again.recall(&bytes).unwrap();
-    assert_eq!(again.to_bytes(), bytes);
+    assert_eq!(again.to_bytes().unwrap(), bytes);
     assert_eq!(quantiles(&mut again, 333.0), quantiles(&mut belief, 333.0));
 }
 
@@ -142,13 +142,13 @@ fn a_stored_belief_is_the_same_belief() {
 fn bytes_that_are_no_belief_about_this_road_are_errors_and_change_nothing() {
     let mut stored = belief();
     drive(&mut stored, 0.0, 100.0, |_| Some(evidence(0.5)));
-    let bytes = stored.to_bytes();
+    let bytes = stored.to_bytes().unwrap();
     let refused = |bytes: &[u8], length: f64, closed: bool| {
         let settings = BeliefSettings::default();
         let mut other = RoadBelief::new(length, closed, &settings).unwrap();
-        let before = other.to_bytes();
+        let before = other.to_bytes().unwrap();
         let error = other.recall(bytes).unwrap_err().to_string();
-        assert_eq!(other.to_bytes(), before);
+        assert_eq!(other.to_bytes().unwrap(), before);
         error
     };
     assert!(refused(&bytes, 501.0, true).contains("about a road of 500 m (lap), this one has 501"));

@@ -80,8 +80,8 @@ impl RoadBelief {
     }
 
     #[doc = doc!(RoadBelief.to_bytes)]
-    fn to_bytes(&self) -> Cow<'static, [u8]> {
-        self.0.to_bytes().into()
+    fn to_bytes(&self) -> PyResult<Cow<'static, [u8]>> {
+        Ok(self.0.to_bytes().map_err(raise)?.into())
     }
 
     #[doc = doc!(RoadBelief.update)]

@@ -137,8 +137,8 @@ def evaluate(
             times=times,
             drives=shown,
         )
-    if outcomes:
-        _print(console, headline(outcomes))
+    if rows := headline(outcomes):
+        _print(console, rows)
     console.print(f"Look at {report}", highlight=False)
 
 
