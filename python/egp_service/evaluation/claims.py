@@ -117,7 +117,7 @@ def _unknown(outcomes: Sequence[Outcome]) -> list[Claim]:
         gap = unknown_roads.frontier_gap(groups, source)
         if gap is not None:
             runs = max(g.runs for g in groups if g.experiment == unknown_roads.FIRST)
-            text = f" but {fewer:.0%} of the runs" if fewer else ""
+            text = f", or at most {fewer:.0%} of all runs fewer" if fewer else ""
             claims.append(
                 Claim(
                     f"On a first lap it completes at least as many runs as {name} at equal time"

@@ -41,8 +41,9 @@ if TYPE_CHECKING:
 
 _ABOUT = """All runs use the 29-state multi-body vehicle of CommonRoad, with measurement noise
 unless a condition says otherwise. The controllers have the same optimal control problem, solver,
-tuning and gate and differ only in the model that predicts the vehicle. Errors are errors of the
-true state. The error of an incomplete run is the error up to its end, so errors and completions
+tuning and gate and differ only in the model that predicts the vehicle; on roads of unknown friction
+they have the same model and differ only in what their reference speed knows. Errors are errors of
+the true state. The error of an incomplete run is the error up to its end, so errors and completions
 must be read together. Brackets are 95 % intervals over the seeds: Wilson's for shares, bootstrap
 for medians (off track: for the mean). <i>No plan</i> counts control periods without a usable plan,
 and <i>late</i> counts periods whose step took longer than the period while other runs shared the
