@@ -52,7 +52,7 @@ pub struct Friction {
     lower: f64,
     /// 95 % quantile.
     upper: f64,
-    /// What the transitions told, nats.
+    /// Information in the transitions, nats.
     information: f64,
     /// Logarithm of the likelihood of each friction coefficient of the wire's hypotheses, relative to the largest.
     log_likelihood: KeptVector,

@@ -16,7 +16,7 @@ pub struct Friction {
     pub lower: f64,
     /// 95 % quantile.
     pub upper: f64,
-    /// What the transitions told: Kullback-Leibler divergence from the prior, in nats.
+    /// Information in the transitions: Kullback-Leibler divergence from the prior, in nats.
     pub information: f64,
     /// Logarithm of the likelihood of each of [`egp_parameters::friction_hypotheses`], relative to the largest.
     pub log_likelihood: [f64; FRICTION_HYPOTHESES],

@@ -45,7 +45,7 @@ pub struct FrictionEstimate {
     pub lower: f64,
     /// 95 % quantile.
     pub upper: f64,
-    /// Kullback-Leibler divergence from the prior to the posterior, in nats: what the window told.
+    /// Kullback-Leibler divergence from the prior to the posterior, in nats: the information in the window.
     pub information: f64,
     /// Logarithm of the likelihood of each of [`friction_hypotheses`], raised to the power `1 / tau`, relative to the
     /// largest.
@@ -53,7 +53,7 @@ pub struct FrictionEstimate {
 }
 
 impl FrictionEstimate {
-    /// Whether the window told anything about the friction: at least 0.1 nats.
+    /// Whether the window has information about the friction: at least 0.1 nats.
     pub fn informed(&self) -> bool {
         self.information >= INFORMED
     }

@@ -124,7 +124,7 @@ fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
     }
 }
 
-/// Estimates weights and friction from the window. Weights change only if the window tells the members apart:
+/// Estimates weights and friction from the window. Weights change only if the window distinguishes the members:
 /// without excitation they differ by less than the noise, which the weights would follow. Predictions that the request lacks are computed for all members and returned.
 fn estimate_weights(
     library: &Library,

@@ -28,8 +28,8 @@ const RIDGE: f64 = 1e-10;
 /// Reciprocal of the power of likelihoods, because a model's errors are similar from one period to the next.
 pub(crate) const TEMPERATURE: f64 = 3.0;
 
-/// Nats from which a window tells the members apart. With 1 the weights settled later than 0.5 s after a step of the
-/// friction at 2 m/s² of lateral acceleration.
+/// Difference of log-likelihoods, in nats, from which a window distinguishes the members. With 1 the weights settled
+/// later than 0.5 s after a step of the friction at 2 m/s² of lateral acceleration.
 const INFORMED: f64 = 0.25;
 
 /// Estimator of the weights of `N` members, with its memory.
@@ -112,7 +112,7 @@ impl WeightEstimator {
         self.solver.solve(&qp, w)
     }
 
-    /// Whether the last window tells the members apart: the worst of them explains it worse than the weights `w` do, by
+    /// Whether the last window distinguishes the members: the worst of them explains it worse than the weights `w` do, by
     /// at least 0.25 nats of the likelihood raised to the power 1/3. The noise of the window must have
     /// been that of the errors.
     pub fn informed(&self, w: &[f64]) -> bool {

@@ -179,7 +179,7 @@ fn a_window_that_does_not_tell_the_members_apart_leaves_the_weights() {
     request.weights = vec![0.3, 0.7];
     let mut settings = settings();
     assert_ne!(solve(&request, &settings).weights, request.weights);
-    settings.weights.measurement = [50.0; 3]; // sensors that say nothing
+    settings.weights.measurement = [50.0; 3]; // noise that hides every difference
     assert_eq!(solve(&request, &settings).weights, request.weights);
     settings.weights.whiten = false; // the paper's weights follow any window
     assert_ne!(solve(&request, &settings).weights, request.weights);
