@@ -59,11 +59,12 @@ class Patient(Controller):
         reference: ArrayLike,
         widths: ArrayLike | None = None,
         *,
+        road_friction: ArrayLike | None = None,
         deadline: float | None = None,
     ) -> Step:
         """Return the step."""
         del deadline
-        return super().step(x, reference, widths, deadline=5.0)
+        return super().step(x, reference, widths, road_friction=road_friction, deadline=5.0)
 
 
 @pytest.fixture(scope="module", params=RUNS)

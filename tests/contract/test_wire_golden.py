@@ -65,6 +65,7 @@ FULL = COLD | {
     "history_f": ramp((2, 2, 3), -0.125, 0.015625),
     "widths": ramp((5, 2), 3.0, 0.25),
     "want_sigma": True,
+    "road_friction": ramp((6, 2), 0.25, 0.125),
 }
 FRICTION = {
     "mean": 0.625,

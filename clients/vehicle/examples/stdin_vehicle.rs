@@ -8,7 +8,9 @@ use std::error::Error;
 use std::io::{BufRead as _, Write as _, stdin, stdout};
 use std::time::{Duration, Instant};
 
-use egp_vehicle::{GateLimits, Mode, Step, VehicleClient, VehicleConfig, VehicleParameters};
+use egp_vehicle::{
+    GateLimits, Measurement, Mode, Step, VehicleClient, VehicleConfig, VehicleParameters,
+};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -52,7 +54,12 @@ fn main() -> Result<(), Box<dyn Error>> {
                 reference,
             } => {
                 let due = Instant::now() + Duration::try_from_secs_f64(deadline)?;
-                match vehicle.step_by(due, x, &reference, &[]) {
+                let measurement = Measurement {
+                    x,
+                    reference,
+                    ..Measurement::default()
+                };
+                match vehicle.step_by(due, measurement) {
                     Ok(step) => answer(&describe(&step, vehicle.weights()))?,
                     Err(error) => answer(&json!({ "error": error.to_string() }))?,
                 }

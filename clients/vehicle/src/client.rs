@@ -120,28 +120,27 @@ impl VehicleClient {
         reference: &[ReferenceRow],
         widths: &[WidthRow],
     ) -> Result<Step, ClientError> {
-        self.step_by(start + self.driver.budget(), x, reference, widths)
+        let measurement = Measurement {
+            x,
+            reference: reference.to_vec(),
+            widths: widths.to_vec(),
+            ..Measurement::default()
+        };
+        self.step_by(start + self.driver.budget(), measurement)
     }
 
-    /// As [`VehicleClient::step`], with a command due at `deadline`.
+    /// As [`VehicleClient::step`], with a command due at `deadline` and all that is known about the road.
     ///
     /// # Errors
     /// As [`VehicleClient::step`].
     pub fn step_by(
         &mut self,
         deadline: Instant,
-        x: State,
-        reference: &[ReferenceRow],
-        widths: &[WidthRow],
+        measurement: Measurement,
     ) -> Result<Step, ClientError> {
         while let Some(event) = self.network.next(Duration::ZERO) {
             self.tell(event);
         }
-        let measurement = Measurement {
-            x,
-            reference: reference.to_vec(),
-            widths: widths.to_vec(),
-        };
         let (now, due) = (self.time(Instant::now()), self.time(deadline));
         self.driver.tick(now, due, measurement)?;
         loop {

@@ -55,6 +55,13 @@ class RoadBelief:
         reckoning with a change within the last `commitment` m. Raises `EgpError` unless `risk` is
         between 0 and 1.
         """
+    def preview(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the `road_friction` (n + 1, 2) of a control step with its stages at `places` (n,).
+
+        Rows are the median and the standard deviation of the friction: first the mean over the
+        places that the vehicle passed in the window, then at each of `places`, which do not
+        decrease. Raises `EgpError` unless there are at least two of them.
+        """
     def quantiles(self, s: NDArray[np.float64], share: float) -> NDArray[np.float64]:
         """Return the friction below which that at arc lengths (n,) lies with probability `share`.
 

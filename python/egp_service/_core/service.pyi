@@ -44,6 +44,7 @@ class InProcessDriver:
         x: NDArray[np.float64],
         reference: NDArray[np.float64],
         widths: NDArray[np.float64] | None = None,
+        road_friction: NDArray[np.float64] | None = None,
     ) -> Decision: ...
     @property
     def budget(self) -> float: ...

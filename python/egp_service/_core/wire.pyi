@@ -27,6 +27,7 @@ class Request:
     reference: Final[NDArray[np.float64]]
     widths: Final[NDArray[np.float64]]
     want_sigma: Final[bool]
+    road_friction: Final[NDArray[np.float64]]
 
 @final
 class Friction:

@@ -17,9 +17,13 @@ if TYPE_CHECKING:
     from egp_service._core import Decision, Driver, Friction, InProcessDriver
 
     Measured: TypeAlias = tuple[
-        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64] | None,
+        NDArray[np.float64] | None,
     ]
-    """State (7,), reference (T+1, 4) and widths (T+1, 2) of one period, as the core reads them."""
+    """State (7,), reference (T+1, 4), widths (T+1, 2) and friction of the road (T+2, 2) of one
+    period, as the core reads them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +134,16 @@ class StepController(ABC):
         reference: ArrayLike,
         widths: ArrayLike | None = None,
         *,
+        road_friction: ArrayLike | None = None,
         deadline: float | None = None,
     ) -> Step:
         """Return the step for a measured state (7,), a reference (T+1, 4) and widths (T+1, 2).
 
         `x` is `[p_x, p_y, v_x, psi, v_y, omega, delta]`, `reference` has rows
         `[p_x, p_y, v_x, psi]` from now on, `widths` rows `[left, right]`, all in SI units and rad.
+        `road_friction` (T+2, 2) is what is known about the road: rows of friction coefficient and
+        standard deviation, first of the road on which the last transitions were measured, then at
+        each row of the reference (see `RoadBelief.preview`). The model of each stage follows it.
         Call it once each period. It returns within `deadline` seconds (default: 0.8 `dt`), with a
         command whatever happens to the service; without a service it takes as long as the control
         step, and `deadline` is only stated in the request. Raises `InvalidArgumentError` when
@@ -145,7 +153,8 @@ class StepController(ABC):
         start = time.monotonic()
         budget = self._driver.budget if deadline is None else deadline
         edges = None if widths is None else rows(widths)
-        decision = self._decide(start, budget, (rows(x), rows(reference), edges))
+        road = None if road_friction is None else rows(road_friction)
+        decision = self._decide(start, budget, (rows(x), rows(reference), edges, road))
         return Step.of(decision, self._driver.weights, time.monotonic() - start)
 
     @abstractmethod

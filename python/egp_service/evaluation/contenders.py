@@ -51,6 +51,7 @@ class _Oracle(Controller):
         reference: ArrayLike,
         widths: ArrayLike | None = None,
         *,
+        road_friction: ArrayLike | None = None,
         deadline: float | None = None,
     ) -> Step:
         """Set the weights from the true friction, then step."""
@@ -58,7 +59,7 @@ class _Oracle(Controller):
         self._s = projection.s
         weights = interpolated_weights(self._frictions, projection.friction)
         self._driver.hold_weights(weights)
-        return super().step(x, reference, widths, deadline=deadline)
+        return super().step(x, reference, widths, road_friction=road_friction, deadline=deadline)
 
 
 class _Selection(Controller):
@@ -78,6 +79,7 @@ class _Selection(Controller):
         reference: ArrayLike,
         widths: ArrayLike | None = None,
         *,
+        road_friction: ArrayLike | None = None,
         deadline: float | None = None,
     ) -> Step:
         """Select a member, then step."""
@@ -95,7 +97,9 @@ class _Selection(Controller):
             whitened = np.einsum("okj,jno->kno", root, errors)
             self._best = int(np.argmin(np.sum(whitened**2, axis=(0, 2))))
             self._driver.hold_weights(np.eye(len(self.members))[self._best])
-        step = super().step(state, reference, widths, deadline=deadline)
+        step = super().step(
+            state, reference, widths, road_friction=road_friction, deadline=deadline
+        )
         self._before = (state, step.u)
         return step
 

@@ -156,8 +156,16 @@ class _Loop:
             self._controller.horizon,
             self._s,
         )
-        deadline = FIRST_DEADLINE if self._ticks == 0 else None
-        step = self._controller.step(measured, reference, widths, deadline=deadline)
+        steps = np.hypot(*np.diff(reference[:, POSITION], axis=0).T)
+        step = self._controller.step(
+            measured,
+            reference,
+            widths,
+            road_friction=self._speed.road_friction(
+                projection.s + np.concatenate(([0.0], np.cumsum(steps)))
+            ),
+            deadline=FIRST_DEADLINE if self._ticks == 0 else None,
+        )
         self._speed.found(step.friction)
         return Period(truth, step)
 

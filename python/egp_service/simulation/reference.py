@@ -32,6 +32,13 @@ class SpeedReference(ABC):
         Without `v` the profile begins with the largest speed.
         """
 
+    def road_friction(
+        self,
+        places: NDArray[np.float64],  # noqa: ARG002
+    ) -> NDArray[np.float64] | None:
+        """Return what is known about the road at `places` (n,), as rows for the control step."""
+        return None
+
     def found(self, friction: Friction | None) -> None:  # noqa: B027 - most references learn nothing
         """Take note of what the last control step found."""
 
@@ -73,11 +80,15 @@ class _Believed(_Planned):
     def __init__(self, scenario: Scenario, path: Path, belief: RoadBelief) -> None:
         super().__init__(scenario, path)
         self._risk = scenario.speed.risk
+        self._preview = scenario.speed.preview
         self._belief = belief
         self._found: Friction | None = None
 
     def found(self, friction: Friction | None) -> None:
         self._found = friction
+
+    def road_friction(self, places: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        return self._belief.preview(places) if self._preview else None
 
     def _friction(self, s: float, places: NDArray[np.float64]) -> NDArray[np.float64]:
         found = self._found

@@ -86,12 +86,15 @@ class Speed:
     knows: str = "zones"
     """What the reference speed depends on: `zones`, the friction of all zones; `here`, the friction
     under the vehicle, as if it were the same everywhere; `nothing`, what the control steps found.
-    The controller's model knows nothing of the zones in any case."""
+    The controller's model is not told the zones in any case."""
     risk: float = 0.05
     """With `nothing`: probability that a place has less friction than its speed is planned for."""
     friction: float | None = None
     """With `nothing`: a friction assumed everywhere, in place of what was found. With `here`: the
     largest friction to plan for."""
+    preview: bool = True
+    """With `nothing`: whether the model of each stage follows what was found about the road there;
+    otherwise it is that of the last transitions at all stages."""
     v_max: float = 20.0
     """Largest speed, m/s."""
     constant: bool = False

@@ -165,7 +165,7 @@ fn phases(c: &mut Criterion, library: &Library) {
     let (guess, mut dynamics) = (Guess::new(20), Linearisation::new(20));
     let mut linearise = || {
         dynamics.along(
-            &ensemble,
+            |_| ensemble,
             0.05,
             &x0,
             &guess,
@@ -185,7 +185,7 @@ fn phases(c: &mut Criterion, library: &Library) {
     let road = Road {
         x: &targets,
         widths: &[[3.0; 2]; 21],
-        slip: 0.96,
+        slips: &[0.96; 21],
     };
     let vehicle = settings.vehicle(library.vehicle());
     let setup = Setup {

@@ -77,6 +77,17 @@ impl<'a> Ensemble<'a> {
         })
     }
 
+    /// The ensemble of the same members with other weights, one for each member, of which at least one is above the
+    /// threshold.
+    pub(crate) fn with_weights(self, weights: &'a [f64]) -> Self {
+        let above = weights.iter().filter(|&&weight| weight > self.threshold);
+        Self {
+            weights,
+            kept: above.sum::<f64>() / weights.iter().sum::<f64>(),
+            ..self
+        }
+    }
+
     /// The share of the weight that was left out, between 0 and 1.
     pub fn dropped_mass(&self) -> f64 {
         1.0 - self.kept
@@ -89,6 +100,16 @@ impl<'a> Ensemble<'a> {
         pairs
             .filter(move |&(&weight, _)| weight > threshold)
             .map(move |(&weight, member)| (weight / kept, member))
+    }
+
+    /// The scaled weight of a member, 0 unless it is active.
+    fn share(&self, member: usize) -> f64 {
+        let weight = self.weights[member];
+        if weight > self.threshold {
+            weight / self.kept
+        } else {
+            0.0
+        }
     }
 
     /// The mean, eq. (3): `Σ w μ(z)`, in output units.
@@ -129,12 +150,13 @@ impl<'a> Ensemble<'a> {
     }
 
     /// Upper bounds of [`EnsembleVariance::mixture`] at all stages of a horizon, at most 10 % above the exact ones
-    /// (5 % in standard deviation), at a fraction of their cost.
+    /// (5 % in standard deviation), at a fraction of their cost. `stage` gives the ensemble of each stage; all are of one
+    /// library.
     ///
     /// Each member's bound holds relative to its own variance, its noise and the disagreement of the members, whose
     /// weighted sum is the mixture's variance. The executor may evaluate several members in parallel.
     pub fn mixture_bounds(
-        &self,
+        stage: impl Fn(usize) -> Self,
         z: &[GpInput],
         scratch: &mut MixtureScratch,
         out: &mut [GpOutput],
@@ -149,32 +171,40 @@ impl<'a> Ensemble<'a> {
             buffer.clear();
             buffer.resize(z.len(), GpOutput::zeros());
         }
-        let mut sum = 0.0;
-        let several = self.active().nth(1).is_some(); // the disagreement of a single member is zero
-        for (weight, member) in self.active().filter(|_| several) {
-            sum += weight;
-            for ((z, mean), disagreement) in z.iter().zip(&mut *means).zip(&mut *disagreement) {
-                disagree(weight, sum, &member.mean(z), mean, disagreement);
+        let library = stage(0).members;
+        let active = || {
+            let used = |i: &usize| (0..z.len()).any(|t| stage(t).share(*i) > 0.0);
+            (0..library.len()).filter(used)
+        };
+        let count = active().count();
+        // The disagreement of a single member is zero.
+        for i in active().filter(|_| count > 1) {
+            for (t, (mean, disagreement)) in means.iter_mut().zip(&mut *disagreement).enumerate() {
+                let weight = stage(t).share(i);
+                if weight > 0.0 {
+                    let sum = (0..=i).map(|j| stage(t).share(j)).sum();
+                    disagree(weight, sum, &library[i].mean(&z[t]), mean, disagreement);
+                }
             }
         }
         out.copy_from_slice(disagreement);
-        let active = self.active().count();
-        if members.len() < active {
-            members.resize_with(active, MemberScratch::default);
+        if members.len() < count {
+            members.resize_with(count, MemberScratch::default);
         }
-        let squares = |(_, member): (f64, &Member)| member.n_points() * member.n_points();
-        let work = self.active().map(squares).sum::<usize>() / SQUARES_PER_NANOSECOND;
-        let parts = self.active().zip(&mut *members);
-        for_each(executor, work, parts, |((_, member), memory)| {
+        let squares = |i: usize| library[i].n_points() * library[i].n_points();
+        let work = active().map(squares).sum::<usize>() / SQUARES_PER_NANOSECOND;
+        let parts = active().zip(&mut *members);
+        for_each(executor, work, parts, |(i, memory)| {
+            let member = &library[i];
             memory.bounds.clear();
             memory.bounds.resize(z.len(), GpOutput::zeros());
             let (horizon, floor) = (&mut memory.horizon, &mut memory.floor);
             member.variance_bounds(z, disagreement, horizon, floor, &mut memory.bounds);
         });
-        for ((weight, member), memory) in self.active().zip(members) {
-            let noise = member.noise_std().map(|std| std * std);
-            for (out, bound) in out.iter_mut().zip(&memory.bounds) {
-                *out += weight * (bound + noise);
+        for (i, memory) in active().zip(members) {
+            let noise = library[i].noise_std().map(|std| std * std);
+            for (t, (out, bound)) in out.iter_mut().zip(&memory.bounds).enumerate() {
+                *out += stage(t).share(i) * (bound + noise);
             }
         }
     }

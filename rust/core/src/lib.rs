@@ -11,6 +11,7 @@ pub mod kernel;
 pub mod library;
 pub mod linearisation;
 pub mod ocp;
+pub mod preview;
 pub mod qp;
 pub mod scaler;
 pub mod settings;

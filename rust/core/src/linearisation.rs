@@ -61,15 +61,15 @@ impl Linearisation {
         }
     }
 
-    /// Linearises about the inputs of the guess and, with [`Operating::Shift`], about its states. Stages without a
+    /// Linearises the ensemble of each stage about the inputs of the guess and, with [`Operating::Shift`], about its states. Stages without a
     /// guessed state use the ensemble's prediction, and stage 0 is always the measured state `x0`.
     ///
     /// Value and Jacobian of the active members are evaluated once for each stage. Operating states are clamped to the
     /// box of the settings, in which the members have training data, and to `|delta|` and `v_x_max`. The affine term is
     /// that of the clamped state, so the result is still a tangent of the ensemble.
-    pub fn along(
+    pub fn along<'a>(
         &mut self,
-        ensemble: &Ensemble,
+        ensembles: impl Fn(usize) -> Ensemble<'a>,
         dt: f64,
         x0: &State,
         guess: &Guess,
@@ -84,7 +84,8 @@ impl Linearisation {
         };
         self.x[0] = domain.clamp(*x0);
         for t in 0..self.stages.len() {
-            let (stage, next) = tangent(ensemble, dt, settings.yaw_at, &self.x[t], &guess.u[t]);
+            let ensemble = ensembles(t);
+            let (stage, next) = tangent(&ensemble, dt, settings.yaw_at, &self.x[t], &guess.u[t]);
             self.stages[t] = stage;
             let planned = match settings.kind {
                 Operating::Shift => guess.x.get(t + 1),

@@ -139,6 +139,7 @@ impl Carry {
             reference,
             widths,
             want_sigma: false,
+            road_friction: Vec::new(),
         }
     }
 

@@ -22,7 +22,7 @@
 //! let x = [0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0];
 //! let reference = (0..=4).map(|t| [0.24 * f64::from(t), 0.0, 12.0, 0.0]).collect();
 //! let (now, deadline) = (Duration::from_millis(20), Duration::from_millis(36));
-//! driver.tick(now, deadline, Measurement { x, reference, widths: vec![] })?;
+//! driver.tick(now, deadline, Measurement { x, reference, ..Measurement::default() })?;
 //! let Some(Action::Ask(query)) = driver.next_action() else { unreachable!() };
 //! assert_eq!(query.key, "egp/v1/r/garage-1/depot/car-7/step");
 //!

@@ -1,6 +1,6 @@
 //! What a transport hands over at the start of a control period.
 
-use egp_wire::{Invalid, ReferenceRow, State, WidthRow};
+use egp_wire::{FrictionRow, Invalid, ReferenceRow, State, WidthRow};
 use thiserror::Error;
 
 use crate::situation::wrap;
@@ -11,7 +11,7 @@ const MIN_SPACING: f64 = 0.05;
 const MAX_DEVIATION: f64 = 0.5;
 
 /// What the vehicle measured and where it is to go.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measurement {
     /// Measured state `[p_x, p_y, v_x, psi, v_y, omega, delta]` in m, m, m/s, rad, m/s, rad/s, rad.
     pub x: State,
@@ -19,9 +19,12 @@ pub struct Measurement {
     pub reference: Vec<ReferenceRow>,
     /// Distances `[left, right]` from the reference to the track edges, m; `[T+1, 2]`, or empty for no edges.
     pub widths: Vec<WidthRow>,
+    /// What is known about the road: rows of friction coefficient and standard deviation, first of the road on which
+    /// the history was measured, then at the stages 0..=T; `[T+2, 2]`, or empty if nothing is known.
+    pub road_friction: Vec<FrictionRow>,
 }
 
-/// Reference or widths that no request can be made of. The control period was not opened.
+/// Reference, widths or friction that no request can be made of. The control period was not opened.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum InvalidArgument {
     /// A number of rows that does not fit the horizon.
@@ -77,6 +80,7 @@ impl Measurement {
             rows("widths", self.widths.len())?;
         }
         egp_wire::check_reference(&self.reference, &self.widths)?;
+        egp_wire::check_road_friction(&self.road_friction, self.reference.len())?;
         self.check_yaw()
     }
 

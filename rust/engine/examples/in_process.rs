@@ -49,6 +49,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             x: x.to_array(),
             reference: reference.clone(),
             widths: widths.clone(),
+            ..Measurement::default()
         };
         let step = driver.step(measurement, driver.driver().budget(), |request| {
             let mut reply = Vec::new();

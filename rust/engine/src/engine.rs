@@ -284,6 +284,7 @@ fn borrow(request: &Request) -> StepRequest<'_> {
         history_f: request.history_f.values.as_flattened(),
         reference: request.reference.as_flattened(),
         widths: request.widths.as_flattened(),
+        road_friction: request.road_friction.as_flattened(),
         want_sigma: request.want_sigma,
     }
 }

@@ -10,7 +10,7 @@ use crate::grid::{Grid, Row, interpolate, normalise, to_probabilities};
 /// Length of a cell in m, at most.
 const CELL: f64 = 2.0;
 /// Stretch in m behind the first and ahead of the last planned place whose evidence counts; it limits the time of a plan.
-const REACH: f64 = 60.0;
+pub(crate) const REACH: f64 = 60.0;
 
 /// Distance in m by which a border of surfaces may be found too late or too early, since a window covers several
 /// metres: plans take the lowest friction within it.
@@ -71,11 +71,11 @@ pub struct BeliefError {
 #[derive(Debug, Clone)]
 pub struct RoadBelief {
     settings: BeliefSettings,
-    grid: Grid,
+    pub(crate) grid: Grid,
     closed: bool,
     cell: f64,
     /// Where the vehicle was at the starts of the last periods, newest last.
-    track: VecDeque<f64>,
+    pub(crate) track: VecDeque<f64>,
     /// Logarithm of the likelihood in each cell, at most 0.
     evidence: Vec<Row>,
     /// Its exponential.
@@ -228,14 +228,10 @@ impl RoadBelief {
     ) -> Result<(), BeliefError> {
         place("start", start)?;
         positive("step", step)?;
-        let stretch = step * friction.len() as f64;
-        if stretch > AHEAD {
-            return Err(BeliefError {
-                name: "step times the number of places",
-                expected: "at most 1e4 m",
-                value: stretch,
-            });
-        }
+        stretch(
+            "step times the number of places",
+            step * friction.len() as f64,
+        )?;
         probability("risk", risk)?;
         let blur = (BLUR / self.cell).round() as i64;
         let first = self.index(start) - blur;
@@ -271,14 +267,18 @@ impl RoadBelief {
         place("s", s)?;
         let index = self.index(s);
         self.smooth(index, index, 3.0 * self.settings.change_distance);
+        Ok(self.grid.quantile(&self.posterior(index, 0), share))
+    }
+
+    /// Probabilities, up to a factor, of the friction in the cell `index`, whose messages are those of the smoothed `cell`.
+    pub(crate) fn posterior(&self, index: i64, cell: usize) -> Row {
         let likelihood = self.likelihood_of(index);
-        let (forward, backward) = (&self.forward[0], &self.backward[0]);
-        let masses: Row = std::array::from_fn(|h| forward[h] * likelihood[h] * backward[h]);
-        Ok(self.grid.quantile(&masses, share))
+        let (forward, backward) = (&self.forward[cell], &self.backward[cell]);
+        std::array::from_fn(|h| forward[h] * likelihood[h] * backward[h])
     }
 
     /// Computes the messages of the cells `first..=last` from evidence up to `reach` m beyond them.
-    fn smooth(&mut self, first: i64, last: i64, reach: f64) {
+    pub(crate) fn smooth(&mut self, first: i64, last: i64, reach: f64) {
         let reach = (reach / self.cell).ceil().min(self.evidence.len() as f64) as i64;
         let change = 1.0 - (-self.cell / self.settings.change_distance).exp();
         let prior = self.grid.prior;
@@ -311,7 +311,7 @@ impl RoadBelief {
         (self.forward, self.backward) = (forward, backward);
     }
 
-    fn index(&self, s: f64) -> i64 {
+    pub(crate) fn index(&self, s: f64) -> i64 {
         (s / self.cell).floor() as i64
     }
 
@@ -332,7 +332,7 @@ impl RoadBelief {
 }
 
 /// Errors unless `value` is an arc length whose cell can be counted.
-fn place(name: &'static str, value: f64) -> Result<(), BeliefError> {
+pub(crate) fn place(name: &'static str, value: f64) -> Result<(), BeliefError> {
     if value.abs() <= FARTHEST {
         return Ok(());
     }
@@ -340,6 +340,18 @@ fn place(name: &'static str, value: f64) -> Result<(), BeliefError> {
         name,
         expected: "an arc length within ±1e9 m",
         value,
+    })
+}
+
+/// Errors unless a stretch of road can be planned for.
+pub(crate) fn stretch(name: &'static str, length: f64) -> Result<(), BeliefError> {
+    if length <= AHEAD {
+        return Ok(());
+    }
+    Err(BeliefError {
+        name,
+        expected: "at most 1e4 m",
+        value: length,
     })
 }
 

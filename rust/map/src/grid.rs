@@ -32,6 +32,19 @@ impl Grid {
         Self { edges, prior }
     }
 
+    /// Median and standard deviation of the friction, for `masses` that need not sum to one.
+    pub fn median_and_std(&self, masses: &Row) -> [f64; 2] {
+        let (mut sum, mut mean, mut square) = (0.0, 0.0, 0.0);
+        for (i, mass) in masses.iter().enumerate() {
+            let middle = f64::midpoint(self.edges[i], self.edges[i + 1]);
+            sum += mass;
+            mean += mass * middle;
+            square += mass * middle * middle;
+        }
+        let variance = square / sum - (mean / sum).powi(2);
+        [self.quantile(masses, 0.5), variance.max(0.0).sqrt()]
+    }
+
     /// The friction below which the probability is `share`, for `masses` that need not sum to one.
     pub fn quantile(&self, masses: &Row, share: f64) -> f64 {
         let mut left = share * masses.iter().sum::<f64>();

@@ -12,6 +12,7 @@
 mod belief;
 mod file;
 mod grid;
+mod preview;
 
 pub use belief::{BeliefError, BeliefSettings, RoadBelief};
 pub use file::StoredBeliefError;

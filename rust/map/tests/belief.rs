@@ -207,3 +207,55 @@ fn numbers_out_of_range_are_errors() {
         assert!(RoadBelief::new(LENGTH, true, &settings).is_err());
     }
 }
+
+#[test]
+fn a_preview_shows_a_known_border() {
+    let mut belief = belief();
+    let truth = |s: f64| if s < 200.0 { 0.9 } else { 0.4 };
+    drive(&mut belief, 0.0, 400.0, |s| Some(evidence(truth(s))));
+    belief.leave();
+    drive(&mut belief, 180.0, 190.0, |s| Some(evidence(truth(s))));
+    let places: Vec<f64> = (0..20).map(|i| 190.0 + f64::from(i)).collect();
+    let mut rows = vec![[0.0; 2]; 21];
+    belief.preview(&places, &mut rows).unwrap();
+    assert!((rows[0][0] - 0.9).abs() < 0.05, "{:?}", rows[0]);
+    for ([friction, std], s) in rows[1..].iter().zip(&places) {
+        if (s - 200.0).abs() > 4.0 {
+            assert!((friction - truth(*s)).abs() < 0.05, "{s} {friction}");
+            assert!(*std < 0.1, "{s} {std}");
+        }
+    }
+}
+
+#[test]
+fn without_evidence_a_preview_shows_no_change() {
+    let mut rows = [[0.0; 2]; 4];
+    belief().preview(&[495.0, 499.0, 505.0], &mut rows).unwrap();
+    for [friction, std] in rows {
+        assert!((friction - 0.7).abs() < 0.01);
+        assert!((std - 1.2 / 12.0_f64.sqrt()).abs() < 0.01);
+    }
+}
+
+#[test]
+fn a_preview_continues_across_the_end_of_a_lap() {
+    let mut belief = belief();
+    drive(&mut belief, 480.0, 504.0, |_| Some(evidence(0.5)));
+    let mut rows = [[0.0; 2]; 3];
+    belief.preview(&[4.0, 6.0], &mut rows).unwrap();
+    assert!(
+        (rows[0][0] - 0.5).abs() < 0.1 && (rows[1][0] - 0.5).abs() < 0.1,
+        "{rows:?}"
+    );
+}
+
+#[test]
+fn places_of_a_preview_are_checked() {
+    let mut belief = belief();
+    let mut check =
+        |places: &[f64], rows: usize| belief.preview(places, &mut vec![[0.0; 2]; rows]).is_err();
+    assert!(!check(&[1.0, 2.0], 3));
+    assert!(check(&[1.0, 2.0], 2) && check(&[1.0], 2) && check(&[], 1));
+    assert!(check(&[2.0, 1.0], 3) && check(&[f64::NAN, 1.0], 3) && check(&[1.0, f64::NAN], 3));
+    assert!(check(&[0.0, 2e4], 3));
+}

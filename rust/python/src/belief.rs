@@ -7,10 +7,11 @@ use egp_parameters::FRICTION_HYPOTHESES;
 use egp_path::SpeedLimits;
 use pyo3::prelude::*;
 
-use crate::array::{NewVector, Vector, fixed, vector};
+use crate::array::{NewMatrix, NewVector, Vector, fixed, vector};
 use crate::error::raise;
 use crate::parameters::VehicleParameters;
 use crate::path::{Path, SpeedProfile};
+use crate::wire::matrix;
 
 #[doc = doc!(SpeedPlanner)]
 #[pyclass(module = "egp_service._core")]
@@ -91,6 +92,14 @@ impl RoadBelief {
             .map(|values| fixed::<FRICTION_HYPOTHESES>("log_likelihood", &values))
             .transpose()?;
         self.0.update(s, evidence.as_ref()).map_err(raise)
+    }
+
+    #[doc = doc!(RoadBelief.preview)]
+    fn preview<'py>(&mut self, py: Python<'py>, places: Vector<'py>) -> PyResult<NewMatrix<'py>> {
+        let places: Vec<f64> = places.as_array().iter().copied().collect();
+        let mut rows = vec![[0.0; 2]; places.len() + 1];
+        self.0.preview(&places, &mut rows).map_err(raise)?;
+        matrix(py, &rows)
     }
 
     #[doc = doc!(RoadBelief.leave)]

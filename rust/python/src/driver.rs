@@ -132,16 +132,21 @@ pub fn driver_config(
     })
 }
 
-/// Measured state, reference and widths from Python.
+/// Measured state, reference, widths and friction from Python.
 pub fn measurement(
     x: &Vector<'_>,
     reference: &Matrix<'_>,
     widths: Option<&Matrix<'_>>,
+    road_friction: Option<&Matrix<'_>>,
 ) -> PyResult<Measurement> {
     Ok(Measurement {
         x: fixed("x", x)?,
         reference: rows("reference", reference)?,
         widths: widths.map_or_else(|| Ok(Vec::new()), |widths| rows("widths", widths))?,
+        road_friction: road_friction.map_or_else(
+            || Ok(Vec::new()),
+            |friction| rows("road_friction", friction),
+        )?,
     })
 }
 
@@ -193,9 +198,9 @@ impl Driver {
 
     /// Open a control period at the measured state (7,), with a command due by `deadline`.
     ///
-    /// `reference` has rows [p_x, p_y, v_x, psi] (T+1, 4), `widths` rows [left, right] (T+1, 2). Raises
-    /// `InvalidArgumentError` if no request can be made of the arguments.
-    #[pyo3(signature = (now, deadline, x, reference, widths = None))]
+    /// `reference` has rows [p_x, p_y, v_x, psi] (T+1, 4), `widths` rows [left, right] (T+1, 2), `road_friction` rows
+    /// [friction, standard deviation] (T+2, 2). Raises `InvalidArgumentError` if no request can be made of the arguments.
+    #[pyo3(signature = (now, deadline, x, reference, widths = None, road_friction = None))]
     fn tick(
         &mut self,
         now: f64,
@@ -203,8 +208,9 @@ impl Driver {
         x: Vector<'_>,
         reference: Matrix<'_>,
         widths: Option<Matrix<'_>>,
+        road_friction: Option<Matrix<'_>>,
     ) -> PyResult<()> {
-        let measurement = measurement(&x, &reference, widths.as_ref())?;
+        let measurement = measurement(&x, &reference, widths.as_ref(), road_friction.as_ref())?;
         let ticked = self.0.tick(time(now)?, time(deadline)?, measurement);
         ticked.map_err(InvalidArgumentError::raise)
     }

@@ -152,7 +152,7 @@ impl InProcessDriver {
     }
 
     /// Decide one control period; see `Driver.tick`. `budget` is only stated in the request.
-    #[pyo3(signature = (budget, x, reference, widths = None))]
+    #[pyo3(signature = (budget, x, reference, widths = None, road_friction = None))]
     fn step(
         &mut self,
         py: Python<'_>,
@@ -160,8 +160,9 @@ impl InProcessDriver {
         x: Vector<'_>,
         reference: Matrix<'_>,
         widths: Option<Matrix<'_>>,
+        road_friction: Option<Matrix<'_>>,
     ) -> PyResult<Decision> {
-        let measurement = measurement(&x, &reference, widths.as_ref())?;
+        let measurement = measurement(&x, &reference, widths.as_ref(), road_friction.as_ref())?;
         let budget = Duration::try_from_secs_f64(budget).map_err(InvalidArgumentError::raise)?;
         let (driver, engine) = (&mut self.driver, self.engine.get());
         let step = py.detach(|| {

@@ -39,6 +39,7 @@ pub struct Request {
     reference: KeptMatrix,
     widths: KeptMatrix,
     want_sigma: bool,
+    road_friction: KeptMatrix,
 }
 
 #[doc = doc!(Friction)]
@@ -150,6 +151,7 @@ pub fn decode_request(py: Python<'_>, data: &[u8]) -> PyResult<Request> {
         reference: matrix(py, &request.reference)?.unbind(),
         widths: matrix(py, &request.widths)?.unbind(),
         want_sigma: request.want_sigma,
+        road_friction: matrix(py, &request.road_friction)?.unbind(),
     })
 }
 

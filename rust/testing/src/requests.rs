@@ -48,6 +48,8 @@ pub struct Request {
     pub reference: Vec<f64>,
     /// Distances `[left, right]` to the edges of the track, row by row.
     pub widths: Vec<f64>,
+    /// Friction of the road and its standard deviation, row by row.
+    pub road_friction: Vec<f64>,
 }
 
 impl Request {
@@ -87,6 +89,7 @@ impl Request {
             history_f: vec![],
             reference: reference.collect(),
             widths: [3.0, 3.0].repeat(21),
+            road_friction: vec![],
         }
     }
 
@@ -104,6 +107,7 @@ impl Request {
             history_f: &self.history_f,
             reference: &self.reference,
             widths: &self.widths,
+            road_friction: &self.road_friction,
             want_sigma: false,
         }
     }

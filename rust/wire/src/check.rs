@@ -45,6 +45,9 @@ pub(crate) const REFERENCE: Domain<4> = [
 ];
 pub(crate) const WIDTHS: Domain<2> = [("left", WIDTH), ("right", WIDTH)];
 
+/// Frictions that a road may have.
+const FRICTION: (f64, f64) = (0.01, 3.0);
+
 /// Tolerance on the sum and the sign of weights, for the rounding of a solver.
 const SIMPLEX_TOLERANCE: f64 = 1e-6;
 
@@ -88,6 +91,23 @@ pub(crate) fn simplex(field: &'static str, weights: &[f64]) -> Result<(), Invali
             field,
             format!("weights sum to {sum}, expected 1"),
         ));
+    }
+    Ok(())
+}
+
+/// Errors unless every row has the friction coefficient of a road and a standard deviation.
+pub(crate) fn friction(field: &'static str, rows: &[[f64; 2]]) -> Result<(), Invalid> {
+    let (least, most) = FRICTION;
+    for (index, [friction, std]) in rows.iter().enumerate() {
+        if !(least..=most).contains(friction) || !(0.0..=most).contains(std) {
+            return Err(Invalid::field(
+                field,
+                format!(
+                    "row {index}: expected a friction in [{least}, {most}] and a standard deviation in [0, {most}], got \
+                     {friction} and {std}"
+                ),
+            ));
+        }
     }
     Ok(())
 }

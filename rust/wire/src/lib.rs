@@ -41,7 +41,7 @@ pub use predictions::Predictions;
 pub use proto::{Load, PlantTruth, Status, Timing};
 pub use ready::Ready;
 pub use reply::Reply;
-pub use request::{Request, check_reference, check_state};
+pub use request::{Request, check_reference, check_road_friction, check_state};
 
 /// The messages as generated from `proto/egp/v1/egp.proto`, unvalidated.
 #[allow(missing_docs, clippy::pedantic)]
@@ -69,5 +69,7 @@ pub type GpOutput = [f64; 3];
 pub type ReferenceRow = [f64; 4];
 /// Distances `[left, right]` from the reference point to the track edges, m.
 pub type WidthRow = [f64; 2];
+/// Friction coefficient of the road, and its standard deviation.
+pub type FrictionRow = [f64; 2];
 /// SHA-256 of a library file.
 pub type LibraryId = [u8; 32];

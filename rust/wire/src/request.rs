@@ -4,8 +4,8 @@ use crate::fields::Fields;
 use crate::tensor::{Tensor, read_array, read_predictions, read_rows, read_vector};
 use crate::writer::Writer;
 use crate::{
-    GpInput, GpOutput, Input, Invalid, LibraryId, MessageLimits, Predictions, ReferenceRow, State,
-    VERSION, WidthRow, check,
+    FrictionRow, GpInput, GpOutput, Input, Invalid, LibraryId, MessageLimits, Predictions,
+    ReferenceRow, State, VERSION, WidthRow, check,
 };
 
 /// The request of one control step. T is `reference.len() - 1`, N the number of members.
@@ -41,6 +41,9 @@ pub struct Request {
     pub widths: Vec<WidthRow>,
     /// Whether to compute the predicted standard deviations.
     pub want_sigma: bool,
+    /// Friction of the road on which the history was measured, then at the stages 0..=T; empty means that nothing is
+    /// known.
+    pub road_friction: Vec<FrictionRow>,
 }
 
 impl Request {
@@ -69,6 +72,7 @@ impl Request {
         message.rows(14, &self.reference);
         message.rows(15, &self.widths);
         message.number(16, self.want_sigma.into());
+        message.rows(17, &self.road_friction);
         out
     }
 
@@ -112,6 +116,12 @@ impl Request {
         read_rows("reference", raw.reference, stages, &mut self.reference)?;
         read_rows("widths", raw.widths, stages, &mut self.widths)?;
         self.want_sigma = raw.want_sigma;
+        read_rows(
+            "road_friction",
+            raw.road_friction,
+            stages + 1,
+            &mut self.road_friction,
+        )?;
         self.validate(limits)
     }
 
@@ -134,6 +144,7 @@ impl Request {
             ));
         }
         check_reference(&self.reference, &self.widths)?;
+        check_road_friction(&self.road_friction, self.reference.len())?;
         self.validate_plan()?;
         self.validate_history(limits)
     }
@@ -224,6 +235,25 @@ pub fn check_reference(reference: &[ReferenceRow], widths: &[WidthRow]) -> Resul
     }
 }
 
+/// Checks what is known about the friction of the road: one row more than the `stages` rows of the reference, or none,
+/// of frictions that roads have.
+///
+/// # Errors
+/// [`Invalid::Field`] naming the first row at fault.
+pub fn check_road_friction(rows: &[FrictionRow], stages: usize) -> Result<(), Invalid> {
+    const FIELD: &str = "road_friction";
+    if rows.is_empty() {
+        return Ok(());
+    }
+    check::row_count(
+        FIELD,
+        rows.len(),
+        stages + 1,
+        "the road behind and each row of reference, or none",
+    )?;
+    check::friction(FIELD, rows)
+}
+
 /// The fields before they are checked.
 #[derive(Default)]
 struct Raw<'a> {
@@ -243,6 +273,7 @@ struct Raw<'a> {
     reference: Option<Tensor<'a>>,
     widths: Option<Tensor<'a>>,
     want_sigma: bool,
+    road_friction: Option<Tensor<'a>>,
 }
 
 impl<'a> Raw<'a> {
@@ -267,6 +298,7 @@ impl<'a> Raw<'a> {
                 14 => value.tensor("reference", &mut raw.reference)?,
                 15 => value.tensor("widths", &mut raw.widths)?,
                 16 => raw.want_sigma = value.bool("want_sigma")?,
+                17 => value.tensor("road_friction", &mut raw.road_friction)?,
                 _ => {}
             }
         }

@@ -15,15 +15,15 @@ use crate::{Input, Settings, State};
 
 pub use bounds::soft_rows;
 
-/// Reference, track edges and bound on slip along the horizon, in the vehicle's frame, rows `0..=T`.
+/// Reference, track edges and bounds on slip along the horizon, in the vehicle's frame, rows `0..=T`.
 #[derive(Debug, Clone, Copy)]
 pub struct Road<'a> {
     /// Reference states: `[p_x, p_y, v_x, psi]` at their indices of a state, other entries zero.
     pub x: &'a [State],
     /// Distances `[left, right]` in m from the reference point to the track edges; empty if unknown.
     pub widths: &'a [[f64; 2]],
-    /// Largest slip angle of the front tyres in rad, that of the peak of their force on this surface.
-    pub slip: f64,
+    /// Largest slip angles of the front tyres in rad, those of the peaks of their force.
+    pub slips: &'a [f64],
 }
 
 /// What all problems of one library and settings have in common.
@@ -71,7 +71,7 @@ pub fn assemble(
         bounds::soft(
             &settings.soft,
             vehicle,
-            road.slip,
+            road.slips[t + 1],
             &dynamics.x[t + 1],
             target,
             road.widths.get(t + 1),

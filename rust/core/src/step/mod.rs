@@ -18,7 +18,6 @@ use crate::executor::for_each;
 use crate::ocp::{self, Road, Setup};
 use crate::solver::{Status, solve_with_fallback};
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, gp_input, wrap};
-use crate::weights::select_active;
 use crate::{Ensemble, Executor, GpInput, Input, Library, Member, NY, Settings, State};
 
 /// One control step: weights, eq. (6); linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
@@ -48,30 +47,28 @@ pub fn step(
     ws.guess
         .shift(&frame, rows.plan_x, rows.plan_u, rows.plan_shift);
 
-    let dropped = select_active(
-        &reply.weights,
-        settings.weights.threshold,
-        settings.weights.max_active,
-        &mut ws.active,
-    );
-    reply.dropped_mass = dropped;
-    let ensemble = Ensemble::new(library, &ws.active, 0.0).map_err(StepError::Ensemble)?;
+    reply.dropped_mass = ws
+        .stages
+        .fill(&reply.weights, rows.road_friction, &settings.weights);
+    let now = Ensemble::new(library, ws.stages.stage(0), 0.0).map_err(StepError::Ensemble)?;
+    let ensembles = |t: usize| now.with_weights(ws.stages.stage(t));
     let edges = [settings.soft.v_x_max, ws.vehicle.steering_angle];
     ws.dynamics.along(
-        &ensemble,
+        ensembles,
         library.dt(),
         &x0,
         &ws.guess,
         &settings.operating,
         edges,
     );
-    let slip = (ws.slips.iter().zip(&ws.active))
-        .map(|(slip, weight)| slip * weight)
-        .sum();
+    for (t, slip) in ws.stage_slips.iter_mut().enumerate() {
+        let members = ws.slips.iter().zip(ws.stages.stage(t));
+        *slip = members.map(|(slip, weight)| slip * weight).sum();
+    }
     let road = Road {
         x: &ws.reference,
         widths: rows.widths,
-        slip,
+        slips: &ws.stage_slips,
     };
     let setup = Setup {
         settings,
@@ -98,7 +95,7 @@ pub fn step(
     if reply.status == Status::Solved {
         write_plan(&frame, &rows, ws, reply);
         if request.want_sigma {
-            write_sigma(&ensemble, &mut ws.sigma, &*ws.executor, reply);
+            write_sigma(ensembles, &mut ws.sigma, &*ws.executor, reply);
         }
     }
     Ok(())
@@ -183,8 +180,8 @@ fn write_plan(frame: &Frame, rows: &Rows, ws: &Workspace, reply: &mut StepReply)
 
 /// Writes the one-step-ahead standard deviations of `[v_x, v_y, omega]` along the plan, at most 5 % too large. Row 0,
 /// the measurement, is zero.
-fn write_sigma(
-    ensemble: &Ensemble,
+fn write_sigma<'a>(
+    ensembles: impl Fn(usize) -> Ensemble<'a>,
     memory: &mut SigmaMemory,
     executor: &dyn Executor,
     reply: &mut StepReply,
@@ -200,7 +197,7 @@ fn write_sigma(
         .queries
         .extend(stages.map(|(x, u)| gp_input(&State::from(*x), &Input::from(*u))));
     let (scratch, variances) = (&mut memory.scratch, &mut memory.variances);
-    ensemble.mixture_bounds(&memory.queries, scratch, variances, executor);
+    Ensemble::mixture_bounds(ensembles, &memory.queries, scratch, variances, executor);
     let sigma = memory
         .variances
         .iter()

@@ -30,6 +30,9 @@ pub struct StepRequest<'a> {
     pub reference: &'a [f64],
     /// Distances `[left, right]` in m from each reference point to the track edges, `[T+1, 2]`; empty if unknown.
     pub widths: &'a [f64],
+    /// What is known about the road: rows of friction coefficient and standard deviation, first of the road on which the
+    /// history was measured, then at the stages `0..=T`, `[T+2, 2]`; empty if nothing is known.
+    pub road_friction: &'a [f64],
     /// Whether to compute standard deviations along the plan, which takes about as long as three more steps.
     pub want_sigma: bool,
 }

@@ -79,6 +79,10 @@ const MAX_MAGNITUDE: f64 = 1e7;
 /// Largest accepted distance of weights from the simplex, onto which they are then projected.
 const SIMPLEX_TOLERANCE: f64 = 1e-6;
 
+/// Frictions that a road may have.
+const MIN_FRICTION: f64 = 0.01;
+const MAX_FRICTION: f64 = 3.0;
+
 /// A validated request as rows.
 pub(super) struct Rows<'a> {
     pub x: State,
@@ -92,6 +96,7 @@ pub(super) struct Rows<'a> {
     pub history_f: &'a [f64],
     pub reference: &'a [[f64; 4]],
     pub widths: &'a [[f64; 2]],
+    pub road_friction: &'a [[f64; 2]],
 }
 
 /// Checks shapes, finiteness and domains; `mass` in kg is that of the vehicle.
@@ -115,6 +120,7 @@ pub(super) fn validate<'a>(
         history_f: request.history_f,
         reference: request.reference.as_chunks().0,
         widths: request.widths.as_chunks().0,
+        road_friction: request.road_friction.as_chunks().0,
     };
     domains(mass, &rows)?;
     Ok(rows)
@@ -165,6 +171,12 @@ fn shapes(library: &Library, settings: &Settings, request: &StepRequest) -> Resu
         (horizon + 1) * 4,
     )?;
     optional("widths", "[T+1, 2]", request.widths, (horizon + 1) * 2)?;
+    optional(
+        "road_friction",
+        "[T+2, 2]",
+        request.road_friction,
+        (horizon + 2) * 2,
+    )?;
     let transitions = request.history_z.len() / NZ;
     let window = settings.weights.window(dt);
     if transitions > window {
@@ -202,6 +214,7 @@ fn finite(request: &StepRequest) -> Result<(), StepError> {
         ("history_f", request.history_f),
         ("reference", request.reference),
         ("widths", request.widths),
+        ("road_friction", request.road_friction),
     ] {
         let bad = |v: &f64| v.is_nan() || v.abs() > MAX_MAGNITUDE;
         if let Some(index) = values.iter().position(bad) {
@@ -215,19 +228,20 @@ fn finite(request: &StepRequest) -> Result<(), StepError> {
     Ok(())
 }
 
+fn within(quantity: &'static str, value: f64, min: f64, max: f64) -> Result<(), StepError> {
+    if (min..=max).contains(&value) {
+        Ok(())
+    } else {
+        Err(StepError::Domain {
+            quantity,
+            value,
+            min,
+            max,
+        })
+    }
+}
+
 fn domains(mass: f64, rows: &Rows) -> Result<(), StepError> {
-    let within = |quantity, value: f64, min, max| {
-        if (min..=max).contains(&value) {
-            Ok(())
-        } else {
-            Err(StepError::Domain {
-                quantity,
-                value,
-                min,
-                max,
-            })
-        }
-    };
     let x = &rows.x;
     within("x.v_x (m/s)", x[V_X], -1.0, 100.0)?; // a standing vehicle measures noise around zero
     within("x.v_y (m/s)", x[V_Y], -50.0, 50.0)?;
@@ -257,6 +271,11 @@ fn domains(mass: f64, rows: &Rows) -> Result<(), StepError> {
     }
     for width in rows.widths.iter().flatten() {
         within("widths (m)", *width, -1000.0, 1000.0)?;
+    }
+    for [friction, std] in rows.road_friction {
+        within("road_friction", *friction, MIN_FRICTION, MAX_FRICTION)?;
+        let quantity = "standard deviation of road_friction";
+        within(quantity, *std, 0.0, MAX_FRICTION)?;
     }
     if rows.weights.is_empty() {
         return Ok(());

@@ -9,6 +9,7 @@ use crate::executor::{Executor, Sequential};
 use crate::friction::FrictionEstimator;
 use crate::linearisation::Linearisation;
 use crate::ocp::soft_rows;
+use crate::preview::StageWeights;
 use crate::qp::{OcpQp, OcpSolution};
 use crate::settings::SettingsError;
 use crate::solver::{self, QpSolver, SolverSetupError};
@@ -39,7 +40,10 @@ pub struct Workspace {
     pub(super) estimator: WeightEstimator,
     pub(super) friction: FrictionEstimator,
     pub(super) previous: Vec<f64>,
-    pub(super) active: Vec<f64>,
+    /// Weights of the active members at each stage.
+    pub(super) stages: StageWeights,
+    /// Bound on the front tyres' slip angle at each stage, rad.
+    pub(super) stage_slips: Vec<f64>,
     pub(super) reference: Vec<State>,
     pub(super) guess: Guess,
     pub(super) dynamics: Linearisation,
@@ -86,7 +90,8 @@ impl Workspace {
             estimator: WeightEstimator::new(n, settings.weights.window(dt)),
             friction: FrictionEstimator::new(library, &settings.weights),
             previous: vec![0.0; n],
-            active: vec![0.0; n],
+            stages: StageWeights::new(library.members(), horizon),
+            stage_slips: vec![0.0; horizon + 1],
             reference: vec![State::zeros(); horizon + 1],
             guess: Guess::new(horizon),
             dynamics: Linearisation::new(horizon),

@@ -55,7 +55,7 @@ fn check(library: &Library, curves: u32) -> f64 {
         let ensemble = Ensemble::new(library, &weights, 0.0).unwrap();
         let z = curve(library, &mut rng);
         let mut bounds = [GpOutput::zeros(); 20];
-        ensemble.mixture_bounds(&z, &mut horizon, &mut bounds, &Sequential);
+        Ensemble::mixture_bounds(|_| ensemble, &z, &mut horizon, &mut bounds, &Sequential);
         for (z, bound) in z.iter().zip(&bounds) {
             let exact = ensemble.variance(z, &mut scratch).mixture;
             for o in 0..NY {
@@ -100,7 +100,7 @@ fn at_training_points_and_far_from_all() {
     z.push(z[3] + GpInput::repeat(1e-9));
     z.push(GpInput::from([1e6; NZ]));
     let mut bounds = vec![GpOutput::zeros(); z.len()];
-    ensemble.mixture_bounds(&z, &mut horizon, &mut bounds, &Sequential);
+    Ensemble::mixture_bounds(|_| ensemble, &z, &mut horizon, &mut bounds, &Sequential);
     for (z, bound) in z.iter().zip(&bounds) {
         let exact = ensemble.variance(z, &mut scratch).mixture;
         for o in 0..NY {
@@ -118,7 +118,7 @@ fn the_bits_do_not_depend_on_earlier_contents_of_the_memory() {
     let (first, second) = (curve(&library, &mut rng), curve(&library, &mut rng));
     let bounds = |z: &[GpInput], scratch: &mut MixtureScratch| {
         let mut out = vec![GpOutput::zeros(); z.len()];
-        ensemble.mixture_bounds(z, scratch, &mut out, &Sequential);
+        Ensemble::mixture_bounds(|_| ensemble, z, scratch, &mut out, &Sequential);
         out
     };
     let fresh = bounds(&second, &mut MixtureScratch::default());

@@ -6,6 +6,7 @@ mod friction;
 mod gp;
 mod horizon_variance;
 mod library;
+mod preview;
 mod qp;
 mod refusals;
 mod solvers;

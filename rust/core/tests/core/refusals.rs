@@ -29,6 +29,10 @@ fn errors_of_malformed_requests_name_the_field() {
     assert_eq!(shape(reject(|r| r.reference.truncate(80))), "reference");
     assert_eq!(shape(reject(|r| r.widths.truncate(3))), "widths");
     assert_eq!(shape(reject(|r| r.weights.push(0.0))), "weights");
+    assert_eq!(
+        shape(reject(|r| r.road_friction = vec![0.5; 42])),
+        "road_friction"
+    );
     assert_eq!(shape(reject(|r| r.plan_u.clear())), "plan_u");
     assert_eq!(shape(reject(|r| r.plan_x.clear())), "plan_u");
     assert_eq!(shape(reject(|r| r.plan_x.truncate(7))), "plan_x");
@@ -47,6 +51,20 @@ fn errors_of_malformed_requests_name_the_field() {
         reject(|r| r.reference[0] = 2000.0),
         StepError::Domain { .. }
     ));
+    for (friction, std) in [(0.0, 0.1), (3.1, 0.1), (0.5, -0.1), (0.5, 3.1)] {
+        let mut request = warm();
+        request.road_friction = [friction, std].repeat(22);
+        let error = step(library(), &settings, &request.borrow(), &mut ws, &mut reply).unwrap_err();
+        assert!(
+            matches!(error, StepError::Domain { .. }),
+            "{friction} {std}"
+        );
+    }
+    let mut reject = |change: fn(&mut Request)| {
+        let mut request = warm();
+        change(&mut request);
+        step(library(), &settings, &request.borrow(), &mut ws, &mut reply).unwrap_err()
+    };
     assert!(matches!(
         reject(|r| r.weights = vec![0.5, 0.6]),
         StepError::Weights { .. }

@@ -161,7 +161,7 @@ impl Driver {
     /// open is given up.
     ///
     /// # Errors
-    /// [`InvalidArgument`] when no request can be made of reference or widths; the period is then not opened. A measured
+    /// [`InvalidArgument`] when no request can be made of the measurement; the period is then not opened. A measured
     /// state that cannot be used is no error: its command is a stop.
     pub fn tick(
         &mut self,
@@ -176,6 +176,7 @@ impl Driver {
             x,
             reference,
             widths,
+            road_friction,
         } = measurement;
         if let Err(invalid) = egp_wire::check_state(&x) {
             self.stop_unmeasured(invalid);
@@ -191,6 +192,7 @@ impl Driver {
         let left = deadline.saturating_sub(now).as_micros();
         let budget_us = u32::try_from(left).unwrap_or(u32::MAX).max(1);
         let mut request = self.carry.request(x, reference, widths, budget_us);
+        request.road_friction = road_friction;
         request.want_sigma = self.config.want_sigma;
         let mut remaining = self.replicas.order();
         remaining.reverse();

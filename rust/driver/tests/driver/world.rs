@@ -60,7 +60,7 @@ pub(crate) fn measurement() -> Measurement {
     Measurement {
         x: [3.0, 4.0, 12.0, 0.0, 0.0, 0.0, 0.0],
         reference: (0..=HORIZON).map(row).collect(),
-        widths: vec![],
+        ..Measurement::default()
     }
 }
 

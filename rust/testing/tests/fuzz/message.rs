@@ -43,6 +43,8 @@ fn an_accepted_request_is_in_its_domain_and_encodes_to_itself() {
         assert!(request.plan_shift as usize <= request.plan_u.len());
         assert_eq!(request.plan_x.is_empty(), request.plan_u.is_empty());
         assert!([0, horizon + 1].contains(&request.widths.len()));
+        assert!([0, horizon + 2].contains(&request.road_friction.len()));
+        assert!(all_finite(&request.road_friction));
         assert_eq!(request.history_z.len(), request.history_y.len());
         assert!(request.history_f.len() <= request.history_z.len());
 

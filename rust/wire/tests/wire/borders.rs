@@ -101,6 +101,7 @@ fn the_longest_horizon_is_accepted_in_both_directions() {
             plan_u: vec![[0.0; 2]; horizon],
             plan_shift: u32::try_from(horizon).unwrap(),
             widths: vec![[0.0; 2]; horizon + 1],
+            road_friction: vec![[0.5, 0.1]; horizon + 2],
             ..request_over(horizon)
         };
         assert_eq!(decoded(&warm).unwrap(), warm);
@@ -238,6 +239,28 @@ fn edges_may_meet_but_not_cross() {
             Some("widths"),
             "{left} {right}"
         );
+    }
+}
+
+#[test]
+fn frictions_of_the_road_are_accepted_up_to_their_limits() {
+    let request = |friction: f64, std: f64| {
+        let mut request = messages::full_request();
+        request.road_friction[5] = [friction, std];
+        request
+    };
+    for (friction, std) in [(0.01, 0.0), (3.0, 3.0)] {
+        let request = request(friction, std);
+        assert_eq!(decoded(&request).unwrap(), request);
+    }
+    for (friction, std) in [
+        (0.01 - 1e-9, 0.1),
+        (3.0 + 1e-9, 0.1),
+        (0.5, -1e-9),
+        (0.5, 3.0 + 1e-9),
+    ] {
+        let found = refused(&request(friction, std));
+        assert_eq!(found, Some("road_friction"), "{friction} {std}");
     }
 }
 

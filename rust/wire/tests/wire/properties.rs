@@ -18,6 +18,7 @@ prop_compose! {
         mut history_f in vec(row(1e7), members * history), predicted in 0..=history,
         reference in vec(row(1e4), horizon + 1).prop_map(|rows| rows.iter().map(|r: &[f64; 4]| [r[0], r[1], r[2] / 1e3, r[3]]).collect()),
         widths in vec([0.0..50.0, 0.0..50.0], horizon + 1),
+        road_friction in vec([0.01..3.0, 0.0..3.0], horizon + 2),
         sequence in any::<u64>(), budget_us in 1u32..10_000_000, want_sigma in any::<bool>(),
         library in any::<[u8; 32]>(),
     ) -> Request {
@@ -27,7 +28,7 @@ prop_compose! {
         let history_f = Predictions::new(raw_weights.len(), history_f);
         Request {
             library, sequence, budget_us, x, u_prev, weights, plan_x, plan_u, plan_shift,
-            history_z, history_y, history_f, reference, widths, want_sigma,
+            history_z, history_y, history_f, reference, widths, want_sigma, road_friction,
         }
     }
 }

@@ -51,6 +51,7 @@ fn fields_that_do_not_fit_together_are_refused() {
     assert!(refused(|r| r.weights = vec![1.0]).starts_with("history_f: expected 1 members"));
     assert!(refused(|r| _ = r.history_f.values.pop()).starts_with("history_f"));
     assert!(refused(|r| r.widths.truncate(2)).starts_with("widths: expected 5 rows"));
+    assert!(refused(|r| _ = r.road_friction.pop()).starts_with("road_friction: expected 6 rows"));
     assert!(refused(|r| r.reference.clear()).starts_with("reference"));
     assert!(refused(|r| r.reference = vec![[0.0; 4]; 200]).contains("n in 1..=129"));
     assert!(refused(|r| r.weights = vec![0.01; 100]).contains("n in 1..=64"));

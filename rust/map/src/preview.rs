@@ -1,0 +1,77 @@
+//! The friction over the horizon of a control step, for its model.
+
+use crate::RoadBelief;
+use crate::belief::{BeliefError, REACH, place};
+
+impl RoadBelief {
+    /// Writes rows of the friction coefficient's median and standard deviation: first the mean over the places that the
+    /// vehicle passed in the window, then one row for each of `places`, whose arc lengths do not decrease. These are the
+    /// rows of the `road_friction` of a control step, and `out` has one more of them than there are places.
+    ///
+    /// In contrast to [`Self::ahead`], no change is reckoned with that the evidence does not show.
+    ///
+    /// # Errors
+    /// [`BeliefError`] unless the places are arc lengths that do not decrease and cover at most 10 km, and `out` has the
+    /// right number of rows.
+    pub fn preview(&mut self, places: &[f64], out: &mut [[f64; 2]]) -> Result<(), BeliefError> {
+        let [start, .., end] = *places else {
+            return Err(BeliefError {
+                name: "the number of places",
+                expected: "at least 2",
+                value: places.len() as f64,
+            });
+        };
+        place("places", start)?;
+        if out.len() != places.len() + 1 {
+            return Err(BeliefError {
+                name: "the number of rows",
+                expected: "one more than places",
+                value: out.len() as f64,
+            });
+        }
+        if let Some(pair) = places
+            .windows(2)
+            .find(|pair| pair[1].is_nan() || pair[1] < pair[0])
+        {
+            return Err(BeliefError {
+                name: "places",
+                expected: "arc lengths that do not decrease",
+                value: pair[1],
+            });
+        }
+        let oldest = self.before(self.track.front().copied().unwrap_or(start), start);
+        super::belief::stretch("the stretch of places", end - oldest.min(start))?;
+        let first = self.index(oldest.min(start));
+        self.smooth(first, self.index(end), REACH);
+        let moments: Vec<[f64; 2]> = (first..=self.index(end))
+            .map(|index| {
+                let cell = (index - first) as usize;
+                self.grid.median_and_std(&self.posterior(index, cell))
+            })
+            .collect();
+        let at = |s: f64| moments[(self.index(s) - first) as usize];
+        for (row, s) in out[1..].iter_mut().zip(places) {
+            *row = at(*s);
+        }
+        let (mut sum, mut count) = (at(start), 1.0);
+        for s in self.track.iter().map(|s| self.before(*s, start)) {
+            if (oldest..=start).contains(&s) {
+                let here = at(s);
+                sum = [sum[0] + here[0], sum[1] + here[1]];
+                count += 1.0;
+            }
+        }
+        out[0] = sum.map(|value| value / count);
+        Ok(())
+    }
+
+    /// The arc length of a place that the vehicle passed before it came to `here`, counted without a jump at the end of
+    /// a lap.
+    fn before(&self, s: f64, here: f64) -> f64 {
+        if self.closed() && s > here + 0.5 * self.length() {
+            s - self.length()
+        } else {
+            s
+        }
+    }
+}
