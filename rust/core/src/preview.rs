@@ -1,8 +1,8 @@
 //! The weights of each stage, from those of the window and what is known about the friction of the road ahead.
 
-use crate::Member;
 use crate::settings::WeightSettings;
 use crate::weights::select_active;
+use crate::{GpInput, GpOutput, Member};
 
 /// Weights of the active members at each stage of the horizon.
 ///
@@ -73,6 +73,19 @@ impl StageWeights {
         let n = self.row.len();
         let row = if self.rows.len() > n { t } else { 0 };
         &self.rows[n * row..n * (row + 1)]
+    }
+
+    /// The change of the members' mean at `z` by the friction coefficient, from the members with the nearest frictions
+    /// below and above, or the two nearest; zero without two members of different frictions.
+    pub fn slope(&self, members: &[Member], friction: f64, z: &GpInput) -> GpOutput {
+        let above = self.members.partition_point(|(mu, _)| *mu <= friction);
+        let above = above.clamp(1, self.members.len().saturating_sub(1).max(1));
+        match (self.members.get(above - 1), self.members.get(above)) {
+            (Some((low, a)), Some((high, b))) if low < high => {
+                (members[*b].mean(z) - members[*a].mean(z)) / (high - low)
+            }
+            _ => GpOutput::zeros(),
+        }
     }
 
     /// Adds `share * phi(friction)`.

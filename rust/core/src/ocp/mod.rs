@@ -4,6 +4,7 @@
 //! would be badly conditioned.
 
 mod bounds;
+mod caution;
 mod cost;
 
 use egp_parameters::VehicleParameters;
@@ -14,6 +15,7 @@ use crate::vehicle::FORCE;
 use crate::{Input, Settings, State};
 
 pub use bounds::soft_rows;
+pub use caution::{Caution, Disturbance};
 
 /// Reference, track edges and bounds on slip along the horizon, in the vehicle's frame, rows `0..=T`.
 #[derive(Debug, Clone, Copy)]

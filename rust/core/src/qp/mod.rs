@@ -33,6 +33,11 @@ pub const MAX_SOFT: usize = 5;
 /// States that each soft row may involve; the rest of its normal is zero.
 pub const SOFT_PATTERN: [&[usize]; MAX_SOFT] = [&[V_X], &[DELTA], &[P_X, P_Y], &[V_Y], &[OMEGA]];
 
+/// The soft row that bounds the speed.
+pub(crate) const SOFT_SPEED: usize = 0;
+/// The soft row that bounds the position by the track's edges.
+pub(crate) const SOFT_TRACK: usize = 2;
+
 /// States (as columns) that each row of `A` may involve, by eq. (11) with positions along the yaw at any time of the
 /// period.
 pub const A_PATTERN: [&[usize]; NX] = [

@@ -102,6 +102,9 @@ pub struct Soft {
     /// Distance kept between centre of mass and track edge, in m. Default: half the width of the library's vehicle and
     /// 0.263 m, which is 1.1 m for a width of 1.674 m.
     pub edge_margin: Option<f64>,
+    /// Number of standard deviations of the plan's uncertainty by which track edges and the highest speed are tightened,
+    /// at most 10. Default 0, which takes no time; any other value takes that of the standard deviations in a reply.
+    pub caution: f64,
     /// Price of speed violations.
     pub speed: Penalty,
     /// Price of steering-angle violations.
@@ -180,6 +183,7 @@ impl Default for Soft {
             front: None,
             envelope: None,
             edge_margin: None,
+            caution: 0.0,
             speed: Penalty::default(),
             steering: Penalty::default(),
             track: Penalty::default(),
@@ -258,6 +262,9 @@ impl Soft {
         if let Some(margin) = self.edge_margin {
             not_negative("soft.edge_margin", margin)?;
         }
+        check("soft.caution", self.caution, "in [0, 10]", |v| {
+            (0.0..=10.0).contains(&v)
+        })?;
         positive("soft.speed.linear", self.speed.linear)?;
         positive("soft.speed.quadratic", self.speed.quadratic)?;
         positive("soft.steering.linear", self.steering.linear)?;

@@ -3,6 +3,7 @@
 //! There is no clock, no randomness and no state between calls: the same library, settings and request give the same
 //! bits with any workspace. `NOTATION.md` lists the symbols.
 
+mod deviations;
 mod request;
 mod validate;
 mod workspace;
@@ -12,13 +13,12 @@ pub use validate::StepError;
 pub use workspace::{SetupError, Workspace};
 
 use validate::Rows;
-use workspace::SigmaMemory;
 
 use crate::executor::for_each;
 use crate::ocp::{self, Road, Setup};
 use crate::solver::{Status, solve_with_fallback};
-use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, gp_input, wrap};
-use crate::{Ensemble, Executor, GpInput, Input, Library, Member, NY, Settings, State};
+use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, wrap};
+use crate::{Ensemble, GpInput, Input, Library, Member, NY, Settings, State};
 
 /// One control step: weights, eq. (6); linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
 ///
@@ -76,6 +76,24 @@ pub fn step(
         dt: library.dt(),
     };
     ocp::assemble(&setup, &x0, &rows.u_prev, &ws.dynamics, &road, &mut ws.qp);
+    if settings.soft.caution > 0.0 {
+        let transitions = ws
+            .dynamics
+            .x
+            .iter()
+            .copied()
+            .zip(ws.guess.u.iter().copied());
+        let disturbances = ws.deviations.disturbances(
+            library.members(),
+            &ws.stages,
+            ensembles,
+            rows.road_friction,
+            transitions,
+            &*ws.executor,
+        );
+        ws.caution
+            .tighten(settings.soft.caution, disturbances, &mut ws.qp);
+    }
 
     ws.warm.clear();
     if !ws.guess.x.is_empty() {
@@ -95,7 +113,7 @@ pub fn step(
     if reply.status == Status::Solved {
         write_plan(&frame, &rows, ws, reply);
         if request.want_sigma {
-            write_sigma(ensembles, &mut ws.sigma, &*ws.executor, reply);
+            ws.deviations.write(ensembles, &*ws.executor, reply);
         }
     }
     Ok(())
@@ -122,7 +140,8 @@ fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
 }
 
 /// Estimates weights and friction from the window. Weights change only if the window distinguishes the members:
-/// without excitation they differ by less than the noise, which the weights would follow. Predictions that the request lacks are computed for all members and returned.
+/// without excitation they differ by less than the noise, which the weights would follow. Predictions that the request
+/// lacks are computed for all members and returned.
 fn estimate_weights(
     library: &Library,
     settings: &Settings,
@@ -176,31 +195,4 @@ fn write_plan(frame: &Frame, rows: &Rows, ws: &Workspace, reply: &mut StepReply)
             .plan_u
             .extend([u[FORCE] * ws.vehicle.mass, u[DELTA_DOT]]);
     }
-}
-
-/// Writes the one-step-ahead standard deviations of `[v_x, v_y, omega]` along the plan, at most 5 % too large. Row 0,
-/// the measurement, is zero.
-fn write_sigma<'a>(
-    ensembles: impl Fn(usize) -> Ensemble<'a>,
-    memory: &mut SigmaMemory,
-    executor: &dyn Executor,
-    reply: &mut StepReply,
-) {
-    reply.sigma.extend([0.0; NY]);
-    let (states, inputs) = (
-        reply.plan_x.as_chunks::<7>().0,
-        reply.plan_u.as_chunks::<2>().0,
-    );
-    let stages = states.iter().zip(inputs);
-    memory.queries.clear();
-    memory
-        .queries
-        .extend(stages.map(|(x, u)| gp_input(&State::from(*x), &Input::from(*u))));
-    let (scratch, variances) = (&mut memory.scratch, &mut memory.variances);
-    Ensemble::mixture_bounds(ensembles, &memory.queries, scratch, variances, executor);
-    let sigma = memory
-        .variances
-        .iter()
-        .flat_map(|v| <[f64; NY]>::from(v.map(f64::sqrt)));
-    reply.sigma.extend(sigma);
 }

@@ -5,17 +5,18 @@ use std::sync::Arc;
 use egp_parameters::VehicleParameters;
 
 use super::StepError;
+use super::deviations::Deviations;
 use crate::executor::{Executor, Sequential};
 use crate::friction::FrictionEstimator;
 use crate::linearisation::Linearisation;
-use crate::ocp::soft_rows;
+use crate::ocp::{Caution, soft_rows};
 use crate::preview::StageWeights;
 use crate::qp::{OcpQp, OcpSolution};
 use crate::settings::SettingsError;
 use crate::solver::{self, QpSolver, SolverSetupError};
 use crate::trajectory::Guess;
 use crate::weights::{WeightEstimator, WindowNoise};
-use crate::{GpInput, GpOutput, Input, Library, Member, MixtureScratch, Settings, State};
+use crate::{Input, Library, Member, Settings, State};
 
 /// A workspace that could not be created.
 #[derive(Debug, thiserror::Error)]
@@ -53,15 +54,9 @@ pub struct Workspace {
     pub(super) warm: Vec<Input>,
     pub(super) solver_name: &'static str,
     pub(super) solution: OcpSolution,
-    pub(super) sigma: SigmaMemory,
+    pub(super) deviations: Deviations,
+    pub(super) caution: Caution,
     pub(super) executor: Arc<dyn Executor>,
-}
-
-/// Memory for the standard deviations along the plan.
-pub(super) struct SigmaMemory {
-    pub queries: Vec<GpInput>,
-    pub variances: Vec<GpOutput>,
-    pub scratch: MixtureScratch,
 }
 
 impl Workspace {
@@ -100,11 +95,8 @@ impl Workspace {
             warm: Vec::with_capacity(horizon),
             solver_name: "",
             solution: OcpSolution::new(horizon),
-            sigma: SigmaMemory {
-                queries: Vec::with_capacity(horizon),
-                variances: vec![GpOutput::zeros(); horizon],
-                scratch: MixtureScratch::default(),
-            },
+            deviations: Deviations::new(horizon),
+            caution: Caution::new(horizon),
             executor: Arc::new(Sequential),
         })
     }

@@ -1,5 +1,6 @@
 //! Tests of the mathematics: members, weights, linearisation, solvers and the step as a whole.
 
+mod caution;
 mod ensemble;
 mod executor;
 mod friction;

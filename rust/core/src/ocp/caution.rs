@@ -1,0 +1,104 @@
+//! Constraints tightened by the uncertainty of the plan.
+
+use nalgebra::SMatrix;
+
+use crate::qp::{OcpQp, SOFT_SPEED, SOFT_TRACK, Stage};
+use crate::vehicle::{OMEGA, V_X, V_Y};
+use crate::{GpOutput, NU, NX, NY, State};
+
+/// States that the ensemble predicts.
+const PREDICTED: [usize; NY] = [V_X, V_Y, OMEGA];
+
+/// What is uncertain about one transition.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Disturbance {
+    /// Variances of the change of `[v_x, v_y, omega]`, independent between stages.
+    pub variance: GpOutput,
+    /// Change of `[v_x, v_y, omega]` by one standard deviation of the friction, which is the same at all stages.
+    pub friction: GpOutput,
+}
+
+/// Propagates the uncertainty along a plan, with its memory.
+///
+/// The deviation `e` of the vehicle from the plan is reduced by later control steps, which act like the regulator of the
+/// same cost:
+///
+/// ```text
+/// e_{t+1} = (A_t + B_t K_t) e_t + d_t + g_t delta,      K_t = -(R + R_d + BᵀPB)⁻¹ BᵀPA
+/// ```
+///
+/// `d_t` are independent with the variances of the ensemble, and `delta ~ N(0, 1)` is the error of the friction, one for
+/// the whole horizon. The row `nᵀx <= b` of a constraint becomes
+///
+/// ```text
+/// nᵀx_t <= b - kappa sqrt(nᵀ Sigma_t n + (nᵀ s_t)²),     Sigma_t = cov e_t for delta = 0,   s_t = ∂e_t/∂delta
+/// ```
+///
+/// Hewing, Kabzan and Zeilinger, *Cautious Model Predictive Control using Gaussian Process Regression*, IEEE Transactions
+/// on Control Systems Technology 28(6), 2020, section III, with the gains of the regulator in place of a constant one.
+#[derive(Debug, Clone)]
+pub struct Caution {
+    gains: Vec<SMatrix<f64, NU, NX>>,
+}
+
+impl Caution {
+    /// For a horizon of `horizon` periods.
+    pub fn new(horizon: usize) -> Self {
+        Self {
+            gains: vec![SMatrix::zeros(); horizon],
+        }
+    }
+
+    /// Tightens the track's edges and the bound on the speed in `qp` by `kappa` standard deviations. Where the edges leave
+    /// no room they become the line in their middle. `disturbances` has one entry for each transition.
+    pub fn tighten(&mut self, kappa: f64, disturbances: &[Disturbance], qp: &mut OcpQp) {
+        self.regulate(qp);
+        let mut covariance = SMatrix::<f64, NX, NX>::zeros();
+        let mut common = State::zeros();
+        let stages = qp.stages_mut().iter_mut().zip(disturbances);
+        for ((stage, disturbance), gain) in stages.zip(&self.gains) {
+            let closed = stage.a + stage.b * gain;
+            covariance = closed * covariance * closed.transpose();
+            common = closed * common;
+            for (o, state) in PREDICTED.into_iter().enumerate() {
+                covariance[(state, state)] += disturbance.variance[o];
+                common[state] += disturbance.friction[o];
+            }
+            let std = |normal: &State| {
+                let variance = normal.dot(&(covariance * normal)).max(0.0);
+                kappa * (variance + normal.dot(&common).powi(2)).sqrt()
+            };
+            narrow(stage, std);
+        }
+    }
+
+    /// Computes the regulator's gains backward along the horizon.
+    fn regulate(&mut self, qp: &OcpQp) {
+        let weight = SMatrix::<f64, NU, NU>::from_diagonal(&(qp.r + qp.r_d));
+        let mut cost = SMatrix::<f64, NX, NX>::zeros();
+        for (stage, gain) in qp.stages().iter().zip(&mut self.gains).rev() {
+            cost += stage.q;
+            let (by_b, by_a) = (cost * stage.b, cost * stage.a);
+            let inverse = inverse(&(weight + stage.b.transpose() * by_b));
+            *gain = -inverse * stage.b.transpose() * by_a;
+            cost = stage.a.transpose() * (by_a + by_b * *gain);
+            cost = (cost + cost.transpose()) * 0.5;
+        }
+    }
+}
+
+/// The inverse of a symmetric positive definite matrix.
+fn inverse(m: &SMatrix<f64, NU, NU>) -> SMatrix<f64, NU, NU> {
+    let determinant = m[(0, 0)] * m[(1, 1)] - m[(0, 1)] * m[(1, 0)];
+    SMatrix::from_row_slice(&[m[(1, 1)], -m[(0, 1)], -m[(1, 0)], m[(0, 0)]]) / determinant
+}
+
+/// Moves the bounds of one stage inwards.
+fn narrow(stage: &mut Stage, std: impl Fn(&State) -> f64) {
+    let speed = &mut stage.soft[SOFT_SPEED];
+    speed.upper = (speed.upper - std(&speed.normal)).max(speed.lower);
+    let track = &mut stage.soft[SOFT_TRACK];
+    let (margin, middle) = (std(&track.normal), f64::midpoint(track.lower, track.upper));
+    track.lower = (track.lower + margin).min(middle);
+    track.upper = (track.upper - margin).max(middle);
+}

@@ -1,0 +1,86 @@
+//! How uncertain the transitions of a trajectory are.
+
+use crate::ocp::Disturbance;
+use crate::preview::StageWeights;
+use crate::vehicle::gp_input;
+use crate::{
+    Ensemble, Executor, GpInput, GpOutput, Input, Member, MixtureScratch, NY, State, StepReply,
+};
+
+/// Memory for the variances along a trajectory.
+pub(super) struct Deviations {
+    queries: Vec<GpInput>,
+    variances: Vec<GpOutput>,
+    scratch: MixtureScratch,
+    disturbances: Vec<Disturbance>,
+}
+
+impl Deviations {
+    pub fn new(horizon: usize) -> Self {
+        Self {
+            queries: Vec::with_capacity(horizon),
+            variances: vec![GpOutput::zeros(); horizon],
+            scratch: MixtureScratch::default(),
+            disturbances: Vec::with_capacity(horizon),
+        }
+    }
+
+    /// Computes the variances of the transitions that begin with these states and inputs, each at most 10 % too large.
+    fn compute<'a>(
+        &mut self,
+        ensembles: impl Fn(usize) -> Ensemble<'a>,
+        transitions: impl Iterator<Item = (State, Input)>,
+        executor: &dyn Executor,
+    ) {
+        self.queries.clear();
+        self.queries
+            .extend(transitions.map(|(x, u)| gp_input(&x, &u)));
+        let (scratch, variances) = (&mut self.scratch, &mut self.variances);
+        Ensemble::mixture_bounds(ensembles, &self.queries, scratch, variances, executor);
+    }
+
+    /// Writes the standard deviations of `[v_x, v_y, omega]` along the plan, given the state before. Row 0, the
+    /// measurement, is zero.
+    pub fn write<'a>(
+        &mut self,
+        ensembles: impl Fn(usize) -> Ensemble<'a>,
+        executor: &dyn Executor,
+        reply: &mut StepReply,
+    ) {
+        let (states, inputs) = (
+            reply.plan_x.as_chunks::<7>().0,
+            reply.plan_u.as_chunks::<2>().0,
+        );
+        let transitions = states.iter().zip(inputs);
+        let transitions = transitions.map(|(x, u)| (State::from(*x), Input::from(*u)));
+        self.compute(ensembles, transitions, executor);
+        reply.sigma.extend([0.0; NY]);
+        let std = (self.variances.iter()).flat_map(|v| <[f64; NY]>::from(v.map(f64::sqrt)));
+        reply.sigma.extend(std);
+    }
+
+    /// What is uncertain about each transition of the operating trajectory: the ensemble's variance, and the effect of one
+    /// standard deviation of the friction where `road` states it.
+    pub fn disturbances<'a>(
+        &mut self,
+        members: &[Member],
+        stages: &StageWeights,
+        ensembles: impl Fn(usize) -> Ensemble<'a>,
+        road: &[[f64; 2]],
+        transitions: impl Iterator<Item = (State, Input)>,
+        executor: &dyn Executor,
+    ) -> &[Disturbance] {
+        self.compute(ensembles, transitions, executor);
+        self.disturbances.clear();
+        let transitions = self.queries.iter().zip(&self.variances).enumerate();
+        let disturbances = transitions.map(|(t, (z, variance))| Disturbance {
+            variance: *variance,
+            friction: match road.get(t + 1) {
+                Some([friction, std]) => stages.slope(members, *friction, z) * *std,
+                None => GpOutput::zeros(),
+            },
+        });
+        self.disturbances.extend(disturbances);
+        &self.disturbances
+    }
+}
