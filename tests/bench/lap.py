@@ -17,7 +17,12 @@ from egp_service._core import Engine, Library, decode_reply, decode_request
 from egp_service.control.controller import Controller
 from egp_service.evaluation.paper_stack import PaperStack
 from egp_service.simulation.closed_loop import drive
-from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
+from egp_service.simulation.scenario import (
+    gate_settings,
+    library_path,
+    load_scenario,
+    told_zones,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,7 +38,7 @@ def compare(
     console: Console, progress: Progress, picture: Path, scenario_name: str, count: int
 ) -> None:
     """Record, time, print and draw."""
-    scenario = load_scenario(scenario_name)
+    scenario = told_zones(load_scenario(scenario_name))
     path = library_path(scenario)
     library = Library.load(path)
     engines = {name: Engine(str(path), f'[solver]\nkind = "{name}"') for name in KINDS}

@@ -21,6 +21,7 @@ from egp_service.simulation.scenario import (
     library_path,
     load_scenario,
     parse_scenario,
+    told_zones,
 )
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from egp_service.simulation.closed_loop import Run
     from egp_service.simulation.trace import Period
 
-SCENARIO = load_scenario("rounded-rectangle")
+SCENARIO = told_zones(load_scenario("rounded-rectangle"))
 
 
 class Lap(NamedTuple):

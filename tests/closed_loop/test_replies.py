@@ -27,6 +27,7 @@ from egp_service.simulation.scenario import (
     gate_settings,
     library_path,
     load_scenario,
+    told_zones,
 )
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 # Of inputs in m/s^2 and rad/s.
 TOLERANCE = 1e-6
 SCALE = np.array([1225.887, 1.0])
-LAP = load_scenario("rounded-rectangle")
+LAP = told_zones(load_scenario("rounded-rectangle"))
 DROP = replace(
     LAP,
     track=Track("circle", parameters={"radius": 30.0}),

@@ -23,7 +23,13 @@ from egp_service._core import (
 )
 from egp_service.evaluation.window_noise import WindowNoise
 from egp_service.simulation.closed_loop import drive
-from egp_service.simulation.scenario import Measurement, gate_settings, library_path, load_scenario
+from egp_service.simulation.scenario import (
+    Measurement,
+    gate_settings,
+    library_path,
+    load_scenario,
+    told_zones,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,7 +37,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 TOLERANCE = 1e-5
-LAP = load_scenario("rounded-rectangle")
+LAP = told_zones(load_scenario("rounded-rectangle"))
 LIBRARY = library_path(LAP)
 LAMBDA = 100.0  # the default
 NOISE = Measurement(0.02, 0.03, 0.002, 0.03, 0.005, 0.001)

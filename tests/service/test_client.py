@@ -16,7 +16,7 @@ from egp_service._core import live_key
 from egp_service.control.client import Network, ServiceUnreachableError
 from egp_service.control.service_process import ServiceProcess, ServiceStartError
 from egp_service.simulation.closed_loop import drive
-from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
+from egp_service.simulation.scenario import gate_settings, library_path, load_scenario, told_zones
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from egp_service.simulation.closed_loop import Run
     from egp_service.simulation.trace import Period
 
-SCENARIO = load_scenario("rounded-rectangle")
+SCENARIO = told_zones(load_scenario("rounded-rectangle"))
 LIBRARY = library_path(SCENARIO)
 GATE = gate_settings(SCENARIO)
 MASS = 1225.887

@@ -12,7 +12,7 @@ from egp_service import Controller, EgpError
 from egp_service._core import Library
 from egp_service.shipped import DEMO_RECIPE
 from egp_service.simulation.closed_loop import drive
-from egp_service.simulation.scenario import gate_settings, load_scenario
+from egp_service.simulation.scenario import gate_settings, load_scenario, told_zones
 from egp_service.training.export import export
 from egp_service.training.recipe import Recipe, follow, training_provenance
 from egp_service.training.validation import validate
@@ -49,7 +49,7 @@ def test_rebuilds_from_its_recipe(tmp_path: Path) -> None:
         assert np.all(own.rollout < [0.5, 0.5, 0.2]), own
         assert np.all(own.coverage > 0.85), own
         assert np.all(own.rmse < other.rmse), (own, other)
-    lap = replace(load_scenario("rounded-rectangle"), library=str(path))
+    lap = replace(told_zones(load_scenario("rounded-rectangle")), library=str(path))
     lap = replace(lap, speed=replace(lap.speed, grip=0.9))
     with Controller(path, gate=gate_settings(lap)) as controller:
         summary = drive(lap, controller, lambda _: None).summary

@@ -1,4 +1,4 @@
-"""The demo: a lap over three surfaces with the ensemble, and with each single member."""
+"""The demo: laps of unknown friction, and laps that are told it."""
 
 from __future__ import annotations
 
@@ -8,17 +8,21 @@ from typing import TYPE_CHECKING
 
 from egp_service._core import Library, write_library_subset
 from egp_service.cli.backends import service_controller
+from egp_service.simulation.reference import load_belief
 from egp_service.simulation.runs import record_run
-from egp_service.simulation.scenario import library_path, load_scenario
+from egp_service.simulation.scenario import library_path, load_scenario, told_zones
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from egp_service.simulation.closed_loop import Run
+    from egp_service.simulation.scenario import Scenario
     from egp_service.simulation.trace import Period
 
 SCENARIO = "rounded-rectangle"
+LAPS = ("first lap", "second lap", "third lap")
+TOLD = "told"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,25 +37,45 @@ class Lap:
 def drive_laps(
     library: Path | None, folder: Path, observe: Callable[[str, Period], None]
 ) -> list[Lap]:
-    """Drive a lap with the ensemble and one with each single member, each with its own service.
+    """Drive three laps on which the friction is found, and laps that are told all zones.
 
-    The library of a single member contains the same bits of its GPs; everything else is equal.
-    `library` is the shipped one by default. Each lap has its own folder in `folder`.
+    The first three laps remember what the control steps found. Then the same lap is driven with a
+    reference speed that is told all zones: with the ensemble, and with each member alone, whose
+    library contains the same bits of its GPs. `library` is the shipped one by default. Each lap has
+    its own folder in `folder`.
     """
     scenario = load_scenario(SCENARIO)
     source = library_path(scenario) if library is None else library
-    members = Library.load(source).members
-    laps = []
-    for number in range(len(members) + 1):
-        place = folder / ("ensemble" if number == 0 else f"member-{number}")
-        label, path = "ensemble", source
-        if number > 0:
-            label = f"only μ {members[number - 1].friction:g}"
-            path = place / "library.safetensors"
-            place.mkdir(parents=True)
-            write_library_subset(source, path, [number - 1])
-        chosen = replace(scenario, library=str(path))
-        with service_controller(chosen) as controller:
-            run = record_run(chosen, controller, place, partial(observe, label))
-        laps.append(Lap(label, run, place))
+    scenario = replace(scenario, library=str(source))
+    laps = list(_laps_of_unknown_friction(scenario, folder, observe))
+    told = told_zones(scenario)
+    laps.append(_lap(TOLD, told, folder / "told", observe))
+    for number, member in enumerate(Library.load(source).members):
+        place = folder / f"member-{number + 1}"
+        place.mkdir(parents=True)
+        path = place / "library.safetensors"
+        write_library_subset(source, path, [number])
+        label = f"told, μ {member.friction:g}"
+        laps.append(_lap(label, replace(told, library=str(path)), place, observe))
     return laps
+
+
+def _laps_of_unknown_friction(
+    scenario: Scenario, folder: Path, observe: Callable[[str, Period], None]
+) -> Iterator[Lap]:
+    """Drive the same lap again and again with what the laps before found."""
+    belief = load_belief(scenario, None)
+    with service_controller(scenario) as controller:
+        for number, label in enumerate(LAPS):
+            place = folder / f"lap-{number + 1}"
+            run = record_run(scenario, controller, place, partial(observe, label), belief)
+            yield Lap(label, run, place)
+            controller.reset()
+            belief.leave()
+
+
+def _lap(
+    label: str, scenario: Scenario, folder: Path, observe: Callable[[str, Period], None]
+) -> Lap:
+    with service_controller(scenario) as controller:
+        return Lap(label, record_run(scenario, controller, folder, partial(observe, label)), folder)

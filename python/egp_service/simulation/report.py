@@ -79,7 +79,7 @@ def draw_errors(run: Run, path: FilePath, title: str | None = None) -> FilePath:
 def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath:
     """Draw the tracks of several runs of a scenario side by side, and their errors in one plot."""
     with plt.style.context(STYLE):
-        figure = plt.figure(figsize=(4.2 * len(runs), 5.8))
+        figure = plt.figure(figsize=(min(4.2 * len(runs), 17.0), 5.8))
         rows = figure.add_gridspec(2, len(runs), height_ratios=(1.25, 1.0))
         driven = np.concatenate([run.trace.x[:, V_X] for _, run in runs])
         speeds = Normalize(float(driven.min()), float(driven.max()))

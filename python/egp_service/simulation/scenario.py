@@ -220,6 +220,11 @@ def parse_scenario(text: str, folder: Path, origin: str) -> Scenario:
     return scenario
 
 
+def told_zones(scenario: Scenario) -> Scenario:
+    """Return the scenario with a reference speed that is told the friction of all zones."""
+    return replace(scenario, speed=replace(scenario.speed, knows="zones", friction=None))
+
+
 def library_path(scenario: Scenario) -> Path:
     """Path of the scenario's library file."""
     if scenario.library != DEMO_LIBRARY:

@@ -25,13 +25,14 @@ def demo(
         "runs"
     ),
 ) -> None:
-    """Compare the ensemble with its single members on a lap over three surfaces.
+    """Drive laps over three surfaces whose friction nobody tells.
 
-    The library has members for two surfaces. The car drives the lap with the
-    ensemble of both members and then with each single member; a service in its own
-    process computes every control step.
+    The control steps find the friction, and each lap is planned with what the laps
+    before found. Then the same lap is driven by a car that is told the friction of
+    all zones: with the library's ensemble, and with each of its two members alone.
+    A service in its own process computes every control step.
     """
-    from egp_service.cli.demo import drive_laps
+    from egp_service.cli.demo import LAPS, drive_laps
     from egp_service.cli.status_line import StatusLine
     from egp_service.cli.tables import summary_table
     from egp_service.simulation.report import draw_comparison, draw_run
@@ -45,7 +46,9 @@ def demo(
         laps = drive_laps(library, folder, line.show)
     console.print(summary_table([(lap.label, lap.run.summary) for lap in laps]))
     with console.status("Drawing ..."):
-        overview = draw_comparison([(lap.label, lap.run) for lap in laps], folder / "laps.png")
+        overview = draw_comparison(
+            [(lap.label, lap.run) for lap in laps if lap.label != LAPS[1]], folder / "laps.png"
+        )
         for lap in laps:
             draw_run(lap.run, lap.folder)
     _explain(console, laps)
@@ -65,18 +68,20 @@ def _trained(folder: Path) -> Path:
 
 def _explain(console: Console, laps: "list[Lap]") -> None:
     """Print a sentence about the table."""
-    ensemble, *alone = laps
-    lost = [lap.label for lap in alone if not lap.run.summary.ending.completed]
-    worst = max(lap.run.summary.lateral_error.max for lap in alone)
-    own = ensemble.run.summary.lateral_error.max
-    if not ensemble.run.summary.ending.completed:
-        console.print("[red]The ensemble did not complete the lap.[/]")
-    elif lost:
-        console.print(
-            f"The ensemble stays within {own:.2f} m of the path; {' and '.join(lost)} did not "
-            "complete the lap."
-        )
-    else:
-        console.print(
-            f"The ensemble stays within {own:.2f} m of the path, the others {worst:.2f} m."
-        )
+    from egp_service.cli.demo import LAPS, TOLD
+
+    runs = {lap.label: lap.run.summary for lap in laps}
+    lost = [label for label, summary in runs.items() if not summary.ending.completed]
+    if lost:
+        console.print(f"[red]Not completed: {', '.join(lost)}.[/]")
+        return
+    first, last, told = (runs[label].ending.time for label in (LAPS[0], LAPS[-1], TOLD))
+    console.print(
+        f"Nobody tells the friction: the first lap takes {first / told:.2f} times as long as the "
+        f"one that is told all zones, the third {last / told:.2f} times."
+    )
+    alone = [s.lateral_error.max for label, s in runs.items() if label.startswith("told,")]
+    console.print(
+        f"Told all zones, the ensemble stays within {runs[TOLD].lateral_error.max:.2f} m of the "
+        f"path, its members alone within {max(alone):.2f} m."
+    )
