@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 # Members of the same two surfaces with constant means as in the paper.
 CONSTANT_MEAN: Final = (5, 6)
 FOUR: Final = (M05, M06, M09, M11)
+NARROW: Final = "narrow-track"
 # Suffix of conditions without measurement noise.
 EXACT: Final = ", exact sensors"
 HALF_WIDTH: Final = 0.837  # half of the vehicle's width, m
@@ -251,6 +252,31 @@ def _friction_step() -> ClosedLoopExperiment:
     )
 
 
+def _narrow_track() -> ClosedLoopExperiment:
+    size = {**CUSTOM_TRACK.parameters, "track_width": 2.0 * (HALF_WIDTH + 0.4)}
+    track = Track("rounded-rectangle", parameters=size)
+    zones = ((0.0, 0.5), (0.33, 1.1), (0.65, 0.8))
+
+    def cautious(kappa: float) -> dict[str, object]:
+        return {"soft": {"edge_margin": HALF_WIDTH, "caution": kappa}}
+
+    return ClosedLoopExperiment(
+        NARROW,
+        "A track with 0.4 m to each side of the car (beyond the paper)",
+        "Do edges that are tightened by the plan's standard deviations keep the car on the track?",
+        tuple(
+            (f"{grip:.0%} of grip", on_surfaces(track, zones, grip)) for grip in (0.9, 0.95, 1.0)
+        ),
+        (
+            Contender(ENSEMBLE, "ensemble", TWO, cautious(0.0)),
+            *(Contender(f"caution {k:g}", "ensemble", TWO, cautious(k)) for k in (1.0, 2.0, 4.0)),
+            Contender(ORACLE, "oracle", TWO, cautious(0.0)),
+        ),
+        seeds=20,
+        quick_seeds=1,
+    )
+
+
 def on_track(experiment: ClosedLoopExperiment, file: Path, scale: float) -> ClosedLoopExperiment:
     """Return the experiment on a track from a CSV file with lengths multiplied by `scale`.
 
@@ -274,6 +300,7 @@ EXPERIMENTS: Final = (
     _friction_step(),
     _unseen_track(),
     _hard_roads(),
+    _narrow_track(),
     unknown_roads.first_lap(),
     unknown_roads.five_laps(),
 )
