@@ -9,7 +9,7 @@ import numpy as np
 
 from egp_service.evaluation import unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.evaluation.experiments import EXACT
+from egp_service.evaluation.experiments import EXACT, NARROW
 from egp_service.evaluation.statistics import grouped, mean
 from egp_service.evaluation.unknown_roads import ASSUMED, BELIEF, HERE, RISKS
 from egp_service.quantities import MOTION_LABELS
@@ -35,6 +35,7 @@ _SHARE: Final = 0.95
 _REGRET: Final = 1.2
 _SETTLED: Final = 0.5  # s
 _FIVE_LAPS: Final = 1.12
+_TIGHTENED: Final = 0.2
 _EXCITED: Final = tuple(
     f"{acceleration} m/s² lateral{sensors}" for sensors in ("", EXACT) for acceleration in (2, 3, 4)
 )
@@ -58,6 +59,7 @@ def check(outcomes: Sequence[Outcome], predictions: Sequence[PredictionOutcome])
         *_best(outcomes),
         *_settling(outcomes),
         *_unknown(outcomes),
+        *_narrow(outcomes),
     ]
     if predictions:
         claims += _ordering(predictions)
@@ -103,6 +105,26 @@ def _beyond(outcomes: Sequence[Outcome]) -> list[Claim]:
             f"It completes at least {_SHARE:.0%} of the runs beyond the paper that the oracle does",
             through >= _SHARE * len(own),
             f"{through} of {len(own)}",
+        )
+    ]
+
+
+def _narrow(outcomes: Sequence[Outcome]) -> list[Claim]:
+    runs = [o for o in outcomes if o.experiment == NARROW]
+    over = {
+        name: float(np.mean([o.off_track for o in runs if o.contender == name]))
+        for name in dict.fromkeys(o.contender for o in runs)
+        if name != ORACLE
+    }
+    plain = over.pop(ENSEMBLE, 0.0)
+    if not over or plain == 0.0:
+        return []
+    best = min(over, key=lambda name: over[name])
+    return [
+        Claim(
+            f"Tightened edges reduce the time over the edge of a narrow track to {_TIGHTENED:.0%}",
+            over[best] <= _TIGHTENED * plain,
+            f"{plain:.2f} s without, {over[best]:.2f} s with {best}",
         )
     ]
 
