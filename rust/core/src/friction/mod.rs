@@ -93,12 +93,9 @@ pub struct FrictionEstimator {
 
 impl FrictionEstimator {
     /// An estimator for the members of the library. The errors are weighed by their covariance even if the settings of
-    /// the weights say otherwise.
+    /// the weights say otherwise, and by that of the largest expected noise even if the sensors are better: the models of
+    /// the hypotheses differ by small errors of their own, which would otherwise count as information.
     pub fn new(library: &Library, settings: &WeightSettings) -> Self {
-        let settings = WeightSettings {
-            whiten: true,
-            ..settings.clone()
-        };
         let (low, high) = RANGE;
         let gap = (high / low).ln() / (HYPOTHESES - 1) as f64;
         let members = library.members();
@@ -108,7 +105,7 @@ impl FrictionEstimator {
             .collect();
         let positions = (0..POINTS).map(|i| (point(i) / low).ln() / gap).collect();
         Self {
-            noise: WindowNoise::of(library, &settings),
+            noise: WindowNoise::largest(library, settings),
             hypotheses,
             positions,
             learned: vec![GpOutput::zeros(); members.len()],

@@ -1,7 +1,7 @@
 //! Covariance of the errors in the window, from which `S` of eq. (6) follows.
 
 use crate::settings::WeightSettings;
-use crate::{GpOutput, Library, NY};
+use crate::{GpOutput, Library, Member, NY};
 
 /// Candidate fractions of the members' noise: errors over all training data are larger than errors in a steady bend.
 const MODEL: [f64; 2] = [1.0, 0.5];
@@ -64,15 +64,16 @@ impl WindowNoise {
         if !settings.whiten {
             return Self::new(&GpOutput::repeat(1.0), &GpOutput::zeros(), window);
         }
-        let members = library.members();
-        let variance: GpOutput = members
-            .iter()
-            .map(|m| m.noise_std().map(|std| std * std))
-            .sum();
-        let model = (variance / members.len() as f64).map(f64::sqrt);
-        let state = GpOutput::from(settings.measurement);
+        let (model, state) = (model_std(library), GpOutput::from(settings.measurement));
         let levels = STATE.map(|r| MODEL.map(|q| [model * q, state * r]));
         Self::with_levels(levels.as_flattened(), window)
+    }
+
+    /// The single level of the members' root-mean-square noise and the setting `measurement`.
+    pub fn largest(library: &Library, settings: &WeightSettings) -> Self {
+        let state = GpOutput::from(settings.measurement);
+        let window = settings.window(library.dt());
+        Self::new(&model_std(library), &state, window)
     }
 
     /// At most [`LEVELS`] levels, given as standard deviations of model and states.
@@ -146,6 +147,14 @@ impl WindowNoise {
             .0;
         self.rows.iter().skip(likeliest).step_by(self.levels)
     }
+}
+
+/// Root mean square of the members' noise.
+fn model_std(library: &Library) -> GpOutput {
+    let members = library.members();
+    let squares = |member: &Member| member.noise_std().map(|std| std * std);
+    let variance: GpOutput = members.iter().map(squares).sum();
+    (variance / members.len() as f64).map(f64::sqrt)
 }
 
 /// Error of the blended prediction of a transition.
