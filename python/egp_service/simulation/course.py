@@ -53,7 +53,7 @@ def build_path(scenario: Scenario) -> Path:
         car = VehicleParameters.commonroad(scenario.vehicle)
         parameters.setdefault("vehicle_width", car.width)
     if track.kind == "random":
-        parameters["seed"] = scenario.seed
+        parameters["seed"] = int(track.parameters.get("seed", scenario.seed))
     try:
         path = TRACKS[track.kind](**parameters)
     except TypeError as error:

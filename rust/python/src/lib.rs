@@ -29,7 +29,7 @@ mod _core {
     #[pymodule]
     mod belief {
         #[pymodule_export]
-        use crate::belief::{RoadBelief, SpeedPlanner};
+        use crate::belief::{RoadBelief, SpeedPlanner, merge_tiles};
     }
 
     #[pymodule]
