@@ -2,10 +2,12 @@
 
 use crate::belief::BeliefError;
 use crate::grid::LEVELS;
-use crate::tile::{TILE_BYTES, Tile, UNITS};
+use crate::tile::{TILE_CELLS, Tile, UNITS};
 
 /// Fractions of a tile's unit in which contributions are added. Whole numbers make the sum independent of the order.
 const FINER: f64 = 256.0;
+/// Smallest ratio of likelihoods in nats for which a vehicle says something about a cell.
+const SAYS_SOMETHING: f64 = 0.5;
 
 /// How contributions age, and how much each one counts.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,27 +45,40 @@ impl MergeSettings {
 
 /// Merges contributions, each with its age in s.
 ///
-/// Logarithms of likelihoods are limited to the capacity, multiplied by `exp(-age / lifetime)` and added. To limit them
-/// is to reckon with a vehicle that is wrong with the probability `exp(-capacity)`, and bounds what one vehicle can do: where
-/// two contradict a third equally strongly, their coefficient is likelier than the third's by the capacity. The result
-/// does not depend on the order of the contributions.
+/// Logarithms of likelihoods are limited to the capacity and multiplied by `exp(-age / lifetime)`. Of the `n` vehicles that
+/// say something about a cell, those `(n - 1) / 2`, rounded down, that speak most strongly against a coefficient do not
+/// count for it, and the others' logarithms are added: no minority can exclude a coefficient that the others do not exclude.
+/// This is a trimmed sum. The result does not depend on the order of the contributions.
 pub fn merge<'a>(
     contributions: impl IntoIterator<Item = (&'a Tile, f64)>,
     settings: &MergeSettings,
 ) -> Tile {
-    let mut sums = vec![0_u64; TILE_BYTES];
-    for (tile, age) in contributions {
-        let remaining = settings.remaining(age);
-        let share = |byte: u8| {
-            (f64::from(byte).min(settings.capacity * UNITS) * remaining * FINER).round() as u64
-        };
-        for (sum, byte) in sums.iter_mut().zip(tile.bytes()) {
-            *sum += share(*byte);
+    let limit = settings.capacity * UNITS;
+    let aged: Vec<(&[[u8; LEVELS]], f64)> = (contributions.into_iter())
+        .map(|(tile, age)| (tile.bytes().as_chunks().0, settings.remaining(age) * FINER))
+        .collect();
+    let mut said: Vec<[u64; LEVELS]> = Vec::with_capacity(aged.len());
+    let mut against = Vec::with_capacity(aged.len());
+    Tile::from_rows((0..TILE_CELLS).map(|cell| {
+        said.clear();
+        for (tile, remaining) in &aged {
+            let row =
+                tile[cell].map(|byte| (f64::from(byte).min(limit) * remaining).round() as u64);
+            if row
+                .iter()
+                .any(|value| *value as f64 >= SAYS_SOMETHING * UNITS * FINER)
+            {
+                said.push(row);
+            }
         }
-    }
-    let cells = sums.as_chunks::<LEVELS>().0.iter();
-    Tile::from_rows(cells.map(|cell| {
-        let least = cell.iter().copied().min().unwrap_or(0);
-        cell.map(|sum| (least as f64 - sum as f64) / (FINER * UNITS))
+        let counted = said.len() - said.len().saturating_sub(1) / 2;
+        let sums: [u64; LEVELS] = std::array::from_fn(|level| {
+            against.clear();
+            against.extend(said.iter().map(|row| row[level]));
+            against.sort_unstable();
+            against.iter().take(counted).sum()
+        });
+        let least = sums.iter().copied().min().unwrap_or(0);
+        sums.map(|sum| (least as f64 - sum as f64) / (FINER * UNITS))
     }))
 }
