@@ -1,4 +1,5 @@
 //! The map's store: what it keeps, forgets and returns.
+#![allow(clippy::unwrap_used)]
 
 use egp_map::{MergeSettings, TILE_BYTES, Tile};
 use egp_service::map::{MapLimits, Store, StoreError};
