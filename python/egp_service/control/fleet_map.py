@@ -78,11 +78,13 @@ class FleetMap:
         self._timeout = timeout
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._reports: dict[int, _Report] = {}
-        self._unsent: set[int] = set(range(belief.tiles))
+        # Tiles with new evidence, each with the time at which it was noticed. What the belief has
+        # from earlier runs is not sent, because its age is not known.
+        self._unsent: dict[int, float] = {}
         belief.take_changed()
         self._sending: set[int] = set()
         self._stale_from: int | None = None
-        self._asking = False
+        self._asking = 0
         self._exchanged = self._aged = time.monotonic()
         self._warned: set[str] = set()
         try:
@@ -159,32 +161,31 @@ class FleetMap:
 
     def _send(self) -> None:
         """Send the tiles whose evidence changed; one without an answer is sent again later."""
-        self._unsent.update(self._belief.take_changed())
-        for index in sorted(self._unsent - self._sending):
-            tile = self._belief.tile(index)
-            self._unsent.discard(index)
-            if not any(tile):
-                continue
+        now = time.monotonic()
+        self._unsent.update(dict.fromkeys(self._belief.take_changed(), now))
+        for index in sorted(self._unsent.keys() - self._sending):
+            measured = self._unsent.pop(index)
             self._sending.add(index)
             self._query(
                 self._keys.tile(index),
                 lambda _: None,
-                partial(self._sent, index),
-                encode_tile_evidence(tile, 0.0),
+                partial(self._sent, index, measured),
+                encode_tile_evidence(self._belief.tile(index), now - measured),
             )
 
-    def _sent(self, index: int, answered: bool) -> None:  # noqa: FBT001 - a callback
+    def _sent(self, index: int, measured: float, answered: bool) -> None:  # noqa: FBT001 - a callback
         self._sending.discard(index)
         if not answered:
-            self._unsent.add(index)
+            self._unsent.setdefault(index, measured)
 
     def _ask(self, first: int) -> None:
         """Ask for the tiles from `first` on."""
-        self._asking, self._stale_from = True, None
+        self._asking += 1
+        self._stale_from = None
         self._query(self._keys.tiles(first), self._use, self._asked)
 
     def _asked(self, answered: bool) -> None:  # noqa: FBT001 - a callback
-        self._asking = False
+        self._asking -= 1
         if not answered:
             self._stale_from = 0
 

@@ -14,6 +14,9 @@ use super::intake::{Intake, Job, What};
 use super::store::{Road, Store};
 use crate::network::Putter;
 
+// Messages and beliefs have the same tiles.
+const _: () = assert!(egp_map::TILE_BYTES == egp_wire::TILE_BYTES);
+
 /// Time between two looks for evidence that is too old.
 const EXPIRE: Duration = Duration::from_secs(60);
 
