@@ -25,7 +25,7 @@ ALLOWED = {
     "egp-path": {VEHICLE},
     "egp-map": {VEHICLE},
     "egp-engine": {"egp-core", "egp-wire"},
-    "egp-service": {"egp-core", "egp-engine", "egp-wire"},
+    "egp-service": {"egp-core", "egp-engine", "egp-map", "egp-wire"},
     "egp-driver": {VEHICLE, "egp-wire", "egp-gate"},
     "egp-vehicle": {VEHICLE, "egp-driver", "egp-wire", "egp-gate"},
     "egp-simulator": {"egp-wire", "egp-gate", "egp-path", "egp-plant", "egp-vehicle"},

@@ -74,9 +74,10 @@ def test_the_table_of_packages_is_complete() -> None:
     assert {name for cell in cells for name in re.findall(r"`([\w.]+)`", cell)} == rooms | modules
 
 
-def test_the_wire_document_names_every_field_and_code() -> None:
+def test_the_wire_documents_name_every_field_and_code() -> None:
     proto = (ROOT / "rust/wire/proto/egp/v1/egp.proto").read_text(encoding="utf-8")
-    document = (ROOT / "docs/wire.md").read_text(encoding="utf-8")
+    documents = [ROOT / "docs/wire.md", ROOT / "docs/map.md"]
+    document = "".join(path.read_text(encoding="utf-8") for path in documents)
     # Load and PlantTruth are for dashboards and recordings, whose readers have the schema.
     messages = re.findall(r"^message (\w+) \{\n(.*?)^\}", proto, re.MULTILINE | re.DOTALL)
     assert {"StepRequest", "StepReply", "Error", "Ready"} < {name for name, _ in messages}

@@ -29,6 +29,7 @@ MAY_LOAD = {
     "egp_service.workers": {"loky"},
     "egp_service.control": set(),
     "egp_service.control.client": {"zenoh"},
+    "egp_service.control.fleet_map": {"zenoh"},
     "egp_service.simulation": {"mcap"},
     "egp_service.simulation.report": {"matplotlib"},
     "egp_service.data": {"polars", "loky"},

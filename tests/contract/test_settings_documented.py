@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from egp_service import SpeedProfile, VehicleParameters, shipped
-from egp_service._core import EgpError, Engine, Gate, Server
+from egp_service._core import EgpError, Engine, Gate, MapServer, Server
 from egp_service.simulation.scenario import Scenario
 from library_example import write_example
 
@@ -121,6 +121,27 @@ def test_service() -> None:
     assert {key.removesuffix("_ms"): value for key, value in stated.items()} == {
         key: value.removesuffix(".to_owned()").strip('"') for key, value in functions.items()
     }
+
+
+def test_map_service() -> None:
+    with pytest.raises(EgpError, match="unknown field") as refused:
+        MapServer("nonsense = 1")
+    _, _, known = str(refused.value).partition("expected one of")
+    table = documented("Map service")
+    assert list(table) == re.findall(r"`(\w+)`", known)
+    source = (ROOT / "rust/service/src/map/config.rs").read_text(encoding="utf-8")
+    _, _, source = source.partition("fn default() -> Self {")
+    source, _, _ = source.partition("\nimpl MapConfig")
+    merging = (ROOT / "rust/map/src/merge.rs").read_text(encoding="utf-8")
+    written = {
+        **dict(re.findall(r"^            (\w+): ([^\n]+),$", source, re.MULTILINE)),
+        **dict(re.findall(r"^            (\w+): ([\d.]+),$", merging, re.MULTILINE)),
+    }
+    for key, value in table.items():
+        rust = written[key].removesuffix(".to_owned()").replace("_", "")
+        expected = {"None": None, "BTreeMap::new()": None, "false": False}
+        stated = expected[rust] if rust in expected else tomllib.loads(f"v = {rust}")["v"]
+        assert value == stated, key
 
 
 def test_client() -> None:

@@ -8,6 +8,7 @@ from egp_service._core.belief import *
 from egp_service._core.driver import *
 from egp_service._core.error import *
 from egp_service._core.library import *
+from egp_service._core.map import *
 from egp_service._core.optimal_control import *
 from egp_service._core.path import *
 from egp_service._core.plant import *

@@ -1,5 +1,6 @@
 """Belief about the friction along a road, and the speed that it allows."""
 
+from collections.abc import Sequence
 from typing import final
 
 import numpy as np
@@ -70,6 +71,46 @@ class RoadBelief:
         >>> road.quantiles(np.array([10.0]), 0.5).round(2).tolist()  # nothing is known
         [0.7]
         """
+    def tile(self, index: int) -> bytes:
+        """Return what this vehicle measured in 64 cells, without what was reported to it.
+
+        Raises `EgpError` unless `index` is below `tiles`.
+        """
+    def take_changed(self) -> list[int]:
+        """Return the tiles whose evidence changed since the last call."""
+    def report(self, index: int, tile: bytes) -> None:
+        """Use what other vehicles reported about a tile, in place of earlier reports about it.
+
+        Reports are never part of `tile` or `to_bytes`. Raises `EgpError` if there is no such tile,
+        or if the bytes are not those of a tile.
+        """
+    @property
+    def tiles(self) -> int:
+        """Number of tiles of the road."""
+    @property
+    def trust(self) -> float | None:
+        """Probability that the reports describe the road, from what the vehicle measured itself.
+
+        None without reports. Plans weigh the reports by it.
+        """
+
+def merge_tiles(
+    contributions: Sequence[tuple[bytes, float]],
+    *,
+    capacity: float | None = None,
+    lifetime: float | None = None,
+) -> bytes:
+    """Merge what several vehicles measured in the same tile, each with its age in s.
+
+    Each contributes at most `capacity` nats (default 6) to a cell, and its information falls to 1/e
+    in `lifetime` s (1800). The result does not depend on the order. Raises `EgpError` if bytes are
+    not those of a tile, or a setting is not positive.
+
+    >>> from egp_service import Path
+    >>> empty = RoadBelief(Path.rounded_rectangle()).tile(0)
+    >>> merge_tiles([(empty, 0.0), (empty, 60.0)]) == empty
+    True
+    """
 
 @final
 class SpeedPlanner:

@@ -15,6 +15,7 @@ from egp_service.cli.commands.demo import demo
 from egp_service.cli.commands.drive import drive
 from egp_service.cli.commands.evaluate import evaluate
 from egp_service.cli.commands.inspect import inspect
+from egp_service.cli.commands.map import keep_map
 from egp_service.cli.commands.serve import serve
 from egp_service.cli.commands.train import train
 
@@ -36,6 +37,9 @@ The paper's experiments, with baselines:
 
 As a service for vehicles:
   egp serve library.safetensors --listen tcp/0.0.0.0:7447
+
+What a fleet knows about the friction of roads:
+  egp map --folder roads
 """
 # Packages that only an extra installs, with this extra.
 EXTRAS = {
@@ -60,6 +64,7 @@ app = typer.Typer(
 )
 for command in (collect, train, inspect, serve, drive, demo, evaluate):
     app.command(no_args_is_help=False)(command)
+app.command("map")(keep_map)
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from egp_service.quantities import GP_OUTPUT
 from egp_service.training.validation import ROLLOUT
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from egp_service.simulation.summary import Summary
     from egp_service.training.validation import Cell
@@ -79,3 +79,11 @@ def validation_table(matrix: list[list[Cell]]) -> Table:
                 names = ("", "")
         table.add_section()
     return table
+
+
+def map_summary(origins: Mapping[str, float], trust: float | None) -> str:
+    """Say whose evidence about the road was used, how old it is, and whether it fits the road."""
+    if not origins or trust is None:
+        return "The fleet's map says nothing about this road yet"
+    vehicles = ", ".join(f"{name} ({age:.0f} s ago)" for name, age in sorted(origins.items()))
+    return f"The fleet's map has evidence of {vehicles}; it describes the road with {trust:.0%}"

@@ -152,7 +152,7 @@ class Network:
         self, endpoints: Sequence[str], timeout: float, more: Mapping[str, object]
     ) -> None:
         """Open the session and follow the replicas that announce themselves."""
-        config = _session_config(endpoints, timeout, more)
+        config = session_config(endpoints, timeout, more)
         self._inbox: queue.SimpleQueue[Callable[[Driver], None]] = queue.SimpleQueue()
         try:
             self.session = zenoh.open(config)
@@ -218,7 +218,7 @@ class Network:
         self._inbox.put(Announcement(time.monotonic(), replica, appeared))
 
 
-def _session_config(
+def session_config(
     endpoints: Sequence[str], timeout: float, more: Mapping[str, object]
 ) -> zenoh.Config:
     """Configure a peer with its own link to every endpoint.

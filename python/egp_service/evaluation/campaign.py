@@ -12,7 +12,7 @@ import numpy as np
 
 from egp_service import _core
 from egp_service._core import EgpError, Engine, Library, write_library_subset
-from egp_service.evaluation import baselines
+from egp_service.evaluation import baselines, fleet_roads
 from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.contenders import ENSEMBLE, make
 from egp_service.evaluation.experiments import HALF_WIDTH
@@ -217,7 +217,8 @@ def run_trial(trial: Trial) -> Outcome:
 
 def drive_trial(trial: Trial) -> Run:
     """Drive one trial with the library of its scenario and return the run."""
-    return drive(trial.scenario, make(trial.contender, trial.scenario), lambda _: None)
+    belief = fleet_roads.reported(trial)
+    return drive(trial.scenario, make(trial.contender, trial.scenario), lambda _: None, belief)
 
 
 def _outcome(trial: Trial, run: Run) -> Outcome:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.evaluation import unknown_roads
+from egp_service.evaluation import fleet_roads, unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.experiments import EXACT, NARROW
 from egp_service.evaluation.statistics import grouped, mean
@@ -36,6 +36,7 @@ _REGRET: Final = 1.2
 _SETTLED: Final = 0.5  # s
 _FIVE_LAPS: Final = 1.12
 _TIGHTENED: Final = 0.2
+_SECOND_CAR: Final = 1.06
 _EXCITED: Final = tuple(
     f"{acceleration} m/s² lateral{sensors}" for sensors in ("", EXACT) for acceleration in (2, 3, 4)
 )
@@ -60,6 +61,7 @@ def check(outcomes: Sequence[Outcome], predictions: Sequence[PredictionOutcome])
         *_settling(outcomes),
         *_unknown(outcomes),
         *_narrow(outcomes),
+        *_fleet(outcomes),
     ]
     if predictions:
         claims += _ordering(predictions)
@@ -233,6 +235,34 @@ def _settling(outcomes: Sequence[Outcome]) -> list[Claim]:
                 f"Weights settle within {_SETTLED} s of a friction step under {condition}",
                 moved >= _SHARE * len(own) and late <= _SETTLED,
                 found,
+            )
+        )
+    return claims
+
+
+def _fleet(outcomes: Sequence[Outcome]) -> list[Claim]:
+    """Claim what a map is worth to the second car, and that honest cars outvote a lying one."""
+    own = [o for o in outcomes if o.experiment == fleet_roads.FLEET]
+    groups = {group.contender: group for group in grouped(own)}
+    claims = []
+    if second := groups.get(fleet_roads.SECOND):
+        time = second.time_regret
+        claims.append(
+            Claim(
+                f"The second car completes every first lap, in at most {_SECOND_CAR} times the "
+                "time of a reference that is told all zones",
+                second.completed == second.runs and time.value <= _SECOND_CAR,
+                f"{second.completed} of {second.runs}, {time.value:.3f} "
+                f"({time.low:.3f} to {time.high:.3f})",
+            )
+        )
+    outvoted, alone = groups.get(fleet_roads.OUTVOTED), groups.get(fleet_roads.ALONE)
+    if outvoted and alone:
+        claims.append(
+            Claim(
+                "A lying map that two honest cars outvote costs no completed lap",
+                outvoted.completed >= alone.completed,
+                f"{outvoted.completed} of {outvoted.runs}, without a map {alone.completed}",
             )
         )
     return claims

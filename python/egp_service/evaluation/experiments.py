@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import VehicleParameters
-from egp_service.evaluation import unknown_roads
+from egp_service.evaluation import fleet_roads, unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, PAPER_WEIGHTS, Contender
 from egp_service.evaluation.experiment import (
     M05,
@@ -303,6 +303,7 @@ EXPERIMENTS: Final = (
     _narrow_track(),
     unknown_roads.first_lap(),
     unknown_roads.five_laps(),
+    fleet_roads.first_lap_with_a_map(),
 )
 # `entry_speed.find` turns each of its trials into a highest entry speed.
 OBSTACLE_AVOIDANCE: Final = _obstacle_avoidance()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from functools import partial
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,7 +56,7 @@ def build_path(scenario: Scenario) -> Path:
         car = VehicleParameters.commonroad(scenario.vehicle)
         parameters.setdefault("vehicle_width", car.width)
     if track.kind == "random":
-        parameters["seed"] = scenario.seed
+        parameters["seed"] = int(track.parameters.get("seed", scenario.seed))
     try:
         path = TRACKS[track.kind](**parameters)
     except TypeError as error:
@@ -67,3 +70,16 @@ def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:
         return SpeedProfile.constant(path, scenario.speed.v_max)
     car = VehicleParameters.commonroad(scenario.vehicle)
     return SpeedProfile(path, car, scenario.speed.grip, scenario.speed.v_max)
+
+
+def road_name(scenario: Scenario) -> str:
+    """Name the scenario's road by its track, so that vehicles on the same track name it alike.
+
+    The friction is no part of it. The same file of a track gives the same name wherever it is.
+    """
+    track = scenario.track
+    content = b"" if track.file is None else FilePath(track.file).read_bytes()
+    seed = {"seed": float(scenario.seed)} if track.kind == "random" else {}
+    shape = sorted({**seed, **track.parameters}.items())
+    text = json.dumps([track.kind, hashlib.sha256(content).hexdigest(), shape])
+    return f"{track.kind}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"

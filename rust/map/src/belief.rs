@@ -1,11 +1,14 @@
 //! Belief about the friction along a road.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::mem::take;
 
 use egp_parameters::FRICTION_HYPOTHESES;
 
 use crate::grid::{Grid, Row, interpolate, normalise, to_probabilities};
+use crate::layer::Layer;
+use crate::reported::Reported;
+use crate::tile::TILE_CELLS;
 
 /// Length of a cell in m, at most.
 const CELL: f64 = 2.0;
@@ -14,7 +17,7 @@ pub(crate) const REACH: f64 = 60.0;
 
 /// Distance in m by which a border of surfaces may be found too late or too early, since a window covers several
 /// metres: plans take the lowest friction within it.
-const BLUR: f64 = 4.0;
+pub(crate) const BLUR: f64 = 4.0;
 
 /// Largest arc length, m.
 const FARTHEST: f64 = 1e9;
@@ -70,20 +73,24 @@ pub struct BeliefError {
 /// forward-backward recursion (Rabiner, *A Tutorial on Hidden Markov Models*, Proceedings of the IEEE 77(2), 1989).
 #[derive(Debug, Clone)]
 pub struct RoadBelief {
-    settings: BeliefSettings,
+    pub(crate) settings: BeliefSettings,
     pub(crate) grid: Grid,
     closed: bool,
-    cell: f64,
+    pub(crate) cell: f64,
     /// Where the vehicle was at the starts of the last periods, newest last.
     pub(crate) track: VecDeque<f64>,
     /// Logarithm of the likelihood in each cell, at most 0.
     evidence: Vec<Row>,
     /// Its exponential.
-    likelihood: Vec<Row>,
+    pub(crate) likelihood: Vec<Row>,
+    /// What other vehicles reported.
+    pub(crate) reported: Option<Reported>,
+    /// Tiles whose evidence changed since they were last given away.
+    pub(crate) changed: BTreeSet<usize>,
     /// Messages of the forward recursion: probabilities before the cell's own evidence.
-    forward: Vec<Row>,
+    pub(crate) forward: Vec<Row>,
     /// Messages of the backward recursion.
-    backward: Vec<Row>,
+    pub(crate) backward: Vec<Row>,
 }
 
 impl RoadBelief {
@@ -112,6 +119,8 @@ impl RoadBelief {
             track: VecDeque::with_capacity(settings.window + 1),
             evidence: vec![[0.0; _]; cells as usize],
             likelihood: vec![[1.0; _]; cells as usize],
+            reported: None,
+            changed: BTreeSet::new(),
             forward: Vec::new(),
             backward: Vec::new(),
         })
@@ -158,6 +167,7 @@ impl RoadBelief {
             }
             if self.track.len() > window {
                 let (from, to) = (self.track[window / 3], self.track[2 * window / 3]);
+                self.compare_with_reports(log_likelihood);
                 self.add(from, to, log_likelihood);
             }
         }
@@ -212,6 +222,7 @@ impl RoadBelief {
             *value = (*value - most).max(least) + 0.0; // no negative zero, which is not kept by a sum
         }
         self.likelihood[cell] = evidence.map(f64::exp);
+        self.changed.insert(cell / TILE_CELLS);
     }
 
     /// Writes the friction to plan for at places `step` m apart from `start` on: the coefficient below which the
@@ -236,20 +247,10 @@ impl RoadBelief {
         let blur = (BLUR / self.cell).round() as i64;
         let first = self.index(start) - blur;
         let last = self.index(start + step * friction.len().saturating_sub(1) as f64) + blur;
-        self.smooth(first, last, REACH);
         let committed = 1.0 - (-self.settings.commitment / self.settings.change_distance).exp();
-        let prior = self.grid.prior;
-        let cell = |index: i64| {
-            let place = (index - first) as usize;
-            let (forward, backward) = (&self.forward[place], &self.backward[place]);
-            let likelihood = self.likelihood_of(index);
-            let masses: Row = std::array::from_fn(|h| {
-                let predicted = forward[h] + committed * (prior[h] - forward[h]);
-                predicted * likelihood[h] * backward[h]
-            });
-            self.grid.quantile(&masses, risk)
-        };
-        let cells: Vec<f64> = (first..=last).map(cell).collect();
+        let cells: Vec<f64> = (self.masses(first, last, REACH, committed).iter())
+            .map(|masses| self.grid.quantile(masses, risk))
+            .collect();
         for (i, out) in friction.iter_mut().enumerate() {
             let centre = (self.index(start + step * i as f64) - first - blur) as usize;
             let near = &cells[centre..=centre + 2 * blur as usize];
@@ -266,19 +267,13 @@ impl RoadBelief {
         probability("share", share)?;
         place("s", s)?;
         let index = self.index(s);
-        self.smooth(index, index, 3.0 * self.settings.change_distance);
-        Ok(self.grid.quantile(&self.posterior(index, 0), share))
+        let reach = 3.0 * self.settings.change_distance;
+        let masses = self.masses(index, index, reach, 0.0);
+        Ok(self.grid.quantile(&masses[0], share))
     }
 
-    /// Probabilities, up to a factor, of the friction in the cell `index`, whose messages are those of the smoothed `cell`.
-    pub(crate) fn posterior(&self, index: i64, cell: usize) -> Row {
-        let likelihood = self.likelihood_of(index);
-        let (forward, backward) = (&self.forward[cell], &self.backward[cell]);
-        std::array::from_fn(|h| forward[h] * likelihood[h] * backward[h])
-    }
-
-    /// Computes the messages of the cells `first..=last` from evidence up to `reach` m beyond them.
-    pub(crate) fn smooth(&mut self, first: i64, last: i64, reach: f64) {
+    /// Computes the messages of the cells `first..=last` from a layer's evidence up to `reach` m beyond them.
+    pub(crate) fn smooth(&mut self, layer: Layer, first: i64, last: i64, reach: f64) {
         let reach = (reach / self.cell).ceil().min(self.evidence.len() as f64) as i64;
         let change = 1.0 - (-self.cell / self.settings.change_distance).exp();
         let prior = self.grid.prior;
@@ -289,8 +284,7 @@ impl RoadBelief {
             if index >= first {
                 forward.push(message);
             }
-            let likelihood = self.likelihood_of(index);
-            (message.iter_mut().zip(likelihood)).for_each(|(m, l)| *m *= l);
+            self.weigh(layer, index, &mut message);
             to_probabilities(&mut message);
             (message.iter_mut().zip(&prior)).for_each(|(m, p)| *m += change * (p - *m));
         }
@@ -300,8 +294,7 @@ impl RoadBelief {
             if index <= last {
                 backward[(index - first) as usize] = message;
             }
-            let likelihood = self.likelihood_of(index);
-            (message.iter_mut().zip(likelihood)).for_each(|(m, l)| *m *= l);
+            self.weigh(layer, index, &mut message);
             let mean: f64 = message.iter().zip(&prior).map(|(m, p)| m * p).sum();
             for m in &mut message {
                 *m += change * (mean - *m);
@@ -316,18 +309,12 @@ impl RoadBelief {
     }
 
     /// Index of a stored cell; `None` beyond the ends of an open road.
-    fn stored(&self, index: i64) -> Option<usize> {
+    pub(crate) fn stored(&self, index: i64) -> Option<usize> {
         let count = self.evidence.len() as i64;
         if self.closed {
             return Some(index.rem_euclid(count) as usize);
         }
         (0..count).contains(&index).then_some(index as usize)
-    }
-
-    fn likelihood_of(&self, index: i64) -> &Row {
-        const UNKNOWN: Row = [1.0; _];
-        self.stored(index)
-            .map_or(&UNKNOWN, |cell| &self.likelihood[cell])
     }
 }
 
@@ -372,7 +359,7 @@ fn at_most(
     })
 }
 
-fn positive(name: &'static str, value: f64) -> Result<(), BeliefError> {
+pub(crate) fn positive(name: &'static str, value: f64) -> Result<(), BeliefError> {
     if value > 0.0 && value.is_finite() {
         return Ok(());
     }

@@ -10,9 +10,17 @@
 )]
 
 mod belief;
+mod exchange;
 mod file;
 mod grid;
+mod layer;
+mod merge;
 mod preview;
+mod reported;
+mod tile;
 
 pub use belief::{BeliefError, BeliefSettings, RoadBelief};
+pub use exchange::TileIndexError;
 pub use file::StoredBeliefError;
+pub use merge::{MergeSettings, merge};
+pub use tile::{TILE_BYTES, TILE_CELLS, Tile, TileError};

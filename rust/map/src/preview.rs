@@ -42,12 +42,9 @@ impl RoadBelief {
         let oldest = self.before(self.track.front().copied().unwrap_or(start), start);
         super::belief::stretch("the stretch of places", end - oldest.min(start))?;
         let first = self.index(oldest.min(start));
-        self.smooth(first, self.index(end), REACH);
-        let moments: Vec<[f64; 2]> = (first..=self.index(end))
-            .map(|index| {
-                let cell = (index - first) as usize;
-                self.grid.median_and_std(&self.posterior(index, cell))
-            })
+        let masses = self.masses(first, self.index(end), REACH, 0.0);
+        let moments: Vec<[f64; 2]> = (masses.iter())
+            .map(|masses| self.grid.median_and_std(masses))
             .collect();
         let at = |s: f64| moments[(self.index(s) - first) as usize];
         for (row, s) in out[1..].iter_mut().zip(places) {

@@ -2,10 +2,11 @@
 
 use std::borrow::Cow;
 
-use egp_map::BeliefSettings;
+use egp_map::{BeliefSettings, MergeSettings, Tile, merge};
 use egp_parameters::FRICTION_HYPOTHESES;
 use egp_path::SpeedLimits;
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 
 use crate::array::{NewMatrix, NewVector, Vector, fixed, vector};
 use crate::error::raise;
@@ -140,4 +141,58 @@ impl RoadBelief {
             .collect();
         Ok(vector(py, found?))
     }
+
+    #[doc = doc!(RoadBelief.tile)]
+    fn tile(&self, index: usize) -> PyResult<Cow<'static, [u8]>> {
+        Ok(self.0.tile(index).map_err(raise)?.bytes().to_vec().into())
+    }
+
+    #[doc = doc!(RoadBelief.take_changed)]
+    fn take_changed(&mut self) -> Vec<usize> {
+        self.0.take_changed()
+    }
+
+    #[doc = doc!(RoadBelief.report)]
+    fn report(&mut self, index: usize, tile: &[u8]) -> PyResult<()> {
+        let tile = Tile::from_bytes(tile).map_err(raise)?;
+        self.0.report(index, &tile).map_err(raise)
+    }
+
+    #[doc = doc!(RoadBelief.tiles)]
+    #[getter]
+    fn tiles(&self) -> usize {
+        self.0.tiles()
+    }
+
+    #[doc = doc!(RoadBelief.trust)]
+    #[getter]
+    fn trust(&self) -> Option<f64> {
+        self.0.trust()
+    }
+}
+
+#[doc = doc!(merge_tiles)]
+#[pyfunction]
+#[pyo3(signature = (contributions, *, capacity = None, lifetime = None))]
+pub fn merge_tiles(
+    contributions: Vec<(Bound<'_, PyBytes>, f64)>,
+    capacity: Option<f64>,
+    lifetime: Option<f64>,
+) -> PyResult<Cow<'static, [u8]>> {
+    let default = MergeSettings::default();
+    let settings = MergeSettings {
+        capacity: capacity.unwrap_or(default.capacity),
+        lifetime: lifetime.unwrap_or(default.lifetime),
+    };
+    settings.validate().map_err(raise)?;
+    let read = |(bytes, age): &(Bound<'_, PyBytes>, f64)| {
+        Ok((Tile::from_bytes(bytes.as_bytes()).map_err(raise)?, *age))
+    };
+    let contributions: PyResult<Vec<(Tile, f64)>> = contributions.iter().map(read).collect();
+    let contributions = contributions?;
+    let merged = merge(
+        contributions.iter().map(|(tile, age)| (tile, *age)),
+        &settings,
+    );
+    Ok(merged.bytes().to_vec().into())
 }

@@ -12,6 +12,7 @@ mod error;
 mod gate;
 mod library;
 mod library_writer;
+mod map;
 mod ocp;
 mod parameters;
 mod path;
@@ -29,7 +30,7 @@ mod _core {
     #[pymodule]
     mod belief {
         #[pymodule_export]
-        use crate::belief::{RoadBelief, SpeedPlanner};
+        use crate::belief::{RoadBelief, SpeedPlanner, merge_tiles};
     }
 
     #[pymodule]
@@ -52,6 +53,19 @@ mod _core {
         use crate::library::{Library, Member};
         #[pymodule_export]
         use crate::library_writer::{MemberData, write_library, write_library_subset};
+    }
+
+    #[pymodule]
+    mod map {
+        #[pymodule_export]
+        const MAP_HEALTH_KEY: &str = egp_wire::road_keys::HEALTH;
+        #[pymodule_export]
+        const MAP_METRICS_KEY: &str = egp_wire::road_keys::METRICS;
+        #[pymodule_export]
+        use crate::map::{
+            Keys, MapServer, RoadTile, decode_road_tiles, decode_tiles_changed,
+            encode_tile_evidence, serve_map,
+        };
     }
 
     #[pymodule]

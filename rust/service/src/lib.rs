@@ -13,6 +13,7 @@ mod config;
 mod handler;
 mod intake;
 mod logging;
+pub mod map;
 mod metrics;
 mod network;
 mod queue;

@@ -133,16 +133,15 @@ impl Network {
         })
     }
 
-    /// Answers queries below the replica's prefix. `intake` runs on zenoh's receive thread.
+    /// Answers queries on the key expression `key`. `intake` runs on zenoh's receive thread.
     pub(crate) fn declare(
         &mut self,
-        replica: &Name,
+        key: &str,
         intake: impl Fn(Query) + Send + Sync + 'static,
     ) -> Result<(), NetworkError> {
-        let key = egp_wire::keys::replica(replica);
         let queryable = self
             .session
-            .declare_queryable(&key)
+            .declare_queryable(key)
             .complete(true)
             .callback(move |query| intake(Query(query)))
             .wait()
@@ -189,6 +188,11 @@ impl Network {
         }
     }
 
+    /// Publishes on keys that are not known in advance.
+    pub(crate) fn putter(&self) -> Putter {
+        Putter(self.session.clone())
+    }
+
     /// A publisher of small values that may be dropped, because only the newest one is useful.
     pub(crate) fn publisher(&self, key: &str) -> Result<Publisher, NetworkError> {
         self.session
@@ -197,6 +201,21 @@ impl Network {
             .wait()
             .map(Publisher)
             .map_err(|e| NetworkError::new(format!("cannot declare {key}"), &e))
+    }
+}
+
+/// Publishes small values on any key; they may be dropped, because receivers ask for the content anyway.
+pub(crate) struct Putter(zenoh::Session);
+
+impl Putter {
+    pub(crate) fn put(&self, key: &str, payload: Vec<u8>) {
+        let put = self
+            .0
+            .put(key, payload)
+            .congestion_control(CongestionControl::Drop);
+        if let Err(error) = put.wait() {
+            tracing::debug!(key, %error, "not published");
+        }
     }
 }
 

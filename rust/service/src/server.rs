@@ -93,7 +93,7 @@ impl Server {
         let shared = server.shared.clone();
         server
             .network
-            .declare(&replica, move |query| shared.take(query))?;
+            .declare(&keys::replica(&replica), move |query| shared.take(query))?;
         server.start_reporter(Duration::from_millis(config.load_ms))?;
         // The announcement comes last, because clients ask as soon as they see it.
         server.network.announce(&replica)?;

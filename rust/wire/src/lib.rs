@@ -30,6 +30,8 @@ mod predictions;
 mod ready;
 mod reply;
 mod request;
+mod road;
+pub mod road_keys;
 mod tensor;
 mod writer;
 
@@ -42,6 +44,10 @@ pub use proto::{Load, PlantTruth, Status, Timing};
 pub use ready::Ready;
 pub use reply::Reply;
 pub use request::{Request, check_reference, check_road_friction, check_state};
+pub use road::{
+    ROAD_TILES, RoadTile, RoadTiles, TILE_BYTES, TILE_ORIGINS, TILES_AT_ONCE, TileEvidence,
+    TileOrigin, decode_tiles_changed, encode_tiles_changed,
+};
 
 /// The messages as generated from `proto/egp/v1/egp.proto`, unvalidated.
 #[allow(missing_docs, clippy::pedantic)]

@@ -1,5 +1,6 @@
 """`egp drive`."""
 
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,10 +9,13 @@ import typer
 from rich.console import Console
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
 
+    from egp_service._core import RoadBelief
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
+    from egp_service.simulation.trace import Period
 
 NOT_COMPLETED = 3
 
@@ -35,6 +39,13 @@ def drive(
         Path | None,
         typer.Option(help="File of what is known about the road's friction; read, then updated."),
     ] = None,
+    fleet: Annotated[
+        str | None,
+        typer.Option(help="Endpoint of a map service (`egp map`), such as tcp/127.0.0.1:7448."),
+    ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="With --fleet: name of the car, unique in the fleet.")
+    ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
         "runs"
     ),
@@ -50,9 +61,8 @@ def drive(
       egp drive -s lane-change --library library.safetensors
       egp drive -s my-scenario.toml --in-process
       egp drive -s random --road random.road    (and once more: faster)
+      egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-2
     """
-    from functools import partial
-
     from egp_service.cli.status_line import StatusLine
     from egp_service.cli.tables import summary_table
     from egp_service.simulation.reference import load_belief, store_belief
@@ -66,10 +76,18 @@ def drive(
     if seed is not None:
         chosen = replace(chosen, seed=seed)
     belief = load_belief(chosen, road)
-    with _controller(chosen, in_process=in_process, connect=connect) as controller:
+    with (
+        _fleet_map(console, chosen, belief, fleet, vehicle) as exchange,
+        _controller(chosen, in_process=in_process, connect=connect) as controller,
+    ):
         folder = new_folder(output, chosen.name)
         with StatusLine(console) as line:
-            run = record_run(chosen, controller, folder, partial(line.show, chosen.name), belief)
+
+            def observe(period: "Period") -> None:
+                line.show(chosen.name, period)
+                exchange()
+
+            run = record_run(chosen, controller, folder, observe, belief)
     if road is not None:
         store_belief(belief, road)
     console.print(summary_table([(chosen.name, run.summary)]))
@@ -91,3 +109,35 @@ def _controller(
     if in_process:
         return in_process_controller(scenario)
     return service_controller(scenario) if connect is None else remote_controller(scenario, connect)
+
+
+@contextmanager
+def _fleet_map(
+    console: Console,
+    scenario: "Scenario",
+    belief: "RoadBelief",
+    endpoint: str | None,
+    vehicle: str | None,
+) -> "Iterator[Callable[[], None]]":
+    """Give what to call in each period, and say at the end what the map contributed."""
+    from egp_service.simulation.course import road_name
+    from egp_service.simulation.scenario import ScenarioError
+
+    if endpoint is None and vehicle is None:
+        yield lambda: None
+        return
+    if endpoint is None or vehicle is None:
+        raise typer.BadParameter("--fleet and --vehicle go together: give both")
+    if scenario.speed.knows != "nothing":
+        raise ScenarioError(
+            f"{scenario.name}: --fleet has no effect while speed.knows is "
+            f"{scenario.speed.knows!r}; set it to 'nothing' in the scenario"
+        )
+    from egp_service.cli.tables import map_summary
+    from egp_service.control.fleet_map import FleetMap
+
+    with FleetMap(endpoint, belief, road=road_name(scenario), vehicle=vehicle) as fleet:
+        if not fleet.fetch():
+            console.print(f"No map service answers at {endpoint}; start one with `egp map`")
+        yield fleet.exchange
+        console.print(map_summary(fleet.origins, belief.trust))

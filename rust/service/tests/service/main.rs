@@ -5,5 +5,6 @@ mod common;
 mod cores;
 mod draining;
 mod hostile;
+mod map_store;
 mod queueing;
 mod serving;

@@ -1,6 +1,6 @@
 //! Stored beliefs about roads.
 
-use egp_map::{BeliefSettings, RoadBelief};
+use egp_map::{BeliefSettings, MergeSettings, RoadBelief, TILE_BYTES, Tile, merge};
 use egp_parameters::friction_hypotheses;
 
 use crate::edits::Words;
@@ -37,5 +37,27 @@ fn what_is_recalled_can_be_planned_for() {
             friction.iter().all(|mu| (0.1..=1.3).contains(mu)),
             "{friction:?}"
         );
+    });
+}
+
+#[test]
+fn an_accepted_tile_can_be_merged_and_reported() {
+    let mut belief = road();
+    belief.recall(&example()).unwrap();
+    let tile = belief.tile(0).unwrap();
+    fuzz!([tile.bytes().to_vec()], Words::Doubles, |bytes: Vec<u8>| {
+        let Ok(tile) = Tile::from_bytes(&bytes) else {
+            assert_ne!(bytes.len(), TILE_BYTES);
+            return;
+        };
+        assert_eq!(Tile::from_bytes(tile.bytes()).unwrap(), tile);
+        let settings = MergeSettings::default();
+        let merged = merge([(&tile, 5.0), (&tile, 1e9)], &settings);
+        assert!(merged.strength() <= settings.capacity + 0.02);
+        let mut belief = road();
+        belief.report(0, &merged).unwrap();
+        let mut friction = [0.0; 25];
+        belief.ahead(0.0, 1.0, 0.05, &mut friction).unwrap();
+        assert!(friction.iter().all(|mu| (0.1..=1.3).contains(mu)));
     });
 }

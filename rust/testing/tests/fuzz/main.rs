@@ -9,6 +9,7 @@ mod edits;
 mod key;
 mod library;
 mod message;
+mod road;
 mod settings;
 mod track;
 

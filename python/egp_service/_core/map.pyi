@@ -1,0 +1,39 @@
+"""The map service, its messages and its keys."""
+
+from types import TracebackType
+from typing import Final, Self, final
+
+MAP_HEALTH_KEY: str
+MAP_METRICS_KEY: str
+
+@final
+class MapServer:
+    def __new__(cls, config_toml: str) -> MapServer: ...
+    def stop(self) -> None: ...
+    def __enter__(self) -> Self: ...
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+        /,
+    ) -> None: ...
+
+@final
+class RoadKey:
+    def __new__(cls, fleet: str, vehicle: str, road: str) -> RoadKey: ...
+    def tile(self, index: int) -> str: ...
+    def tiles(self, first: int) -> str: ...
+    @property
+    def changed(self) -> str: ...
+
+@final
+class RoadTile:
+    index: Final[int]
+    tile: Final[bytes]
+    origins: Final[list[tuple[str, float]]]
+
+def serve_map(config_toml: str) -> None: ...
+def encode_tile_evidence(tile: bytes, age: float) -> bytes: ...
+def decode_road_tiles(data: bytes) -> tuple[list[RoadTile], bool]: ...
+def decode_tiles_changed(data: bytes) -> list[int]: ...

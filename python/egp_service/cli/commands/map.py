@@ -1,0 +1,72 @@
+"""`egp map`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def keep_map(
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Configuration (TOML) in place of other options."),
+    ] = None,
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Endpoint to listen on; repeat for more. By default tcp/127.0.0.1:7448, which "
+            "only this machine reaches."
+        ),
+    ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the map's files; without it the map ends with the service."),
+    ] = None,
+    lifetime: Annotated[
+        float | None,
+        typer.Option(help="Time in s in which the information of evidence falls to 1/e; 1800."),
+    ] = None,
+    capacity: Annotated[
+        float | None,
+        typer.Option(help="Largest evidence of one vehicle about 2 m of a road, nats; 6."),
+    ] = None,
+    vehicles: Annotated[
+        int | None, typer.Option(help="Vehicles whose evidence a tile of 128 m keeps; 16.")
+    ] = None,
+    contributions: Annotated[
+        int | None,
+        typer.Option(help="Tiles of all vehicles that are kept, of 3.3 kB each; 65536."),
+    ] = None,
+) -> None:
+    """Keep the map of a fleet: what its vehicles measure about the friction of roads.
+
+    Vehicles send what they measured and ask for what the others did. The map adds it up for each
+    place; a friction that only a minority of the vehicles excludes is not excluded. Evidence ages.
+    It runs until SIGTERM or Ctrl-C. Anybody who reaches the endpoint can contribute under any
+    name: outside a trusted network configure TLS and access control (docs/map.md).
+
+    For example:
+      egp map --folder roads
+      egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-1
+      egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-2    (faster)
+    """
+    from egp_service._core import serve_map
+    from egp_service.control.toml_text import dumps
+
+    options: dict[str, object] = {
+        "folder": None if folder is None else str(folder),
+        "lifetime": lifetime,
+        "capacity": capacity,
+        "vehicles": vehicles,
+        "contributions": contributions,
+    }
+    given = {name: value for name, value in options.items() if value is not None}
+    if config is None:
+        if listen:
+            given["zenoh"] = {"listen/endpoints": json.dumps(listen)}
+        serve_map(dumps(given))
+    elif given or listen:
+        raise typer.BadParameter("--config excludes other options: put them into the file")
+    else:
+        serve_map(config.read_text(encoding="utf-8"))

@@ -1,0 +1,284 @@
+"""Exchange of what vehicles measured about a road's friction, with a map service over zenoh."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import time
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Self
+
+import zenoh
+
+from egp_service._core import (
+    EgpError,
+    RoadKey,
+    decode_error,
+    decode_road_tiles,
+    decode_tiles_changed,
+    encode_tile_evidence,
+    merge_tiles,
+)
+from egp_service.control.client import session_config
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from egp_service._core import RoadBelief
+
+EVIDENCE_ENCODING = "application/protobuf;egp.v1.TileEvidence"
+# Time between two exchanges, and after which reports are aged again while the service is silent, s.
+_EXCHANGE_SECONDS = 1.0
+_AGEING_SECONDS = 60.0
+# Above the largest ratio of likelihoods that a tile can hold, nats.
+_UNLIMITED = 8.0
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass
+class _Report:
+    """A tile as the map service answered it."""
+
+    tile: bytes
+    at: float
+    origins: dict[str, float] = field(default_factory=dict)
+
+
+class FleetMap:
+    """What the other vehicles of a fleet measured about one road; a context manager.
+
+    `exchange` is called by the thread that uses the belief, once in each control period. It never
+    waits: answers of the service arrive in the background and are used when they are there. On
+    leaving, the last evidence is sent, for which the manager waits up to `timeout` s.
+    """
+
+    def __init__(
+        self,
+        endpoint: str,
+        belief: RoadBelief,
+        *,
+        road: str,
+        vehicle: str,
+        fleet: str = "default",
+        lifetime: float = 1800.0,
+        timeout: float = 3.0,
+        zenoh_config: Mapping[str, object] | None = None,
+    ) -> None:
+        """Connect to the map service at `endpoint`, such as `tcp/127.0.0.1:7448`.
+
+        All vehicles of a fleet name a road alike; `vehicle` must be unique in the fleet. `lifetime`
+        is that of the service: reports age while it is silent. Raises `InvalidArgumentError` for
+        names or a configuration that cannot be used, and `EgpError` if zenoh opens no session.
+        """
+        self._keys = RoadKey(fleet, vehicle, road)
+        self._belief = belief
+        self._lifetime = lifetime
+        self._timeout = timeout
+        self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._reports: dict[int, _Report] = {}
+        # Tiles with new evidence, each with the time at which it was noticed. What the belief has
+        # from earlier runs is not sent, because its age is not known.
+        self._unsent: dict[int, float] = {}
+        belief.take_changed()
+        self._sending: set[int] = set()
+        self._stale_from: int | None = None
+        self._asking = 0
+        self._exchanged = self._aged = time.monotonic()
+        self._warned: set[str] = set()
+        try:
+            self._session = zenoh.open(session_config([endpoint], timeout, zenoh_config or {}))
+        except zenoh.ZError as error:
+            raise EgpError(f"zenoh cannot open a session with {endpoint}: {error}") from error
+        self._subscriber = self._session.declare_subscriber(
+            self._keys.changed, zenoh.handlers.Callback(self._on_change, indirect=False)
+        )
+
+    def fetch(self) -> bool:
+        """Ask for all tiles and wait for them; return whether a map service answered."""
+        deadline = time.monotonic() + self._timeout
+        while time.monotonic() < deadline:
+            self._ask(0)
+            while self._asking and time.monotonic() < deadline:
+                self._handle(deadline)
+            if "no answer" not in self._warned:
+                return True
+            self._warned.discard("no answer")
+            time.sleep(0.05)  # the link may not be there yet
+        self._warned.add("no answer")
+        return False
+
+    def exchange(self) -> None:
+        """Use what has arrived, and once a second send what changed; returns at once."""
+        while not self._inbox.empty():
+            self._inbox.get()()
+        now = time.monotonic()
+        if now - self._exchanged >= _EXCHANGE_SECONDS:
+            self._exchanged = now
+            self._send()
+            if self._stale_from is not None and not self._asking:
+                self._ask(self._stale_from)
+        if now - self._aged >= _AGEING_SECONDS:
+            self._aged = now
+            for index, report in self._reports.items():
+                self._belief.report(index, self._at(report, now))
+
+    @property
+    def origins(self) -> dict[str, float]:
+        """The vehicles whose evidence was reported, each with the age of its newest one in s."""
+        now, found = time.monotonic(), dict[str, float]()
+        for report in self._reports.values():
+            for vehicle, age in report.origins.items():
+                found[vehicle] = min(found.get(vehicle, float("inf")), age + now - report.at)
+        return found
+
+    def close(self) -> None:
+        """Send the last evidence and close the session."""
+        deadline = time.monotonic() + self._timeout
+        try:
+            if "no answer" not in self._warned:
+                self._send()
+                while self._sending and time.monotonic() < deadline:
+                    self._handle(deadline)
+        finally:
+            self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        """Return the map."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Send the last evidence and close the session."""
+        self.close()
+
+    def _handle(self, deadline: float) -> None:
+        """Handle the next event, or wait until the deadline for it."""
+        try:
+            self._inbox.get(timeout=max(0.0, deadline - time.monotonic()))()
+        except queue.Empty:
+            return
+
+    def _send(self) -> None:
+        """Send the tiles whose evidence changed; one without an answer is sent again later."""
+        now = time.monotonic()
+        self._unsent.update(dict.fromkeys(self._belief.take_changed(), now))
+        for index in sorted(self._unsent.keys() - self._sending):
+            measured = self._unsent.pop(index)
+            self._sending.add(index)
+            self._query(
+                self._keys.tile(index),
+                lambda _: None,
+                partial(self._sent, index, measured),
+                encode_tile_evidence(self._belief.tile(index), now - measured),
+            )
+
+    def _sent(self, index: int, measured: float, answered: bool) -> None:  # noqa: FBT001 - a callback
+        self._sending.discard(index)
+        if not answered:
+            self._unsent.setdefault(index, measured)
+
+    def _ask(self, first: int) -> None:
+        """Ask for the tiles from `first` on."""
+        self._asking += 1
+        self._stale_from = None
+        self._query(self._keys.tiles(first), self._use, self._asked)
+
+    def _asked(self, answered: bool) -> None:  # noqa: FBT001 - a callback
+        self._asking -= 1
+        if not answered:
+            self._stale_from = 0
+
+    def _use(self, payload: bytes) -> None:
+        """Hand an answer to the belief; tiles beyond the end of the road are left out."""
+        try:
+            tiles, more = decode_road_tiles(payload)
+        except EgpError as error:
+            self._warn(f"an answer of the map service cannot be read: {error}")
+            return
+        now = time.monotonic()
+        for found in tiles:
+            if found.index < self._belief.tiles:
+                self._belief.report(found.index, found.tile)
+                self._reports[found.index] = _Report(found.tile, now, dict(found.origins))
+        if more and tiles and tiles[-1].index + 1 < self._belief.tiles:
+            self._ask(tiles[-1].index + 1)
+
+    def _at(self, report: _Report, now: float) -> bytes:
+        aged = [(report.tile, now - report.at)]
+        return merge_tiles(aged, capacity=_UNLIMITED, lifetime=self._lifetime)
+
+    def _query(
+        self,
+        key: str,
+        use: Callable[[bytes], None],
+        end: Callable[[bool], None],
+        payload: bytes | None = None,
+    ) -> None:
+        """Send a query; `use` gets an answer, and `end` whether there was one, an error included.
+
+        Both are called by `exchange`.
+        """
+        heard = []
+
+        def deliver(reply: zenoh.Reply) -> None:
+            heard.append(True)
+            if reply.ok is not None:
+                content = reply.ok.payload.to_bytes()
+                self._inbox.put(lambda: use(content))
+            elif reply.err is not None:
+                content = reply.err.payload.to_bytes()
+                self._inbox.put(lambda: self._refused(content))
+
+        def ended() -> None:
+            answered = bool(heard)
+            self._inbox.put(lambda: self._ended(end, answered=answered))
+
+        try:
+            self._session.get(
+                key,
+                zenoh.handlers.Callback(deliver, ended, indirect=False),
+                payload=payload,
+                encoding=EVIDENCE_ENCODING,
+                timeout=self._timeout,
+            )
+        except zenoh.ZError:
+            ended()
+
+    def _ended(self, end: Callable[[bool], None], *, answered: bool) -> None:
+        if answered:
+            self._warned.discard("no answer")
+        elif "no answer" not in self._warned:
+            self._warned.add("no answer")
+            _log.info("no map service answers; driving goes on without it")
+        end(answered)
+
+    def _refused(self, payload: bytes) -> None:
+        try:
+            refusal = decode_error(payload)
+        except EgpError as error:
+            self._warn(f"an error of the map service cannot be read: {error}")
+            return
+        self._warn(f"the map service does not accept evidence: {refusal.code}: {refusal.detail}")
+
+    def _warn(self, text: str) -> None:
+        """Log a warning, each only once."""
+        if text not in self._warned:
+            self._warned.add(text)
+            _log.warning(text)
+
+    def _on_change(self, sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+
+        def note() -> None:
+            try:
+                changed = decode_tiles_changed(payload)
+            except EgpError as error:
+                self._warn(f"a publication of the map service cannot be read: {error}")
+                return
+            if changed:
+                first = min(changed)
+                known = self._stale_from
+                self._stale_from = first if known is None else min(first, known)
+
+        self._inbox.put(note)

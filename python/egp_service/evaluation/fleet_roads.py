@@ -1,0 +1,106 @@
+"""What a map of other vehicles is worth on a first lap, and what a wrong one costs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service._core import RoadBelief, merge_tiles
+from egp_service.evaluation.contenders import ORACLE, Contender, make
+from egp_service.evaluation.experiment import TWO, ClosedLoopExperiment, on_surfaces
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.course import build_path
+from egp_service.simulation.scenario import Track
+
+if TYPE_CHECKING:
+    from egp_service._core import Path
+    from egp_service.evaluation.experiment import Trial
+    from egp_service.simulation.scenario import Scenario
+
+FLEET: Final = "fleet-roads"
+ALONE: Final = "no map"
+SECOND: Final = "map of one car"
+THIRD: Final = "map of three cars"
+LIE: Final = "lying map"
+OUTVOTED: Final = "lying map, outvoted by two cars"
+SLIPPERY: Final = "map that says 0.25 everywhere"
+# Cars whose first laps make the map, and the friction that one more vehicle reports everywhere.
+_REPORTS: Final[dict[str, tuple[int, float | None]]] = {
+    SECOND: (1, None),
+    THIRD: (3, None),
+    LIE: (0, 1.1),
+    OUTVOTED: (2, 1.1),
+    SLIPPERY: (0, 0.25),
+}
+_RISK: Final = 0.05
+_AGE: Final = 60.0  # of all reports, s
+# The liar's evidence: as sharp as a cell can hold, from periods so many m apart.
+_LIE_STEP: Final = 0.25
+_LIE_LAPS: Final = 6
+_LIE_SPREAD: Final = 0.05  # of the logarithm of the friction
+
+
+def first_lap_with_a_map() -> ClosedLoopExperiment:
+    """Return the experiment: a first lap with different maps of the same road."""
+    base = on_surfaces(Track("random"), ((0.0, 1.0),), 0.9)
+    speed = {"knows": "nothing", "risk": _RISK}
+    return ClosedLoopExperiment(
+        FLEET,
+        "Roads of unknown friction, first lap with a fleet's map (beyond the paper)",
+        "Other cars have driven the same road before: how fast is a first lap with what they "
+        "found, and what does a map cost that is wrong? The oracle is told all zones.",
+        (("first lap", replace(base, leave_distance=3.5)),),
+        (
+            Contender(ORACLE, "ensemble", TWO),
+            *(Contender(name, "ensemble", TWO, speed=speed) for name in (ALONE, *_REPORTS)),
+        ),
+        seeds=20,
+        quick_seeds=1,
+        frictions=(0.25, 1.1),
+    )
+
+
+def reported(trial: Trial) -> RoadBelief | None:
+    """Return the belief of a car that was given the trial's map; None for trials without a map.
+
+    The cars that make the map drive with the trial's controller and risk, and with noise of their
+    own.
+    """
+    if trial.experiment != FLEET or trial.contender.name not in _REPORTS:
+        return None
+    cars, lie = _REPORTS[trial.contender.name]
+    path = build_path(trial.scenario)
+    maps = [_driven(trial, path, number + 1) for number in range(cars)]
+    if lie is not None:
+        maps.append(_lying(path, lie))
+    belief = RoadBelief(path)
+    for index in range(belief.tiles):
+        belief.report(index, merge_tiles([(other.tile(index), _AGE) for other in maps]))
+    return belief
+
+
+def _driven(trial: Trial, path: Path, number: int) -> RoadBelief:
+    """Return what a car found on its first lap, which may end beside the road."""
+    belief = RoadBelief(path)
+    scenario = _with_noise(trial.scenario, 1000 * number)
+    drive(scenario, make(trial.contender, scenario), lambda _: None, belief)
+    return belief
+
+
+def _with_noise(scenario: Scenario, more: int) -> Scenario:
+    """Return the scenario on the same track with another seed of the noise."""
+    parameters = {**scenario.track.parameters, "seed": float(scenario.seed)}
+    track = replace(scenario.track, parameters=parameters)
+    return replace(scenario, track=track, seed=scenario.seed + more)
+
+
+def _lying(path: Path, friction: float) -> RoadBelief:
+    """Return what a car says that claims to have found one friction everywhere."""
+    belief = RoadBelief(path)
+    hypotheses = 0.1 * 13.0 ** np.linspace(0.0, 1.0, 17)
+    claimed = -0.5 * (np.log(hypotheses / friction) / _LIE_SPREAD) ** 2
+    for s in np.arange(0.0, _LIE_LAPS * path.length, _LIE_STEP):
+        belief.update(float(s % path.length), claimed - claimed.max())
+    return belief

@@ -1,0 +1,77 @@
+//! The posterior from the vehicle's own evidence and from what others reported.
+
+use crate::RoadBelief;
+use crate::grid::{Row, to_probabilities};
+use crate::reported::Reported;
+
+/// The evidence that a posterior uses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Layer {
+    /// What the vehicle measured.
+    Own,
+    /// What others reported.
+    Reported,
+    /// Both.
+    Both,
+}
+
+impl RoadBelief {
+    /// Rows proportional to the probabilities of the coefficients in the cells `first..=last`, after a further change of the
+    /// surface with the probability `committed`.
+    ///
+    /// With reports it is a mixture: with the probability that they describe the road they count like the vehicle's own
+    /// evidence, otherwise only the latter counts.
+    pub(crate) fn masses(&mut self, first: i64, last: i64, reach: f64, committed: f64) -> Vec<Row> {
+        let mut own = self.masses_of(Layer::Own, first, last, reach, committed);
+        let Some(trust) = self.reported.as_ref().map(Reported::trust) else {
+            return own;
+        };
+        let both = self.masses_of(Layer::Both, first, last, reach, committed);
+        for (own, mut both) in own.iter_mut().zip(both) {
+            to_probabilities(own);
+            to_probabilities(&mut both);
+            (own.iter_mut().zip(both)).for_each(|(own, both)| *own += trust * (both - *own));
+        }
+        own
+    }
+
+    /// The same from one layer's evidence.
+    pub(crate) fn masses_of(
+        &mut self,
+        layer: Layer,
+        first: i64,
+        last: i64,
+        reach: f64,
+        committed: f64,
+    ) -> Vec<Row> {
+        self.smooth(layer, first, last, reach);
+        let prior = &self.grid.prior;
+        let messages = self.forward.iter().zip(&self.backward);
+        (first..=last)
+            .zip(messages)
+            .map(|(index, (forward, backward))| {
+                let mut masses: Row =
+                    std::array::from_fn(|h| forward[h] + committed * (prior[h] - forward[h]));
+                self.weigh(layer, index, &mut masses);
+                (masses.iter_mut().zip(backward)).for_each(|(mass, b)| *mass *= b);
+                masses
+            })
+            .collect()
+    }
+
+    /// Multiplies `row` by a layer's likelihoods in a cell. Cells beyond the ends of an open road have no evidence.
+    pub(crate) fn weigh(&self, layer: Layer, index: i64, row: &mut Row) {
+        let Some(cell) = self.stored(index) else {
+            return;
+        };
+        let multiply = |row: &mut Row, by: &Row| row.iter_mut().zip(by).for_each(|(r, l)| *r *= l);
+        if layer != Layer::Reported {
+            multiply(row, &self.likelihood[cell]);
+        }
+        if layer != Layer::Own
+            && let Some(reported) = &self.reported
+        {
+            multiply(row, &reported.likelihood[cell]);
+        }
+    }
+}

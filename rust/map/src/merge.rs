@@ -1,0 +1,84 @@
+//! The tile that several vehicles together found.
+
+use crate::belief::BeliefError;
+use crate::grid::LEVELS;
+use crate::tile::{TILE_CELLS, Tile, UNITS};
+
+/// Fractions of a tile's unit in which contributions are added. Whole numbers make the sum independent of the order.
+const FINER: f64 = 256.0;
+/// Smallest ratio of likelihoods in nats for which a vehicle says something about a cell.
+const SAYS_SOMETHING: f64 = 0.5;
+
+/// How contributions age, and how much each one counts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MergeSettings {
+    /// Largest logarithm of a likelihood ratio that one vehicle contributes to a cell, in nats.
+    pub capacity: f64,
+    /// Time in s in which the information of a contribution falls to `1 / e`.
+    pub lifetime: f64,
+}
+
+impl Default for MergeSettings {
+    fn default() -> Self {
+        Self {
+            capacity: 6.0,
+            lifetime: 1800.0,
+        }
+    }
+}
+
+impl MergeSettings {
+    /// # Errors
+    /// [`BeliefError`] unless both settings are positive and finite.
+    pub fn validate(&self) -> Result<(), BeliefError> {
+        for (name, value) in [("capacity", self.capacity), ("lifetime", self.lifetime)] {
+            crate::belief::positive(name, value)?;
+        }
+        Ok(())
+    }
+
+    /// The share of its information that a contribution keeps at an age in s.
+    pub fn remaining(&self, age: f64) -> f64 {
+        (-age.max(0.0) / self.lifetime).exp()
+    }
+}
+
+/// Merges contributions, each with its age in s.
+///
+/// Logarithms of likelihoods are limited to the capacity and multiplied by `exp(-age / lifetime)`. Of the `n` vehicles that
+/// say something about a cell, those `(n - 1) / 2`, rounded down, that speak most strongly against a coefficient do not
+/// count for it, and the others' logarithms are added: no minority can exclude a coefficient that the others do not exclude.
+/// This is a trimmed sum. The result does not depend on the order of the contributions.
+pub fn merge<'a>(
+    contributions: impl IntoIterator<Item = (&'a Tile, f64)>,
+    settings: &MergeSettings,
+) -> Tile {
+    let limit = settings.capacity * UNITS;
+    let aged: Vec<(&[[u8; LEVELS]], f64)> = (contributions.into_iter())
+        .map(|(tile, age)| (tile.bytes().as_chunks().0, settings.remaining(age) * FINER))
+        .collect();
+    let mut said: Vec<[u64; LEVELS]> = Vec::with_capacity(aged.len());
+    let mut against = Vec::with_capacity(aged.len());
+    Tile::from_rows((0..TILE_CELLS).map(|cell| {
+        said.clear();
+        for (tile, remaining) in &aged {
+            let row =
+                tile[cell].map(|byte| (f64::from(byte).min(limit) * remaining).round() as u64);
+            if row
+                .iter()
+                .any(|value| *value as f64 >= SAYS_SOMETHING * UNITS * FINER)
+            {
+                said.push(row);
+            }
+        }
+        let counted = said.len() - said.len().saturating_sub(1) / 2;
+        let sums: [u64; LEVELS] = std::array::from_fn(|level| {
+            against.clear();
+            against.extend(said.iter().map(|row| row[level]));
+            against.sort_unstable();
+            against.iter().take(counted).sum()
+        });
+        let least = sums.iter().copied().min().unwrap_or(0);
+        sums.map(|sum| (least as f64 - sum as f64) / (FINER * UNITS))
+    }))
+}

@@ -1,0 +1,138 @@
+//! The map service, its messages and its keys.
+
+use std::borrow::Cow;
+use std::sync::{Mutex, PoisonError};
+
+use egp_service::map::MapConfig;
+use egp_wire::keys::Name;
+use egp_wire::road_keys::{self, RoadKey};
+use egp_wire::{RoadTiles, TileEvidence};
+use pyo3::exceptions::PyKeyboardInterrupt;
+use pyo3::prelude::*;
+
+use crate::error::{InvalidArgumentError, raise};
+
+/// Keep a map until SIGTERM or Ctrl-C; `config_toml` is described in docs/settings.md.
+#[pyfunction]
+pub fn serve_map(py: Python<'_>, config_toml: &str) -> PyResult<()> {
+    let config = MapConfig::from_toml(config_toml).map_err(raise)?;
+    py.detach(|| egp_service::map::serve_map(&config))
+        .map_err(raise)?;
+    // Ctrl-C has already closed the map, so Python's pending KeyboardInterrupt is discarded.
+    match py.check_signals() {
+        Err(error) if !error.is_instance_of::<PyKeyboardInterrupt>(py) => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// A map service that runs in this process until it is stopped; a context manager.
+#[pyclass(module = "egp_service._core", frozen)]
+pub struct MapServer(Mutex<Option<egp_service::map::MapServer>>);
+
+#[pymethods]
+impl MapServer {
+    #[new]
+    fn new(py: Python<'_>, config_toml: &str) -> PyResult<Self> {
+        let config = MapConfig::from_toml(config_toml).map_err(raise)?;
+        let server = py
+            .detach(|| egp_service::map::MapServer::start(&config))
+            .map_err(raise)?;
+        Ok(Self(Mutex::new(Some(server))))
+    }
+
+    /// Answer the queries that wait, write what is not yet written, and close.
+    fn stop(&self, py: Python<'_>) {
+        let server = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(server) = server {
+            py.detach(|| server.stop());
+        }
+    }
+
+    fn __enter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    #[pyo3(signature = (*_exception))]
+    fn __exit__(&self, py: Python<'_>, _exception: &Bound<'_, pyo3::types::PyTuple>) {
+        self.stop(py);
+    }
+}
+
+/// The keys of a road of a fleet for one vehicle. Raises `InvalidArgumentError` for a text that is no name.
+#[pyclass(name = "RoadKey", module = "egp_service._core", frozen)]
+pub struct Keys(RoadKey);
+
+#[pymethods]
+impl Keys {
+    #[new]
+    fn new(fleet: &str, vehicle: &str, road: &str) -> PyResult<Self> {
+        let name = |text: &str| text.parse::<Name>().map_err(InvalidArgumentError::raise);
+        Ok(Self(RoadKey {
+            fleet: name(fleet)?,
+            vehicle: name(vehicle)?,
+            road: name(road)?,
+        }))
+    }
+
+    /// The key to which the vehicle sends what it measured in a tile.
+    fn tile(&self, index: u32) -> String {
+        self.0.tile(index)
+    }
+
+    /// The key on which the vehicle asks for tiles from `first` on.
+    fn tiles(&self, first: u32) -> String {
+        self.0.tiles(first)
+    }
+
+    /// The key on which the service publishes which tiles have new evidence.
+    #[getter]
+    fn changed(&self) -> String {
+        road_keys::changed(&self.0.fleet, &self.0.road)
+    }
+}
+
+/// What other vehicles measured in a tile.
+#[pyclass(module = "egp_service._core", frozen, get_all)]
+pub struct RoadTile {
+    /// Index of the tile.
+    index: u32,
+    /// The tile, for `RoadBelief.report`.
+    tile: Cow<'static, [u8]>,
+    /// The vehicles, each with the time in s since its newest measurement when the answer was made.
+    origins: Vec<(String, f64)>,
+}
+
+/// Bytes of a TileEvidence. Raises `EgpError` unless the age in s is at most 49 days.
+#[pyfunction]
+pub fn encode_tile_evidence(tile: &[u8], age: f64) -> PyResult<Cow<'static, [u8]>> {
+    let milliseconds = (1e3 * age).round();
+    if !(0.0..=f64::from(u32::MAX)).contains(&milliseconds) {
+        return Err(InvalidArgumentError::raise(format!(
+            "expected an age of 0 to 4294967 s, got {age}"
+        )));
+    }
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // in range
+    let age_ms = milliseconds as u32;
+    let rows = tile.to_vec();
+    Ok(TileEvidence { age_ms, rows }.encode().into())
+}
+
+/// Read and validate a RoadTiles: the tiles, and whether there are more behind the last one.
+#[pyfunction]
+pub fn decode_road_tiles(data: &[u8]) -> PyResult<(Vec<RoadTile>, bool)> {
+    let answer = RoadTiles::decode(data).map_err(raise)?;
+    let tile = |tile: egp_wire::RoadTile| RoadTile {
+        index: tile.index,
+        tile: tile.rows.into(),
+        origins: (tile.origins.iter())
+            .map(|origin| (origin.vehicle.to_string(), f64::from(origin.age_ms) / 1e3))
+            .collect(),
+    };
+    Ok((answer.tiles.into_iter().map(tile).collect(), answer.more))
+}
+
+/// Read and validate a TilesChanged: the indices of tiles with new evidence.
+#[pyfunction]
+pub fn decode_tiles_changed(data: &[u8]) -> PyResult<Vec<u32>> {
+    egp_wire::decode_tiles_changed(data).map_err(raise)
+}

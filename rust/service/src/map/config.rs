@@ -1,0 +1,124 @@
+//! The configuration of the map service.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use egp_map::MergeSettings;
+use egp_wire::TILE_ORIGINS;
+use serde::Deserialize;
+
+use super::store::MapLimits;
+use crate::config::ConfigError;
+
+/// The configuration of a map service, in TOML. Unknown keys are errors.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MapConfig {
+    /// Folder of the roads' files, which is made if it does not exist. Without one, the map is lost when the service ends.
+    pub folder: Option<PathBuf>,
+    /// Time in s in which the information of a contribution falls to 1/e. Default 1800.
+    pub lifetime: f64,
+    /// Largest logarithm of a likelihood ratio that one vehicle contributes to a cell, nats. Default 6.
+    pub capacity: f64,
+    /// Vehicles that contribute to a tile; a further one replaces the oldest. Default 16.
+    pub vehicles: usize,
+    /// Tiles to which one vehicle contributes. Default 4096.
+    pub tiles: usize,
+    /// Contributions in all, of about 3.3 kB each. Default 65536.
+    pub contributions: usize,
+    /// Least time between two publications of the changes of a road, ms. Default 500.
+    pub publish_ms: u64,
+    /// Time between two writings of changed roads, ms. Default 10000.
+    pub save_ms: u64,
+    /// What to log, as for `egp serve`. Default `info,zenoh=warn`.
+    pub log: String,
+    /// Whether each log line is a JSON object instead of text. Default false.
+    pub log_json: bool,
+    /// A zenoh JSON5 file that replaces this service's defaults.
+    pub zenoh_file: Option<PathBuf>,
+    /// Single zenoh settings, key path to JSON5 value; they override the defaults or the file.
+    pub zenoh: BTreeMap<String, String>,
+}
+
+impl Default for MapConfig {
+    fn default() -> Self {
+        let merge = MergeSettings::default();
+        Self {
+            folder: None,
+            lifetime: merge.lifetime,
+            capacity: merge.capacity,
+            vehicles: 16,
+            tiles: 4096,
+            contributions: 65536,
+            publish_ms: 500,
+            save_ms: 10_000,
+            log: "info,zenoh=warn".to_owned(),
+            log_json: false,
+            zenoh_file: None,
+            zenoh: BTreeMap::new(),
+        }
+    }
+}
+
+impl MapConfig {
+    /// Reads and validates a configuration.
+    ///
+    /// # Errors
+    /// [`ConfigError`] naming the key at fault.
+    pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
+        let config: Self = toml::from_str(text)?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`] for the first one at fault.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let range = |field, expected, got: &dyn ToString| {
+            Err(ConfigError::Range {
+                field,
+                expected,
+                got: got.to_string(),
+            })
+        };
+        if !(1.0..=1e9).contains(&self.lifetime) {
+            return range("lifetime", "1 to 1e9 s", &self.lifetime);
+        }
+        if !(0.1..=8.0).contains(&self.capacity) {
+            return range("capacity", "0.1 to 8 nats", &self.capacity);
+        }
+        if !(1..=TILE_ORIGINS).contains(&self.vehicles) {
+            return range("vehicles", "in 1..=64", &self.vehicles);
+        }
+        if !(1..=1_000_000).contains(&self.tiles) {
+            return range("tiles", "in 1..=1000000", &self.tiles);
+        }
+        if !(1..=10_000_000).contains(&self.contributions) {
+            return range("contributions", "in 1..=10000000", &self.contributions);
+        }
+        if !(10..=3_600_000).contains(&self.publish_ms) {
+            return range("publish_ms", "in 10..=3600000", &self.publish_ms);
+        }
+        if !(10..=3_600_000).contains(&self.save_ms) {
+            return range("save_ms", "in 10..=3600000", &self.save_ms);
+        }
+        Ok(())
+    }
+
+    pub(crate) fn merge(&self) -> MergeSettings {
+        MergeSettings {
+            capacity: self.capacity,
+            lifetime: self.lifetime,
+        }
+    }
+
+    pub(crate) fn limits(&self) -> MapLimits {
+        MapLimits {
+            contributions: self.contributions,
+            vehicles: self.vehicles,
+            tiles: self.tiles,
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! The thread that owns the store: it answers queries, publishes changes and writes files.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use egp_map::Tile;
+use egp_wire::{Code, TileEvidence, WireError, encode_tiles_changed, road_keys};
+
+use super::file::{self, Clocks};
+use super::intake::{Intake, Job, What};
+use super::store::{Road, Store};
+use crate::network::Putter;
+
+// Messages and beliefs have the same tiles.
+const _: () = assert!(egp_map::TILE_BYTES == egp_wire::TILE_BYTES);
+
+/// Time between two looks for evidence that is too old.
+const EXPIRE: Duration = Duration::from_secs(60);
+
+/// The state of the thread.
+pub(crate) struct Keeper {
+    pub store: Store,
+    pub intake: Arc<Intake>,
+    pub network: Putter,
+    pub folder: Option<PathBuf>,
+    pub started: Instant,
+    pub publish: Duration,
+    pub save: Duration,
+}
+
+/// The two clocks of a service that started at `started`.
+pub(crate) fn clocks(started: Instant) -> Clocks {
+    let since = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
+    Clocks {
+        unix_ms: u64::try_from(since.as_millis()).unwrap_or(u64::MAX),
+        now: started.elapsed().as_secs_f64(),
+    }
+}
+
+impl Keeper {
+    /// Runs until the intake is gone, and then writes what was not yet written.
+    pub(crate) fn run(mut self, jobs: &Receiver<Job>) {
+        let mut unsaved = BTreeSet::new();
+        let (mut published, mut saved, mut expired) = (self.started, self.started, self.started);
+        loop {
+            match jobs.recv_timeout(self.publish) {
+                Ok(job) => self.answer(&job),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            if due(&mut published, self.publish) {
+                self.publish_changes(&mut unsaved);
+            }
+            if due(&mut expired, EXPIRE) {
+                self.store.expire(self.started.elapsed().as_secs_f64());
+                self.count();
+            }
+            if due(&mut saved, self.save) {
+                self.write(&mut unsaved);
+            }
+        }
+        self.publish_changes(&mut unsaved);
+        self.write(&mut unsaved);
+    }
+
+    fn answer(&mut self, job: &Job) {
+        self.intake.done(&job.key);
+        let now = self.started.elapsed().as_secs_f64();
+        match job.what {
+            What::Question => {
+                let tiles = self.store.tiles(&job.key, job.index, now);
+                self.intake.metrics.count("tiles");
+                let encoding = "application/protobuf;egp.v1.RoadTiles";
+                job.query
+                    .answer(job.query.key(), tiles.encode(), encoding, None);
+            }
+            What::Evidence => match self.keep(job, now) {
+                Ok(()) => {
+                    self.intake.metrics.count("evidence");
+                    self.count();
+                    job.query
+                        .answer(job.query.key(), Vec::new(), "text/plain", None);
+                }
+                Err(error) => self.intake.refuse(&job.query, &error),
+            },
+        }
+    }
+
+    fn keep(&mut self, job: &Job, now: f64) -> Result<(), WireError> {
+        let evidence = TileEvidence::decode(&job.query.payload())?;
+        let tile = Tile::from_bytes(&evidence.rows)
+            .map_err(|error| WireError::permanent(Code::InvalidField, error.to_string()))?;
+        let at = now - f64::from(evidence.age_ms) / 1e3;
+        Ok(self.store.add(&job.key, job.index, tile, at, now)?)
+    }
+
+    /// Publishes which tiles have new evidence; their roads go to `unsaved`.
+    fn publish_changes(&mut self, unsaved: &mut BTreeSet<Road>) {
+        for (road, tiles) in self.store.take_changed() {
+            let (fleet, name) = &road;
+            tracing::debug!(%fleet, road = %name, tiles = tiles.len(), "changed");
+            let message = encode_tiles_changed(tiles.into_iter().collect());
+            self.network.put(&road_keys::changed(fleet, name), message);
+            unsaved.insert(road);
+        }
+    }
+
+    fn write(&self, unsaved: &mut BTreeSet<Road>) {
+        let Some(folder) = &self.folder else {
+            return unsaved.clear();
+        };
+        let clocks = clocks(self.started);
+        // A road that could not be written is tried again.
+        unsaved.retain(
+            |road| match file::save(folder, road, self.store.road(road), clocks) {
+                Ok(()) => false,
+                Err(error) => {
+                    tracing::error!(%error, "a road was not written");
+                    true
+                }
+            },
+        );
+    }
+
+    fn count(&self) {
+        let gauge = |n: usize| i64::try_from(n).unwrap_or(i64::MAX);
+        self.intake
+            .metrics
+            .contributions
+            .set(gauge(self.store.contributions()));
+        self.intake.metrics.roads.set(gauge(self.store.roads()));
+    }
+}
+
+/// Whether `period` has passed since `last`, which then becomes now.
+fn due(last: &mut Instant, period: Duration) -> bool {
+    let now = Instant::now();
+    let due = now.duration_since(*last) >= period;
+    if due {
+        *last = now;
+    }
+    due
+}

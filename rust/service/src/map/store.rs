@@ -1,0 +1,274 @@
+//! The contributions of all vehicles, in bounded memory. It has no clock: times in s are arguments.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use egp_map::{MergeSettings, Tile, merge};
+use egp_wire::keys::Name;
+use egp_wire::road_keys::RoadKey;
+use egp_wire::{Code, RoadTile, RoadTiles, TILES_AT_ONCE, TileOrigin, WireError};
+
+/// Lifetimes after which a contribution is forgotten: less than 1/64 nat of the largest is left then.
+const LIFETIMES: f64 = 6.5;
+
+/// How much a store keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MapLimits {
+    /// Contributions in all; each takes about 3.3 kB.
+    pub contributions: usize,
+    /// Vehicles that contribute to a tile.
+    pub vehicles: usize,
+    /// Tiles to which a vehicle contributes.
+    pub tiles: usize,
+}
+
+/// Why a contribution is not kept.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum StoreError {
+    /// The vehicle contributes to as many tiles as it may.
+    #[error(
+        "the vehicle contributes to {0} tiles already, which is the limit; older ones are forgotten with time"
+    )]
+    Vehicle(usize),
+    /// The store is full.
+    #[error(
+        "the map has {0} contributions, which is its limit; try again later, or start it with a larger --contributions"
+    )]
+    Full(usize),
+    /// The evidence is too old to be of use.
+    #[error("the evidence is {age:.0} s old; after {limit:.0} s it is forgotten")]
+    Old {
+        /// Age, s.
+        age: f64,
+        /// Largest age, s.
+        limit: f64,
+    },
+}
+
+impl From<StoreError> for WireError {
+    fn from(error: StoreError) -> Self {
+        const LATER_US: u32 = 60_000_000;
+        match error {
+            StoreError::Full(_) => Self::retryable(Code::Overloaded, LATER_US, error.to_string()),
+            StoreError::Vehicle(_) => Self::permanent(Code::Overloaded, error.to_string()),
+            StoreError::Old { .. } => Self::permanent(Code::TooLate, error.to_string()),
+        }
+    }
+}
+
+/// What one vehicle measured in a tile.
+#[derive(Clone, Debug)]
+pub(crate) struct Contribution {
+    pub tile: Tile,
+    /// Time of the newest measurement.
+    pub at: f64,
+}
+
+/// A road of a fleet.
+pub(crate) type Road = (Name, Name);
+pub(crate) type Tiles = BTreeMap<u32, BTreeMap<Name, Contribution>>;
+
+/// The newest contribution of each vehicle to each tile.
+#[derive(Debug)]
+pub struct Store {
+    merge: MergeSettings,
+    limits: MapLimits,
+    roads: BTreeMap<Road, Tiles>,
+    /// Number of contributions of each vehicle of each fleet.
+    counts: HashMap<(Name, Name), usize>,
+    total: usize,
+    changed: BTreeMap<Road, BTreeSet<u32>>,
+}
+
+impl Store {
+    /// An empty store.
+    pub fn new(merge: MergeSettings, limits: MapLimits) -> Self {
+        Self {
+            merge,
+            limits,
+            roads: BTreeMap::new(),
+            counts: HashMap::new(),
+            total: 0,
+            changed: BTreeMap::new(),
+        }
+    }
+
+    /// Keeps what a vehicle measured at the time `at` at the latest, in place of its earlier contribution to the tile.
+    ///
+    /// A contribution older than the kept one of the same vehicle changes nothing. A tile with as many vehicles as it may
+    /// have forgets the oldest contribution.
+    ///
+    /// # Errors
+    /// [`StoreError`]; the store is then unchanged, but for what it forgot because of its age.
+    pub fn add(
+        &mut self,
+        key: &RoadKey,
+        index: u32,
+        tile: Tile,
+        at: f64,
+        now: f64,
+    ) -> Result<(), StoreError> {
+        let (age, limit) = (now - at, self.largest_age());
+        if age > limit {
+            return Err(StoreError::Old { age, limit });
+        }
+        let road = (key.fleet.clone(), key.road.clone());
+        let kept = (self.roads.get(&road)).and_then(|tiles| tiles.get(&index)?.get(&key.vehicle));
+        if kept.is_some_and(|kept| kept.at > at) {
+            return Ok(());
+        }
+        if kept.is_none() {
+            self.make_room(key, &road, index, now)?;
+            *self
+                .counts
+                .entry((key.fleet.clone(), key.vehicle.clone()))
+                .or_default() += 1;
+            self.total += 1;
+        }
+        self.changed.entry(road.clone()).or_default().insert(index);
+        let vehicles = self
+            .roads
+            .entry(road)
+            .or_default()
+            .entry(index)
+            .or_default();
+        vehicles.insert(key.vehicle.clone(), Contribution { tile, at });
+        Ok(())
+    }
+
+    /// Up to [`TILES_AT_ONCE`] tiles from `first` on, of which other vehicles than the asking one measured something.
+    pub fn tiles(&self, key: &RoadKey, first: u32, now: f64) -> RoadTiles {
+        let road = (key.fleet.clone(), key.road.clone());
+        let tiles = self
+            .roads
+            .get(&road)
+            .into_iter()
+            .flat_map(|tiles| tiles.range(first..));
+        let mut found = tiles.filter_map(|(index, vehicles)| {
+            let others = vehicles
+                .iter()
+                .filter(|(vehicle, _)| **vehicle != key.vehicle);
+            let merged = merge(
+                others.clone().map(|(_, c)| (&c.tile, now - c.at)),
+                &self.merge,
+            );
+            let origins = others.map(|(vehicle, contribution)| TileOrigin {
+                vehicle: vehicle.clone(),
+                age_ms: milliseconds(now - contribution.at),
+            });
+            (!merged.is_empty()).then(|| RoadTile {
+                index: *index,
+                rows: merged.bytes().to_vec(),
+                origins: origins.collect(),
+            })
+        });
+        let tiles = found.by_ref().take(TILES_AT_ONCE).collect();
+        let more = found.next().is_some();
+        RoadTiles { tiles, more }
+    }
+
+    /// Forgets what is too old to be of use.
+    pub fn expire(&mut self, now: f64) {
+        let oldest = now - self.largest_age();
+        let (counts, total) = (&mut self.counts, &mut self.total);
+        self.roads.retain(|(fleet, _), tiles| {
+            tiles.retain(|_, vehicles| {
+                vehicles.retain(|vehicle, contribution| {
+                    let keep = contribution.at >= oldest;
+                    if !keep {
+                        forget(counts, total, fleet, vehicle);
+                    }
+                    keep
+                });
+                !vehicles.is_empty()
+            });
+            !tiles.is_empty()
+        });
+    }
+
+    /// The roads and tiles that changed since the last call.
+    pub(crate) fn take_changed(&mut self) -> BTreeMap<Road, BTreeSet<u32>> {
+        std::mem::take(&mut self.changed)
+    }
+
+    /// Everything about a road.
+    pub(crate) fn road(&self, road: &Road) -> Option<&Tiles> {
+        self.roads.get(road)
+    }
+
+    /// Number of contributions.
+    pub fn contributions(&self) -> usize {
+        self.total
+    }
+
+    /// Number of roads.
+    pub fn roads(&self) -> usize {
+        self.roads.len()
+    }
+
+    fn largest_age(&self) -> f64 {
+        LIFETIMES * self.merge.lifetime
+    }
+
+    /// Makes room for a further contribution, or errors if there is none.
+    fn make_room(
+        &mut self,
+        key: &RoadKey,
+        road: &Road,
+        index: u32,
+        now: f64,
+    ) -> Result<(), StoreError> {
+        let own = (key.fleet.clone(), key.vehicle.clone());
+        let full = |store: &Self| store.total >= store.limits.contributions;
+        let limited = |store: &Self| {
+            store
+                .counts
+                .get(&own)
+                .is_some_and(|n| *n >= store.limits.tiles)
+        };
+        if full(self) || limited(self) {
+            self.expire(now);
+        }
+        if limited(self) {
+            return Err(StoreError::Vehicle(self.limits.tiles));
+        }
+        let vehicles = self
+            .roads
+            .get_mut(road)
+            .and_then(|tiles| tiles.get_mut(&index));
+        if let Some(vehicles) = vehicles.filter(|vehicles| vehicles.len() >= self.limits.vehicles) {
+            let oldest = vehicles
+                .iter()
+                .min_by(|(_, a), (_, b)| a.at.total_cmp(&b.at));
+            if let Some(oldest) = oldest.map(|(vehicle, _)| vehicle.clone()) {
+                vehicles.remove(&oldest);
+                forget(&mut self.counts, &mut self.total, &key.fleet, &oldest);
+            }
+        }
+        if full(self) {
+            return Err(StoreError::Full(self.limits.contributions));
+        }
+        Ok(())
+    }
+}
+
+fn forget(
+    counts: &mut HashMap<(Name, Name), usize>,
+    total: &mut usize,
+    fleet: &Name,
+    vehicle: &Name,
+) {
+    *total -= 1;
+    let own = (fleet.clone(), vehicle.clone());
+    if let Some(count) = counts.get_mut(&own) {
+        *count -= 1;
+        if *count == 0 {
+            counts.remove(&own);
+        }
+    }
+}
+
+/// Whole milliseconds, for the wire; too long a time becomes the longest one.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a cast of floats saturates
+pub(crate) fn milliseconds(seconds: f64) -> u32 {
+    (1e3 * seconds.max(0.0)) as u32
+}

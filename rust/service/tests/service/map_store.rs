@@ -1,0 +1,152 @@
+//! The map's store: what it keeps, forgets and returns.
+#![allow(clippy::unwrap_used)]
+
+use egp_map::{MergeSettings, TILE_BYTES, Tile};
+use egp_service::map::{MapLimits, Store, StoreError};
+use egp_wire::road_keys::RoadKey;
+use egp_wire::{Code, RoadTiles, TILES_AT_ONCE, WireError};
+
+const LIMITS: MapLimits = MapLimits {
+    contributions: 100,
+    vehicles: 3,
+    tiles: 50,
+};
+const LIFETIME: f64 = 100.0;
+
+fn store() -> Store {
+    let merge = MergeSettings {
+        lifetime: LIFETIME,
+        ..MergeSettings::default()
+    };
+    Store::new(merge, LIMITS)
+}
+
+fn key(vehicle: &str) -> RoadKey {
+    RoadKey {
+        fleet: "depot".parse().unwrap(),
+        vehicle: vehicle.parse().unwrap(),
+        road: "ring".parse().unwrap(),
+    }
+}
+
+/// A tile that excludes all coefficients but one.
+fn tile(level: usize) -> Tile {
+    let bytes: Vec<u8> = (0..TILE_BYTES)
+        .map(|i| if i % 49 == level { 0 } else { 160 })
+        .collect();
+    Tile::from_bytes(&bytes).unwrap()
+}
+
+fn vehicles(tiles: &RoadTiles, index: usize) -> Vec<String> {
+    let origins = tiles.tiles[index].origins.iter();
+    origins.map(|origin| origin.vehicle.to_string()).collect()
+}
+
+#[test]
+fn a_vehicle_gets_what_the_others_measured_and_not_its_own() {
+    let mut store = store();
+    store.add(&key("a"), 0, tile(10), -5.0, 0.0).unwrap();
+    assert!(store.tiles(&key("a"), 0, 0.0).tiles.is_empty());
+    store.add(&key("b"), 0, tile(10), 0.0, 0.0).unwrap();
+    let answer = store.tiles(&key("a"), 0, 1.0);
+    assert_eq!(
+        (vehicles(&answer, 0), answer.more),
+        (vec!["b".to_owned()], false)
+    );
+    let answer = store.tiles(&key("c"), 0, 1.0);
+    assert_eq!(vehicles(&answer, 0), ["a", "b"]);
+    assert_eq!(answer.tiles[0].origins[0].age_ms, 6000);
+    assert_eq!(RoadTiles::decode(&answer.encode()).unwrap(), answer);
+    let other_fleet = RoadKey {
+        fleet: "harbour".parse().unwrap(),
+        ..key("c")
+    };
+    assert!(store.tiles(&other_fleet, 0, 1.0).tiles.is_empty());
+}
+
+#[test]
+fn a_vehicle_has_one_contribution_to_a_tile_and_the_newest_counts() {
+    let mut store = store();
+    for (level, at) in [(10, 0.0), (20, 5.0), (30, 2.0)] {
+        store.add(&key("a"), 0, tile(level), at, 5.0).unwrap();
+    }
+    assert_eq!(store.contributions(), 1);
+    let answer = store.tiles(&key("b"), 0, 5.0);
+    assert_eq!(answer.tiles[0].rows[20], 0);
+    assert!(answer.tiles[0].rows[30] > 0);
+}
+
+#[test]
+fn memory_is_bounded() {
+    let mut store = store();
+    for index in 0..50 {
+        store.add(&key("a"), index, tile(1), 0.0, 0.0).unwrap();
+    }
+    let full = store.add(&key("a"), 50, tile(1), 0.0, 0.0).unwrap_err();
+    assert_eq!(full, StoreError::Vehicle(50));
+    store.add(&key("a"), 49, tile(2), 1.0, 1.0).unwrap(); // in place of its own
+    for index in 0..50 {
+        store.add(&key("b"), index, tile(1), 1.0, 1.0).unwrap();
+    }
+    let full = store.add(&key("c"), 60, tile(1), 1.0, 1.0).unwrap_err();
+    assert_eq!(full, StoreError::Full(100));
+    let error = WireError::from(full);
+    assert!(error.retryable && error.code == Code::Overloaded && error.detail.contains("100"));
+    // What is too old makes room.
+    store.add(&key("c"), 60, tile(1), 660.0, 660.0).unwrap();
+    assert_eq!((store.contributions(), store.roads()), (1, 1));
+    store.expire(2000.0);
+    assert_eq!((store.contributions(), store.roads()), (0, 0));
+}
+
+#[test]
+fn a_further_vehicle_replaces_the_oldest_contribution() {
+    let mut store = store();
+    for (vehicle, at) in [("a", 3.0), ("b", 1.0), ("c", 2.0), ("d", 4.0)] {
+        store.add(&key(vehicle), 7, tile(1), at, 4.0).unwrap();
+    }
+    assert_eq!(
+        vehicles(&store.tiles(&key("x"), 0, 4.0), 0),
+        ["a", "c", "d"]
+    );
+    assert_eq!(store.contributions(), 3);
+}
+
+#[test]
+fn old_evidence_is_an_error_and_ages_in_answers() {
+    let mut store = store();
+    let error = store.add(&key("a"), 0, tile(1), 0.0, 651.0).unwrap_err();
+    assert!(matches!(error, StoreError::Old { .. }));
+    store.add(&key("a"), 0, tile(1), 0.0, 0.0).unwrap();
+    let strength = |now| {
+        let answer = store.tiles(&key("b"), 0, now);
+        f64::from(*answer.tiles[0].rows.iter().max().unwrap()) / 32.0
+    };
+    assert!((strength(LIFETIME) - strength(0.0) * (-1.0_f64).exp()).abs() < 0.04);
+}
+
+#[test]
+fn long_roads_are_answered_in_parts() {
+    let mut store = Store::new(
+        MergeSettings::default(),
+        MapLimits {
+            tiles: 1000,
+            ..LIMITS
+        },
+    );
+    for index in 0..70 {
+        store.add(&key("a"), 2 * index, tile(1), 0.0, 0.0).unwrap();
+    }
+    let (mut first, mut found) = (0, Vec::new());
+    loop {
+        let answer = store.tiles(&key("b"), first, 0.0);
+        assert!(answer.tiles.len() <= TILES_AT_ONCE);
+        assert!(RoadTiles::decode(&answer.encode()).is_ok());
+        found.extend(answer.tiles.iter().map(|tile| tile.index));
+        first = found.last().unwrap() + 1;
+        if !answer.more {
+            break;
+        }
+    }
+    assert_eq!(found, (0..70).map(|index| 2 * index).collect::<Vec<u32>>());
+}

@@ -1,0 +1,234 @@
+"""The map service in a process of its own, with vehicles in others, and hostile input."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import zenoh
+
+from egp_service._core import (
+    MAP_HEALTH_KEY,
+    MAP_METRICS_KEY,
+    EgpError,
+    MapServer,
+    RoadBelief,
+    RoadKey,
+    decode_error,
+    decode_road_tiles,
+    encode_tile_evidence,
+)
+from egp_service.control.client import session_config
+from egp_service.control.fleet_map import FleetMap
+from egp_service.simulation.course import build_path, road_name
+from egp_service.simulation.scenario import load_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+SCENARIO = load_scenario("random")
+PATH = build_path(SCENARIO)
+FRICTIONS = 0.1 * 13.0 ** np.linspace(0.0, 1.0, 17)
+
+
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@contextmanager
+def map_service(endpoint: str, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """Run `egp map` and end it with Ctrl-C."""
+    command = [sys.executable, "-m", "egp_service", "map", "--listen", endpoint, *options]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        host, port = endpoint.removeprefix("tcp/").split(":")
+        for _ in range(400):
+            with socket.socket() as probe:
+                if probe.connect_ex((host, int(port))) == 0:
+                    break
+            time.sleep(0.05)
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(10.0)
+
+
+@contextmanager
+def raw_session(endpoint: str) -> Iterator[zenoh.Session]:
+    with zenoh.open(session_config([endpoint], 5.0, {})) as session:
+        for _ in range(100):
+            if ask(session, MAP_HEALTH_KEY)[0] == b"ok":
+                break
+            time.sleep(0.05)
+        yield session
+
+
+def ask(
+    session: zenoh.Session, key: str, payload: bytes | None = None
+) -> tuple[bytes | None, str | None]:
+    """Give the answer's bytes, or the code of the error."""
+    for reply in session.get(key, payload=payload, timeout=5.0):
+        if reply.ok is not None:
+            return reply.ok.payload.to_bytes(), None
+        assert reply.err is not None
+        return None, decode_error(reply.err.payload.to_bytes()).code
+    return None, None
+
+
+def ignore(_: zenoh.Reply) -> None:
+    """Take no note of an answer."""
+
+
+def measured(friction: float, metres: float = 150.0) -> RoadBelief:
+    belief = RoadBelief(PATH)
+    row = -0.5 * (np.log(FRICTIONS / friction) / 0.05) ** 2
+    for s in np.arange(0.0, metres, 0.2):
+        belief.update(s, row - row.max())
+    return belief
+
+
+def lap_time(tmp_path: Path, endpoint: str, vehicle: str) -> tuple[float, str]:
+    """Drive a lap in another process; give its time and what was printed."""
+    output = tmp_path / vehicle
+    command = [sys.executable, "-m", "egp_service", "drive", "-s", "random", "--in-process"]
+    command += ["--no-pictures", "-o", str(output), "--fleet", endpoint, "--vehicle", vehicle]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    (summary,) = output.glob("*/summary.json")
+    ending = json.loads(summary.read_text())["ending"]
+    assert ending["completed"]
+    return ending["time"], " ".join(done.stdout.split())
+
+
+def test_the_second_car_is_faster_with_what_the_first_one_found(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with map_service(endpoint, "--folder", str(tmp_path / "roads")):
+        first, said = lap_time(tmp_path, endpoint, "car-1")
+        assert "says nothing about this road yet" in said
+        second, said = lap_time(tmp_path, endpoint, "car-2")
+        assert re.search(r"evidence of car-1 \(\d+ s ago\); it describes the road with 9\d%", said)
+    # Measured: 66.4 and 53.9 s.
+    assert second < 0.9 * first
+    # Another service continues with the files.
+    other = free_endpoint()
+    with map_service(other, "--folder", str(tmp_path / "roads")):
+        third, said = lap_time(tmp_path, other, "car-3")
+        assert "car-1" in said
+        assert "car-2" in said
+    assert third < second
+
+
+def test_without_a_map_service_nothing_waits(tmp_path: Path) -> None:
+    belief = measured(0.5)
+    with FleetMap(free_endpoint(), belief, road="r", vehicle="v", timeout=0.3) as fleet:
+        start = time.monotonic()
+        assert not fleet.fetch()
+        assert time.monotonic() - start < 2.0
+        start = time.monotonic()
+        for _ in range(1000):
+            fleet.exchange()
+        assert time.monotonic() - start < 0.5
+        assert fleet.origins == {}
+    endpoint = free_endpoint()
+    _, said = lap_time(tmp_path, endpoint, "car-1")
+    assert f"No map service answers at {endpoint}; start one with `egp map`" in said
+
+
+def test_hostile_input_is_refused_and_the_service_goes_on() -> None:
+    endpoint = free_endpoint()
+    key = RoadKey("default", "liar", "ring")
+    tile = measured(0.5).tile(0)
+    good = encode_tile_evidence(tile, 0.0)
+    nan = encode_tile_evidence(np.full(3136 // 8, np.nan).tobytes(), 0.0)
+    random = np.random.default_rng(1)
+    with map_service(endpoint) as service, raw_session(endpoint) as session:
+        for target, payload, code in (
+            (key.tile(0), b"", "version"),
+            (key.tile(0), random.bytes(500), None),
+            (key.tile(0), good[:-5], "malformed"),
+            (key.tile(0), good + b"\x00" * 4000, "malformed"),
+            (key.tile(0), b"\x01" * 500_000, "malformed"),
+            (key.tile(0), encode_tile_evidence(tile + b"\x00", 0.0), "invalid_field"),
+            (key.tile(0), encode_tile_evidence(tile, 4e6), "too_late"),
+            (key.tile(7813), good, "malformed"),
+            (key.tile(0).replace("liar", "@liar"), good, None),
+            (key.tile(0).replace("ring", "a b"), good, "malformed"),
+            (key.tile(0) + "/more", good, "malformed"),
+            ("egp/v1/map/nonsense", good, "malformed"),
+        ):
+            answer, refused = ask(session, target, payload)
+            assert answer is None, target
+            assert code is None or refused == code, (target, refused)
+        # Numbers that are no logarithms cannot be expressed: any 3136 bytes are a tile.
+        assert ask(session, key.tile(0), nan) == (b"", None)
+        assert ask(session, key.tile(1), good) == (b"", None)
+        # Publications on the service's own key reach vehicles, which read or leave them.
+        belief = RoadBelief(PATH)
+        with FleetMap(endpoint, belief, road="ring", vehicle="honest") as fleet:
+            session.put(key.changed, random.bytes(100))
+            assert fleet.fetch()
+            assert set(fleet.origins) == {"liar"}
+            assert belief.trust == pytest.approx(0.8)
+            time.sleep(1.1)
+            fleet.exchange()
+        for _ in range(300):  # a flood of one vehicle
+            session.get(key.tile(2), ignore, payload=good)
+        assert ask(session, RoadKey("default", "other", "ring").tiles(0))[0]
+        text = ask(session, MAP_METRICS_KEY)[0]
+        assert text is not None
+        found = re.findall(r'egp_map_queries_total\{outcome="malformed"\} (\d+)', text.decode())
+        assert int(found[0]) >= 6
+        assert service.poll() is None
+
+
+def test_fleets_share_nothing_and_a_vehicle_does_not_hear_itself() -> None:
+    endpoint = free_endpoint()
+    good = encode_tile_evidence(measured(0.5).tile(0), 2.0)
+    config = f"""log = "warn"\nzenoh = {{ "listen/endpoints" = '["{endpoint}"]' }}"""
+    with MapServer(config), raw_session(endpoint) as session:
+        own = RoadKey("depot", "car-1", "ring")
+        assert ask(session, own.tile(0), good) == (b"", None)
+
+        def tiles(key: RoadKey) -> dict[int, list[tuple[str, float]]]:
+            answer, _ = ask(session, key.tiles(0))
+            assert answer is not None
+            found, more = decode_road_tiles(answer)
+            assert not more
+            return {tile.index: tile.origins for tile in found}
+
+        assert tiles(own) == {}
+        assert tiles(RoadKey("harbour", "car-2", "ring")) == {}
+        assert tiles(RoadKey("depot", "car-2", "park")) == {}
+        ((vehicle, age),) = tiles(RoadKey("depot", "car-2", "ring"))[0]
+        assert vehicle == "car-1"
+        assert 2.0 <= age < 7.0
+
+
+def test_a_configuration_that_cannot_be_used_is_an_error(tmp_path: Path) -> None:
+    for text, message in (
+        ("nonsense = 1", "unknown field"),
+        ("lifetime = 0", "`lifetime` must be 1 to 1e9 s, got 0"),
+        ("capacity = nan", "`capacity` must be"),
+        ("vehicles = 65", "`vehicles` must be"),
+    ):
+        with pytest.raises(EgpError, match=message):
+            MapServer(text)
+    (tmp_path / "a@b.road").write_bytes(b"no road")
+    with pytest.raises(EgpError, match="is no file of a road"):
+        MapServer(f'folder = "{tmp_path}"')
+
+
+def test_a_road_is_named_by_its_track() -> None:
+    assert road_name(SCENARIO) == road_name(load_scenario("random"))
+    assert road_name(SCENARIO) != road_name(load_scenario("rounded-rectangle"))
