@@ -12,9 +12,10 @@ import numpy as np
 
 from egp_service import _core
 from egp_service._core import EgpError, Engine, Library, write_library_subset
-from egp_service.evaluation import baselines
+from egp_service.evaluation import baselines, unknown_roads
 from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.contenders import ENSEMBLE, make
+from egp_service.evaluation.departures import avoidable
 from egp_service.evaluation.experiments import HALF_WIDTH
 from egp_service.evaluation.settling import resolution, settling_times
 from egp_service.simulation.closed_loop import drive
@@ -62,6 +63,9 @@ class Outcome:
     """Settling time of the weights after each friction change under excitation, s."""
     resolution: float | None
     """Bound on the accuracy of the friction from one window, for the ensemble's friction steps."""
+    avoidable: bool | None
+    """Whether a replay that is told everything avoids the departure; None without a departure, and
+    in experiments whose departures are not replayed."""
     misses: int
     """Number of periods without a usable plan."""
     late: int
@@ -239,6 +243,7 @@ def _outcome(trial: Trial, run: Run) -> Outcome:
         off_track=off_track(trial.scenario, run),
         settling=tuple(settling_times(run)),
         resolution=resolution(run) if _is_resolved(trial) else None,
+        avoidable=avoidable(trial.contender, run) if experiment in unknown_roads.REPLAYED else None,
         misses=summary.periods - summary.solver_statuses.get("solved", 0),
         late=int(np.sum(run.trace.step_time > run.dt)),
         step_ms=summary.step_time_ms["p50"],

@@ -58,6 +58,7 @@ def check(outcomes: Sequence[Outcome], predictions: Sequence[PredictionOutcome])
         *_best(outcomes),
         *_settling(outcomes),
         *_unknown(outcomes),
+        *_departures(outcomes),
     ]
     if predictions:
         claims += _ordering(predictions)
@@ -137,6 +138,31 @@ def _unknown(outcomes: Sequence[Outcome]) -> list[Claim]:
                     group.completed == group.runs and group.time_regret.value <= _FIVE_LAPS,
                     f"{group.completed} of {group.runs}, {group.time_regret.value:.3f}; laps "
                     + ", ".join(f"{lap.value:.3f}" for lap in laps),
+                )
+            )
+    return claims
+
+
+def _departures(outcomes: Sequence[Outcome]) -> list[Claim]:
+    claims = []
+    for experiment in unknown_roads.REPLAYED:
+        own = [
+            o
+            for o in outcomes
+            if o.experiment == experiment and o.contender.startswith(unknown_roads.BELIEF)
+        ]
+        replayed = [o for o in own if o.avoidable is not None]
+        avoidable = [o for o in replayed if o.avoidable]
+        if own:
+            where = ", ".join(f"{o.contender}, seed {o.seed}" for o in avoidable)
+            claims.append(
+                Claim(
+                    f"No departure of {experiment} at a speed from what control steps found would "
+                    "have been avoided by a controller that is told everything from the last "
+                    "border on",
+                    not avoidable,
+                    f"{len(avoidable)} of {len(replayed)} departures in {len(own)} runs"
+                    + (f": {where}" if where else ""),
                 )
             )
     return claims

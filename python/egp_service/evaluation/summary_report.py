@@ -78,6 +78,13 @@ paper. Tracks are computed from their definitions or drawn from a seed; friction
 paper's text."""
 
 
+_DEPARTURES = """ Each departure was driven again, in the same states up to the last border of
+surfaces before it, and from there on by a controller that is told all zones: with the oracle's
+weights, and a reference speed that is planned for the true friction from the present speed on. The
+departure was <i>avoidable</i> if this one stays on the road until 100 m beyond the place. Otherwise
+the vehicle <i>came too fast</i>, and only a more careful reference speed avoids this."""
+
+
 def write_report(
     folder: Path,
     command: str,
@@ -159,6 +166,7 @@ def _section(
     shown: Sequence[Drive],
 ) -> Section:
     experiment = next(e for e in EXPERIMENTS if e.name == name)
+    text = experiment.question
     pictures = [figures.draw_completion(groups, folder / f"{name}.png")]
     tables = [group_table(groups)]
     if name == unknown_roads.FIRST:
@@ -167,6 +175,10 @@ def _section(
         laps = tuple(f"lap {lap + 1}" for lap in range(max(map(len, rows)) - 3))
         heads = ("lap time / oracle's", "completed", "all laps", *laps)
         tables.append(plain_table(heads, rows))
+    if name in unknown_roads.REPLAYED:
+        heads = ("reference speed", "departures", "avoidable", "came too fast")
+        tables.append(plain_table(heads, unknown_roads.departure_rows(groups, name)))
+        text += _DEPARTURES
     if name == "friction-step":
         pictures.append(figures.draw_settling(outcomes, folder / "settling.png"))
     if compared := [(d.contender, d.run) for d in shown if d.condition == experiment.compared]:
@@ -182,7 +194,6 @@ def _section(
     settling = [
         t for o in outcomes if o.experiment == name and o.contender == ENSEMBLE for t in o.settling
     ]
-    text = experiment.question
     if settling and name != "friction-step":  # which has a claim for each condition
         text += (
             f" The ensemble's weights settled after {np.median(settling):.2f} s (median of "

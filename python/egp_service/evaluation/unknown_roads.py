@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 FIRST: Final = "unknown-roads"
 LATER: Final = "remembered-roads"
+REPLAYED: Final = (FIRST, LATER)
+"""Experiments whose departures are replayed."""
 # Sources of the reference speed's friction: what control steps found, one value everywhere, and the
 # friction under the vehicle.
 BELIEF: Final = "found, risk "
@@ -149,6 +151,15 @@ def lap_rows(groups: Sequence[Group], outcomes: Sequence[Outcome]) -> list[tuple
                 )
             )
     return rows
+
+
+def departure_rows(groups: Sequence[Group], experiment: str) -> list[tuple[str, ...]]:
+    """Return rows `source, departures, avoidable ones, others` of an experiment."""
+    return [
+        (g.contender, f"{g.avoidable + g.too_fast} of {g.runs}", str(g.avoidable), str(g.too_fast))
+        for g in groups
+        if g.experiment == experiment
+    ]
 
 
 def kind(contender: str) -> str:
