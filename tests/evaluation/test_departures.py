@@ -13,8 +13,7 @@ from egp_service.evaluation.campaign import Outcome, run_trial
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import Contender, make
 from egp_service.evaluation.departures import avoidable, departed, last_border, replay
-from egp_service.evaluation.experiment import NOISE, Trial
-from egp_service.evaluation.experiments import CUSTOM_TRACK
+from egp_service.evaluation.experiment import CUSTOM_TRACK, NOISE, Trial
 from egp_service.evaluation.statistics import grouped
 from egp_service.evaluation.unknown_roads import BELIEF, FIRST, departure_rows
 from egp_service.shipped import EVALUATION_LIBRARY

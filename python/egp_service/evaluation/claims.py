@@ -10,6 +10,7 @@ import numpy as np
 from egp_service.evaluation import unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.experiments import EXACT
+from egp_service.evaluation.hidden_ice import LARGEST_ERROR
 from egp_service.evaluation.statistics import grouped, mean
 from egp_service.evaluation.unknown_roads import ASSUMED, BELIEF, HERE, RISKS
 from egp_service.quantities import MOTION_LABELS
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from egp_service.evaluation.campaign import Outcome
+    from egp_service.evaluation.hidden_ice import IceOutcome
     from egp_service.evaluation.prediction import PredictionOutcome
 
 POOLED: Final = "A∪D"  # noqa: RUF001 - the union
@@ -49,7 +51,11 @@ class Claim:
     evidence: str
 
 
-def check(outcomes: Sequence[Outcome], predictions: Sequence[PredictionOutcome]) -> list[Claim]:
+def check(
+    outcomes: Sequence[Outcome],
+    predictions: Sequence[PredictionOutcome],
+    ice: Sequence[IceOutcome] = (),
+) -> list[Claim]:
     """Check every claim for which there are outcomes."""
     claims = [
         *_completions(outcomes),
@@ -59,6 +65,7 @@ def check(outcomes: Sequence[Outcome], predictions: Sequence[PredictionOutcome])
         *_settling(outcomes),
         *_unknown(outcomes),
         *_departures(outcomes),
+        *_ice(ice),
     ]
     if predictions:
         claims += _ordering(predictions)
@@ -166,6 +173,25 @@ def _departures(outcomes: Sequence[Outcome]) -> list[Claim]:
                 )
             )
     return claims
+
+
+def _ice(outcomes: Sequence[IceOutcome]) -> list[Claim]:
+    own = [o for o in outcomes if o.contender.startswith(BELIEF)]
+    errors = [error for o in own for error in o.errors_after]
+    if not errors:
+        return []
+    within = sum(error <= LARGEST_ERROR for error in errors)
+    on_first = sum(any(o.found[1:2]) for o in own)
+    return [
+        Claim(
+            "On the laps after a hidden patch of ice was found, the vehicle is never more than "
+            f"{LARGEST_ERROR:g} m from the path",
+            within == len(errors),
+            f"{within} of {len(errors)} laps, at worst {max(errors):.2f} m; found on the first lap "
+            f"in {on_first} of {len(own)} runs; "
+            f"{sum(not o.completed for o in own)} runs were not completed",
+        )
+    ]
 
 
 def _regret(outcomes: Sequence[Outcome]) -> list[Claim]:

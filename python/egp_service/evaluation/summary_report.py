@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service.evaluation import figures, unknown_roads
+from egp_service.evaluation import figures, hidden_ice, unknown_roads
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.entry_speed import SLOWEST
-from egp_service.evaluation.experiments import EXPERIMENTS, OBSTACLE_AVOIDANCE, VARIANTS
+from egp_service.evaluation.experiments import EXPERIMENTS, HIDDEN_ICE, OBSTACLE_AVOIDANCE, VARIANTS
 from egp_service.evaluation.html import (
     Section,
     claim_table,
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from egp_service.evaluation.campaign import Drive, Outcome
     from egp_service.evaluation.entry_speed import EntrySpeed
+    from egp_service.evaluation.hidden_ice import IceOutcome
     from egp_service.evaluation.prediction import PredictionOutcome
     from egp_service.evaluation.scaling import StepTime
     from egp_service.evaluation.statistics import Group, Interval
@@ -92,6 +93,7 @@ def write_report(
     outcomes: Sequence[Outcome],
     predictions: Sequence[PredictionOutcome],
     speeds: Sequence[EntrySpeed],
+    ice: Sequence[IceOutcome],
     times: Sequence[StepTime],
     drives: dict[str, list[Drive]],
 ) -> Path:
@@ -102,10 +104,11 @@ def write_report(
     _write_csv(folder / "runs.csv", [asdict(o) for o in outcomes])
     _write_csv(folder / "prediction.csv", [asdict(p) for p in predictions])
     _write_csv(folder / "entry-speeds.csv", [asdict(s) for s in speeds])
+    _write_csv(folder / "hidden-ice.csv", [asdict(i) for i in ice])
     _write_csv(folder / "step-times.csv", [asdict(t) for t in times])
     groups = grouped(outcomes)
     sections = [
-        Section("Claims", _CLAIMS, tables=(claim_table(check(outcomes, predictions)),)),
+        Section("Claims", _CLAIMS, tables=(claim_table(check(outcomes, predictions, ice)),)),
         Section("Where this differs from the paper", _DIFFERENCES),
     ]
     if regret := _regret_section(groups):
@@ -119,6 +122,9 @@ def write_report(
             sections.append(_section(folder, experiment.name, own, outcomes, shown))
         if own and experiment.name == "friction-step":
             sections.append(_resolution_section(outcomes))
+    if ice:
+        table = plain_table(hidden_ice.HEADS, hidden_ice.rows(ice))
+        sections.append(Section(HIDDEN_ICE.title, HIDDEN_ICE.question, tables=(table,)))
     if speeds:
         sections.append(_entry_speed_section(folder, speeds))
     if times:

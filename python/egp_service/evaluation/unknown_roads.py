@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from egp_service.evaluation.contenders import ORACLE, Contender
-from egp_service.evaluation.experiment import TWO, ClosedLoopExperiment, on_surfaces
+from egp_service.evaluation.experiment import TWO, ClosedLoopExperiment, jittered, on_surfaces
 from egp_service.evaluation.statistics import median
 from egp_service.simulation.scenario import Track
 
@@ -66,7 +67,7 @@ def first_lap() -> ClosedLoopExperiment:
         ),
         seeds=30,
         quick_seeds=1,
-        frictions=(0.25, 1.1),
+        road=partial(jittered, frictions=(0.25, 1.1)),
     )
 
 
@@ -87,7 +88,7 @@ def five_laps() -> ClosedLoopExperiment:
         ),
         seeds=20,
         quick_seeds=1,
-        frictions=(0.25, 1.1),
+        road=partial(jittered, frictions=(0.25, 1.1)),
     )
 
 
