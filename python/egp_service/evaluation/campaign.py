@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -122,7 +124,7 @@ class Campaign:
     ) -> Batch[Trial, Result]:
         """Trials for the function `work`, whose results of this `kind` go to `{name}.jsonl`."""
         wanted = [self._with_library(trial) for trial in trials]
-        parts = {fingerprint(trial, self._id + self._defaults): trial for trial in wanted}
+        parts = {fingerprint(trial, self._identity(trial)): trial for trial in wanted}
         return Batch(self._folder / f"{name}.jsonl", parts, work, _reader(kind), report)
 
     def drives(
@@ -146,11 +148,37 @@ class Campaign:
             found.setdefault(trial.experiment, []).append(drive)
         return found
 
+    def disturbed_library(self, condition: str) -> Path:
+        """Path of the library of a vehicle with the disturbance of a condition."""
+        return self._folder / "disturbed" / f"{re.sub(r'[^a-z0-9]+', '-', condition)}.safetensors"
+
+    def _identity(self, trial: Trial) -> str:
+        """Identify the trial's library and the default settings."""
+        own = self._source_of(trial)
+        return (self._id if own == self._source else _library_id(own)) + self._defaults
+
+    def _source_of(self, trial: Trial) -> Path:
+        """Return the library that the members of the trial's contender are taken from.
+
+        Raises `EgpError` if it is that of a disturbance and has not been trained.
+        """
+        if not trial.contender.disturbed:
+            return self._source
+        path = self.disturbed_library(trial.condition)
+        if not path.exists():
+            raise EgpError(
+                f"{path} is missing: egp evaluate --full -e {trial.experiment} trains it"
+            )
+        return path
+
     def _with_library(self, trial: Trial) -> Trial:
         """Return the trial with the library of its contender, writing it if necessary."""
         contender, scenario = trial.contender, trial.scenario
         members = list(contender.members)
+        source = self._source_of(trial)
         name = "-".join(map(str, members))
+        if contender.disturbed:
+            name = f"{source.stem}-{name}"
         is_baseline = contender.kind in baselines.KINDS
         if is_baseline:
             name = f"{contender.kind}-{scenario.vehicle}-{name}"
@@ -158,9 +186,9 @@ class Campaign:
         if not path.exists():
             path.parent.mkdir(exist_ok=True)
             if is_baseline:
-                baselines.write(path, contender.kind, self._source, members, scenario.vehicle)
+                baselines.write(path, contender.kind, source, members, scenario.vehicle)
             else:
-                write_library_subset(self._source, path, members)
+                write_library_subset(source, path, members)
         control = {**scenario.control, **(contender.control or {})}
         speed = replace(scenario.speed, **(contender.speed or {}))
         scenario = replace(scenario, library=str(path), control=control, speed=speed)
@@ -181,7 +209,7 @@ def _shown(experiment: ClosedLoopExperiment) -> list[Trial]:
 
 def require_members(library: Path, experiments: Iterable[ClosedLoopExperiment]) -> None:
     """Raise `EgpError` unless the library has all members that the experiments need."""
-    wanted = [m for e in experiments for c in e.contenders for m in c.members]
+    wanted = [m for e in experiments for c in e.contenders if not c.disturbed for m in c.members]
     found = len(Library.load(library).members)
     if max(wanted, default=-1) >= found:
         raise EgpError(
@@ -198,6 +226,11 @@ def fingerprint(trial: Trial, library: str) -> str:
     scenario = replace(trial.scenario, library=library, track=track).toml()
     text = json.dumps([*trial.key, trial.contender.kind, trial.contender.members, scenario])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@cache
+def _library_id(path: Path) -> str:
+    return Library.load(path).id
 
 
 def _build() -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.evaluation import unknown_roads
+from egp_service.evaluation import disturbances, unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.experiments import EXACT
 from egp_service.evaluation.hidden_ice import LARGEST_ERROR
@@ -65,6 +65,7 @@ def check(
         *_settling(outcomes),
         *_unknown(outcomes),
         *_departures(outcomes),
+        *_disturbances(outcomes),
         *_ice(ice),
     ]
     if predictions:
@@ -173,6 +174,23 @@ def _departures(outcomes: Sequence[Outcome]) -> list[Claim]:
                 )
             )
     return claims
+
+
+def _disturbances(outcomes: Sequence[Outcome]) -> list[Claim]:
+    found = disturbances.compare(outcomes, ENSEMBLE, disturbances.FITTED)
+    if not found:
+        return []
+    closer = [comparison.condition for comparison in found if comparison.closer]
+    others = [comparison.condition for comparison in found if not comparison.closer]
+    evidence = (("closer", closer), ("not closer", others))
+    return [
+        Claim(
+            "Under at least half of the disturbances the ensemble is closer to the path than the "
+            "fitted vehicles of its members alone, beyond a 95 % interval of the mean difference",
+            2 * len(closer) >= len(found),
+            "; ".join(f"{text}: {', '.join(names)}" for text, names in evidence if names),
+        )
+    ]
 
 
 def _ice(outcomes: Sequence[IceOutcome]) -> list[Claim]:

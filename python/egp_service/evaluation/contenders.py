@@ -120,6 +120,9 @@ class Contender:
     """Settings that override the scenario's."""
     speed: Mapping[str, Any] | None = None
     """Fields of `Speed` that override the scenario's: what its reference speed knows."""
+    disturbed: bool = False
+    """Whether its members are those of a vehicle with the disturbance of the condition, in place of
+    the evaluation library's."""
 
 
 def make(contender: Contender, scenario: Scenario) -> Controller:

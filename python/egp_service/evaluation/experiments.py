@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import VehicleParameters
-from egp_service.evaluation import hidden_ice, unknown_roads
+from egp_service.evaluation import disturbances, hidden_ice, unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, PAPER_WEIGHTS, Contender
 from egp_service.evaluation.experiment import (
     CUSTOM_TRACK,
@@ -273,6 +273,7 @@ EXPERIMENTS: Final = (
     _hard_roads(),
     unknown_roads.first_lap(),
     unknown_roads.five_laps(),
+    disturbances.experiment(),
 )
 # `entry_speed.find` turns each of its trials into a highest entry speed.
 OBSTACLE_AVOIDANCE: Final = _obstacle_avoidance()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service.evaluation import figures, hidden_ice, unknown_roads
+from egp_service.evaluation import disturbances, figures, hidden_ice, unknown_roads
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.entry_speed import SLOWEST
@@ -84,6 +84,10 @@ surfaces before it, and from there on by a controller that is told all zones: wi
 weights, and a reference speed that is planned for the true friction from the present speed on. The
 departure was <i>avoidable</i> if this one stays on the road until 100 m beyond the place. Otherwise
 the vehicle <i>came too fast</i>, and only a more careful reference speed avoids this."""
+
+
+_DISTURBANCES = """ The second table has the mean difference to the ensemble, paired by seed, with
+its bootstrap interval; it is positive where the ensemble is closer to the path."""
 
 
 def write_report(
@@ -185,6 +189,14 @@ def _section(
         heads = ("reference speed", "departures", "avoidable", "came too fast")
         tables.append(plain_table(heads, unknown_roads.departure_rows(groups, name)))
         text += _DEPARTURES
+    if name == disturbances.NAME:
+        heads = (
+            "lateral RMS, mm farther off",
+            "without Gaussian processes",
+            "with members of the undisturbed vehicle",
+        )
+        tables.append(plain_table(heads, disturbances.rows(outcomes)))
+        text += _DISTURBANCES
     if name == "friction-step":
         pictures.append(figures.draw_settling(outcomes, folder / "settling.png"))
     if compared := [(d.contender, d.run) for d in shown if d.condition == experiment.compared]:

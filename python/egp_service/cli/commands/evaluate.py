@@ -61,7 +61,8 @@ def evaluate(
 
     Experiments: prediction, varying-speed, lane-change, four-members,
     random-roads, friction-step, unseen-track, hard-roads, unknown-roads,
-    remembered-roads, hidden-ice, iso-3888-2, step-times.
+    remembered-roads, disturbances (with --full only), hidden-ice, iso-3888-2,
+    step-times.
 
     The same command resumes an interrupted evaluation. Requires the extras train
     and viz; with the extra paper, step-times includes the paper's stack.
@@ -76,6 +77,7 @@ def evaluate(
     import sys
 
     from egp_service._core import EgpError
+    from egp_service.evaluation import disturbances
     from egp_service.evaluation.batch import finish
     from egp_service.evaluation.campaign import Campaign, require_members
     from egp_service.evaluation.experiments import (
@@ -98,8 +100,10 @@ def evaluate(
     driven = [
         on_track(e, track, scale) if track and e.name == "unseen-track" else e
         for e in EXPERIMENTS
-        if e.name in chosen
+        if e.name in chosen and (full or e.quick_seeds)
     ]
+    if disturbances.NAME in chosen and not full:
+        console.print("disturbances trains six libraries and is driven with --full only.")
     source = _train(console, output, cluster) if train else library or EVALUATION_LIBRARY
     apart = [e for e in (OBSTACLE_AVOIDANCE, HIDDEN_ICE) if e.name in chosen]
     require_members(source, [*driven, *apart])
@@ -107,6 +111,8 @@ def evaluate(
     if campaign.of_another_build:
         console.print(f"{output} contains runs of another build, which are kept.", highlight=False)
         console.print("Choose another --output to drive all runs with this build.", highlight=False)
+    if disturbances.NAME in {e.name for e in driven}:
+        _train_disturbed(console, campaign, jobs, cluster)
     with _progress(console) as progress:
         predictions = _predictions(progress, output, full=full) if "prediction" in chosen else None
         runs = _runs(progress, campaign, driven, full=full)
@@ -162,6 +168,22 @@ def _train(console: Console, output: Path, cluster: str | None) -> Path:
         displays = Displays(lambda: collecting(console), lambda: fitting(console))
         write(path, make(displays, cluster=cluster))
     return path
+
+
+def _train_disturbed(
+    console: Console, campaign: "Campaign", jobs: int | None, cluster: str | None
+) -> None:
+    from egp_service.cli.progress import collecting, fitting
+    from egp_service.evaluation.disturbances import DISTURBED
+    from egp_service.evaluation.disturbed_library import train
+    from egp_service.training.recipe import Displays
+
+    displays = Displays(lambda: collecting(console), lambda: fitting(console))
+    for condition, disturbances in DISTURBED.items():
+        path = campaign.disturbed_library(condition)
+        if not path.exists():
+            console.print(f"Training the library of a vehicle with: {condition}", highlight=False)
+            train(path, disturbances, displays, jobs=jobs, cluster=cluster)
 
 
 def _predictions(progress: "Progress", output: Path, *, full: bool) -> "Batch[Any, SeedOutcomes]":
