@@ -14,7 +14,15 @@ from egp_service.evaluation.batch import finish
 from egp_service.evaluation.campaign import Campaign, Outcome, require_members
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE
-from egp_service.evaluation.disturbances import DISTURBED, ELSEWHERE, FITTED, NAME, compare, rows
+from egp_service.evaluation.disturbances import (
+    DISTURBED,
+    ELSEWHERE,
+    FITTED,
+    GENTLE,
+    NAME,
+    compare,
+    rows,
+)
 from egp_service.evaluation.disturbed_library import train
 from egp_service.evaluation.experiment import CUSTOM_TRACK
 from egp_service.shipped import DEMO_LIBRARY, DISTURBANCE_RECIPE, EVALUATION_LIBRARY
@@ -67,6 +75,10 @@ def test_members_are_trained_with_the_disturbance_and_drive_with_it(tmp_path: Pa
     members = [Library.load(trial.scenario.library).members for trial in batch.parts.values()]
     assert [found[0].n_points for found in members] == [40, 0, 400, 0]
     assert [found[0].dataset == own[0].dataset for found in members] == [True, True, False, False]
+    # The same library serves the conditions with less grip.
+    gentle = replace(trials[0], condition=FIRST + GENTLE)
+    (of_gentle,) = campaign.runs([gentle], lambda _: None).parts.values()
+    assert of_gentle.scenario.library == next(iter(batch.parts.values())).scenario.library
     # Another library of the disturbance is another trial.
     first = list(batch.parts)
     other = Campaign(tmp_path / "other", EVALUATION_LIBRARY)
@@ -126,6 +138,8 @@ def test_differences_are_paired_by_seed() -> None:
     assert comparison.gain.value == pytest.approx(0.0005)
     assert not comparison.closer
     assert compare(found, FITTED, ENSEMBLE)[0].gain.value == pytest.approx(-0.0005)
+    assert compare(found, ENSEMBLE, FITTED, GENTLE) == []
+    assert rows(found) == [(FIRST, "+0.50 (+0.50 to +0.50)", "-")]
     found += runs(FIRST, ENSEMBLE + ELSEWHERE, 0.002)
     assert rows(found) == [(FIRST, "+0.50 (+0.50 to +0.50)", "+2.00 (+2.00 to +2.00)")]
 

@@ -18,6 +18,7 @@ from egp_service.evaluation import baselines, unknown_roads
 from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.contenders import ENSEMBLE, make
 from egp_service.evaluation.departures import avoidable
+from egp_service.evaluation.disturbances import GENTLE
 from egp_service.evaluation.experiments import HALF_WIDTH
 from egp_service.evaluation.settling import resolution, settling_times
 from egp_service.simulation.closed_loop import drive
@@ -148,9 +149,9 @@ class Campaign:
             found.setdefault(trial.experiment, []).append(drive)
         return found
 
-    def disturbed_library(self, condition: str) -> Path:
-        """Path of the library of a vehicle with the disturbance of a condition."""
-        return self._folder / "disturbed" / f"{re.sub(r'[^a-z0-9]+', '-', condition)}.safetensors"
+    def disturbed_library(self, name: str) -> Path:
+        """Path of the library of a vehicle with one of `disturbances.DISTURBED`."""
+        return self._folder / "disturbed" / f"{re.sub(r'[^a-z0-9]+', '-', name)}.safetensors"
 
     def _identity(self, trial: Trial) -> str:
         """Identify the trial's library and the default settings."""
@@ -164,7 +165,7 @@ class Campaign:
         """
         if not trial.contender.disturbed:
             return self._source
-        path = self.disturbed_library(trial.condition)
+        path = self.disturbed_library(trial.condition.removesuffix(GENTLE))
         if not path.exists():
             raise EgpError(
                 f"{path} is missing: egp evaluate --full -e {trial.experiment} trains it"

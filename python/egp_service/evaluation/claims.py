@@ -186,7 +186,8 @@ def _disturbances(outcomes: Sequence[Outcome]) -> list[Claim]:
     return [
         Claim(
             "Under at least half of the disturbances the ensemble is closer to the path than the "
-            "fitted vehicles of its members alone, beyond a 95 % interval of the mean difference",
+            "fitted vehicles of its members alone, at 90 % of the grip and beyond a 95 % interval "
+            "of the mean difference",
             2 * len(closer) >= len(found),
             "; ".join(f"{text}: {', '.join(names)}" for text, names in evidence if names),
         )

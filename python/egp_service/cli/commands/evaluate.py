@@ -179,10 +179,10 @@ def _train_disturbed(
     from egp_service.training.recipe import Displays
 
     displays = Displays(lambda: collecting(console), lambda: fitting(console))
-    for condition, disturbances in DISTURBED.items():
-        path = campaign.disturbed_library(condition)
+    for name, disturbances in DISTURBED.items():
+        path = campaign.disturbed_library(name)
         if not path.exists():
-            console.print(f"Training the library of a vehicle with: {condition}", highlight=False)
+            console.print(f"Training the library of a vehicle with: {name}", highlight=False)
             train(path, disturbances, displays, jobs=jobs, cluster=cluster)
 
 
