@@ -77,6 +77,7 @@ def outcome(
         off_track=0.0,
         settling=(0.2,),
         resolution=None,
+        avoidable=None,
         misses=0,
         late=0,
         step_ms=0.3,

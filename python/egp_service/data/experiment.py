@@ -1,4 +1,4 @@
-"""Parameters of data collection: vehicle, surface, period and actuator limits."""
+"""Parameters of data collection: vehicle with its disturbances, surface, period and limits."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from egp_service.data.dataset import Provenance
 from egp_service.vehicle import simulated_name
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
 # m, within 8 % of both CommonRoad cars; it is used for the excitation only.
@@ -54,6 +56,20 @@ class Experiment:
     """Control period, s."""
     vehicle: int = 1
     """CommonRoad's number: 1 Ford Escort, 2 BMW 320i."""
+    disturbances: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    """What the vehicle has beyond a single-track model, by the names of the table `disturbances` of
+    a scenario; 0 unless stated."""
+
+    def __post_init__(self) -> None:
+        """Check vehicle and disturbances."""
+        self.plant()
+
+    def plant(self) -> Plant:
+        """Return the simulated vehicle, at rest.
+
+        Raises `EgpError` if there is no such vehicle or disturbance, or a value is out of range.
+        """
+        return Plant(self.vehicle, self.disturbances)
 
     @property
     def mu(self) -> float:
@@ -70,13 +86,16 @@ class Experiment:
 
     @property
     def mass(self) -> float:
-        """Mass of the vehicle, kg."""
-        return Plant(self.vehicle).mass
+        """Mass of the vehicle without a load, kg."""
+        return self.plant().mass
 
     def provenance(self, method: str) -> Provenance:
         """Return the provenance of data that `method` collected in this experiment."""
         if isinstance(self.friction, str):
             method = f"{method} on {self.friction}"
+        if self.disturbances:
+            values = (f"{name} {value:g}" for name, value in sorted(self.disturbances.items()))
+            method = f"{method} with {', '.join(values)}"
         return Provenance(
             dt=self.dt,
             vehicle=simulated_name(self.vehicle),

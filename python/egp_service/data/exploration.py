@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import EgpError, Plant
+from egp_service._core import EgpError
 from egp_service.data.dataset import Dataset
 from egp_service.data.driver import Driver
 from egp_service.quantities import DELTA, MOTION, NU, NX, OMEGA, P_X, P_Y, PSI, V_X, V_Y, gp_input
@@ -99,7 +99,7 @@ def _episode(
     surface_before = settings.arrival_friction if arrives else experiment.friction
     before = settings.arrival_friction if arrives else experiment.mu
     reaction = rng.uniform(*settings.reaction) if arrives else 0.0
-    plant = Plant(experiment.vehicle)
+    plant = experiment.plant()
     x = track.start(rng.uniform(0.0, track.length), before, grip)
     plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], x[OMEGA], x[V_Y], x[DELTA])
     driver = Driver(

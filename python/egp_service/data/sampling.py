@@ -12,16 +12,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import GRAVITY, EgpError, plant_initial_states, plant_step_batch
+from egp_service._core import GRAVITY, EgpError
 from egp_service.data.dataset import Dataset
 from egp_service.data.experiment import WHEELBASE, Experiment, largest_acceleration
-from egp_service.quantities import F_X, NY, NZ
+from egp_service.quantities import DELTA, F_X, NY, NZ, OMEGA, P_X, P_Y, PSI, V_X, V_Y
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # Columns of the 29 states: v_x, v_y, omega, delta.
 _VISIBLE: Final = (3, 10, 5, 2)
+_STANDSTILL: Final = 0.5  # m/s; slower vehicles count as standing
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,19 +62,12 @@ def sample(
     rng = np.random.default_rng(experiment.seed)
     start, inputs = _draw(experiment, count, bounds, rng)
     inputs[:, F_X] *= experiment.mass
-    states = plant_initial_states(start, experiment.vehicle)
-    alive = np.ones(count, dtype=bool)
-    history = [states]
-    for _ in range(settle + keep):
-        states, completed = plant_step_batch(
-            states, inputs, experiment.dt, experiment.friction, experiment.vehicle
-        )
-        alive &= completed & (states[:, _VISIBLE[0]] > 0.5)  # noqa: PLR2004 - standing still
-        history.append(states)
-    visible = np.stack(history, axis=1)[alive][:, settle:, _VISIBLE]
-    survivors = len(visible)
+    driven = [_drive(experiment, x, u, settle + keep) for x, u in zip(start, inputs, strict=True)]
+    alive = [number for number, states in enumerate(driven) if states is not None]
+    survivors = len(alive)
     if survivors == 0:
         raise EgpError(f"all {count} samples spun or stopped: narrow the bounds {bounds}")
+    visible = np.array([states for states in driven if states is not None])[:, settle:, _VISIBLE]
     repeated = np.repeat(inputs[alive][:, None, :], keep, axis=1)
     z = np.concatenate([visible[:, :-1], repeated], axis=2)
     return Dataset(
@@ -83,6 +77,27 @@ def sample(
         step=np.tile(np.arange(keep, dtype=np.uint32), survivors),
         provenance=experiment.provenance("random sampling"),
     )
+
+
+def _drive(
+    experiment: Experiment, x: NDArray[np.float64], u: NDArray[np.float64], periods: int
+) -> NDArray[np.float64] | None:
+    """Drive from the state x (7,) with the input u (2,); return the states (periods + 1, 29).
+
+    None if the vehicle spun or stopped.
+    """
+    plant = experiment.plant()
+    plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], x[OMEGA], x[V_Y], x[DELTA])
+    states = [plant.state]
+    for _ in range(periods):
+        try:
+            plant.step(u, experiment.dt, experiment.friction)
+        except EgpError:  # the vehicle spun
+            return None
+        states.append(plant.state)
+        if states[-1][_VISIBLE[0]] <= _STANDSTILL:
+            return None
+    return np.array(states)
 
 
 def _draw(

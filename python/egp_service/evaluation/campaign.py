@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -15,7 +17,9 @@ from egp_service._core import EgpError, Engine, Library, write_library_subset
 from egp_service.evaluation import baselines, fleet_roads
 from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.contenders import ENSEMBLE, make
-from egp_service.evaluation.experiments import HALF_WIDTH
+from egp_service.evaluation.departures import avoidable
+from egp_service.evaluation.disturbances import GENTLE
+from egp_service.evaluation.experiments import HALF_WIDTH, REPLAYED
 from egp_service.evaluation.settling import resolution, settling_times
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
@@ -62,6 +66,9 @@ class Outcome:
     """Settling time of the weights after each friction change under excitation, s."""
     resolution: float | None
     """Bound on the accuracy of the friction from one window, for the ensemble's friction steps."""
+    avoidable: bool | None
+    """Whether a replay that is told everything avoids the departure; None without a departure, and
+    in experiments whose departures are not replayed."""
     misses: int
     """Number of periods without a usable plan."""
     late: int
@@ -118,7 +125,7 @@ class Campaign:
     ) -> Batch[Trial, Result]:
         """Trials for the function `work`, whose results of this `kind` go to `{name}.jsonl`."""
         wanted = [self._with_library(trial) for trial in trials]
-        parts = {fingerprint(trial, self._id + self._defaults): trial for trial in wanted}
+        parts = {fingerprint(trial, self._identity(trial)): trial for trial in wanted}
         return Batch(self._folder / f"{name}.jsonl", parts, work, _reader(kind), report)
 
     def drives(
@@ -142,11 +149,37 @@ class Campaign:
             found.setdefault(trial.experiment, []).append(drive)
         return found
 
+    def disturbed_library(self, name: str) -> Path:
+        """Path of the library of a vehicle with one of `disturbances.DISTURBED`."""
+        return self._folder / "disturbed" / f"{re.sub(r'[^a-z0-9]+', '-', name)}.safetensors"
+
+    def _identity(self, trial: Trial) -> str:
+        """Identify the trial's library and the default settings."""
+        own = self._source_of(trial)
+        return (self._id if own == self._source else _library_id(own)) + self._defaults
+
+    def _source_of(self, trial: Trial) -> Path:
+        """Return the library that the members of the trial's contender are taken from.
+
+        Raises `EgpError` if it is that of a disturbance and has not been trained.
+        """
+        if not trial.contender.disturbed:
+            return self._source
+        path = self.disturbed_library(trial.condition.removesuffix(GENTLE))
+        if not path.exists():
+            raise EgpError(
+                f"{path} is missing: egp evaluate --full -e {trial.experiment} trains it"
+            )
+        return path
+
     def _with_library(self, trial: Trial) -> Trial:
         """Return the trial with the library of its contender, writing it if necessary."""
         contender, scenario = trial.contender, trial.scenario
         members = list(contender.members)
+        source = self._source_of(trial)
         name = "-".join(map(str, members))
+        if contender.disturbed:
+            name = f"{source.stem}-{name}"
         is_baseline = contender.kind in baselines.KINDS
         if is_baseline:
             name = f"{contender.kind}-{scenario.vehicle}-{name}"
@@ -154,9 +187,9 @@ class Campaign:
         if not path.exists():
             path.parent.mkdir(exist_ok=True)
             if is_baseline:
-                baselines.write(path, contender.kind, self._source, members, scenario.vehicle)
+                baselines.write(path, contender.kind, source, members, scenario.vehicle)
             else:
-                write_library_subset(self._source, path, members)
+                write_library_subset(source, path, members)
         control = {**scenario.control, **(contender.control or {})}
         speed = replace(scenario.speed, **(contender.speed or {}))
         scenario = replace(scenario, library=str(path), control=control, speed=speed)
@@ -177,7 +210,7 @@ def _shown(experiment: ClosedLoopExperiment) -> list[Trial]:
 
 def require_members(library: Path, experiments: Iterable[ClosedLoopExperiment]) -> None:
     """Raise `EgpError` unless the library has all members that the experiments need."""
-    wanted = [m for e in experiments for c in e.contenders for m in c.members]
+    wanted = [m for e in experiments for c in e.contenders if not c.disturbed for m in c.members]
     found = len(Library.load(library).members)
     if max(wanted, default=-1) >= found:
         raise EgpError(
@@ -194,6 +227,11 @@ def fingerprint(trial: Trial, library: str) -> str:
     scenario = replace(trial.scenario, library=library, track=track).toml()
     text = json.dumps([*trial.key, trial.contender.kind, trial.contender.members, scenario])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@cache
+def _library_id(path: Path) -> str:
+    return Library.load(path).id
 
 
 def _build() -> str:
@@ -240,10 +278,17 @@ def _outcome(trial: Trial, run: Run) -> Outcome:
         off_track=off_track(trial.scenario, run),
         settling=tuple(settling_times(run)),
         resolution=resolution(run) if _is_resolved(trial) else None,
+        avoidable=_avoidable(trial, run),
         misses=summary.periods - summary.solver_statuses.get("solved", 0),
         late=int(np.sum(run.trace.step_time > run.dt)),
         step_ms=summary.step_time_ms["p50"],
     )
+
+
+def _avoidable(trial: Trial, run: Run) -> bool | None:
+    if trial.experiment not in REPLAYED:
+        return None
+    return avoidable(trial.contender, run, lambda: fleet_roads.reported(trial))
 
 
 def _is_resolved(trial: Trial) -> bool:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.evaluation import fleet_roads, unknown_roads
+from egp_service.evaluation import disturbances, fleet_roads, unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.evaluation.experiments import EXACT, NARROW
+from egp_service.evaluation.experiments import EXACT, NARROW, REPLAYED
+from egp_service.evaluation.hidden_ice import LARGEST_ERROR
 from egp_service.evaluation.statistics import grouped, mean
 from egp_service.evaluation.unknown_roads import ASSUMED, BELIEF, HERE, RISKS
 from egp_service.quantities import MOTION_LABELS
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from egp_service.evaluation.campaign import Outcome
+    from egp_service.evaluation.hidden_ice import IceOutcome
     from egp_service.evaluation.prediction import PredictionOutcome
 
 POOLED: Final = "A∪D"  # noqa: RUF001 - the union
@@ -51,7 +53,11 @@ class Claim:
     evidence: str
 
 
-def check(outcomes: Sequence[Outcome], predictions: Sequence[PredictionOutcome]) -> list[Claim]:
+def check(
+    outcomes: Sequence[Outcome],
+    predictions: Sequence[PredictionOutcome],
+    ice: Sequence[IceOutcome] = (),
+) -> list[Claim]:
     """Check every claim for which there are outcomes."""
     claims = [
         *_completions(outcomes),
@@ -62,6 +68,9 @@ def check(outcomes: Sequence[Outcome], predictions: Sequence[PredictionOutcome])
         *_unknown(outcomes),
         *_narrow(outcomes),
         *_fleet(outcomes),
+        *_departures(outcomes),
+        *_disturbances(outcomes),
+        *_ice(ice),
     ]
     if predictions:
         claims += _ordering(predictions)
@@ -164,6 +173,70 @@ def _unknown(outcomes: Sequence[Outcome]) -> list[Claim]:
                 )
             )
     return claims
+
+
+def _departures(outcomes: Sequence[Outcome]) -> list[Claim]:
+    claims = []
+    for experiment in REPLAYED:
+        own = [
+            o
+            for o in outcomes
+            if o.experiment == experiment
+            and (o.contender.startswith(BELIEF) or experiment == fleet_roads.FLEET)
+            and o.contender != ORACLE
+        ]
+        replayed = [o for o in own if o.avoidable is not None]
+        avoidable = [o for o in replayed if o.avoidable]
+        if own:
+            where = ", ".join(f"{o.contender}, seed {o.seed}" for o in avoidable)
+            claims.append(
+                Claim(
+                    f"No departure of {experiment} at a speed from what control steps found would "
+                    "have been avoided by a controller that is told everything from the last "
+                    "border on",
+                    not avoidable,
+                    f"{len(avoidable)} of {len(replayed)} departures in {len(own)} runs"
+                    + (f": {where}" if where else ""),
+                )
+            )
+    return claims
+
+
+def _disturbances(outcomes: Sequence[Outcome]) -> list[Claim]:
+    found = disturbances.compare(outcomes, ENSEMBLE, disturbances.FITTED)
+    if not found:
+        return []
+    closer = [comparison.condition for comparison in found if comparison.closer]
+    others = [comparison.condition for comparison in found if not comparison.closer]
+    evidence = (("closer", closer), ("not closer", others))
+    return [
+        Claim(
+            "Under at least half of the disturbances the ensemble is closer to the path than the "
+            "fitted vehicles of its members alone, at 90 % of the grip and beyond a 95 % interval "
+            "of the mean difference",
+            2 * len(closer) >= len(found),
+            "; ".join(f"{text}: {', '.join(names)}" for text, names in evidence if names),
+        )
+    ]
+
+
+def _ice(outcomes: Sequence[IceOutcome]) -> list[Claim]:
+    own = [o for o in outcomes if o.contender.startswith(BELIEF)]
+    errors = [error for o in own for error in o.errors_after]
+    if not errors:
+        return []
+    within = sum(error <= LARGEST_ERROR for error in errors)
+    on_first = sum(any(o.found[1:2]) for o in own)
+    return [
+        Claim(
+            "On the laps after a hidden patch of ice was found, the vehicle is never more than "
+            f"{LARGEST_ERROR:g} m from the path",
+            within == len(errors),
+            f"{within} of {len(errors)} laps, at worst {max(errors):.2f} m; found on the first lap "
+            f"in {on_first} of {len(own)} runs; "
+            f"{sum(not o.completed for o in own)} runs were not completed",
+        )
+    ]
 
 
 def _regret(outcomes: Sequence[Outcome]) -> list[Claim]:

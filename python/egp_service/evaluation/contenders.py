@@ -35,13 +35,18 @@ ENSEMBLE: Final = "ensemble"
 ORACLE: Final = "oracle"
 
 
-class _Oracle(Controller):
-    """A controller that knows the true friction and interpolates between the nearest members."""
+class Oracle(Controller):
+    """A controller that is told the true friction and interpolates between the nearest members."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, told_from: int = 0) -> None:
+        """Load the scenario's library; `told_from` is the first period with the oracle's weights.
+
+        Before this period it estimates the weights as every other controller.
+        """
         super().__init__(library_path(scenario), scenario.control, gate=gate_settings(scenario))
         self._path = build_path(scenario)
         self._s = 0.0
+        self._untold = told_from
         members = Library.load(library_path(scenario)).members
         self._frictions = np.array([member.friction for member in members])
 
@@ -57,8 +62,11 @@ class _Oracle(Controller):
         """Set the weights from the true friction, then step."""
         projection = self._path.project(np.asarray(x, dtype=np.float64)[POSITION], self._s)
         self._s = projection.s
-        weights = interpolated_weights(self._frictions, projection.friction)
-        self._driver.hold_weights(weights)
+        if self._untold > 0:
+            self._untold -= 1
+        else:
+            weights = interpolated_weights(self._frictions, projection.friction)
+            self._driver.hold_weights(weights)
         return super().step(x, reference, widths, road_friction=road_friction, deadline=deadline)
 
 
@@ -116,6 +124,9 @@ class Contender:
     """Settings that override the scenario's."""
     speed: Mapping[str, Any] | None = None
     """Fields of `Speed` that override the scenario's: what its reference speed knows."""
+    disturbed: bool = False
+    """Whether its members are those of a vehicle with the disturbance of the condition, in place of
+    the evaluation library's."""
 
 
 def make(contender: Contender, scenario: Scenario) -> Controller:
@@ -125,7 +136,7 @@ def make(contender: Contender, scenario: Scenario) -> Controller:
     """
     makers: dict[str, Callable[[Scenario], Controller]] = {
         "ensemble": in_process_controller,
-        "oracle": _Oracle,
+        "oracle": Oracle,
         "selection": _Selection,
         **dict.fromkeys(baselines.KINDS, in_process_controller),
     }

@@ -10,7 +10,7 @@ import numpy as np
 from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track, Zone
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from egp_service.evaluation.contenders import Contender
 
@@ -19,8 +19,28 @@ M05, M06, M09, M11, POOLED = 0, 1, 2, 3, 4
 TWO: Final = (M05, M11)
 # A survey-grade satellite receiver with a good inertial unit and a steering encoder.
 NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
+CUSTOM_TRACK: Final = Track(
+    "rounded-rectangle",
+    parameters={"length": 140.0, "width": 80.0, "radius": 20.0, "transition": 12.0},
+)
 FASTEST: Final = 25.0
 _ZONE_JITTER: Final = 0.02  # largest shift of zones as a share of the path's length
+
+
+def jittered(scenario: Scenario, frictions: tuple[float, float] = (0.5, 1.1)) -> Scenario:
+    """Shift zone borders randomly, or draw new zones in a range of frictions on a random track."""
+    rng = np.random.default_rng([scenario.seed, 7])
+    if scenario.track.kind == "random":
+        count = int(rng.integers(3, 7))
+        borders = np.sort(rng.uniform(0.05, 0.95, count - 1))
+        starts = (0.0, *(float(border) for border in borders))
+        drawn = rng.uniform(*frictions, count)
+        zones = tuple(Zone(s, float(mu)) for s, mu in zip(starts, drawn, strict=True))
+        return replace(scenario, zones=zones)
+    shift = float(rng.uniform(-_ZONE_JITTER, _ZONE_JITTER))
+    first, *others = scenario.zones
+    moved = (replace(zone, start=zone.start + shift) for zone in others)
+    return replace(scenario, zones=(first, *moved))
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +70,8 @@ class ClosedLoopExperiment:
     contenders: tuple[Contender, ...]
     seeds: int
     quick_seeds: int
-    frictions: tuple[float, float] = (0.5, 1.1)
-    """Range of the frictions of random roads."""
+    road: Callable[[Scenario], Scenario] = jittered
+    """Gives the zones for the scenario's seed."""
 
     @property
     def compared(self) -> str:
@@ -63,7 +83,7 @@ class ClosedLoopExperiment:
         for seed in seeds:
             for condition, scenario in self.conditions:
                 # All contenders have the same road and noise for the same seed.
-                driven = _jittered(replace(scenario, seed=seed), seed, self.frictions)
+                driven = self.road(replace(scenario, seed=seed))
                 for contender in self.contenders:
                     yield Trial(self.name, condition, contender, driven)
 
@@ -79,19 +99,3 @@ def on_surfaces(
         speed=Speed(grip=grip, v_max=v_max),
         measurement=NOISE,
     )
-
-
-def _jittered(scenario: Scenario, seed: int, frictions: tuple[float, float]) -> Scenario:
-    """Shift zone borders randomly, or draw new zones on a random track."""
-    rng = np.random.default_rng([seed, 7])
-    if scenario.track.kind == "random":
-        count = int(rng.integers(3, 7))
-        borders = np.sort(rng.uniform(0.05, 0.95, count - 1))
-        starts = (0.0, *(float(border) for border in borders))
-        drawn = rng.uniform(*frictions, count)
-        zones = tuple(Zone(s, float(mu)) for s, mu in zip(starts, drawn, strict=True))
-        return replace(scenario, zones=zones)
-    shift = float(rng.uniform(-_ZONE_JITTER, _ZONE_JITTER))
-    first, *others = scenario.zones
-    moved = (replace(zone, start=zone.start + shift) for zone in others)
-    return replace(scenario, zones=(first, *moved))

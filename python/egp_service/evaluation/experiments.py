@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import VehicleParameters
-from egp_service.evaluation import fleet_roads, unknown_roads
+from egp_service.evaluation import disturbances, fleet_roads, hidden_ice, unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, PAPER_WEIGHTS, Contender
 from egp_service.evaluation.experiment import (
+    CUSTOM_TRACK,
     M05,
     M06,
     M09,
@@ -36,13 +37,11 @@ if TYPE_CHECKING:
 CONSTANT_MEAN: Final = (5, 6)
 FOUR: Final = (M05, M06, M09, M11)
 NARROW: Final = "narrow-track"
+REPLAYED: Final = (unknown_roads.FIRST, unknown_roads.LATER, fleet_roads.FLEET)
+"""Experiments whose departures are replayed."""
 # Suffix of conditions without measurement noise.
 EXACT: Final = ", exact sensors"
 HALF_WIDTH: Final = 0.837  # half of the vehicle's width, m
-CUSTOM_TRACK: Final = Track(
-    "rounded-rectangle",
-    parameters={"length": 140.0, "width": 80.0, "radius": 20.0, "transition": 12.0},
-)
 
 
 def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender, ...]:
@@ -304,6 +303,9 @@ EXPERIMENTS: Final = (
     unknown_roads.first_lap(),
     unknown_roads.five_laps(),
     fleet_roads.first_lap_with_a_map(),
+    disturbances.experiment(),
 )
 # `entry_speed.find` turns each of its trials into a highest entry speed.
 OBSTACLE_AVOIDANCE: Final = _obstacle_avoidance()
+# `hidden_ice.run` drives its trials.
+HIDDEN_ICE: Final = hidden_ice.experiment()

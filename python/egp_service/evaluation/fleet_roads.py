@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from egp_service._core import RoadBelief, merge_tiles
 from egp_service.evaluation.contenders import ORACLE, Contender, make
-from egp_service.evaluation.experiment import TWO, ClosedLoopExperiment, on_surfaces
+from egp_service.evaluation.experiment import TWO, ClosedLoopExperiment, jittered, on_surfaces
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import Track
@@ -58,7 +59,7 @@ def first_lap_with_a_map() -> ClosedLoopExperiment:
         ),
         seeds=20,
         quick_seeds=1,
-        frictions=(0.25, 1.1),
+        road=partial(jittered, frictions=(0.25, 1.1)),
     )
 
 

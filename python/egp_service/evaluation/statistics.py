@@ -56,6 +56,10 @@ class Group:
     without such a seed."""
     time_regret: Interval
     """Median ratio of lap times, likewise."""
+    avoidable: int
+    """Number of departures that a replay avoids."""
+    too_fast: int
+    """Number of departures that no replay avoids, because the vehicle came too fast."""
     misses: int
     late: int
     step_ms: float
@@ -127,6 +131,8 @@ def _group(
         settling=median([time for run in runs for time in run.settling]),
         regret=median([own.lateral_rms / best.lateral_rms for own, best in pairs]),
         time_regret=median([own.time / best.time for own, best in pairs]),
+        avoidable=sum(run.avoidable is True for run in runs),
+        too_fast=sum(run.avoidable is False for run in runs),
         misses=sum(run.misses for run in runs),
         late=sum(run.late for run in runs),
         step_ms=float(np.median([run.step_ms for run in runs])),

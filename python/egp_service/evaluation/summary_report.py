@@ -11,11 +11,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service.evaluation import figures, unknown_roads
+from egp_service.evaluation import disturbances, figures, hidden_ice, unknown_roads
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.entry_speed import SLOWEST
-from egp_service.evaluation.experiments import EXPERIMENTS, OBSTACLE_AVOIDANCE, VARIANTS
+from egp_service.evaluation.experiments import (
+    EXPERIMENTS,
+    HIDDEN_ICE,
+    OBSTACLE_AVOIDANCE,
+    REPLAYED,
+    VARIANTS,
+)
 from egp_service.evaluation.html import (
     Section,
     claim_table,
@@ -35,6 +41,7 @@ if TYPE_CHECKING:
 
     from egp_service.evaluation.campaign import Drive, Outcome
     from egp_service.evaluation.entry_speed import EntrySpeed
+    from egp_service.evaluation.hidden_ice import IceOutcome
     from egp_service.evaluation.prediction import PredictionOutcome
     from egp_service.evaluation.scaling import StepTime
     from egp_service.evaluation.statistics import Group, Interval
@@ -78,6 +85,17 @@ paper. Tracks are computed from their definitions or drawn from a seed; friction
 paper's text."""
 
 
+_DEPARTURES = """ Each departure was driven again, in the same states up to the last border of
+surfaces before it, and from there on by a controller that is told all zones: with the oracle's
+weights, and a reference speed that is planned for the true friction from the present speed on. The
+departure was <i>avoidable</i> if this one stays on the road until 100 m beyond the place. Otherwise
+the vehicle <i>came too fast</i>, and only a more careful reference speed avoids this."""
+
+
+_DISTURBANCES = """ The second table has the mean difference to the ensemble, paired by seed, with
+its bootstrap interval; it is positive where the ensemble is closer to the path."""
+
+
 def write_report(
     folder: Path,
     command: str,
@@ -85,6 +103,7 @@ def write_report(
     outcomes: Sequence[Outcome],
     predictions: Sequence[PredictionOutcome],
     speeds: Sequence[EntrySpeed],
+    ice: Sequence[IceOutcome],
     times: Sequence[StepTime],
     drives: dict[str, list[Drive]],
 ) -> Path:
@@ -95,10 +114,11 @@ def write_report(
     _write_csv(folder / "runs.csv", [asdict(o) for o in outcomes])
     _write_csv(folder / "prediction.csv", [asdict(p) for p in predictions])
     _write_csv(folder / "entry-speeds.csv", [asdict(s) for s in speeds])
+    _write_csv(folder / "hidden-ice.csv", [asdict(i) for i in ice])
     _write_csv(folder / "step-times.csv", [asdict(t) for t in times])
     groups = grouped(outcomes)
     sections = [
-        Section("Claims", _CLAIMS, tables=(claim_table(check(outcomes, predictions)),)),
+        Section("Claims", _CLAIMS, tables=(claim_table(check(outcomes, predictions, ice)),)),
         Section("Where this differs from the paper", _DIFFERENCES),
     ]
     if regret := _regret_section(groups):
@@ -112,6 +132,9 @@ def write_report(
             sections.append(_section(folder, experiment.name, own, outcomes, shown))
         if own and experiment.name == "friction-step":
             sections.append(_resolution_section(outcomes))
+    if ice:
+        table = plain_table(hidden_ice.HEADS, hidden_ice.rows(ice))
+        sections.append(Section(HIDDEN_ICE.title, HIDDEN_ICE.question, tables=(table,)))
     if speeds:
         sections.append(_entry_speed_section(folder, speeds))
     if times:
@@ -159,6 +182,7 @@ def _section(
     shown: Sequence[Drive],
 ) -> Section:
     experiment = next(e for e in EXPERIMENTS if e.name == name)
+    text = experiment.question
     pictures = [figures.draw_completion(groups, folder / f"{name}.png")]
     tables = [group_table(groups)]
     if name == unknown_roads.FIRST:
@@ -167,6 +191,18 @@ def _section(
         laps = tuple(f"lap {lap + 1}" for lap in range(max(map(len, rows)) - 3))
         heads = ("lap time / oracle's", "completed", "all laps", *laps)
         tables.append(plain_table(heads, rows))
+    if name in REPLAYED:
+        heads = ("reference speed", "departures", "avoidable", "came too fast")
+        tables.append(plain_table(heads, unknown_roads.departure_rows(groups, name)))
+        text += _DEPARTURES
+    if name == disturbances.NAME:
+        heads = (
+            "lateral RMS, mm farther off",
+            "without Gaussian processes",
+            "with members of the undisturbed vehicle",
+        )
+        tables.append(plain_table(heads, disturbances.rows(outcomes)))
+        text += _DISTURBANCES
     if name == "friction-step":
         pictures.append(figures.draw_settling(outcomes, folder / "settling.png"))
     if compared := [(d.contender, d.run) for d in shown if d.condition == experiment.compared]:
@@ -182,7 +218,6 @@ def _section(
     settling = [
         t for o in outcomes if o.experiment == name and o.contender == ENSEMBLE for t in o.settling
     ]
-    text = experiment.question
     if settling and name != "friction-step":  # which has a claim for each condition
         text += (
             f" The ensemble's weights settled after {np.median(settling):.2f} s (median of "

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from egp_service.evaluation.contenders import ORACLE, Contender
-from egp_service.evaluation.experiment import TWO, ClosedLoopExperiment, on_surfaces
+from egp_service.evaluation.experiment import TWO, ClosedLoopExperiment, jittered, on_surfaces
 from egp_service.evaluation.statistics import median
 from egp_service.simulation.scenario import Track
 
@@ -64,7 +65,7 @@ def first_lap() -> ClosedLoopExperiment:
         ),
         seeds=30,
         quick_seeds=1,
-        frictions=(0.25, 1.1),
+        road=partial(jittered, frictions=(0.25, 1.1)),
     )
 
 
@@ -85,7 +86,7 @@ def five_laps() -> ClosedLoopExperiment:
         ),
         seeds=20,
         quick_seeds=1,
-        frictions=(0.25, 1.1),
+        road=partial(jittered, frictions=(0.25, 1.1)),
     )
 
 
@@ -149,6 +150,15 @@ def lap_rows(groups: Sequence[Group], outcomes: Sequence[Outcome]) -> list[tuple
                 )
             )
     return rows
+
+
+def departure_rows(groups: Sequence[Group], experiment: str) -> list[tuple[str, ...]]:
+    """Return rows `source, departures, avoidable ones, others` of an experiment."""
+    return [
+        (g.contender, f"{g.avoidable + g.too_fast} of {g.runs}", str(g.avoidable), str(g.too_fast))
+        for g in groups
+        if g.experiment == experiment
+    ]
 
 
 def kind(contender: str) -> str:

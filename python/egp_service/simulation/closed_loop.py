@@ -17,7 +17,7 @@ import numpy as np
 from egp_service._core import EgpError, Library, Plant, horizon_reference
 from egp_service.quantities import NU, NX, POSITION, PSI, V_X
 from egp_service.simulation.course import build_path, build_profile
-from egp_service.simulation.reference import speed_reference
+from egp_service.simulation.reference import speed_reference, told_reference
 from egp_service.simulation.scenario import library_path
 from egp_service.simulation.summary import Ending, Summary, summarise
 from egp_service.simulation.trace import Period, Trace, Truth
@@ -39,6 +39,7 @@ FIRST_DEADLINE = 2.0
 # knows less is slower.
 PATIENCE = {"zones": 2.0, "here": 4.0, "nothing": 4.0}
 STANDSTILL = 0.3
+TOO_LONG = "took too long"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,11 +65,13 @@ def drive(
     controller: StepController,
     observe: Callable[[Period], None],
     belief: RoadBelief | None = None,
+    told_from: int | None = None,
 ) -> Run:
     """Drive the scenario with `controller` and call `observe` with each period.
 
     `belief` is what earlier runs found about the road; what this run finds is added to it. It is
-    used if the scenario's reference speed knows nothing.
+    used if the scenario's reference speed knows nothing. From the period with the number
+    `told_from` on, the reference speed is planned for the true friction of all zones.
 
     The members' friction coefficients, which pictures show, are read from the scenario's library
     file; the controller may use another one.
@@ -76,7 +79,7 @@ def drive(
     Raises `EgpError` if the scenario's track cannot be built. A loss of control is not an exception
     but the run's ending.
     """
-    loop = _Loop(scenario, controller, belief)
+    loop = _Loop(scenario, controller, belief, told_from)
     periods: list[Period] = []
     ending = None
     while ending is None:
@@ -102,12 +105,17 @@ class _Loop:
     """State of the closed loop between periods."""
 
     def __init__(
-        self, scenario: Scenario, controller: StepController, belief: RoadBelief | None
+        self,
+        scenario: Scenario,
+        controller: StepController,
+        belief: RoadBelief | None,
+        told_from: int | None,
     ) -> None:
         self._scenario = scenario
         self._controller = controller
         self.path = build_path(scenario)
         self._speed = speed_reference(scenario, self.path, belief)
+        self._told_from = told_from
         self._noise = _noise(scenario.measurement)
         self._random = np.random.default_rng(scenario.seed)
         self._plant = Plant(scenario.vehicle, asdict(scenario.disturbances))
@@ -135,6 +143,8 @@ class _Loop:
         """Compute the step of this period."""
         x = self._plant.vehicle_state
         projection = self._project(x)
+        if self._ticks == self._told_from:
+            self._speed = told_reference(self._scenario, self.path)
         measured = x + self._noise * self._random.standard_normal(NX)
         profile, planned = self._speed.plan(projection.s, float(measured[V_X]))
         truth = Truth(
@@ -187,7 +197,7 @@ class _Loop:
         if period.step.mode == "stop" and self._plant.vehicle_state[V_X] < STANDSTILL:
             return self._ending(f"stopped by the gate: {period.step.detail or period.step.status}")
         if self._time > self._time_limit:
-            return self._ending("took too long")
+            return self._ending(TOO_LONG)
         return None
 
     def _project(self, x: NDArray[np.float64]) -> Projection:

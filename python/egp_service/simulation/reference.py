@@ -123,6 +123,37 @@ class _Assumed(_Planned):
         return np.full_like(places, self._assumed)
 
 
+class _Told(_Planned):
+    """The true friction of all zones, each place with the lowest within a step as in a profile."""
+
+    def __init__(self, scenario: Scenario, path: Path) -> None:
+        super().__init__(scenario, path)
+        self._path = path
+
+    def _friction(
+        self,
+        s: float,  # noqa: ARG002
+        places: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        step = places[1] - places[0]
+        before, here, after = (self._path.sample(places + d)[-1] for d in (-step, 0.0, step))
+        return np.minimum(np.minimum(before, here), after)
+
+    def road_friction(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        # The weights are those of the friction under the vehicle, so that this is the one behind.
+        friction = self._path.sample(np.concatenate((places[:1], places)))[-1]
+        return np.column_stack((friction, np.zeros_like(friction)))
+
+
+def told_reference(scenario: Scenario, path: Path) -> SpeedReference:
+    """Return a reference speed for all zones, planned from the vehicle's place and speed on.
+
+    Unlike the profile of a whole path it fits a vehicle of any speed: it brakes with all grip where
+    the vehicle is too fast for what lies ahead.
+    """
+    return _Told(scenario, path)
+
+
 def speed_reference(
     scenario: Scenario, path: Path, belief: RoadBelief | None = None
 ) -> SpeedReference:

@@ -18,7 +18,14 @@ from egp_service.data.dataset import Dataset
 from egp_service.quantities import MOTION, gp_input
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
-from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track, Zone
+from egp_service.simulation.scenario import (
+    Disturbances,
+    Measurement,
+    Scenario,
+    Speed,
+    Track,
+    Zone,
+)
 from egp_service.workers import in_order, workers
 
 if TYPE_CHECKING:
@@ -120,6 +127,7 @@ def _scenario(library: Path, surfaces: Sequence[Experiment], seed: int, grip: fl
         leave_distance=_LEAVE,
         speed=Speed(grip=grip, v_max=25.0),
         measurement=_NOISE,
+        disturbances=Disturbances(**surfaces[0].disturbances),
     )
 
 

@@ -30,6 +30,12 @@ def collect(
     track: Annotated[
         list[str] | None, typer.Option(help="Track of the runs; repeat for more, used in turn.")
     ] = None,
+    disturbance: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="NAME=VALUE, what the simulated car has beyond a single track; repeat for more."
+        ),
+    ] = None,
     jobs: Jobs = None,
     cluster: Cluster = None,
     from_csv: Annotated[
@@ -53,6 +59,8 @@ def collect(
     For example:
       egp collect -o data/wet.parquet --friction 0.5 --surface wet
       egp collect -o data/snow.parquet --friction snow
+      egp collect -o data/loaded.parquet --friction 0.5
+          --disturbance load=300 --disturbance load_y=0.6
       egp collect -o data/ice.parquet --friction 0.2 --surface ice
           --from-csv drive.csv --mass 1400 --column time=t:s
           --column v_x=speed:km/h --column v_y=lateral_speed:m/s
@@ -86,7 +94,8 @@ def collect(
         settings = CollectionSettings(runs=runs, samples=samples)
         if track:
             settings = CollectionSettings(tuple(track), runs, samples)
-        experiment = Experiment(road, label, seed, dt, int(vehicle))
+        disturbances = dict(_disturbance(text) for text in disturbance or [])
+        experiment = Experiment(road, label, seed, dt, int(vehicle), disturbances)
         with collecting(console) as report:
             dataset = collect_dataset(
                 experiment,
@@ -97,3 +106,16 @@ def collect(
             )
     dataset.write(output)
     console.print(f"{output}: {len(dataset)} transitions of {dt:g} s on {label}")
+
+
+def _disturbance(text: str) -> tuple[str, float]:
+    """Read a name and a value, for example `load=300`."""
+    from egp_service._core import EgpError
+
+    name, _, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError as error:
+        raise EgpError(
+            f"--disturbance {text}: expected NAME=VALUE, for example load=300"
+        ) from error

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from egp_service.evaluation.campaign import Campaign, Outcome
     from egp_service.evaluation.entry_speed import EntrySpeed
     from egp_service.evaluation.experiment import ClosedLoopExperiment
+    from egp_service.evaluation.hidden_ice import IceOutcome
     from egp_service.evaluation.prediction import SeedOutcomes
+    from egp_service.evaluation.scaling import StepTime
 
 _SHOWN = ("varying-speed", "unseen-track", "lane-change", "four-members")
 _QUICK_TRANSITIONS = 200
@@ -59,7 +61,8 @@ def evaluate(
 
     Experiments: prediction, varying-speed, lane-change, four-members,
     random-roads, friction-step, unseen-track, hard-roads, unknown-roads,
-    remembered-roads, iso-3888-2, step-times.
+    remembered-roads, disturbances (with --full only), hidden-ice, iso-3888-2,
+    step-times.
 
     The same command resumes an interrupted evaluation. Requires the extras train
     and viz; with the extra paper, step-times includes the paper's stack.
@@ -74,22 +77,22 @@ def evaluate(
     import sys
 
     from egp_service._core import EgpError
-    from egp_service.evaluation import scaling
+    from egp_service.evaluation import disturbances
     from egp_service.evaluation.batch import finish
     from egp_service.evaluation.campaign import Campaign, require_members
     from egp_service.evaluation.experiments import (
-        CUSTOM_TRACK,
         EXPERIMENTS,
+        HIDDEN_ICE,
         OBSTACLE_AVOIDANCE,
         on_track,
     )
     from egp_service.evaluation.summary_report import headline, write_report
-    from egp_service.simulation.scenario import Scenario, Zone
 
     console = Console()
     names = [e.name for e in EXPERIMENTS]
     avoidance = OBSTACLE_AVOIDANCE.name
-    chosen = _chosen(experiment, ["prediction", *names, avoidance, "step-times"])
+    known = ["prediction", *names, HIDDEN_ICE.name, avoidance, "step-times"]
+    chosen = _chosen(experiment, known)
     if track and "unseen-track" not in chosen:
         raise EgpError("--track is used by unseen-track: add -e unseen-track")
     if scale != 1.0 and not track:
@@ -97,34 +100,36 @@ def evaluate(
     driven = [
         on_track(e, track, scale) if track and e.name == "unseen-track" else e
         for e in EXPERIMENTS
-        if e.name in chosen
+        if e.name in chosen and (full or e.quick_seeds)
     ]
+    if disturbances.NAME in chosen and not full:
+        console.print("disturbances trains six libraries and is driven with --full only.")
     source = _train(console, output, cluster) if train else library or EVALUATION_LIBRARY
-    require_members(source, [*driven, *([OBSTACLE_AVOIDANCE] if avoidance in chosen else [])])
+    apart = [e for e in (OBSTACLE_AVOIDANCE, HIDDEN_ICE) if e.name in chosen]
+    require_members(source, [*driven, *apart])
     campaign = Campaign(output, source)
     if campaign.of_another_build:
         console.print(f"{output} contains runs of another build, which are kept.", highlight=False)
         console.print("Choose another --output to drive all runs with this build.", highlight=False)
+    if disturbances.NAME in {e.name for e in driven}:
+        _train_disturbed(console, campaign, jobs, cluster)
     with _progress(console) as progress:
         predictions = _predictions(progress, output, full=full) if "prediction" in chosen else None
         runs = _runs(progress, campaign, driven, full=full)
         speeds = _entry_speeds(progress, campaign, full=full) if avoidance in chosen else None
+        ice = _ice(progress, campaign, full=full) if HIDDEN_ICE.name in chosen else None
         try:
             finish(
-                [batch for batch in (predictions, runs, speeds) if batch is not None], jobs, cluster
+                [part for part in (predictions, runs, speeds, ice) if part is not None],
+                jobs,
+                cluster,
             )
         except KeyboardInterrupt:
             progress.console.print("Interrupted. The same command continues with the missing runs.")
             raise
     outcomes = runs.results()
     seeds = predictions.results() if predictions else []
-    scenario = Scenario("step-times", CUSTOM_TRACK, (Zone(0.0, 0.8),))
-    times = []
-    if "step-times" in chosen:
-        with console.status("Timing the control step ..."):
-            members = scaling.MEMBERS if full else _QUICK_MEMBERS
-            periods = 200 if full else 60
-            times = scaling.measure(source, scenario, periods=periods, members=members)
+    times = _step_times(console, source, full=full) if "step-times" in chosen else []
     with console.status("Drawing ..."):
         shown = campaign.drives([e for e in driven if e.name in _SHOWN], jobs=jobs, cluster=cluster)
         command = shlex.join(["egp", *sys.argv[1:]])
@@ -134,6 +139,7 @@ def evaluate(
             outcomes=outcomes,
             predictions=[outcome for seed in seeds for outcome in seed.outcomes],
             speeds=speeds.results() if speeds else [],
+            ice=ice.results() if ice else [],
             times=times,
             drives=shown,
         )
@@ -162,6 +168,22 @@ def _train(console: Console, output: Path, cluster: str | None) -> Path:
         displays = Displays(lambda: collecting(console), lambda: fitting(console))
         write(path, make(displays, cluster=cluster))
     return path
+
+
+def _train_disturbed(
+    console: Console, campaign: "Campaign", jobs: int | None, cluster: str | None
+) -> None:
+    from egp_service.cli.progress import collecting, fitting
+    from egp_service.evaluation.disturbances import DISTURBED
+    from egp_service.evaluation.disturbed_library import train
+    from egp_service.training.recipe import Displays
+
+    displays = Displays(lambda: collecting(console), lambda: fitting(console))
+    for name, disturbances in DISTURBED.items():
+        path = campaign.disturbed_library(name)
+        if not path.exists():
+            console.print(f"Training the library of a vehicle with: {name}", highlight=False)
+            train(path, disturbances, displays, jobs=jobs, cluster=cluster)
 
 
 def _predictions(progress: "Progress", output: Path, *, full: bool) -> "Batch[Any, SeedOutcomes]":
@@ -216,6 +238,33 @@ def _entry_speeds(
         progress.advance(task)
 
     return campaign.batch("entry-speeds", trials, find, EntrySpeed, report)
+
+
+def _ice(progress: "Progress", campaign: "Campaign", *, full: bool) -> "Batch[Any, IceOutcome]":
+    from egp_service.evaluation import hidden_ice
+    from egp_service.evaluation.experiments import HIDDEN_ICE
+
+    seeds = range(HIDDEN_ICE.seeds if full else HIDDEN_ICE.quick_seeds)
+    trials = [t for t in HIDDEN_ICE.trials(seeds) if full or t.condition == HIDDEN_ICE.compared]
+    task = progress.add_task(HIDDEN_ICE.name, start=False, total=len(trials))
+
+    def report(_: "IceOutcome") -> None:
+        progress.start_task(task)
+        progress.advance(task)
+
+    return campaign.batch(HIDDEN_ICE.name, trials, hidden_ice.run, hidden_ice.IceOutcome, report)
+
+
+def _step_times(console: Console, library: Path, *, full: bool) -> "list[StepTime]":
+    from egp_service.evaluation import scaling
+    from egp_service.evaluation.experiment import CUSTOM_TRACK
+    from egp_service.simulation.scenario import Scenario, Zone
+
+    scenario = Scenario("step-times", CUSTOM_TRACK, (Zone(0.0, 0.8),))
+    with console.status("Timing the control step ..."):
+        members = scaling.MEMBERS if full else _QUICK_MEMBERS
+        periods = 200 if full else 60
+        return scaling.measure(library, scenario, periods=periods, members=members)
 
 
 def _progress(console: Console) -> "Progress":

@@ -1,0 +1,135 @@
+"""Disturbances that a single-track vehicle cannot have: what Gaussian processes bring there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+from egp_service.evaluation.contenders import ENSEMBLE, Contender
+from egp_service.evaluation.experiment import (
+    CUSTOM_TRACK,
+    TWO,
+    ClosedLoopExperiment,
+    on_surfaces,
+)
+from egp_service.evaluation.statistics import mean
+from egp_service.simulation.scenario import Disturbances
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from egp_service.evaluation.campaign import Outcome
+    from egp_service.evaluation.statistics import Interval
+
+NAME: Final = "disturbances"
+FITTED: Final = "fitted single-track"
+ELSEWHERE: Final = ", undisturbed data"
+"""Suffix of contenders whose members are those of the vehicle without the disturbance."""
+DISTURBED: Final = {
+    "load of 300 kg, 0.6 m left": Disturbances(load=300.0, load_y=0.6),
+    "rear tyres worn by 15 %": Disturbances(wear_rear=0.15),
+    "brakes pull left by 50 %": Disturbances(brake_pull=0.5),
+    "wind of 15 m/s": Disturbances(wind_y=15.0, wind_arm=0.5),
+    "uphill by 0.1 rad": Disturbances(grade=0.1),
+    "banked by 0.06 rad": Disturbances(bank=0.06),
+}
+# Suffix of conditions that leave the vehicle more grip than its disturbance takes away.
+GENTLE: Final = ", 80% of grip"
+# A library of a disturbance has the members of these two surfaces only.
+_OWN_MEMBERS: Final = (0, 1)
+
+
+def experiment() -> ClosedLoopExperiment:
+    """Return the experiment: each disturbance at 90 and 80 % of the grip, on three surfaces."""
+    zones = ((0.0, 0.5), (0.33, 1.1), (0.65, 0.8))
+    bases = {where: on_surfaces(CUSTOM_TRACK, zones, g) for where, g in (("", 0.9), (GENTLE, 0.8))}
+    return ClosedLoopExperiment(
+        NAME,
+        "Disturbances that a fitted vehicle cannot have (beyond the paper)",
+        "The members are trained on data of the vehicle with its disturbance, with and without "
+        "Gaussian processes: which of them is closer to the path, at 90 % of the grip unless "
+        "stated? The last two controllers have the members of the vehicle without the disturbance, "
+        "which were trained on more data.",
+        tuple(
+            (name + where, replace(base, disturbances=found))
+            for where, base in bases.items()
+            for name, found in DISTURBED.items()
+        ),
+        (
+            Contender(ENSEMBLE, "ensemble", _OWN_MEMBERS, disturbed=True),
+            Contender(FITTED, "fitted", _OWN_MEMBERS, disturbed=True),
+            Contender(ENSEMBLE + ELSEWHERE, "ensemble", TWO),
+            Contender(FITTED + ELSEWHERE, "fitted", TWO),
+        ),
+        seeds=20,
+        quick_seeds=0,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two contenders under one disturbance, seed by seed."""
+
+    condition: str
+    completed: tuple[int, int]
+    """Completed runs of both."""
+    runs: int
+    gain: Interval
+    """Mean difference of the lateral RMS errors, the second less the first, m, over the seeds that
+    both completed; NaN without one."""
+
+    @property
+    def closer(self) -> bool:
+        """Whether the first is closer beyond the interval, and completes as many runs."""
+        return self.completed[0] >= self.completed[1] and self.gain.low > 0.0
+
+
+def compare(
+    outcomes: Sequence[Outcome], first: str, second: str, where: str = ""
+) -> list[Comparison]:
+    """Compare two contenders under each disturbance for which both have outcomes.
+
+    The conditions are those with the suffix `where`: none for 90 % of the grip, or `GENTLE`.
+    """
+    found = []
+    for condition in (name + where for name in DISTURBED):
+        one, other = (
+            {
+                o.seed: o
+                for o in outcomes
+                if (o.experiment, o.condition, o.contender) == (NAME, condition, contender)
+            }
+            for contender in (first, second)
+        )
+        seeds = sorted(one.keys() & other.keys())
+        if not seeds:
+            continue
+        pairs = [(one[seed], other[seed]) for seed in seeds]
+        both = [(a, b) for a, b in pairs if a.completed and b.completed]
+        found.append(
+            Comparison(
+                condition,
+                (sum(a.completed for a, _ in pairs), sum(b.completed for _, b in pairs)),
+                len(pairs),
+                mean([b.lateral_rms - a.lateral_rms for a, b in both]),
+            )
+        )
+    return found
+
+
+def rows(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
+    """Return rows `disturbance, gain by processes, gain by own data` in mm, for a table."""
+    own, data = (
+        [c for where in ("", GENTLE) for c in compare(outcomes, ENSEMBLE, other, where)]
+        for other in (FITTED, ENSEMBLE + ELSEWHERE)
+    )
+    gains = {c.condition: _millimetres(c) for c in data}
+    return [(c.condition, _millimetres(c), gains.get(c.condition, "-")) for c in own]
+
+
+def _millimetres(comparison: Comparison) -> str:
+    gain, (first, second) = comparison.gain, comparison.completed
+    text = f"{1e3 * gain.value:+.2f} ({1e3 * gain.low:+.2f} to {1e3 * gain.high:+.2f})"
+    if min(first, second) < comparison.runs:
+        text += f", completed {first} and {second} of {comparison.runs}"
+    return text

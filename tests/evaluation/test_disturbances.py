@@ -1,0 +1,156 @@
+"""The experiment of disturbances: libraries of its own, and differences paired by seed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+from egp_service import EgpError
+from egp_service._core import Library
+from egp_service.evaluation import disturbances
+from egp_service.evaluation.batch import finish
+from egp_service.evaluation.campaign import Campaign, Outcome, require_members
+from egp_service.evaluation.claims import check
+from egp_service.evaluation.contenders import ENSEMBLE
+from egp_service.evaluation.disturbances import (
+    DISTURBED,
+    ELSEWHERE,
+    FITTED,
+    GENTLE,
+    NAME,
+    compare,
+    rows,
+)
+from egp_service.evaluation.disturbed_library import train
+from egp_service.evaluation.experiment import CUSTOM_TRACK
+from egp_service.shipped import DEMO_LIBRARY, DISTURBANCE_RECIPE, EVALUATION_LIBRARY
+from egp_service.training.recipe import Displays
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FIRST, *OTHERS = DISTURBED
+# Sizes of the recipe that are cut for this test.
+CUT = {
+    "runs = 4": "runs = 1",
+    "samples = 200": "samples = 60",
+    "episodes = 20": "episodes = 4",
+    "max_points = 250": "max_points = 40",
+    "first_points = 200": "first_points = 40",
+    "max_iterations = 60": "max_iterations = 5",
+    "rounds = 1": "rounds = 0",
+}
+
+
+def test_members_are_trained_with_the_disturbance_and_drive_with_it(tmp_path: Path) -> None:
+    trials = [
+        replace(trial, scenario=replace(trial.scenario, laps=0.1))
+        for trial in disturbances.experiment().trials([0])
+        if trial.condition == FIRST
+    ]
+    assert [t.contender.name for t in trials] == [
+        name + where for where in ("", ELSEWHERE) for name in (ENSEMBLE, FITTED)
+    ]
+    assert all(t.scenario.disturbances == DISTURBED[FIRST] for t in trials)
+    assert trials[0].scenario.track == CUSTOM_TRACK
+    campaign = Campaign(tmp_path, EVALUATION_LIBRARY)
+    with pytest.raises(EgpError, match="egp evaluate --full -e disturbances trains it"):
+        campaign.runs(trials, lambda _: None)
+    recipe = tmp_path / "recipe.toml"
+    text = DISTURBANCE_RECIPE.read_text(encoding="utf-8")
+    for old, new in CUT.items():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    recipe.write_text(text, encoding="utf-8")
+    path = campaign.disturbed_library(FIRST)
+    train(path, DISTURBED[FIRST], Displays(), recipe=recipe, jobs=1)
+    own = Library.load(path).members
+    assert [member.friction for member in own] == [0.5, 1.1]
+    batch = campaign.runs(trials, lambda _: None)
+    finish([batch], 1)
+    assert all(outcome.completed for outcome in batch.results())
+    # Each contender has the library of its own vehicle, with or without Gaussian processes.
+    members = [Library.load(trial.scenario.library).members for trial in batch.parts.values()]
+    assert [found[0].n_points for found in members] == [40, 0, 400, 0]
+    assert [found[0].dataset == own[0].dataset for found in members] == [True, True, False, False]
+    # The same library serves the conditions with less grip.
+    gentle = replace(trials[0], condition=FIRST + GENTLE)
+    (of_gentle,) = campaign.runs([gentle], lambda _: None).parts.values()
+    assert of_gentle.scenario.library == next(iter(batch.parts.values())).scenario.library
+    # Another library of the disturbance is another trial.
+    first = list(batch.parts)
+    other = Campaign(tmp_path / "other", EVALUATION_LIBRARY)
+    other.disturbed_library(FIRST).parent.mkdir()
+    other.disturbed_library(FIRST).write_bytes(DEMO_LIBRARY.read_bytes())
+    second = list(other.runs(trials, lambda _: None).parts)
+    assert [a == b for a, b in zip(first, second, strict=True)] == [False, False, True, True]
+
+
+def test_libraries_of_disturbances_need_no_members_of_the_evaluation() -> None:
+    experiment = disturbances.experiment()
+    own = replace(experiment, contenders=experiment.contenders[:2])
+    require_members(DEMO_LIBRARY, [own])
+    with pytest.raises(EgpError, match="2 members, these experiments need 4"):
+        require_members(DEMO_LIBRARY, [experiment])
+
+
+def outcome(condition: str, contender: str, seed: int, rms: float) -> Outcome:
+    return Outcome(
+        experiment=NAME,
+        condition=condition,
+        contender=contender,
+        seed=seed,
+        completed=True,
+        reason="completed",
+        time=30.0,
+        distance=400.0,
+        lap_times=(30.0,),
+        lateral_max=0.1,
+        lateral_rms=rms,
+        speed_rms=0.1,
+        off_track=0.0,
+        settling=(),
+        resolution=None,
+        avoidable=None,
+        misses=0,
+        late=0,
+        step_ms=0.3,
+    )
+
+
+def runs(condition: str, contender: str, gain: float) -> list[Outcome]:
+    """Errors that differ more between seeds than between contenders."""
+    return [outcome(condition, contender, s, 0.01 + 0.01 * s + gain) for s in range(20)]
+
+
+def test_differences_are_paired_by_seed() -> None:
+    found = runs(FIRST, ENSEMBLE, 0.0) + runs(FIRST, FITTED, 0.0005)
+    (comparison,) = compare(found, ENSEMBLE, FITTED)
+    assert comparison.closer
+    assert comparison.gain.value == pytest.approx(0.0005)
+    assert comparison.gain.low == pytest.approx(0.0005)
+    # An incomplete run is no pair, and costs the comparison.
+    lost = [replace(found[0], completed=False, lateral_rms=0.0), *found[1:]]
+    (comparison,) = compare(lost, ENSEMBLE, FITTED)
+    assert comparison.completed == (19, 20)
+    assert comparison.gain.value == pytest.approx(0.0005)
+    assert not comparison.closer
+    assert compare(found, FITTED, ENSEMBLE)[0].gain.value == pytest.approx(-0.0005)
+    assert compare(found, ENSEMBLE, FITTED, GENTLE) == []
+    assert rows(found) == [(FIRST, "+0.50 (+0.50 to +0.50)", "-")]
+    found += runs(FIRST, ENSEMBLE + ELSEWHERE, 0.002)
+    assert rows(found) == [(FIRST, "+0.50 (+0.50 to +0.50)", "+2.00 (+2.00 to +2.00)")]
+
+
+def test_the_claim_needs_half_of_the_disturbances() -> None:
+    def claim(gains: list[float]) -> bool:
+        found = []
+        for condition, gain in zip(DISTURBED, gains, strict=True):
+            found += runs(condition, ENSEMBLE, 0.0) + runs(condition, FITTED, gain)
+        (only,) = check(found, [])
+        return only.holds
+
+    assert claim([0.001, 0.001, 0.001, 0.0, 0.0, -0.001])
+    assert not claim([0.001, 0.001, 0.0, 0.0, 0.0, 0.0])
