@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -107,7 +109,11 @@ def test_a_road_is_kept_in_a_file(laps: Laps, tmp_path: Path) -> None:
     file = tmp_path / "random.road"
     assert load_belief(BLIND, file).to_bytes() == RoadBelief(build_path(BLIND)).to_bytes()
     store_belief(laps.belief, file)
+    os.utime(file, (time.time() + 3600.0,) * 2)  # not older than now, so that nothing has aged
     assert load_belief(BLIND, file).to_bytes() == laps.belief.to_bytes()
+    os.utime(file, (time.time() - 1800.0,) * 2)
+    aged, fresh = load_belief(BLIND, file).tile(0), laps.belief.tile(0)
+    assert max(aged) == pytest.approx(max(fresh) / np.e, abs=1.5)
     other = replace(BLIND, track=Track("rounded-rectangle"))
     with pytest.raises(ScenarioError, match="the belief is about a road of"):
         load_belief(other, file)

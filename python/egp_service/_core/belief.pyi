@@ -32,9 +32,10 @@ class RoadBelief:
     ) -> RoadBelief: ...
     def to_bytes(self) -> bytes:
         """Return the evidence of all cells, to be stored; equal beliefs give equal bytes."""
-    def recall(self, data: bytes) -> None:
-        """Add the evidence of a belief about the same road that `to_bytes` returned.
+    def recall(self, data: bytes, age: float = 0.0) -> None:
+        """Add the evidence of a belief about the same road that `to_bytes` returned `age` s ago.
 
+        Its information falls to 1/e in 30 minutes, because the friction of a road changes.
         Raises `EgpError` if the data are no stored belief, are damaged, or are about another road;
         the belief is then unchanged.
 

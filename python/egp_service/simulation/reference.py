@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
@@ -171,12 +172,13 @@ def speed_reference(
 def load_belief(scenario: Scenario, file: FilePath | None) -> RoadBelief:
     """Return what `file` says about the scenario's road; nothing is known without such a file.
 
+    Its evidence has aged since the file was written.
     Raises `ScenarioError` if the file cannot be read, or is about another road.
     """
     belief = RoadBelief(build_path(scenario))
     if file is not None and file.exists():
         try:
-            belief.recall(file.read_bytes())
+            belief.recall(file.read_bytes(), max(0.0, time.time() - file.stat().st_mtime))
         except (OSError, EgpError) as error:
             raise ScenarioError(
                 f"{file}: {error}; delete it to begin anew, or name another file"

@@ -4,8 +4,8 @@ use std::collections::HashMap;
 
 use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView, serialize};
 
-use crate::RoadBelief;
 use crate::grid::{LEVELS, Row};
+use crate::{MergeSettings, RoadBelief};
 
 const TENSOR: &str = "evidence";
 const SCHEMA: &str = "egp-road-belief-1";
@@ -61,6 +61,15 @@ impl RoadBelief {
     /// [`StoredBeliefError`] if the bytes are no stored belief, are damaged, or are about another road; the belief is
     /// then unchanged.
     pub fn recall(&mut self, bytes: &[u8]) -> Result<(), StoredBeliefError> {
+        self.recall_aged(bytes, 0.0)
+    }
+
+    /// The same for evidence that is `age` s old and lost information with [`crate::MergeSettings::remaining`].
+    ///
+    /// # Errors
+    /// Those of [`Self::recall`].
+    pub fn recall_aged(&mut self, bytes: &[u8], age: f64) -> Result<(), StoredBeliefError> {
+        let remaining = MergeSettings::default().remaining(age);
         let content = |text: &str| StoredBeliefError::Content(text.to_owned());
         let (_, header) = SafeTensors::read_metadata(bytes)?;
         let road = (header.metadata().as_ref())
@@ -99,7 +108,7 @@ impl RoadBelief {
         }
         let rows: &[Row] = values.as_chunks().0;
         for (cell, row) in rows.iter().enumerate() {
-            self.add_to_cell(cell, 1.0, row);
+            self.add_to_cell(cell, remaining, row);
         }
         Ok(())
     }

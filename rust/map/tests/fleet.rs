@@ -147,6 +147,24 @@ fn evidence_ages_towards_the_prior() {
 }
 
 #[test]
+fn stored_evidence_ages_like_reports() {
+    let mut driven = belief();
+    drive(&mut driven, 0.0, 10.0 * LENGTH / SPEED, 0.5);
+    let stored = driven.to_bytes().unwrap();
+    let lifetime = MergeSettings::default().lifetime;
+    for age in [0.0, lifetime, 20.0 * lifetime] {
+        let mut recalled = belief();
+        recalled.recall_aged(&stored, age).unwrap();
+        let reported = merged(&[(&driven.tile(0).unwrap(), age)]);
+        let recalled = recalled.tile(0).unwrap();
+        assert!(
+            (recalled.strength() - reported.strength()).abs() < 0.04,
+            "{age}"
+        );
+    }
+}
+
+#[test]
 fn the_order_does_not_matter() {
     let tiles = [found(0.3), found(0.5), found(0.9), found(1.1)];
     let ages = [0.0, 100.0, 1000.0, 4000.0];

@@ -77,8 +77,9 @@ impl RoadBelief {
     }
 
     #[doc = doc!(RoadBelief.recall)]
-    fn recall(&mut self, data: &[u8]) -> PyResult<()> {
-        self.0.recall(data).map_err(raise)
+    #[pyo3(signature = (data, age = 0.0))]
+    fn recall(&mut self, data: &[u8], age: f64) -> PyResult<()> {
+        self.0.recall_aged(data, age).map_err(raise)
     }
 
     #[doc = doc!(RoadBelief.to_bytes)]

@@ -37,7 +37,10 @@ def drive(
     seed: Annotated[int | None, typer.Option(help="Seed in place of the scenario's.")] = None,
     road: Annotated[
         Path | None,
-        typer.Option(help="File of what is known about the road's friction; read, then updated."),
+        typer.Option(
+            help="File of what is known about the road's friction; read, then updated. It ages: "
+            "after half an hour a third of its information is left."
+        ),
     ] = None,
     fleet: Annotated[
         str | None,
