@@ -50,8 +50,8 @@ def last_border(run: Run) -> int:
 def replay(contender: Contender, run: Run, belief: RoadBelief | None = None) -> Run:
     """Drive a run on a closed track again, from `last_border` on with everything told.
 
-    It is completed if the vehicle stays on the road until 100 m beyond the end of `run`. `belief` is
-    what the vehicle knew about the road before the run.
+    It is completed if the vehicle stays on the road until 100 m beyond the end of `run`. What the
+    vehicle knew about the road before the run is its `belief`.
     """
     told_from = last_border(run)
     laps = (run.summary.ending.distance + _BEYOND) / run.path.length
