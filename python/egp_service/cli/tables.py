@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from egp_service.simulation.summary import Summary
     from egp_service.training.validation import Cell
+    from egp_service.training.vehicle_fit import FittedVehicle
 
 
 def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
@@ -78,4 +79,35 @@ def validation_table(matrix: list[list[Cell]]) -> Table:
                 )
                 names = ("", "")
         table.add_section()
+    return table
+
+
+def vehicle_table(label: str, vehicle: FittedVehicle) -> Table:
+    """Return a table with a row for each parameter of a fitted vehicle.
+
+    `from prior` is the distance from the vehicle file, or from vehicles in general, in standard
+    deviations of the prior.
+    """
+    table = Table(
+        "parameter",
+        "value",
+        "95 % interval",
+        "from prior",
+        "",
+        title=f"{label}: the fitted vehicle",
+        box=box.SIMPLE_HEAD,
+    )
+    for parameter in vehicle.parameters:
+        remarks = []
+        if not parameter.determined:
+            remarks.append("not determined by the data")
+        if parameter.at_bound:
+            remarks.append("[yellow]at the end of the range[/]")
+        table.add_row(
+            parameter.name,
+            f"{parameter.value:.4g}",
+            f"{parameter.low:.3g} to {parameter.high:.3g}",
+            f"{parameter.distance:+.1f}",
+            ", ".join(remarks),
+        )
     return table

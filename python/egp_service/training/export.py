@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -48,8 +49,18 @@ def export(
         vehicle=first.vehicle,
         parameters=vehicle or known_vehicle(first.vehicle),
         members=[_member(member) for member in members],
-        provenance=provenance,
+        provenance={**provenance, **_fits(members)},
     )
+
+
+def _fits(members: Sequence[TrainedMember]) -> dict[str, str]:
+    """Return what the fit of each member's vehicle found out, as JSON by the member's label."""
+    fits = {
+        member.dataset.provenance.surface: member.vehicle.summary()
+        for member in members
+        if member.vehicle is not None
+    }
+    return {"vehicle fits": json.dumps(fits, sort_keys=True)} if fits else {}
 
 
 def _member(member: TrainedMember) -> MemberData:

@@ -1,8 +1,9 @@
 """Training of a library from datasets: one member per surface, one exact process per output.
 
-For each surface: trajectories are split off for validation, a single-track vehicle is fitted
-(`prior_mean`), its residuals are z-scored, the lengthscales are fitted on a random subset,
-`max_points` transitions are chosen with them (`subset`), and the processes are fitted on these.
+Trajectories of each surface are split off for validation, and one single-track vehicle is fitted to
+all surfaces with a set of tyres for each (`vehicle_fit`). Then, for each surface, its residuals are
+z-scored, the lengthscales are fitted on a random subset, `max_points` transitions are chosen with
+them (`subset`), and the processes are fitted on these.
 With a vehicle as prior mean the outputs' processes share kernel and noise.
 """
 
@@ -32,11 +33,16 @@ from egp_service.training.gaussian_process import (
     share_kernel,
 )
 from egp_service.training.subset import select
+from egp_service.training.vehicle_fit import fit_vehicle
+from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
+
+    from egp_service._core import VehicleParameters
+    from egp_service.training.vehicle_fit import FittedVehicle
 
 _ONE_THREAD: Final = 1000
 
@@ -114,6 +120,8 @@ class TrainedMember:
     processes: tuple[OutputProcess, ...]
     single_track: NDArray[np.float64] | None
     """Parameters (17,) of the vehicle that is the prior mean, if any."""
+    vehicle: FittedVehicle | None
+    """The same vehicle with intervals of its parameters."""
 
     def predict(
         self, z: NDArray[np.float64]
@@ -163,8 +171,12 @@ def train(
     datasets: Sequence[Dataset],
     settings: TrainingSettings,
     report: Callable[[FitProgress], None] = lambda _: None,
+    *,
+    vehicle: VehicleParameters | None = None,
 ) -> list[TrainedMember]:
     """Train one member per surface label, ordered by friction and label.
+
+    What is known about the vehicle are the parameters `vehicle`, or those of a simulated vehicle.
 
     Raises:
         EgpError: if datasets differ in dt or vehicle, or a fit fails.
@@ -177,11 +189,25 @@ def train(
     _check_consistent([parts[0].provenance.surface for parts in surfaces.values()], datasets)
     budget = len(surfaces) * (settings.restarts + 2) * settings.max_iterations
     members: list[TrainedMember] = []
+    rngs = [np.random.default_rng([settings.seed, number]) for number in range(len(surfaces))]
     with _threads(settings.max_points):
-        for number, (_, parts) in enumerate(sorted(surfaces.items())):
-            rng = np.random.default_rng([settings.seed, number])
-            offset = number * budget // len(surfaces)
-            members.append(_train_member(merge(parts), settings, rng, (offset, budget), report))
+        parts = [
+            split(merge(surfaces[key]), settings.validation_fraction, rng)
+            for key, rng in zip(sorted(surfaces), rngs, strict=True)
+        ]
+        vehicles: list[FittedVehicle | None] = [None for _ in parts]
+        for data, _ in parts:
+            _check_varies(data)
+        if settings.mean == "single-track":
+            known = vehicle or simulated_vehicle(datasets[0].provenance.vehicle)
+            vehicles = [*fit_vehicle([data for data, _ in parts], known, rngs)]
+        for number, (part, fitted, rng) in enumerate(zip(parts, vehicles, rngs, strict=True)):
+
+            def on_fit(stage: str, loss: float, done: int, number: int = number) -> None:
+                offset = number * budget // len(surfaces)
+                report(FitProgress(stage, loss, offset + done, budget))
+
+            members.append(_train_member(part, fitted, settings, rng, on_fit))
     return members
 
 
@@ -212,27 +238,31 @@ def _check_consistent(labels: list[str], datasets: Sequence[Dataset]) -> None:
             )
 
 
+def _check_varies(data: Dataset) -> None:
+    """Errors if an input or output of the data is constant."""
+    _spread(data.z, GP_INPUT, data.provenance.surface)
+    _spread(data.y, GP_OUTPUT, data.provenance.surface)
+
+
 def _train_member(
-    dataset: Dataset,
+    part: tuple[Dataset, Dataset],
+    fitted: FittedVehicle | None,
     settings: TrainingSettings,
     rng: np.random.Generator,
-    progress: tuple[int, int],
-    report: Callable[[FitProgress], None],
+    report: Callable[[str, float, int], None],
 ) -> TrainedMember:
-    data, validation = split(dataset, settings.validation_fraction, rng)
-    label = dataset.provenance.surface
-    input_mean, input_std = data.z.mean(axis=0), _spread(data.z, GP_INPUT, label)
-    _spread(data.y, GP_OUTPUT, label)
+    data, validation = part
+    label = data.provenance.surface
+    input_mean, input_std = data.z.mean(axis=0), data.z.std(axis=0)
     vehicle, rest, bounds = None, data.y, WHOLE_CHANGES
-    if settings.mean == "single-track":
-        vehicle = prior_mean.fit(data.z, data.y, data.provenance.dt, rng)
+    if fitted is not None:
+        vehicle = fitted.values
         rest = data.y - prior_mean.predict(data.z, vehicle, data.provenance.dt)
         bounds = CORRECTIONS
     target_mean, target_std = rest.mean(axis=0), _spread(rest, GP_OUTPUT, label)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     z = torch.tensor((data.z - input_mean) / input_std, dtype=torch.float64, device=device)
     y = torch.tensor((rest - target_mean) / target_std, dtype=torch.float64, device=device)
-    offset, total = progress
 
     def fit_all(
         rows: NDArray[np.int64], starts: list[list[Hyperparameters]], done: int, stage: str
@@ -251,20 +281,20 @@ def _train_member(
             def on_step(step: FitStep, before: int = before, names: str = names) -> None:
                 at = before + step.start * settings.max_iterations + step.iteration
                 at = done + math.ceil(at / len(together))
-                report(FitProgress(f"{label}: {stage} fit of {names}", step.loss, at, total))
+                report(f"{label}: {stage} fit of {names}", step.loss, at)
 
             own = [[start[j] for j in outputs] for start in starts]
             fit(group, own, settings.max_iterations, on_step)
         return processes
 
     first_rows = np.sort(rng.permutation(len(data))[: settings.first_points])
-    first = fit_all(first_rows, [[_START] * NY], offset, "first")
+    first = fit_all(first_rows, [[_START] * NY], 0, "first")
     rows = select(z, first, settings.max_points, rng)
     starts = [
         [process.hyperparameters for process in first],
         *([_random_start(rng) for _ in range(NY)] for _ in range(settings.restarts)),
     ]
-    processes = fit_all(rows, starts, offset + settings.max_iterations, "final")
+    processes = fit_all(rows, starts, settings.max_iterations, "final")
     return TrainedMember(
         dataset=data,
         validation=validation,
@@ -276,6 +306,7 @@ def _train_member(
         target_std=target_std,
         processes=tuple(processes),
         single_track=vehicle,
+        vehicle=fitted,
     )
 
 

@@ -41,9 +41,13 @@ def train(
 ) -> None:
     """Train a library: one member for each surface in the datasets.
 
-    Prints the validation matrix: every member on every surface's held-out
-    trajectories. Of more than --max-points transitions, half are selected
-    uniformly and half by the variance of a first fit.
+    Prints each member's fitted vehicle, with intervals and with what the data do
+    not determine, and the validation matrix: every member on every surface's
+    held-out trajectories. The members' vehicles share the body and differ in the
+    tyres; the file of --vehicle also says what is known about the body.
+
+    Of more than --max-points transitions, half are selected uniformly and half
+    by the variance of a first fit.
 
     The library states its vehicle, from which controller, gate and speed
     profile take their defaults. The file of --vehicle states, in SI units:
@@ -60,7 +64,7 @@ def train(
     """
     from egp_service._core import EgpError, Library
     from egp_service.cli.progress import collecting, fitting
-    from egp_service.cli.tables import validation_table
+    from egp_service.cli.tables import validation_table, vehicle_table
     from egp_service.data.dataset import Dataset
     from egp_service.training.export import export
     from egp_service.training.recipe import Displays, Recipe, follow, training_provenance
@@ -70,6 +74,7 @@ def train(
     from egp_service.vehicle import read_vehicle
 
     console = Console()
+    car = None if vehicle is None else read_vehicle(vehicle)
     if (recipe is None) == (not data):
         raise EgpError("expected either datasets or --recipe")
     if cluster is not None and recipe is None:
@@ -90,12 +95,14 @@ def train(
         )
         datasets = [Dataset.read(path) for path in data or []]
         with fitting(console) as report:
-            members = train_members(datasets, settings, report)
-    car = None if vehicle is None else read_vehicle(vehicle)
+            members = train_members(datasets, settings, report, vehicle=car)
     export(output, members, settings, training_provenance(settings), car)
     library = Library.load(output)
     held_out = {member.dataset.provenance.surface: member.validation for member in members}
     matrix = validate(library, held_out)
+    for member in members:
+        if member.vehicle is not None:
+            console.print(vehicle_table(member.dataset.provenance.surface, member.vehicle))
     console.print(validation_table(matrix))
     if picture is not None:
         from egp_service.training.validation_report import draw_validation
