@@ -13,7 +13,7 @@ from egp_service import EgpError
 from egp_service._core import Library
 from egp_service.training import prior_mean
 from egp_service.training.export import export
-from egp_service.training.train import FitProgress, TrainedMember, TrainingSettings, split, train
+from egp_service.training.train import FitProgress, TrainingSettings, split, train
 from egp_service.training.validation import rollout_error, validate
 from egp_service.training.validation_report import draw_validation
 from egp_service.training.vehicle_fit import fit_vehicle
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from egp_service.data.dataset import Dataset
     from egp_service.training.gaussian_process import KernelName
+    from egp_service.training.trained import TrainedMember
 
 # The law of `surfaces` is no vehicle's.
 SETTINGS = TrainingSettings(

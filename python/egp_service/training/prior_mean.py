@@ -38,7 +38,7 @@ class Parameter(NamedTuple):
 # have no peak.
 _COUPLING: Final = Parameter(1.0, 1.5, 0.1, 100.0)
 _GRIP: Final = Parameter(0.8, 1.0, 0.005, 2.0)
-_STIFFNESS: Final = Parameter(20.0, 0.8, 4.0, 80.0)
+_STIFFNESS: Final = Parameter(20.0, 0.8, 1.0, 100.0)
 _SHAPE: Final = Parameter(1.4, 0.15, 1.05, 1.9)
 BODY: Final = {
     "m": Parameter(1300.0, 0.5, 300.0, 4000.0),
@@ -107,3 +107,16 @@ def predict(
 ) -> NDArray[np.float64]:
     """Return `change` for arrays."""
     return change(torch.from_numpy(z), torch.from_numpy(parameters), dt).numpy()
+
+
+def kinematic_change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
+    """Change of `[v_x, v_y, omega]` (n, 3) of a vehicle whose wheels roll without slip.
+
+    The parameters (3,) are mass in kg and the axle distances in m; the equations are those of
+    `Kinematic` in Rust.
+    """
+    v_x, v_y, omega, delta, force, delta_dot = z.unbind(-1)
+    mass, l_f, l_r = parameters.unbind()
+    gain = dt * force / mass
+    after = (v_x + gain) * torch.tan(delta + dt * delta_dot) / (l_f + l_r)
+    return torch.stack([gain, l_r * after - v_y, after - omega], dim=-1)

@@ -25,9 +25,9 @@ def train(
         Literal["rbf", "matern52"], typer.Option(help="Covariance function.")
     ] = "matern52",
     mean: Annotated[
-        Literal["single-track", "constant"],
-        typer.Option(help="Prior mean of the GPs: a vehicle fitted to the surface, or a constant."),
-    ] = "single-track",
+        Literal["single-track", "constant", "best"],
+        typer.Option(help="Prior mean of the GPs; best tries vehicles and constants, also alone."),
+    ] = "best",
     max_points: Annotated[int, typer.Option(help="Number of transitions of a member.")] = 400,
     restarts: Annotated[int, typer.Option(help="Additional random starts of each fit.")] = 1,
     validation: Annotated[
@@ -45,6 +45,11 @@ def train(
     not determine, and the validation matrix: every member on every surface's
     held-out trajectories. The members' vehicles share the body and differ in the
     tyres; the file of --vehicle also says what is known about the body.
+
+    With --mean best, each member takes what predicts held-out blocks best: no
+    change, a constant, a kinematic or a single-track vehicle, each alone or with
+    GPs. The last tables compare each member with no change and with a linear
+    model after one period and after rollouts; it warns where there is no skill.
 
     Of more than --max-points transitions, half are selected uniformly and half
     by the variance of a first fit.
@@ -64,13 +69,18 @@ def train(
     """
     from egp_service._core import EgpError, Library
     from egp_service.cli.progress import collecting, fitting
-    from egp_service.cli.tables import validation_table, vehicle_table
+    from egp_service.cli.tables import (
+        skill_table,
+        skill_warnings,
+        validation_table,
+        vehicle_table,
+    )
     from egp_service.data.dataset import Dataset
     from egp_service.training.export import export
     from egp_service.training.recipe import Displays, Recipe, follow, training_provenance
     from egp_service.training.train import TrainingSettings
     from egp_service.training.train import train as train_members
-    from egp_service.training.validation import validate
+    from egp_service.training.validation import member_skill, validate
     from egp_service.vehicle import read_vehicle
 
     console = Console()
@@ -104,6 +114,14 @@ def train(
         if member.vehicle is not None:
             console.print(vehicle_table(member.dataset.provenance.surface, member.vehicle))
     console.print(validation_table(matrix))
+    for number, member in enumerate(members):
+        label = member.dataset.provenance.surface
+        if member.kind:
+            console.print(f"{label}: {member.kind} predicts held-out blocks best")
+        compared = member_skill(library, number, member)
+        console.print(skill_table(label, compared))
+        for warning in skill_warnings(label, label, compared):
+            console.print(f"[yellow]{warning}[/]", highlight=False)
     if picture is not None:
         from egp_service.training.validation_report import draw_validation
 
