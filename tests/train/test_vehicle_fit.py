@@ -78,6 +78,11 @@ def test_what_the_data_do_not_determine_is_reported() -> None:
     coasting = drive(DRY, STRAIGHT * [1, 1, 1, 1, 1e-6, 1], 0.01, 0)
     (found,) = fit_vehicle([coasting], None, rngs(1))
     assert not found.parameters[0].determined
+    # Narrower than the prior of any vehicle, but not as narrow as a vehicle's file.
+    noisy = drive(DRY, STRAIGHT * [1, 1, 1, 1, 0.2, 1], 0.05, 0)
+    (found,) = fit_vehicle([noisy], None, rngs(1))
+    assert found.parameters[0].high / found.parameters[0].low < 2.0
+    assert not found.parameters[0].determined
 
 
 def test_an_end_of_the_range_is_reported() -> None:

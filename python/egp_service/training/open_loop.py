@@ -29,7 +29,7 @@ MOVING: Final = 5.0
 """Least speed, m/s, of transitions and starts that count: slip angles mean little below it."""
 NO_CHANGE: Final = "no change"
 LINEAR: Final = "linear"
-MAX_STARTS: Final = 3000
+MAX_STARTS: Final = 5000
 # Rows from the start of a rollout to that of the next one. Errors of satellite receivers repeat
 # each second, which is a multiple of most numbers of periods, but not of 7.
 _EVERY: Final = 7

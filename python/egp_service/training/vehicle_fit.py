@@ -42,7 +42,8 @@ _MAD: Final = 1.4826  # standard deviation of a normal distribution over its med
 _DISTURBANCE: Final = np.array([0.3, 1.0, 0.1])
 # Widths of the priors that a vehicle's parameters give.
 _KNOWN_WIDTHS: Final = {"m": 0.03, "l_f": 0.02, "l_r": 0.02, "k²": 0.15}
-# The data determine a parameter if they narrow its prior to at most this share.
+# The data determine a parameter if they narrow its prior to at most this share and, for one that a
+# vehicle's parameters give, tell it at least as well as these do.
 _DETERMINED: Final = 0.5
 _AT_BOUND: Final = 1e-3  # of the logarithm
 _LONGEST_LAG: Final = 50  # periods
@@ -69,7 +70,8 @@ class FittedParameter:
     distance: float
     """Distance of the logarithm from the prior's centre in standard deviations of the prior."""
     determined: bool
-    """Whether the data narrow the prior to at most half of its width."""
+    """Whether the data narrow the prior to at most half of its width and, for mass, axle distances
+    and yaw inertia, tell it as well as a vehicle's file does (mass: to 3 %)."""
     at_bound: bool
     """Whether the value is an end of the range that is searched."""
 
@@ -272,7 +274,10 @@ class _Problem:
                             low=float(centre * np.exp(x[i] - _QUANTILE * spread[i])),
                             high=float(centre * np.exp(x[i] + _QUANTILE * spread[i])),
                             distance=float(x[i] / self._width[i]),
-                            determined=bool(spread[i] <= _DETERMINED * self._width[i]),
+                            determined=bool(
+                                spread[i] <= _DETERMINED * self._width[i]
+                                and spread[i] <= _KNOWN_WIDTHS.get(name, np.inf)
+                            ),
                             at_bound=bool(at_bound[i]),
                         )
                         for name, centre, i in rows
