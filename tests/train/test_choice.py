@@ -108,7 +108,9 @@ def test_a_log_of_noise_is_answered_by_no_change_or_little(tmp_path: Path) -> No
     library = Library.load(tmp_path / "library")
     compared = member_skill(library, 0, member)
     ours, without = compared.rms["mu 0.5"], compared.rms[NO_CHANGE]
-    assert np.all(ours < 1.02 * without)
+    # Five trajectories of 3 s have too few rollouts of 1 and 2 s to compare. Predicting the return
+    # to the mean of white noise divides the error by the square root of two; measured 0.73.
+    assert np.all(ours[:3] < 0.85 * without[:3])
     assert "kind" in library.provenance["members"]
 
 
