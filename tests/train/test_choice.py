@@ -15,7 +15,7 @@ from egp_service.cli.tables import skill_warnings
 from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
 from egp_service.training.average_member import PriorMean, average_member
-from egp_service.training.choice import hold_out
+from egp_service.training.choice import KINDS, MARGIN, hold_out, preferred
 from egp_service.training.exact_member import START
 from egp_service.training.export import export
 from egp_service.training.gaussian_process import WHOLE_CHANGES, OutputProcess, exact
@@ -101,7 +101,7 @@ def test_a_log_of_noise_is_answered_by_no_change_or_little(tmp_path: Path) -> No
     data = wandering(0.01)
     (member,) = train([data], SETTINGS, vehicle=TOY)
     assert member.likelihoods[NO_CHANGE] == 0.0
-    assert member.likelihoods[member.kind] == max(member.likelihoods.values())
+    assert member.kind == preferred(member.likelihoods)
     # A vehicle alone would answer to the inputs.
     assert member.kind not in {"single-track", "kinematic"}
     export(tmp_path / "library", [member], SETTINGS, {}, TOY)
@@ -112,6 +112,14 @@ def test_a_log_of_noise_is_answered_by_no_change_or_little(tmp_path: Path) -> No
     # to the mean of white noise divides the error by the square root of two; measured 0.73.
     assert np.all(ours[:3] < 0.85 * without[:3])
     assert "kind" in library.provenance["members"]
+
+
+def test_a_vehicle_is_preferred_unless_another_kind_is_clearly_better() -> None:
+    likelihoods = dict.fromkeys(KINDS, 0.0) | {"constant + GPs": 1.0, "single-track": 0.5}
+    assert preferred(likelihoods) == "constant + GPs"
+    assert preferred(likelihoods | {"single-track + GPs": 1.01 - MARGIN}) == "single-track + GPs"
+    # A vehicle without skill is not preferred to no change.
+    assert preferred(dict.fromkeys(KINDS, -0.1) | {NO_CHANGE: 0.0}) == NO_CHANGE
 
 
 def test_a_vehicle_is_chosen_for_its_own_drive(tmp_path: Path) -> None:
