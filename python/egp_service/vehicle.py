@@ -25,12 +25,25 @@ def known_vehicle(name: str) -> VehicleParameters:
         EgpError: for the name of any other vehicle, whose parameters must be stated.
 
     """
-    number = name.removeprefix(_SIMULATED)
-    if number == name or not number.isdecimal():
+    vehicle = simulated_vehicle(name)
+    if vehicle is None:
         raise EgpError(
             f"the parameters of vehicle {name!r} are not known: state them in a TOML file and give "
             "it with --vehicle; `egp train --help` lists them"
         )
+    return vehicle
+
+
+def simulated_vehicle(name: str) -> VehicleParameters | None:
+    """Return the parameters of a simulated vehicle, or None for the name of any other vehicle.
+
+    Raises:
+        EgpError: if the name has the form of a simulated vehicle's, but there is no such vehicle.
+
+    """
+    number = name.removeprefix(_SIMULATED)
+    if number == name or not number.isdecimal():
+        return None
     return VehicleParameters.commonroad(int(number))
 
 

@@ -13,9 +13,10 @@ from egp_service import EgpError
 from egp_service._core import Library
 from egp_service.training import prior_mean
 from egp_service.training.export import export
-from egp_service.training.train import FitProgress, TrainedMember, TrainingSettings, split, train
+from egp_service.training.train import FitProgress, TrainingSettings, split, train
 from egp_service.training.validation import rollout_error, validate
 from egp_service.training.validation_report import draw_validation
+from egp_service.training.vehicle_fit import fit_vehicle
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from egp_service.data.dataset import Dataset
     from egp_service.training.gaussian_process import KernelName
+    from egp_service.training.trained import TrainedMember
 
 # The law of `surfaces` is no vehicle's.
 SETTINGS = TrainingSettings(
@@ -101,8 +103,15 @@ def test_the_vehicle_is_found_again(known: NDArray[np.float64]) -> None:
     bounds = np.array([8.0, 0.6, 0.5, 0.1, 6000.0, 0.3])
     z = np.array([15.0, *np.zeros(5)]) + bounds * rng.uniform(-1.0, 1.0, (2000, 6))
     y = prior_mean.predict(z, known, 0.05)
-    found = prior_mean.fit(z, y, 0.05, rng)
-    error = np.abs(prior_mean.predict(z, found, 0.05) - y).max(axis=0)
+    data = dataclasses.replace(
+        surface(),
+        z=z,
+        y=y,
+        trajectory=np.arange(2000, dtype=np.uint32),
+        step=np.zeros(2000, dtype=np.uint32),
+    )
+    (found,) = fit_vehicle([data], None, [rng])
+    error = np.abs(prior_mean.predict(z, found.values, 0.05) - y).max(axis=0)
     assert np.all(error < 1e-3 * y.std(axis=0))
 
 

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from rich import box
 from rich.table import Table
 
-from egp_service.quantities import GP_OUTPUT
+from egp_service.quantities import GP_OUTPUT, MOTION, STATE
+from egp_service.training.open_loop import MOVING, NO_CHANGE
 from egp_service.training.validation import ROLLOUT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from egp_service.simulation.summary import Summary
+    from egp_service.training.open_loop import Skill
     from egp_service.training.validation import Cell
+    from egp_service.training.vehicle_fit import FittedVehicle
+
+MOTION_NAMES: Final = tuple(list(STATE)[column] for column in MOTION)
 
 
 def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
@@ -87,3 +92,81 @@ def map_summary(origins: Mapping[str, float], trust: float | None) -> str:
         return "The fleet's map says nothing about this road yet"
     vehicles = ", ".join(f"{name} ({age:.0f} s ago)" for name, age in sorted(origins.items()))
     return f"The fleet's map has evidence of {vehicles}; it describes the road with {trust:.0%}"
+
+
+def vehicle_table(label: str, vehicle: FittedVehicle) -> Table:
+    """Return a table with a row for each parameter of a fitted vehicle.
+
+    `from prior` is the distance from the vehicle file, or from vehicles in general, in standard
+    deviations of the prior.
+    """
+    table = Table(
+        "parameter",
+        "value",
+        "95 % interval",
+        "from prior",
+        "",
+        title=f"{label}: the fitted vehicle",
+        box=box.SIMPLE_HEAD,
+    )
+    for parameter in vehicle.parameters:
+        remarks = []
+        if not parameter.determined:
+            remarks.append("not determined by the data")
+        if parameter.at_bound:
+            remarks.append("[yellow]at the end of the range[/]")
+        table.add_row(
+            parameter.name,
+            f"{parameter.value:.4g}",
+            f"{parameter.low:.3g} to {parameter.high:.3g}",
+            f"{parameter.distance:+.1f}",
+            ", ".join(remarks),
+        )
+    return table
+
+
+def skill_table(label: str, skill: Skill) -> Table:
+    """Return a table with a row for each predictor and output, and a column for each duration.
+
+    The predictors' errors are RMS values in m/s and rad/s; those above no change's are red.
+    """
+    table = Table(
+        "predictor",
+        "output",
+        *(f"{duration:g} s" for duration in skill.durations),
+        "likelihood",
+        title=f"{label}: errors on held-out data after",
+        box=box.SIMPLE_HEAD,
+    )
+    for name, errors in skill.rms.items():
+        cells = (name, f"{skill.likelihood[name]:+.2f}")
+        for column, output in enumerate(MOTION_NAMES):
+            values = [
+                f"[red]{error:.4f}[/]" if error > least else f"{error:.4f}"
+                for error, least in zip(
+                    errors[:, column], skill.rms[NO_CHANGE][:, column], strict=True
+                )
+            ]
+            table.add_row(cells[0], output, *values, cells[1])
+            cells = ("", "")
+    return table
+
+
+def skill_warnings(label: str, name: str, skill: Skill) -> list[str]:
+    """Return a sentence for each output and duration in which a predictor is worse than no change.
+
+    Without a duration, because the data have no transition that counts, one sentence says so.
+    """
+    if not skill.durations:
+        return [
+            f"{label}: the held-out data have no transitions above {MOVING:g} m/s to compare on"
+        ]
+    return [
+        f"{label}: no skill in {output} after {duration:g} s: the error is {ours:.4f}, "
+        f"that of no change {least:.4f}"
+        for duration, own, without in zip(
+            skill.durations, skill.rms[name], skill.rms[NO_CHANGE], strict=True
+        )
+        for output, ours, least in zip(MOTION_NAMES, own, without, strict=True)
+        if ours > least
+    ]

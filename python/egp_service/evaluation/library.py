@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from egp_service.data.dataset import Dataset
-    from egp_service.training.train import TrainedMember
+    from egp_service.training.trained import TrainedMember
 
 _OUTER: Final = (0.5, 1.1)
 _WHOLE_CHANGE_POINTS: Final = 700  # more points did not improve GPs without a vehicle

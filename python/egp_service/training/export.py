@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import torch
 
 from egp_service._core import MemberData, write_library
-from egp_service.training.gaussian_process import exact
 from egp_service.vehicle import known_vehicle
 
 if TYPE_CHECKING:
@@ -18,7 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from egp_service._core import VehicleParameters
-    from egp_service.training.train import TrainedMember, TrainingSettings
+    from egp_service.training.train import TrainingSettings
+    from egp_service.training.trained import TrainedMember
 
 _INSIDE: Final = 12
 _OUTSIDE: Final = 4
@@ -48,8 +48,26 @@ def export(
         vehicle=first.vehicle,
         parameters=vehicle or known_vehicle(first.vehicle),
         members=[_member(member) for member in members],
-        provenance=provenance,
+        provenance={**provenance, **_findings(members)},
     )
+
+
+def _findings(members: Sequence[TrainedMember]) -> dict[str, str]:
+    """Return what training found out about each member, as JSON by the member's label.
+
+    These are the fit of its vehicle, and its kind with the likelihoods of all kinds.
+    """
+    found: dict[str, dict[str, object]] = {}
+    for member in members:
+        own: dict[str, object] = {}
+        if member.vehicle is not None:
+            own["vehicle"] = member.vehicle.summary()
+        if member.kind:
+            likelihoods = {name: round(value, 4) for name, value in member.likelihoods.items()}
+            own |= {"kind": member.kind, "likelihoods": likelihoods}
+        if own:
+            found[member.dataset.provenance.surface] = own
+    return {"members": json.dumps(found, sort_keys=True)} if found else {}
 
 
 def _member(member: TrainedMember) -> MemberData:
@@ -70,7 +88,7 @@ def _member(member: TrainedMember) -> MemberData:
         outputscale=np.array([v.outputscale for v in values]),
         noise=np.array([v.noise for v in values]),
         constant=np.array([v.constant for v in values]),
-        alpha=_alpha(member),
+        alpha=member.alpha,
         # The envelope is that of all training data: between the chosen points GPs interpolate.
         envelope=np.stack([member.dataset.z.min(axis=0), member.dataset.z.max(axis=0)]),
         golden_z=golden_z,
@@ -78,20 +96,8 @@ def _member(member: TrainedMember) -> MemberData:
         golden_jacobian=golden_jacobian,
         golden_variance=golden_variance,
         single_track=member.single_track,
+        kinematic=member.kinematic,
     )
-
-
-def _alpha(member: TrainedMember) -> NDArray[np.float64]:
-    """Solve `(K + s²I) alpha = y - constant` for every output, (3, M)."""
-    rows = []
-    with torch.no_grad(), exact():
-        for process in member.processes:
-            z = process.inputs
-            K = process.covar_module(z).to_dense()
-            K.diagonal().add_(process.likelihood.noise)
-            y = process.train_targets - process.mean_module(z)
-            rows.append(torch.cholesky_solve(y[:, None], torch.linalg.cholesky(K))[:, 0].cpu())
-    return torch.stack(rows).numpy()
 
 
 def _golden_points(inputs: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,49 +3,68 @@
 Far from its data a GP returns to its prior mean. A constant mean predicts no slide for a car that
 brakes harder or drives faster than the data; this vehicle does. The equations are those of
 `SingleTrack` in `rust/core/src/vehicle`, written in torch so that GPyTorch's predictions and
-Jacobians include them.
+Jacobians include them. `vehicle_fit` determines the parameters.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-import numpy as np
 import torch
-from scipy.optimize import least_squares
 
-from egp_service._core import GRAVITY, EgpError
+from egp_service._core import GRAVITY
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
 SLOWEST: Final = 3.0  # m/s; slip angles are computed with at least this speed
-# Start and bounds of the fit: small cars to vans, tyres from ice to racing. A shape above 2 would
-# reverse the force at large slip, and with a shape below 1 the force would have no peak.
-_PARAMETERS: Final = {
-    "m": (1300.0, 300.0, 4000.0),
-    "l_f": (1.2, 0.3, 3.0),
-    "l_r": (1.4, 0.3, 3.0),
-    "k²": (1.6, 0.2, 6.0),
-    "h": (0.5, 0.1, 1.5),
-    "D_d": (0.8, 0.02, 2.0),
-    "D_b": (0.8, 0.02, 2.0),
-    "e_df": (1.0, 0.1, 100.0),
-    "e_bf": (1.0, 0.1, 100.0),
-    "D_f": (0.8, 0.02, 2.0),
-    "B_f": (20.0, 4.0, 80.0),
-    "C_f": (1.4, 1.05, 1.9),
-    "e_dr": (1.0, 0.1, 100.0),
-    "e_br": (1.0, 0.1, 100.0),
-    "D_r": (0.8, 0.02, 2.0),
-    "B_r": (20.0, 4.0, 80.0),
-    "C_r": (1.4, 1.05, 1.9),
+
+
+class Parameter(NamedTuple):
+    """What is known about a parameter of any vehicle: small cars to vans, tyres from ice to racing.
+
+    `start` and `width` (standard deviation of the logarithm) are the prior without other knowledge,
+    `low` and `high` the range that a fit searches.
+    """
+
+    start: float
+    width: float
+    low: float
+    high: float
+
+
+# A shape C above 2 would reverse the force at large slip, and with a shape below 1 the force would
+# have no peak.
+_COUPLING: Final = Parameter(1.0, 1.5, 0.1, 100.0)
+_GRIP: Final = Parameter(0.8, 1.0, 0.005, 2.0)
+_STIFFNESS: Final = Parameter(20.0, 0.8, 1.0, 100.0)
+_SHAPE: Final = Parameter(1.4, 0.15, 1.05, 1.9)
+BODY: Final = {
+    "m": Parameter(1300.0, 0.5, 300.0, 4000.0),
+    "l_f": Parameter(1.2, 0.3, 0.3, 3.0),
+    "l_r": Parameter(1.4, 0.3, 0.3, 3.0),
+    "k²": Parameter(1.6, 0.5, 0.2, 6.0),
+    "h": Parameter(0.5, 0.3, 0.1, 1.5),
 }
-_START, _LOWEST, _HIGHEST = (np.array(row) for row in zip(*_PARAMETERS.values(), strict=True))
-_FIT_POINTS: Final = 8000
-# Scale of the robust loss in standard deviations of the change. Larger residuals have a bounded
-# influence: effects outside the model (a spin, a locked wheel) are left to the GPs.
-_OUTLIER: Final = 0.1
+"""Parameters that do not depend on the road."""
+TYRES: Final = {
+    "D_d": _GRIP,
+    "D_b": _GRIP,
+    "e_df": _COUPLING,
+    "e_bf": _COUPLING,
+    "D_f": _GRIP,
+    "B_f": _STIFFNESS,
+    "C_f": _SHAPE,
+    "e_dr": _COUPLING,
+    "e_br": _COUPLING,
+    "D_r": _GRIP,
+    "B_r": _STIFFNESS,
+    "C_r": _SHAPE,
+}
+"""Parameters of the tyres on a road."""
+PARAMETERS: Final = BODY | TYRES
+"""All parameters, in the order of `change`."""
 
 
 def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
@@ -90,27 +109,14 @@ def predict(
     return change(torch.from_numpy(z), torch.from_numpy(parameters), dt).numpy()
 
 
-def fit(
-    z: NDArray[np.float64], y: NDArray[np.float64], dt: float, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Fit the parameters (17,) to changes y (n, 3) at inputs z (n, 6) by robust least squares.
+def kinematic_change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
+    """Change of `[v_x, v_y, omega]` (n, 3) of a vehicle whose wheels roll without slip.
 
-    Raises:
-        EgpError: if the fit does not converge.
-
+    The parameters (3,) are mass in kg and the axle distances in m; the equations are those of
+    `Kinematic` in Rust.
     """
-    rows = rng.permutation(len(z))[:_FIT_POINTS]
-    scale = _OUTLIER * y.std(axis=0)
-
-    def residuals(logarithm: NDArray[np.float64]) -> NDArray[np.float64]:
-        predicted = predict(z[rows], _START * np.exp(logarithm), dt)
-        return np.asarray(((predicted - y[rows]) / scale).ravel())
-
-    bounds = np.log(_LOWEST / _START), np.log(_HIGHEST / _START)
-    found = least_squares(residuals, np.zeros(len(_START)), loss="soft_l1", bounds=bounds)
-    if not (found.success and np.isfinite(found.cost)):
-        raise EgpError(
-            f"no single-track vehicle fits the data ({found.message}): "
-            'check their units, or train with mean = "constant"'
-        )
-    return np.asarray(_START * np.exp(found.x))
+    v_x, v_y, omega, delta, force, delta_dot = z.unbind(-1)
+    mass, l_f, l_r = parameters.unbind()
+    gain = dt * force / mass
+    after = (v_x + gain) * torch.tan(delta + dt * delta_dot) / (l_f + l_r)
+    return torch.stack([gain, l_r * after - v_y, after - omega], dim=-1)

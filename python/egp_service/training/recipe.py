@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from egp_service.data.dataset import Dataset
-    from egp_service.training.train import FitProgress, TrainedMember
+    from egp_service.training.train import FitProgress
+    from egp_service.training.trained import TrainedMember
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,8 +1,9 @@
 """Training of a library from datasets: one member per surface, one exact process per output.
 
-For each surface: trajectories are split off for validation, a single-track vehicle is fitted
-(`prior_mean`), its residuals are z-scored, the lengthscales are fitted on a random subset,
-`max_points` transitions are chosen with them (`subset`), and the processes are fitted on these.
+Trajectories of each surface are split off for validation, and one single-track vehicle is fitted to
+all surfaces with a set of tyres for each (`vehicle_fit`). Then, for each surface, its residuals are
+z-scored, the lengthscales are fitted on a random subset, `max_points` transitions are chosen with
+them (`subset`), and the processes are fitted on these.
 With a vehicle as prior mean the outputs' processes share kernel and noise.
 """
 
@@ -10,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -18,25 +18,19 @@ import torch
 
 from egp_service._core import EgpError
 from egp_service.data.dataset import Dataset, merge
-from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ
-from egp_service.training import prior_mean
-from egp_service.training.gaussian_process import (
-    CORRECTIONS,
-    WHOLE_CHANGES,
-    FitStep,
-    Hyperparameters,
-    KernelName,
-    OutputProcess,
-    exact,
-    fit,
-    share_kernel,
-)
-from egp_service.training.subset import select
+from egp_service.quantities import GP_INPUT, GP_OUTPUT, NZ
+from egp_service.training.choice import KINDS, best_member
+from egp_service.training.exact_member import exact_member, spread
+from egp_service.training.vehicle_fit import fit_vehicle
+from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from numpy.typing import NDArray
+    from egp_service._core import VehicleParameters
+    from egp_service.training.gaussian_process import KernelName
+    from egp_service.training.trained import TrainedMember
+    from egp_service.training.vehicle_fit import FittedVehicle
 
 _ONE_THREAD: Final = 1000
 
@@ -47,8 +41,10 @@ class TrainingSettings:
 
     kernel: KernelName = "matern52"
     """Covariance function of every process: "rbf" or "matern52"."""
-    mean: Literal["single-track", "constant"] = "single-track"
+    mean: Literal["single-track", "constant", "best"] = "single-track"
     """Prior mean of the GPs: a vehicle fitted to the surface, or constants as in the paper.
+
+    With "best" each member takes the kind of `choice.KINDS` that predicts held-out blocks best.
 
     The residuals of a vehicle are small and hardly determine the kernels, so all (z-scored) outputs
     share one kernel and noise, which halves the time of a prediction. With constants each output
@@ -71,8 +67,8 @@ class TrainingSettings:
         """Check the ranges of the settings."""
         if self.kernel not in ("rbf", "matern52"):
             raise EgpError(f"kernel is {self.kernel!r}: expected 'rbf' or 'matern52'")
-        if self.mean not in ("single-track", "constant"):
-            raise EgpError(f"mean is {self.mean!r}: expected 'single-track' or 'constant'")
+        if self.mean not in ("single-track", "constant", "best"):
+            raise EgpError(f"mean is {self.mean!r}: expected 'single-track', 'constant' or 'best'")
         least = 2 * NZ
         for name in ("max_points", "first_points"):
             if getattr(self, name) < least:
@@ -93,52 +89,6 @@ class FitProgress:
     loss: float
     done: int
     total: int
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class TrainedMember:
-    """One surface's processes with their scaling."""
-
-    dataset: Dataset
-    """The training data before the selection, whose hash and bounds are exported."""
-    validation: Dataset
-    """The held-out trajectories."""
-    inputs: NDArray[np.float64]
-    """The chosen transitions' inputs (M, 6) and targets (M, 3), physical units."""
-    targets: NDArray[np.float64]
-    input_mean: NDArray[np.float64]
-    input_std: NDArray[np.float64]
-    target_mean: NDArray[np.float64]
-    """Mean of the targets less the vehicle's prediction."""
-    target_std: NDArray[np.float64]
-    processes: tuple[OutputProcess, ...]
-    single_track: NDArray[np.float64] | None
-    """Parameters (17,) of the vehicle that is the prior mean, if any."""
-
-    def predict(
-        self, z: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Mean (n, 3), autograd Jacobian (n, 3, 6) and latent variance (n, 3), physical units."""
-        device = self.processes[0].inputs.device
-        query = torch.tensor(z, dtype=torch.float64, device=device, requires_grad=True)
-        scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
-        mean, variance = np.empty((len(z), NY)), np.empty((len(z), NY))
-        jacobian = np.empty((len(z), NY, NZ))
-        known = query.new_zeros((len(z), NY))
-        if self.single_track is not None:
-            vehicle, dt = query.new_tensor(self.single_track), self.dataset.provenance.dt
-            known = prior_mean.change(query, vehicle, dt)
-        with exact():
-            for j, process in enumerate(self.processes):
-                posterior = process(scaled)
-                f = posterior.mean * self.target_std[j] + self.target_mean[j] + known[:, j]
-                # Row i of the mean depends on row i of the query only, so one backward pass of
-                # the sum gives the gradients of all rows.
-                (gradient,) = torch.autograd.grad(f.sum(), query, retain_graph=True)
-                mean[:, j] = f.detach().cpu().numpy()
-                variance[:, j] = posterior.variance.detach().cpu().numpy() * self.target_std[j] ** 2
-                jacobian[:, j] = gradient.cpu().numpy()
-        return mean, jacobian, variance
 
 
 def split(dataset: Dataset, fraction: float, rng: np.random.Generator) -> tuple[Dataset, Dataset]:
@@ -163,8 +113,12 @@ def train(
     datasets: Sequence[Dataset],
     settings: TrainingSettings,
     report: Callable[[FitProgress], None] = lambda _: None,
+    *,
+    vehicle: VehicleParameters | None = None,
 ) -> list[TrainedMember]:
     """Train one member per surface label, ordered by friction and label.
+
+    What is known about the vehicle are the parameters `vehicle`, or those of a simulated vehicle.
 
     Raises:
         EgpError: if datasets differ in dt or vehicle, or a fit fails.
@@ -175,13 +129,50 @@ def train(
         key = (dataset.provenance.friction, dataset.provenance.surface)
         surfaces.setdefault(key, []).append(dataset)
     _check_consistent([parts[0].provenance.surface for parts in surfaces.values()], datasets)
-    budget = len(surfaces) * (settings.restarts + 2) * settings.max_iterations
+    rngs = [np.random.default_rng([settings.seed, number]) for number in range(len(surfaces))]
+    parts = [
+        split(merge(surfaces[key]), settings.validation_fraction, rng)
+        for key, rng in zip(sorted(surfaces), rngs, strict=True)
+    ]
+    return train_parts(parts, settings, report, vehicle=vehicle, rngs=rngs)
+
+
+def train_parts(
+    parts: Sequence[tuple[Dataset, Dataset]],
+    settings: TrainingSettings,
+    report: Callable[[FitProgress], None] = lambda _: None,
+    *,
+    vehicle: VehicleParameters | None = None,
+    rngs: Sequence[np.random.Generator],
+) -> list[TrainedMember]:
+    """Train one member for each part, which has training and held-out data of one surface.
+
+    `vehicle` is as for `train`. Each part has a generator of random numbers.
+
+    Raises:
+        EgpError: if a fit fails.
+
+    """
+    fits = len(KINDS) if settings.mean == "best" else 1
+    budget = len(parts) * fits * (settings.restarts + 2) * settings.max_iterations
     members: list[TrainedMember] = []
     with _threads(settings.max_points):
-        for number, (_, parts) in enumerate(sorted(surfaces.items())):
-            rng = np.random.default_rng([settings.seed, number])
-            offset = number * budget // len(surfaces)
-            members.append(_train_member(merge(parts), settings, rng, (offset, budget), report))
+        for data, _ in parts:
+            _check_varies(data)
+        vehicles: list[FittedVehicle | None] = [None for _ in parts]
+        if settings.mean != "constant":
+            known = vehicle or simulated_vehicle(parts[0][0].provenance.vehicle)
+            vehicles = [*fit_vehicle([data for data, _ in parts], known, rngs)]
+        for number, (part, fitted, rng) in enumerate(zip(parts, vehicles, rngs, strict=True)):
+
+            def on_fit(stage: str, loss: float, done: int, number: int = number) -> None:
+                offset = number * budget // len(parts)
+                report(FitProgress(stage, loss, offset + done, budget))
+
+            if settings.mean == "best" and fitted is not None:
+                members.append(best_member(part, fitted, settings, rng, on_fit))
+            else:
+                members.append(exact_member(part, fitted, settings, rng, on_fit))
     return members
 
 
@@ -212,93 +203,7 @@ def _check_consistent(labels: list[str], datasets: Sequence[Dataset]) -> None:
             )
 
 
-def _train_member(
-    dataset: Dataset,
-    settings: TrainingSettings,
-    rng: np.random.Generator,
-    progress: tuple[int, int],
-    report: Callable[[FitProgress], None],
-) -> TrainedMember:
-    data, validation = split(dataset, settings.validation_fraction, rng)
-    label = dataset.provenance.surface
-    input_mean, input_std = data.z.mean(axis=0), _spread(data.z, GP_INPUT, label)
-    _spread(data.y, GP_OUTPUT, label)
-    vehicle, rest, bounds = None, data.y, WHOLE_CHANGES
-    if settings.mean == "single-track":
-        vehicle = prior_mean.fit(data.z, data.y, data.provenance.dt, rng)
-        rest = data.y - prior_mean.predict(data.z, vehicle, data.provenance.dt)
-        bounds = CORRECTIONS
-    target_mean, target_std = rest.mean(axis=0), _spread(rest, GP_OUTPUT, label)
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    z = torch.tensor((data.z - input_mean) / input_std, dtype=torch.float64, device=device)
-    y = torch.tensor((rest - target_mean) / target_std, dtype=torch.float64, device=device)
-    offset, total = progress
-
-    def fit_all(
-        rows: NDArray[np.int64], starts: list[list[Hyperparameters]], done: int, stage: str
-    ) -> list[OutputProcess]:
-        processes = [
-            OutputProcess(z[rows], y[rows, j].contiguous(), settings.kernel, bounds)
-            for j in range(NY)
-        ]
-        together = [range(NY)] if vehicle is not None else [range(j, j + 1) for j in range(NY)]
-        for number, outputs in enumerate(together):
-            group = [processes[j] for j in outputs]
-            share_kernel(group)
-            before = number * len(starts) * settings.max_iterations
-            names = ", ".join(list(GP_OUTPUT)[j] for j in outputs)
-
-            def on_step(step: FitStep, before: int = before, names: str = names) -> None:
-                at = before + step.start * settings.max_iterations + step.iteration
-                at = done + math.ceil(at / len(together))
-                report(FitProgress(f"{label}: {stage} fit of {names}", step.loss, at, total))
-
-            own = [[start[j] for j in outputs] for start in starts]
-            fit(group, own, settings.max_iterations, on_step)
-        return processes
-
-    first_rows = np.sort(rng.permutation(len(data))[: settings.first_points])
-    first = fit_all(first_rows, [[_START] * NY], offset, "first")
-    rows = select(z, first, settings.max_points, rng)
-    starts = [
-        [process.hyperparameters for process in first],
-        *([_random_start(rng) for _ in range(NY)] for _ in range(settings.restarts)),
-    ]
-    processes = fit_all(rows, starts, offset + settings.max_iterations, "final")
-    return TrainedMember(
-        dataset=data,
-        validation=validation,
-        inputs=data.z[rows],
-        targets=data.y[rows],
-        input_mean=input_mean,
-        input_std=input_std,
-        target_mean=target_mean,
-        target_std=target_std,
-        processes=tuple(processes),
-        single_track=vehicle,
-    )
-
-
-# The residual of one period is almost linear in z, hence the long lengthscales and little noise.
-# Values of this start and of the random ones are moved inside the bounds.
-_START: Final = Hyperparameters(lengthscales=(3.0,) * NZ, outputscale=3.0, noise=1e-2, constant=0.0)
-
-
-def _random_start(rng: np.random.Generator) -> Hyperparameters:
-    return Hyperparameters(
-        lengthscales=tuple(np.exp(rng.uniform(np.log(1.0), np.log(10.0), NZ))),
-        outputscale=float(np.exp(rng.uniform(0.0, np.log(10.0)))),
-        noise=float(np.exp(rng.uniform(np.log(1e-4), np.log(1e-1)))),
-        constant=0.0,
-    )
-
-
-def _spread(values: NDArray[np.float64], names: dict[str, str], label: str) -> NDArray[np.float64]:
-    """Return the standard deviation of each column; a constant column is an error."""
-    std: NDArray[np.float64] = values.std(axis=0)
-    for name, s in zip(names, std, strict=True):
-        if not s > 1e-9:  # noqa: PLR2004 - rounding noise of a constant
-            raise EgpError(
-                f"surface {label}: {name} never changes; collect data in which it varies"
-            )
-    return std
+def _check_varies(data: Dataset) -> None:
+    """Errors if an input or output of the data is constant."""
+    spread(data.z, GP_INPUT, data.provenance.surface)
+    spread(data.y, GP_OUTPUT, data.provenance.surface)

@@ -12,6 +12,7 @@ import numpy as np
 
 from egp_service._core import EgpError
 from egp_service.quantities import NY
+from egp_service.training.open_loop import LINEAR, linear, rollout, skill, starts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,9 +21,12 @@ if TYPE_CHECKING:
 
     from egp_service._core import Library
     from egp_service.data.dataset import Dataset
+    from egp_service.training.open_loop import Skill
+    from egp_service.training.trained import TrainedMember
 
 # Each variance needs a triangular solve; more rows than this change the third digit only.
 _MAX_ROWS: Final = 3000
+_EVERY: Final = 5  # rows from the start of a rollout to that of the next one
 _QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
 
 
@@ -88,18 +92,25 @@ def rollout_error(
     Inputs and steering angles are those of the data. Rollouts start at every fifth row with enough
     following rows of its trajectory; without such a row the result is NaN.
     """
-    last = np.arange(periods - 1, len(dataset))
-    first = last - (periods - 1)
-    unbroken = (dataset.trajectory[first] == dataset.trajectory[last]) & (
-        dataset.step[last].astype(np.int64) - dataset.step[first] == periods - 1
-    )
-    start = first[unbroken][::5][:_MAX_ROWS]
+    start = starts(dataset, periods, _EVERY)
     if len(start) == 0:
         return np.full(NY, np.nan)
-    state = dataset.z[start, :NY]
-    for k in range(periods):
-        z = np.hstack([state, dataset.z[start + k, NY:]])
-        state = state + library.predict(z, index)[0]
-    end = start + periods - 1
-    error = state - (dataset.z[end, :NY] + dataset.y[end])
+    error = rollout(lambda z: library.predict(z, index)[0], dataset, start, periods)
     return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
+
+
+def member_skill(library: Library, index: int, member: TrainedMember) -> Skill:
+    """Compare a member of the finished file with no change and with a linear model.
+
+    The data are those that were held out of the training of `member`, the linear model is fitted to
+    those that were not.
+    """
+    vehicle = library.parameters
+    label = library.members[index].label
+    return skill(
+        {
+            LINEAR: linear(member.dataset, (vehicle.l_f, vehicle.l_r)),
+            label: lambda z: library.predict(z, index)[0],
+        },
+        member.validation,
+    )

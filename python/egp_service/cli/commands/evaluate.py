@@ -51,6 +51,15 @@ def evaluate(
     scale: Annotated[
         float, typer.Option(help="Scale of the track's lengths; 10 for tracks of 1:10 cars.")
     ] = 1.0,
+    log: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Dataset of a log: predict its held-out blocks instead; repeat for more."
+        ),
+    ] = None,
+    vehicle: Annotated[
+        Path | None, typer.Option(help="TOML file of the vehicle, for --log.")
+    ] = None,
     jobs: Jobs = None,
     cluster: Cluster = None,
     output: Annotated[
@@ -60,9 +69,14 @@ def evaluate(
     """Run the paper's experiments with baselines, and write report.html.
 
     Experiments: prediction, varying-speed, lane-change, four-members,
-    random-roads, friction-step, unseen-track, hard-roads, unknown-roads,
-    remembered-roads, disturbances (with --full only), hidden-ice, iso-3888-2,
-    step-times.
+    random-roads, friction-step, unseen-track, hard-roads, narrow-track,
+    unknown-roads, remembered-roads, fleet-roads, disturbances (with --full only),
+    hidden-ice, iso-3888-2, step-times.
+
+    With --log nothing drives: members are trained on four of five blocks of each
+    log and predict the fifth, over one period and in rollouts, next to no change,
+    linear models, the paper's GPs and a vehicle alone. The log is a dataset of
+    `egp collect --from-csv`; the pictures go to the output folder.
 
     The same command resumes an interrupted evaluation. Requires the extras train
     and viz; with the extra paper, step-times includes the paper's stack.
@@ -72,11 +86,11 @@ def evaluate(
       egp evaluate --full -o runs/full
       egp evaluate --full -e varying-speed -e random-roads
       egp evaluate -e unseen-track --track Interlagos_centerline.csv --scale 10
+      egp evaluate --log data/oval.parquet --log data/road.parquet --vehicle car.toml
     """
     import shlex
     import sys
 
-    from egp_service._core import EgpError
     from egp_service.evaluation import disturbances
     from egp_service.evaluation.batch import finish
     from egp_service.evaluation.campaign import Campaign, require_members
@@ -89,14 +103,12 @@ def evaluate(
     from egp_service.evaluation.summary_report import headline, write_report
 
     console = Console()
-    names = [e.name for e in EXPERIMENTS]
+    if _on_logs(console, log, vehicle, output):
+        return
     avoidance = OBSTACLE_AVOIDANCE.name
-    known = ["prediction", *names, HIDDEN_ICE.name, avoidance, "step-times"]
+    known = ["prediction", *(e.name for e in EXPERIMENTS), HIDDEN_ICE.name, avoidance, "step-times"]
     chosen = _chosen(experiment, known)
-    if track and "unseen-track" not in chosen:
-        raise EgpError("--track is used by unseen-track: add -e unseen-track")
-    if scale != 1.0 and not track:
-        raise EgpError("--scale requires --track: give both")
+    _check_track(track, scale, chosen)
     driven = [
         on_track(e, track, scale) if track and e.name == "unseen-track" else e
         for e in EXPERIMENTS
@@ -146,6 +158,29 @@ def evaluate(
     if rows := headline(outcomes):
         _print(console, rows)
     console.print(f"Look at {report}", highlight=False)
+
+
+def _on_logs(console: Console, logs: list[Path] | None, vehicle: Path | None, output: Path) -> bool:
+    """Evaluate on logs if there are any, and return whether this was done."""
+    from egp_service._core import EgpError
+
+    if not logs:
+        if vehicle is not None:
+            raise EgpError("--vehicle is for --log: give both")
+        return False
+    from egp_service.cli.logs import evaluate_on
+
+    evaluate_on(console, logs, vehicle, output)
+    return True
+
+
+def _check_track(track: Path | None, scale: float, chosen: list[str]) -> None:
+    from egp_service._core import EgpError
+
+    if track and "unseen-track" not in chosen:
+        raise EgpError("--track is used by unseen-track: add -e unseen-track")
+    if scale != 1.0 and not track:
+        raise EgpError("--scale requires --track: give both")
 
 
 def _chosen(experiment: list[str] | None, known: list[str]) -> list[str]:

@@ -25,9 +25,9 @@ def train(
         Literal["rbf", "matern52"], typer.Option(help="Covariance function.")
     ] = "matern52",
     mean: Annotated[
-        Literal["single-track", "constant"],
-        typer.Option(help="Prior mean of the GPs: a vehicle fitted to the surface, or a constant."),
-    ] = "single-track",
+        Literal["single-track", "constant", "best"],
+        typer.Option(help="Prior mean of the GPs; best tries vehicles and constants, also alone."),
+    ] = "best",
     max_points: Annotated[int, typer.Option(help="Number of transitions of a member.")] = 400,
     restarts: Annotated[int, typer.Option(help="Additional random starts of each fit.")] = 1,
     validation: Annotated[
@@ -41,9 +41,18 @@ def train(
 ) -> None:
     """Train a library: one member for each surface in the datasets.
 
-    Prints the validation matrix: every member on every surface's held-out
-    trajectories. Of more than --max-points transitions, half are selected
-    uniformly and half by the variance of a first fit.
+    Prints each member's fitted vehicle, with intervals and with what the data do
+    not determine, and the validation matrix: every member on every surface's
+    held-out trajectories. The members' vehicles share the body and differ in the
+    tyres; the file of --vehicle also says what is known about the body.
+
+    With --mean best, each member takes what predicts held-out blocks best: no
+    change, a constant, a kinematic or a single-track vehicle, each alone or with
+    GPs. The last tables compare each member with no change and with a linear
+    model after one period and after rollouts; it warns where there is no skill.
+
+    Of more than --max-points transitions, half are selected uniformly and half
+    by the variance of a first fit.
 
     The library states its vehicle, from which controller, gate and speed
     profile take their defaults. The file of --vehicle states, in SI units:
@@ -60,16 +69,22 @@ def train(
     """
     from egp_service._core import EgpError, Library
     from egp_service.cli.progress import collecting, fitting
-    from egp_service.cli.tables import validation_table
+    from egp_service.cli.tables import (
+        skill_table,
+        skill_warnings,
+        validation_table,
+        vehicle_table,
+    )
     from egp_service.data.dataset import Dataset
     from egp_service.training.export import export
     from egp_service.training.recipe import Displays, Recipe, follow, training_provenance
     from egp_service.training.train import TrainingSettings
     from egp_service.training.train import train as train_members
-    from egp_service.training.validation import validate
+    from egp_service.training.validation import member_skill, validate
     from egp_service.vehicle import read_vehicle
 
     console = Console()
+    car = None if vehicle is None else read_vehicle(vehicle)
     if (recipe is None) == (not data):
         raise EgpError("expected either datasets or --recipe")
     if cluster is not None and recipe is None:
@@ -90,13 +105,23 @@ def train(
         )
         datasets = [Dataset.read(path) for path in data or []]
         with fitting(console) as report:
-            members = train_members(datasets, settings, report)
-    car = None if vehicle is None else read_vehicle(vehicle)
+            members = train_members(datasets, settings, report, vehicle=car)
     export(output, members, settings, training_provenance(settings), car)
     library = Library.load(output)
     held_out = {member.dataset.provenance.surface: member.validation for member in members}
     matrix = validate(library, held_out)
+    for member in members:
+        if member.vehicle is not None:
+            console.print(vehicle_table(member.dataset.provenance.surface, member.vehicle))
     console.print(validation_table(matrix))
+    for number, member in enumerate(members):
+        label = member.dataset.provenance.surface
+        if member.kind:
+            console.print(f"{label}: {member.kind} predicts held-out blocks best")
+        compared = member_skill(library, number, member)
+        console.print(skill_table(label, compared))
+        for warning in skill_warnings(label, label, compared):
+            console.print(f"[yellow]{warning}[/]", highlight=False)
     if picture is not None:
         from egp_service.training.validation_report import draw_validation
 

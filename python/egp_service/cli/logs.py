@@ -1,0 +1,64 @@
+"""`egp evaluate --log`: open-loop evaluation on logs, with tables and pictures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from egp_service.cli.progress import fitting
+from egp_service.cli.tables import MOTION_NAMES, skill_table, skill_warnings, vehicle_table
+from egp_service.data.dataset import Dataset
+from egp_service.evaluation.log_figures import draw_log
+from egp_service.evaluation.logs import LAST_CHANGE, OURS, LogOutcome, evaluate_logs
+from egp_service.training.train import TrainingSettings
+from egp_service.vehicle import read_vehicle
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from rich.console import Console
+
+
+def evaluate_on(console: Console, logs: Sequence[Path], vehicle: Path | None, output: Path) -> None:
+    """Evaluate the datasets `logs`, print tables, and draw one picture for each in `output`.
+
+    Raises:
+        EgpError: if a file is not readable or training fails.
+
+    """
+    datasets = [Dataset.read(path) for path in logs]
+    car = None if vehicle is None else read_vehicle(vehicle)
+    with fitting(console) as report:
+        outcomes = evaluate_logs(datasets, car, TrainingSettings(mean="best"), report)
+    output.mkdir(parents=True, exist_ok=True)
+    for outcome in outcomes:
+        _show(console, outcome)
+        picture = draw_log(outcome, output / f"{outcome.name}.png")
+        console.print(f"Look at {picture}", highlight=False)
+
+
+def _show(console: Console, outcome: LogOutcome) -> None:
+    found = outcome.channels
+    for name, noise, correlation in zip(
+        MOTION_NAMES, found.noise, found.autocorrelation, strict=True
+    ):
+        console.print(
+            f"{outcome.name}: {name} has white noise of {noise:.4f}; "
+            f"consecutive changes correlate by {correlation:+.2f}",
+            highlight=False,
+        )
+    console.print(
+        f"{outcome.name}: the yaw rate follows the steering by {found.steering_delay:.2f} s, the "
+        f"change of v_x the force by {found.force_delay:.2f} s",
+        highlight=False,
+    )
+    if outcome.member.vehicle is not None:
+        console.print(vehicle_table(outcome.name, outcome.member.vehicle))
+    console.print(skill_table(outcome.name, outcome.skill))
+    values = ", ".join(f"{error:.4f}" for error in outcome.last_change)
+    console.print(f"{LAST_CHANGE}, after one period: {values}", highlight=False)
+    shares = ", ".join(f"{100 * share:.1f} %" for share in outcome.coverage)
+    console.print(f"inside the member's 95 % intervals: {shares}", highlight=False)
+    console.print(f"the member's kind: {outcome.member.kind}", highlight=False)
+    for warning in skill_warnings(outcome.name, OURS, outcome.skill):
+        console.print(f"[yellow]{warning}[/]", highlight=False)

@@ -1,0 +1,90 @@
+"""What the sensors of a log do to its channels: white noise and delays, estimated from the log."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service.quantities import GP_INPUT, NY
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from egp_service.data.dataset import Dataset
+
+_ORDER: Final = 4
+# Sum of the squared coefficients 1, -4, 6, -4, 1 of the fourth difference.
+_GAIN: Final = 70.0
+_MAD: Final = 1.4826
+_MOVING: Final = 5.0  # m/s
+_LONGEST: Final = 1.0  # s
+V_X, _, OMEGA, DELTA, FORCE, _ = range(len(GP_INPUT))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Channels:
+    """Noise and delays of a log's channels."""
+
+    noise: NDArray[np.float64]
+    """Standard deviations (3,) of the white noise of v_x, v_y (m/s) and omega (rad/s)."""
+    autocorrelation: NDArray[np.float64]
+    """Correlation (3,) of consecutive changes; noise that is larger than the motion gives -0.5."""
+    steering_delay: float
+    """Time in s by which the yaw rate follows the steering angle times the speed."""
+    force_delay: float
+    """Time in s by which the change of v_x follows the force; negative if the log's force, or the
+    acceleration from which it was made, is a filtered measurement of what has happened."""
+
+
+def channels(dataset: Dataset) -> Channels:
+    """Estimate noise and delays from the transitions above 5 m/s.
+
+    The noise is what fourth differences of the states leave, which remove cubic motion (Hall, Kay
+    and Titterington 1990); noise with a longer correlation than a few periods counts as motion.
+    Delays are the lags of largest correlation, up to 1 s; they are NaN without trajectories of
+    twice that length.
+    """
+    dt = dataset.provenance.dt
+    states, z, y = dataset.z[:, :NY], dataset.z, dataset.y
+    apart = dataset.step[_ORDER:].astype(np.int64) - dataset.step[:-_ORDER]
+    whole = (dataset.trajectory[_ORDER:] == dataset.trajectory[:-_ORDER]) & (apart == _ORDER)
+    whole &= z[_ORDER:, V_X] > _MOVING
+    fourth = np.diff(states, n=_ORDER, axis=0)[whole]
+    noise = np.full(NY, np.nan)
+    if len(fourth):
+        noise = _MAD * np.median(np.abs(fourth), axis=0) / np.sqrt(_GAIN)
+    pairs = (dataset.trajectory[1:] == dataset.trajectory[:-1]) & (z[1:, V_X] > _MOVING)
+    before, after = y[:-1][pairs], y[1:][pairs]
+    correlation = np.array([_correlation(before[:, o], after[:, o]) for o in range(NY)])
+    return Channels(
+        noise=noise,
+        autocorrelation=correlation,
+        steering_delay=dt * _lag(dataset, z[:, DELTA] * z[:, V_X], z[:, OMEGA]),
+        force_delay=dt * _lag(dataset, z[:, FORCE], y[:, V_X]),
+    )
+
+
+def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Correlation of two arrays, whose outliers are moved to their 1 % and 99 % quantiles."""
+    if len(a) < 2:  # noqa: PLR2004
+        return float("nan")
+    a, b = (np.clip(v, *np.quantile(v, [0.01, 0.99])) for v in (a, b))
+    spread = a.std() * b.std()
+    return float(np.mean((a - a.mean()) * (b - b.mean())) / spread) if spread > 0.0 else 0.0
+
+
+def _lag(dataset: Dataset, cause: NDArray[np.float64], effect: NDArray[np.float64]) -> float:
+    """Periods by which `effect` follows `cause`: the lag of their largest correlation."""
+    longest = round(_LONGEST / dataset.provenance.dt)
+    rows = np.arange(longest, len(cause) - longest)
+    inside = (dataset.trajectory[rows - longest] == dataset.trajectory[rows + longest]) & (
+        dataset.z[rows, V_X] > _MOVING
+    )
+    rows = rows[inside]
+    if len(rows) == 0:
+        return float("nan")
+    lags = np.arange(-longest, longest + 1)
+    values = [_correlation(cause[rows], effect[rows + lag]) for lag in lags]
+    return float(lags[int(np.argmax(values))])

@@ -1,0 +1,177 @@
+"""Open-loop evaluation on logs: what models that are trained on part of a log predict of the rest.
+
+Blocks of a log are its trajectories; every fifth is held out. Members of one log also predict the
+held-out blocks of the others.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service._core import EgpError, solve_weights
+from egp_service.data.channels import Channels, channels
+from egp_service.quantities import NY
+from egp_service.training.average_member import PriorMean, average_member
+from egp_service.training.choice import hold_out
+from egp_service.training.open_loop import LINEAR, MOVING, Skill, linear, skill
+from egp_service.training.train import TrainingSettings, train_parts
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from egp_service._core import VehicleParameters
+    from egp_service.data.dataset import Dataset
+    from egp_service.training.open_loop import Predictor
+    from egp_service.training.train import FitProgress
+    from egp_service.training.trained import TrainedMember
+
+OURS: Final = "member"
+PAPER: Final = "paper's GPs"
+VEHICLE: Final = "single-track alone"
+LAST_CHANGE: Final = "linear and last change"
+_QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
+_WINDOW: Final = 0.5  # s, from which weights are estimated
+_STRENGTH: Final = 1e-3  # of the quadratic prior on the weights
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LogOutcome:
+    """What was found on one log."""
+
+    name: str
+    channels: Channels
+    member: TrainedMember
+    """The member that is trained on the log, whose validation data are the held-out blocks."""
+    skill: Skill
+    """Of all predictors on the held-out blocks."""
+    last_change: NDArray[np.float64]
+    """RMS errors (3,) over one period of the linear model that also gets the last change."""
+    coverage: NDArray[np.float64]
+    """Share (3,) of the held-out changes above 5 m/s inside the member's 95 % intervals."""
+    predicted: NDArray[np.float64]
+    """The member's predictions of the held-out changes (n, 3)."""
+    deviation: NDArray[np.float64]
+    """Standard deviations (n, 3) of the same, with noise."""
+    weights: NDArray[np.float64] | None
+    """Weights (n, N) of the other logs' members at the held-out transitions, NaN where the window
+    is not full; None with fewer than two other logs."""
+
+
+def evaluate_logs(
+    logs: Sequence[Dataset],
+    vehicle: VehicleParameters | None,
+    settings: TrainingSettings,
+    report: Callable[[FitProgress], None] = lambda _: None,
+) -> list[LogOutcome]:
+    """Train on four of five blocks of each log and predict the fifth.
+
+    Raises:
+        EgpError: if two logs have the same name of a surface, or differ in period, or if training
+            fails.
+
+    """
+    names = [log.provenance.surface for log in logs]
+    if len(set(names)) < len(names):
+        raise EgpError("two logs have the same surface: import each with its own --surface")
+    if len({log.provenance.dt for log in logs}) > 1:
+        raise EgpError("the logs differ in dt: import all with the same --dt")
+    parts = [hold_out(log) for log in logs]
+    members = _train(parts, settings, vehicle, report)
+    paper = _train(parts, dataclasses.replace(settings, mean="constant"), vehicle, report)
+    return [
+        _outcome(number, logs[number], members, paper[number], settings)
+        for number in range(len(logs))
+    ]
+
+
+def _train(
+    parts: Sequence[tuple[Dataset, Dataset]],
+    settings: TrainingSettings,
+    vehicle: VehicleParameters | None,
+    report: Callable[[FitProgress], None],
+) -> list[TrainedMember]:
+    rngs = [np.random.default_rng([settings.seed, number]) for number in range(len(parts))]
+    return train_parts(parts, settings, report, vehicle=vehicle, rngs=rngs)
+
+
+def _outcome(
+    number: int,
+    log: Dataset,
+    members: Sequence[TrainedMember],
+    paper: TrainedMember,
+    settings: TrainingSettings,
+) -> LogOutcome:
+    member, others = members[number], [m for i, m in enumerate(members) if i != number]
+    held = member.validation
+    predictors: dict[str, Predictor] = {OURS: member.predict_mean, PAPER: paper.predict_mean}
+    axles = (1.0, 1.0)
+    if member.vehicle is not None:
+        body = member.vehicle.values
+        axles = (float(body[1]), float(body[2]))
+        part = (member.dataset, held)
+        rng = np.random.default_rng(settings.seed)
+        alone = average_member(part, PriorMean(single_track=body), settings, rng, None)
+        predictors[VEHICLE] = alone.predict_mean
+    predictors[LINEAR] = linear(member.dataset, axles)
+    predictors |= {f"member of {m.dataset.provenance.surface}": m.predict_mean for m in others}
+    predicted, _, variance = member.predict(held.z)
+    deviation = np.sqrt(variance + member.noise_variance)
+    moving = held.z[:, 0] > MOVING
+    inside = np.abs(held.y - predicted) < _QUANTILE * deviation
+    return LogOutcome(
+        name=log.provenance.surface,
+        channels=channels(log),
+        member=member,
+        skill=skill(predictors, held),
+        last_change=_last_change(member.dataset, held, axles),
+        coverage=inside[moving].mean(axis=0) if moving.any() else np.full(NY, np.nan),
+        predicted=predicted,
+        deviation=deviation,
+        weights=_weights(held, others) if len(others) > 1 else None,
+    )
+
+
+def _last_change(
+    training: Dataset, held: Dataset, axles: tuple[float, float]
+) -> NDArray[np.float64]:
+    """RMS errors (3,) of a linear model of the linear model's error by the last change."""
+    first = linear(training, axles)
+    known, rest = _consecutive(training, first)
+    weights = np.linalg.lstsq(known, rest, rcond=None)[0]
+    known, rest = _consecutive(held, first)
+    return np.asarray(np.sqrt(np.mean((rest - known @ weights) ** 2, axis=0)))
+
+
+def _consecutive(
+    data: Dataset, first: Predictor
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Last changes, z and a constant (n, 10), and errors of `first` (n, 3), above 5 m/s."""
+    follows = (np.diff(data.trajectory) == 0) & (np.diff(data.step.astype(np.int64)) == 1)
+    rows = np.flatnonzero(follows & (data.z[1:, 0] > MOVING)) + 1
+    inputs = np.column_stack([data.y[rows - 1], data.z[rows], np.ones(len(rows))])
+    return inputs, data.y[rows] - first(data.z[rows])
+
+
+def _weights(held: Dataset, members: Sequence[TrainedMember]) -> NDArray[np.float64]:
+    """Weights (n, N) of the members from the window before each held-out transition."""
+    window = max(1, round(_WINDOW / held.provenance.dt))
+    predictions = np.stack([member.predict_mean(held.z) for member in members], axis=1)
+    noise = np.mean([member.noise_variance for member in members], axis=0)
+    found = np.full((len(held), len(members)), np.nan)
+    uniform = np.full(len(members), 1.0 / len(members))
+    last = uniform
+    for row in range(window, len(held)):
+        before = slice(row - window, row)
+        if held.trajectory[row - window] != held.trajectory[row]:
+            last = uniform
+            continue
+        last = solve_weights(
+            predictions[before], held.y[before], np.sqrt(noise), last, "quadratic", _STRENGTH
+        )
+        found[row] = last
+    return found

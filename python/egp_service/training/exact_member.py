@@ -1,0 +1,134 @@
+"""A member whose exact processes are fitted to some of the transitions."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import torch
+
+from egp_service._core import EgpError
+from egp_service.quantities import GP_OUTPUT, NY, NZ
+from egp_service.training import prior_mean
+from egp_service.training.gaussian_process import (
+    CORRECTIONS,
+    WHOLE_CHANGES,
+    FitStep,
+    Hyperparameters,
+    OutputProcess,
+    fit,
+    share_kernel,
+)
+from egp_service.training.subset import select
+from egp_service.training.trained import TrainedMember
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from egp_service.data.dataset import Dataset
+    from egp_service.training.train import TrainingSettings
+    from egp_service.training.vehicle_fit import FittedVehicle
+
+
+def exact_member(
+    part: tuple[Dataset, Dataset],
+    fitted: FittedVehicle | None,
+    settings: TrainingSettings,
+    rng: np.random.Generator,
+    report: Callable[[str, float, int], None],
+) -> TrainedMember:
+    """Train a member on training data, with the held-out ones in `part`.
+
+    The prior mean is the fitted vehicle, or constants without one. `report` gets the stage, the
+    loss and the number of iterations so far.
+
+    Raises:
+        EgpError: if a fit fails.
+
+    """
+    data, validation = part
+    label = data.provenance.surface
+    input_mean, input_std = data.z.mean(axis=0), data.z.std(axis=0)
+    vehicle, rest, bounds = None, data.y, WHOLE_CHANGES
+    if fitted is not None:
+        vehicle = fitted.values
+        rest = data.y - prior_mean.predict(data.z, vehicle, data.provenance.dt)
+        bounds = CORRECTIONS
+    target_mean, target_std = rest.mean(axis=0), spread(rest, GP_OUTPUT, label)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    z = torch.tensor((data.z - input_mean) / input_std, dtype=torch.float64, device=device)
+    y = torch.tensor((rest - target_mean) / target_std, dtype=torch.float64, device=device)
+
+    def fit_all(
+        rows: NDArray[np.int64], starts: list[list[Hyperparameters]], done: int, stage: str
+    ) -> list[OutputProcess]:
+        processes = [
+            OutputProcess(z[rows], y[rows, j].contiguous(), settings.kernel, bounds)
+            for j in range(NY)
+        ]
+        together = [range(NY)] if vehicle is not None else [range(j, j + 1) for j in range(NY)]
+        for number, outputs in enumerate(together):
+            group = [processes[j] for j in outputs]
+            share_kernel(group)
+            before = number * len(starts) * settings.max_iterations
+            names = ", ".join(list(GP_OUTPUT)[j] for j in outputs)
+
+            def on_step(step: FitStep, before: int = before, names: str = names) -> None:
+                at = before + step.start * settings.max_iterations + step.iteration
+                at = done + math.ceil(at / len(together))
+                report(f"{label}: {stage} fit of {names}", step.loss, at)
+
+            own = [[start[j] for j in outputs] for start in starts]
+            fit(group, own, settings.max_iterations, on_step)
+        return processes
+
+    first_rows = np.sort(rng.permutation(len(data))[: settings.first_points])
+    first = fit_all(first_rows, [[START] * NY], 0, "first")
+    rows = select(z, first, settings.max_points, rng)
+    starts = [
+        [process.hyperparameters for process in first],
+        *([_random_start(rng) for _ in range(NY)] for _ in range(settings.restarts)),
+    ]
+    processes = fit_all(rows, starts, settings.max_iterations, "final")
+    return TrainedMember(
+        dataset=data,
+        validation=validation,
+        inputs=data.z[rows],
+        targets=data.y[rows],
+        input_mean=input_mean,
+        input_std=input_std,
+        target_mean=target_mean,
+        target_std=target_std,
+        processes=tuple(processes),
+        single_track=vehicle,
+        kinematic=None,
+        vehicle=fitted,
+    )
+
+
+# The residual of one period is almost linear in z, hence the long lengthscales and little noise.
+# Values of this start and of the random ones are moved inside the bounds.
+START: Final = Hyperparameters(lengthscales=(3.0,) * NZ, outputscale=3.0, noise=1e-2, constant=0.0)
+
+
+def _random_start(rng: np.random.Generator) -> Hyperparameters:
+    return Hyperparameters(
+        lengthscales=tuple(np.exp(rng.uniform(np.log(1.0), np.log(10.0), NZ))),
+        outputscale=float(np.exp(rng.uniform(0.0, np.log(10.0)))),
+        noise=float(np.exp(rng.uniform(np.log(1e-4), np.log(1e-1)))),
+        constant=0.0,
+    )
+
+
+def spread(values: NDArray[np.float64], names: dict[str, str], label: str) -> NDArray[np.float64]:
+    """Return the standard deviation of each column; a constant column is an error."""
+    std: NDArray[np.float64] = values.std(axis=0)
+    for name, s in zip(names, std, strict=True):
+        if not s > 1e-9:  # noqa: PLR2004 - rounding noise of a constant
+            raise EgpError(
+                f"surface {label}: {name} never changes; collect data in which it varies"
+            )
+    return std

@@ -1,0 +1,116 @@
+"""A trained member: its processes, their scaling and what they are added to."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from egp_service.quantities import NY, NZ
+from egp_service.training import prior_mean
+from egp_service.training.gaussian_process import exact
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from egp_service.data.dataset import Dataset
+    from egp_service.training.gaussian_process import OutputProcess
+    from egp_service.training.vehicle_fit import FittedVehicle
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TrainedMember:
+    """One surface's processes with their scaling."""
+
+    dataset: Dataset
+    """The training data before the selection, whose hash and bounds are exported."""
+    validation: Dataset
+    """The held-out trajectories."""
+    inputs: NDArray[np.float64]
+    """The chosen transitions' inputs (M, 6) and targets (M, 3), physical units."""
+    targets: NDArray[np.float64]
+    input_mean: NDArray[np.float64]
+    input_std: NDArray[np.float64]
+    target_mean: NDArray[np.float64]
+    """Mean of the targets less the vehicle's prediction."""
+    target_std: NDArray[np.float64]
+    processes: tuple[OutputProcess, ...]
+    single_track: NDArray[np.float64] | None
+    """Parameters (17,) of the single-track vehicle that is the prior mean, if any."""
+    kinematic: NDArray[np.float64] | None
+    """Parameters (3,) of the kinematic vehicle that is the prior mean, if any."""
+    vehicle: FittedVehicle | None
+    """The fitted single-track vehicle with intervals of its parameters, if one was fitted."""
+
+    kind: str = ""
+    """The kind that was chosen among those of `choice.KINDS`, if there was a choice."""
+    likelihoods: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    """Held-out log likelihood of each kind relative to no change, in nats per error."""
+
+    def predict_mean(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Mean (n, 3) at z (n, 6), physical units."""
+        with torch.no_grad():
+            query = torch.tensor(z, dtype=torch.float64, device=self.processes[0].inputs.device)
+            mean = self._vehicle_change(query)
+            scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
+            for j, process in enumerate(self.processes):
+                f = process.mean_module(scaled) + process.covar_module(
+                    scaled, process.inputs
+                ).to_dense() @ query.new_tensor(self.alpha[j])
+                mean[:, j] += f * self.target_std[j] + self.target_mean[j]
+        return np.asarray(mean.cpu().numpy())
+
+    @functools.cached_property
+    def alpha(self) -> NDArray[np.float64]:
+        """Solution of `(K + s²I) alpha = y - constant` for every output, (3, M), z-scored."""
+        rows = []
+        with torch.no_grad(), exact():
+            for process in self.processes:
+                z = process.inputs
+                K = process.covar_module(z).to_dense()
+                K.diagonal().add_(process.likelihood.noise)
+                y = process.train_targets - process.mean_module(z)
+                rows.append(torch.cholesky_solve(y[:, None], torch.linalg.cholesky(K))[:, 0].cpu())
+        return torch.stack(rows).numpy()
+
+    @property
+    def noise_variance(self) -> NDArray[np.float64]:
+        """Variance (3,) of the noise of each output, in its units squared."""
+        noise = [process.hyperparameters.noise for process in self.processes]
+        return np.asarray(np.array(noise) * self.target_std**2)
+
+    def _vehicle_change(self, z: torch.Tensor) -> torch.Tensor:
+        """Change (n, 3) that the prior mean's vehicle predicts at z (n, 6); zero without one."""
+        dt = self.dataset.provenance.dt
+        if self.single_track is not None:
+            return prior_mean.change(z, z.new_tensor(self.single_track), dt)
+        if self.kinematic is not None:
+            return prior_mean.kinematic_change(z, z.new_tensor(self.kinematic), dt)
+        return z.new_zeros((len(z), NY))
+
+    def predict(
+        self, z: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Mean (n, 3), autograd Jacobian (n, 3, 6) and latent variance (n, 3), physical units."""
+        device = self.processes[0].inputs.device
+        query = torch.tensor(z, dtype=torch.float64, device=device, requires_grad=True)
+        scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
+        mean, variance = np.empty((len(z), NY)), np.empty((len(z), NY))
+        jacobian = np.empty((len(z), NY, NZ))
+        known = self._vehicle_change(query)
+        with exact():
+            for j, process in enumerate(self.processes):
+                posterior = process(scaled)
+                f = posterior.mean * self.target_std[j] + self.target_mean[j] + known[:, j]
+                # Row i of the mean depends on row i of the query only, so one backward pass of
+                # the sum gives the gradients of all rows.
+                (gradient,) = torch.autograd.grad(f.sum(), query, retain_graph=True)
+                mean[:, j] = f.detach().cpu().numpy()
+                variance[:, j] = posterior.variance.detach().cpu().numpy() * self.target_std[j] ** 2
+                jacobian[:, j] = gradient.cpu().numpy()
+        return mean, jacobian, variance

@@ -1,0 +1,309 @@
+"""The fit of one vehicle on several surfaces, with what is known about it as priors.
+
+The body (mass, axles, yaw inertia, height) is the same on all surfaces; the tyres belong to a
+surface. The logarithm of each parameter has a Gaussian prior. With a vehicle's parameters the
+priors of the body are narrow; without them they cover small cars to vans. The fit is the maximum a
+posteriori by robust least squares. Its intervals are those of the Laplace approximation with the
+Gauss-Newton Hessian (Bishop, *Pattern Recognition and Machine Learning*, section 4.4).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import torch
+from scipy.optimize import least_squares
+
+from egp_service._core import EgpError
+from egp_service.quantities import NY
+from egp_service.training.prior_mean import BODY, PARAMETERS, TYRES, change
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from egp_service._core import VehicleParameters
+    from egp_service.data.dataset import Dataset
+
+_FIT_POINTS: Final = 8000
+# Scale of the robust loss in standard deviations of the change. Larger residuals have a bounded
+# influence: effects outside the model (a spin, a locked wheel) are left to the GPs.
+_OUTLIER: Final = 0.1
+# Smallest spread of the errors in units of this scale. Without noise the errors are those of the
+# equations, which no number of transitions reduces.
+_LEAST_SPREAD: Final = 0.1
+_QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
+_MAD: Final = 1.4826  # standard deviation of a normal distribution over its median absolute value
+# Standard deviations of constant disturbances, m/s², m/s², rad/s²: slope, bank, crosswind.
+_DISTURBANCE: Final = np.array([0.3, 1.0, 0.1])
+# Widths of the priors that a vehicle's parameters give.
+_KNOWN_WIDTHS: Final = {"m": 0.03, "l_f": 0.02, "l_r": 0.02, "k²": 0.15}
+# The data determine a parameter if they narrow its prior to at most this share and, for one that a
+# vehicle's parameters give, tell it at least as well as these do.
+_DETERMINED: Final = 0.5
+_AT_BOUND: Final = 1e-3  # of the logarithm
+_LONGEST_LAG: Final = 50  # periods
+_LEAST_CORRELATION: Final = 0.05
+
+
+@dataclasses.dataclass(frozen=True)
+class Prior:
+    """Log-normal prior of a parameter; `width` is the standard deviation of the logarithm."""
+
+    centre: float
+    width: float
+
+
+@dataclasses.dataclass(frozen=True)
+class FittedParameter:
+    """A parameter of a fitted vehicle and what is known about it."""
+
+    name: str
+    value: float
+    low: float
+    """Ends of the 95 % interval."""
+    high: float
+    distance: float
+    """Distance of the logarithm from the prior's centre in standard deviations of the prior."""
+    determined: bool
+    """Whether the data narrow the prior to at most half of its width and, for mass, axle distances
+    and yaw inertia, tell it as well as a vehicle's file does (mass: to 3 %)."""
+    at_bound: bool
+    """Whether the value is an end of the range that is searched."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FittedVehicle:
+    """The vehicle on one surface: its parameters in the order of `PARAMETERS`."""
+
+    parameters: tuple[FittedParameter, ...]
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """The values (17,), as `prior_mean.predict` takes them."""
+        return np.array([parameter.value for parameter in self.parameters])
+
+    def summary(self) -> dict[str, dict[str, float | bool]]:
+        """Return the fields of each parameter by its name, with six digits."""
+        return {
+            parameter.name: {
+                name: float(f"{value:.6g}") if isinstance(value, float) else value
+                for name, value in dataclasses.asdict(parameter).items()
+                if name != "name"
+            }
+            for parameter in self.parameters
+        }
+
+
+def priors(vehicle: VehicleParameters | None) -> dict[str, Prior]:
+    """Return the prior of each parameter, given the parameters of the vehicle or none."""
+    general = {name: Prior(p.start, p.width) for name, p in PARAMETERS.items()}
+    if vehicle is None:
+        return general
+    known = {
+        "m": vehicle.mass,
+        "l_f": vehicle.l_f,
+        "l_r": vehicle.l_r,
+        "k²": vehicle.yaw_inertia / vehicle.mass,
+    }
+    return general | {name: Prior(value, _KNOWN_WIDTHS[name]) for name, value in known.items()}
+
+
+def fit_vehicle(
+    surfaces: Sequence[Dataset],
+    vehicle: VehicleParameters | None,
+    rngs: Sequence[np.random.Generator],
+) -> list[FittedVehicle]:
+    """Fit one body, and the tyres of each surface, to the changes on all surfaces.
+
+    The fit is made twice. The errors of the first one give the weight of a surface's data beside
+    the priors: errors that are large, or alike in consecutive periods, count for less than as many
+    small and independent ones. A constant disturbance of each output and surface is estimated
+    along, so that a slope or a bank does not change the tyres; it is not part of the result. Each
+    surface has a generator of random numbers, which chooses its transitions.
+
+    Raises:
+        EgpError: if the fit does not converge, or a vehicle is outside the range of the search.
+
+    """
+    parts = [_Surface.of(dataset, rng) for dataset, rng in zip(surfaces, rngs, strict=True)]
+    problem = _Problem(parts, priors(vehicle))
+    found = problem.solve(np.zeros(problem.size))
+    for surface, unknowns in zip(problem.surfaces, problem.parts(found), strict=True):
+        surface.weigh(*problem.physical(unknowns))
+    return problem.vehicles(problem.solve(found))
+
+
+@dataclasses.dataclass(eq=False)
+class _Surface:
+    """The data of one surface."""
+
+    dataset: Dataset
+    z: torch.Tensor
+    """Inputs (n, 6) and changes (n, 3) of the transitions that the fit uses."""
+    y: torch.Tensor
+    scale: torch.Tensor
+    """Scale of the robust loss (3,)."""
+    weight: float = 1.0
+    """Weight of a transition beside the priors."""
+
+    @staticmethod
+    def of(dataset: Dataset, rng: np.random.Generator) -> _Surface:
+        """Choose at most `_FIT_POINTS` transitions."""
+        rows = rng.permutation(len(dataset))[:_FIT_POINTS]
+        z, y = torch.from_numpy(dataset.z[rows]), torch.from_numpy(dataset.y[rows])
+        return _Surface(dataset, z, y, torch.from_numpy(_OUTLIER * dataset.y.std(axis=0)))
+
+    def weigh(self, parameters: torch.Tensor, disturbance: torch.Tensor) -> None:
+        """Set scale and weight by the errors of a vehicle (17,) under a disturbance (3,)."""
+        data = self.dataset
+        dt = data.provenance.dt
+        predicted = change(torch.from_numpy(data.z), parameters, dt) + dt * disturbance
+        errors = ((predicted - torch.from_numpy(data.y)) / self.scale).numpy()
+        spread = _MAD * np.median(np.abs(errors), axis=0)
+        self.scale = self.scale * torch.from_numpy(np.maximum(spread, 1.0))
+        share = len(self.z) / len(data)
+        repeated = 1.0 + 2.0 * share * autocorrelation(errors, data)
+        self.weight = float(np.mean(np.clip(spread, _LEAST_SPREAD, 1.0) ** -2.0 / repeated))
+
+
+class _Problem:
+    """Robust least squares in the logarithms of the parameters over the priors' centres.
+
+    The unknowns are those of the body, then for each surface those of the tyres and the
+    disturbances in units of their priors' widths.
+    """
+
+    def __init__(self, surfaces: Sequence[_Surface], prior: dict[str, Prior]) -> None:
+        self.surfaces = surfaces
+        self._dt = surfaces[0].dataset.provenance.dt
+        self._centre = np.array([prior[name].centre for name in PARAMETERS])
+        widths = np.array([prior[name].width for name in PARAMETERS])
+        low = np.log([p.low for p in PARAMETERS.values()] / self._centre)
+        high = np.log([p.high for p in PARAMETERS.values()] / self._centre)
+        for (name, bounds), below, above in zip(PARAMETERS.items(), low, high, strict=True):
+            if not below < 0.0 < above:
+                raise EgpError(
+                    f"the vehicle's {name} is {prior[name].centre:g}: expected {bounds.low:g} to "
+                    f"{bounds.high:g}; check the units of its file, or train with --mean constant"
+                )
+        self._own = len(TYRES) + NY
+        self.size = len(BODY) + len(surfaces) * self._own
+        self._low, self._high = self._all(low, -np.inf), self._all(high, np.inf)
+        self._width = self._all(widths, 1.0)
+
+    def _all(self, values: NDArray[np.float64], disturbance: float) -> NDArray[np.float64]:
+        """Return the values (17,) of parameters for all unknowns."""
+        own = np.concatenate([values[len(BODY) :], np.full(NY, disturbance)])
+        return np.concatenate([values[: len(BODY)], np.tile(own, len(self.surfaces))])
+
+    def _columns(self, number: int) -> NDArray[np.int64]:
+        first = len(BODY) + number * self._own
+        return np.concatenate([np.arange(len(BODY)), np.arange(first, first + self._own)])
+
+    def parts(self, x: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return the unknowns of each surface: body, tyres, disturbances (20,)."""
+        return [x[self._columns(number)] for number in range(len(self.surfaces))]
+
+    def physical(self, unknowns: NDArray[np.float64]) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return parameters (17,) and disturbance (3,) in physical units."""
+        return self._physical(torch.from_numpy(unknowns))
+
+    def _physical(self, unknowns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        parameters = torch.from_numpy(self._centre) * unknowns[: len(PARAMETERS)].exp()
+        return parameters, torch.from_numpy(_DISTURBANCE) * unknowns[len(PARAMETERS) :]
+
+    def _errors(self, surface: _Surface, unknowns: torch.Tensor) -> torch.Tensor:
+        """Errors of a surface (3n,), whose squares are the robust loss `soft_l1`."""
+        parameters, disturbance = self._physical(unknowns)
+        predicted = change(surface.z, parameters, self._dt) + self._dt * disturbance
+        error = (predicted - surface.y) / surface.scale
+        # 2 (sqrt(1 + e²) - 1) = (e sqrt(2 / (1 + sqrt(1 + e²))))²
+        robust = error * (2.0 / (1.0 + (1.0 + error**2).sqrt())).sqrt()
+        return math.sqrt(surface.weight) * robust.flatten()
+
+    def _residuals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        errors = [
+            self._errors(surface, torch.from_numpy(own)).numpy()
+            for surface, own in zip(self.surfaces, self.parts(x), strict=True)
+        ]
+        return np.concatenate([*errors, x / self._width])
+
+    def _jacobian(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        blocks = []
+        for number, (surface, own) in enumerate(zip(self.surfaces, self.parts(x), strict=True)):
+            slopes = torch.func.jacfwd(lambda u, s=surface: self._errors(s, u))(
+                torch.from_numpy(own)
+            )
+            block = np.zeros((len(slopes), self.size))
+            block[:, self._columns(number)] = slopes.numpy()
+            blocks.append(block)
+        return np.vstack([*blocks, np.diag(1.0 / self._width)])
+
+    def solve(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the unknowns of largest posterior density."""
+        found = least_squares(
+            self._residuals, start, jac=self._jacobian, bounds=(self._low, self._high)
+        )
+        if not (found.success and np.isfinite(found.cost)):
+            raise EgpError(
+                f"no single-track vehicle fits the data ({found.message}): "
+                "check their units, or train with --mean constant"
+            )
+        return np.asarray(found.x)
+
+    def vehicles(self, x: NDArray[np.float64]) -> list[FittedVehicle]:
+        """Return the vehicle of each surface with its intervals."""
+        slopes = self._jacobian(x)
+        spread = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+        at_bound = (x - self._low < _AT_BOUND) | (self._high - x < _AT_BOUND)
+        found = []
+        for number in range(len(self.surfaces)):
+            columns = self._columns(number)[: len(PARAMETERS)]
+            rows = zip(PARAMETERS, self._centre, columns, strict=True)
+            found.append(
+                FittedVehicle(
+                    tuple(
+                        FittedParameter(
+                            name,
+                            value=float(centre * np.exp(x[i])),
+                            low=float(centre * np.exp(x[i] - _QUANTILE * spread[i])),
+                            high=float(centre * np.exp(x[i] + _QUANTILE * spread[i])),
+                            distance=float(x[i] / self._width[i]),
+                            determined=bool(
+                                spread[i] <= _DETERMINED * self._width[i]
+                                and spread[i] <= _KNOWN_WIDTHS.get(name, np.inf)
+                            ),
+                            at_bound=bool(at_bound[i]),
+                        )
+                        for name, centre, i in rows
+                    )
+                )
+            )
+        return found
+
+
+def autocorrelation(errors: NDArray[np.float64], data: Dataset) -> NDArray[np.float64]:
+    """Return the sum of the autocorrelations (3,) of errors (n, 3) over positive lags.
+
+    Pairs are those within a trajectory, and the sum ends where the correlation falls below 0.05.
+    """
+    centred = errors - np.median(errors, axis=0)
+    # Outliers have no neighbours like them, and would hide the correlation of the others.
+    centred = np.clip(centred, *np.quantile(centred, [0.025, 0.975], axis=0))
+    total, rising = np.zeros(NY), np.ones(NY, dtype=bool)
+    for lag in range(1, min(_LONGEST_LAG, len(errors))):
+        together = (data.trajectory[lag:] == data.trajectory[:-lag]) & (
+            data.step[lag:].astype(np.int64) - data.step[:-lag] == lag
+        )
+        if not together.any():
+            break
+        product = (centred[lag:] * centred[:-lag])[together].mean(axis=0)
+        correlation = product / np.maximum(centred.var(axis=0), np.finfo(float).tiny)
+        rising &= correlation > _LEAST_CORRELATION
+        total += np.where(rising, correlation, 0.0)
+    return total

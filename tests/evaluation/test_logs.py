@@ -1,0 +1,133 @@
+"""Open-loop evaluation on logs: of the simulated car with realistic sensors, and of a real car."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from egp_service import EgpError
+from egp_service._core import VehicleParameters
+from egp_service.cli import app
+from egp_service.control.toml_text import dumps
+from egp_service.data.channels import channels
+from egp_service.data.collect import CollectionSettings, collect
+from egp_service.data.csv_import import Column, import_csv
+from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.experiment import Experiment
+from egp_service.data.sensors import Sensors, measure
+from egp_service.evaluation.logs import OURS, evaluate_logs
+from egp_service.training.open_loop import LINEAR, NO_CHANGE
+from egp_service.training.train import TrainingSettings
+from egp_service.vehicle import known_vehicle
+
+# The file is not part of the repository; its licence is the GPL.
+OVAL = os.environ.get("EGP_OVAL_LOG", "")
+SETTINGS = TrainingSettings(mean="best", restarts=0, max_iterations=15, first_points=100)
+DT = 0.04  # 25 Hz
+
+
+@pytest.fixture(scope="module")
+def exact() -> Dataset:
+    settings = CollectionSettings(runs=2, samples=0)
+    found = collect(Experiment(0.9, "dry", 1, DT, 1), settings, jobs=1)
+    # Blocks of 4 s, as an import makes them of 10 s.
+    block = np.cumsum(
+        np.concatenate([[0], np.diff(found.trajectory) != 0]) | (found.step % 100 == 0)
+    )
+    return dataclasses.replace(found, trajectory=block.astype(np.uint32))
+
+
+def test_sensors_delay_filter_and_quantise() -> None:
+    n = 400
+    v_x = 15.0 + np.sin(2.0 * np.pi * 1.0 * DT * np.arange(n + 1))
+    z = np.zeros((n, 6))
+    z[:, 0] = v_x[:-1]
+    y = np.zeros((n, 3))
+    y[:, 0] = np.diff(v_x)
+    provenance = Provenance(DT, "toy", "dry", 1.0, 0, "formula", "test")
+    steps = np.arange(n, dtype=np.uint32)
+    data = Dataset(z, y, np.zeros(n, dtype=np.uint32), steps, provenance)
+    rng = np.random.default_rng(0)
+    late = measure(data, Sensors((0, 0, 0), (1e-9,) * 3, cutoff=1e6, delay=3), rng)
+    np.testing.assert_allclose(late.z[3:, 0], z[:-3, 0], atol=1e-8)
+    np.testing.assert_allclose(late.z[1:, 0], late.z[:-1, 0] + late.y[:-1, 0], atol=1e-12)
+    slow = measure(data, Sensors((0, 0, 0), (1e-9,) * 3, cutoff=1.0, delay=0), rng)
+    # At its cutoff a first-order filter passes 0.71; the discrete one here 0.74.
+    assert 0.65 < np.ptp(slow.z[100:, 0]) / np.ptp(z[100:, 0]) < 0.8
+    coarse = measure(data, Sensors((0, 0, 0), (0.25,) * 3, cutoff=1e6, delay=0), rng)
+    np.testing.assert_array_equal(coarse.z[:, 0] % 0.25, 0.0)
+    noisy = measure(data, Sensors((0.02, 0.01, 0.001), (1e-9,) * 3, cutoff=1e6, delay=0), rng)
+    found = channels(noisy)
+    np.testing.assert_allclose(found.noise, [0.02, 0.01, 0.001], rtol=0.2)
+    np.testing.assert_allclose(found.autocorrelation[1:], -0.5, atol=0.1)
+    with pytest.raises(EgpError, match="quanta"):
+        Sensors(quantum=(0.0, 1.0, 1.0))
+
+
+def test_exact_data_have_no_noise_and_delays_are_found(exact: Dataset) -> None:
+    clean = channels(exact)
+    assert np.all(clean.noise < [5e-3, 5e-3, 1e-3])
+    sensors = Sensors(noise=(0.0, 0.0, 0.0), quantum=(1e-9,) * 3, cutoff=1e6, delay=3)
+    late = channels(measure(exact, sensors, np.random.default_rng(0)))
+    assert late.steering_delay == pytest.approx(clean.steering_delay + 3 * DT, abs=1.5 * DT)
+
+
+def test_a_member_of_a_measured_drive_has_skill(exact: Dataset) -> None:
+    measured = measure(exact, Sensors(), np.random.default_rng(0))
+    (outcome,) = evaluate_logs([measured], known_vehicle("commonroad-1"), SETTINGS)
+    rms = outcome.skill.rms
+    assert np.all(rms[OURS][0] <= 1.02 * rms[NO_CHANGE][0])
+    assert outcome.skill.likelihood[OURS] > 0.0
+    # Over all durations and outputs; measured 0.3 nats more.
+    assert outcome.skill.likelihood[OURS] > outcome.skill.likelihood[LINEAR] - 0.1
+    assert np.all(outcome.coverage > 0.85)
+    assert outcome.predicted.shape == outcome.member.validation.y.shape
+
+
+def test_errors_for_logs_that_cannot_be_compared(exact: Dataset) -> None:
+    with pytest.raises(EgpError, match="same surface"):
+        evaluate_logs([exact, exact], None, SETTINGS)
+    other = dataclasses.replace(
+        exact, provenance=dataclasses.replace(exact.provenance, surface="wet", dt=0.02)
+    )
+    with pytest.raises(EgpError, match="differ in dt"):
+        evaluate_logs([exact, other], None, SETTINGS)
+
+
+def test_the_command_prints_tables_and_draws(exact: Dataset, tmp_path: Path) -> None:
+    rows = exact.trajectory < 12
+    measured = measure(exact.select(rows), Sensors(), np.random.default_rng(0))
+    measured.write(tmp_path / "dry.parquet")
+    car = known_vehicle("commonroad-1")
+    (tmp_path / "car.toml").write_text(dumps(car.fields()), encoding="utf-8")
+    arguments = ["evaluate", "--log", str(tmp_path / "dry.parquet"), "-o", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, [*arguments, "--vehicle", str(tmp_path / "car.toml")])
+    assert result.exit_code == 0, result.output
+    for text in ("white noise", "no change", "linear", "95 % intervals", "the fitted vehicle"):
+        assert text in result.output
+    assert (tmp_path / "out" / "dry.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.skipif(not OVAL, reason="EGP_OVAL_LOG does not name the log of an oval")
+def test_the_oval_is_predicted_no_worse_than_no_change() -> None:
+    columns = {
+        "time": Column("time(s)", "s"),
+        "v_x": Column("vx(m/s)", "m/s"),
+        "v_y": Column("vy(m/s)", "m/s"),
+        "omega": Column("omega(rad/s)", "rad/s"),
+        "delta": Column("delta(rad)", "rad"),
+        "a_x": Column("ax(m/s^2)", "m/s2"),
+    }
+    provenance = Provenance(DT, "av21", "oval", 1.0, 0, "log", "test")
+    log = import_csv(Path(OVAL), columns, provenance, mass=790.0)
+    fields = known_vehicle("commonroad-1").fields()
+    car = fields | {"mass": 790.0, "yaw_inertia": 1000.0, "l_f": 1.248, "l_r": 1.7328}
+    (outcome,) = evaluate_logs([log], VehicleParameters(**car), TrainingSettings(mean="best"))
+    rms = outcome.skill.rms
+    assert np.all(rms[OURS] <= rms[NO_CHANGE])
+    assert np.all((outcome.coverage > 0.91) & (outcome.coverage < 0.97))

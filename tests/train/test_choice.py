@@ -1,0 +1,195 @@
+"""Members for noisy data: sparse processes, the choice of a member's kind, and skill."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import torch
+from surfaces import TOY, provenance, surface
+
+from egp_service._core import Library
+from egp_service.cli.tables import skill_warnings
+from egp_service.data.dataset import Dataset
+from egp_service.training import prior_mean
+from egp_service.training.average_member import PriorMean, average_member
+from egp_service.training.choice import KINDS, MARGIN, hold_out, preferred
+from egp_service.training.exact_member import START
+from egp_service.training.export import export
+from egp_service.training.gaussian_process import WHOLE_CHANGES, OutputProcess, exact
+from egp_service.training.open_loop import (
+    LINEAR,
+    NO_CHANGE,
+    linear,
+    rollout,
+    skill,
+    starts,
+    student_scale,
+)
+from egp_service.training.sparse import average_targets, posterior_mean
+from egp_service.training.train import TrainingSettings, split, train
+from egp_service.training.validation import member_skill
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SETTINGS = TrainingSettings(mean="best", restarts=0, max_iterations=10, first_points=60)
+DT = 0.05
+
+
+def wandering(noise: float, seed: int = 0) -> Dataset:
+    """Drive a car that answers to no input; its measured states carry white noise."""
+    rng = np.random.default_rng(seed)
+    trajectories, steps = 25, 60
+    n = trajectories * (steps + 1)
+    states = np.array([15.0, 0.0, 0.0]) + noise * rng.standard_normal((n, 3))
+    last = np.arange(n) % (steps + 1) == steps
+    others = np.array([0.1, 2000.0, 0.2]) * rng.standard_normal((n, 3))
+    return Dataset(
+        z=np.hstack([states, others])[~last],
+        y=np.roll(states, -1, axis=0)[~last] - states[~last],
+        trajectory=np.repeat(np.arange(trajectories, dtype=np.uint32), steps),
+        step=np.tile(np.arange(steps, dtype=np.uint32), trajectories),
+        provenance=provenance(),
+    )
+
+
+def test_with_all_points_the_sparse_process_is_the_exact_one() -> None:
+    rng = np.random.default_rng(0)
+    z = torch.tensor(rng.standard_normal((40, 6)))
+    y = torch.sin(z[:, 0]) + 0.1 * torch.tensor(rng.standard_normal(40))
+    process = OutputProcess(z, y, "matern52", WHOLE_CHANGES)
+    process.assign(START)
+    process.eval()
+    with torch.no_grad(), exact():
+        mean = process(z[:30]).mean
+    # The jitter on the inducing points; measured 2e-7.
+    np.testing.assert_allclose(posterior_mean(process, z, y)[:30], mean, atol=1e-5)
+    np.testing.assert_allclose(average_targets(process, z, y), y, atol=1e-5)
+
+
+def test_few_points_with_average_targets_predict_what_all_transitions_say() -> None:
+    rng = np.random.default_rng(0)
+    data = dataclasses.replace(surface(), y=surface().y + 0.05 * rng.standard_normal((600, 3)))
+    member = average_member((data, data), PriorMean(), SETTINGS, rng, lambda *_: None)
+    truth = surface(seed=5)
+    error = np.sqrt(np.mean((member.predict_mean(truth.z) - truth.y) ** 2, axis=0))
+    # Noise of 0.05 in each transition; 600 of them leave less than half of it.
+    assert np.all(error < 0.025)
+    np.testing.assert_allclose(member.predict(truth.z)[0], member.predict_mean(truth.z), atol=1e-9)
+
+
+def test_outliers_have_a_bounded_influence() -> None:
+    rng = np.random.default_rng(0)
+    spoiled = surface()
+    y = spoiled.y.copy()
+    y[rng.permutation(len(y))[:12]] += 3.0
+    spoiled = dataclasses.replace(spoiled, y=y)
+    truth = surface(seed=5)
+    errors = []
+    for data in (surface(), spoiled):
+        again = np.random.default_rng(1)
+        member = average_member((data, data), PriorMean(), SETTINGS, again, lambda *_: None)
+        errors.append(np.sqrt(np.mean((member.predict_mean(truth.z) - truth.y) ** 2, axis=0)))
+    # Their mean alone is 0.06; the errors are 0.02 without them.
+    assert np.all(errors[1] < errors[0] + 0.03)
+
+
+def test_a_log_of_noise_is_answered_by_no_change_or_little(tmp_path: Path) -> None:
+    data = wandering(0.01)
+    (member,) = train([data], SETTINGS, vehicle=TOY)
+    assert member.likelihoods[NO_CHANGE] == 0.0
+    assert member.kind == preferred(member.likelihoods)
+    # A vehicle alone would answer to the inputs.
+    assert member.kind not in {"single-track", "kinematic"}
+    export(tmp_path / "library", [member], SETTINGS, {}, TOY)
+    library = Library.load(tmp_path / "library")
+    compared = member_skill(library, 0, member)
+    ours, without = compared.rms["mu 0.5"], compared.rms[NO_CHANGE]
+    # Five trajectories of 3 s have too few rollouts of 1 and 2 s to compare. Predicting the return
+    # to the mean of white noise divides the error by the square root of two; measured 0.73.
+    assert np.all(ours[:3] < 0.85 * without[:3])
+    assert "kind" in library.provenance["members"]
+
+
+def test_a_vehicle_is_preferred_unless_another_kind_is_clearly_better() -> None:
+    likelihoods = dict.fromkeys(KINDS, 0.0) | {"constant + GPs": 1.0, "single-track": 0.5}
+    assert preferred(likelihoods) == "constant + GPs"
+    assert preferred(likelihoods | {"single-track + GPs": 1.01 - MARGIN}) == "single-track + GPs"
+    # A vehicle without skill is not preferred to no change.
+    assert preferred(dict.fromkeys(KINDS, -0.1) | {NO_CHANGE: 0.0}) == NO_CHANGE
+
+
+def test_a_vehicle_is_chosen_for_its_own_drive(tmp_path: Path) -> None:
+    car = np.array(
+        [TOY.mass, TOY.l_f, TOY.l_r, 1.6, 0.5, 0.5, 0.8, *(1.2, 1.2, 0.9, 15.0, 1.5) * 2]
+    )
+    rng = np.random.default_rng(0)
+    z = wandering(0.0).z.copy()
+    z[:, :3] += [3.0, 0.5, 0.3] * rng.standard_normal((len(z), 3))
+    y = prior_mean.predict(z, car, DT) + 0.001 * rng.standard_normal((len(z), 3))
+    data = dataclasses.replace(wandering(0.0), z=z, y=y, step=np.zeros(len(z), dtype=np.uint32))
+    (member,) = train([data], SETTINGS, vehicle=TOY)
+    assert member.kind.startswith("single-track")
+    export(tmp_path / "library", [member], SETTINGS, {}, TOY)
+    assert Library.load(tmp_path / "library").members[0].single_track is not None
+
+
+def test_a_linear_law_is_found_and_rolled_out_exactly() -> None:
+    data = wandering(0.01)
+    weights = np.random.default_rng(1).standard_normal((6, 3)) * 1e-3
+    state, z, y = np.array([15.0, 0.0, 0.0]), data.z.copy(), data.y.copy()
+    for k in range(len(z)):
+        z[k, :3] = state
+        y[k] = z[k] @ weights * [1e-3, 1.0, 1.0] / 2.0
+        state = state + y[k]
+    data = dataclasses.replace(
+        data,
+        z=z,
+        y=y,
+        trajectory=np.zeros(len(z), dtype=np.uint32),
+        step=np.arange(len(z), dtype=np.uint32),
+    )
+    law = linear(data, (1.2, 1.4))
+    np.testing.assert_allclose(law(z), y, atol=1e-9)
+    start = starts(data, 20, 5)
+    np.testing.assert_allclose(rollout(law, data, start, 20), 0.0, atol=1e-7)
+    compared = skill({LINEAR: law}, data)
+    assert compared.durations == (0.05, 0.2, 0.5, 1.0, 2.0)
+    assert compared.likelihood[LINEAR] > 5.0
+    np.testing.assert_allclose(
+        compared.rms[NO_CHANGE][0], np.sqrt(np.mean(y**2, axis=0)), rtol=1e-12
+    )
+
+
+def test_warnings_name_where_there_is_no_skill() -> None:
+    data = wandering(0.01)
+    compared = skill({"ours": lambda z: np.tile([0.0, 0.0, 0.1], (len(z), 1))}, data)
+    warnings = skill_warnings("dry", "ours", compared)
+    assert len(warnings) == len(compared.durations)
+    assert all("no skill in omega" in warning for warning in warnings)
+    slow = dataclasses.replace(data, z=data.z * [0.1, 1, 1, 1, 1, 1])
+    (warning,) = skill_warnings("dry", "ours", skill({"ours": lambda z: z[:, :3]}, slow))
+    assert "no transitions above 5 m/s" in warning
+
+
+@pytest.mark.parametrize("freedom", [3.0, 30.0])
+def test_the_scale_is_that_of_students_distribution(freedom: float) -> None:
+    rng = np.random.default_rng(0)
+    errors = np.array([1.0, 0.1, 10.0]) * rng.standard_t(freedom, (20000, 3))
+    scale = student_scale(errors)
+    np.testing.assert_allclose(scale / scale[0], [1.0, 0.1, 10.0], rtol=0.03)
+    assert 0.8 < scale[0] < 1.2
+    spoiled = errors.copy()
+    spoiled[:100] = 1e3
+    assert np.all(student_scale(spoiled)[:2] < 1.1 * scale[:2])
+
+
+def test_blocks_are_whole_and_spread() -> None:
+    rest, held = hold_out(surface())
+    assert np.unique(held.trajectory).tolist() == [4, 9, 14, 19, 24, 29]
+    assert len(rest) + len(held) == len(surface())
+    first, _ = split(surface(trajectories=4), 0.3, np.random.default_rng(0))
+    assert len(np.unique(hold_out(first)[1].trajectory)) == 1

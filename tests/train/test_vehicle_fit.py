@@ -1,0 +1,122 @@
+"""The fit of a vehicle: one body for all surfaces, priors, intervals and what they leave open."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from surfaces import TOY, provenance
+
+from egp_service import EgpError
+from egp_service._core import VehicleParameters
+from egp_service.data.dataset import Dataset
+from egp_service.training import prior_mean
+from egp_service.training.vehicle_fit import autocorrelation, fit_vehicle, priors
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+DT = 0.05
+GYRATION = TOY.yaw_inertia / TOY.mass
+BODY = [TOY.mass, TOY.l_f, TOY.l_r, GYRATION, 0.5]
+DRY = np.array([*BODY, 0.5, 0.8, 1.2, 1.2, 0.9, 15.0, 1.5, 0.8, 1.1, 1.0, 18.0, 1.3])
+ICE = np.array([*BODY, 0.05, 0.09, 9.0, 9.0, 0.1, 8.0, 1.5, 7.0, 9.0, 0.11, 9.0, 1.3])
+WHOLE = np.array([8.0, 0.6, 0.5, 0.1, 6000.0, 0.3])
+# A drive in which the car hardly turns.
+STRAIGHT = np.array([8.0, 0.0, 0.0, 0.0, 3000.0, 0.0])
+
+
+def drive(
+    vehicle: NDArray[np.float64], spread: NDArray[np.float64], noise: float, seed: int
+) -> Dataset:
+    """Transitions of a vehicle (17,) from independent states."""
+    rng = np.random.default_rng(seed)
+    z = np.array([15.0, *np.zeros(5)]) + spread * rng.uniform(-1.0, 1.0, (1500, 6))
+    y = prior_mean.predict(z, vehicle, DT) + noise * rng.standard_normal((1500, 3))
+    return Dataset(
+        z=z,
+        y=y,
+        trajectory=np.arange(1500, dtype=np.uint32),
+        step=np.zeros(1500, dtype=np.uint32),
+        provenance=provenance(),
+    )
+
+
+def rngs(count: int) -> list[np.random.Generator]:
+    return [np.random.default_rng(number) for number in range(count)]
+
+
+def test_surfaces_share_the_body_and_differ_in_the_tyres() -> None:
+    surfaces = [drive(DRY, WHOLE, 0.003, 0), drive(ICE, WHOLE, 0.003, 1)]
+    dry, ice = (vehicle.values for vehicle in fit_vehicle(surfaces, TOY, rngs(2)))
+    np.testing.assert_array_equal(dry[:5], ice[:5])
+    # Measured: 1 % of the mass, 3 % of the peaks.
+    np.testing.assert_allclose(dry[:3], BODY[:3], rtol=0.03)
+    np.testing.assert_allclose(dry[[9, 14]], DRY[[9, 14]], rtol=0.1)
+    np.testing.assert_allclose(ice[[9, 14]], ICE[[9, 14]], rtol=0.1)
+
+
+def test_intervals_hold_the_vehicle() -> None:
+    held = []
+    for seed in range(4):
+        (found,) = fit_vehicle([drive(DRY, WHOLE, 0.01, seed)], None, rngs(1))
+        held += [p.low <= v <= p.high for p, v in zip(found.parameters, DRY, strict=True)]
+        assert not any(p.at_bound for p in found.parameters)
+    assert np.mean(held) > 0.85  # measured 0.94
+
+
+def test_what_the_data_do_not_determine_is_reported() -> None:
+    straight = drive(DRY, STRAIGHT, 0.01, 0)
+    (found,) = fit_vehicle([straight], None, rngs(1))
+    parameters = {parameter.name: parameter for parameter in found.parameters}
+    assert parameters["m"].determined
+    for name in ("l_f", "B_f", "D_f", "B_r"):
+        assert not parameters[name].determined
+        assert abs(parameters[name].distance) < 1.0
+    coasting = drive(DRY, STRAIGHT * [1, 1, 1, 1, 1e-6, 1], 0.01, 0)
+    (found,) = fit_vehicle([coasting], None, rngs(1))
+    assert not found.parameters[0].determined
+    # Narrower than the prior of any vehicle, but not as narrow as a vehicle's file.
+    noisy = drive(DRY, STRAIGHT * [1, 1, 1, 1, 0.2, 1], 0.05, 0)
+    (found,) = fit_vehicle([noisy], None, rngs(1))
+    assert found.parameters[0].high / found.parameters[0].low < 2.0
+    assert not found.parameters[0].determined
+
+
+def test_an_end_of_the_range_is_reported() -> None:
+    peakless = DRY.copy()
+    peakless[11] = 1.0
+    (found,) = fit_vehicle([drive(peakless, WHOLE * [1, 4, 4, 4, 1, 1], 0.0, 0)], TOY, rngs(1))
+    assert [p.name for p in found.parameters if p.at_bound] == ["C_f"]
+
+
+def test_a_vehicle_file_narrows_the_body_only() -> None:
+    known, general = priors(TOY), priors(None)
+    assert known["m"].centre == TOY.mass
+    assert known["k²"].centre == pytest.approx(GYRATION)
+    changed = {name for name in known if known[name] != general[name]}
+    assert changed == {"m", "l_f", "l_r", "k²"}
+
+
+def test_errors_for_a_vehicle_outside_the_range() -> None:
+    toy_car = VehicleParameters(**(TOY.fields() | {"mass": 3.5, "yaw_inertia": 0.05}))
+    with pytest.raises(EgpError, match=r"vehicle's m is 3\.5: expected 300 to 4000"):
+        fit_vehicle([drive(DRY, WHOLE, 0.0, 0)], toy_car, rngs(1))
+
+
+def test_repeated_errors_count_once() -> None:
+    rng = np.random.default_rng(0)
+    data = dataclasses.replace(
+        drive(DRY, WHOLE, 0.0, 0),
+        trajectory=np.zeros(1500, dtype=np.uint32),
+        step=np.arange(1500, dtype=np.uint32),
+    )
+    independent = rng.standard_normal((1500, 3))
+    repeated = np.repeat(independent[:150], 10, axis=0)
+    # Correlations 1 - k / 10 at lag k: their sum is 4.5.
+    np.testing.assert_allclose(autocorrelation(repeated, data), 4.5, atol=1.0)
+    np.testing.assert_allclose(autocorrelation(independent, data), 0.0, atol=0.2)
+    alone = drive(DRY, WHOLE, 0.0, 0)
+    np.testing.assert_array_equal(autocorrelation(independent, alone), 0.0)
