@@ -91,7 +91,7 @@ impl Discovery {
         self.replicas.live().iter()
     }
 
-    /// The next replica to ask and the key of the question; none when no replica is alive or every one was asked, after
+    /// The next replica to ask and the key of the question; `None` if no replica is alive or all were asked, after
     /// which the next call starts over.
     pub fn next_question(&mut self) -> Option<(Name, String)> {
         let order = self.replicas.order();
@@ -105,7 +105,7 @@ impl Discovery {
         Some((replica, key))
     }
 
-    /// Reads a replica's answer: what it serves, or none when the replica cannot be used. The reason is then kept for
+    /// Reads a replica's answer: what it serves, or `None` if the replica cannot be used. The reason is then kept for
     /// [`Discovery::error`], and the next replica is to be asked.
     pub fn answered(&mut self, replica: &Name, answer: &[u8]) -> Option<Ready> {
         match self.usable(answer) {

@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn demotions_double_up_to_half_a_minute_and_are_forgiven() {
+    fn demotions_double_up_to_half_a_minute_and_begin_anew_later() {
         let (mut replicas, usual) = three();
         let mut now = seconds(0.0);
         let mut lengths = Vec::new();
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_replica_is_forgiven_a_minute_after_its_demotion_and_not_before() {
+    fn demotions_begin_anew_a_minute_after_the_last_one_and_not_before() {
         let almost = seconds(61.0).saturating_sub(Duration::from_nanos(1));
         for (again, length) in [(almost, 2), (seconds(61.0), 1)] {
             let (mut replicas, usual) = three();

@@ -13,9 +13,9 @@ use crate::situation::{Lost, Situation};
 pub struct Step {
     /// What goes to the actuators.
     pub command: Command,
-    /// What became of the request.
+    /// Outcome of the request.
     pub outcome: Outcome,
-    /// The replica that the outcome is about; none when no replica was asked.
+    /// The replica that the outcome is about; `None` if no replica was asked.
     pub replica: Option<Name>,
     /// Bytes of the request; empty when none could be made.
     pub request: Vec<u8>,
@@ -31,7 +31,7 @@ pub struct Step {
     pub late: Vec<Late>,
     /// Number of replicas that were asked.
     pub asked: u32,
-    /// Where the vehicle is relative to the library's training data and to the reference; none when the measurement is
+    /// Where the vehicle is relative to the library's training data and to the reference; `None` if the measurement is
     /// not usable.
     pub situation: Option<Situation>,
     /// Why the vehicle counts as lost and is therefore stopped; none while it does not.
@@ -47,7 +47,7 @@ pub struct Late {
     pub reply_bytes: Vec<u8>,
 }
 
-/// What became of a request.
+/// Outcome of a request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
     /// A usable reply came in time; it holds a plan exactly if the status is solved.

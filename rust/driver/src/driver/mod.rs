@@ -47,7 +47,7 @@ struct Running {
     asked: u32,
     /// The replica asked last and the query whose answer is awaited.
     current: Option<(QueryId, Name)>,
-    /// What became of the replicas asked so far.
+    /// The outcome of the queries so far.
     outcome: Outcome,
     situation: Situation,
     lost: Option<Lost>,
@@ -72,7 +72,7 @@ pub struct Driver {
 }
 
 impl Driver {
-    /// A driver for a library that `served` describes; it knows no replica yet.
+    /// A driver for a library that `served` describes, without replicas.
     ///
     /// # Errors
     /// [`DriverError`] when budget, limits or gate settings are out of range, or when the limits allow more than the

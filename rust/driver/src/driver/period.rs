@@ -62,7 +62,7 @@ impl Driver {
         self.actions.push_back(Action::Ask(query));
     }
 
-    /// Notes what became of a query; if the open period waited for it, asks the next replica.
+    /// Notes the end of a query; if the open period waited for it, asks the next replica.
     pub(super) fn failed(&mut self, now: Time, id: QueryId, outcome: Outcome) {
         let awaited = |run: &&mut super::Running| matches!(&run.current, Some((current, _)) if *current == id);
         if let Some(run) = self.running.as_mut().filter(awaited) {
