@@ -51,6 +51,10 @@ def test_the_laps_drive() -> None:
         assert abs(path.project(np.array(position)).lateral) < 0.3  # type: ignore[attr-defined]
     found = untold["found"]
     assert found.lower < 0.5 < found.upper  # type: ignore[attr-defined]
+    line = repr(untold["step"])
+    assert len(line) < 120
+    assert "normal, solved" in line
+    assert f"friction {found.lower:.2f} to {found.upper:.2f}" in line  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.name)

@@ -38,7 +38,7 @@ class Timings:
     """Time of decoding, control step and encoding in the service or engine."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Step:
     """One control period: the command, its origin, and the messages that were exchanged."""
 
@@ -80,6 +80,18 @@ class Step:
     lost: bool = False
     """Whether the vehicle counts as lost (far outside the training data, far from the reference, or
     pointing away from it) and is therefore stopped."""
+
+    def __repr__(self) -> str:
+        """Return mode, status, command, weights and friction in one line."""
+        force, rate = self.u
+        weights = ", ".join(f"{weight:.2f}" for weight in self.weights)
+        friction = "unknown"
+        if self.friction is not None:
+            friction = f"{self.friction.lower:.2f} to {self.friction.upper:.2f}"
+        return (
+            f"<Step {self.mode}, {self.status}: {force:.0f} N, {rate:+.3f} rad/s, "
+            f"weights [{weights}], friction {friction}>"
+        )
 
     @classmethod
     def of(cls, decision: Decision, weights: NDArray[np.float64], total: float) -> Self:
