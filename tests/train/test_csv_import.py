@@ -156,3 +156,88 @@ def test_names_what_is_missing(tmp_path: Path) -> None:
             },
             provenance(),
         )
+
+
+def _refused(path: Path, si: dict[str, NDArray[np.float64]], **changes: str) -> str:
+    _write(path, si)
+    with pytest.raises(EgpError) as caught:
+        _import(path, **changes)
+    return str(caught.value)
+
+
+def test_seconds_that_are_read_as_milliseconds_are_an_error(tmp_path: Path) -> None:
+    si = _log()
+    si["t"] = 1e-3 * si["t"]
+    text = _refused(tmp_path / "drive.csv", si)
+    assert text.startswith("'t' read in ms gives a row every 1e-05 s")
+    assert "--column time=t:s" in text
+
+
+def test_speeds_that_are_read_in_another_unit_are_an_error(tmp_path: Path) -> None:
+    si = _log()
+    si["omega"] = 0.1 * si["omega"]  # the steering is not excited enough to show it
+    si["delta"] = 0.1 * si["delta"]
+    slow = si | {"v_x": si["v_x"] / 3.6}
+    text = _refused(tmp_path / "slow.csv", slow)
+    assert "'speed' and 'accel' contradict each other: the speed changes 0.28 times" in text
+    fast = si | {"v_x": si["v_x"] * 3.6}
+    assert "3.6 times" in _refused(tmp_path / "fast.csv", fast)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "factor", "complaint"),
+    [
+        ("omega", -1.0, "have opposite signs"),
+        ("delta", -1.0, "have opposite signs"),
+        ("delta", 8.0, "--steering-ratio"),
+        ("omega", 0.1, "fit a wheelbase of 53.1 m"),
+        ("a_x", -1.0, "slows down when it accelerates"),
+        ("a_x", 3.0, "0.33 times as fast"),
+    ],
+)
+def test_columns_that_contradict_each_other_are_an_error(
+    tmp_path: Path, quantity: str, factor: float, complaint: str
+) -> None:
+    si = _log()
+    si[quantity] = factor * si[quantity]
+    assert complaint in _refused(tmp_path / "drive.csv", si)
+
+
+def test_swapped_speeds_are_an_error(tmp_path: Path) -> None:
+    si = _log()
+    si["v_x"], si["v_y"] = si["v_y"], si["v_x"]
+    text = _refused(tmp_path / "drive.csv", si)
+    assert "'speed' and 'drift' are probably swapped" in text
+
+
+def test_an_outlier_is_an_error_with_its_row(tmp_path: Path) -> None:
+    si = _log()
+    si["v_x"][700] = 99.0
+    text = _refused(tmp_path / "drive.csv", si)
+    assert "'speed' jumps from" in text
+    assert "to 99 (SI units) at row 700" in text
+
+
+def test_a_stuck_sensor_is_an_error_with_its_rows(tmp_path: Path) -> None:
+    si = _log()
+    si["v_y"][1000:1800] = 0.12
+    text = _refused(tmp_path / "drive.csv", si)
+    assert "'drift' stays at 0.12 (SI units) from row 1000 to 1799, 8 s" in text
+    quiet = _log()
+    for quantity in ("v_y", "omega", "delta", "a_x"):
+        quiet[quantity][:] = 0.0
+    quiet["v_x"][:] = 15.0  # straight ahead, where nothing need change
+    _write(tmp_path / "quiet.csv", quiet)
+    assert len(_import(tmp_path / "quiet.csv")) > 0
+
+
+def test_the_steering_wheels_angle_is_divided_by_its_ratio(tmp_path: Path) -> None:
+    si = _log()
+    _write(tmp_path / "drive.csv", si)
+    expected = _import(tmp_path / "drive.csv")
+    _write(tmp_path / "wheel.csv", si | {"delta": 8.0 * si["delta"]})
+    columns = {name: Column.parse(text) for name, text in COLUMNS.items()}
+    found = import_csv(tmp_path / "wheel.csv", columns, provenance(), mass=MASS, steering_ratio=8.0)
+    np.testing.assert_allclose(found.z, expected.z, rtol=1e-9, atol=1e-12)
+    with pytest.raises(EgpError, match="positive --steering-ratio"):
+        import_csv(tmp_path / "wheel.csv", columns, provenance(), mass=MASS, steering_ratio=0.0)

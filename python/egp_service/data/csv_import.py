@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from egp_service._core import STANDARD_GRAVITY, EgpError
+from egp_service.data import plausibility
 from egp_service.data.dataset import Dataset, Provenance
 from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY
 
@@ -50,6 +51,7 @@ _LARGEST: Final = {
     "a_x": 30.0,
     "delta_dot": 6.0,
 }
+_STEERING: Final = {"delta", "delta_dot"}
 # Logs without gaps are split into trajectories of this length for the validation split.
 _TRAJECTORY_SECONDS: Final = 10.0
 
@@ -79,6 +81,7 @@ def import_csv(
     *,
     mass: float | None = None,
     separator: str = ",",
+    steering_ratio: float = 1.0,
 ) -> Dataset:
     """Convert a log into transitions of `provenance.dt` seconds.
 
@@ -86,11 +89,12 @@ def import_csv(
     multiplied by `mass` in kg), to the log's columns. Faster logs are thinned: states are those at
     the ends of a period, the force is its mean over the period, and the steering rate is the change
     of `delta`, so that it is consistent with the steering angle. A `delta_dot` column is only
-    compared with this rate. A gap in time starts a new trajectory.
+    compared with this rate. A gap in time starts a new trajectory. Steering angles are divided by
+    `steering_ratio`, that of the steering wheel's angle to the road wheels'.
 
     Raises:
-        EgpError: if columns are missing, magnitudes are implausible, the period is uneven or not
-            suitable, or values are not finite.
+        EgpError: if columns are missing, magnitudes are implausible, columns contradict each other,
+            the period is uneven or not suitable, or values are not finite.
 
     """
     missing = [q for q in ("time", *GP_STATE_NAMES) if q not in columns]
@@ -99,7 +103,12 @@ def import_csv(
             f"columns for {', '.join(sorted(columns))}: expected time, v_x, v_y, omega, delta and "
             "exactly one of F_x and a_x"
         )
+    if not steering_ratio > 0.0:
+        raise EgpError(f"expected a positive --steering-ratio, got {steering_ratio}")
     log = _read(path, columns, separator)
+    for quantity in _STEERING & log.keys():
+        log[quantity] = log[quantity] / steering_ratio
+    plausibility.check(log, columns, mass)
     if "a_x" in log:
         if mass is None or mass <= 0.0:
             raise EgpError("a_x requires the vehicle's mass in kg for the force F_x = mass a_x")

@@ -49,12 +49,19 @@ def collect(
         float | None, typer.Option(help="Mass in kg, for a log with a_x instead of F_x.")
     ] = None,
     separator: Annotated[str, typer.Option(help="Separator of the columns, for a log.")] = ",",
+    steering_ratio: Annotated[
+        float,
+        typer.Option(
+            help="Steering wheel's angle over the road wheels', for a log with the former."
+        ),
+    ] = 1.0,
 ) -> None:
     """Collect drive data of one surface into a dataset.
 
     Drives the simulated car on tracks, at increasing speed and with exploration
     noise, and from random states. With --from-csv it imports a log instead, which
-    must contain time, v_x, v_y, omega, delta, and F_x or a_x.
+    must contain time, v_x, v_y, omega, delta, and F_x or a_x. Columns that contradict
+    each other are errors: wrong units and signs, swapped columns, stuck sensors.
 
     For example:
       egp collect -o data/wet.parquet --friction 0.5 --surface wet
@@ -87,7 +94,14 @@ def collect(
                 raise EgpError(f"--column {text}: expected QUANTITY=COLUMN:UNIT")
             columns[quantity] = Column.parse(rest)
         provenance = Provenance(dt, vehicle, label, mu, seed, f"log {from_csv.name}", tool())
-        dataset = import_csv(from_csv, columns, provenance, mass=mass, separator=separator)
+        dataset = import_csv(
+            from_csv,
+            columns,
+            provenance,
+            mass=mass,
+            separator=separator,
+            steering_ratio=steering_ratio,
+        )
     else:
         if not vehicle.isdecimal():
             raise EgpError(f"vehicle {vehicle}: expected a CommonRoad number, 1 or 2")

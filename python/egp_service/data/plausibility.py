@@ -1,0 +1,190 @@
+"""Checks that hold the columns of a log against each other.
+
+A wrong unit, a wrong sign or a swapped column often gives values that are possible one by one. It
+shows where columns state the same thing twice: the change of the speed and the acceleration, the
+yaw rate and the steering angle. With the speed v, the steering angle delta and the wheelbase L a
+slow vehicle turns at omega = v delta / L (Rajamani, *Vehicle Dynamics and Control*, 2nd ed.,
+section 2.2), and understeer makes this smaller.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service._core import EgpError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from egp_service.data.csv_import import Column
+
+    Log = Mapping[str, NDArray[np.float64]]
+
+# s; logs of vehicles have 1 to 1000 rows in a second.
+_PERIODS: Final = (1e-3, 1.0)
+# Largest change from one row to the next, and per second: no road vehicle changes faster.
+_JUMPS: Final = {"v_x": (3.0, 60.0), "v_y": (3.0, 60.0), "omega": (2.0, 40.0), "delta": (0.5, 10.0)}
+# Standard deviation of another column above which the vehicle certainly moves differently.
+_ACTIVE: Final = {"v_x": 0.5, "omega": 0.05, "delta": 0.02}
+_STUCK: Final = 5.0  # s
+_MOVING: Final = 3.0  # m/s
+# rad/m; omega / (v delta) of vehicles with a wheelbase of 1.2 m to 5 m and strong understeer.
+_CURVATURES: Final = (0.06, 1.0)
+# Change of v_x over acceleration: tyres and drag take a part, and nothing adds to it.
+_ACCELERATIONS: Final = (0.4, 2.0)
+_CERTAIN: Final = 0.7  # correlation from which a ratio is meant
+_EXCITED: Final = {"turning": 0.02, "accelerating": 0.2}  # standard deviations, m/s and m/s²
+_SMOOTHING: Final = 0.5  # s
+_LAGS: Final = (
+    0.0,
+    0.25,
+    0.5,
+    0.75,
+    1.0,
+    1.25,
+    1.5,
+)  # s, by which filters may delay an acceleration
+
+
+def check(log: Log, columns: Mapping[str, Column], mass: float | None) -> None:
+    """Check a log in SI units; `columns` are those it was read from.
+
+    Raises:
+        EgpError: if columns contradict each other. The error names them, the likely mistake, and
+            the option that mends it.
+
+    """
+    _check_period(log, columns)
+    _check_jumps(log, columns)
+    if np.median(np.abs(log["v_y"])) > np.median(np.abs(log["v_x"])):
+        raise EgpError(
+            f"the vehicle mostly moves sideways: '{columns['v_x'].name}' and "
+            f"'{columns['v_y'].name}' are probably swapped; exchange them in --column"
+        )
+    _check_stuck(log, columns)
+    _check_accelerating(log, columns, mass)
+    _check_turning(log, columns)
+
+
+def _check_period(log: Log, columns: Mapping[str, Column]) -> None:
+    time = columns["time"]
+    period = float(np.median(np.diff(log["time"]))) if len(log["time"]) > 1 else _PERIODS[0]
+    if period > 0.0 and not _PERIODS[0] <= period <= _PERIODS[1]:
+        raise EgpError(
+            f"'{time.name}' read in {time.unit} gives a row every {period:.3g} s, expected "
+            f"{_PERIODS[0]:g} to {_PERIODS[1]:g} s: state another unit, "
+            f"--column time={time.name}:s, ms, us or ns"
+        )
+
+
+def _check_jumps(log: Log, columns: Mapping[str, Column]) -> None:
+    gaps = np.diff(log["time"])
+    for quantity, (jump, rate) in _JUMPS.items():
+        change = np.abs(np.diff(log[quantity]))
+        beyond = np.flatnonzero(change > jump + rate * gaps)
+        if len(beyond):
+            row = int(beyond[0]) + 1
+            before, after = log[quantity][row - 1 : row + 1]
+            raise EgpError(
+                f"'{columns[quantity].name}' jumps from {before:.4g} to {after:.4g} (SI units) at "
+                f"row {row}, which no vehicle does: correct or remove this row"
+                + (f" and {len(beyond) - 1} others" if len(beyond) > 1 else "")
+            )
+
+
+def _check_stuck(log: Log, columns: Mapping[str, Column]) -> None:
+    time = log["time"]
+    for quantity in ("v_x", "v_y", "omega", "delta"):
+        values = log[quantity]
+        starts = np.concatenate(([0], np.flatnonzero(np.diff(values) != 0.0) + 1, [len(values)]))
+        for first, last in itertools.pairwise(starts):
+            stretch = slice(first, last)
+            if (
+                time[last - 1] - time[first] >= _STUCK
+                and np.median(log["v_x"][stretch]) > _MOVING
+                and any(np.std(log[q][stretch]) > s for q, s in _ACTIVE.items() if q != quantity)
+            ):
+                raise EgpError(
+                    f"'{columns[quantity].name}' stays at {values[first]:.4g} (SI units) from row "
+                    f"{first} to {last - 1}, {time[last - 1] - time[first]:.0f} s, while the "
+                    "vehicle moves: the sensor was probably stuck; remove these rows"
+                )
+
+
+def _check_turning(log: Log, columns: Mapping[str, Column]) -> None:
+    moving = log["v_x"] > _MOVING
+    turned, omega = (log["v_x"] * log["delta"])[moving], log["omega"][moving]
+    if len(omega) < 2 or np.std(turned) < _EXCITED["turning"] or np.std(omega) == 0.0:  # noqa: PLR2004
+        return
+    names = f"'{columns['omega'].name}' and '{columns['delta'].name}'"
+    correlation = float(np.corrcoef(turned, omega)[0, 1])
+    if correlation < -_CERTAIN:
+        raise EgpError(
+            f"{names} have opposite signs: the vehicle turns right when it steers left. Both are "
+            "positive to the left (counter-clockwise); negate one of them in the log"
+        )
+    ratio = float(turned @ omega / (turned @ turned))
+    low, high = _CURVATURES
+    if correlation > _CERTAIN and not low <= ratio <= high:
+        likely = (
+            "the steering wheel's angle in place of the road wheels' (give --steering-ratio), or "
+            "a wrong unit of one of them or of the speed"
+            if ratio < low
+            else "a wrong unit of one of them, or of the speed"
+        )
+        raise EgpError(
+            f"{names} fit a wheelbase of {1.0 / ratio:.3g} m, expected {1.0 / high:g} to "
+            f"{1.0 / low:.3g} m: {likely}"
+        )
+
+
+def _check_accelerating(log: Log, columns: Mapping[str, Column], mass: float | None) -> None:
+    stated = "a_x" if "a_x" in log else "F_x"
+    if stated == "F_x" and mass is None:
+        return
+    acceleration = log["a_x"] if stated == "a_x" else log["F_x"] / (mass or 1.0)
+    period = float(np.median(np.diff(log["time"])))
+    rows = max(1, round(_SMOOTHING / period))
+    if len(acceleration) < 4 * rows:
+        return
+    mean = np.convolve(acceleration, np.full(rows, 1.0 / rows), mode="valid")[:-1]
+    change = (log["v_x"][rows:] - log["v_x"][:-rows]) / (rows * period)
+    change -= (log["v_y"] * log["omega"])[rows // 2 : rows // 2 + len(change)]
+    moving = (log["v_x"][rows:] > _MOVING) & (log["v_x"][:-rows] > _MOVING)
+    lagging = (_later(mean, change, moving, round(lag / period)) for lag in _LAGS)
+    late = [pair for pair in lagging if pair is not None]
+    if not late or np.std(late[0][0]) < _EXCITED["accelerating"]:
+        return
+    names = f"'{columns['v_x'].name}' and '{columns[stated].name}'"
+    correlations = [float(np.corrcoef(*pair)[0, 1]) for pair in late]
+    best = int(np.argmax(correlations))
+    if correlations[best] < _CERTAIN and correlations[0] < -_CERTAIN:
+        raise EgpError(
+            f"{names} contradict each other: the vehicle slows down when it accelerates. "
+            "Accelerations and forces are positive forward; negate the column in the log"
+        )
+    mean, change = late[best]
+    centred = mean - mean.mean()
+    ratio = float(centred @ change / (centred @ centred))
+    low, high = _ACCELERATIONS
+    if correlations[best] > _CERTAIN and not low <= ratio <= high:
+        raise EgpError(
+            f"{names} contradict each other: the speed changes {ratio:.2g} times as fast as the "
+            f"acceleration says, expected {low:g} to {high:g}. One of their units is probably "
+            f"wrong ('{columns['v_x'].name}' is read in {columns['v_x'].unit}), or the mass"
+        )
+
+
+def _later(
+    late: NDArray[np.float64], early: NDArray[np.float64], keep: NDArray[np.bool_], rows: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return `late` and what `early` was `rows` before, where `keep` is true at both times."""
+    count = len(early) - rows
+    chosen = keep[:count] & keep[rows:] if count > 0 else keep[:0]
+    a, b = late[rows:][chosen], early[: max(count, 0)][chosen]
+    return (a, b) if len(a) > 1 and np.std(a) > 0.0 and np.std(b) > 0.0 else None
