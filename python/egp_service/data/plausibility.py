@@ -33,7 +33,7 @@ _JUMPS: Final = {"v_x": (3.0, 60.0), "v_y": (3.0, 60.0), "omega": (2.0, 40.0), "
 _ACTIVE: Final = {"v_x": 0.5, "omega": 0.05, "delta": 0.02}
 _STUCK: Final = 5.0  # s
 _MOVING: Final = 3.0  # m/s
-# rad/m; omega / (v delta) of vehicles with a wheelbase of 1.2 m to 5 m and strong understeer.
+# 1/m; omega / (v delta), which is 1 / wheelbase for a slow vehicle and less with understeer.
 _CURVATURES: Final = (0.06, 1.0)
 # Change of v_x over acceleration: tyres and drag take a part, and nothing adds to it.
 _ACCELERATIONS: Final = (0.4, 2.0)

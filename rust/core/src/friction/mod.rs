@@ -12,7 +12,8 @@
 //! the posterior wider than that of independent errors, because the errors of a model are similar from one period to the
 //! next (a power posterior; Grünwald and van Ommen, *Inconsistency of Bayesian Inference for Misspecified Linear Models*,
 //! Bayesian Analysis 12(4), 2017). A window that no hypothesis explains, `min J > n`, widens it further. With 9 hypotheses
-//! the 90 % interval contained the true value in 85 % of the informed windows, with 17 in 90 %. Nothing but the window is
+//! the 90 % interval contained the true value in 85 % of the informed windows, with 17 in 90 %, and with errors that are
+//! weighed by the largest expected noise, as they are here, in 97 %. Nothing but the window is
 //! remembered, so without excitation the posterior returns to the prior within the length of the window.
 
 mod hypothesis;
