@@ -1,13 +1,14 @@
 """How often the 90 % interval of the friction holds the true value.
 
-usage: calibration.py
+usage: calibration.py [FIRST]
 
-Drives 12 random roads of friction 0.25 to 1.1 at 50, 75 and 90 % of the grip with the noise of the
+Drives 12 random roads, with the seeds from FIRST (0) on, of friction 0.25 to 1.1 at 50, 75 and 90 % of the grip with the noise of the
 evaluation and the demo's library. Counted are the informed windows that lie on one surface.
 """
 
 from __future__ import annotations
 
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import product
@@ -23,7 +24,7 @@ from egp_service.simulation.scenario import Track
 if TYPE_CHECKING:
     from egp_service.simulation.trace import Period
 
-ROADS: Final = range(12)
+ROADS: Final = 12
 GRIPS: Final = (0.5, 0.75, 0.9)
 FRICTIONS: Final = (0.25, 1.1)
 WINDOW: Final = 25  # transitions
@@ -51,10 +52,11 @@ def windows(trial: tuple[int, float]) -> list[tuple[float, bool, float, float]]:
     return found
 
 
-def main() -> None:
+def main(first: int) -> None:
     """Print the shares by grip, and the medians of width and error."""
+    roads = range(first, first + ROADS)
     with ProcessPoolExecutor() as pool:
-        rows = np.array([row for lap in pool.map(windows, product(ROADS, GRIPS)) for row in lap])
+        rows = np.array([row for lap in pool.map(windows, product(roads, GRIPS)) for row in lap])
     grip, holds, width, error = rows.T
     for value in GRIPS:
         print(f"{value:.0%} of the grip: {np.mean(holds[grip == value]):.1%} held")
@@ -63,4 +65,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 0)

@@ -1,8 +1,8 @@
 """A driver for data collection that follows a reference up to the tyres' limit.
 
 Steering is pure pursuit with yaw-rate feedback, speed control is feed-forward plus proportional,
-and both inputs have coloured noise. The driver has no information about friction; beyond the limit
-it loses control, which the data should contain.
+and both inputs have coloured noise. Of the friction the driver uses the range of accelerations only;
+beyond the limit it loses control, which the data should contain.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.data.experiment import WHEELBASE
+from egp_service.data.experiment import WHEELBASE, largest_demand
 from egp_service.quantities import P_X, P_Y, V_X
 
 if TYPE_CHECKING:
@@ -36,7 +36,8 @@ class Driver:
     """The driver of one vehicle, with its last input and the state of its noise.
 
     `mass` is the simulated vehicle's to the last digit, `vehicle` holds its actuators' limits.
-    `noise` scales the excitation: at 1 the standard deviations are 2 m/s² and 0.15 rad/s.
+    `noise` scales the excitation: at 1 the standard deviations are 2 m/s², or half of what the
+    friction `mu` allows, and 0.15 rad/s.
     """
 
     rng: np.random.Generator
@@ -44,6 +45,7 @@ class Driver:
     mass: float
     vehicle: VehicleParameters
     noise: float
+    mu: float
     _a: float = 0.0
     _delta_dot: float = 0.0
     _noise: tuple[float, float] = (0.0, 0.0)
@@ -62,8 +64,9 @@ class Driver:
         noise_a, noise_delta_dot = self._advance_noise()
         a = forward + (reference[0, V_X] - v_x) / _SPEED_TIME + noise_a
         car = self.vehicle
-        strongest = min(car.a_max, car.power / max(v_x, 1.0))
-        self._a = _limit(a, self._a, car.a_slew * self.dt, car.a_min, strongest)
+        most = largest_demand(self.mu)
+        strongest = min(car.a_max, car.power / max(v_x, 1.0), most)
+        self._a = _limit(a, self._a, car.a_slew * self.dt, max(car.a_min, -most), strongest)
         self._delta_dot = _limit(
             (wanted - delta) / _STEERING_TIME + noise_delta_dot,
             self._delta_dot,
@@ -80,7 +83,8 @@ class Driver:
             _coloured(self._noise[0], first, self.dt / _A_TIME),
             _coloured(self._noise[1], second, self.dt / _DELTA_DOT_TIME),
         )
-        return 2.0 * self.noise * self._noise[0], 0.15 * self.noise * self._noise[1]
+        a = min(2.0, 0.25 * largest_demand(self.mu))
+        return a * self.noise * self._noise[0], 0.15 * self.noise * self._noise[1]
 
 
 def _coloured(value: float, white: float, ratio: float) -> float:

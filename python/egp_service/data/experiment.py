@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import Plant, VehicleParameters, surface_friction
+from egp_service._core import GRAVITY, Plant, VehicleParameters, surface_friction
 from egp_service.data.dataset import Provenance
 from egp_service.vehicle import simulated_name
 
@@ -26,6 +26,14 @@ def largest_acceleration(
 ) -> NDArray[np.float64]:
     """Largest forward acceleration at speed `v_x`, m/s², by traction or engine power."""
     return np.minimum(vehicle.a_max, vehicle.power / np.maximum(v_x, 1.0))
+
+
+def largest_demand(mu: float) -> float:
+    """Largest acceleration or deceleration, m/s², that data on friction `mu` ask for: twice the grip.
+
+    Data in which the vehicle's whole range is asked for on ice consist of spinning and locked wheels.
+    """
+    return 2.0 * mu * GRAVITY
 
 
 def tool() -> str:

@@ -102,8 +102,9 @@ def _episode(
     plant = experiment.plant()
     x = track.start(rng.uniform(0.0, track.length), before, grip)
     plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], x[OMEGA], x[V_Y], x[DELTA])
+    noise = rng.uniform(*settings.noise)
     driver = Driver(
-        rng, experiment.dt, experiment.mass, experiment.parameters, rng.uniform(*settings.noise)
+        rng, experiment.dt, experiment.mass, experiment.parameters, noise, experiment.mu
     )
 
     def drive(seconds: float, surface: float | str, believed: Callable[[float], float]) -> bool:

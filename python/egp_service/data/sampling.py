@@ -14,7 +14,7 @@ import numpy as np
 
 from egp_service._core import GRAVITY, EgpError
 from egp_service.data.dataset import Dataset
-from egp_service.data.experiment import WHEELBASE, Experiment, largest_acceleration
+from egp_service.data.experiment import WHEELBASE, Experiment, largest_acceleration, largest_demand
 from egp_service.quantities import DELTA, F_X, NY, NZ, OMEGA, P_X, P_Y, PSI, V_X, V_Y
 
 if TYPE_CHECKING:
@@ -114,6 +114,7 @@ def _draw(
     zero = np.zeros(count)
     states = np.column_stack([zero, zero, v_x, zero, v_x * np.tan(sideslip), omega, delta])
     car = experiment.parameters
-    a = rng.uniform(car.a_min, largest_acceleration(v_x, car))
+    most = largest_demand(experiment.mu)
+    a = rng.uniform(max(car.a_min, -most), np.minimum(most, largest_acceleration(v_x, car)))
     delta_dot = rng.uniform(-car.steering_rate, car.steering_rate, count)
     return states, np.column_stack([a, delta_dot])

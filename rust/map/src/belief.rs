@@ -7,6 +7,7 @@ use egp_parameters::FRICTION_HYPOTHESES;
 
 use crate::grid::{Grid, Row, interpolate, normalise, to_probabilities};
 use crate::layer::Layer;
+use crate::recent::Recent;
 use crate::reported::Reported;
 use crate::tile::TILE_CELLS;
 
@@ -83,6 +84,8 @@ pub struct RoadBelief {
     evidence: Vec<Row>,
     /// Its exponential.
     pub(crate) likelihood: Vec<Row>,
+    /// What the newest window found, where most of it is not stored yet.
+    pub(crate) recent: Option<Recent>,
     /// What other vehicles reported.
     pub(crate) reported: Option<Reported>,
     /// Tiles whose evidence changed since they were last given away.
@@ -119,6 +122,7 @@ impl RoadBelief {
             track: VecDeque::with_capacity(settings.window + 1),
             evidence: vec![[0.0; _]; cells as usize],
             likelihood: vec![[1.0; _]; cells as usize],
+            recent: None,
             reported: None,
             changed: BTreeSet::new(),
             forward: Vec::new(),
@@ -144,7 +148,9 @@ impl RoadBelief {
     ///
     /// The estimate of a window belongs to the road that the vehicle passed in it. Its evidence goes to the middle third,
     /// so that a change of the surface is found where it is, and each period adds `1 / window` of it, because
-    /// successive windows share all transitions but one.
+    /// successive windows share all transitions but one. Until the next period it also counts once, as a whole, from the
+    /// start of this third to the vehicle: otherwise a surface that has just begun would be believed only after most of the
+    /// window lies on it.
     ///
     /// # Errors
     /// [`BeliefError`] unless `s` is finite and the likelihoods' logarithms are finite and at most 0.
@@ -155,6 +161,7 @@ impl RoadBelief {
     ) -> Result<(), BeliefError> {
         place("s", s)?;
         let window = self.settings.window;
+        self.recent = None;
         if let Some(log_likelihood) = log_likelihood {
             for value in log_likelihood {
                 if !(f64::MIN..=0.0).contains(value) {
@@ -168,7 +175,11 @@ impl RoadBelief {
             if self.track.len() > window {
                 let (from, to) = (self.track[window / 3], self.track[2 * window / 3]);
                 self.compare_with_reports(log_likelihood);
-                self.add(from, to, log_likelihood);
+                let log_likelihood = interpolate(log_likelihood);
+                self.add(from, to, &log_likelihood);
+                self.recent = self.between(from, s).map(|(from, to)| {
+                    Recent::new(self.index(from), self.index(to), &log_likelihood)
+                });
             }
         }
         if self.track.len() > window {
@@ -178,24 +189,26 @@ impl RoadBelief {
         Ok(())
     }
 
-    /// Forgets where the vehicle was, for instance after it was moved; what it found remains.
+    /// Forgets where the vehicle was, for instance after it was moved; what was stored remains.
     pub fn leave(&mut self) {
+        self.recent = None;
         self.track.clear();
     }
 
+    /// The stretch from `from` to `to`, counted without a jump at the end of a lap. `None` if the vehicle drove backwards or
+    /// was moved.
+    fn between(&self, from: f64, to: f64) -> Option<(f64, f64)> {
+        let from = self.before(from, to);
+        let cells = self.index(to) - self.index(from);
+        (to >= from && cells < self.evidence.len() as i64).then_some((from, to))
+    }
+
     /// Adds one period's evidence to the cells from `from` to `to`, each by its share of the stretch.
-    fn add(&mut self, from: f64, to: f64, log_likelihood: &[f64; FRICTION_HYPOTHESES]) {
-        let lap = if self.closed && to < from - 0.5 * self.length() {
-            self.length()
-        } else {
-            0.0
+    fn add(&mut self, from: f64, to: f64, log_likelihood: &Row) {
+        let Some((from, to)) = self.between(from, to) else {
+            return;
         };
-        let to = to + lap;
         let (first, last) = (self.index(from), self.index(to));
-        if to < from || last - first >= self.evidence.len() as i64 {
-            return; // backwards, or moved
-        }
-        let log_likelihood = interpolate(log_likelihood);
         for index in first..=last {
             let (start, end) = (index as f64 * self.cell, (index + 1) as f64 * self.cell);
             let share = if to > from {
@@ -206,7 +219,7 @@ impl RoadBelief {
             let Some(cell) = self.stored(index) else {
                 continue;
             };
-            self.add_to_cell(cell, share / self.settings.window as f64, &log_likelihood);
+            self.add_to_cell(cell, share / self.settings.window as f64, log_likelihood);
         }
     }
 

@@ -67,6 +67,10 @@ impl RoadBelief {
         let multiply = |row: &mut Row, by: &Row| row.iter_mut().zip(by).for_each(|(r, l)| *r *= l);
         if layer != Layer::Reported {
             multiply(row, &self.likelihood[cell]);
+            let recent = self.recent.as_ref();
+            if let Some(recent) = recent.and_then(|r| r.at(cell, self.likelihood.len())) {
+                multiply(row, recent);
+            }
         }
         if layer != Layer::Own
             && let Some(reported) = &self.reported

@@ -16,6 +16,7 @@ mod grid;
 mod layer;
 mod merge;
 mod preview;
+mod recent;
 mod reported;
 mod tile;
 

@@ -64,7 +64,7 @@ impl RoadBelief {
 
     /// The arc length of a place that the vehicle passed before it came to `here`, counted without a jump at the end of
     /// a lap.
-    fn before(&self, s: f64, here: f64) -> f64 {
+    pub(crate) fn before(&self, s: f64, here: f64) -> f64 {
         if self.closed() && s > here + 0.5 * self.length() {
             s - self.length()
         } else {

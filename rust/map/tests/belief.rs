@@ -126,11 +126,26 @@ fn periods_without_evidence_and_jumps_add_nothing() {
 }
 
 #[test]
+fn the_newest_window_counts_at_the_vehicle_before_it_is_stored() {
+    let mut belief = belief();
+    let truth = |s: f64| if s < 200.0 { 0.9 } else { 0.4 };
+    // Each window knows the friction to 20 %.
+    let found = |s: f64| Some(evidence(truth(s)).map(|value| value / 16.0));
+    drive(&mut belief, 0.0, 204.0, found);
+    let [_, found, _] = quantiles(&mut belief, 204.0);
+    assert!((0.35..0.5).contains(&found), "{found}");
+    belief.leave();
+    let [_, stored, _] = quantiles(&mut belief, 204.0);
+    assert!(stored > 0.6, "{stored}");
+}
+
+#[test]
 fn a_stored_belief_is_the_same_belief() {
     let mut belief = belief();
     drive(&mut belief, 0.0, 700.0, |s| {
         Some(evidence(0.3 + s / 1000.0))
     });
+    belief.leave();
     let bytes = belief.to_bytes().unwrap();
     let mut again = self::belief();
     again.recall(&bytes).unwrap();

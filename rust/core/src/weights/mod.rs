@@ -26,7 +26,7 @@ use crate::settings::Prior;
 const RIDGE: f64 = 1e-10;
 
 /// Reciprocal of the power of likelihoods, because a model's errors are similar from one period to the next.
-pub(crate) const TEMPERATURE: f64 = 3.0;
+const TEMPERATURE: f64 = 3.0;
 
 /// Difference of log-likelihoods, in nats, from which a window distinguishes the members. With 1 the weights settled
 /// later than 0.5 s after a step of the friction at 2 m/s² of lateral acceleration.
