@@ -100,7 +100,8 @@ def surface_friction(surface: _Surface) -> float:
     A surface is this number alone, a preset (`dry`, `wet`, `snow`, `ice`), or a table with `peak`
     and factors on the tyre's `stiffness`, `shape` and `curvature`, all 1 unless stated. The lateral
     force has a peak of `0.9 peak` and the same factors, unless `lateral_peak`, `lateral_stiffness`,
-    `lateral_shape` or `lateral_curvature` state others.
+    `lateral_shape` or `lateral_curvature` state others. `shift` is a factor on the lateral force of
+    camber alone.
 
     Raises `EgpError` if a name is unknown or a value out of its range.
     """

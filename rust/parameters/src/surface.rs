@@ -86,9 +86,15 @@ pub struct Surface {
     pub longitudinal: ForceCurve,
     /// Force across the wheel.
     pub lateral: ForceCurve,
+    /// Factor on the lateral force that a wheel with camber has without slip, within [`Surface::SHIFT`]: Pacejka's
+    /// `lambda_Vy lambda'_muy` in the vertical shift `S_Vy` (*Tire and Vehicle Dynamics*, 3rd ed., eq. 4.E38).
+    pub shift: f64,
 }
 
 impl Surface {
+    /// Range of the factor on the shift.
+    pub const SHIFT: [f64; 2] = [0.0, 2.0];
+
     /// Dry tarmac: the tyre's own curve with friction 1.
     pub const DRY: Self = Self::published(DRY_CURVE);
     /// Wet tarmac.
@@ -112,7 +118,7 @@ impl Surface {
         presets.find_map(|(own, surface)| (own == name).then_some(surface))
     }
 
-    /// A surface with the same factors in both directions and a lateral peak of `0.9 peak`.
+    /// A surface with the same factors in both directions, a lateral peak of `0.9 peak` and the tyre's own shift.
     pub const fn new(peak: f64, stiffness: f64, shape: f64, curvature: f64) -> Self {
         let longitudinal = ForceCurve {
             peak,
@@ -126,19 +132,19 @@ impl Surface {
                 peak: LATERAL_OVER_LONGITUDINAL * peak,
                 ..longitudinal
             },
+            shift: 1.0,
         }
     }
 
-    /// A surface of the published set: the peak is `D`, and the factors are the ratios of `B C D`, `C` and `E` to those of
-    /// dry tarmac.
+    /// A surface of the published set: the peak is `D`, and the factors are the ratios of `B C D`, `C`, `E` and, on the
+    /// shift, of `D` to those of dry tarmac.
     const fn published([b, c, d, e]: [f64; 4]) -> Self {
         let [b_dry, c_dry, d_dry, e_dry] = DRY_CURVE;
-        Self::new(
-            d,
-            (b * c * d) / (b_dry * c_dry * d_dry),
-            c / c_dry,
-            e / e_dry,
-        )
+        let stiffness = (b * c * d) / (b_dry * c_dry * d_dry);
+        Self {
+            shift: d / d_dry,
+            ..Self::new(d, stiffness, c / c_dry, e / e_dry)
+        }
     }
 
     /// The friction coefficient `mu`: the longitudinal peak, by which surfaces are labelled and speeds are planned.
@@ -158,6 +164,7 @@ impl Surface {
         Self {
             longitudinal: scaled(&self.longitudinal),
             lateral: scaled(&self.lateral),
+            shift: left * self.shift,
         }
     }
 
@@ -166,12 +173,21 @@ impl Surface {
     /// # Errors
     /// [`SurfaceError`] with the first value out of range.
     #[inline]
+    #[allow(clippy::needless_bitwise_bool)]
     pub fn validate(&self) -> Result<(), SurfaceError> {
-        if self.longitudinal.is_valid() & self.lateral.is_valid() {
+        let [low, high] = Self::SHIFT;
+        let shifted = (self.shift >= low) & (self.shift <= high);
+        if self.longitudinal.is_valid() & self.lateral.is_valid() & shifted {
             return Ok(());
         }
         self.longitudinal.validate()?;
-        self.lateral.validate()
+        self.lateral.validate()?;
+        Err(SurfaceError::Factor {
+            name: "shift",
+            low,
+            high,
+            value: self.shift,
+        })
     }
 }
 
@@ -209,6 +225,7 @@ mod tests {
     #[test]
     fn presets_are_ratios_to_dry_tarmac() {
         assert_eq!(Surface::DRY, Surface::from(1.0));
+        assert_eq!(Surface::SNOW.shift, 0.3);
         let snow = Surface::named("snow").map(|snow| snow.longitudinal);
         assert_eq!(snow, Some(Surface::SNOW.longitudinal));
         assert_eq!(Surface::named("mud"), None);
@@ -246,6 +263,14 @@ mod tests {
         ] {
             assert!(matches!(bad.validate(), Err(SurfaceError::Factor { .. })));
         }
+        let shifted = Surface {
+            shift: f64::NAN,
+            ..Surface::DRY
+        };
+        assert!(matches!(
+            shifted.validate(),
+            Err(SurfaceError::Factor { name: "shift", .. })
+        ));
         let mut slippery_across = Surface::from(0.5);
         slippery_across.lateral.peak = 0.0;
         assert_eq!(slippery_across.validate(), Err(SurfaceError::Peak(0.0)));

@@ -9,8 +9,8 @@ use egp_parameters::{ForceCurve, Surface};
 /// `b c d e k` stiffness, shape, peak, curvature and slip stiffness factors, `h v` horizontal and vertical shifts.
 ///
 /// The peaks `p_dx1` and `p_dy1` are not parameters; they are the friction of the surface. Its factors scale the pure-slip
-/// stiffness `k`, shape `c` and curvature `e` as Pacejka's `lambda` do; the coefficients of combined slip and the shifts are
-/// the same on all surfaces.
+/// stiffness `k`, shape `c` and curvature `e` and the vertical shift of the lateral force as Pacejka's `lambda` do; the
+/// coefficients of combined slip and the other shifts are the same on all surfaces.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(missing_docs)]
 pub struct TyreParameters {
@@ -118,7 +118,7 @@ impl TyreParameters {
         } = contact;
         let mu_y = surface.lateral.peak * (1.0 - self.p_dy3 * camber * camber);
         let pure_x = self.pure_longitudinal(slip, camber, load, &surface.longitudinal);
-        let pure_y = self.pure_lateral(slip_angle, camber, load, mu_y, &surface.lateral);
+        let pure_y = self.pure_lateral(slip_angle, camber, load, mu_y, surface);
 
         let b_x = self.r_bx1 * cos_atan(self.r_bx2 * slip);
         let weight_x = reduction(b_x, self.r_cx1, self.r_ex1, self.r_hx1, slip_angle);
@@ -155,11 +155,12 @@ impl TyreParameters {
         camber: f64,
         load: f64,
         mu_y: f64,
-        curve: &ForceCurve,
+        surface: &Surface,
     ) -> f64 {
+        let curve = &surface.lateral;
         let side = if camber == 0.0 { 0.0 } else { camber.signum() };
         let horizontal = side * (self.p_hy1 + self.p_hy3 * camber.abs());
-        let vertical = side * load * (self.p_vy1 + self.p_vy3 * camber.abs());
+        let vertical = surface.shift * side * load * (self.p_vy1 + self.p_vy3 * camber.abs());
         let (k, c) = (curve.stiffness * self.p_ky1, curve.shape * self.p_cy1);
         let e = curve.curvature * self.p_ey1;
         let angle = magic_angle(k / (c * mu_y), c, e, slip_angle + horizontal);

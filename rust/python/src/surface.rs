@@ -55,10 +55,11 @@ fn from_table(mut table: BTreeMap<String, f64>) -> Result<Surface, String> {
     ] {
         *value = table.remove(name).unwrap_or(*value);
     }
+    surface.shift = table.remove("shift").unwrap_or(surface.shift);
     match table.into_keys().next() {
         Some(unknown) => Err(format!(
-            "unknown field `{unknown}` of a surface; known: peak, stiffness, shape, curvature, lateral_peak, \
-             lateral_stiffness, lateral_shape, lateral_curvature"
+            "unknown field `{unknown}` of a surface; known: peak, stiffness, shape, curvature, shift, \
+             lateral_peak, lateral_stiffness, lateral_shape, lateral_curvature"
         )),
         None => Ok(surface),
     }
