@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use egp_wire::keys::{self, Name, Target};
-use egp_wire::{Code, Header, Load, MessageLimits, Ready, WireError};
+use egp_wire::{Code, Header, Invalid, Load, MessageLimits, Ready, WireError};
 
 use crate::metrics::{Metrics, micros};
 use crate::network::Query;
@@ -64,7 +64,13 @@ impl Shared {
             return self.refuse(&query, &no_such_key(query.key()));
         }
         let arrived = Instant::now();
-        let header = match Header::decode(&query.payload(), &MessageLimits::default()) {
+        let limits = MessageLimits::default();
+        let (limit, actual) = (limits.message_bytes, query.length());
+        if actual > limit {
+            // The payload is not read: several parts of it would be copied first.
+            return self.refuse(&query, &Invalid::TooLarge { limit, actual }.into());
+        }
+        let header = match Header::decode(&query.payload(), &limits) {
             Ok(header) => header,
             Err(invalid) => return self.refuse(&query, &invalid.into()),
         };
