@@ -81,6 +81,18 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         (("[track]", "[disturbances]\nload = -9\n[track]"), "disturbance load from 0 to 1000 kg"),
         (("[track]", "[disturbances]\nbrake_bias = 1\n[track]"), "disturbance brake_bias from"),
         (("[[zones]]", "[[zones"), "not TOML"),
+        (("mine", "../../mine"), "name must be 1 to 50 letters, .* got '../../mine'"),
+        (("mine", ".."), "name must be"),
+        (('"mine"', r'"a\u0000b"'), "name must not contain the character NUL"),
+        (
+            ("[track]", 'library = "a\\u0000b"\n[track]'),
+            "library must not contain the character NUL",
+        ),
+        (("[track]", "seed = -1\n[track]"), "seed must be a whole number from 0"),
+        (("[track]", "laps = inf\n[track]"), "laps must be a finite number, got inf"),
+        (("[track]", "[measurement]\nposition = nan\n[track]"), "position must be a finite number"),
+        (("[track]", "[measurement]\npsi = -1.0\n[track]"), "measurement.psi must be at least 0"),
+        (("[[zones]]", "parameters = {radius = nan}\n[[zones]]"), "radius must be a finite number"),
     ],
 )
 def test_what_is_wrong_is_named(change: tuple[str, str], complaint: str) -> None:
@@ -129,3 +141,11 @@ def test_an_unknown_measure_of_a_track_is_refused() -> None:
     text = MINIMAL.replace("[[zones]]", "[track.parameters]\nradus = 3.0\n[[zones]]")
     with pytest.raises(ScenarioError, match="radus"):
         build_path(parse_scenario(text, Path(), "mine.toml"))
+
+
+@pytest.mark.parametrize("seed", ["-3.0", "0.5", "1e300"])
+def test_the_seed_of_a_track_is_a_whole_number(seed: str) -> None:
+    text = MINIMAL.replace("rounded-rectangle", "random")
+    text = text.replace("[[zones]]", f"parameters = {{seed = {seed}}}\n[[zones]]")
+    with pytest.raises(ScenarioError, match=r"track.parameters.seed must be a whole number"):
+        build_path(parse(text))

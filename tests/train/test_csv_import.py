@@ -131,6 +131,15 @@ def test_doubts_time(tmp_path: Path) -> None:
         _import(path)
 
 
+@pytest.mark.parametrize("separator", ["", ";;", "\n", "·"])
+def test_a_separator_is_one_character(tmp_path: Path, separator: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t;v\n", encoding="utf-8")
+    columns = {name: Column.parse(text) for name, text in COLUMNS.items()}
+    with pytest.raises(EgpError, match="one ASCII character as --separator"):
+        import_csv(path, columns, provenance(), mass=MASS, separator=separator)
+
+
 def test_names_what_is_missing(tmp_path: Path) -> None:
     path = tmp_path / "drive.csv"
     si = _log()

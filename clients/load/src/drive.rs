@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use egp_simulator::{CAR, Course, Period, SimulatedVehicle, SimulationError};
 use egp_vehicle::{GateLimits, Mode, VehicleConfig};
 
-use crate::Failure;
 use crate::tally::Tally;
+use crate::{Arguments, Failure};
 
 /// Distance from its path, m, beyond which a vehicle counts as lost.
 const LOST: f64 = 10.0;
@@ -23,20 +23,15 @@ pub(crate) struct Assignment {
 
 /// Connects vehicle `index`, placed at this part of the lap.
 pub(crate) fn connect(
-    endpoints: &[String],
+    arguments: &Arguments,
     index: u32,
-    budget: f64,
     course: Arc<Course>,
     part: f64,
 ) -> Result<SimulatedVehicle, Failure> {
-    let endpoints: Vec<&str> = endpoints.iter().map(String::as_str).collect();
-    let mut config = VehicleConfig::new(
-        "load",
-        &format!("car-{index}"),
-        GateLimits::of(&CAR.vehicle()),
-        &endpoints,
-    )?;
-    config.driver.budget = budget;
+    let limits = GateLimits::of(&CAR.vehicle());
+    let mut config = VehicleConfig::new("load", &format!("car-{index}"), limits, &[])?
+        .reached_by(&arguments.connect, arguments.zenoh.as_deref());
+    config.driver.budget = arguments.budget;
     let s = part * course.path.length();
     Ok(SimulatedVehicle::connect(&config, course, s)?)
 }

@@ -4,6 +4,7 @@ mod drive;
 mod report;
 mod tally;
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::thread;
@@ -38,9 +39,13 @@ give the generator cores of its own or fewer vehicles.";
 #[derive(Parser)]
 #[command(version, long_about = HELP)]
 struct Arguments {
-    /// Router or replica to connect to; may be given more than once.
-    #[arg(long, default_value = "tcp/127.0.0.1:7447")]
+    /// Router or replica to connect to; may be given more than once. Default: the endpoints of --zenoh, or
+    /// tcp/127.0.0.1:7447.
+    #[arg(long)]
     connect: Vec<String>,
+    /// Configuration of zenoh (JSON5), for TLS, certificates and the like.
+    #[arg(long, value_name = "FILE")]
+    zenoh: Option<PathBuf>,
     /// Number of vehicles.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=2000))]
     vehicles: u32,
@@ -64,7 +69,7 @@ struct Arguments {
     grip: f64,
     /// Write the report as JSON to this file.
     #[arg(long)]
-    json: Option<std::path::PathBuf>,
+    json: Option<PathBuf>,
 }
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
@@ -83,13 +88,7 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     let vehicles: Vec<_> = (0..arguments.vehicles)
         .map(|index| {
             let part = f64::from(index) / f64::from(arguments.vehicles);
-            drive::connect(
-                &arguments.connect,
-                index,
-                arguments.budget,
-                course.clone(),
-                part,
-            )
+            drive::connect(arguments, index, course.clone(), part)
         })
         .collect::<Result<_, Failure>>()?;
     // Schedules begin when all sessions are open, so that opening one does not disturb another.

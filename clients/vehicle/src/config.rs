@@ -1,6 +1,7 @@
 //! The configuration of a client.
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use egp_driver::DriverConfig;
@@ -16,7 +17,10 @@ pub struct VehicleConfig {
     pub connect: Vec<String>,
     /// How long to wait for a replica when connecting. Default 10 s.
     pub patience: Duration,
-    /// Single zenoh settings, key path to JSON5 value, for TLS and the like.
+    /// A zenoh JSON5 file that replaces this client's defaults, for TLS and the like. `connect`, unless empty, replaces
+    /// the file's endpoints.
+    pub zenoh_file: Option<PathBuf>,
+    /// Single zenoh settings, key path to JSON5 value; they override the defaults or the file.
     pub zenoh: BTreeMap<String, String>,
 }
 
@@ -35,7 +39,20 @@ impl VehicleConfig {
             driver: DriverConfig::new(fleet, vehicle, limits)?,
             connect: connect.iter().map(ToString::to_string).collect(),
             patience: Duration::from_secs(10),
+            zenoh_file: None,
             zenoh: BTreeMap::new(),
         })
+    }
+
+    /// The same vehicle with the options of a command line: the endpoints that are given, otherwise those of the zenoh
+    /// file, otherwise `tcp/127.0.0.1:7447`.
+    #[must_use]
+    pub fn reached_by(mut self, connect: &[String], zenoh_file: Option<&Path>) -> Self {
+        self.connect = connect.to_vec();
+        if connect.is_empty() && zenoh_file.is_none() {
+            self.connect.push("tcp/127.0.0.1:7447".to_owned());
+        }
+        self.zenoh_file = zenoh_file.map(Path::to_owned);
+        self
     }
 }

@@ -161,27 +161,36 @@ fn answer(id: QueryId, reply: Reply) -> What {
     }
 }
 
+/// The settings that differ from zenoh's defaults, each as its key and JSON5 value.
+const DEFAULTS: [(&str, &str); 6] = [
+    // Other participants do not connect to a vehicle.
+    ("listen/endpoints", "[]"),
+    ("scouting/multicast/enabled", "false"),
+    ("transport/link/tx/lease", "2000"),
+    (
+        "connect/retry",
+        "{ period_init_ms: 50, period_max_ms: 200, period_increase_factor: 2 }",
+    ),
+    ("transport/link/rx/max_message_size", "1048576"),
+    ("transport/shared_memory/enabled", "false"),
+];
+
 fn configuration(config: &VehicleConfig) -> Result<Config, NetworkError> {
     let endpoints = format!("{:?}", config.connect);
-    let ours = [
-        ("connect/endpoints", endpoints.as_str()),
-        // Other participants do not connect to a vehicle.
-        ("listen/endpoints", "[]"),
-        ("scouting/multicast/enabled", "false"),
-        ("transport/link/tx/lease", "2000"),
-        (
-            "connect/retry",
-            "{ period_init_ms: 50, period_max_ms: 200, period_increase_factor: 2 }",
-        ),
-        ("transport/link/rx/max_message_size", "1048576"),
-        ("transport/shared_memory/enabled", "false"),
-    ];
-    let theirs = config
+    let (mut result, defaults) = match &config.zenoh_file {
+        Some(path) => {
+            let doing = format!("zenoh file {}", path.display());
+            let file = Config::from_file(path).map_err(|e| NetworkError::new(doing, &e))?;
+            (file, [].as_slice())
+        }
+        None => (Config::default(), DEFAULTS.as_slice()),
+    };
+    let connect = (!config.connect.is_empty()).then_some(("connect/endpoints", endpoints.as_str()));
+    let given = config
         .zenoh
         .iter()
         .map(|(key, value)| (key.as_str(), value.as_str()));
-    let mut result = Config::default();
-    for (key, value) in ours.into_iter().chain(theirs) {
+    for (key, value) in defaults.iter().copied().chain(connect).chain(given) {
         result
             .insert_json5(key, value)
             .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))?;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from typing import NoReturn
 
@@ -54,6 +55,7 @@ EXTRAS = {
     "ray": "cluster",
 }
 FAILED = 1
+ENDINGS = (signal.SIGTERM, signal.SIGHUP)
 
 app = typer.Typer(
     name="egp",
@@ -68,7 +70,13 @@ app.command("map")(keep_map)
 
 
 def main() -> None:
-    """Run the command line; errors give one line on stderr and an exit code."""
+    """Run the command line; errors give one line on stderr and an exit code.
+
+    SIGTERM and SIGHUP end a command as an exception does, so that it stops its service and removes
+    its temporary files. `egp serve` and `egp map` drain and end with status 0.
+    """
+    for number in ENDINGS:
+        signal.signal(number, _end)
     try:
         app()
     except ModuleNotFoundError as error:
@@ -80,6 +88,12 @@ def main() -> None:
         _fail(str(error))
     except OSError as error:
         _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+
+
+def _end(number: int, _: object) -> NoReturn:
+    for ending in ENDINGS:
+        signal.signal(ending, signal.SIG_IGN)  # a second one must not interrupt the cleaning up
+    sys.exit(128 + number)
 
 
 def _fail(message: str) -> NoReturn:

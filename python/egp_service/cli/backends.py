@@ -11,14 +11,19 @@ from egp_service.simulation.scenario import gate_settings, library_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
 
 
-def remote_controller(scenario: Scenario, endpoint: str) -> VehicleClient:
+def remote_controller(
+    scenario: Scenario, endpoint: str | None, zenoh_file: Path | None
+) -> VehicleClient:
     """Ask a running service, which uses its own library and settings instead of the scenario's."""
-    return VehicleClient.connect([endpoint], gate=gate_settings(scenario))
+    endpoints = [] if endpoint is None else [endpoint]
+    gate = gate_settings(scenario)
+    return VehicleClient.connect(endpoints, gate=gate, zenoh_file=zenoh_file)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from egp_service.simulation.trace import Period
 
-MODE_STYLES = {"normal": "green", "tail": "yellow", "stop": "bold red"}
+MODE_STYLES = {"normal": "green", "tail": "yellow", "stop": "bold red", "waiting": "cyan"}
 BLOCKS = " ▁▂▃▄▅▆▇█"
 
 

@@ -28,6 +28,7 @@ from egp_service.control.step import StepController
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from egp_service._core import Query
     from egp_service.control.step import Measured
@@ -38,6 +39,17 @@ _QUESTION_SECONDS = 1.0
 _POLL_SECONDS = 0.05
 # Above the size of any message of the service; receiving a larger one could delay a step.
 _MAX_MESSAGE_BYTES = 1 << 20
+_DEFAULTS: Mapping[str, object] = MappingProxyType(
+    {
+        "mode": "peer",
+        "listen/endpoints": [],
+        "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2},
+        "scouting/multicast/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "transport/link/tx/lease": 2000,
+        "transport/link/rx/max_message_size": _MAX_MESSAGE_BYTES,
+    }
+)
 
 
 class ServiceUnreachableError(EgpError):
@@ -75,9 +87,13 @@ class VehicleClient(StepController):
         budget: float = 0.8,
         want_sigma: bool = False,
         timeout: float = 10.0,
+        zenoh_file: Path | None = None,
         zenoh_config: Mapping[str, object] | None = None,
     ) -> Self:
         """Connect to zenoh at `endpoints`, such as `tcp/127.0.0.1:7447`, and ask for the library.
+
+        Without `endpoints` those of `zenoh_file` are used, a configuration of zenoh in JSON5 that
+        replaces the defaults of this client.
 
         `gate` holds the limits of the driven vehicle, as `VehicleParameters.gate_limits` gives
         them, and may hold `max_tail_ticks` and `stop_deceleration`.
@@ -92,7 +108,7 @@ class VehicleClient(StepController):
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         deadline = time.monotonic() + timeout
         discovery = Discovery(fleet=fleet, vehicle=vehicle, gate=gate, budget=budget)
-        network = Network(names, timeout, zenoh_config or {})
+        network = Network(session_config(names, timeout, zenoh_config or {}, zenoh_file), names)
         try:
             ready = _first_ready(network, discovery, names, deadline)
             driver = Driver(
@@ -148,11 +164,11 @@ class Announcement:
 class Network:
     """A zenoh session, and its events in order as calls of a driver."""
 
-    def __init__(
-        self, endpoints: Sequence[str], timeout: float, more: Mapping[str, object]
-    ) -> None:
-        """Open the session and follow the replicas that announce themselves."""
-        config = session_config(endpoints, timeout, more)
+    def __init__(self, config: zenoh.Config, endpoints: Sequence[str]) -> None:
+        """Open the session and follow the replicas that announce themselves.
+
+        `endpoints` are those that an error names.
+        """
         self._inbox: queue.SimpleQueue[Callable[[Driver], None]] = queue.SimpleQueue()
         try:
             self.session = zenoh.open(config)
@@ -219,31 +235,31 @@ class Network:
 
 
 def session_config(
-    endpoints: Sequence[str], timeout: float, more: Mapping[str, object]
+    endpoints: Sequence[str],
+    timeout: float,
+    more: Mapping[str, object],
+    file: Path | None = None,
 ) -> zenoh.Config:
-    """Configure a peer with its own link to every endpoint.
+    """Configure a peer with its own link to every endpoint, or read a configuration from `file`.
 
     A session in zenoh's client mode has one link, and while the replica at its end is frozen, the
     others cannot be reached. Shared memory delays the first queries and can lose one silently.
     """
     settings: dict[str, object] = {
-        "mode": "peer",
-        "listen/endpoints": [],
-        "connect/endpoints": list(endpoints),
         "connect/timeout_ms": int(1000 * timeout),
         "connect/exit_on_failure": False,
-        "connect/retry": {
-            "period_init_ms": 50,
-            "period_max_ms": 200,
-            "period_increase_factor": 2,
-        },
-        "scouting/multicast/enabled": False,
-        "transport/shared_memory/enabled": False,
-        "transport/link/tx/lease": 2000,
-        "transport/link/rx/max_message_size": _MAX_MESSAGE_BYTES,
-        **more,
     }
-    config = zenoh.Config()
+    if file is None:
+        config = zenoh.Config()
+        settings |= _DEFAULTS
+    else:
+        try:
+            config = zenoh.Config.from_file(file)
+        except zenoh.ZError as error:
+            raise InvalidArgumentError(f"zenoh file {file}: {error}") from error
+    if endpoints:
+        settings["connect/endpoints"] = list(endpoints)
+    settings |= more
     for path, value in settings.items():
         try:
             config.insert_json5(path, json.dumps(value))
@@ -276,6 +292,6 @@ def _first_ready(
 
 def _unreachable(endpoints: Sequence[str], reason: str) -> ServiceUnreachableError:
     return ServiceUnreachableError(
-        f"{reason}; looked at {', '.join(endpoints)}; "
+        f"{reason}; looked at {', '.join(endpoints) or 'the endpoints of the zenoh file'}; "
         "start a replica with `egp serve LIBRARY --listen ENDPOINT` or check the address"
     )

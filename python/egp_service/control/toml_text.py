@@ -11,11 +11,16 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 
+from egp_service._core import EgpError
+
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def dumps(table: Mapping[str, object]) -> str:
-    """Return the TOML document of `table`; `tomllib.loads` returns the same values."""
+    """Return the TOML document of `table`; `tomllib.loads` returns the same values.
+
+    Raises `EgpError` for a number that is not finite.
+    """
     return "\n".join(_lines(table, ())).strip() + "\n"
 
 
@@ -56,7 +61,7 @@ def _inline(value: object) -> str:
         return json.dumps(value)
     if isinstance(value, float):
         if not math.isfinite(value):
-            raise ValueError(f"expected a finite number in a configuration, got {value}")
+            raise EgpError(f"expected a finite number in a configuration, got {value}")
         return repr(value)
     if isinstance(value, int):
         return str(value)

@@ -105,6 +105,7 @@ def import_csv(
         )
     if not steering_ratio > 0.0:
         raise EgpError(f"expected a positive --steering-ratio, got {steering_ratio}")
+    _check_separator(separator)
     log = _read(path, columns, separator)
     for quantity in _STEERING & log.keys():
         log[quantity] = log[quantity] / steering_ratio
@@ -133,6 +134,14 @@ def import_csv(
         step=np.concatenate(step),
         provenance=provenance,
     )
+
+
+def _check_separator(separator: str) -> None:
+    if len(separator) != 1 or not separator.isascii() or separator in '"\n\r#':
+        raise EgpError(
+            "expected one ASCII character as --separator, which is no quote, # or end of a line, "
+            f"got {separator!r}"
+        )
 
 
 def _read(

@@ -5,6 +5,7 @@ Unknown fields, missing fields and wrong types are errors that give the full nam
 
 from __future__ import annotations
 
+import math
 import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
@@ -45,7 +46,7 @@ def build(cls: type[_T], table: Mapping[str, object], where: str) -> _T:
     return cls(**values)
 
 
-def _value(kind: object, value: object, where: str) -> object:  # noqa: PLR0911
+def _value(kind: object, value: object, where: str) -> object:
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (UnionType, typing.Union):  # optional fields, or a name or a table
         tables = [member for member in arguments if get_origin(member) is dict]
@@ -68,13 +69,22 @@ def _value(kind: object, value: object, where: str) -> object:  # noqa: PLR0911
             typing.cast("type[object]", kind), typing.cast("dict[str, object]", value), where
         )
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        value = float(value)
     if not isinstance(value, typing.cast("type", kind)) or (
         kind is int and isinstance(value, bool)
     ):
         raise ConfigurationError(
             f"{where} must be {getattr(kind, '__name__', kind)}, got {value!r}"
         )
+    return _checked(value, where)
+
+
+def _checked(value: object, where: str) -> object:
+    """Return a scalar, or raise if a file cannot hold it or nothing can be computed with it."""
+    if isinstance(value, str) and "\0" in value:
+        raise ConfigurationError(f"{where} must not contain the character NUL, got {value!r}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigurationError(f"{where} must be a finite number, got {value}")
     return value
 
 

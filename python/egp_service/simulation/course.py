@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egp_service._core import Path, SpeedProfile, VehicleParameters
-from egp_service.simulation.scenario import Scenario, ScenarioError
+from egp_service.simulation.scenario import Scenario, ScenarioError, check_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -56,7 +56,9 @@ def build_path(scenario: Scenario) -> Path:
         car = VehicleParameters.commonroad(scenario.vehicle)
         parameters.setdefault("vehicle_width", car.width)
     if track.kind == "random":
-        parameters["seed"] = int(track.parameters.get("seed", scenario.seed))
+        seed = track.parameters.get("seed", scenario.seed)
+        check_seed(seed, "track.parameters.seed")
+        parameters["seed"] = int(seed)
     try:
         path = TRACKS[track.kind](**parameters)
     except TypeError as error:

@@ -6,6 +6,7 @@ document every field; unknown fields are errors.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
@@ -20,6 +21,9 @@ from egp_service.simulation.configuration import ConfigurationError, build, with
 BUILT_IN = resources.files("egp_service.simulation") / "scenarios"
 DEMO_LIBRARY = "demo"
 MAX_DELAY = 100
+MAX_NAME = 50
+# A run's folder has the name, so a name holds nothing that would lead to another folder.
+_NAME = re.compile(rf"\w[\w .-]{{0,{MAX_NAME - 1}}}")
 KNOWLEDGE = ("zones", "here", "nothing")
 
 
@@ -153,6 +157,7 @@ class Scenario:
     """A validated scenario."""
 
     name: str
+    """Name of the run's folder: 1 to 50 letters, digits, spaces and `. _ -`, a letter first."""
     track: Track
     zones: tuple[Zone, ...]
     description: str = ""
@@ -253,6 +258,8 @@ def _check(scenario: Scenario, origin: str) -> None:
     starts = [zone.start for zone in scenario.zones]
     if any(later <= earlier for earlier, later in pairwise(starts)):
         raise ScenarioError(f"{origin}: zones must be in order of start")
+    _check_name(scenario.name, origin)
+    check_seed(scenario.seed, f"{origin}: seed")
     if not 0 <= scenario.actuator_delay <= MAX_DELAY:
         raise ScenarioError(
             f"{origin}: actuator_delay must be in 0..={MAX_DELAY}, got {scenario.actuator_delay}"
@@ -274,6 +281,7 @@ def _check(scenario: Scenario, origin: str) -> None:
     for name, value in positive.items():
         if not 0.0 < value < float("inf"):
             raise ScenarioError(f"{origin}: {name} must be positive and finite, got {value}")
+    _check_measurement(scenario.measurement, origin)
     for i, zone in enumerate(scenario.zones):
         try:
             for side in zone.sides():
@@ -284,6 +292,26 @@ def _check(scenario: Scenario, origin: str) -> None:
         Plant(scenario.vehicle, asdict(scenario.disturbances))
     except EgpError as error:
         raise ScenarioError(f"{origin}: {error}") from error
+
+
+def _check_name(name: str, origin: str) -> None:
+    if not _NAME.fullmatch(name):
+        raise ScenarioError(
+            f"{origin}: name must be 1 to {MAX_NAME} letters, digits, spaces and . _ -, with a "
+            f"letter or digit first, got {name!r}"
+        )
+
+
+def _check_measurement(measurement: Measurement, origin: str) -> None:
+    for name, deviation in asdict(measurement).items():
+        if deviation < 0.0:
+            raise ScenarioError(f"{origin}: measurement.{name} must be at least 0, got {deviation}")
+
+
+def check_seed(seed: float, where: str) -> None:
+    """Raise `ScenarioError` unless `seed` is a whole number from 0 to 2⁶³ - 1."""
+    if not (0 <= seed < 1 << 63 and seed == int(seed)):
+        raise ScenarioError(f"{where} must be a whole number from 0 to 2^63 - 1, got {seed}")
 
 
 def _check_speed(speed: Speed, origin: str) -> None:

@@ -1,6 +1,6 @@
 //! The adapter between the wire and the mathematics.
 
-use std::{fs, path::Path, sync::Arc};
+use std::{path::Path, sync::Arc};
 
 use egp_core::{
     Library, Settings, StepError, StepReply, StepRequest, VehicleParameters, Workspace, library,
@@ -9,6 +9,7 @@ use egp_wire::{Code, Friction, MessageLimits, Ready, Reply, Request, Status, Wir
 
 use crate::cores::{Cores, available_cores};
 use crate::error::EngineError;
+use crate::file::read_library;
 
 /// A library and settings, ready to answer requests.
 #[derive(Debug)]
@@ -71,7 +72,7 @@ impl Engine {
     /// [`EngineError`]; the message names the file.
     pub fn load(path: &Path, settings: Settings) -> Result<Self, EngineError> {
         let name = || path.display().to_string();
-        let bytes = fs::read(path).map_err(|source| EngineError::Read {
+        let bytes = read_library(path).map_err(|source| EngineError::Read {
             path: name(),
             source,
         })?;

@@ -6,7 +6,9 @@
 mod cores;
 mod engine;
 mod error;
+mod file;
 
 pub use cores::available_cores;
 pub use engine::{Engine, EngineWorkspace};
 pub use error::EngineError;
+pub use file::read_library;

@@ -1,15 +1,15 @@
 //! `Library` and `Member`.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use egp_core::gp::Hyperparameters;
-use egp_core::library::{self, MAX_FILE_BYTES};
+use egp_core::library;
 use egp_core::vehicle::ModelParameters;
 use egp_core::{GpInput, GpJacobian, NY, NZ, VarianceScratch};
+use egp_engine::read_library;
 use pyo3::exceptions::{PyIndexError, PyOSError};
 use pyo3::prelude::*;
 
@@ -30,7 +30,7 @@ impl Library {
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         py.detach(|| {
-            let bytes = read(&path).map_err(|error| os_error(&error, &path))?;
+            let bytes = read_library(&path).map_err(|error| os_error(&error, &path))?;
             egp_core::Library::from_bytes(&bytes).map_err(Failure::Refused)
         })
         .map(|library| Self(Arc::new(library)))
@@ -234,16 +234,6 @@ impl Member {
     fn noise_std<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.get().noise_std().iter().copied())
     }
-}
-
-/// The bytes of a file, but at most one more than a library may have, which suffices to detect a file that is too
-/// large.
-pub fn read(path: &Path) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    File::open(path)?
-        .take(MAX_FILE_BYTES as u64 + 1)
-        .read_to_end(&mut bytes)?;
-    Ok(bytes)
 }
 
 /// An error while Python's lock was released.

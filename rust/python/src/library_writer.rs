@@ -8,11 +8,12 @@ use std::path::{Path, PathBuf};
 use egp_core::Kernel;
 use egp_core::library::{self, LibrarySpec};
 use egp_core::vehicle::ModelParameters;
+use egp_engine::read_library;
 use pyo3::prelude::*;
 
 use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};
 use crate::error::EgpError;
-use crate::library::{Failure, os_error, read};
+use crate::library::{Failure, os_error};
 use crate::parameters::VehicleParameters;
 
 /// One surface's vehicle and GPs, to be written into a file; M points, G golden points.
@@ -164,7 +165,7 @@ pub fn write_library_subset(
     members: Vec<usize>,
 ) -> PyResult<()> {
     py.detach(|| {
-        let bytes = read(&source).map_err(|error| os_error(&error, &source))?;
+        let bytes = read_library(&source).map_err(|error| os_error(&error, &source))?;
         let bytes = library::subset(&bytes, &members).map_err(Failure::Refused)?;
         replace(&path, &bytes).map_err(|error| os_error(&error, &path))
     })

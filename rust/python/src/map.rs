@@ -7,10 +7,10 @@ use egp_service::map::MapConfig;
 use egp_wire::keys::Name;
 use egp_wire::road_keys::{self, RoadKey};
 use egp_wire::{RoadTiles, TileEvidence};
-use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
 use crate::error::{InvalidArgumentError, raise};
+use crate::service::after_signal;
 
 /// Keep a map until SIGTERM or Ctrl-C; `config_toml` is described in docs/settings.md.
 #[pyfunction]
@@ -18,11 +18,7 @@ pub fn serve_map(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     let config = MapConfig::from_toml(config_toml).map_err(raise)?;
     py.detach(|| egp_service::map::serve_map(&config))
         .map_err(raise)?;
-    // Ctrl-C has already closed the map, so Python's pending KeyboardInterrupt is discarded.
-    match py.check_signals() {
-        Err(error) if !error.is_instance_of::<PyKeyboardInterrupt>(py) => Err(error),
-        _ => Ok(()),
-    }
+    after_signal(py)
 }
 
 /// A map service that runs in this process until it is stopped; a context manager.

@@ -10,7 +10,7 @@ use egp_core::Settings;
 use egp_engine::EngineWorkspace;
 use egp_service::ServiceConfig;
 use egp_wire::{Ready, Timing, WireError};
-use pyo3::exceptions::PyKeyboardInterrupt;
+use pyo3::exceptions::{PyKeyboardInterrupt, PySystemExit};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
@@ -258,9 +258,18 @@ impl Server {
 pub fn serve(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
     py.detach(|| egp_service::serve(&config)).map_err(raise)?;
-    // Ctrl-C has already drained the service, so Python's pending KeyboardInterrupt is discarded.
+    after_signal(py)
+}
+
+/// Discards the exception that Python's own handler of a signal raises once a service has ended because of the signal.
+pub fn after_signal(py: Python<'_>) -> PyResult<()> {
     match py.check_signals() {
-        Err(error) if !error.is_instance_of::<PyKeyboardInterrupt>(py) => Err(error),
+        Err(error)
+            if !error.is_instance_of::<PyKeyboardInterrupt>(py)
+                && !error.is_instance_of::<PySystemExit>(py) =>
+        {
+            Err(error)
+        }
         _ => Ok(()),
     }
 }

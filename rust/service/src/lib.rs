@@ -25,5 +25,5 @@ pub use config::{ConfigError, ServiceConfig};
 pub use handler::Handler;
 pub use logging::init_logging;
 pub use network::NetworkError;
-pub use serve::{ServeError, serve};
+pub use serve::{ServeError, check, serve};
 pub use server::{Server, StartError};

@@ -9,8 +9,7 @@ use tracing_subscriber::EnvFilter;
 /// # Errors
 /// A message that says what is wrong with the filter.
 pub fn init_logging(filter: &str, json: bool) -> Result<(), String> {
-    let filter =
-        EnvFilter::try_new(filter).map_err(|error| format!("log filter {filter:?}: {error}"))?;
+    let filter = log_filter(filter)?;
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())
@@ -22,4 +21,9 @@ pub fn init_logging(filter: &str, json: bool) -> Result<(), String> {
         subscriber.try_init()
     };
     Ok(())
+}
+
+/// Reads a filter: a level, or directives.
+pub(crate) fn log_filter(filter: &str) -> Result<EnvFilter, String> {
+    EnvFilter::try_new(filter).map_err(|error| format!("log filter {filter:?}: {error}"))
 }

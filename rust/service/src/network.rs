@@ -1,8 +1,9 @@
 //! Access to the network; no other file of this crate uses zenoh.
 
-use std::{borrow::Cow, collections::BTreeMap, path::Path};
+use std::{borrow::Cow, collections::BTreeMap, fs::File, path::Path};
 
 use egp_wire::{WireError, keys::Name};
+use serde_json::Value;
 use thiserror::Error;
 use zenoh::bytes::ZBytes;
 use zenoh::qos::CongestionControl;
@@ -36,8 +37,9 @@ const DEFAULTS: [(&str, &str); 6] = [
         "connect/retry",
         "{ period_init_ms: 50, period_max_ms: 200, period_increase_factor: 2 }",
     ),
-    // No request is near this size; a larger one must not fill the memory.
-    ("transport/link/rx/max_message_size", "1048576"),
+    // A payload beyond the limit of a request gets an error, and one beyond this limit is dropped without an answer: it
+    // must not fill the memory.
+    ("transport/link/rx/max_message_size", "8388608"),
     // The first control steps must not wait for a pool of shared memory.
     ("transport/shared_memory/enabled", "false"),
 ];
@@ -67,6 +69,73 @@ pub(crate) fn configuration(
     Ok(config)
 }
 
+/// Opens a session with this configuration and closes it again, to see whether a service could start: listeners take a
+/// free port in place of their own, on which a service may be running, and no router or peer is contacted.
+///
+/// # Errors
+/// [`NetworkError`] if zenoh opens no session, or a file that the configuration names cannot be read.
+pub(crate) fn rehearse(mut config: Config) -> Result<(), NetworkError> {
+    for (key, value) in entries(&config, "transport/link/tls")? {
+        let file = ["certificate", "private_key"]
+            .iter()
+            .any(|end| key.ends_with(end));
+        if let (true, Some(path)) = (file, value.as_str()) {
+            File::open(path).map_err(|e| NetworkError::new(format!("{key} {path}"), &e))?;
+        }
+    }
+    let mut listen = json(&config, "listen/endpoints")?;
+    free_ports(&mut listen);
+    for (key, value) in [
+        ("listen/endpoints", listen.to_string().as_str()),
+        ("connect/endpoints", "[]"),
+        ("scouting/multicast/enabled", "false"),
+    ] {
+        config
+            .insert_json5(key, value)
+            .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))?;
+    }
+    Network::open(config)?.close();
+    Ok(())
+}
+
+/// The value of a setting.
+fn json(config: &Config, key: &str) -> Result<Value, NetworkError> {
+    let doing = || format!("zenoh setting \"{key}\"");
+    let text = config
+        .get_json(key)
+        .map_err(|e| NetworkError::new(doing(), &e))?;
+    serde_json::from_str(&text).map_err(|e| NetworkError::new(doing(), &e))
+}
+
+/// The settings below a key.
+fn entries(config: &Config, key: &str) -> Result<Vec<(String, Value)>, NetworkError> {
+    let Value::Object(map) = json(config, key)? else {
+        return Ok(Vec::new());
+    };
+    Ok(map
+        .into_iter()
+        .map(|(name, value)| (format!("{key}/{name}"), value))
+        .collect())
+}
+
+/// Replaces the port of each endpoint, `PROTOCOL/HOST:PORT?METADATA#CONFIGURATION`, by 0.
+fn free_ports(endpoints: &mut Value) {
+    match endpoints {
+        Value::String(endpoint) => {
+            let end = endpoint.find(['?', '#']).unwrap_or(endpoint.len());
+            let (address, rest) = endpoint.split_at(end);
+            if let Some((host, port)) = address.rsplit_once(':')
+                && port.parse::<u16>().is_ok()
+            {
+                *endpoint = format!("{host}:0{rest}");
+            }
+        }
+        Value::Array(list) => list.iter_mut().for_each(free_ports),
+        Value::Object(modes) => modes.values_mut().for_each(free_ports),
+        _ => {}
+    }
+}
+
 /// A query that was received.
 pub(crate) struct Query(zenoh::query::Query);
 
@@ -75,6 +144,12 @@ impl Query {
         self.0.key_expr().as_str()
     }
 
+    /// Length of the payload in bytes.
+    pub(crate) fn length(&self) -> usize {
+        self.0.payload().map_or(0, ZBytes::len)
+    }
+
+    /// The payload, which is copied if it came in several parts.
     pub(crate) fn payload(&self) -> Cow<'_, [u8]> {
         self.0
             .payload()

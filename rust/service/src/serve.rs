@@ -1,11 +1,14 @@
 //! A service as a whole process: `egp-server` and `egp serve`.
 
+use egp_engine::Engine;
+use egp_wire::Ready;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use thiserror::Error;
 
 use crate::config::ServiceConfig;
-use crate::logging::init_logging;
+use crate::logging::{init_logging, log_filter};
+use crate::network::{configuration, rehearse};
 use crate::server::{Server, StartError};
 
 /// Why serving failed.
@@ -20,6 +23,22 @@ pub enum ServeError {
     /// The service did not start.
     #[error(transparent)]
     Start(#[from] StartError),
+}
+
+/// Checks all that a service needs to start, and returns what it would serve: the log filter, library and settings, and
+/// a zenoh session, which listens on free ports and connects to nothing.
+///
+/// # Errors
+/// [`ServeError`] as [`serve`] would report it.
+pub fn check(config: &ServiceConfig) -> Result<Ready, ServeError> {
+    log_filter(&config.log).map_err(ServeError::Logging)?;
+    config.validate().map_err(StartError::from)?;
+    let engine =
+        Engine::load(&config.library, config.settings.clone()).map_err(StartError::from)?;
+    configuration(config.zenoh_file.as_deref(), &config.zenoh)
+        .and_then(rehearse)
+        .map_err(StartError::from)?;
+    Ok(engine.describe())
 }
 
 /// Serves until SIGTERM or SIGINT, then drains.

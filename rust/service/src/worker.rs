@@ -30,7 +30,7 @@ fn serve<H: Handler>(
     let started = Instant::now();
     let waited = started - job.arrived;
     shared.metrics.waited(waited);
-    let hopeless = started + shared.metrics.step_time() > job.deadline;
+    let hopeless = started + shared.metrics.step_time() > job.expected_by();
     // The last request in the queue is tried even if it is likely to be late, because no other request waits for the
     // worker.
     if started > job.deadline || (hopeless && shared.queue.len() > 0) {

@@ -1,5 +1,6 @@
 //! `egp-simulator`: one simulated vehicle drives laps through a running service.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -25,9 +26,13 @@ of the library's surfaces. If you stop the service while the car drives, you see
 #[derive(Parser)]
 #[command(version, long_about = HELP)]
 struct Arguments {
-    /// Router or replica to connect to; may be given more than once.
-    #[arg(long, default_value = "tcp/127.0.0.1:7447")]
+    /// Router or replica to connect to; may be given more than once. Default: the endpoints of --zenoh, or
+    /// tcp/127.0.0.1:7447.
+    #[arg(long)]
     connect: Vec<String>,
+    /// Configuration of zenoh (JSON5), for TLS, certificates and the like.
+    #[arg(long, value_name = "FILE")]
+    zenoh: Option<PathBuf>,
     /// Fleet of the car.
     #[arg(long, default_value = "simulated")]
     fleet: String,
@@ -97,13 +102,9 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         &arguments.friction,
         arguments.grip,
     )?);
-    let endpoints: Vec<&str> = arguments.connect.iter().map(String::as_str).collect();
-    let config = VehicleConfig::new(
-        &arguments.fleet,
-        &arguments.vehicle,
-        GateLimits::of(&CAR.vehicle()),
-        &endpoints,
-    )?;
+    let limits = GateLimits::of(&CAR.vehicle());
+    let config = VehicleConfig::new(&arguments.fleet, &arguments.vehicle, limits, &[])?
+        .reached_by(&arguments.connect, arguments.zenoh.as_deref());
     let mut vehicle = SimulatedVehicle::connect(&config, course.clone(), 0.0)?;
     eprintln!("surfaces: {}", vehicle.client().members().join(", "));
     let way = course.path.length() * f64::from(arguments.laps);

@@ -21,7 +21,7 @@ def collect(
         str | None, typer.Option(help="Name of the surface; one name gives one member.")
     ] = None,
     dt: Annotated[float, typer.Option(help="Control period, s.")] = 0.02,
-    seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
     vehicle: Annotated[
         str, typer.Option(help="CommonRoad number of the simulated car; for a log, the car's name.")
     ] = "1",

@@ -34,6 +34,12 @@ def drive(
     connect: Annotated[
         str | None, typer.Option(help="Endpoint of a running service, such as tcp/127.0.0.1:7447.")
     ] = None,
+    zenoh: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Configuration of zenoh (JSON5) for --connect, with TLS and keys."
+        ),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed in place of the scenario's.")] = None,
     road: Annotated[
         Path | None,
@@ -70,18 +76,19 @@ def drive(
     from egp_service.cli.tables import summary_table
     from egp_service.simulation.reference import load_belief, store_belief
     from egp_service.simulation.runs import new_folder, record_run
-    from egp_service.simulation.scenario import load_scenario
+    from egp_service.simulation.scenario import check_seed, load_scenario
 
     console = Console()
     chosen = load_scenario(scenario)
     if library is not None:
         chosen = replace(chosen, library=str(library))
     if seed is not None:
+        check_seed(seed, "--seed")
         chosen = replace(chosen, seed=seed)
     belief = load_belief(chosen, road)
     with (
         _fleet_map(console, chosen, belief, fleet, vehicle) as exchange,
-        _controller(chosen, in_process=in_process, connect=connect) as controller,
+        _controller(chosen, in_process=in_process, connect=connect, zenoh=zenoh) as controller,
     ):
         folder = new_folder(output, chosen.name)
         with StatusLine(console) as line:
@@ -104,14 +111,16 @@ def drive(
 
 
 def _controller(
-    scenario: "Scenario", *, in_process: bool, connect: str | None
+    scenario: "Scenario", *, in_process: bool, connect: str | None, zenoh: Path | None
 ) -> "AbstractContextManager[StepController]":
     from egp_service.cli.backends import remote_controller, service_controller
     from egp_service.simulation.in_process import in_process_controller
 
     if in_process:
         return in_process_controller(scenario)
-    return service_controller(scenario) if connect is None else remote_controller(scenario, connect)
+    if connect is None and zenoh is None:
+        return service_controller(scenario)
+    return remote_controller(scenario, connect, zenoh)
 
 
 @contextmanager

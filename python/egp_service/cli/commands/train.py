@@ -33,7 +33,7 @@ def train(
     validation: Annotated[
         float, typer.Option(help="Share of the trajectories for validation.")
     ] = 0.2,
-    seed: Annotated[int, typer.Option(help="Seed of split, selection and starts.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of split, selection and starts.")] = 0,
     cluster: Cluster = None,
     picture: Annotated[
         Path | None, typer.Option(help="File for a figure of the validation matrix.")

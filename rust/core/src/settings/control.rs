@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{SettingsError, check, not_negative, positive, positive_if_stated};
+use super::{LARGEST, SettingsError, check, not_negative, positive, positive_if_stated};
 use crate::NU;
 
 /// Which states the members are linearised about; the inputs are the previous plan's in both.
@@ -232,7 +232,9 @@ impl Cost {
 impl InputBounds {
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
         if let Some(a_min) = self.a_min {
-            check("limits.a_min", a_min, "finite and negative", |v| v < 0.0)?;
+            check("limits.a_min", a_min, "negative, from -1e9", |v| {
+                (-LARGEST..0.0).contains(&v)
+            })?;
         }
         positive_if_stated("limits.a_max", self.a_max)?;
         positive_if_stated("limits.power", self.power)?;

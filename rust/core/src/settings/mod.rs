@@ -153,7 +153,11 @@ impl Settings {
                 (1.0..=Self::MAX_HORIZON as f64).contains(&h)
             })?;
         }
-        positive_if_stated("mass", self.mass)?;
+        if let Some(mass) = self.mass {
+            check("mass", mass, "in [0.01, 1e6] kg", |mass| {
+                (0.01..=1e6).contains(&mass)
+            })?;
+        }
         self.weights.validate()?;
         self.operating.validate()?;
         self.cost.validate()?;
@@ -162,6 +166,9 @@ impl Settings {
         self.solver.validate()
     }
 }
+
+/// Largest value of a setting without a range of its own.
+const LARGEST: f64 = 1e9;
 
 /// Number of periods of `dt` in `time`, both in s: at least one, at most `most`.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // clamped
@@ -187,8 +194,12 @@ fn check(
     }
 }
 
+/// Errors unless `got` is positive. No quantity here has a use beyond these limits, and products of several such numbers
+/// neither overflow nor vanish within them.
 fn positive(field: &'static str, got: f64) -> Result<(), SettingsError> {
-    check(field, got, "finite and positive", |v| v > 0.0)
+    check(field, got, "positive, from 1e-9 to 1e9", |v| {
+        (1e-9..=LARGEST).contains(&v)
+    })
 }
 
 fn positive_if_stated(field: &'static str, got: Option<f64>) -> Result<(), SettingsError> {
@@ -196,7 +207,9 @@ fn positive_if_stated(field: &'static str, got: Option<f64>) -> Result<(), Setti
 }
 
 fn not_negative(field: &'static str, got: f64) -> Result<(), SettingsError> {
-    check(field, got, "finite and not negative", |v| v >= 0.0)
+    check(field, got, "not negative, at most 1e9", |v| {
+        (0.0..=LARGEST).contains(&v)
+    })
 }
 
 #[cfg(test)]
@@ -307,6 +320,10 @@ mod tests {
         for (text, name) in [
             ("horizon = 0", "horizon"),
             ("mass = nan", "mass"),
+            ("mass = 1e-300", "mass"),
+            ("[cost]\nlateral = 1e300", "cost.lateral"),
+            ("[cost]\ninput = [1e-300, 1.0]", "cost.input"),
+            ("[limits]\na_min = -1e300", "limits.a_min"),
             ("[limits]\na_min = 1.0", "limits.a_min"),
             ("[cost]\nlateral = -1.0", "cost.lateral"),
             ("[operating]\nyaw_at = 1.5", "operating.yaw_at"),

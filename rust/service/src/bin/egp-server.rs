@@ -4,7 +4,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use egp_engine::Engine;
 use egp_service::{ServiceConfig, serve};
 
 /// The text of `--help` behind the options.
@@ -58,7 +57,7 @@ struct Arguments {
     /// Log one JSON object a line.
     #[arg(long)]
     log_json: bool,
-    /// Check configuration and library, print what would be served, and end.
+    /// Check configuration, library and network settings, print what would be served, and end.
     #[arg(long)]
     check: bool,
 }
@@ -100,7 +99,7 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     if !check {
         return Ok(serve(&config)?);
     }
-    let served = Engine::load(&config.library, config.settings)?.describe();
+    let served = egp_service::check(&config)?;
     println!("surfaces: {}", served.members.join(", "));
     println!(
         "period {} s, horizon {}, window {}",

@@ -62,11 +62,8 @@ impl Intake {
             Some(RoadTarget::Tiles(key, index)) => (What::Question, key, index),
             None => return self.refuse(&query, &no_such_key(query.key())),
         };
-        if query.payload().len() > PAYLOAD {
-            let detail = format!(
-                "expected at most {PAYLOAD} bytes, got {}",
-                query.payload().len()
-            );
+        if query.length() > PAYLOAD {
+            let detail = format!("expected at most {PAYLOAD} bytes, got {}", query.length());
             return self.refuse(&query, &WireError::permanent(Code::Malformed, detail));
         }
         if !self.admit(&key) {

@@ -66,6 +66,12 @@ fn cases() -> Vec<(&'static str, Vec<u8>, Code, &'static str)> {
             "at most 262144",
         ),
         (
+            "larger than zenoh's clients accept",
+            vec![0; 3 << 20],
+            Code::Malformed,
+            "3145728 bytes, at most 262144",
+        ),
+        (
             "NaN",
             spoiled(|r| r.x[2] = f64::NAN),
             Code::InvalidField,

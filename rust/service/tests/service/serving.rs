@@ -1,9 +1,11 @@
 //! The answers of a replica that works normally.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
-use crate::common::{Client, Outcome, config, engine, free_endpoint, request, step_key};
+use crate::common::{
+    Client, Outcome, config, engine, free_endpoint, library_file, request, step_key,
+};
 use egp_driver::Carry;
-use egp_service::Server;
+use egp_service::{Server, check};
 use egp_wire::{Load, MessageLimits, Ready, Reply, Status, keys};
 use prost::Message as _;
 use zenoh::Wait;
@@ -79,4 +81,38 @@ fn a_replica_tells_what_it_serves_and_how_it_fares() {
     assert!(load.workers == 2 && load.queued == 0 && load.step_us > 0);
     server.drain();
     client.wait_until_alive(false);
+}
+
+#[test]
+fn a_check_finds_what_would_prevent_a_start() {
+    let library = library_file("check.safetensors");
+    let busy = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let mut good = config(&format!("tcp/{}", busy.local_addr().unwrap()));
+    good.library = library;
+    // The port may be that of the service that runs already.
+    assert_eq!(check(&good).unwrap().members.len(), 2);
+    let zenoh = |key: &str, value: &str| {
+        let mut bad = good.clone();
+        bad.zenoh.insert(key.to_owned(), value.to_owned());
+        bad
+    };
+    let (mut log, mut file, mut pipe) = (good.clone(), good.clone(), good.clone());
+    log.log = "egp_service=loud".to_owned();
+    file.zenoh_file = Some("nowhere.json5".into());
+    pipe.library = "/dev/null".into();
+    for (bad, reason) in [
+        (log, "log filter"),
+        (file, "zenoh file nowhere.json5"),
+        (pipe, "expected a regular file"),
+        (zenoh("no/such/key", "3"), "no/such/key"),
+        (zenoh("listen/endpoints", "['bogus']"), "bogus"),
+        (zenoh("listen/endpoints", "['quic/127.0.0.1:1']"), "quic"),
+        (
+            zenoh("transport/link/tls/root_ca_certificate", "'nowhere.pem'"),
+            "root_ca_certificate nowhere.pem",
+        ),
+    ] {
+        let message = check(&bad).unwrap_err().to_string();
+        assert!(message.contains(reason), "{reason}: {message}");
+    }
 }

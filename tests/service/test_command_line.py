@@ -1,0 +1,103 @@
+"""Commands of `egp` that drive with a service: how they end, and how they reach it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import pytest
+from typer.testing import CliRunner
+
+from egp_service._core import EgpError
+from egp_service.cli import app
+from egp_service.cli.status_line import MODE_STYLES
+from egp_service.control.service_process import ServiceProcess
+from egp_service.simulation.scenario import library_path, load_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+LIBRARY = library_path(load_scenario("rounded-rectangle"))
+PATIENCE = 60.0
+LONG = """
+name = "long"
+laps = 50.0
+[track]
+kind = "circle"
+[[zones]]
+start = 0.0
+friction = 1.0
+"""
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def group_lives(leader: int) -> bool:
+    try:
+        os.killpg(leader, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_signal_ends_a_drive_with_its_service_and_its_files(
+    tmp_path: Path, sent: signal.Signals
+) -> None:
+    (tmp_path / "temporary").mkdir()
+    scenario = tmp_path / "long.toml"
+    scenario.write_text(LONG, encoding="utf-8")
+    runs = tmp_path / "runs"
+    command = [sys.executable, "-m", "egp_service", "drive", "-s", str(scenario), "-o", str(runs)]
+    process = subprocess.Popen(
+        command,
+        env=os.environ | {"TMPDIR": str(tmp_path / "temporary")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        wait_until(lambda: bool(list(runs.glob("*/.run.mcap.*"))))
+        assert list((tmp_path / "temporary").iterdir())
+        process.send_signal(sent)
+        output, _ = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 128 + sent, output
+        assert "Traceback" not in output
+        wait_until(lambda: not group_lives(process.pid))
+        assert not list(runs.glob("*/.run.mcap.*"))
+        assert not list((tmp_path / "temporary").iterdir())
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def test_the_status_line_has_a_style_for_every_mode() -> None:
+    assert set(MODE_STYLES) == {"normal", "tail", "stop", "waiting"}
+
+
+def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -> None:
+    short = tmp_path / "short.toml"
+    short.write_text(LONG.replace("50.0", "0.02"), encoding="utf-8")
+    zenoh = tmp_path / "zenoh.json5"
+    arguments = ["drive", "-s", str(short), "--no-pictures", "-o", str(tmp_path / "runs")]
+    with ServiceProcess(LIBRARY, {}) as service:
+        zenoh.write_text(f"{{connect: {{endpoints: ['{service.endpoint}']}}}}", encoding="utf-8")
+        result = CliRunner().invoke(app, [*arguments, "--zenoh", str(zenoh)])
+        assert result.exit_code == 0, result.output
+    zenoh.write_text("{conect: {}}", encoding="utf-8")
+    result = CliRunner().invoke(app, [*arguments, "--zenoh", str(zenoh)])
+    assert isinstance(result.exception, EgpError)
+    assert "zenoh.json5" in str(result.exception)
