@@ -16,6 +16,7 @@ from egp_service.cli.commands.drive import drive
 from egp_service.cli.commands.evaluate import evaluate
 from egp_service.cli.commands.inspect import inspect
 from egp_service.cli.commands.map import keep_map
+from egp_service.cli.commands.replay import replay
 from egp_service.cli.commands.serve import serve
 from egp_service.cli.commands.train import train
 
@@ -34,6 +35,9 @@ From data to driving:
 
 The paper's experiments, with baselines:
   egp evaluate --quick
+
+Repeat a recorded run, or see what other settings would have changed:
+  egp replay runs/*/run.mcap
 
 As a service for vehicles:
   egp serve library.safetensors --listen tcp/0.0.0.0:7447
@@ -62,7 +66,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (collect, train, inspect, serve, drive, demo, evaluate):
+for command in (collect, train, inspect, serve, drive, replay, demo, evaluate):
     app.command(no_args_is_help=False)(command)
 app.command("map")(keep_map)
 

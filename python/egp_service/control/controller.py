@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from egp_service._core import Engine, InProcessDriver
@@ -11,7 +12,6 @@ from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from egp_service._core import Decision
     from egp_service.control.step import Measured
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 class Controller(StepController):
     """Compute the steps in this process with a library file; `docs/python.md` shows a lap."""
 
+    settings: Mapping[str, object]
     _driver: InProcessDriver
 
     def __init__(
@@ -44,8 +45,9 @@ class Controller(StepController):
         engine = Engine(str(library), text)
         self.library, self.members = engine.library_id, engine.members
         self.dt, self.horizon = engine.dt, engine.horizon
-        self.settings: Mapping[str, object] = tomllib.loads(engine.settings_toml)
-        """Every setting that the control step uses, those of the library's period included."""
+        self.settings = tomllib.loads(engine.settings_toml)
+        self.stated_settings = tomllib.loads(text)
+        self.library_file = Path(library).absolute()
         self._driver = InProcessDriver(engine, gate=gate, want_sigma=want_sigma)
 
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
