@@ -43,6 +43,7 @@ MAY_LOAD = {
     "egp_service.cli": TERMINAL,
     "egp_service.cli.backends": TERMINAL | {"zenoh"},
     "egp_service.cli.demo": TERMINAL | {"zenoh", "mcap"},
+    "egp_service.cli.checks": TERMINAL | {"zenoh"},
     "egp_service.cli.replay_text": TERMINAL | {"mcap"},
     "egp_service.cli.logs": TERMINAL | TRAINING | {"matplotlib"},
 }

@@ -24,6 +24,7 @@ from egp_service._core import (
     decode_ready,
     replica_of_live,
 )
+from egp_service.control.endpoints import check_endpoints
 from egp_service.control.step import StepController
 
 if TYPE_CHECKING:
@@ -243,6 +244,7 @@ def session_config(
         "transport/link/rx/max_message_size": _MAX_MESSAGE_BYTES,
         **more,
     }
+    check_endpoints(endpoints)
     config = zenoh.Config()
     for path, value in settings.items():
         try:
