@@ -26,10 +26,12 @@ from egp_service._core import (
 if TYPE_CHECKING:
     from egp_service.control.client import ServiceUnreachableError, VehicleClient
     from egp_service.control.controller import Controller
+    from egp_service.control.recorder import Recorder
     from egp_service.control.step import Step
 else:
     _MODULES: Final = {
         "Controller": "egp_service.control.controller",
+        "Recorder": "egp_service.control.recorder",
         "ServiceUnreachableError": "egp_service.control.client",
         "Step": "egp_service.control.step",
         "VehicleClient": "egp_service.control.client",
@@ -53,6 +55,7 @@ __all__ = [
     "LibraryError",
     "Path",
     "Plant",
+    "Recorder",
     "RefusedError",
     "RoadBelief",
     "ServiceUnreachableError",

@@ -2,8 +2,9 @@
 
 usage: calibration.py [FIRST]
 
-Drives 12 random roads, with the seeds from FIRST (0) on, of friction 0.25 to 1.1 at 50, 75 and 90 % of the grip with the noise of the
-evaluation and the demo's library. Counted are the informed windows that lie on one surface.
+Drives 12 random roads, with the seeds from FIRST (0) on, of friction 0.25 to 1.1 at 50, 75 and 90 %
+of the grip with the noise of the evaluation and the demo's library. Counted are the informed
+windows that lie on one surface.
 """
 
 from __future__ import annotations

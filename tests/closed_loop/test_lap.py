@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from typer.testing import CliRunner
 
 from egp_service import Controller
-from egp_service._core import Engine
+from egp_service._core import write_library_subset
+from egp_service.cli import app
+from egp_service.control.recorded import RecordingError, read_recording
+from egp_service.control.replay import replay
 from egp_service.simulation.report import draw_comparison, draw_run
 from egp_service.simulation.runs import record_run
 from egp_service.simulation.scenario import (
@@ -106,11 +111,85 @@ def test_any_protobuf_reader_can_decode_the_recording(lap: Lap) -> None:
     assert list(replies[-1].plan_u.shape) == [40, 2]
 
 
-def test_replaying_the_recorded_requests_gives_the_recorded_replies(lap: Lap) -> None:
-    engine = Engine(str(library_path(SCENARIO)))
-    replies = messages(lap.folder, "/reply")
-    for request, reply in zip(messages(lap.folder, "/request"), replies, strict=True):
-        assert engine.step(request) == reply
+def test_other_tools_find_their_own_schemas_and_plain_numbers(lap: Lap) -> None:
+    topics: dict[str, tuple[str, list[Any]]] = {}
+    with (lap.folder / "run.mcap").open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for schema, channel, _, message in reader.iter_decoded_messages():
+            assert schema is not None
+            topics.setdefault(channel.topic, (schema.name, []))[1].append(message)
+    assert {topic: name for topic, (name, _) in topics.items() if "foxglove" in name} == {
+        "/pose": "foxglove.PoseInFrame",
+        "/tf": "foxglove.FrameTransform",
+        "/plan": "foxglove.PosesInFrame",
+        "/scene": "foxglove.SceneUpdate",
+    }
+    steps, poses = topics["/step"][1], topics["/pose"][1]
+    assert [step.total_ms for step in steps] == (1e3 * lap.run.trace.step_time).tolist()
+    assert [pose.pose.position.x for pose in poses] == [p.measured[0] for p in lap.periods]
+    assert len(topics["/plan"][1][0].poses) == 41
+    (scene,) = topics["/scene"][1]
+    assert [text.text for text in scene.entities[0].texts] == [
+        "friction 0.5",
+        "friction 1.1",
+        "friction 0.8",
+    ]
+    # The layout that is written beside the recording shows only topics that it has.
+    layout = (lap.folder / "foxglove.json").read_text()
+    assert {f"/{name}" for name in re.findall(r'"/(\w+)', layout)} <= set(topics)
+
+
+def test_a_replay_gives_the_recorded_bytes(lap: Lap) -> None:
+    result = CliRunner().invoke(app, ["replay", str(lap.folder / "run.mcap")])
+    assert result.exit_code == 0, result.output
+    assert f"All {len(lap.periods)} replies have the same bytes" in result.output
+
+
+def test_an_interrupted_recording_can_be_replayed(lap: Lap, tmp_path: Path) -> None:
+    whole = (lap.folder / "run.mcap").read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole[: len(whole) // 10])
+    recorded = read_recording(path)
+    assert not recorded.complete
+    assert recorded.scenario == SCENARIO.toml()
+    assert len(recorded.steps) > 0.05 * len(lap.periods)
+    again = replay(recorded, library_path(SCENARIO), recorded.settings or {})
+    assert again.same.all()
+    path.write_bytes(b"no recording")
+    with pytest.raises(RecordingError, match="expected an MCAP recording"):
+        read_recording(path)
+
+
+def test_a_replay_shows_where_other_settings_matter(lap: Lap, tmp_path: Path) -> None:
+    settings, picture = tmp_path / "softer.toml", tmp_path / "differences.png"
+    settings.write_text("cost.lateral = 20.0\n")
+    command = ["replay", str(lap.folder / "run.mcap"), "--settings", str(settings)]
+    result = CliRunner().invoke(app, [*command, "--output", str(picture)])
+    assert result.exit_code == 0, result.output
+    assert "cost.lateral: 60.0 → 20.0" in result.output
+    assert picture.stat().st_size > 10_000
+    recorded = read_recording(lap.folder / "run.mcap")
+    again = replay(recorded, library_path(SCENARIO), {"cost": {"lateral": 20.0}})
+    first = again.first_that_matters
+    assert first is not None
+    assert f"step {first + 1} at {again.time[first]:.2f} s" in result.output
+    assert (again.share[:first] <= 0.01).all()
+    assert f"{again.u_now[first, 1]:+.4f} rad/s" in result.output
+    settings.write_text("[cost]\nlaterall = 20.0\n")
+    refused = CliRunner().invoke(app, command)
+    assert re.search(r"softer\.toml: .*line 2.*laterall", str(refused.exception), re.DOTALL)
+
+
+def test_a_replay_with_another_library(lap: Lap, tmp_path: Path) -> None:
+    library = tmp_path / "one.safetensors"
+    write_library_subset(library_path(SCENARIO), library, [1])
+    recorded = read_recording(lap.folder / "run.mcap")
+    again = replay(recorded, library, {})
+    assert {answer.status for answer in again.now} == {"solved"}
+    assert {answer.weights.tolist()[0] for answer in again.now} == {1.0}
+    assert again.first_that_matters is not None
+    with pytest.raises(RecordingError, match="horizon = 40"):
+        replay(recorded, library, {"horizon": 30})
 
 
 def test_pictures_are_drawn(lap: Lap, tmp_path: Path) -> None:

@@ -30,8 +30,12 @@ MAY_LOAD = {
     "egp_service.control": set(),
     "egp_service.control.client": {"zenoh"},
     "egp_service.control.fleet_map": {"zenoh"},
+    "egp_service.control.recorder": {"mcap"},
+    "egp_service.control.recorded": {"mcap"},
+    "egp_service.control.replay": {"mcap"},
     "egp_service.simulation": {"mcap"},
     "egp_service.simulation.report": {"matplotlib"},
+    "egp_service.simulation.replay_report": {"matplotlib", "mcap"},
     "egp_service.data": {"polars", "loky"},
     "egp_service.training": TRAINING | {"mcap"},
     "egp_service.training.validation_report": {"matplotlib"},
@@ -39,6 +43,8 @@ MAY_LOAD = {
     "egp_service.cli": TERMINAL,
     "egp_service.cli.backends": TERMINAL | {"zenoh"},
     "egp_service.cli.demo": TERMINAL | {"zenoh", "mcap"},
+    "egp_service.cli.checks": TERMINAL | {"zenoh"},
+    "egp_service.cli.replay_text": TERMINAL | {"mcap"},
     "egp_service.cli.logs": TERMINAL | TRAINING | {"matplotlib"},
 }
 

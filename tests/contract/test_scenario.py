@@ -108,7 +108,8 @@ def test_a_split_road_has_its_own_friction_on_the_right() -> None:
 
 
 def test_a_zone_has_a_surface_in_place_of_a_friction() -> None:
-    table = "surface = {peak = 0.3, stiffness = 0.2, shape = 1.05, lateral_curvature = 1.03, shift = 0.3}"
+    factors = "stiffness = 0.2, shape = 1.05, lateral_curvature = 1.03, shift = 0.3"
+    table = f"surface = {{peak = 0.3, {factors}}}"
     scenario = parse(MINIMAL.replace("friction = 0.8", f'{table}\nsurface_right = "ice"'))
     assert parse(scenario.toml()) == scenario
     (zone,) = scenario.zones

@@ -210,23 +210,3 @@ def test_the_driver_makes_requests_that_google_protobuf_reads() -> None:
     assert [request.budget_us for request in requests] == [40_000, 40_000]
     with pytest.raises(_core.InvalidArgumentError, match="reference: expected 21 rows"):
         driver.tick(1.0, 1.04, np.zeros(7), reference[:1])
-
-
-def test_plant_truth_is_plain_numbers() -> None:
-    data = _core.encode_plant_truth(
-        time=1.5,
-        state=np.arange(7.0),
-        u=[1000.0, 0.25],
-        friction=0.5,
-        path_s=12.0,
-        lateral_error=0.125,
-        heading_error=0.0,
-        speed_reference=15.0,
-        mode="NORMAL",
-        weights=[0.25, 0.75],
-        friction_planned=0.375,
-    )
-    truth = message("PlantTruth").FromString(data)
-    assert (truth.p_x, truth.v_x, truth.delta) == (0.0, 2.0, 6.0)
-    assert (truth.force, truth.friction, list(truth.weights)) == (1000.0, 0.5, [0.25, 0.75])
-    assert truth.friction_planned == 0.375

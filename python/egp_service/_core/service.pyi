@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from egp_service._core.driver import Decision
 from egp_service._core.vehicle import VehicleParameters
 
+SETTINGS_DOCUMENT: str
+
 @final
 class Engine:
     def __new__(
@@ -64,3 +66,5 @@ class Server:
     def __exit__(self, *_exception: object) -> None: ...
 
 def serve(config_toml: str) -> None: ...
+def vector_instructions() -> str: ...
+def check_settings(settings_toml: str) -> None: ...

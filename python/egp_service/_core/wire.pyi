@@ -1,6 +1,5 @@
 """The messages and the keys of the wire."""
 
-from collections.abc import Sequence
 from typing import Final, Literal, final
 
 import numpy as np
@@ -101,20 +100,6 @@ def decode_reply(data: bytes) -> Reply: ...
 def decode_error(data: bytes) -> Refusal: ...
 def decode_ready(data: bytes) -> Ready: ...
 def decode_timing(data: bytes) -> tuple[int, int]: ...
-def encode_plant_truth(
-    *,
-    time: float,
-    state: NDArray[np.float64],
-    u: Sequence[float],
-    friction: float,
-    path_s: float,
-    lateral_error: float,
-    heading_error: float,
-    speed_reference: float,
-    mode: str,
-    weights: Sequence[float] | NDArray[np.float64],
-    friction_planned: float,
-) -> bytes: ...
 def file_descriptor_set() -> bytes: ...
 def step_key(replica: str, fleet: str, vehicle: str) -> str: ...
 def ready_key(replica: str) -> str: ...

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import signal
 import sys
-from typing import NoReturn
+from importlib.metadata import version
+from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
@@ -13,12 +14,17 @@ from rich.text import Text
 from egp_service._core import EgpError
 from egp_service.cli.commands.collect import collect
 from egp_service.cli.commands.demo import demo
+from egp_service.cli.commands.doctor import doctor
 from egp_service.cli.commands.drive import drive
 from egp_service.cli.commands.evaluate import evaluate
 from egp_service.cli.commands.inspect import inspect
+from egp_service.cli.commands.load import PASS_ON, load
 from egp_service.cli.commands.map import keep_map
+from egp_service.cli.commands.replay import replay
 from egp_service.cli.commands.serve import serve
+from egp_service.cli.commands.settings import settings
 from egp_service.cli.commands.train import train
+from egp_service.cli.extras import EXTRAS
 
 HELP = """
 Drive on roads of unknown friction: an ensemble of Gaussian processes inside an MPC.
@@ -36,24 +42,19 @@ From data to driving:
 The paper's experiments, with baselines:
   egp evaluate --quick
 
+Repeat a recorded run, or see what other settings would have changed:
+  egp replay runs/*/run.mcap
+
 As a service for vehicles:
   egp serve library.safetensors --listen tcp/0.0.0.0:7447
+
+What can be set, and whether this machine is fit:
+  egp settings
+  egp doctor
 
 What a fleet knows about the friction of roads:
   egp map --folder roads
 """
-# Packages that only an extra installs, with this extra.
-EXTRAS = {
-    "torch": "train",
-    "gpytorch": "train",
-    "botorch": "train",
-    "polars": "train",
-    "scipy": "train",
-    "matplotlib": "viz",
-    "cvxpy": "paper",
-    "osqp": "paper",
-    "ray": "cluster",
-}
 FAILED = 1
 ENDINGS = (signal.SIGTERM, signal.SIGHUP)
 
@@ -61,12 +62,32 @@ app = typer.Typer(
     name="egp",
     help=HELP,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (collect, train, inspect, serve, drive, demo, evaluate):
+for command in (collect, train, inspect, serve, drive, replay, demo, evaluate, settings, doctor):
     app.command(no_args_is_help=False)(command)
 app.command("map")(keep_map)
+app.command("load", context_settings=PASS_ON)(load)
+
+
+def _show_version(asked: bool) -> None:  # noqa: FBT001 - typer's form of a callback
+    if asked:
+        typer.echo(f"egp-service {version('egp-service')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    *,
+    show: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Options of `egp` itself."""
+    del show
 
 
 def main() -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import tomllib
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from egp_service._core import Engine
 from egp_service.control.client import VehicleClient
 from egp_service.control.service_process import ServiceProcess
+from egp_service.control.toml_text import dumps
 from egp_service.simulation.scenario import gate_settings, library_path
 
 if TYPE_CHECKING:
@@ -29,8 +32,13 @@ def remote_controller(
 @contextmanager
 def service_controller(scenario: Scenario) -> Iterator[StepController]:
     """Ask a service that is started for this purpose in its own process."""
+    library = library_path(scenario)
     with (
-        ServiceProcess(library_path(scenario), scenario.control) as service,
+        ServiceProcess(library, scenario.control) as service,
         VehicleClient.connect([service.endpoint], gate=gate_settings(scenario)) as client,
     ):
+        engine = Engine(str(library), dumps(scenario.control))
+        client.settings = tomllib.loads(engine.settings_toml)
+        client.stated_settings = scenario.control
+        client.library_file = library.absolute()
         yield client

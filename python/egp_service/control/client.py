@@ -24,6 +24,7 @@ from egp_service._core import (
     decode_ready,
     replica_of_live,
 )
+from egp_service.control.endpoints import check_endpoints
 from egp_service.control.step import StepController
 
 if TYPE_CHECKING:
@@ -249,6 +250,7 @@ def session_config(
         "connect/timeout_ms": int(1000 * timeout),
         "connect/exit_on_failure": False,
     }
+    check_endpoints(endpoints)
     if file is None:
         config = zenoh.Config()
         settings |= _DEFAULTS

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from egp_service._core import Engine, InProcessDriver
+from egp_service._core import Engine, InProcessDriver, InvalidArgumentError
 from egp_service.control.step import StepController
 from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
     from egp_service._core import Decision
     from egp_service.control.step import Measured
 
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
 class Controller(StepController):
     """Compute the steps in this process with a library file; `docs/python.md` shows a lap."""
 
+    settings: Mapping[str, object]
     _driver: InProcessDriver
 
     def __init__(
@@ -40,14 +40,27 @@ class Controller(StepController):
         Raises `EgpError` for a library, settings or gate settings that cannot be used, and for a
         gate that allows more than the vehicle that the library was trained for can do.
         """
-        text = settings if isinstance(settings, str) else dumps(settings)
+        text = _text(settings)
         engine = Engine(str(library), text)
         self.library, self.members = engine.library_id, engine.members
         self.dt, self.horizon = engine.dt, engine.horizon
-        self.settings: Mapping[str, object] = tomllib.loads(engine.settings_toml)
-        """Every setting that the control step uses, those of the library's period included."""
+        self.settings = tomllib.loads(engine.settings_toml)
+        self.stated_settings = tomllib.loads(text)
+        self.library_file = Path(library).absolute()
         self._driver = InProcessDriver(engine, gate=gate, want_sigma=want_sigma)
 
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
         del start  # the driver needs no time, because nobody else can be asked
         return self._driver.step(budget, *measured)
+
+
+def _text(settings: str | Mapping[str, object] | Path) -> str:
+    """Return the settings as TOML."""
+    if isinstance(settings, Mapping):
+        return dumps(settings)
+    if isinstance(settings, Path) or settings.strip().endswith(".toml"):
+        raise InvalidArgumentError(
+            f"settings: expected TOML text or a mapping, got the path {str(settings)!r}; "
+            f"use pathlib.Path({str(settings)!r}).read_text()"
+        )
+    return settings

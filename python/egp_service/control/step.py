@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, Self, TypeAlias
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -138,6 +140,12 @@ class StepController(ABC):
     """Inputs in a plan, T."""
     members: Sequence[str]
     """Surfaces, in the order of the weights."""
+    settings: Mapping[str, object] | None = None
+    """Every setting that the control step uses; `None` if they are not known, as with a service."""
+    stated_settings: Mapping[str, object] = MappingProxyType({})
+    """Settings that were stated in place of defaults."""
+    library_file: Path | None = None
+    """The library file, if it is known."""
     _driver: Driver | InProcessDriver
 
     def step(

@@ -97,15 +97,19 @@ def import_csv(
             the period is uneven or not suitable, or values are not finite.
 
     """
+    _check_separator(separator)
     missing = [q for q in ("time", *GP_STATE_NAMES) if q not in columns]
-    if missing or ("F_x" in columns) == ("a_x" in columns):
+    if not {"F_x", "a_x"} & columns.keys():
+        missing.append("F_x or a_x")
+    if missing:
         raise EgpError(
-            f"columns for {', '.join(sorted(columns))}: expected time, v_x, v_y, omega, delta and "
-            "exactly one of F_x and a_x"
+            f"no column is named for {', '.join(missing)}: add --column {missing[0].split()[0]}="
+            f"NAME:UNIT for each; {path.name} has the columns {_header(path, separator)}"
         )
+    if {"F_x", "a_x"} <= columns.keys():
+        raise EgpError("columns for both F_x and a_x are named: name one of them")
     if not steering_ratio > 0.0:
         raise EgpError(f"expected a positive --steering-ratio, got {steering_ratio}")
-    _check_separator(separator)
     log = _read(path, columns, separator)
     for quantity in _STEERING & log.keys():
         log[quantity] = log[quantity] / steering_ratio
@@ -142,6 +146,15 @@ def _check_separator(separator: str) -> None:
             "expected one ASCII character as --separator, which is no quote, # or end of a line, "
             f"got {separator!r}"
         )
+
+
+def _header(path: Path, separator: str) -> str:
+    """List the names in a log's header, for messages."""
+    try:
+        frame = pl.read_csv(path, separator=separator, comment_prefix="#", n_rows=0)
+    except (OSError, pl.exceptions.PolarsError):
+        return "(not readable)"
+    return ", ".join(name or "''" for name in frame.columns)
 
 
 def _read(

@@ -156,7 +156,10 @@ class Dataset:
                 provenance=provenance,
             )
         except pl.exceptions.PolarsError as error:
-            raise EgpError(f"{path}: not a readable Parquet file ({error})") from error
+            raise EgpError(
+                f"{path}: not a readable Parquet file ({error}); `egp collect --from-csv` makes a "
+                "dataset of a log"
+            ) from error
         except EgpError as error:
             raise EgpError(f"{path}: {error}") from error
 

@@ -29,9 +29,9 @@ def largest_acceleration(
 
 
 def largest_demand(mu: float) -> float:
-    """Largest acceleration or deceleration, m/s², that data on friction `mu` ask for: twice the grip.
+    """Largest acceleration or deceleration in data on friction `mu`, m/s²: twice the grip.
 
-    Data in which the vehicle's whole range is asked for on ice consist of spinning and locked wheels.
+    With the vehicle's whole range, data on ice would consist of spinning and locked wheels.
     """
     return 2.0 * mu * GRAVITY
 

@@ -177,7 +177,7 @@ class _Loop:
             deadline=FIRST_DEADLINE if self._ticks == 0 else None,
         )
         self._speed.found(step.friction)
-        return Period(truth, step)
+        return Period(truth, measured, step)
 
     def advance(self, period: Period) -> Ending | None:
         """Drive one period; return the ending if the run ends."""

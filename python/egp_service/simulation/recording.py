@@ -1,72 +1,50 @@
-"""Recordings in MCAP: requests and replies as the bytes on the wire, and the plant's true state.
-
-The files contain their schemas and open in Foxglove and PlotJuggler. The service keeps no state, so
-sending the recorded requests again gives the same replies.
-"""
+"""Recordings of simulated runs: the control steps, the plant's true state, and the road."""
 
 from __future__ import annotations
 
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Self
 
-from mcap.writer import Writer
-
-from egp_service._core import encode_plant_truth, file_descriptor_set
-from egp_service.files import replacing
+from egp_service.control.messages import message_class
+from egp_service.control.recorder import SCENARIO, Recorder
+from egp_service.quantities import STATE
+from egp_service.simulation.course import build_path
+from egp_service.simulation.scene import road_scene
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from egp_service.control.step import StepController
+    from egp_service.simulation.scenario import Scenario
     from egp_service.simulation.trace import Period
-
-NANOSECONDS = 1_000_000_000
-TOPICS = {
-    "/request": "egp.v1.StepRequest",
-    "/reply": "egp.v1.StepReply",
-    "/plant": "egp.v1.PlantTruth",
-}
 
 
 class Recording:
-    """An open recording; log times are seconds since the start of the run."""
+    """An open recording of a run; log times are seconds since its start."""
 
-    def __init__(self, writer: Writer) -> None:
-        """Register schemas and channels with a started `writer`."""
-        self._writer = writer
-        schemas = file_descriptor_set()
-        self._channels = {
-            topic: writer.register_channel(
-                topic,
-                message_encoding="protobuf",
-                schema_id=writer.register_schema(name, "protobuf", schemas),
-            )
-            for topic, name in TOPICS.items()
-        }
+    def __init__(self, recorder: Recorder) -> None:
+        """Record by an open recorder."""
+        self._recorder = recorder
 
     @classmethod
     @contextmanager
-    def create(cls, path: Path) -> Iterator[Self]:
-        """Record to `path`, where the file is created when the recording is complete."""
-        with replacing(path) as beside, beside.open("wb") as stream:
-            writer = Writer(stream)
-            writer.start(profile="egp.v1", library="egp-service")
-            yield cls(writer)
-            writer.finish()  # type: ignore[no-untyped-call]
+    def create(cls, path: Path, scenario: Scenario, controller: StepController) -> Iterator[Self]:
+        """Record a run to `path`, which is readable at any time and complete at the end."""
+        notes = {SCENARIO: {"name": scenario.name, "toml": scenario.toml()}}
+        with Recorder(path, controller, notes=notes) as recorder:
+            recorder.message("/scene", road_scene(build_path(scenario), scenario.vehicle), 0.0)
+            yield cls(recorder)
 
     def add(self, period: Period) -> None:
         """Record one control period."""
         truth, step = period.truth, period.step
-        for late in step.late:
-            self._message("/reply", late, truth.time)
-        if step.request:
-            self._message("/request", step.request, truth.time)
-        if step.reply is not None:
-            self._message("/reply", step.reply, truth.time)
-        message = encode_plant_truth(
+        self._recorder.add(step, period.measured, truth.time)
+        message = message_class("PlantTruth")(
             time=truth.time,
-            state=truth.x,
-            u=step.u.tolist(),
+            **dict(zip(STATE, truth.x.tolist(), strict=True)),
+            force=float(step.u[0]),
+            steering_rate=float(step.u[1]),
             friction=truth.friction,
             path_s=truth.path_s,
             lateral_error=truth.lateral_error,
@@ -76,8 +54,4 @@ class Recording:
             weights=step.weights.tolist(),
             friction_planned=truth.friction_planned,
         )
-        self._message("/plant", message, truth.time)
-
-    def _message(self, topic: str, data: bytes, time: float) -> None:
-        stamp = round(time * NANOSECONDS)
-        self._writer.add_message(self._channels[topic], stamp, data, stamp)
+        self._recorder.message("/plant", message, truth.time)

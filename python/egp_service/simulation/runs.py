@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 from datetime import datetime
+from importlib import resources
 from typing import TYPE_CHECKING
 
 from egp_service.files import write_text
 from egp_service.simulation.closed_loop import Run, drive
 from egp_service.simulation.recording import Recording
+
+LAYOUT = resources.files("egp_service.simulation") / "foxglove.json"
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,10 +45,12 @@ def record_run(
 ) -> Run:
     """Drive the scenario and write `scenario.toml`, `run.mcap` and `summary.json` to `folder`.
 
-    `belief` is what earlier runs found about the road, see `drive`.
+    `foxglove.json`, also written there, is a Foxglove layout for the recording. `belief` is what
+    earlier runs found about the road, see `drive`.
     """
     write_text(folder / "scenario.toml", scenario.toml())
-    with Recording.create(folder / "run.mcap") as recording:
+    write_text(folder / "foxglove.json", LAYOUT.read_text(encoding="utf-8"))
+    with Recording.create(folder / "run.mcap", scenario, controller) as recording:
 
         def both(period: Period) -> None:
             recording.add(period)

@@ -44,6 +44,8 @@ class Period:
     """One control period: the truth at its start and the step taken."""
 
     truth: Truth
+    measured: NDArray[np.float64]
+    """Measured state (7,), which the step was computed for."""
     step: Step
 
 

@@ -35,6 +35,7 @@ pub use kernel::Kernel;
 pub use library::{Library, LibraryError, Member};
 pub use qp::{OcpQp, OcpSolution};
 pub use settings::{Settings, SettingsError};
+pub use simd::vector_instructions;
 pub use solver::{QpSolver, Status};
 pub use step::{StepError, StepReply, StepRequest, Workspace, step};
 

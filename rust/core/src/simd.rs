@@ -29,6 +29,8 @@ pub(crate) trait Wide {
 /// Arithmetic on vectors of eight numbers, lane by lane. A value of this type proves that the machine has the
 /// instruction set, because only feature detection creates it.
 pub(crate) trait Simd: Copy {
+    /// Name of the instructions.
+    const NAME: &'static str;
     /// Eight numbers.
     type V: Copy;
     /// One number in all lanes.
@@ -99,11 +101,27 @@ pub(crate) fn wide<C: Wide>(computation: C) -> C::Output {
     computation.compute(Portable)
 }
 
+/// Name of the vector instructions that this machine's Gaussian processes use: `AVX-512`, `AVX2` or `none`.
+///
+/// Results of machines whose names differ may differ by rounding.
+pub fn vector_instructions() -> &'static str {
+    struct Name;
+    impl Wide for Name {
+        type Output = &'static str;
+        #[inline(always)]
+        fn compute<S: Simd>(self, _: S) -> &'static str {
+            S::NAME
+        }
+    }
+    wide(Name)
+}
+
 /// Plain Rust, for machines without AVX2.
 #[derive(Clone, Copy)]
 struct Portable;
 
 impl Simd for Portable {
+    const NAME: &'static str = "none";
     type V = Lanes;
 
     #[inline(always)]
@@ -217,6 +235,7 @@ mod x86 {
     }
 
     impl Simd for Avx512 {
+        const NAME: &'static str = "AVX-512";
         type V = __m512d;
 
         intrinsics! {
@@ -250,6 +269,7 @@ mod x86 {
     pub(super) struct Pair(__m256d, __m256d);
 
     impl Simd for Avx2 {
+        const NAME: &'static str = "AVX2";
         type V = Pair;
 
         intrinsics! {

@@ -93,7 +93,11 @@ mod _core {
     #[pymodule]
     mod service {
         #[pymodule_export]
-        use crate::service::{Engine, InProcessDriver, Server, serve};
+        const SETTINGS_DOCUMENT: &str = include_str!("../../../docs/settings.md");
+        #[pymodule_export]
+        use crate::service::{
+            Engine, InProcessDriver, Server, check_settings, serve, vector_instructions,
+        };
     }
 
     #[pymodule]
@@ -113,8 +117,8 @@ mod _core {
         #[pymodule_export]
         use crate::wire::{
             Friction, Refusal, Replica, Reply, Request, decode_error, decode_ready, decode_reply,
-            decode_request, decode_timing, encode_plant_truth, file_descriptor_set, health_key,
-            live_key, metrics_key, ready_key, replica_of_live, step_key,
+            decode_request, decode_timing, file_descriptor_set, health_key, live_key, metrics_key,
+            ready_key, replica_of_live, step_key,
         };
     }
 

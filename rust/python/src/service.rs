@@ -273,3 +273,15 @@ pub fn after_signal(py: Python<'_>) -> PyResult<()> {
         _ => Ok(()),
     }
 }
+
+/// The vector instructions that Gaussian processes use on this machine: `AVX-512`, `AVX2` or `none`.
+#[pyfunction]
+pub fn vector_instructions() -> &'static str {
+    egp_core::vector_instructions()
+}
+
+/// Raise `EgpError`, with the line and the key, for settings of the control step that cannot be used with any library.
+#[pyfunction]
+pub fn check_settings(settings_toml: &str) -> PyResult<()> {
+    Settings::from_toml(settings_toml).map(drop).map_err(raise)
+}

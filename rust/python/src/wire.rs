@@ -2,13 +2,11 @@
 
 use std::borrow::Cow;
 
-use egp_wire::{MessageLimits, Predictions, State, keys};
+use egp_wire::{MessageLimits, Predictions, keys};
 use prost::Message as _;
 use pyo3::prelude::*;
 
-use crate::array::{
-    KeptCube, KeptMatrix, KeptVector, NewCube, NewMatrix, Vector, array, fixed, vector,
-};
+use crate::array::{KeptCube, KeptMatrix, KeptVector, NewCube, NewMatrix, array, vector};
 use crate::error::raise;
 use crate::parameters::VehicleParameters;
 
@@ -216,51 +214,6 @@ pub fn decode_ready(py: Python<'_>, data: &[u8]) -> PyResult<Replica> {
 pub fn decode_timing(data: &[u8]) -> PyResult<(u32, u32)> {
     let timing = egp_wire::Timing::decode(data).map_err(raise)?;
     Ok((timing.queue_us, timing.step_us))
-}
-
-/// Bytes of a PlantTruth for a recording; `state` is [p_x, p_y, v_x, psi, v_y, omega, delta].
-#[pyfunction]
-#[pyo3(signature = (
-    *, time, state, u, friction, path_s, lateral_error, heading_error, speed_reference, mode, weights,
-    friction_planned
-))]
-#[allow(clippy::too_many_arguments)]
-pub fn encode_plant_truth(
-    time: f64,
-    state: Vector<'_>,
-    u: [f64; 2],
-    friction: f64,
-    path_s: f64,
-    lateral_error: f64,
-    heading_error: f64,
-    speed_reference: f64,
-    mode: String,
-    weights: Vec<f64>,
-    friction_planned: f64,
-) -> PyResult<Cow<'static, [u8]>> {
-    let [p_x, p_y, v_x, psi, v_y, omega, delta]: State = fixed("state", &state)?;
-    let [force, steering_rate] = u;
-    let truth = egp_wire::PlantTruth {
-        time,
-        p_x,
-        p_y,
-        v_x,
-        psi,
-        v_y,
-        omega,
-        delta,
-        force,
-        steering_rate,
-        friction,
-        path_s,
-        lateral_error,
-        heading_error,
-        speed_reference,
-        mode,
-        weights,
-        friction_planned,
-    };
-    Ok(truth.encode_to_vec().into())
 }
 
 /// The serialised google.protobuf.FileDescriptorSet of the messages.

@@ -40,7 +40,7 @@ pub use friction::Friction;
 pub use header::Header;
 pub use limits::MessageLimits;
 pub use predictions::Predictions;
-pub use proto::{Load, PlantTruth, Status, Timing};
+pub use proto::{Load, Status, Timing};
 pub use ready::Ready;
 pub use reply::Reply;
 pub use request::{Request, check_reference, check_road_friction, check_state};

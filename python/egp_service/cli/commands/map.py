@@ -52,6 +52,7 @@ def keep_map(
       egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-2    (faster)
     """
     from egp_service._core import serve_map
+    from egp_service.control.endpoints import check_free
     from egp_service.control.toml_text import dumps
 
     options: dict[str, object] = {
@@ -63,6 +64,7 @@ def keep_map(
     }
     given = {name: value for name, value in options.items() if value is not None}
     if config is None:
+        check_free(listen or ["tcp/127.0.0.1:7448"])
         if listen:
             given["zenoh"] = {"listen/endpoints": json.dumps(listen)}
         serve_map(dumps(given))

@@ -32,27 +32,27 @@ def serve(
       egp serve library.safetensors --listen tcp/0.0.0.0:7447
       egp serve --config service.toml
     """
-    import tomllib
-
     from egp_service._core import EgpError
     from egp_service._core import serve as serve_until_signal
+    from egp_service.cli.settings_file import read_service, read_settings
+    from egp_service.control.endpoints import check_free
     from egp_service.control.toml_text import dumps
 
     if config is not None:
         if any(value is not None for value in (library, listen, replica, settings)):
             raise typer.BadParameter("--config excludes other options: put them into the file")
-        text, folder = config.read_text(encoding="utf-8"), config.parent
-        table = tomllib.loads(text)
-        if "library" in table:
-            table["library"] = str(folder / table["library"])
+        table, folder = read_service(config), config.parent
+        if isinstance(table.get("library"), str):
+            table["library"] = str(folder / str(table["library"]))
     elif library is not None:
         table = {"library": str(library)}
         if replica is not None:
             table["replica"] = replica
+        check_free(listen or ["tcp/127.0.0.1:7447"])
         if listen:
             table["zenoh"] = {"listen/endpoints": json.dumps(listen)}
         if settings is not None:
-            table["settings"] = tomllib.loads(settings.read_text(encoding="utf-8"))
+            table["settings"] = read_settings(settings)
     else:
         raise EgpError("nothing to serve: give a library file, or --config service.toml")
     serve_until_signal(dumps(table))

@@ -13,6 +13,11 @@ pub enum LibraryError {
         /// Largest accepted size.
         limit: usize,
     },
+    /// The file begins as a Parquet file does.
+    #[error(
+        "this is a Parquet file, such as the datasets of `egp collect`; `egp train FILE -o library.safetensors` makes a library of it"
+    )]
+    Parquet,
     /// The header's length field is beyond the limit; nothing of it was parsed.
     #[error(
         "header claims {bytes} bytes, the limit is {limit}; this is not a library file, export it again"
@@ -242,6 +247,7 @@ impl LibraryError {
     pub const fn code(&self) -> &'static str {
         match self {
             Self::TooLarge { .. } => "too_large",
+            Self::Parquet => "parquet",
             Self::HeaderTooLarge { .. } => "header_too_large",
             Self::Length { .. } => "length",
             Self::Malformed { .. } => "malformed",

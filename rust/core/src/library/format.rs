@@ -183,6 +183,9 @@ fn check_lengths(bytes: &[u8]) -> Result<usize, LibraryError> {
         expected: LENGTH_BYTES,
         found,
     })?;
+    if length.starts_with(b"PAR1") {
+        return Err(LibraryError::Parquet);
+    }
     let claimed = u64::from_le_bytes(*length);
     let header = usize::try_from(claimed)
         .ok()

@@ -1,0 +1,117 @@
+"""`egp replay`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from egp_service.control.recorded import Recorded
+
+DIFFERENT = 4
+
+
+def replay(
+    recording: Annotated[
+        Path, typer.Argument(help="A run.mcap of `egp drive` or `Recorder`.", show_default=False)
+    ],
+    library: Annotated[
+        Path | None, typer.Option("--library", "-l", help="Library in place of the recorded one.")
+    ] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(help="TOML file of settings in place of the recorded ones (egp settings)."),
+    ] = None,
+    *,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Picture; by default RECORDING-replay.png."),
+    ] = None,
+    pictures: Annotated[bool, typer.Option(help="Draw a picture of differences.")] = True,
+) -> None:
+    """Repeat every recorded control step, and compare it bit for bit.
+
+    With --library or --settings, show instead what would have differed,
+    where it first matters (1 % of an actuator's range), and a picture.
+    Each step begins from what was recorded before it, so that
+    differences are those of single steps and do not add up.
+
+    The exit code is 4 if replies differ although nothing was changed:
+    another version of egp-service, or other vector instructions.
+
+    For example:
+      egp replay runs/20260101-120000-random/run.mcap
+      egp replay run.mcap --library candidate.safetensors
+      egp replay run.mcap --settings softer.toml
+    where softer.toml holds, for instance:
+      cost.lateral = 20.0
+    """
+    from egp_service.cli import replay_text
+    from egp_service.control.recorded import read_recording
+    from egp_service.control.replay import replay as compute
+
+    console = Console(soft_wrap=True)
+    recorded = read_recording(recording)
+    console.print(replay_text.heading(recording, recorded))
+    file = _library(recorded, library)
+    used = _settings(recorded, settings, other_library=library is not None)
+    result = compute(recorded, file, used)
+    changed = settings is not None or library is not None
+    for line in replay_text.outcome(recorded, result, used, changed=changed):
+        console.print(line)
+    if result.first_different is None:
+        return
+    if pictures:
+        from egp_service.simulation.replay_report import draw_replay
+
+        target = output or recording.with_name(f"{recording.stem}-replay.png")
+        given = {"library": library, "settings": settings}
+        words = [f"{name} {file.name}" for name, file in given.items() if file is not None]
+        draw_replay(result, ", ".join(words) or "this version on this machine", target)
+        console.print(f"Picture: {target}")
+    if not changed:
+        raise typer.Exit(DIFFERENT)
+
+
+def _library(recorded: "Recorded", given: Path | None) -> Path:
+    """Give the library to replay with; without one given, it must be the recorded one."""
+    from hashlib import sha256
+
+    from egp_service import shipped
+    from egp_service.control.recorded import RecordingError
+
+    if given is not None:
+        return given
+    named = recorded.about["library_file"]
+    for file in (*([Path(named)] if named else []), shipped.DEMO_LIBRARY):
+        if file.is_file() and sha256(file.read_bytes()).hexdigest() == recorded.about["library"]:
+            return file
+    raise RecordingError(
+        f"the recorded library {recorded.about['library'][:12]}… is not at "
+        f"{named or 'a known place'} any more: give it, or another one, with --library"
+    )
+
+
+def _settings(
+    recorded: "Recorded", file: Path | None, *, other_library: bool
+) -> "Mapping[str, object]":
+    """Give the settings to replay with: the recorded ones, and over them those of the file.
+
+    With another library, what was not stated comes from that library.
+    """
+    from egp_service.cli.settings_file import read_settings
+
+    base = recorded.stated_settings if other_library else recorded.settings or {}
+    return base if file is None else _over(base, read_settings(file))
+
+
+def _over(base: "Mapping[str, object]", other: "Mapping[str, object]") -> dict[str, object]:
+    merged = dict(base)
+    for key, value in other.items():
+        below = merged.get(key)
+        nested = isinstance(value, dict) and isinstance(below, dict)
+        merged[key] = _over(below, value) if nested else value  # type: ignore[arg-type]
+    return merged

@@ -1,0 +1,16 @@
+"""Packages that only an extra installs."""
+
+from typing import Final
+
+EXTRAS: Final = {
+    "torch": "train",
+    "gpytorch": "train",
+    "botorch": "train",
+    "polars": "train",
+    "scipy": "train",
+    "matplotlib": "viz",
+    "cvxpy": "paper",
+    "osqp": "paper",
+    "ray": "cluster",
+}
+"""Name of each package, with the extra that installs it."""

@@ -1,0 +1,67 @@
+"""Files of settings of the control step."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import TYPE_CHECKING, Final
+
+from egp_service._core import EgpError, check_settings
+from egp_service.cli.settings_text import read_settings_document
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_OF_A_SERVICE: Final = {"library", "replica", "workers", "zenoh", "zenoh_file", "settings"}
+
+
+def read_settings(path: Path) -> dict[str, object]:
+    """Read settings of the control step; `egp settings` lists them.
+
+    Raises:
+        EgpError: naming the file and its line for text that is no TOML, and for settings that do
+            not exist or have the wrong type or value.
+        OSError: if the file cannot be read.
+
+    """
+    text, table = _table(path)
+    if found := sorted(_OF_A_SERVICE & set(table)):
+        raise EgpError(
+            f"{path}: `{found[0]}` belongs to the configuration of a service; give the file with "
+            "`egp serve --config`, or only its table [settings] here"
+        )
+    try:
+        check_settings(text)
+    except EgpError as error:
+        raise EgpError(f"{path}: {error}; `egp settings` lists all settings") from error
+    return table
+
+
+def read_service(path: Path) -> dict[str, object]:
+    """Read the configuration of a service, of which the service checks the rest.
+
+    Raises:
+        EgpError: naming the file for text that is no TOML, and for settings of the control step
+            outside the table `settings`.
+        OSError: if the file cannot be read.
+
+    """
+    _, table = _table(path)
+    if "library" not in table and "settings" not in table:
+        keys = {setting.key.partition(".")[0] for setting in read_settings_document()
+                if setting.section == "Control step"}  # fmt: skip
+        if found := sorted(keys & set(table)):
+            raise EgpError(
+                f"{path}: `{found[0]}` is a setting of the control step, expected the "
+                f"configuration of a service; try `egp serve LIBRARY --settings {path}`"
+            )
+    return table
+
+
+def _table(path: Path) -> tuple[str, dict[str, object]]:
+    try:
+        text = path.read_text(encoding="utf-8")
+        return text, tomllib.loads(text)
+    except UnicodeDecodeError as error:
+        raise EgpError(f"{path}: expected a TOML file, got bytes that are no UTF-8 text") from error
+    except tomllib.TOMLDecodeError as error:
+        raise EgpError(f"{path}: {error}") from error

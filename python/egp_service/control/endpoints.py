@@ -1,0 +1,66 @@
+"""Endpoints of zenoh, checked before they are used."""
+
+from __future__ import annotations
+
+import re
+import socket
+from typing import TYPE_CHECKING, Final
+
+from egp_service._core import EgpError, InvalidArgumentError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_FORM: Final = re.compile(r"[a-z][a-z-]*/.+")
+_TCP: Final = re.compile(r"tcp/\[?(?P<host>[^\]/]*)\]?:(?P<port>\d+)([?#].*)?")
+
+
+def check_endpoints(endpoints: Sequence[str]) -> None:
+    """Check the form `PROTOCOL/ADDRESS`, such as `tcp/127.0.0.1:7447`.
+
+    Raises:
+        InvalidArgumentError: naming the first endpoint of another form.
+
+    """
+    for endpoint in endpoints:
+        if not _FORM.fullmatch(endpoint):
+            address = endpoint.rpartition("/")[2] or "127.0.0.1:7447"
+            raise InvalidArgumentError(
+                f"endpoint {endpoint!r}: expected PROTOCOL/ADDRESS; did you mean 'tcp/{address}'?"
+            )
+
+
+def check_free(endpoints: Sequence[str]) -> None:
+    """Check that a service can listen on the TCP ports among `endpoints`.
+
+    Raises:
+        EgpError: if a port is in use or may not be used, or the host has no such address.
+
+    """
+    check_endpoints(endpoints)
+    for endpoint in endpoints:
+        reason = why_not_free(endpoint)
+        if reason is not None:
+            raise EgpError(
+                f"cannot listen on {endpoint}: {reason}; stop the other program, or choose another "
+                "endpoint with --listen, such as tcp/127.0.0.1:7450"
+            )
+
+
+def why_not_free(endpoint: str) -> str | None:
+    """Say why a service cannot listen on an endpoint; `None` if it can, or if it is not TCP."""
+    found = _TCP.fullmatch(endpoint)
+    if found is None:
+        return None
+    host, port = found["host"], int(found["port"])
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            probe.listen()
+    except (OSError, OverflowError) as error:
+        return (error.strerror if isinstance(error, OSError) else None) or str(error)
+    return None

@@ -1,0 +1,113 @@
+"""Commands that explain: versions, settings, the state of the machine, and errors that help."""
+
+from __future__ import annotations
+
+import re
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from egp_service import Controller, EgpError, Library, Plant, shipped
+from egp_service._core import SETTINGS_DOCUMENT
+from egp_service.cli import app
+from egp_service.cli.checks import run_checks
+from egp_service.cli.settings_text import read_settings_document
+from egp_service.control.endpoints import check_endpoints, why_not_free
+
+if TYPE_CHECKING:
+    from click import Group
+
+RUNNER = CliRunner()
+LIBRARY = str(shipped.DEMO_LIBRARY)
+DOCUMENT = Path(__file__).parents[2] / "docs/settings.md"
+
+
+def failure(*arguments: str) -> str:
+    """Run a command that must fail with an `EgpError`, and return its message."""
+    result = RUNNER.invoke(app, arguments)
+    assert isinstance(result.exception, EgpError), result.output
+    return str(result.exception)
+
+
+def commands() -> list[str]:
+    group: Group = get_command(app)  # type: ignore[assignment]
+    return sorted(group.commands)
+
+
+@pytest.mark.parametrize("name", commands())
+def test_help_fits_80_columns_and_has_an_example(name: str) -> None:
+    text = RUNNER.invoke(app, [name, "--help"], env={"COLUMNS": "80"}).output
+    assert max(len(line) for line in text.splitlines()) <= 80
+    assert f"egp {name}" in text
+
+
+def test_version_and_completion() -> None:
+    assert re.fullmatch(r"egp-service \d+\.\d+\.\d+\n", RUNNER.invoke(app, ["--version"]).output)
+    assert "--install-completion" in RUNNER.invoke(app, ["--help"]).output
+
+
+def test_settings_are_those_of_the_document() -> None:
+    assert DOCUMENT.read_text(encoding="utf-8") == SETTINGS_DOCUMENT
+    listed = list(read_settings_document())
+    rows = re.findall(r"^\| `", SETTINGS_DOCUMENT, re.MULTILINE)
+    assert len(listed) == len(rows)
+    assert not [s for s in listed if re.search(r"[$`\\]", s.default + s.unit + s.meaning)]
+    lateral = next(setting for setting in listed if setting.key == "cost.lateral")
+    assert (lateral.section, lateral.default, lateral.unit) == ("Control step", "60.0", "1/m²")
+    shown = RUNNER.invoke(app, ["settings", "cost", "lateral"], env={"COLUMNS": "80"}).output
+    assert "cost.lateral" in shown
+    assert "cost.v_x" not in shown
+    assert "no setting has 'nonsense'" in failure("settings", "nonsense")
+
+
+def test_the_doctor_checks_machine_and_library(tmp_path: Path) -> None:
+    checks = {check.name: check for check in run_checks()}
+    assert checks["library"].verdict == checks["zenoh"].verdict == "ok"
+    assert "solved" in checks["control step"].found
+    broken = tmp_path / "broken.safetensors"
+    data = bytearray(Path(LIBRARY).read_bytes())
+    data[-100] ^= 1
+    broken.write_bytes(data)
+    assert run_checks(broken)[-1].verdict == "fail"
+    assert RUNNER.invoke(app, ["doctor", str(broken)]).exit_code == 1
+
+
+def test_a_port_in_use_and_a_wrong_endpoint_are_named() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        message = failure("serve", LIBRARY, "--listen", endpoint)
+        assert f"cannot listen on {endpoint}: Address already in use" in message
+        assert failure("map", "--listen", endpoint) == message
+    assert why_not_free(endpoint) is None
+    assert "did you mean 'tcp/127.0.0.1:7447'" in failure("drive", "--connect", "127.0.0.1:7447")
+    check_endpoints(["tcp/127.0.0.1:7447", "tls/[::1]:7447", "unixsock-stream//tmp/socket"])
+
+
+def test_files_of_another_kind_are_named(tmp_path: Path) -> None:
+    settings, log = tmp_path / "soft.toml", tmp_path / "log.csv"
+    settings.write_text("[cost]\nlaterall = 20.0\n")
+    assert f"{settings}: " in failure("serve", LIBRARY, "--settings", str(settings))
+    assert "line 2" in failure("serve", LIBRARY, "--settings", str(settings))
+    assert f"--settings {settings}" in failure("serve", "--config", str(settings))
+    settings.write_text('library = "a"\n')
+    assert "`egp serve --config`" in failure("serve", LIBRARY, "--settings", str(settings))
+    with pytest.raises(EgpError, match="got the path"):
+        Controller(LIBRARY, str(settings), gate=Plant().parameters.gate_limits())
+    log.write_text("t,v\n0,1\n0.02,1\n")
+    assert "`egp collect --from-csv`" in failure("train", str(log), "-o", str(tmp_path / "l"))
+    missing = failure(
+        *("collect", "-o", str(log), "--friction", "0.5", "--from-csv", str(log)),
+        *("--column", "time=t:s"),
+    )
+    assert "no column is named for v_x, v_y, omega, delta, F_x or a_x" in missing
+    assert "log.csv has the columns t, v" in missing
+    parquet = tmp_path / "data.parquet"
+    parquet.write_bytes(b"PAR1" + bytes(100))
+    with pytest.raises(EgpError, match=r"this is a Parquet file.*egp train"):
+        Library.load(parquet)
