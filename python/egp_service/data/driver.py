@@ -1,8 +1,8 @@
 """A driver for data collection that follows a reference up to the tyres' limit.
 
 Steering is pure pursuit with yaw-rate feedback, speed control is feed-forward plus proportional,
-and both inputs have coloured noise. The driver uses the friction for the range of accelerations only,
-and loses control beyond the limit, which the data should contain.
+and both inputs have coloured noise. The driver uses the friction for the range of accelerations
+only, and loses control beyond the limit, which the data should contain.
 """
 
 from __future__ import annotations
