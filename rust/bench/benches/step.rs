@@ -15,6 +15,7 @@ use egp_core::ocp::{self, Road, Setup, soft_rows};
 use egp_core::settings::SolverKind;
 use egp_core::solver::{ClarabelSolver, RiccatiSolver, solve_checked};
 use egp_core::trajectory::Guess;
+use egp_core::vehicle::TyreLimits;
 use egp_core::weights::{WeightEstimator, WindowNoise};
 use egp_core::{
     Ensemble, Input, Kernel, Library, OcpQp, OcpSolution, QpSolver, Settings, State, StepReply,
@@ -182,10 +183,15 @@ fn phases(c: &mut Criterion, library: &Library) {
         .iter()
         .map(|r| State::from([r[0], r[1], r[2], r[3], 0.0, 0.0, 0.0]))
         .collect();
+    let tyres = TyreLimits {
+        slip: 0.96,
+        drive: 6.0,
+        brake: 8.0,
+    };
     let road = Road {
         x: &targets,
         widths: &[[3.0; 2]; 21],
-        slips: &[0.96; 21],
+        tyres: &[tyres; 21],
     };
     let vehicle = settings.vehicle(library.vehicle());
     let setup = Setup {

@@ -5,7 +5,7 @@ use egp_parameters::VehicleParameters;
 use super::data::MemberData;
 use crate::gp::{Gp, Horizon, Hyperparameters, SingularCovariance};
 use crate::scaler::Scaler;
-use crate::vehicle::VehicleModel;
+use crate::vehicle::{TyreLimits, VehicleModel};
 use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
 
 /// The vehicle and the GPs of one surface: physical units outside, the z-scored space inside. Without a vehicle the GPs
@@ -78,6 +78,20 @@ impl Member {
         match &self.vehicle {
             Some(VehicleModel::SingleTrack(fitted)) => fitted.peak_slip(),
             Some(VehicleModel::Kinematic(_)) | None => vehicle.peak_slip * self.friction,
+        }
+    }
+
+    /// What the tyres transmit on this surface, for the bounds of the OCP: those of the fitted vehicle. A member without a
+    /// single-track vehicle has [`Self::peak_slip`] and the largest accelerations of `vehicle`.
+    pub fn tyre_limits(&self, vehicle: &VehicleParameters) -> TyreLimits {
+        let [drive, brake] = match &self.vehicle {
+            Some(VehicleModel::SingleTrack(fitted)) => fitted.largest_accelerations(),
+            Some(VehicleModel::Kinematic(_)) | None => [vehicle.a_max, -vehicle.a_min],
+        };
+        TyreLimits {
+            slip: self.peak_slip(vehicle),
+            drive,
+            brake,
         }
     }
 

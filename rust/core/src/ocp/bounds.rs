@@ -4,7 +4,7 @@ use egp_parameters::VehicleParameters;
 
 use crate::qp::{MAX_SOFT, OcpQp, SoftRow};
 use crate::settings::{Penalty, Soft};
-use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, SLOWEST, V_X, V_Y};
+use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, SLOWEST, TyreLimits, V_X, V_Y};
 use crate::{Input, NU, State};
 
 /// Share of a slew step by which a bound that cannot be met yet is opened beyond the reachable input, because
@@ -37,14 +37,25 @@ pub(super) fn penalties(soft: &Soft) -> [Penalty; MAX_SOFT] {
 /// rising speed. Each bound is therefore opened, stage by stage, just enough to contain a reachable input. Some input
 /// sequence thus satisfies all bounds for every applied input, and the inputs return to the original bounds as fast as
 /// the slew limit allows.
-pub(super) fn hard(vehicle: &VehicleParameters, dt: f64, operating: &[State], qp: &mut OcpQp) {
+///
+/// A force that spins or locks the wheels adds no acceleration, and such wheels do not steer. A plan that is linearised where
+/// the acceleration has saturated has no reason to avoid it, so the force is bounded by what the tyres transmit.
+pub(super) fn hard(
+    vehicle: &VehicleParameters,
+    dt: f64,
+    operating: &[State],
+    tyres: &[TyreLimits],
+    qp: &mut OcpQp,
+) {
     let slew = Input::new(vehicle.a_slew * dt, vehicle.steering_slew * dt);
     let (mut low, mut high) = (qp.u_prev, qp.u_prev);
-    for (stage, x) in qp.stages_mut().iter_mut().zip(operating) {
+    let road = operating.iter().zip(tyres);
+    for (stage, (x, tyres)) in qp.stages_mut().iter_mut().zip(road) {
         let drive = vehicle
             .a_max
-            .min(vehicle.power / x[V_X].max(f64::MIN_POSITIVE));
-        stage.u_min = Input::new(vehicle.a_min, -vehicle.steering_rate);
+            .min(vehicle.power / x[V_X].max(f64::MIN_POSITIVE))
+            .min(tyres.drive);
+        stage.u_min = Input::new(vehicle.a_min.max(-tyres.brake), -vehicle.steering_rate);
         stage.u_max = Input::new(drive, vehicle.steering_rate);
         stage.du_min = -slew;
         stage.du_max = slew;
@@ -139,7 +150,12 @@ mod tests {
                 let operating: Vec<State> = (0..21)
                     .map(|t| State::ith(V_X, 2.0 + 3.0 * f64::from(t)))
                     .collect();
-                hard(&car, dt, &operating, &mut qp);
+                let tyres = [TyreLimits {
+                    slip: 0.1,
+                    drive: 1.0,
+                    brake: 2.0,
+                }; 21];
+                hard(&car, dt, &operating, &tyres, &mut qp);
                 let (mut low, mut high) = (qp.u_prev, qp.u_prev);
                 for stage in qp.stages() {
                     for i in 0..NU {

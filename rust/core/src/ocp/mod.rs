@@ -11,21 +11,21 @@ use egp_parameters::VehicleParameters;
 
 use crate::linearisation::Linearisation;
 use crate::qp::OcpQp;
-use crate::vehicle::FORCE;
+use crate::vehicle::{FORCE, TyreLimits};
 use crate::{Input, Settings, State};
 
 pub use bounds::soft_rows;
 pub use caution::{Caution, Disturbance};
 
-/// Reference, track edges and bounds on slip along the horizon, in the vehicle's frame, rows `0..=T`.
+/// Reference, track edges and what the tyres transmit along the horizon, in the vehicle's frame, rows `0..=T`.
 #[derive(Debug, Clone, Copy)]
 pub struct Road<'a> {
     /// Reference states: `[p_x, p_y, v_x, psi]` at their indices of a state, other entries zero.
     pub x: &'a [State],
     /// Distances `[left, right]` in m from the reference point to the track edges; empty if unknown.
     pub widths: &'a [[f64; 2]],
-    /// Largest slip angles of the front tyres in rad, those of the peaks of their force.
-    pub slips: &'a [f64],
+    /// What the tyres transmit.
+    pub tyres: &'a [TyreLimits],
 }
 
 /// What all problems of one library and settings have in common.
@@ -73,12 +73,12 @@ pub fn assemble(
         bounds::soft(
             &settings.soft,
             vehicle,
-            road.slips[t + 1],
+            road.tyres[t + 1].slip,
             &dynamics.x[t + 1],
             target,
             road.widths.get(t + 1),
             &mut stage.soft,
         );
     }
-    bounds::hard(vehicle, dt, &dynamics.x, qp);
+    bounds::hard(vehicle, dt, &dynamics.x, road.tyres, qp);
 }

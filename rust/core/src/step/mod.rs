@@ -17,7 +17,7 @@ use validate::Rows;
 use crate::executor::for_each;
 use crate::ocp::{self, Road, Setup};
 use crate::solver::{Status, solve_with_fallback};
-use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, V_X, wrap};
+use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, TyreLimits, V_X, wrap};
 use crate::{Ensemble, GpInput, Input, Library, Member, NY, Settings, State};
 
 /// One control step: weights, eq. (6); linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
@@ -61,14 +61,16 @@ pub fn step(
         &settings.operating,
         edges,
     );
-    for (t, slip) in ws.stage_slips.iter_mut().enumerate() {
-        let members = ws.slips.iter().zip(ws.stages.stage(t));
-        *slip = members.map(|(slip, weight)| slip * weight).sum();
+    for (t, blend) in ws.stage_tyres.iter_mut().enumerate() {
+        *blend = TyreLimits::default();
+        for (limits, weight) in ws.tyres.iter().zip(ws.stages.stage(t)) {
+            *blend += *limits * *weight;
+        }
     }
     let road = Road {
         x: &ws.reference,
         widths: rows.widths,
-        slips: &ws.stage_slips,
+        tyres: &ws.stage_tyres,
     };
     let setup = Setup {
         settings,

@@ -15,6 +15,7 @@ use crate::qp::{OcpQp, OcpSolution};
 use crate::settings::SettingsError;
 use crate::solver::{self, QpSolver, SolverSetupError};
 use crate::trajectory::Guess;
+use crate::vehicle::TyreLimits;
 use crate::weights::{WeightEstimator, WindowNoise};
 use crate::{Input, Library, Member, Settings, State};
 
@@ -35,16 +36,16 @@ pub struct Workspace {
     settings: Settings,
     /// The vehicle to control.
     pub(super) vehicle: VehicleParameters,
-    /// Bound on the front tyres' slip angle on each member's surface, rad.
-    pub(super) slips: Vec<f64>,
+    /// What the tyres transmit on each member's surface.
+    pub(super) tyres: Vec<TyreLimits>,
     pub(super) noise: WindowNoise,
     pub(super) estimator: WeightEstimator,
     pub(super) friction: FrictionEstimator,
     pub(super) previous: Vec<f64>,
     /// Weights of the active members at each stage.
     pub(super) stages: StageWeights,
-    /// Bound on the front tyres' slip angle at each stage, rad.
-    pub(super) stage_slips: Vec<f64>,
+    /// What they transmit at each stage.
+    pub(super) stage_tyres: Vec<TyreLimits>,
     pub(super) reference: Vec<State>,
     pub(super) guess: Guess,
     pub(super) dynamics: Linearisation,
@@ -71,22 +72,26 @@ impl Workspace {
         let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
         let solvers = solver::solvers(&qp, &settings.solver)?;
         let vehicle = settings.vehicle(library.vehicle());
-        let slip = |member: &Member| match settings.soft.slip {
-            Some(slip) => slip * member.friction(),
-            None => member.peak_slip(&vehicle),
+        let limits = |member: &Member| {
+            let limits = member.tyre_limits(&vehicle);
+            let stated = settings.soft.slip.map(|slip| slip * member.friction());
+            TyreLimits {
+                slip: stated.unwrap_or(limits.slip),
+                ..limits
+            }
         };
-        let slips = library.members().iter().map(slip).collect();
+        let tyres = library.members().iter().map(limits).collect();
         Ok(Self {
             library: library.id(),
             settings: settings.clone(),
             vehicle,
-            slips,
+            tyres,
             noise: WindowNoise::of(library, &settings.weights),
             estimator: WeightEstimator::new(n, settings.weights.window(dt)),
             friction: FrictionEstimator::new(library, &settings.weights),
             previous: vec![0.0; n],
             stages: StageWeights::new(library.members(), horizon),
-            stage_slips: vec![0.0; horizon + 1],
+            stage_tyres: vec![TyreLimits::default(); horizon + 1],
             reference: vec![State::zeros(); horizon + 1],
             guess: Guess::new(horizon),
             dynamics: Linearisation::new(horizon),

@@ -6,12 +6,14 @@ mod kinematic;
 mod kinematics;
 mod model;
 mod single_track;
+mod tyre_limits;
 
 pub use frame::{Frame, wrap};
 pub use kinematic::{KINEMATIC_PARAMETERS, Kinematic};
 pub use kinematics::{gp_input, jacobians, successor};
 pub use model::{ModelParameters, VehicleModel};
 pub use single_track::{LARGEST_PEAK_SLIP, SINGLE_TRACK_PARAMETERS, SLOWEST, SingleTrack};
+pub use tyre_limits::TyreLimits;
 
 /// Index of `p_x` in the state, m.
 pub const P_X: usize = 0;

@@ -147,6 +147,25 @@ fn a_fitted_vehicle_has_a_peak_slip_of_its_own_and_other_members_that_of_their_f
 }
 
 #[test]
+fn the_force_is_limited_by_the_fitted_tyres_or_by_the_vehicle() {
+    let bytes = encode(&with_vehicle_alone(SINGLE_TRACK)).unwrap();
+    let library = Library::from_bytes(&bytes).unwrap();
+    let car = VehicleParameters::FORD_ESCORT;
+    let limits: Vec<_> = library
+        .members()
+        .iter()
+        .map(|m| m.tyre_limits(&car))
+        .collect();
+    let ModelParameters::SingleTrack(fitted) = SINGLE_TRACK else {
+        unreachable!();
+    };
+    let [drive, brake] = [fitted[5], fitted[6]].map(|grip| 1.5 * 9.81 * grip);
+    assert!((limits[0].drive - drive).abs() < 1e-12, "{limits:?}");
+    assert!((limits[0].brake - brake).abs() < 1e-12, "{limits:?}");
+    assert_eq!((limits[1].drive, limits[1].brake), (car.a_max, -car.a_min));
+}
+
+#[test]
 fn a_member_without_points_needs_a_vehicle_and_points_need_a_prior_variance() {
     let mut spec = with_vehicle_alone(KINEMATIC);
     spec.members[0].outputscale[1] = -1.0;

@@ -1,0 +1,34 @@
+//! What the tyres transmit.
+
+use std::ops::{AddAssign, Mul};
+
+/// Limits beyond which the tyres of one surface, or of a blend of surfaces, transmit no more.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct TyreLimits {
+    /// Slip angle of the front tyres at the peak of their force, rad.
+    pub slip: f64,
+    /// Largest acceleration `F_x / m` under drive, m/s².
+    pub drive: f64,
+    /// Largest deceleration `-F_x / m` under braking, m/s².
+    pub brake: f64,
+}
+
+impl Mul<f64> for TyreLimits {
+    type Output = Self;
+
+    fn mul(self, factor: f64) -> Self {
+        Self {
+            slip: self.slip * factor,
+            drive: self.drive * factor,
+            brake: self.brake * factor,
+        }
+    }
+}
+
+impl AddAssign for TyreLimits {
+    fn add_assign(&mut self, other: Self) {
+        self.slip += other.slip;
+        self.drive += other.drive;
+        self.brake += other.brake;
+    }
+}
