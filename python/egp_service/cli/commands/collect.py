@@ -23,7 +23,10 @@ def collect(
     dt: Annotated[float, typer.Option(help="Control period, s.")] = 0.02,
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     vehicle: Annotated[
-        str, typer.Option(help="CommonRoad number of the simulated car; for a log, the car's name.")
+        str,
+        typer.Option(
+            help="CommonRoad number of the simulated car; for a log, the car's name or TOML file."
+        ),
     ] = "1",
     runs: Annotated[int, typer.Option(help="Number of runs on tracks, at increasing speed.")] = 6,
     samples: Annotated[int, typer.Option(help="Number of cars that start in random states.")] = 300,
@@ -81,6 +84,7 @@ def collect(
     from egp_service.data.csv_import import Column, import_csv
     from egp_service.data.dataset import Provenance
     from egp_service.data.experiment import Experiment, parse_surface, tool
+    from egp_service.vehicle import read_vehicle
 
     console = Console()
     road = parse_surface(friction)
@@ -93,6 +97,9 @@ def collect(
             if not equals:
                 raise EgpError(f"--column {text}: expected QUANTITY=COLUMN:UNIT")
             columns[quantity] = Column.parse(rest)
+        if vehicle.endswith(".toml"):
+            car = read_vehicle(Path(vehicle))
+            mass, vehicle = mass or car.mass, Path(vehicle).stem
         provenance = Provenance(dt, vehicle, label, mu, seed, f"log {from_csv.name}", tool())
         dataset = import_csv(
             from_csv,
