@@ -167,6 +167,8 @@ class Scenario:
     """`demo` for the shipped library, or a path relative to the scenario file."""
     vehicle: int = 1
     """CommonRoad number of the simulated vehicle."""
+    plant: str | None = None
+    """`module:Class` of a simulator that is driven in place of the built-in vehicle."""
     vehicle_file: str | None = None
     """TOML file of a vehicle's parameters for gate and speeds, in place of those of the simulated
     vehicle; relative to the scenario file."""
@@ -306,6 +308,12 @@ def _check(scenario: Scenario, origin: str) -> None:
                 surface_friction(side)
         except EgpError as error:
             raise ScenarioError(f"{origin}: zones[{i}]: {error}") from error
+    _check_plant(scenario, origin)
+
+
+def _check_plant(scenario: Scenario, origin: str) -> None:
+    if scenario.plant is not None and scenario.disturbances != Disturbances():
+        raise ScenarioError(f"{origin}: disturbances have no effect on plant {scenario.plant!r}")
     try:
         Plant(scenario.vehicle, asdict(scenario.disturbances))
     except EgpError as error:
