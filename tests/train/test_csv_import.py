@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import log_faults
 import numpy as np
 import polars as pl
 import pytest
@@ -147,7 +148,7 @@ def test_names_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(EgpError, match="mass in kg"):
         import_csv(path, columns, provenance())
     path.write_text("t,speed\n1,fast\n")
-    with pytest.raises(EgpError, match="holds text"):
+    with pytest.raises(EgpError, match="column 'speed', row 0 holds 'fast'"):
         import_csv(
             path,
             {
@@ -241,3 +242,41 @@ def test_the_steering_wheels_angle_is_divided_by_its_ratio(tmp_path: Path) -> No
     np.testing.assert_allclose(found.z, expected.z, rtol=1e-9, atol=1e-12)
     with pytest.raises(EgpError, match="positive --steering-ratio"):
         import_csv(tmp_path / "wheel.csv", columns, provenance(), mass=MASS, steering_ratio=0.0)
+
+
+def test_spreadsheets_of_other_countries(tmp_path: Path) -> None:
+    _write(tmp_path / "drive.csv", _log())
+    text = (tmp_path / "drive.csv").read_text()
+    other = "\ufeff" + text.replace(",", ";").replace(".", ",")
+    (tmp_path / "comma.csv").write_text(other, encoding="utf-8")
+    np.testing.assert_array_equal(
+        _import(tmp_path / "comma.csv").z, _import(tmp_path / "drive.csv").z
+    )
+    (tmp_path / "tabs.csv").write_text(text.replace(",", "\t"))
+    np.testing.assert_array_equal(
+        _import(tmp_path / "tabs.csv").z, _import(tmp_path / "drive.csv").z
+    )
+
+
+def test_a_bad_cell_is_named(tmp_path: Path) -> None:
+    _write(tmp_path / "drive.csv", _log())
+    lines = (tmp_path / "drive.csv").read_text().splitlines()
+    for content, found in (("n/a", "holds 'n/a'"), ("", "is empty"), ("inf", "holds")):
+        cells = lines[7].split(",")
+        cells[1] = content
+        changed = [*lines[:7], ",".join(cells), *lines[8:]]
+        (tmp_path / "bad.csv").write_text("\n".join(changed))
+        with pytest.raises(EgpError, match=f"column 'speed', row 6 {found}"):
+            _import(tmp_path / "bad.csv")
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_mistakes_are_found_in_a_drive_and_none_in_sound_ones(tmp_path: Path, seed: int) -> None:
+    # `python tests/train/log_faults.py` imports 40 logs of each kind.
+    rng = np.random.default_rng(seed)
+    log = log_faults.drive(seed)
+    for sound in (log, log_faults.noisy(log, rng)):
+        assert log_faults.verdict(sound, tmp_path) is None
+    kinds = log_faults.FAULTS.items()
+    accepted = [kind for kind, do in kinds if log_faults.verdict(do(log, rng), tmp_path) is None]
+    assert set(accepted) <= {"m/s read as km/h"}
