@@ -9,16 +9,19 @@ import numpy as np
 import polars as pl
 import pytest
 from surfaces import provenance
+from typer.testing import CliRunner
 
 from egp_service import EgpError
+from egp_service.cli import app
+from egp_service.data.coverage import Coverage
 from egp_service.data.csv_import import Column, import_csv
+from egp_service.data.dataset import Dataset
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from egp_service.data.dataset import Dataset
 
 MASS = 1400.0
 COLUMNS = {
@@ -280,3 +283,27 @@ def test_mistakes_are_found_in_a_drive_and_none_in_sound_ones(tmp_path: Path, se
     kinds = log_faults.FAULTS.items()
     accepted = [kind for kind, do in kinds if log_faults.verdict(do(log, rng), tmp_path) is None]
     assert set(accepted) <= {"m/s read as km/h"}
+
+
+def test_several_logs_and_what_they_cover(tmp_path: Path) -> None:
+    arguments = ["collect", "--friction", "0.5", "--dt", "0.05", "--mass", str(MASS)]
+    for name, seconds in (("a.csv", 30.0), ("b.csv", 20.0)):
+        _write(tmp_path / name, _log(seconds=seconds))
+        arguments += ["--from-csv", str(tmp_path / name)]
+    for quantity, column in COLUMNS.items():
+        arguments += ["--column", f"{quantity}={column}"]
+    output, picture = tmp_path / "data.parquet", tmp_path / "covered.png"
+    command = [*arguments, "-o", str(output), "--picture", str(picture)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    data = Dataset.read(output)
+    covered = Coverage.of(data)
+    assert covered.time.sum() == pytest.approx(covered.seconds) == pytest.approx(0.05 * len(data))
+    # Speeds are 12 to 18 m/s, the yaw rate reaches 0.3 rad/s: at most 5.4 m/s².
+    assert covered.time[[2, 3]].sum() == pytest.approx(covered.seconds)
+    assert covered.time[:, 5:].sum() == 0.0
+    assert f"{covered.seconds:.0f} s in 5 pieces" in result.output
+    assert picture.stat().st_size > 10_000
+    (tmp_path / "b.csv").write_text("t,speed\n")
+    refused = CliRunner().invoke(app, command)
+    assert "b.csv" in str(refused.exception)
