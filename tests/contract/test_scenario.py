@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from egp_service import EgpError
+from egp_service import EgpError, VehicleParameters
 from egp_service._core import Plant
 from egp_service.simulation.configuration import ConfigurationError
 from egp_service.simulation.course import build_path, build_profile
@@ -17,6 +17,7 @@ from egp_service.simulation.scenario import (
     Scenario,
     ScenarioError,
     built_in_names,
+    gate_settings,
     load_scenario,
     parse_scenario,
 )
@@ -150,3 +151,34 @@ def test_the_seed_of_a_track_is_a_whole_number(seed: str) -> None:
     text = text.replace("[[zones]]", f"parameters = {{seed = {seed}}}\n[[zones]]")
     with pytest.raises(ScenarioError, match=r"track.parameters.seed must be a whole number"):
         build_path(parse(text))
+
+
+def test_zones_in_metres_and_from_a_file_are_those_in_fractions(tmp_path: Path) -> None:
+    path = build_path(parse(MINIMAL))
+    head = MINIMAL.partition("[[zones]]")[0]
+    fractions = parse(MINIMAL + "[[zones]]\nstart = 0.25\nfriction = 0.5\nright = 0.3\n")
+    (tmp_path / "zones.csv").write_text(
+        f"\ufeff# made by hand\nstart;friction;right\n0;0,8;\n{0.25 * path.length};0,5;0,3\n",
+        encoding="utf-8",
+    )
+    text = 'zones_in_metres = true\nzones_file = "zones.csv"\n' + head
+    metres = parse_scenario(text, tmp_path, "mine.toml")
+    s = np.linspace(0.0, path.length, 500)
+    np.testing.assert_array_equal(
+        build_path(metres).sample(s)[-1], build_path(fractions).sample(s)[-1]
+    )
+    # The file is no longer needed by the resolved scenario.
+    assert parse(metres.toml()) == metres
+    (tmp_path / "zones.csv").write_text("start,friction\n0.0,0.8\n10.0,slippery\n")
+    with pytest.raises(ConfigurationError, match=r"zones.csv: line 3: friction .* 'slippery'"):
+        parse_scenario(text, tmp_path, "mine.toml")
+
+
+def test_the_file_of_a_vehicle_gives_gate_and_speeds(tmp_path: Path) -> None:
+    car = VehicleParameters.commonroad(1).fields() | {"a_max": 2.0, "lateral_grip": 0.44}
+    (tmp_path / "car.toml").write_text("".join(f"{key} = {car[key]}\n" for key in car))
+    plain = parse(MINIMAL)
+    own = parse_scenario('vehicle_file = "car.toml"\n' + MINIMAL, tmp_path, "mine.toml")
+    assert gate_settings(own)["force_max"] == pytest.approx(2.0 * car["mass"])
+    times = [build_profile(each, build_path(each)).lap_time for each in (plain, own)]
+    assert times[1] > 1.2 * times[0]

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import log_faults
 import numpy as np
 import polars as pl
 import pytest
 from surfaces import provenance
+from typer.testing import CliRunner
 
 from egp_service import EgpError
+from egp_service.cli import app
+from egp_service.data.coverage import Coverage
 from egp_service.data.csv_import import Column, import_csv
+from egp_service.data.dataset import Dataset
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from egp_service.data.dataset import Dataset
 
 MASS = 1400.0
 COLUMNS = {
@@ -156,7 +160,7 @@ def test_names_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(EgpError, match="mass in kg"):
         import_csv(path, columns, provenance())
     path.write_text("t,speed\n1,fast\n")
-    with pytest.raises(EgpError, match="holds text"):
+    with pytest.raises(EgpError, match="column 'speed', row 0 holds 'fast'"):
         import_csv(
             path,
             {
@@ -250,3 +254,65 @@ def test_the_steering_wheels_angle_is_divided_by_its_ratio(tmp_path: Path) -> No
     np.testing.assert_allclose(found.z, expected.z, rtol=1e-9, atol=1e-12)
     with pytest.raises(EgpError, match="positive --steering-ratio"):
         import_csv(tmp_path / "wheel.csv", columns, provenance(), mass=MASS, steering_ratio=0.0)
+
+
+def test_spreadsheets_of_other_countries(tmp_path: Path) -> None:
+    _write(tmp_path / "drive.csv", _log())
+    text = (tmp_path / "drive.csv").read_text()
+    other = "\ufeff" + text.replace(",", ";").replace(".", ",")
+    (tmp_path / "comma.csv").write_text(other, encoding="utf-8")
+    np.testing.assert_array_equal(
+        _import(tmp_path / "comma.csv").z, _import(tmp_path / "drive.csv").z
+    )
+    (tmp_path / "tabs.csv").write_text(text.replace(",", "\t"))
+    np.testing.assert_array_equal(
+        _import(tmp_path / "tabs.csv").z, _import(tmp_path / "drive.csv").z
+    )
+
+
+def test_a_bad_cell_is_named(tmp_path: Path) -> None:
+    _write(tmp_path / "drive.csv", _log())
+    lines = (tmp_path / "drive.csv").read_text().splitlines()
+    for content, found in (("n/a", "holds 'n/a'"), ("", "is empty"), ("inf", "holds")):
+        cells = lines[7].split(",")
+        cells[1] = content
+        changed = [*lines[:7], ",".join(cells), *lines[8:]]
+        (tmp_path / "bad.csv").write_text("\n".join(changed))
+        with pytest.raises(EgpError, match=f"column 'speed', row 6 {found}"):
+            _import(tmp_path / "bad.csv")
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_mistakes_are_found_in_a_drive_and_none_in_sound_ones(tmp_path: Path, seed: int) -> None:
+    # `python tests/train/log_faults.py` imports 40 logs of each kind.
+    rng = np.random.default_rng(seed)
+    log = log_faults.drive(seed)
+    for sound in (log, log_faults.noisy(log, rng)):
+        assert log_faults.verdict(sound, tmp_path) is None
+    kinds = log_faults.FAULTS.items()
+    accepted = [kind for kind, do in kinds if log_faults.verdict(do(log, rng), tmp_path) is None]
+    assert set(accepted) <= {"m/s read as km/h"}
+
+
+def test_several_logs_and_what_they_cover(tmp_path: Path) -> None:
+    arguments = ["collect", "--friction", "0.5", "--dt", "0.05", "--mass", str(MASS)]
+    for name, seconds in (("a.csv", 30.0), ("b.csv", 20.0)):
+        _write(tmp_path / name, _log(seconds=seconds))
+        arguments += ["--from-csv", str(tmp_path / name)]
+    for quantity, column in COLUMNS.items():
+        arguments += ["--column", f"{quantity}={column}"]
+    output, picture = tmp_path / "data.parquet", tmp_path / "covered.png"
+    command = [*arguments, "-o", str(output), "--picture", str(picture)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    data = Dataset.read(output)
+    covered = Coverage.of(data)
+    assert covered.time.sum() == pytest.approx(covered.seconds) == pytest.approx(0.05 * len(data))
+    # Speeds are 12 to 18 m/s, the yaw rate reaches 0.3 rad/s: at most 5.4 m/s².
+    assert covered.time[[2, 3]].sum() == pytest.approx(covered.seconds)
+    assert covered.time[:, 5:].sum() == 0.0
+    assert f"{covered.seconds:.0f} s in 5 pieces" in result.output
+    assert picture.stat().st_size > 10_000
+    (tmp_path / "b.csv").write_text("t,speed\n")
+    refused = CliRunner().invoke(app, command)
+    assert "b.csv" in str(refused.exception)

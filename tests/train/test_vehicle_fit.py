@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from surfaces import TOY, provenance
+from typer.testing import CliRunner
 
 from egp_service import EgpError
 from egp_service._core import VehicleParameters
+from egp_service.cli import app
 from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
 from egp_service.training.vehicle_fit import autocorrelation, fit_vehicle, priors
+from egp_service.vehicle import read_vehicle
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -120,3 +125,38 @@ def test_repeated_errors_count_once() -> None:
     np.testing.assert_allclose(autocorrelation(independent, data), 0.0, atol=0.2)
     alone = drive(DRY, WHOLE, 0.0, 0)
     np.testing.assert_array_equal(autocorrelation(independent, alone), 0.0)
+
+
+def test_the_file_of_a_vehicle_from_logs(tmp_path: Path) -> None:
+    paths = []
+    for name, vehicle, seed in (("dry", DRY, 0), ("ice", ICE, 1)):
+        data = drive(vehicle, WHOLE, 0.003, seed)
+        friction = {"dry": 0.9, "ice": 0.1}[name]
+        origin = dataclasses.replace(data.provenance, surface=name, friction=friction)
+        paths.append(str(tmp_path / f"{name}.parquet"))
+        dataclasses.replace(data, provenance=origin).write(Path(paths[-1]))
+    file = tmp_path / "vehicle.toml"
+    result = CliRunner().invoke(app, ["vehicle", "fit", *paths, "-o", str(file), "--width", "1.7"])
+    assert result.exit_code == 0, result.output
+    found = read_vehicle(file)
+    # Without a prior the mass is told by the tyres' forces alone.
+    assert found.width == 1.7
+    lines = dict(re.findall(r"^(\w+) = .*?# (.*)$", file.read_text(), re.MULTILINE))
+    assert lines.keys() == TOY.fields().keys()
+    interval = [
+        float(end) for end in re.findall(r"interval ([\d.]+) to ([\d.]+)", lines["mass"])[0]
+    ]
+    assert interval[0] < found.mass < interval[1]
+    assert "CHECK" in lines["steering_angle"]
+    # The steering angle of the data is uniform up to 0.1 rad.
+    assert found.steering_angle == pytest.approx(0.1, rel=0.02)
+    assert found.a_max == pytest.approx(6000.0 / found.mass, rel=0.02)
+    # With what is known, limits are kept and the body stays close to it.
+    known = tmp_path / "known.toml"
+    known.write_text("".join(f"{name} = {value}\n" for name, value in TOY.fields().items()))
+    command = ["vehicle", "fit", *paths, "-o", str(file), "--known", str(known)]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    again = read_vehicle(file)
+    assert (again.steering_angle, again.width) == (TOY.steering_angle, TOY.width)
+    assert again.mass == pytest.approx(TOY.mass, rel=0.03)
+    assert again.lateral_grip == pytest.approx(min(0.8 / 0.9, 1.0), rel=0.15)

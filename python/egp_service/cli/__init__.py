@@ -24,6 +24,7 @@ from egp_service.cli.commands.replay import replay
 from egp_service.cli.commands.serve import serve
 from egp_service.cli.commands.settings import settings
 from egp_service.cli.commands.train import train
+from egp_service.cli.commands.vehicle import vehicle
 from egp_service.cli.extras import EXTRAS
 
 HELP = """
@@ -36,6 +37,7 @@ From data to driving:
   egp collect --friction 0.5 -o data/wet.parquet
   egp collect --friction 1.1 -o data/dry.parquet
   egp train data/*.parquet -o library.safetensors
+  egp vehicle fit data/*.parquet    (a car of your own)
   egp inspect library.safetensors
   egp drive --library library.safetensors
 
@@ -67,6 +69,7 @@ app = typer.Typer(
 for command in (collect, train, inspect, serve, drive, replay, demo, evaluate, settings, doctor):
     app.command(no_args_is_help=False)(command)
 app.command("map")(keep_map)
+app.add_typer(vehicle, name="vehicle")
 app.command("load", context_settings=PASS_ON)(load)
 
 

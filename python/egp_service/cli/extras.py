@@ -6,7 +6,7 @@ EXTRAS: Final = {
     "torch": "train",
     "gpytorch": "train",
     "botorch": "train",
-    "polars": "train",
+    "polars": "data",
     "scipy": "train",
     "matplotlib": "viz",
     "cvxpy": "paper",

@@ -42,7 +42,20 @@ class Timings:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Step:
-    """One control period: the command, its origin, and the messages that were exchanged."""
+    """One control period: the command, its origin, and the messages that were exchanged.
+
+    States are `[p_x, p_y, v_x, psi, v_y, omega, delta]` of the centre of mass: position in m in the
+    map's frame, speeds ahead and to the left in m/s, yaw in rad counter-clockwise from the map's x
+    axis, yaw rate in rad/s, steering angle of the front wheels in rad. Inputs are
+    `[F_x, delta_dot]` in N and rad/s.
+
+    - `u` (2,): the command for the actuators; `mode`, `limited`, `status`, `detail`: its origin.
+    - `plan_x` (T+1, 7), `plan_u` (T, 2), `sigma` (T+1, 3): the new plan, if there is one.
+    - `weights` (N,), `friction`: the members' weights and the posterior of the friction.
+    - `envelope_distance`, `lost`: distance from the training data, and whether the vehicle is
+      stopped because of it.
+    - `timings`, `replica`, `request`, `reply`, `late`: times, and what was exchanged.
+    """
 
     u: NDArray[np.float64]
     """Force [N] and steering rate [rad/s] for the actuators, inside all limits."""

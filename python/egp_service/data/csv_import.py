@@ -7,11 +7,11 @@ import itertools
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import polars as pl
 
 from egp_service._core import STANDARD_GRAVITY, EgpError
 from egp_service.data import plausibility
 from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.table import numbers, read_table
 from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def import_csv(
             f"NAME:UNIT for each; {path.name} has the columns {_header(path, separator)}"
         )
     if {"F_x", "a_x"} <= columns.keys():
-        raise EgpError("columns for both F_x and a_x are named: name one of them")
+        raise EgpError("columns for F_x and a_x are named: expected exactly one of F_x and a_x")
     if not steering_ratio > 0.0:
         raise EgpError(f"expected a positive --steering-ratio, got {steering_ratio}")
     log = _read(path, columns, separator)
@@ -151,21 +151,15 @@ def _check_separator(separator: str) -> None:
 def _header(path: Path, separator: str) -> str:
     """List the names in a log's header, for messages."""
     try:
-        frame = pl.read_csv(path, separator=separator, comment_prefix="#", n_rows=0)
-    except (OSError, pl.exceptions.PolarsError):
+        return ", ".join(name or "''" for name in read_table(path, separator).columns)
+    except EgpError:
         return "(not readable)"
-    return ", ".join(name or "''" for name in frame.columns)
 
 
 def _read(
     path: Path, columns: Mapping[str, Column], separator: str
 ) -> dict[str, NDArray[np.float64]]:
-    if not path.is_file():
-        raise EgpError(f"{path}: no such file")
-    try:
-        frame = pl.read_csv(path, separator=separator, comment_prefix="#", infer_schema_length=None)
-    except pl.exceptions.PolarsError as error:
-        raise EgpError(f"{path}: not a readable CSV file ({error})") from error
+    frame = read_table(path, separator)
     log = {}
     for quantity, column in columns.items():
         if quantity not in _LARGEST:
@@ -178,12 +172,7 @@ def _read(
             )
         if column.name not in frame.columns:
             raise EgpError(f"{path}: no column '{column.name}', found {', '.join(frame.columns)}")
-        if not frame[column.name].dtype.is_numeric():
-            raise EgpError(f"{path}: column '{column.name}' holds text, expected numbers")
-        values = frame[column.name].cast(pl.Float64).to_numpy() * factor
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise EgpError(f"{path}: column '{column.name}', row {bad[0]} is empty or not finite")
+        values = numbers(path, frame[column.name]) * factor
         peak = float(np.abs(values).max(initial=0.0))
         if peak > largest:
             raise EgpError(

@@ -39,6 +39,8 @@ _CURVATURES: Final = (0.06, 1.0)
 _ACCELERATIONS: Final = (0.4, 2.0)
 _CERTAIN: Final = 0.7  # correlation from which a ratio is meant
 _EXCITED: Final = {"turning": 0.02, "accelerating": 0.2}  # standard deviations, m/s and m/s²
+# Share of the moving rows, those with the least v^2 delta, in which tyres slip little.
+_GENTLE: Final = 0.6
 _SMOOTHING: Final = 0.5  # s
 _LAGS: Final = (
     0.0,
@@ -117,8 +119,17 @@ def _check_stuck(log: Log, columns: Mapping[str, Column]) -> None:
 
 
 def _check_turning(log: Log, columns: Mapping[str, Column]) -> None:
+    """Check all rows, and then those of gentle turns, where a sliding vehicle does not hide it."""
     moving = log["v_x"] > _MOVING
-    turned, omega = (log["v_x"] * log["delta"])[moving], log["omega"][moving]
+    demand = log["v_x"] ** 2 * np.abs(log["delta"])
+    if moving.any():
+        gentle = moving & (demand <= np.quantile(demand[moving], _GENTLE))
+        for rows in (moving, gentle):
+            _check_turning_rows(log, columns, rows)
+
+
+def _check_turning_rows(log: Log, columns: Mapping[str, Column], rows: NDArray[np.bool_]) -> None:
+    turned, omega = (log["v_x"] * log["delta"])[rows], log["omega"][rows]
     if len(omega) < 2 or np.std(turned) < _EXCITED["turning"] or np.std(omega) == 0.0:  # noqa: PLR2004
         return
     names = f"'{columns['omega'].name}' and '{columns['delta'].name}'"

@@ -9,14 +9,15 @@ plan.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import EgpError, Library, Plant, horizon_reference
+from egp_service._core import EgpError, Library, horizon_reference
 from egp_service.quantities import NU, NX, POSITION, PSI, V_X
 from egp_service.simulation.course import build_path, build_profile
+from egp_service.simulation.plant import make_plant
 from egp_service.simulation.reference import speed_reference, told_reference
 from egp_service.simulation.scenario import library_path
 from egp_service.simulation.summary import Ending, Summary, summarise
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Measurement, Scenario
 
-# Number of updates of the friction under the wheels within a control period.
-FRICTION_UPDATES = 10
 # s; the first step may take longer because connections and caches are cold.
 FIRST_DEADLINE = 2.0
 # A run ends after this multiple of the time of the reference that knows all zones. A reference that
@@ -118,7 +117,7 @@ class _Loop:
         self._told_from = told_from
         self._noise = _noise(scenario.measurement)
         self._random = np.random.default_rng(scenario.seed)
-        self._plant = Plant(scenario.vehicle, asdict(scenario.disturbances))
+        self._plant = make_plant(scenario, self.path)
         # Commands that have not yet reached the wheels.
         self._pending = deque([np.zeros(NU)] * scenario.actuator_delay)
         self._s = 0.0
@@ -133,7 +132,7 @@ class _Loop:
         if v_start is None:
             profile, _ = self._speed.plan(0.0, None)
             v_start = float(profile.speed(np.zeros(1))[0])
-        self._plant.reset(x, y, yaw, v_start)
+        self._plant.reset(np.array([x, y, v_start, yaw, 0.0, 0.0, 0.0]))
 
     @property
     def _time(self) -> float:
@@ -141,7 +140,7 @@ class _Loop:
 
     def period(self) -> Period:
         """Compute the step of this period."""
-        x = self._plant.vehicle_state
+        x = self._plant.state
         projection = self._project(x)
         if self._ticks == self._told_from:
             self._speed = told_reference(self._scenario, self.path)
@@ -184,17 +183,16 @@ class _Loop:
         dt = self._controller.dt
         self._pending.append(period.step.u)
         u = self._pending.popleft()
-        for _ in range(FRICTION_UPDATES):
-            try:
-                self._plant.step(u, dt / FRICTION_UPDATES, self.path, self._s)
-            except EgpError as error:
-                return self._ending(f"lost control: {error}")
+        try:
+            self._plant.drive(u, dt, self._s)
+        except EgpError as error:
+            return self._ending(f"lost control: {error}")
         self._ticks += 1
         if self._distance >= self._goal:
             return self._ending("completed")
         if abs(period.truth.lateral_error) > self._scenario.leave_distance:
             return self._ending(f"left the road: {period.truth.lateral_error:+.1f} m off the path")
-        if period.step.mode == "stop" and self._plant.vehicle_state[V_X] < STANDSTILL:
+        if period.step.mode == "stop" and self._plant.state[V_X] < STANDSTILL:
             return self._ending(f"stopped by the gate: {period.step.detail or period.step.status}")
         if self._time > self._time_limit:
             return self._ending(TOO_LONG)
@@ -211,7 +209,7 @@ class _Loop:
         return projection
 
     def _ending(self, reason: str) -> Ending:
-        p_x, p_y = self._plant.vehicle_state[POSITION]
+        p_x, p_y = self._plant.state[POSITION]
         return Ending(
             completed=reason == "completed",
             reason=reason,

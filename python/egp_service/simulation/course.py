@@ -10,8 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import Path, SpeedProfile, VehicleParameters
-from egp_service.simulation.scenario import Scenario, ScenarioError, check_seed
+from egp_service._core import Path, SpeedProfile
+from egp_service.simulation.scenario import (
+    Scenario,
+    ScenarioError,
+    check_seed,
+    vehicle_parameters,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,7 +58,7 @@ def build_path(scenario: Scenario) -> Path:
             raise ScenarioError("track kind csv needs the field `file`")
         parameters["file"] = track.file
     if track.kind == "iso-3888-2":
-        car = VehicleParameters.commonroad(scenario.vehicle)
+        car = vehicle_parameters(scenario)
         parameters.setdefault("vehicle_width", car.width)
     if track.kind == "random":
         seed = track.parameters.get("seed", scenario.seed)
@@ -63,14 +68,15 @@ def build_path(scenario: Scenario) -> Path:
         path = TRACKS[track.kind](**parameters)
     except TypeError as error:
         raise ScenarioError(f"track {track.kind}: {error}") from error
-    return path.with_friction([(zone.start, *zone.sides()) for zone in scenario.zones])
+    scale = path.length if scenario.zones_in_metres else 1.0
+    return path.with_friction([(zone.start / scale, *zone.sides()) for zone in scenario.zones])
 
 
 def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:
     """Return the speed profile for `speed.grip` of each zone's friction, at most `speed.v_max`."""
     if scenario.speed.constant:
         return SpeedProfile.constant(path, scenario.speed.v_max)
-    car = VehicleParameters.commonroad(scenario.vehicle)
+    car = vehicle_parameters(scenario)
     return SpeedProfile(path, car, scenario.speed.grip, scenario.speed.v_max)
 
 

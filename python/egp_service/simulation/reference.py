@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import EgpError, RoadBelief, SpeedPlanner, VehicleParameters
+from egp_service._core import EgpError, RoadBelief, SpeedPlanner
 from egp_service.files import replacing
 from egp_service.simulation.course import build_path, build_profile
-from egp_service.simulation.scenario import ScenarioError
+from egp_service.simulation.scenario import ScenarioError, vehicle_parameters
 
 if TYPE_CHECKING:
     from pathlib import Path as FilePath
@@ -62,7 +62,7 @@ class _Planned(SpeedReference):
     """A plan from the vehicle's place and speed on."""
 
     def __init__(self, scenario: Scenario, path: Path) -> None:
-        car = VehicleParameters.commonroad(scenario.vehicle)
+        car = vehicle_parameters(scenario)
         self._planner = SpeedPlanner(path, car, scenario.speed.grip, scenario.speed.v_max)
 
     def plan(self, s: float, v: float | None) -> tuple[SpeedProfile, float]:

@@ -17,6 +17,8 @@ from egp_service import shipped
 from egp_service._core import EgpError, Plant, VehicleParameters, surface_friction
 from egp_service.control.toml_text import dumps
 from egp_service.simulation.configuration import ConfigurationError, build, without_none
+from egp_service.simulation.zones import read_zone_rows
+from egp_service.vehicle import read_vehicle
 
 BUILT_IN = resources.files("egp_service.simulation") / "scenarios"
 DEMO_LIBRARY = "demo"
@@ -40,7 +42,8 @@ class Zone:
     """
 
     start: float
-    """Start as a fraction of the path's length; a zone ends at the start of the next one."""
+    """Start as a fraction of the path's length, or in m with `zones_in_metres`; a zone ends at the
+    start of the next one."""
     friction: float | None = None
     """Friction coefficient mu."""
     right: float | None = None
@@ -159,12 +162,21 @@ class Scenario:
     name: str
     """Name of the run's folder: 1 to 50 letters, digits, spaces and `. _ -`, a letter first."""
     track: Track
-    zones: tuple[Zone, ...]
+    zones: tuple[Zone, ...] = ()
+    zones_in_metres: bool = False
+    """Whether the zones' `start` is in m instead of a fraction of the path's length."""
+    zones_file: str | None = None
+    """CSV file of the zones, in place of `zones`; relative to the scenario file."""
     description: str = ""
     library: str = DEMO_LIBRARY
     """`demo` for the shipped library, or a path relative to the scenario file."""
     vehicle: int = 1
     """CommonRoad number of the simulated vehicle."""
+    plant: str | None = None
+    """`module:Class` of a simulator that is driven in place of the built-in vehicle."""
+    vehicle_file: str | None = None
+    """TOML file of a vehicle's parameters for gate and speeds, in place of those of the simulated
+    vehicle; relative to the scenario file."""
     seed: int = 0
     """Seed of the measurement noise, and of the track for kind `random`."""
     laps: float = 1.0
@@ -215,8 +227,14 @@ def parse_scenario(text: str, folder: Path, origin: str) -> Scenario:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"{origin} is not TOML: {error}") from error
+    if isinstance(table.get("zones_file"), str):
+        if "zones" in table:
+            raise ScenarioError(f"{origin}: expected `zones` or `zones_file`, got both")
+        table["zones"] = read_zone_rows(folder / table.pop("zones_file"))
     scenario = build(Scenario, table, origin)
     _check(scenario, origin)
+    if scenario.vehicle_file is not None:
+        scenario = replace(scenario, vehicle_file=str(folder / scenario.vehicle_file))
     if scenario.track.file is not None:
         track = replace(scenario.track, file=str(folder / scenario.track.file))
         scenario = replace(scenario, track=track)
@@ -239,7 +257,17 @@ def library_path(scenario: Scenario) -> Path:
 
 def gate_settings(scenario: Scenario) -> dict[str, float]:
     """Return the gate's settings: the simulated vehicle's limits and those of the scenario."""
-    return VehicleParameters.commonroad(scenario.vehicle).gate_limits() | scenario.gate
+    return vehicle_parameters(scenario).gate_limits() | scenario.gate
+
+
+def vehicle_parameters(scenario: Scenario) -> VehicleParameters:
+    """Return the parameters of the vehicle for gate and speeds.
+
+    Raises `EgpError` if the scenario's file of a vehicle cannot be used.
+    """
+    if scenario.vehicle_file is not None:
+        return read_vehicle(Path(scenario.vehicle_file))
+    return VehicleParameters.commonroad(scenario.vehicle)
 
 
 def _one_of(
@@ -288,6 +316,12 @@ def _check(scenario: Scenario, origin: str) -> None:
                 surface_friction(side)
         except EgpError as error:
             raise ScenarioError(f"{origin}: zones[{i}]: {error}") from error
+    _check_plant(scenario, origin)
+
+
+def _check_plant(scenario: Scenario, origin: str) -> None:
+    if scenario.plant is not None and scenario.disturbances != Disturbances():
+        raise ScenarioError(f"{origin}: disturbances have no effect on plant {scenario.plant!r}")
     try:
         Plant(scenario.vehicle, asdict(scenario.disturbances))
     except EgpError as error:

@@ -1,12 +1,15 @@
 """`egp collect`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
 from egp_service.cli.options import Cluster, Jobs
+
+if TYPE_CHECKING:
+    from egp_service.data.dataset import Dataset
 
 
 def collect(
@@ -23,7 +26,10 @@ def collect(
     dt: Annotated[float, typer.Option(help="Control period, s.")] = 0.02,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
     vehicle: Annotated[
-        str, typer.Option(help="CommonRoad number of the simulated car; for a log, the car's name.")
+        str,
+        typer.Option(
+            help="CommonRoad number of the simulated car; for a log, the car's name or TOML file."
+        ),
     ] = "1",
     runs: Annotated[int, typer.Option(help="Number of runs on tracks, at increasing speed.")] = 6,
     samples: Annotated[int, typer.Option(help="Number of cars that start in random states.")] = 300,
@@ -39,7 +45,8 @@ def collect(
     jobs: Jobs = None,
     cluster: Cluster = None,
     from_csv: Annotated[
-        Path | None, typer.Option(help="Import this log instead of driving the simulated car.")
+        list[Path] | None,
+        typer.Option(help="Import this log instead of driving the simulated car; repeat for more."),
     ] = None,
     column: Annotated[
         list[str] | None,
@@ -55,6 +62,9 @@ def collect(
             help="Steering wheel's angle over the road wheels', for a log with the former."
         ),
     ] = 1.0,
+    picture: Annotated[
+        Path | None, typer.Option(help="File for a figure of what the data cover.")
+    ] = None,
 ) -> None:
     """Collect drive data of one surface into a dataset.
 
@@ -62,6 +72,7 @@ def collect(
     noise, and from random states. With --from-csv it imports a log instead, which
     must contain time, v_x, v_y, omega, delta, and F_x or a_x. Columns that contradict
     each other are errors: wrong units and signs, swapped columns, stuck sensors.
+    It prints what the data cover and what is too thin to train on.
 
     For example:
       egp collect -o data/wet.parquet --friction 0.5 --surface wet
@@ -79,29 +90,40 @@ def collect(
     from egp_service.data.collect import CollectionSettings
     from egp_service.data.collect import collect as collect_dataset
     from egp_service.data.csv_import import Column, import_csv
-    from egp_service.data.dataset import Provenance
+    from egp_service.data.dataset import Provenance, merge
     from egp_service.data.experiment import Experiment, parse_surface, tool
+    from egp_service.vehicle import read_vehicle
 
     console = Console()
     road = parse_surface(friction)
     mu = surface_friction(road)
     label = surface or (road if isinstance(road, str) else f"mu {road:g}")
-    if from_csv is not None:
+    if from_csv:
         columns = {}
         for text in column or []:
             quantity, equals, rest = text.partition("=")
             if not equals:
                 raise EgpError(f"--column {text}: expected QUANTITY=COLUMN:UNIT")
             columns[quantity] = Column.parse(rest)
-        provenance = Provenance(dt, vehicle, label, mu, seed, f"log {from_csv.name}", tool())
-        dataset = import_csv(
-            from_csv,
-            columns,
-            provenance,
-            mass=mass,
-            separator=separator,
-            steering_ratio=steering_ratio,
-        )
+        if vehicle.endswith(".toml"):
+            car = read_vehicle(Path(vehicle))
+            mass, vehicle = mass or car.mass, Path(vehicle).stem
+        parts = []
+        for log in from_csv:
+            provenance = Provenance(dt, vehicle, label, mu, seed, f"log {log.name}", tool())
+            try:
+                part = import_csv(
+                    log,
+                    columns,
+                    provenance,
+                    mass=mass,
+                    separator=separator,
+                    steering_ratio=steering_ratio,
+                )
+            except EgpError as error:
+                raise EgpError(f"{log.name}: {error}") from error
+            parts.append(part)
+        dataset = merge(parts)
     else:
         if not vehicle.isdecimal():
             raise EgpError(f"vehicle {vehicle}: expected a CommonRoad number, 1 or 2")
@@ -119,7 +141,20 @@ def collect(
                 report=lambda done, total: report(label, done, total),
             )
     dataset.write(output)
+    _show_coverage(console, dataset, label, picture)
     console.print(f"{output}: {len(dataset)} transitions of {dt:g} s on {label}")
+
+
+def _show_coverage(console: Console, dataset: "Dataset", label: str, picture: Path | None) -> None:
+    from egp_service.data.coverage import Coverage
+
+    covered = Coverage.of(dataset)
+    for line in covered.lines():
+        console.print(line, highlight=False)
+    if picture is not None:
+        from egp_service.data.coverage_figure import draw_coverage
+
+        draw_coverage(covered, label, picture)
 
 
 def _disturbance(text: str) -> tuple[str, float]:

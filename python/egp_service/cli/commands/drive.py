@@ -40,6 +40,10 @@ def drive(
             metavar="FILE", help="Configuration of zenoh (JSON5) for --connect, with TLS and keys."
         ),
     ] = None,
+    plant: Annotated[
+        str | None,
+        typer.Option(help="MODULE:CLASS of a simulator in place of the built-in car."),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed in place of the scenario's.")] = None,
     road: Annotated[
         Path | None,
@@ -63,12 +67,14 @@ def drive(
     """Drive a simulated car; results go to runs/<time>-<scenario>/.
 
     By default a service in its own process computes the control steps; see
-    --in-process and --connect.
+    --in-process and --connect. A class for --plant has reset(x),
+    step(u, dt, friction) and state (docs/simulator.md).
 
     For example:
       egp drive
       egp drive -s lane-change --library library.safetensors
       egp drive -s my-scenario.toml --in-process
+      egp drive --plant my_simulator:Car
       egp drive -s random --road random.road    (and once more: faster)
       egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-2
     """
@@ -82,6 +88,8 @@ def drive(
     chosen = load_scenario(scenario)
     if library is not None:
         chosen = replace(chosen, library=str(library))
+    if plant is not None:
+        chosen = replace(chosen, plant=plant)
     if seed is not None:
         check_seed(seed, "--seed")
         chosen = replace(chosen, seed=seed)

@@ -1,0 +1,77 @@
+"""`egp vehicle`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+vehicle = typer.Typer(no_args_is_help=True)
+
+
+@vehicle.callback()
+def group() -> None:
+    """Make the file that describes a vehicle.
+
+    For example: egp vehicle fit data/*.parquet -o vehicle.toml
+    """
+
+
+@vehicle.command()
+def fit(
+    data: Annotated[
+        list[Path], typer.Argument(help="Datasets of `egp collect`.", show_default=False)
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="TOML file to write.")] = Path(
+        "vehicle.toml"
+    ),
+    *,
+    known: Annotated[
+        Path | None,
+        typer.Option(help="What is known already: a vehicle's file, prior of the fit."),
+    ] = None,
+    width: Annotated[float | None, typer.Option(help="Width without mirrors, m.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the choice of transitions.")] = 0,
+) -> None:
+    """Fit a vehicle to logs, and write the file that describes it.
+
+    Mass, axles, yaw inertia and tyres are fitted to the datasets of all
+    surfaces, with 95 % intervals. Logs do not tell the limits of the
+    actuators: the file has the largest values in the logs. Every line of the
+    file says where its value comes from, and CHECK where to look at it.
+
+    With a_x and --mass instead of a measured force, the logs say nothing new
+    about the mass: the fit then finds the mass that was given.
+
+    The file is used by `egp collect --from-csv --vehicle FILE` (mass and
+    name), `egp train --vehicle FILE` (the library then states the vehicle,
+    for `egp serve` and every controller), and `vehicle_file` of a scenario
+    (gate and speeds of `egp drive`).
+
+    For example:
+      egp vehicle fit data/*.parquet -o vehicle.toml --width 1.82
+      egp vehicle fit data/wet.parquet --known datasheet.toml
+      egp train data/*.parquet --vehicle vehicle.toml -o library.safetensors
+    """
+    from rich.console import Console
+
+    from egp_service.cli.tables import vehicle_table
+    from egp_service.data.dataset import Dataset, merge
+    from egp_service.files import write_text
+    from egp_service.training.vehicle_file import vehicle_lines, vehicle_toml
+    from egp_service.vehicle import read_vehicle
+
+    console = Console()
+    surfaces: dict[str, list[Dataset]] = {}
+    for path in data:
+        dataset = Dataset.read(path)
+        surfaces.setdefault(dataset.provenance.surface, []).append(dataset)
+    before = None if known is None else read_vehicle(known)
+    merged = [merge(parts) for parts in surfaces.values()]
+    lines, fitted = vehicle_lines(merged, before, width, seed)
+    write_text(output, vehicle_toml(lines))
+    for label, found in zip(surfaces, fitted, strict=True):
+        console.print(vehicle_table(label, found))
+    for line in lines:
+        if line.warning:
+            console.print(f"[yellow]{line.name}[/] = {line.value:g}: {line.warning}")
+    console.print(f"{output}: {len(lines)} parameters")

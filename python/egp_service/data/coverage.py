@@ -1,0 +1,88 @@
+"""What a dataset covers: duration, gaps, ranges, and the time at each speed and acceleration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service._core import STANDARD_GRAVITY
+from egp_service.quantities import GP_INPUT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from egp_service.data.dataset import Dataset
+
+SPEEDS: Final = np.array([0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, np.inf])
+"""Borders of the bins of v_x, m/s."""
+LATERAL: Final = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, np.inf])
+"""Borders of the bins of the lateral acceleration, the magnitude of v_x omega, m/s²."""
+THIN: Final = 2.0
+"""s; a bin with less data tells a member little."""
+# Share of the grip from which cornering tells the friction.
+_GRIP: Final = 0.6
+_LEAST: Final = 5.0  # s
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What a dataset covers."""
+
+    seconds: float
+    """Time of all transitions."""
+    trajectories: int
+    ranges: dict[str, tuple[float, float, str]]
+    """Smallest and largest value of each GP input, and its unit."""
+    time: NDArray[np.float64]
+    """Time in s in each bin of `SPEEDS` (rows) and `LATERAL` (columns)."""
+    at_grip: float
+    """Time in s of cornering with more than 60 % of the grip that the surface's friction gives."""
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> Coverage:
+        """Count the time of a dataset's transitions."""
+        dt = dataset.provenance.dt
+        z = dict(zip(GP_INPUT, dataset.z.T, strict=True))
+        lateral = np.abs(z["v_x"] * z["omega"])
+        speed = np.maximum(z["v_x"], 0.0)
+        count, _, _ = np.histogram2d(speed, lateral, bins=(SPEEDS, LATERAL))
+        limit = _GRIP * dataset.provenance.friction * STANDARD_GRAVITY
+        return cls(
+            seconds=dt * len(dataset),
+            trajectories=len(np.unique(dataset.trajectory)),
+            ranges={
+                name: (float(z[name].min()), float(z[name].max()), unit)
+                for name, unit in GP_INPUT.items()
+            },
+            time=dt * count,
+            at_grip=dt * float(np.sum(lateral > limit)),
+        )
+
+    def lines(self) -> Iterator[str]:
+        """Say what is covered, and what is too thin to train on."""
+        yield f"{self.seconds:.0f} s in {self.trajectories} pieces without gaps"
+        yield ", ".join(
+            f"{name} {low:.3g} to {high:.3g} {unit}"
+            for name, (low, high, unit) in self.ranges.items()
+        )
+        if self.at_grip < _LEAST:
+            yield (
+                f"thin: {self.at_grip:.1f} s of cornering with more than {_GRIP:.0%} of the grip; "
+                "members learn little about the tyres' limits, and nothing tells the friction"
+            )
+        turning = self.time[:, 1:].sum(axis=1)
+        for row in np.flatnonzero((self.time.sum(axis=1) >= THIN) & (turning < THIN)):
+            yield (
+                f"thin: {turning[row]:.1f} s of cornering above {LATERAL[1]:g} m/s² at "
+                f"{span(SPEEDS, int(row))} m/s"
+            )
+
+
+def span(borders: NDArray[np.float64], number: int) -> str:
+    """Name a bin by its borders."""
+    low, high = borders[number : number + 2]
+    return f"{low:g} to {high:g}" if np.isfinite(high) else f"{low:g} and more"

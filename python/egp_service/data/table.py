@@ -1,0 +1,70 @@
+"""Tables of numbers in CSV files, as spreadsheets of several countries write them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import polars as pl
+
+from egp_service._core import EgpError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_SEPARATORS: Final = (";", "\t")
+_DECIMAL_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
+
+
+def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
+    """Read a CSV file; lines that begin with `#` are comments, and a byte-order mark is left out.
+
+    If the header has no `separator` but semicolons or tabs, those separate.
+
+    Raises:
+        EgpError: if there is no such file, or it is no CSV file.
+
+    """
+    if not path.is_file():
+        raise EgpError(f"{path}: no such file")
+    try:
+        lines = path.read_bytes().decode("utf-8-sig").splitlines()
+        header = next((line for line in lines if line and line[0] != "#"), "")
+        if separator not in header:
+            separator = next((other for other in _SEPARATORS if other in header), separator)
+        frame = pl.read_csv(path, separator=separator, comment_prefix="#", infer_schema_length=None)
+    except (UnicodeDecodeError, pl.exceptions.PolarsError) as error:
+        raise EgpError(f"{path}: not a readable CSV file ({error})") from error
+    return frame.rename(lambda name: name.removeprefix("\ufeff").strip())
+
+
+def numbers(path: Path, column: pl.Series) -> NDArray[np.float64]:
+    """Return a column's numbers; with a decimal comma if all cells have one or are whole.
+
+    Raises:
+        EgpError: naming column, row and content of the first cell that is no finite number. Rows
+            are counted from 0 behind the header.
+
+    """
+    cells = column
+    if column.dtype == pl.String:
+        if (
+            column.str.contains(_DECIMAL_COMMA).any()
+            and not column.str.contains(".", literal=True).any()
+        ):
+            cells = column.str.replace(",", ".", literal=True)
+        cells = cells.str.strip_chars()
+    values = cells.cast(pl.Float64, strict=False).to_numpy()
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        row = int(bad[0])
+        content = column[row]
+        found = "is empty" if content in {None, ""} else f"holds {content!r}"
+        more = f", and {len(bad) - 1} others" if len(bad) > 1 else ""
+        raise EgpError(
+            f"{path}: column '{column.name}', row {row} {found}{more}: expected finite "
+            "numbers; correct or remove these rows"
+        )
+    return values

@@ -1,0 +1,141 @@
+"""The simulated vehicle of a closed loop: the built-in one, or one's own simulator."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from importlib import import_module
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from egp_service._core import EgpError, Plant
+from egp_service.quantities import DELTA, NX, OMEGA, P_X, P_Y, PSI, V_X, V_Y
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from egp_service._core import Path
+    from egp_service.simulation.scenario import Scenario
+
+# Number of updates of the friction under the wheels within a control period.
+FRICTION_UPDATES = 10
+
+
+class Simulator(Protocol):
+    """What a simulator needs for `egp drive --plant module:Class`; the class takes no arguments.
+
+    States are `[p_x, p_y, v_x, psi, v_y, omega, delta]`: position in m in the map's frame, speeds
+    in m/s in the vehicle's frame (x ahead, y to the left), yaw in rad counter-clockwise from the
+    map's x axis, yaw rate in rad/s, steering angle of the front wheels in rad, positive to the
+    left; all of the centre of mass.
+    """
+
+    def reset(self, x: NDArray[np.float64]) -> None:
+        """Put the vehicle into the state `x` (7,)."""
+
+    def step(self, u: NDArray[np.float64], dt: float, friction: float) -> None:
+        """Drive `dt` seconds with the constant input `u = [F_x, delta_dot]` in N and rad/s.
+
+        `friction` is the friction coefficient under the vehicle.
+        """
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """The state (7,)."""
+
+
+class PlantError(EgpError):
+    """A simulator that cannot be loaded, or has left its domain."""
+
+
+class CommonRoadPlant:
+    """The built-in vehicle, with the friction of the path's zone under each wheel."""
+
+    def __init__(self, scenario: Scenario, path: Path) -> None:
+        """Make the scenario's vehicle with its disturbances."""
+        self._plant = Plant(scenario.vehicle, asdict(scenario.disturbances))
+        self._path = path
+
+    def reset(self, x: NDArray[np.float64]) -> None:
+        """Put the vehicle into the state, with its suspension at rest."""
+        self._plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], x[OMEGA], x[V_Y], x[DELTA])
+
+    def drive(self, u: NDArray[np.float64], dt: float, s: float) -> None:
+        """Drive one period from the arc length `s` on. Raises `EgpError` if the vehicle spins."""
+        for _ in range(FRICTION_UPDATES):
+            self._plant.step(u, dt / FRICTION_UPDATES, self._path, s)
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """The state (7,)."""
+        return self._plant.vehicle_state
+
+
+class OwnPlant:
+    """A user's simulator, checked."""
+
+    def __init__(self, name: str, path: Path) -> None:
+        """Load `module:Class`; see `load_simulator`."""
+        self._simulator = load_simulator(name)
+        self._name = name
+        self._path = path
+
+    def reset(self, x: NDArray[np.float64]) -> None:
+        """Put the vehicle into the state (7,)."""
+        self._simulator.reset(x)
+
+    def drive(self, u: NDArray[np.float64], dt: float, s: float) -> None:
+        """Drive one period on the friction at the arc length `s`."""
+        friction = float(self._path.sample(np.array([s]))[-1][0])
+        self._simulator.step(u, dt, friction)
+        if not np.isfinite(self.state).all():
+            raise PlantError(f"{self._name}: the state is {self.state.tolist()}")
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """The state (7,). Raises `PlantError` if it has another shape."""
+        x = np.array(self._simulator.state, dtype=np.float64)
+        if x.shape != (NX,):
+            raise PlantError(
+                f"{self._name}.state has the shape {x.shape}: expected (7,) with "
+                "[p_x, p_y, v_x, psi, v_y, omega, delta]"
+            )
+        return x
+
+
+def make_plant(scenario: Scenario, path: Path) -> CommonRoadPlant | OwnPlant:
+    """Return the vehicle that a scenario's loop drives."""
+    if scenario.plant is None:
+        return CommonRoadPlant(scenario, path)
+    return OwnPlant(scenario.plant, path)
+
+
+def load_simulator(name: str) -> Simulator:
+    """Make a simulator from `module:Class`; modules of the working folder are found.
+
+    Raises:
+        PlantError: if there is no such class, or it lacks `reset`, `step` or `state`.
+
+    """
+    module, colon, attribute = name.partition(":")
+    if not (colon and module and attribute):
+        raise PlantError(f"plant {name!r}: expected MODULE:CLASS, such as my_simulator:Car")
+    if str(FilePath.cwd()) not in sys.path:
+        sys.path.insert(0, str(FilePath.cwd()))
+    try:
+        simulator: Simulator = getattr(import_module(module), attribute)()
+    except (ImportError, AttributeError, TypeError) as error:
+        raise PlantError(
+            f"plant {name!r} cannot be made: {error}; expected a class without arguments in a "
+            "module of this folder or of an installed package"
+        ) from error
+    # A property may need `reset` first, so it is looked for and not read.
+    has = {*dir(type(simulator)), *vars(simulator)}
+    if lacking := [part for part in ("reset", "step", "state") if part not in has]:
+        raise PlantError(
+            f"plant {name!r} has no {', '.join(lacking)}: expected reset(x), step(u, dt, friction) "
+            "and state (docs/simulator.md)"
+        )
+    return simulator

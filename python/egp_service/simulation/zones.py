@@ -1,0 +1,66 @@
+"""Friction zones from a CSV file."""
+
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING, Final
+
+from egp_service.simulation.configuration import ConfigurationError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_NUMBERS: Final = ("start", "friction", "right")
+_NAMES: Final = ("surface", "surface_right")
+
+
+def read_zone_rows(path: Path) -> list[dict[str, object]]:
+    """Read zones from a CSV file, one a line, with the fields of a scenario's `zones` as header.
+
+    `start` and `friction` or `surface` are needed. Columns are separated by commas or semicolons;
+    with semicolons, numbers may have a decimal comma. Empty cells are left out, and lines that
+    begin with `#` are comments.
+
+    Raises:
+        ConfigurationError: naming file, line and column of what cannot be read.
+        OSError: if the file cannot be read.
+
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{path}: expected a CSV file in UTF-8") from error
+    kept = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and line[0] != "#"]
+    if not kept:
+        raise ConfigurationError(f"{path}: expected zones with a header such as start,friction")
+    separator = ";" if ";" in kept[0][1] else ","
+    header, *rows = csv.reader((line for _, line in kept), delimiter=separator)
+    names = [name.strip() for name in header]
+    if unknown := [name for name in names if name not in {*_NUMBERS, *_NAMES}]:
+        raise ConfigurationError(
+            f"{path}: unknown column {unknown[0]!r}; known: {', '.join((*_NUMBERS, *_NAMES))}"
+        )
+    zones: list[dict[str, object]] = []
+    for (line, _), row in zip(kept[1:], rows, strict=True):
+        if len(row) != len(names):
+            raise ConfigurationError(
+                f"{path}: line {line} has {len(row)} cells: expected {len(names)}"
+            )
+        cells = dict(zip(names, (cell.strip() for cell in row), strict=True))
+        zones.append(
+            {
+                name: _number(cell, separator, f"{path}: line {line}: {name}")
+                if name in _NUMBERS
+                else cell
+                for name, cell in cells.items()
+                if cell
+            }
+        )
+    return zones
+
+
+def _number(cell: str, separator: str, where: str) -> float:
+    try:
+        return float(cell.replace(",", ".") if separator == ";" else cell)
+    except ValueError as error:
+        raise ConfigurationError(f"{where} must be a number, got {cell!r}") from error

@@ -1,0 +1,199 @@
+"""A vehicle's file from logs: what the fit tells, what the logs reach, and what is left to state.
+
+The fit tells the body and the tyres. It cannot tell the limits of actuators; the file has the
+largest values in the logs instead, inside which the training data also lie.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service._core import EgpError, VehicleParameters
+from egp_service.quantities import DELTA, GP_INPUT, GP_STATE, V_X
+from egp_service.training.vehicle_fit import fit_vehicle
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from egp_service.data.dataset import Dataset
+    from egp_service.training.vehicle_fit import FittedParameter, FittedVehicle
+
+_WIDTH: Final = 1.8
+_REACHED: Final = 0.995
+"""Quantile that counts as the largest value in a log; beyond it are outliers."""
+# Share of the longitudinal grip that speed profiles use, so that grip is left for cornering, as
+# for the simulated car (docs/settings.md, section 7).
+_RESERVE: Final = 0.65
+_MOST_SLIP: Final = 0.4
+_ORDER: Final = (
+    *("mass", "yaw_inertia", "l_f", "l_r", "width", "a_min", "a_max", "power", "a_slew"),
+    *("steering_angle", "steering_rate", "steering_slew", "peak_slip"),
+    *("lateral_grip", "braking_grip", "driving_grip"),
+)
+# Smallest values that a file states, for logs in which an actuator hardly moves.
+_LEAST: Final = {
+    "a_max": 0.5,
+    "power": 5.0,
+    "a_slew": 5.0,
+    "steering_angle": 0.05,
+    "steering_rate": 0.05,
+    "steering_slew": 0.5,
+}
+_COLUMN: Final = {name: number for number, name in enumerate(GP_INPUT)}
+_STATE: Final = {quantity: number for number, quantity in enumerate(GP_STATE)}
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Line:
+    """A parameter of `VehicleParameters` with what is known about it."""
+
+    name: str
+    value: float
+    origin: str
+    """Where the value comes from, with its 95 % interval if it was fitted."""
+    warning: str = ""
+    """Why the value should be checked; empty if it need not."""
+
+
+def vehicle_lines(
+    surfaces: Sequence[Dataset],
+    known: VehicleParameters | None = None,
+    width: float | None = None,
+    seed: int = 0,
+) -> tuple[list[Line], list[FittedVehicle]]:
+    """Fit a vehicle to one dataset of each surface, and give the lines of its file.
+
+    `known` are parameters of a vehicle's file: its body is the prior of the fit, and what a fit
+    cannot tell is kept. Errors if the datasets have different periods, or the fit fails.
+    """
+    periods = {data.provenance.dt for data in surfaces}
+    if len(periods) > 1:
+        raise EgpError(f"the datasets have periods of {sorted(periods)} s: expected one")
+    rngs = [np.random.default_rng([seed, number]) for number in range(len(surfaces))]
+    fitted = fit_vehicle(surfaces, known, rngs)
+    frictions = [data.provenance.friction for data in surfaces]
+    body = {parameter.name: parameter for parameter in fitted[0].parameters}
+    mass = body["m"].value
+    lines = [
+        _fitted("mass", body["m"]),
+        _fitted("yaw_inertia", body["k²"], mass),
+        _fitted("l_f", body["l_f"]),
+        _fitted("l_r", body["l_r"]),
+        *_limits(surfaces, mass, known, width),
+        *_tyres(fitted, frictions),
+    ]
+    return sorted(lines, key=lambda line: _ORDER.index(line.name)), fitted
+
+
+def vehicle_toml(lines: Sequence[Line]) -> str:
+    """Return the lines as TOML, each with its origin as a comment.
+
+    Errors if the values are none of a vehicle.
+    """
+    try:
+        VehicleParameters(**{line.name: line.value for line in lines})
+    except (EgpError, TypeError) as error:
+        raise EgpError(f"the logs give no vehicle: {error}; state it with --known") from error
+    text = ["# A vehicle for `egp train --vehicle`; SI units. Check the lines with CHECK.", ""]
+    for line in lines:
+        remark = f"{line.origin}; CHECK: {line.warning}" if line.warning else line.origin
+        text.append(f"{line.name} = {line.value!r}  # {remark}")
+    return "\n".join(text) + "\n"
+
+
+def _fitted(name: str, parameter: FittedParameter, factor: float = 1.0) -> Line:
+    low, high = factor * parameter.low, factor * parameter.high
+    warnings = []
+    if parameter.at_bound:
+        warnings.append("at the end of the range that is searched")
+    if not parameter.determined:
+        warnings.append("not determined by the logs, so mostly the prior")
+    if abs(parameter.distance) > 2.0:  # noqa: PLR2004 - standard deviations
+        warnings.append(f"{parameter.distance:+.1f} standard deviations from what was known")
+    return Line(
+        name,
+        _rounded(factor * parameter.value),
+        f"fitted, 95 % interval {low:.4g} to {high:.4g}",
+        ", ".join(warnings),
+    )
+
+
+def _limits(
+    surfaces: Sequence[Dataset],
+    mass: float,
+    known: VehicleParameters | None,
+    width: float | None,
+) -> list[Line]:
+    if known is not None:
+        fields = known.fields()
+        names = ("a_min", "a_max", "power", "a_slew", *list(_LEAST)[3:])
+        lines = [Line(name, fields[name], "as was known") for name in names]
+        own = Line("width", width or fields["width"], "stated" if width else "as was known")
+        return [*lines, own]
+    z = np.concatenate([data.z for data in surfaces])
+    a = z[:, _COLUMN["F_x"]] / mass
+    v_x = z[:, _STATE[V_X]]
+    reached = {
+        "a_max": float(np.quantile(a, _REACHED)),
+        "power": float(np.quantile(a * np.maximum(v_x, 0.0), _REACHED)),
+        "a_slew": _rate(surfaces, _COLUMN["F_x"]) / mass,
+        "steering_angle": float(np.quantile(np.abs(z[:, _STATE[DELTA]]), _REACHED)),
+        "steering_rate": float(np.quantile(np.abs(z[:, _COLUMN["delta_dot"]]), _REACHED)),
+        "steering_slew": _rate(surfaces, _COLUMN["delta_dot"]),
+    }
+    advice = "the vehicle's own limit may be larger"
+    lines = [
+        Line(name, _rounded(max(value, _LEAST[name])), "largest in the logs", advice)
+        for name, value in reached.items()
+    ]
+    braking = min(float(np.quantile(a, 1.0 - _REACHED)), -1.0)
+    lines.append(Line("a_min", _rounded(braking), "largest in the logs", advice))
+    if width is None:
+        lines.append(Line("width", _WIDTH, "assumed", "state it with --width"))
+    else:
+        lines.append(Line("width", width, "stated"))
+    return lines
+
+
+def _rate(surfaces: Sequence[Dataset], column: int) -> float:
+    """Return the largest change per second of an input between consecutive periods."""
+    changes: list[NDArray[np.float64]] = []
+    for data in surfaces:
+        together = (np.diff(data.trajectory.astype(np.int64)) == 0) & (
+            np.diff(data.step.astype(np.int64)) == 1
+        )
+        change = np.abs(np.diff(data.z[:, column]))[together]
+        changes.append(change / data.provenance.dt)
+    all_changes = np.concatenate(changes)
+    return float(np.quantile(all_changes, _REACHED)) if len(all_changes) else 0.0
+
+
+def _tyres(fitted: Sequence[FittedVehicle], frictions: Sequence[float]) -> list[Line]:
+    """Give slip and grips on friction 1: the least of what the surfaces show."""
+    slips, lateral, braking, driving, known = [], [], [], [], True
+    for vehicle, friction in zip(fitted, frictions, strict=True):
+        p = {parameter.name: parameter for parameter in vehicle.parameters}
+        slip = math.tan(math.pi / (2.0 * p["C_f"].value)) / p["B_f"].value
+        slips.append(min(slip, _MOST_SLIP) / friction)
+        lateral.append(min(p["D_f"].value, p["D_r"].value) / friction)
+        braking.append(_RESERVE * p["D_b"].value / friction)
+        driving.append(_RESERVE * p["D_d"].value / friction)
+        known &= p["D_f"].determined and p["D_r"].determined
+    doubt = "" if known else "the logs do not reach the tyres' limits"
+    reserve = f"{_RESERVE:g} of the fitted grip, the least of the surfaces"
+    return [
+        Line("peak_slip", _rounded(min(slips)), "fitted, the least of the surfaces", doubt),
+        Line("lateral_grip", _rounded(min(lateral)), "fitted, the least of the surfaces", doubt),
+        Line("braking_grip", _rounded(min(braking)), reserve, doubt),
+        Line("driving_grip", _rounded(min(driving)), reserve, doubt),
+    ]
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")

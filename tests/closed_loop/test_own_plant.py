@@ -1,0 +1,77 @@
+"""A user's simulator in the closed loop: that of docs/simulator.md, and what others lack."""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from egp_service.cli import app
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.in_process import in_process_controller
+from egp_service.simulation.plant import PlantError, load_simulator
+from egp_service.simulation.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
+
+DOCUMENT = Path(__file__).parents[2] / "docs/simulator.md"
+BROKEN = """
+class Short:
+    state = [0.0, 0.0]
+    def reset(self, x): pass
+    def step(self, u, dt, friction): pass
+
+class Lost(Short):
+    state = [float("nan")] * 7
+
+class Empty:
+    pass
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("drift_car", "broken_car"):
+        sys.modules.pop(name, None)
+    (tmp_path / "broken_car.py").write_text(BROKEN)
+    return tmp_path
+
+
+def scenario() -> Scenario:
+    return load_scenario("rounded-rectangle")
+
+
+def test_the_documents_simulator_is_driven(folder: Path) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    (folder / "drift_car.py").write_text(code)
+    own = replace(scenario(), plant="drift_car:DriftCar", laps=0.15)
+    (folder / "own.toml").write_text(own.toml())
+    command = ["drive", "-s", "own.toml", "--in-process", "--no-pictures", "-o", "runs"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    (run,) = (folder / "runs").iterdir()
+    summary = (run / "summary.json").read_text()
+    # Measured on the whole lap: 0.009 m, with a library that was trained on the built-in car.
+    assert float(re.findall(r'"lateral_error": {\s+"max": ([\d.]+)', summary)[0]) < 0.05
+
+
+def test_what_is_wrong_with_a_simulator_is_named(folder: Path) -> None:
+    del folder
+    for name, message in {
+        "broken_car": "expected MODULE:CLASS",
+        "no_such_module:Car": "No module named",
+        "broken_car:Car": "no attribute 'Car'",
+        "broken_car:Empty": "has no reset, step, state",
+    }.items():
+        with pytest.raises(PlantError, match=message):
+            load_simulator(name)
+    own = replace(scenario(), plant="broken_car:Short")
+    with in_process_controller(own) as controller:
+        with pytest.raises(PlantError, match=r"shape \(2,\): expected \(7,\)"):
+            drive(own, controller, lambda _: None)
+        with pytest.raises(ScenarioError, match="disturbances have no effect"):
+            parse_scenario(own.toml().replace("load = 0.0", "load = 100.0"), Path(), "own.toml")
