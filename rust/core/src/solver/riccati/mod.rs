@@ -1,13 +1,15 @@
 //! Structure-exploiting solver for [`OcpQp`] over stage-wise Riccati recursions, on fixed arrays.
 //!
-//! The solver first tries an active-set method from the guess or from the saturated LQ regulator, which takes a few
-//! recursions if the initial working set is nearly right. If this method does not converge, Mehrotra's interior-point
-//! method iterates until slacks and multipliers identify the active rows, and the active-set method solves the problem
-//! from there exactly (crossover).
+//! The solver first tries a dual active-set method from the guess or from the saturated LQ regulator. It changes the
+//! working set by low-rank updates of one Riccati factorisation, so its work grows with the number of changes. If the
+//! initial working set is far from the solution, which the number of contradicting rows shows, Mehrotra's
+//! interior-point method iterates until slacks and multipliers identify the active rows, and the active-set method
+//! solves the problem from there exactly (crossover).
 //!
 //! - [`recursion`]: the LQ problem augmented by the applied input, one stage at a time;
 //! - [`stage`]: data and order of the rows of a stage;
 //! - [`two_sided`], [`active_set`]: the active-set method and its form of the rows;
+//! - [`exchange`], [`low_rank`]: the changes of the working set and the updates of the factorisation;
 //! - [`one_sided`], [`interior_point`]: the interior-point method and its form of the rows;
 //! - [`crossover`]: from the interior-point method to the active-set method;
 //! - this file: conversion from and to [`OcpQp`].
@@ -19,7 +21,9 @@
 
 mod active_set;
 mod crossover;
+mod exchange;
 mod interior_point;
+mod low_rank;
 mod one_sided;
 mod recursion;
 mod stage;

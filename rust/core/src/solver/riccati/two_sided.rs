@@ -63,30 +63,33 @@ pub(super) struct Estimate {
 }
 
 impl TwoSided {
-    /// The estimate at row values `y` and multipliers `lambda`, for the penalty parameter `rho`.
+    /// The force of row `k` at the value `y` and its derivative, in the case that `side` and `violated` give; the
+    /// multiplier is `lambda`.
     #[inline(always)]
-    pub fn estimate(&self, y: &Pairs, lambda: &Pairs, rho: f64) -> Estimate {
-        let mut out = Estimate::default();
-        for k in 0..PAIRS {
-            let above = rho.mul_add(y[k] - self.upper[k], lambda[k]);
-            let below = rho.mul_add(y[k] - self.lower[k], lambda[k]);
-            let above = if above > 0.0 { above } else { 0.0 };
-            let below = if below < 0.0 { below } else { 0.0 };
-            let e = above + below;
-            let size = e.abs();
-            let excess = size - self.linear[k];
-            let share = self.quadratic[k] / (rho + self.quadratic[k]);
-            let violated = excess > 0.0;
-            let estimate = if violated {
-                share.mul_add(excess, self.linear[k])
-            } else {
-                size
-            };
-            let derivative = if violated { share * rho } else { rho };
-            out.lambda[k] = estimate.copysign(e);
-            out.derivative[k] = if size > 0.0 { derivative } else { 0.0 };
+    pub fn force(
+        &self,
+        k: usize,
+        (side, violated): (f64, bool),
+        y: f64,
+        lambda: f64,
+        rho: f64,
+    ) -> (f64, f64) {
+        if side == 0.0 {
+            return (0.0, 0.0);
         }
-        out
+        let bound = if side > 0.0 {
+            self.upper[k]
+        } else {
+            self.lower[k]
+        };
+        let e = rho.mul_add(y - bound, lambda);
+        if violated {
+            let linear = side * self.linear[k];
+            let share = self.quadratic[k] / (rho + self.quadratic[k]);
+            (share.mul_add(e - linear, linear), share * rho)
+        } else {
+            (e, rho)
+        }
     }
 
     /// The estimate with the cases of `f` given by the working set instead of by `y`.
@@ -94,23 +97,8 @@ impl TwoSided {
     pub fn estimate_on(&self, set: &WorkingSet, y: &Pairs, lambda: &Pairs, rho: f64) -> Estimate {
         let mut out = Estimate::default();
         for k in 0..PAIRS {
-            let side = set.side[k];
-            if side != 0.0 {
-                let bound = if side > 0.0 {
-                    self.upper[k]
-                } else {
-                    self.lower[k]
-                };
-                let e = rho.mul_add(y[k] - bound, lambda[k]);
-                let (estimate, derivative) = if set.violated[k] {
-                    let linear = side * self.linear[k];
-                    let share = self.quadratic[k] / (rho + self.quadratic[k]);
-                    (share.mul_add(e - linear, linear), share * rho)
-                } else {
-                    (e, rho)
-                };
-                (out.lambda[k], out.derivative[k]) = (estimate, derivative);
-            }
+            let case = (set.side[k], set.violated[k]);
+            (out.lambda[k], out.derivative[k]) = self.force(k, case, y[k], lambda[k], rho);
         }
         out
     }
