@@ -16,6 +16,7 @@ from egp_service.cli.commands.demo import demo
 from egp_service.cli.commands.drive import drive
 from egp_service.cli.commands.evaluate import evaluate
 from egp_service.cli.commands.inspect import inspect
+from egp_service.cli.commands.keys import keys
 from egp_service.cli.commands.map import keep_map
 from egp_service.cli.commands.serve import serve
 from egp_service.cli.commands.train import train
@@ -53,6 +54,7 @@ EXTRAS = {
     "cvxpy": "paper",
     "osqp": "paper",
     "ray": "cluster",
+    "cryptography": "security",
 }
 FAILED = 1
 ENDINGS = (signal.SIGTERM, signal.SIGHUP)
@@ -64,7 +66,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (collect, train, inspect, serve, drive, demo, evaluate):
+for command in (collect, train, inspect, serve, keys, drive, demo, evaluate):
     app.command(no_args_is_help=False)(command)
 app.command("map")(keep_map)
 

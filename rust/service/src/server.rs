@@ -14,6 +14,7 @@ use prost::Message as _;
 use thiserror::Error;
 
 use crate::config::{ConfigError, ServiceConfig};
+use crate::guard::{Guard, VehicleKeysError};
 use crate::handler::Handler;
 use crate::intake::Shared;
 use crate::metrics::Metrics;
@@ -39,6 +40,9 @@ pub enum StartError {
     /// The system could not start a thread.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
+    /// The keys of the vehicles cannot be used.
+    #[error(transparent)]
+    Keys(#[from] VehicleKeysError),
     /// An operation of zenoh that failed.
     #[error(transparent)]
     Network(#[from] NetworkError),
@@ -80,6 +84,11 @@ impl Server {
             workers,
             queue: Queue::new(config.queue),
             draining: AtomicBool::new(false),
+            guard: config
+                .vehicle_keys
+                .as_deref()
+                .map(Guard::load)
+                .transpose()?,
         });
         let network = Network::open(configuration(config.zenoh_file.as_deref(), &config.zenoh)?)?;
         let mut server = Self {

@@ -43,8 +43,9 @@ def serve(
             raise typer.BadParameter("--config excludes other options: put them into the file")
         text, folder = config.read_text(encoding="utf-8"), config.parent
         table = tomllib.loads(text)
-        if "library" in table:
-            table["library"] = str(folder / table["library"])
+        for name in ("library", "vehicle_keys", "zenoh_file"):
+            if name in table:
+                table[name] = str(folder / table[name])
     elif library is not None:
         table = {"library": str(library)}
         if replica is not None:
