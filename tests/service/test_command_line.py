@@ -101,3 +101,13 @@ def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -
     result = CliRunner().invoke(app, [*arguments, "--zenoh", str(zenoh)])
     assert isinstance(result.exception, EgpError)
     assert "zenoh.json5" in str(result.exception)
+
+
+@pytest.mark.parametrize("option", ["--config", "--settings"])
+def test_a_configuration_that_is_not_toml_is_an_error_in_words(tmp_path: Path, option: str) -> None:
+    broken = tmp_path / "broken.toml"
+    broken.write_text("[[zenoh", encoding="utf-8")
+    library = [] if option == "--config" else [str(LIBRARY)]
+    result = CliRunner().invoke(app, ["serve", *library, option, str(broken)])
+    assert isinstance(result.exception, EgpError)
+    assert "broken.toml is not TOML" in str(result.exception)

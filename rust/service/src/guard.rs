@@ -7,6 +7,7 @@ use std::sync::{Mutex, PoisonError};
 
 use egp_wire::keys::Name;
 use egp_wire::{Code, KeyError, KeyRing, Seal, Tag, VehicleKey, WireError};
+use prometheus_client::metrics::counter::Counter;
 use thiserror::Error;
 
 use crate::network::Query;
@@ -36,13 +37,15 @@ pub enum VehicleKeysError {
     },
 }
 
-/// The runs of a vehicle, each with the number of its newest question, the latest run last.
+/// The runs of a vehicle, each with the number of its newest question; the run that asked last is the last.
 type Runs = VecDeque<(u64, u64)>;
 
 /// The keys of all vehicles, and the questions that came.
 pub(crate) struct Guard {
     keys: KeyRing,
     seen: Mutex<BTreeMap<(Name, Name), Runs>>,
+    /// Requests of a vehicle after which one of another client with the same key had come.
+    twice: Counter,
 }
 
 /// A question whose sender has the vehicle's key.
@@ -73,7 +76,13 @@ impl Guard {
         Ok(Self {
             keys,
             seen: Mutex::new(BTreeMap::new()),
+            twice: Counter::default(),
         })
+    }
+
+    /// Counts how often clients with one key took turns.
+    pub(crate) fn twice(&self) -> Counter {
+        self.twice.clone()
     }
 
     /// Checks the sender of a request of this vehicle.
@@ -99,7 +108,12 @@ impl Guard {
             let reason = "the seal was not made with this vehicle's key for this request";
             return Err(denied(reason.to_owned()));
         }
-        if !self.is_new(fleet, vehicle, &seal) {
+        let (new, twice) = self.note(fleet, vehicle, &seal);
+        if twice {
+            tracing::warn!(%fleet, %vehicle, "two clients use the key of this vehicle at the same time");
+            self.twice.inc();
+        }
+        if !new {
             let reason = "this request, or a newer one of the same run, came before";
             return Err(denied(reason.to_owned()));
         }
@@ -121,18 +135,23 @@ impl Guard {
             })
     }
 
-    fn is_new(&self, fleet: &Name, vehicle: &Name, seal: &Seal) -> bool {
+    /// Whether the question is newer than all before it of its run, and whether the vehicle's last question came from a run
+    /// that began later: then two clients have the same key.
+    fn note(&self, fleet: &Name, vehicle: &Name, seal: &Seal) -> (bool, bool) {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         let runs = seen.entry((fleet.clone(), vehicle.clone())).or_default();
-        if let Some((_, newest)) = runs.iter_mut().find(|(run, _)| *run == seal.run) {
-            let new = seal.number > *newest;
-            *newest = seal.number.max(*newest);
-            return new;
+        let Some(index) = runs.iter().position(|(run, _)| *run == seal.run) else {
+            runs.push_back((seal.run, seal.number));
+            if runs.len() > RUNS {
+                runs.pop_front();
+            }
+            return (true, false);
+        };
+        let (twice, new) = (index + 1 < runs.len(), seal.number > runs[index].1);
+        if new {
+            runs.remove(index);
+            runs.push_back((seal.run, seal.number));
         }
-        runs.push_back((seal.run, seal.number));
-        if runs.len() > RUNS {
-            runs.pop_front();
-        }
-        true
+        (new, new && twice)
     }
 }

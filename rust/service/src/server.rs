@@ -77,18 +77,23 @@ impl Server {
         let replica: Name = config.replica.parse()?;
         let description = handler.describe();
         let workers = config.workers();
+        let guard = config
+            .vehicle_keys
+            .as_deref()
+            .map(Guard::load)
+            .transpose()?;
+        let mut metrics = Metrics::new(&library::hex(&description.library));
+        if let Some(guard) = &guard {
+            metrics.show_twice(guard.twice());
+        }
         let shared = Arc::new(Shared {
             replica: replica.clone(),
-            metrics: Metrics::new(&library::hex(&description.library)),
+            metrics,
             description,
             workers,
             queue: Queue::new(config.queue),
             draining: AtomicBool::new(false),
-            guard: config
-                .vehicle_keys
-                .as_deref()
-                .map(Guard::load)
-                .transpose()?,
+            guard,
         });
         let network = Network::open(configuration(config.zenoh_file.as_deref(), &config.zenoh)?)?;
         let mut server = Self {

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -32,8 +32,6 @@ def serve(
       egp serve library.safetensors --listen tcp/0.0.0.0:7447
       egp serve --config service.toml
     """
-    import tomllib
-
     from egp_service._core import EgpError
     from egp_service._core import serve as serve_until_signal
     from egp_service.control.toml_text import dumps
@@ -41,8 +39,7 @@ def serve(
     if config is not None:
         if any(value is not None for value in (library, listen, replica, settings)):
             raise typer.BadParameter("--config excludes other options: put them into the file")
-        text, folder = config.read_text(encoding="utf-8"), config.parent
-        table = tomllib.loads(text)
+        table, folder = _read(config), config.parent
         for name in ("library", "vehicle_keys", "zenoh_file"):
             if name in table:
                 table[name] = str(folder / table[name])
@@ -53,7 +50,18 @@ def serve(
         if listen:
             table["zenoh"] = {"listen/endpoints": json.dumps(listen)}
         if settings is not None:
-            table["settings"] = tomllib.loads(settings.read_text(encoding="utf-8"))
+            table["settings"] = _read(settings)
     else:
         raise EgpError("nothing to serve: give a library file, or --config service.toml")
     serve_until_signal(dumps(table))
+
+
+def _read(file: Path) -> dict[str, Any]:
+    import tomllib
+
+    from egp_service._core import EgpError
+
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise EgpError(f"{file} is not TOML: {error}") from error

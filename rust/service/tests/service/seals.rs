@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use crate::common::{Client, config, engine, first_request, free_endpoint, step_key};
+use crate::common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
 use egp_service::{Server, check};
 use egp_wire::keys::{self, Name};
 use egp_wire::{Code, KeyRing, Seal, Timing, VehicleKey, WireError};
@@ -100,6 +100,29 @@ fn only_the_vehicle_itself_takes_its_slot_and_only_the_service_can_answer() {
         assert_eq!(error.code, Code::Unauthenticated, "{reason}");
         assert!(error.detail.contains(reason), "{reason}: {}", error.detail);
     }
+    // A second client with the same key, of another run, is served, but noticed when the first one goes on.
+    for (run, number) in [(12, 1), (11, 3), (12, 2)] {
+        let seal = Seal {
+            run,
+            number,
+            tag: own.question(&step, run, number, &request),
+            ..sealed(&own, "car", &step, &request, 0)
+        };
+        ask(&client, &step, &request, Some(&seal)).unwrap();
+    }
+    let metrics = match client.ask(&keys::metrics(&name("main")), &[]) {
+        Outcome::Answer { payload, .. } => String::from_utf8(payload).unwrap(),
+        other => panic!("{other:?}"),
+    };
+    assert!(
+        metrics.contains("egp_identity_twice_total 2\n"),
+        "{metrics}"
+    );
+    assert!(
+        metrics.contains("{outcome=\"unauthenticated\"} 6\n"),
+        "{metrics}"
+    );
+
     let stranger = ask(&client, &step_key("stranger"), &request, None).unwrap_err();
     assert!(stranger.detail.contains("no key of fleet/stranger"));
 
