@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from egp_service._core import EgpError
-from egp_service.cli import app
+from egp_service.cli import app, signals
 from egp_service.cli.status_line import MODE_STYLES
 from egp_service.control.service_process import ServiceProcess
 from egp_service.simulation.scenario import library_path, load_scenario
@@ -82,6 +82,19 @@ def test_a_signal_ends_a_drive_with_its_service_and_its_files(
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+
+
+@pytest.mark.parametrize(
+    ("number", "raised"), [(signal.SIGTERM, SystemExit), (signal.SIGINT, KeyboardInterrupt)]
+)
+def test_what_a_signal_raised_is_raised_again_if_it_was_lost(
+    monkeypatch: pytest.MonkeyPatch, number: int, raised: type[BaseException]
+) -> None:
+    monkeypatch.setattr(signals, "_received", [])
+    signals.check()
+    monkeypatch.setattr(signals, "_received", [number])
+    with pytest.raises(raised):
+        signals.check()
 
 
 def test_the_status_line_has_a_style_for_every_mode() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from typing import NoReturn
 
@@ -11,6 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from egp_service._core import EgpError
+from egp_service.cli import signals
 from egp_service.cli.commands.collect import collect
 from egp_service.cli.commands.demo import demo
 from egp_service.cli.commands.drive import drive
@@ -57,7 +57,6 @@ EXTRAS = {
     "cryptography": "security",
 }
 FAILED = 1
-ENDINGS = (signal.SIGTERM, signal.SIGHUP)
 
 app = typer.Typer(
     name="egp",
@@ -77,8 +76,7 @@ def main() -> None:
     SIGTERM and SIGHUP end a command as an exception does, so that it stops its service and removes
     its temporary files. `egp serve` and `egp map` drain and end with status 0.
     """
-    for number in ENDINGS:
-        signal.signal(number, _end)
+    signals.install()
     try:
         app()
     except ModuleNotFoundError as error:
@@ -90,12 +88,6 @@ def main() -> None:
         _fail(str(error))
     except OSError as error:
         _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
-
-
-def _end(number: int, _: object) -> NoReturn:
-    for ending in ENDINGS:
-        signal.signal(ending, signal.SIG_IGN)  # a second one must not interrupt the cleaning up
-    sys.exit(128 + number)
 
 
 def _fail(message: str) -> NoReturn:
