@@ -103,9 +103,9 @@ class InProcess:
         for name in self._replicas:
             discovery.replica_appeared(name)
         while (question := discovery.next_question()) is not None:
-            name, _ = question
+            name, _, _ = question
             answer = self._replicas[name].ready()
-            if discovery.is_usable(name, answer):
+            if discovery.is_usable(name, answer, b""):
                 return answer
         raise ConnectError(discovery.error)
 

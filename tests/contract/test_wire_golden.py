@@ -128,6 +128,13 @@ READY = {
     "vehicle": VEHICLE,
 }
 TIMING = {"queue_us": 120, "step_us": 2400}
+SEAL = {
+    "fleet": "depot",
+    "vehicle": "car-7",
+    "run": 1 << 60,
+    "number": 77,
+    "tag": bytes(range(32)),
+}
 
 
 @pytest.mark.parametrize(
@@ -139,6 +146,7 @@ TIMING = {"queue_us": 120, "step_us": 2400}
         ("reply_infeasible", "StepReply", INFEASIBLE),
         ("error", "Error", ERROR),
         ("ready", "Ready", READY),
+        ("seal", "Seal", SEAL),
         ("timing", "Timing", TIMING),
     ],
 )

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from egp_service._core import EgpError
-from egp_service.cli import app
+from egp_service.cli import app, signals
 from egp_service.cli.status_line import MODE_STYLES
 from egp_service.control.service_process import ServiceProcess
 from egp_service.simulation.scenario import library_path, load_scenario
@@ -84,6 +84,19 @@ def test_a_signal_ends_a_drive_with_its_service_and_its_files(
         process.wait()
 
 
+@pytest.mark.parametrize(
+    ("number", "raised"), [(signal.SIGTERM, SystemExit), (signal.SIGINT, KeyboardInterrupt)]
+)
+def test_what_a_signal_raised_is_raised_again_if_it_was_lost(
+    monkeypatch: pytest.MonkeyPatch, number: int, raised: type[BaseException]
+) -> None:
+    monkeypatch.setattr(signals, "_received", [])
+    signals.check()
+    monkeypatch.setattr(signals, "_received", [number])
+    with pytest.raises(raised):
+        signals.check()
+
+
 def test_the_status_line_has_a_style_for_every_mode() -> None:
     assert set(MODE_STYLES) == {"normal", "tail", "stop", "waiting"}
 
@@ -101,3 +114,13 @@ def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -
     result = CliRunner().invoke(app, [*arguments, "--zenoh", str(zenoh)])
     assert isinstance(result.exception, EgpError)
     assert "zenoh.json5" in str(result.exception)
+
+
+@pytest.mark.parametrize("option", ["--config", "--settings"])
+def test_a_configuration_that_is_not_toml_is_an_error_in_words(tmp_path: Path, option: str) -> None:
+    broken = tmp_path / "broken.toml"
+    broken.write_text("[[zenoh", encoding="utf-8")
+    library = [] if option == "--config" else [str(LIBRARY)]
+    result = CliRunner().invoke(app, ["serve", *library, option, str(broken)])
+    assert isinstance(result.exception, EgpError)
+    assert "broken.toml is not TOML" in str(result.exception)

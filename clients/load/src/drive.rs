@@ -32,6 +32,9 @@ pub(crate) fn connect(
     let mut config = VehicleConfig::new("load", &format!("car-{index}"), limits, &[])?
         .reached_by(&arguments.connect, arguments.zenoh.as_deref());
     config.driver.budget = arguments.budget;
+    if let Some(file) = &arguments.key {
+        config = config.with_key(file)?;
+    }
     let s = part * course.path.length();
     Ok(SimulatedVehicle::connect(&config, course, s)?)
 }

@@ -46,6 +46,9 @@ struct Arguments {
     /// Configuration of zenoh (JSON5), for TLS, certificates and the like.
     #[arg(long, value_name = "FILE")]
     zenoh: Option<PathBuf>,
+    /// File with the secret keys of the cars load/car-0, load/car-1 and so on, made by `egp keys`.
+    #[arg(long, value_name = "FILE")]
+    key: Option<PathBuf>,
     /// Number of vehicles.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=2000))]
     vehicles: u32,

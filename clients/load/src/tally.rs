@@ -87,7 +87,7 @@ impl Tally {
         {
             self.latency.record(latency);
         }
-        if let Some(timing) = step.timing {
+        if let Some(timing) = &step.timing {
             self.queue
                 .record(Duration::from_micros(timing.queue_us.into()));
             self.step

@@ -194,7 +194,7 @@ fn discover(
                 endpoints: config.connect.clone(),
             });
         }
-        let Some((replica, key)) = discovery.next_question() else {
+        let Some(question) = discovery.next_question() else {
             // Every live replica was asked, or there is none, so wait for a change.
             match network.next(left.min(POLL)).map(|event| event.what) {
                 Some(What::Appeared(replica)) => discovery.replica_appeared(replica),
@@ -203,10 +203,10 @@ fn discover(
             }
             continue;
         };
-        let Some(answer) = network.ask_and_wait(&key, left.min(QUESTION))? else {
-            continue;
+        let read = |answer: &[u8], attachment: &[u8]| {
+            discovery.answered(&question.replica, answer, attachment)
         };
-        let Some(ready) = discovery.answered(&replica, &answer) else {
+        let Some(ready) = network.ask_and_wait(&question, left.min(QUESTION), read)? else {
             continue;
         };
         let mut driver = Driver::new(config.driver.clone(), ready)?;

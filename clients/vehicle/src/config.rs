@@ -1,12 +1,39 @@
 //! The configuration of a client.
 
 use std::collections::BTreeMap;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use egp_driver::DriverConfig;
+use egp_driver::{DriverConfig, RunKey};
 use egp_gate::Limits;
 use egp_wire::keys::NameError;
+use egp_wire::{KeyError, KeyRing};
+use thiserror::Error;
+
+/// Why the secret key of a vehicle cannot be used.
+#[derive(Debug, Error)]
+pub enum KeyFileError {
+    /// The file cannot be read.
+    #[error("cannot read the key {path}: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// The error of the system.
+        source: std::io::Error,
+    },
+    /// The file has no key of this vehicle.
+    #[error("{path}: {source}")]
+    Content {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        source: KeyError,
+    },
+    /// The system gives no random numbers.
+    #[error("the system gives no random number: {0}")]
+    Random(getrandom::Error),
+}
 
 /// Configuration of a [`crate::VehicleClient`].
 #[derive(Clone, Debug)]
@@ -42,6 +69,30 @@ impl VehicleConfig {
             zenoh_file: None,
             zenoh: BTreeMap::new(),
         })
+    }
+
+    /// The same vehicle with its secret key from a file that `egp keys` wrote, with which it seals its questions and
+    /// recognises its answers.
+    ///
+    /// # Errors
+    /// [`KeyFileError`] naming the file.
+    pub fn with_key(mut self, file: &Path) -> Result<Self, KeyFileError> {
+        let name = || file.display().to_string();
+        let text = fs::read_to_string(file).map_err(|source| KeyFileError::Read {
+            path: name(),
+            source,
+        })?;
+        let key = KeyRing::parse(&text).and_then(|ring| {
+            let own = ring.get(&self.driver.fleet, &self.driver.vehicle)?;
+            Ok(own.clone())
+        });
+        let key = key.map_err(|source| KeyFileError::Content {
+            path: name(),
+            source,
+        })?;
+        let run = getrandom::u64().map_err(KeyFileError::Random)?;
+        self.driver.key = Some(RunKey { key, run });
+        Ok(self)
     }
 
     /// The same vehicle with the options of a command line: the endpoints that are given, otherwise those of the zenoh

@@ -22,7 +22,7 @@ mod config;
 mod network;
 
 pub use client::{ClientError, VehicleClient};
-pub use config::VehicleConfig;
+pub use config::{KeyFileError, VehicleConfig};
 pub use egp_driver::{DriverConfig, Late, Lost, Measurement, Outcome, Situation, Step};
 pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use egp_parameters::VehicleParameters;

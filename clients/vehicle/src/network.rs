@@ -3,7 +3,7 @@
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-use egp_driver::{Query, QueryId};
+use egp_driver::{Query, QueryId, Question};
 use egp_wire::keys::{self, Name};
 use thiserror::Error;
 use zenoh::query::Reply;
@@ -102,6 +102,7 @@ impl Network {
             .session
             .get(query.key)
             .payload(query.payload)
+            .attachment((!query.attachment.is_empty()).then_some(query.attachment))
             .encoding("application/protobuf;egp.v1.StepRequest")
             .express(true)
             .timeout(query.listen)
@@ -112,23 +113,35 @@ impl Network {
         }
     }
 
-    /// The payload of the first answer to a question, or `None` if there is no answer within `patience`.
-    pub(crate) fn ask_and_wait(
+    /// Asks a question and gives payload and attachment of each answer to `read` until that returns something, there are
+    /// no more answers, or `patience` is over.
+    pub(crate) fn ask_and_wait<T>(
         &self,
-        key: &str,
+        question: &Question,
         patience: Duration,
-    ) -> Result<Option<Vec<u8>>, NetworkError> {
+        mut read: impl FnMut(&[u8], &[u8]) -> Option<T>,
+    ) -> Result<Option<T>, NetworkError> {
+        let attachment = &question.attachment;
         let replies = self
             .session
-            .get(key)
+            .get(&question.key)
+            .attachment((!attachment.is_empty()).then(|| attachment.clone()))
             .timeout(patience)
             .wait()
-            .map_err(|e| NetworkError::new(format!("cannot ask {key}"), &e))?;
-        let answer = replies
-            .recv()
-            .ok()
-            .and_then(|reply| reply.into_result().ok());
-        Ok(answer.map(|sample| sample.payload().to_bytes().into_owned()))
+            .map_err(|e| NetworkError::new(format!("cannot ask {}", question.key), &e))?;
+        while let Ok(reply) = replies.recv() {
+            if let Ok(sample) = reply.into_result() {
+                let attachment = sample.attachment().map(|bytes| bytes.to_bytes());
+                let found = read(
+                    &sample.payload().to_bytes(),
+                    attachment.as_deref().unwrap_or_default(),
+                );
+                if found.is_some() {
+                    return Ok(found);
+                }
+            }
+        }
+        Ok(None)
     }
 }
 

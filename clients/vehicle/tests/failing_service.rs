@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
 use std::net::TcpListener;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use egp_service::{Server, ServiceConfig};
@@ -28,14 +29,18 @@ fn free_endpoint() -> String {
     format!("tcp/127.0.0.1:{port}")
 }
 
-fn serve(replica: &str, endpoint: &str) -> Server {
+fn service(replica: &str, endpoint: &str) -> ServiceConfig {
     let mut config = ServiceConfig::new(LIBRARY);
     replica.clone_into(&mut config.replica);
     config.workers = Some(1);
     config
         .zenoh
         .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
-    Server::start(&config).unwrap()
+    config
+}
+
+fn serve(replica: &str, endpoint: &str) -> Server {
+    Server::start(&service(replica, endpoint)).unwrap()
 }
 
 /// A vehicle at 12 m/s on a straight road. It does not move, because only the answers matter here.
@@ -186,4 +191,50 @@ fn a_measured_state_that_cannot_be_used_stops_and_a_wrong_reference_is_an_error(
         step.outcome
     );
     server.drain();
+}
+
+#[test]
+fn with_a_key_only_a_service_that_has_the_same_key_is_driven_with() {
+    let file = |name: &str, digits: &str| {
+        let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+        std::fs::write(&path, format!("test/car {}\n", digits.repeat(32))).unwrap();
+        path
+    };
+    let (own, other) = (file("own.keys", "01"), file("other.keys", "02"));
+    let connect = |endpoint: &str| {
+        let config = VehicleConfig::new("test", "car", limits(), &[endpoint]).unwrap();
+        let mut config = config.with_key(&own).unwrap();
+        config.patience = Duration::from_secs(2);
+        VehicleClient::connect(&config)
+    };
+    let sealed = |endpoint: &str, keys: Option<&PathBuf>| {
+        let mut config = service("main", endpoint);
+        config.vehicle_keys = keys.cloned();
+        Server::start(&config).unwrap()
+    };
+    let endpoint = free_endpoint();
+    let server = sealed(&endpoint, Some(&own));
+    let mut vehicle = Vehicle {
+        client: connect(&endpoint).unwrap(),
+        p_x: 0.0,
+        u: [0.0; 2],
+    };
+    vehicle.step_until_solved();
+    drop(server);
+    for keys in [None, Some(&other)] {
+        let stranger = sealed(&endpoint, keys);
+        let error = connect(&endpoint).err().unwrap().to_string();
+        assert!(
+            error.contains("has not the tag of this vehicle's key"),
+            "{error}"
+        );
+        for _ in 0..20 {
+            assert!(!vehicle.step().outcome.is_solved());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        drop(stranger);
+    }
+    let _server = sealed(&endpoint, Some(&own));
+    vehicle.client.reset();
+    vehicle.step_until_solved();
 }

@@ -14,6 +14,7 @@ class Query:
     replica: Final[str]
     key: Final[str]
     payload: Final[bytes]
+    attachment: Final[bytes]
     listen: Final[float]
 
 @final
@@ -47,6 +48,7 @@ class Driver:
         gate: Mapping[str, float],
         budget: float = 0.8,
         want_sigma: bool = False,
+        keys: str | None = None,
     ) -> Driver: ...
     def replica_appeared(self, now: float, replica: str) -> None: ...
     def replica_gone(self, now: float, replica: str) -> None: ...
@@ -76,14 +78,20 @@ class Driver:
 @final
 class Discovery:
     def __new__(
-        cls, *, fleet: str, vehicle: str, gate: Mapping[str, float], budget: float = 0.8
+        cls,
+        *,
+        fleet: str,
+        vehicle: str,
+        gate: Mapping[str, float],
+        budget: float = 0.8,
+        keys: str | None = None,
     ) -> Discovery: ...
     def replica_appeared(self, replica: str) -> None: ...
     def replica_gone(self, replica: str) -> None: ...
     @property
     def live(self) -> list[str]: ...
-    def next_question(self) -> tuple[str, str] | None: ...
-    def is_usable(self, replica: str, answer: bytes) -> bool: ...
+    def next_question(self) -> tuple[str, str, bytes] | None: ...
+    def is_usable(self, replica: str, answer: bytes, attachment: bytes) -> bool: ...
     @property
     def error(self) -> str: ...
     @property

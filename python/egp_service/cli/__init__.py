@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from importlib.metadata import version
 from typing import Annotated, NoReturn
@@ -12,12 +11,14 @@ from rich.console import Console
 from rich.text import Text
 
 from egp_service._core import EgpError
+from egp_service.cli import signals
 from egp_service.cli.commands.collect import collect
 from egp_service.cli.commands.demo import demo
 from egp_service.cli.commands.doctor import doctor
 from egp_service.cli.commands.drive import drive
 from egp_service.cli.commands.evaluate import evaluate
 from egp_service.cli.commands.inspect import inspect
+from egp_service.cli.commands.keys import keys
 from egp_service.cli.commands.load import PASS_ON, load
 from egp_service.cli.commands.map import keep_map
 from egp_service.cli.commands.replay import replay
@@ -58,7 +59,6 @@ What a fleet knows about the friction of roads:
   egp map --folder roads
 """
 FAILED = 1
-ENDINGS = (signal.SIGTERM, signal.SIGHUP)
 
 app = typer.Typer(
     name="egp",
@@ -66,7 +66,19 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for command in (collect, train, inspect, serve, drive, replay, demo, evaluate, settings, doctor):
+for command in (
+    collect,
+    train,
+    inspect,
+    serve,
+    keys,
+    drive,
+    replay,
+    demo,
+    evaluate,
+    settings,
+    doctor,
+):
     app.command(no_args_is_help=False)(command)
 app.command("map")(keep_map)
 app.add_typer(vehicle, name="vehicle")
@@ -99,8 +111,7 @@ def main() -> None:
     SIGTERM and SIGHUP end a command as an exception does, so that it stops its service and removes
     its temporary files. `egp serve` and `egp map` drain and end with status 0.
     """
-    for number in ENDINGS:
-        signal.signal(number, _end)
+    signals.install()
     try:
         app()
     except ModuleNotFoundError as error:
@@ -112,12 +123,6 @@ def main() -> None:
         _fail(str(error))
     except OSError as error:
         _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
-
-
-def _end(number: int, _: object) -> NoReturn:
-    for ending in ENDINGS:
-        signal.signal(ending, signal.SIG_IGN)  # a second one must not interrupt the cleaning up
-    sys.exit(128 + number)
 
 
 def _fail(message: str) -> NoReturn:

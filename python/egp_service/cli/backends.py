@@ -21,12 +21,22 @@ if TYPE_CHECKING:
 
 
 def remote_controller(
-    scenario: Scenario, endpoint: str | None, zenoh_file: Path | None
+    scenario: Scenario,
+    endpoint: str | None,
+    *,
+    vehicle: str = "vehicle-1",
+    zenoh_file: Path | None = None,
+    key_file: Path | None = None,
 ) -> VehicleClient:
     """Ask a running service, which uses its own library and settings instead of the scenario's."""
     endpoints = [] if endpoint is None else [endpoint]
-    gate = gate_settings(scenario)
-    return VehicleClient.connect(endpoints, gate=gate, zenoh_file=zenoh_file)
+    return VehicleClient.connect(
+        endpoints,
+        vehicle=vehicle,
+        gate=gate_settings(scenario),
+        zenoh_file=zenoh_file,
+        key_file=key_file,
+    )
 
 
 @contextmanager

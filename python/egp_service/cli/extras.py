@@ -12,5 +12,6 @@ EXTRAS: Final = {
     "cvxpy": "paper",
     "osqp": "paper",
     "ray": "cluster",
+    "cryptography": "security",
 }
 """Name of each package, with the extra that installs it."""

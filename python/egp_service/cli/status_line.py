@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Self
 from rich.live import Live
 from rich.text import Text
 
+from egp_service.cli import signals
 from egp_service.quantities import V_X
 
 if TYPE_CHECKING:
@@ -35,7 +36,8 @@ class StatusLine:
         self._live.stop()
 
     def show(self, label: str, period: Period) -> None:
-        """Show a period of the run called `label`."""
+        """Show a period of the run called `label`; raise what a signal raised, if that was lost."""
+        signals.check()
         truth, step = period.truth, period.step
         bars = "".join(BLOCKS[round(w * (len(BLOCKS) - 1))] for w in step.weights)
         line = Text.assemble(

@@ -28,7 +28,7 @@ from egp_service.control.endpoints import check_endpoints
 from egp_service.control.step import StepController
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from egp_service._core import Query
@@ -88,6 +88,7 @@ class VehicleClient(StepController):
         budget: float = 0.8,
         want_sigma: bool = False,
         timeout: float = 10.0,
+        key_file: Path | None = None,
         zenoh_file: Path | None = None,
         zenoh_config: Mapping[str, object] | None = None,
     ) -> Self:
@@ -98,6 +99,8 @@ class VehicleClient(StepController):
 
         `gate` holds the limits of the driven vehicle, as `VehicleParameters.gate_limits` gives
         them, and may hold `max_tail_ticks` and `stop_deceleration`.
+        `key_file` has the vehicle's secret key, made by `egp keys`: requests are sealed with it,
+        and only answers of a service that has the same key are used (docs/security.md).
         `budget` is the part of the control period that an answer may take, in (0, 1].
         `zenoh_config` holds more of zenoh's configuration by path, such as
         `{"transport/link/tls/root_ca_certificate": "ca.pem"}`. Raises `InvalidArgumentError` for
@@ -108,7 +111,8 @@ class VehicleClient(StepController):
         """
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         deadline = time.monotonic() + timeout
-        discovery = Discovery(fleet=fleet, vehicle=vehicle, gate=gate, budget=budget)
+        keys = None if key_file is None else key_file.read_text(encoding="utf-8")
+        discovery = Discovery(fleet=fleet, vehicle=vehicle, gate=gate, budget=budget, keys=keys)
         network = Network(session_config(names, timeout, zenoh_config or {}, zenoh_file), names)
         try:
             ready = _first_ready(network, discovery, names, deadline)
@@ -119,6 +123,7 @@ class VehicleClient(StepController):
                 gate=gate,
                 budget=budget,
                 want_sigma=want_sigma,
+                keys=keys,
             )
             for replica in discovery.live:
                 driver.replica_appeared(time.monotonic(), replica)
@@ -209,19 +214,21 @@ class Network:
                 query.key,
                 zenoh.handlers.Callback(deliver, end, indirect=False),
                 payload=query.payload,
+                attachment=query.attachment or None,
                 encoding=REQUEST_ENCODING,
                 timeout=query.listen,
             )
         except zenoh.ZError:
             end()
 
-    def ask_and_wait(self, key: str, patience: float) -> bytes | None:
-        """Give the payload of the first answer that comes within `patience` seconds, if any."""
-        for reply in self.session.get(key, timeout=patience):
+    def ask_and_wait(
+        self, key: str, attachment: bytes, patience: float
+    ) -> Iterator[tuple[bytes, bytes]]:
+        """Give payload and attachment of each answer that comes within `patience` seconds."""
+        for reply in self.session.get(key, attachment=attachment or None, timeout=patience):
             if reply.ok is not None:
-                payload: bytes = reply.ok.payload.to_bytes()
-                return payload
-        return None
+                extra = reply.ok.attachment
+                yield reply.ok.payload.to_bytes(), b"" if extra is None else extra.to_bytes()
 
     def close(self) -> None:
         """Close the session."""
@@ -283,10 +290,10 @@ def _first_ready(
                 note = discovery.replica_appeared if event.appeared else discovery.replica_gone
                 note(event.replica)
             continue
-        replica, key = question
-        answer = network.ask_and_wait(key, min(left, _QUESTION_SECONDS))
-        if answer is not None and discovery.is_usable(replica, answer):
-            return answer
+        replica, key, seal = question
+        for answer, attachment in network.ask_and_wait(key, seal, min(left, _QUESTION_SECONDS)):
+            if discovery.is_usable(replica, answer, attachment):
+                return answer
     error = _unreachable(endpoints, discovery.error)
     error.replicas = discovery.unusable
     raise error

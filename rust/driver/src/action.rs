@@ -21,6 +21,8 @@ pub struct Query {
     pub key: String,
     /// Bytes to send.
     pub payload: Vec<u8>,
+    /// Bytes to attach; empty if there are none.
+    pub attachment: Vec<u8>,
     /// How long to listen for the answer.
     pub listen: Duration,
 }

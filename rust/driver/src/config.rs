@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use egp_gate::{Gate, GateError, Limits, WiderError};
 use egp_wire::keys::{Name, NameError};
+use egp_wire::{Seal, Tag, Timing, VehicleKey};
+use prost::Message as _;
 use thiserror::Error;
 
 /// Why a driver cannot be made.
@@ -37,6 +39,17 @@ pub struct DriverConfig {
     pub stop_deceleration: f64,
     /// Whether to ask for the predicted standard deviations. Default false.
     pub want_sigma: bool,
+    /// The vehicle's secret key: questions are sealed with it, and only answers with its tag are used. Default none.
+    pub key: Option<RunKey>,
+}
+
+/// The secret key of a vehicle, and the number of this run of its client.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RunKey {
+    /// The key.
+    pub key: VehicleKey,
+    /// A random number, so that answers to an earlier run are of no use in this one.
+    pub run: u64,
 }
 
 impl DriverConfig {
@@ -53,7 +66,36 @@ impl DriverConfig {
             max_tail_ticks: 25,
             stop_deceleration: 3.0,
             want_sigma: false,
+            key: None,
         })
+    }
+
+    /// The attachment of a question on `key`, and its tag; nothing without a secret key.
+    pub(crate) fn seal(&self, key: &str, number: u64, payload: &[u8]) -> (Vec<u8>, Option<Tag>) {
+        let Some(RunKey { key: secret, run }) = &self.key else {
+            return (Vec::new(), None);
+        };
+        let tag = secret.question(key, *run, number, payload);
+        let seal = Seal {
+            vehicle: (self.fleet.clone(), self.vehicle.clone()),
+            run: *run,
+            number,
+            tag,
+        };
+        (seal.encode(), Some(tag))
+    }
+
+    /// Whether an answer may be used: it has the tag of the question's answer, or there is no secret key.
+    pub(crate) fn authentic(
+        &self,
+        question: Option<&Tag>,
+        payload: &[u8],
+        attachment: &[u8],
+    ) -> bool {
+        let (Some(RunKey { key, .. }), Some(question)) = (&self.key, question) else {
+            return self.key.is_none();
+        };
+        Timing::decode(attachment).is_ok_and(|timing| key.is_answer(question, payload, &timing.tag))
     }
 
     /// Checks everything that does not depend on what a replica serves.

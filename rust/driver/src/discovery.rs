@@ -5,7 +5,7 @@ use std::fmt;
 
 use egp_gate::WiderError;
 use egp_wire::keys::{self, Name};
-use egp_wire::{Invalid, MessageLimits, Ready};
+use egp_wire::{Invalid, MessageLimits, Ready, Tag};
 use thiserror::Error;
 
 use crate::config::{DriverConfig, DriverError};
@@ -20,6 +20,11 @@ pub enum Unusable {
     /// Its answer is no description of a replica.
     #[error("its description is not valid: {0}")]
     Malformed(#[from] Invalid),
+    /// Its answer has not the tag of the vehicle's key.
+    #[error(
+        "its answer has not the tag of this vehicle's key; does the service have the same key?"
+    )]
+    Forged,
     /// It drains.
     #[error("it is about to end")]
     Draining,
@@ -46,15 +51,32 @@ impl fmt::Display for DiscoveryError {
     }
 }
 
+/// A question what a replica serves.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Question {
+    /// The replica.
+    pub replica: Name,
+    /// Key to ask.
+    pub key: String,
+    /// Bytes to attach; empty if there are none.
+    pub attachment: Vec<u8>,
+}
+
+/// The numbers of a discovery's questions are apart from those of its driver.
+const FIRST_NUMBER: u64 = 1 << 63;
+
 /// Finds a replica that can be used, asking the live ones one after another in the order of the vehicle's hash.
 #[derive(Clone, Debug)]
 pub struct Discovery {
-    limits: egp_gate::Limits,
+    config: DriverConfig,
     replicas: Replicas,
     /// Replicas asked since the last time around.
     asked: Vec<Name>,
     /// What is wrong with each live replica.
     unusable: BTreeMap<Name, Unusable>,
+    /// Number of the last question, and its tag if the vehicle has a key.
+    number: u64,
+    tag: Option<Tag>,
 }
 
 impl Discovery {
@@ -65,10 +87,12 @@ impl Discovery {
     pub fn new(config: &DriverConfig) -> Result<Self, DriverError> {
         config.validate()?;
         Ok(Self {
-            limits: config.limits,
+            config: config.clone(),
             replicas: Replicas::new(config.fleet.clone(), config.vehicle.clone()),
             asked: Vec::new(),
             unusable: BTreeMap::new(),
+            number: FIRST_NUMBER,
+            tag: None,
         })
     }
 
@@ -91,9 +115,8 @@ impl Discovery {
         self.replicas.live().iter()
     }
 
-    /// The next replica to ask and the key of the question; `None` if no replica is alive or all were asked, after
-    /// which the next call starts over.
-    pub fn next_question(&mut self) -> Option<(Name, String)> {
+    /// The next replica to ask; `None` if no replica is alive or all were asked, after which the next call starts over.
+    pub fn next_question(&mut self) -> Option<Question> {
         let order = self.replicas.order();
         let next = order.into_iter().find(|name| !self.asked.contains(name));
         let Some(replica) = next else {
@@ -102,13 +125,20 @@ impl Discovery {
         };
         self.asked.push(replica.clone());
         let key = keys::ready(&replica);
-        Some((replica, key))
+        self.number += 1;
+        let (attachment, tag) = self.config.seal(&key, self.number, &[]);
+        self.tag = tag;
+        Some(Question {
+            replica,
+            key,
+            attachment,
+        })
     }
 
-    /// Reads a replica's answer: what it serves, or `None` if the replica cannot be used. The reason is then kept for
-    /// [`Discovery::error`], and the next replica is to be asked.
-    pub fn answered(&mut self, replica: &Name, answer: &[u8]) -> Option<Ready> {
-        match self.usable(answer) {
+    /// Reads a replica's answer to the last question: what it serves, or `None` if the replica cannot be used. The reason is
+    /// then kept for [`Discovery::error`], and the next answer or the next replica is to be tried.
+    pub fn answered(&mut self, replica: &Name, answer: &[u8], attachment: &[u8]) -> Option<Ready> {
+        match self.usable(answer, attachment) {
             Ok(ready) => Some(ready),
             Err(reason) => {
                 self.unusable.insert(replica.clone(), reason);
@@ -122,13 +152,16 @@ impl Discovery {
         DiscoveryError(self.unusable.clone())
     }
 
-    fn usable(&self, answer: &[u8]) -> Result<Ready, Unusable> {
+    fn usable(&self, answer: &[u8], attachment: &[u8]) -> Result<Ready, Unusable> {
+        if !self.config.authentic(self.tag.as_ref(), answer, attachment) {
+            return Err(Unusable::Forged);
+        }
         let ready = Ready::decode(answer, &MessageLimits::default())?;
         if !ready.ready {
             return Err(Unusable::Draining);
         }
         if let Some(planned) = &ready.vehicle {
-            self.limits.check_within(planned)?;
+            self.config.limits.check_within(planned)?;
         }
         Ok(ready)
     }
@@ -140,6 +173,9 @@ mod tests {
     use egp_parameters::VehicleParameters;
 
     use super::*;
+    use crate::config::RunKey;
+    use egp_wire::{KeyRing, Seal, Timing};
+    use prost::Message as _;
 
     const CAR: VehicleParameters = VehicleParameters::FORD_ESCORT;
 
@@ -177,7 +213,7 @@ mod tests {
         discovery.replica_appeared(name("a"));
         discovery.replica_appeared(name("b"));
         let round = |discovery: &mut Discovery| -> Vec<String> {
-            std::iter::from_fn(|| discovery.next_question().map(|(_, key)| key)).collect()
+            std::iter::from_fn(|| discovery.next_question().map(|question| question.key)).collect()
         };
         let mut first = round(&mut discovery);
         assert_eq!(round(&mut discovery), first);
@@ -201,9 +237,9 @@ mod tests {
             vehicle: Some(weak),
             ..ready()
         };
-        assert_eq!(discovery.answered(&name("a"), b"noise"), None);
-        assert_eq!(discovery.answered(&name("b"), &ending.encode()), None);
-        assert_eq!(discovery.answered(&name("c"), &weak.encode()), None);
+        assert_eq!(discovery.answered(&name("a"), b"noise", b""), None);
+        assert_eq!(discovery.answered(&name("b"), &ending.encode(), b""), None);
+        assert_eq!(discovery.answered(&name("c"), &weak.encode(), b""), None);
         discovery.replica_gone(&name("d"));
         let error = discovery.error();
         assert!(matches!(error.0[&name("a")], Unusable::Malformed(_)));
@@ -213,7 +249,7 @@ mod tests {
         );
         assert_eq!(error.0[&name("e")], Unusable::Silent);
         assert_eq!(error.0.len(), 4);
-        let sound = discovery.answered(&name("e"), &ready().encode());
+        let sound = discovery.answered(&name("e"), &ready().encode(), b"");
         assert_eq!(sound, Some(ready()));
     }
 
@@ -224,7 +260,7 @@ mod tests {
             ready: false,
             ..ready()
         };
-        discovery.answered(&name("a"), &ending.encode());
+        discovery.answered(&name("a"), &ending.encode(), b"");
         assert_eq!(
             discovery.error().to_string(),
             "no replica of the service can be used: replica a: it is about to end; replica b: it has not said what it \
@@ -241,10 +277,46 @@ mod tests {
     #[test]
     fn a_replica_that_announces_itself_again_keeps_its_reason() {
         let mut discovery = discovery(&["a"]);
-        discovery.answered(&name("a"), b"noise");
+        discovery.answered(&name("a"), b"noise", b"");
         discovery.replica_appeared(name("a"));
         let error = discovery.error();
         assert!(matches!(error.0[&name("a")], Unusable::Malformed(_)));
+    }
+
+    #[test]
+    fn with_a_key_only_an_answer_to_this_question_is_used() {
+        let ring = KeyRing::parse(&format!("fleet/car {}", "07".repeat(32))).unwrap();
+        let key = ring.get(&name("fleet"), &name("car")).unwrap().clone();
+        let mut config = DriverConfig::new("fleet", "car", egp_gate::Limits::of(&CAR)).unwrap();
+        config.key = Some(RunKey {
+            key: key.clone(),
+            run: 5,
+        });
+        let mut discovery = Discovery::new(&config).unwrap();
+        discovery.replica_appeared(name("a"));
+        let mut ask = || {
+            let question = discovery.next_question().unwrap();
+            let seal = Seal::decode(&question.attachment).unwrap();
+            assert!(key.is_question(&question.key, &seal, &[]));
+            discovery.next_question(); // the round ends
+            seal.tag
+        };
+        let (first, second) = (ask(), ask());
+        assert_ne!(first, second);
+        let answer = ready().encode();
+        let tagged = |tag: &[u8]| {
+            let timing = Timing {
+                tag: tag.to_vec(),
+                ..Timing::default()
+            };
+            timing.encode_to_vec()
+        };
+        for old in [vec![], tagged(&[]), tagged(&key.answer(&first, &answer))] {
+            assert_eq!(discovery.answered(&name("a"), &answer, &old), None);
+            assert_eq!(discovery.error().0[&name("a")], Unusable::Forged);
+        }
+        let own = tagged(&key.answer(&second, &answer));
+        assert!(discovery.answered(&name("a"), &answer, &own).is_some());
     }
 
     #[test]

@@ -29,7 +29,14 @@ impl InProcessDriver {
     /// [`DriverError`] when budget, limits or gate settings are out of range, or when the limits allow more than the
     /// vehicle that `served` describes can do.
     pub fn new(config: DriverConfig, served: Ready) -> Result<Self, DriverError> {
-        let mut driver = Driver::new(config, served)?;
+        // Nobody else can answer within a process, so a key has no use.
+        let mut driver = Driver::new(
+            DriverConfig {
+                key: None,
+                ..config
+            },
+            served,
+        )?;
         if let Ok(replica) = "in-process".parse::<Name>() {
             driver.replica_appeared(NOW, replica);
         }

@@ -47,8 +47,8 @@ mod step;
 
 pub use action::{Action, Query, QueryId};
 pub use carry::Carry;
-pub use config::{DriverConfig, DriverError};
-pub use discovery::{Discovery, DiscoveryError, Unusable};
+pub use config::{DriverConfig, DriverError, RunKey};
+pub use discovery::{Discovery, DiscoveryError, Question, Unusable};
 pub use driver::{Driver, Time};
 pub use in_process::{Answer, InProcessDriver};
 pub use measurement::{InvalidArgument, Measurement};

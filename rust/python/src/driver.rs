@@ -4,8 +4,8 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use egp_driver::{Action, Discovery, DriverConfig, Measurement, QueryId};
-use egp_wire::Ready;
+use egp_driver::{Action, Discovery, DriverConfig, Measurement, QueryId, RunKey};
+use egp_wire::{KeyRing, Ready};
 use pyo3::prelude::*;
 
 use crate::array::{KeptMatrix, KeptVector, Matrix, NewVector, Vector, fixed, rows, vector};
@@ -24,6 +24,8 @@ pub struct Query {
     key: String,
     /// Bytes to send.
     payload: Cow<'static, [u8]>,
+    /// Bytes to attach; empty if there are none.
+    attachment: Cow<'static, [u8]>,
     /// Time to listen for the answer, s.
     listen: f64,
 }
@@ -120,15 +122,33 @@ pub fn driver_config(
     gate: BTreeMap<String, f64>,
     budget: f64,
     want_sigma: bool,
+    keys: Option<&str>,
 ) -> PyResult<DriverConfig> {
     let (limits, max_tail_ticks, stop_deceleration) = configure(gate)?;
-    let config = DriverConfig::new(fleet, vehicle, limits);
+    let config = DriverConfig::new(fleet, vehicle, limits).map_err(InvalidArgumentError::raise)?;
+    let key = match keys {
+        Some(text) => Some(run_key(text, &config)?),
+        None => None,
+    };
     Ok(DriverConfig {
         budget,
         max_tail_ticks,
         stop_deceleration,
         want_sigma,
-        ..config.map_err(InvalidArgumentError::raise)?
+        key,
+        ..config
+    })
+}
+
+/// The vehicle's key among those of a text, for a new run.
+fn run_key(text: &str, config: &DriverConfig) -> PyResult<RunKey> {
+    let ring = KeyRing::parse(text).map_err(InvalidArgumentError::raise)?;
+    let key = ring
+        .get(&config.fleet, &config.vehicle)
+        .map_err(InvalidArgumentError::raise)?;
+    Ok(RunKey {
+        key: key.clone(),
+        run: getrandom::u64().map_err(raise)?,
     })
 }
 
@@ -158,15 +178,16 @@ fn time(seconds: f64) -> PyResult<Duration> {
 ///
 /// A state machine without clock, network or threads: it is told each event with the time in s of a clock that does not
 /// run backwards, and its actions are to be carried out. `ready` is a replica's answer on its `ready` key, `gate` the
-/// settings of the gate, `budget` the part of the control period that an answer may take. Raises `InvalidArgumentError`
-/// for values out of range.
+/// settings of the gate, `budget` the part of the control period that an answer may take, `keys` the text of a file of
+/// secret keys with that of this vehicle. Raises `InvalidArgumentError` for values out of range, and if there is no key.
 #[pyclass(module = "egp_service._core")]
 pub struct Driver(egp_driver::Driver);
 
 #[pymethods]
 impl Driver {
     #[new]
-    #[pyo3(signature = (ready, *, fleet, vehicle, gate, budget = 0.8, want_sigma = false))]
+    #[pyo3(signature = (ready, *, fleet, vehicle, gate, budget = 0.8, want_sigma = false, keys = None))]
+    #[allow(clippy::too_many_arguments)] // the settings of a driver
     fn new(
         ready: &[u8],
         fleet: &str,
@@ -174,8 +195,9 @@ impl Driver {
         gate: BTreeMap<String, f64>,
         budget: f64,
         want_sigma: bool,
+        keys: Option<&str>,
     ) -> PyResult<Self> {
-        let config = driver_config(fleet, vehicle, gate, budget, want_sigma)?;
+        let config = driver_config(fleet, vehicle, gate, budget, want_sigma, keys)?;
         let ready = Ready::decode(ready, &egp_wire::MessageLimits::default()).map_err(raise)?;
         egp_driver::Driver::new(config, ready)
             .map(Self)
@@ -251,6 +273,7 @@ impl Driver {
                     replica: query.replica.to_string(),
                     key: query.key,
                     payload: query.payload.into(),
+                    attachment: query.attachment.into(),
                     listen: query.listen.as_secs_f64(),
                 };
                 Some(Py::new(py, query)?.into_any())
@@ -295,9 +318,15 @@ pub struct Discover(Discovery);
 #[pymethods]
 impl Discover {
     #[new]
-    #[pyo3(signature = (*, fleet, vehicle, gate, budget = 0.8))]
-    fn new(fleet: &str, vehicle: &str, gate: BTreeMap<String, f64>, budget: f64) -> PyResult<Self> {
-        let config = driver_config(fleet, vehicle, gate, budget, false)?;
+    #[pyo3(signature = (*, fleet, vehicle, gate, budget = 0.8, keys = None))]
+    fn new(
+        fleet: &str,
+        vehicle: &str,
+        gate: BTreeMap<String, f64>,
+        budget: f64,
+        keys: Option<&str>,
+    ) -> PyResult<Self> {
+        let config = driver_config(fleet, vehicle, gate, budget, false, keys)?;
         Discovery::new(&config)
             .map(Self)
             .map_err(InvalidArgumentError::raise)
@@ -321,19 +350,23 @@ impl Discover {
         self.0.live().map(ToString::to_string).collect()
     }
 
-    /// Return a replica to ask and the key, or None if all were asked in this round.
-    fn next_question(&mut self) -> Option<(String, String)> {
-        let (replica, key) = self.0.next_question()?;
-        Some((replica.to_string(), key))
+    /// Return a replica to ask, the key, and the bytes to attach, or None if all were asked in this round.
+    fn next_question(&mut self) -> Option<(String, String, Cow<'static, [u8]>)> {
+        let question = self.0.next_question()?;
+        Some((
+            question.replica.to_string(),
+            question.key,
+            question.attachment.into(),
+        ))
     }
 
     /// Whether an answer describes a replica that can be used; otherwise the reason is kept.
     ///
-    /// A replica can be used if its description is valid and says that it is ready, and if the gate allows no more than
-    /// the vehicle that the replica plans for can do.
-    fn is_usable(&mut self, replica: &str, answer: &[u8]) -> PyResult<bool> {
+    /// A replica can be used if its description is valid and says that it is ready, if the gate allows no more than the
+    /// vehicle that the replica plans for can do, and if the attachment has the tag of the vehicle's key, if there is one.
+    fn is_usable(&mut self, replica: &str, answer: &[u8], attachment: &[u8]) -> PyResult<bool> {
         let replica = replica.parse().map_err(raise)?;
-        Ok(self.0.answered(&replica, answer).is_some())
+        Ok(self.0.answered(&replica, answer, attachment).is_some())
     }
 
     /// Why no replica can be used, in one sentence.

@@ -55,6 +55,10 @@ pub struct ServiceConfig {
     /// Settings of the control step.
     #[serde(default)]
     pub settings: Settings,
+    /// File with the secret keys of the vehicles, made by `egp keys`. With it, only requests that are sealed with their
+    /// vehicle's key are answered.
+    #[serde(default)]
+    pub vehicle_keys: Option<PathBuf>,
     /// A zenoh JSON5 file that replaces this service's defaults.
     #[serde(default)]
     pub zenoh_file: Option<PathBuf>,
@@ -125,6 +129,7 @@ impl ServiceConfig {
             log: default_log(),
             log_json: false,
             settings: Settings::default(),
+            vehicle_keys: None,
             zenoh_file: None,
             zenoh: BTreeMap::new(),
         }
@@ -157,6 +162,7 @@ impl ServiceConfig {
         let mut config = Self::from_toml(&text)?;
         if let Some(folder) = path.parent() {
             config.library = folder.join(&config.library);
+            config.vehicle_keys = config.vehicle_keys.map(|file| folder.join(file));
             config.zenoh_file = config.zenoh_file.map(|file| folder.join(file));
         }
         Ok(config)

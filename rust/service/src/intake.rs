@@ -4,8 +4,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use egp_wire::keys::{self, Name, Target};
-use egp_wire::{Code, Header, Invalid, Load, MessageLimits, Ready, WireError};
+use egp_wire::{Code, Header, Invalid, Load, MessageLimits, Ready, Timing, WireError};
+use prost::Message as _;
 
+use crate::guard::{Guard, Sealed};
 use crate::metrics::{Metrics, micros};
 use crate::network::Query;
 use crate::queue::{Queue, Refused};
@@ -19,12 +21,14 @@ pub(crate) struct Job {
     pub(crate) query: Query,
     pub(crate) arrived: Instant,
     pub(crate) deadline: Instant,
+    /// The proof of the sender, if the service has keys.
+    pub(crate) sealed: Option<Sealed>,
 }
 
 impl Job {
     /// The time by which a step must be expected to end, unless the worker would otherwise be idle.
     pub(crate) fn expected_by(&self) -> Instant {
-        self.deadline - (self.deadline - self.arrived) / TRANSIT
+        self.arrived + (self.deadline - self.arrived) * (TRANSIT - 1) / TRANSIT
     }
 }
 
@@ -36,6 +40,8 @@ pub(crate) struct Shared {
     pub(crate) queue: Queue<Job>,
     pub(crate) metrics: Metrics,
     pub(crate) draining: AtomicBool,
+    /// The keys of the vehicles; without them every sender is served.
+    pub(crate) guard: Option<Guard>,
 }
 
 impl Shared {
@@ -53,12 +59,17 @@ impl Shared {
                     ..self.description.clone()
                 };
                 let encoding = "application/protobuf;egp.v1.Ready";
-                query.answer(
-                    &keys::ready(&self.replica),
-                    description.encode(),
-                    encoding,
-                    None,
-                );
+                let (key, answer) = (keys::ready(&self.replica), description.encode());
+                let sealed = self.guard.as_ref().and_then(|guard| guard.question(&query));
+                let attachment = sealed.map(|sealed| {
+                    let tag = sealed.tag(&answer);
+                    Timing {
+                        tag,
+                        ..Timing::default()
+                    }
+                    .encode_to_vec()
+                });
+                query.answer(&key, answer, encoding, attachment);
             }
             Some(Target::Metrics) => {
                 let text = self.metrics.text(self.queue.len()).into_bytes();
@@ -85,11 +96,21 @@ impl Shared {
             Ok(header) => header,
             Err(invalid) => return self.refuse(&query, &invalid.into()),
         };
+        let sealed = match self
+            .guard
+            .as_ref()
+            .map(|guard| guard.request(&query, fleet, vehicle))
+        {
+            Some(Ok(sealed)) => Some(sealed),
+            Some(Err(error)) => return self.refuse(&query, &error),
+            None => None,
+        };
         let deadline = arrived + Duration::from_micros(header.budget_us.into());
         let job = Job {
             query,
             arrived,
             deadline,
+            sealed,
         };
         // An idle worker tries in any case, because only computed steps correct the estimate.
         let idle = |ahead| ahead + self.metrics.busy_workers() < self.workers;

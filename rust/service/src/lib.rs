@@ -10,6 +10,7 @@
 //! it available on the network; [`serve`] runs one until a signal.
 
 mod config;
+mod guard;
 mod handler;
 mod intake;
 mod logging;
@@ -22,6 +23,7 @@ mod server;
 mod worker;
 
 pub use config::{ConfigError, ServiceConfig};
+pub use guard::VehicleKeysError;
 pub use handler::Handler;
 pub use logging::init_logging;
 pub use network::NetworkError;

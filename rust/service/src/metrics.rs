@@ -69,6 +69,12 @@ impl Metrics {
         metrics
     }
 
+    /// Shows the counter of clients that use one key by turns.
+    pub(crate) fn show_twice(&mut self, twice: Counter) {
+        let help = "Turns of several clients with the key of one vehicle";
+        self.registry.register("identity_twice", help, twice);
+    }
+
     pub(crate) fn answered(&self, status: Status) {
         self.count(status.as_str_name().trim_start_matches("STATUS_"));
     }

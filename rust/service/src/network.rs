@@ -156,6 +156,13 @@ impl Query {
             .map_or(Cow::Borrowed(&[]), |payload| payload.to_bytes())
     }
 
+    /// The attachment; empty if there is none.
+    pub(crate) fn attachment(&self) -> Cow<'_, [u8]> {
+        self.0
+            .attachment()
+            .map_or(Cow::Borrowed(&[]), |bytes| bytes.to_bytes())
+    }
+
     /// Replies on `key`, which must match the query's.
     pub(crate) fn answer(
         &self,

@@ -7,6 +7,7 @@ use signal_hook::iterator::Signals;
 use thiserror::Error;
 
 use crate::config::ServiceConfig;
+use crate::guard::Guard;
 use crate::logging::{init_logging, log_filter};
 use crate::network::{configuration, rehearse};
 use crate::server::{Server, StartError};
@@ -35,6 +36,8 @@ pub fn check(config: &ServiceConfig) -> Result<Ready, ServeError> {
     config.validate().map_err(StartError::from)?;
     let engine =
         Engine::load(&config.library, config.settings.clone()).map_err(StartError::from)?;
+    let keys = config.vehicle_keys.as_deref().map(Guard::load);
+    keys.transpose().map_err(StartError::from)?;
     configuration(config.zenoh_file.as_deref(), &config.zenoh)
         .and_then(rehearse)
         .map_err(StartError::from)?;

@@ -14,6 +14,7 @@ use prost::Message as _;
 use thiserror::Error;
 
 use crate::config::{ConfigError, ServiceConfig};
+use crate::guard::{Guard, VehicleKeysError};
 use crate::handler::Handler;
 use crate::intake::Shared;
 use crate::metrics::Metrics;
@@ -39,6 +40,9 @@ pub enum StartError {
     /// The system could not start a thread.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
+    /// The keys of the vehicles cannot be used.
+    #[error(transparent)]
+    Keys(#[from] VehicleKeysError),
     /// An operation of zenoh that failed.
     #[error(transparent)]
     Network(#[from] NetworkError),
@@ -73,13 +77,23 @@ impl Server {
         let replica: Name = config.replica.parse()?;
         let description = handler.describe();
         let workers = config.workers();
+        let guard = config
+            .vehicle_keys
+            .as_deref()
+            .map(Guard::load)
+            .transpose()?;
+        let mut metrics = Metrics::new(&library::hex(&description.library));
+        if let Some(guard) = &guard {
+            metrics.show_twice(guard.twice());
+        }
         let shared = Arc::new(Shared {
             replica: replica.clone(),
-            metrics: Metrics::new(&library::hex(&description.library)),
+            metrics,
             description,
             workers,
             queue: Queue::new(config.queue),
             draining: AtomicBool::new(false),
+            guard,
         });
         let network = Network::open(configuration(config.zenoh_file.as_deref(), &config.zenoh)?)?;
         let mut server = Self {

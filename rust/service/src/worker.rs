@@ -45,6 +45,10 @@ fn serve<H: Handler>(
             let timing = Timing {
                 queue_us: micros(waited),
                 step_us: micros(took),
+                tag: job
+                    .sealed
+                    .as_ref()
+                    .map_or_else(Vec::new, |sealed| sealed.tag(reply)),
             };
             let encoding = "application/protobuf;egp.v1.StepReply";
             let attachment = Some(timing.encode_to_vec());

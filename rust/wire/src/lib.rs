@@ -32,6 +32,7 @@ mod reply;
 mod request;
 mod road;
 pub mod road_keys;
+mod seal;
 mod tensor;
 mod writer;
 
@@ -48,6 +49,8 @@ pub use road::{
     ROAD_TILES, RoadTile, RoadTiles, TILE_BYTES, TILE_ORIGINS, TILES_AT_ONCE, TileEvidence,
     TileOrigin, decode_tiles_changed, encode_tiles_changed,
 };
+
+pub use seal::{KeyError, KeyRing, Seal, Tag, VehicleKey};
 
 /// The messages as generated from `proto/egp/v1/egp.proto`, unvalidated.
 #[allow(missing_docs, clippy::pedantic)]

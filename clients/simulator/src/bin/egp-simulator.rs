@@ -33,6 +33,9 @@ struct Arguments {
     /// Configuration of zenoh (JSON5), for TLS, certificates and the like.
     #[arg(long, value_name = "FILE")]
     zenoh: Option<PathBuf>,
+    /// File with the secret key of the car, made by `egp keys`.
+    #[arg(long, value_name = "FILE")]
+    key: Option<PathBuf>,
     /// Fleet of the car.
     #[arg(long, default_value = "simulated")]
     fleet: String,
@@ -103,8 +106,11 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         arguments.grip,
     )?);
     let limits = GateLimits::of(&CAR.vehicle());
-    let config = VehicleConfig::new(&arguments.fleet, &arguments.vehicle, limits, &[])?
+    let mut config = VehicleConfig::new(&arguments.fleet, &arguments.vehicle, limits, &[])?
         .reached_by(&arguments.connect, arguments.zenoh.as_deref());
+    if let Some(file) = &arguments.key {
+        config = config.with_key(file)?;
+    }
     let mut vehicle = SimulatedVehicle::connect(&config, course.clone(), 0.0)?;
     eprintln!("surfaces: {}", vehicle.client().members().join(", "));
     let way = course.path.length() * f64::from(arguments.laps);

@@ -44,6 +44,12 @@ def drive(
         str | None,
         typer.Option(help="MODULE:CLASS of a simulator in place of the built-in car."),
     ] = None,
+    key: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Secret key of the car for --connect, made by `egp keys`."
+        ),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed in place of the scenario's.")] = None,
     road: Annotated[
         Path | None,
@@ -57,7 +63,7 @@ def drive(
         typer.Option(help="Endpoint of a map service (`egp map`), such as tcp/127.0.0.1:7448."),
     ] = None,
     vehicle: Annotated[
-        str | None, typer.Option(help="With --fleet: name of the car, unique in the fleet.")
+        str | None, typer.Option(help="Name of the car, unique in the fleet.")
     ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
         "runs"
@@ -96,7 +102,9 @@ def drive(
     belief = load_belief(chosen, road)
     with (
         _fleet_map(console, chosen, belief, fleet, vehicle) as exchange,
-        _controller(chosen, in_process=in_process, connect=connect, zenoh=zenoh) as controller,
+        _controller(
+            chosen, in_process=in_process, connect=connect, vehicle=vehicle, zenoh=zenoh, key=key
+        ) as controller,
     ):
         folder = new_folder(output, chosen.name)
         with StatusLine(console) as line:
@@ -119,16 +127,25 @@ def drive(
 
 
 def _controller(
-    scenario: "Scenario", *, in_process: bool, connect: str | None, zenoh: Path | None
+    scenario: "Scenario",
+    *,
+    in_process: bool,
+    connect: str | None,
+    vehicle: str | None,
+    zenoh: Path | None,
+    key: Path | None,
 ) -> "AbstractContextManager[StepController]":
     from egp_service.cli.backends import remote_controller, service_controller
     from egp_service.simulation.in_process import in_process_controller
 
-    if in_process:
-        return in_process_controller(scenario)
     if connect is None and zenoh is None:
-        return service_controller(scenario)
-    return remote_controller(scenario, connect, zenoh)
+        if key is not None:
+            raise typer.BadParameter("--key has no use without --connect or --zenoh")
+        return in_process_controller(scenario) if in_process else service_controller(scenario)
+    if in_process:
+        raise typer.BadParameter("--in-process excludes --connect and --zenoh")
+    name = vehicle or "vehicle-1"
+    return remote_controller(scenario, connect, vehicle=name, zenoh_file=zenoh, key_file=key)
 
 
 @contextmanager
@@ -143,11 +160,11 @@ def _fleet_map(
     from egp_service.simulation.course import road_name
     from egp_service.simulation.scenario import ScenarioError
 
-    if endpoint is None and vehicle is None:
+    if endpoint is None:
         yield lambda: None
         return
-    if endpoint is None or vehicle is None:
-        raise typer.BadParameter("--fleet and --vehicle go together: give both")
+    if vehicle is None:
+        raise typer.BadParameter("--fleet needs the car's name: give --vehicle")
     if scenario.speed.knows != "nothing":
         raise ScenarioError(
             f"{scenario.name}: --fleet has no effect while speed.knows is "

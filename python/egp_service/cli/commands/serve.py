@@ -42,8 +42,9 @@ def serve(
         if any(value is not None for value in (library, listen, replica, settings)):
             raise typer.BadParameter("--config excludes other options: put them into the file")
         table, folder = read_service(config), config.parent
-        if isinstance(table.get("library"), str):
-            table["library"] = str(folder / str(table["library"]))
+        for name in ("library", "vehicle_keys", "zenoh_file"):
+            if isinstance(table.get(name), str):
+                table[name] = str(folder / str(table[name]))
     elif library is not None:
         table = {"library": str(library)}
         if replica is not None:

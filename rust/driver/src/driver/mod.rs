@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use egp_gate::{Gate, Mode};
 use egp_wire::keys::Name;
-use egp_wire::{Code, Ready, Request, Timing, WireError};
+use egp_wire::{Code, Ready, Request, Tag, Timing, WireError};
 use prost::Message as _;
 
 use crate::action::{Action, QueryId};
@@ -31,8 +31,20 @@ struct Pending {
     /// Deadline of its control period.
     due: Time,
     request: Request,
+    /// The tag of the question, if the vehicle has a key.
+    tag: Option<Tag>,
+    /// Whether an answer came that has not the key's tag.
+    forged: bool,
     /// Whether the replica was demoted because the deadline passed. What comes later does not demote it again.
     counted: bool,
+}
+
+/// A question what a replica serves.
+#[derive(Clone, Debug)]
+struct Probe {
+    replica: Name,
+    sent: Time,
+    tag: Option<Tag>,
 }
 
 /// A control period that is not decided yet.
@@ -65,7 +77,7 @@ pub struct Driver {
     lost: LostDetector,
     running: Option<Running>,
     pending: BTreeMap<QueryId, Pending>,
-    probes: BTreeMap<QueryId, (Name, Time)>,
+    probes: BTreeMap<QueryId, Probe>,
     late: Vec<Late>,
     actions: VecDeque<Action>,
     queries: u64,
@@ -237,10 +249,26 @@ impl Driver {
         self.decide(now, None);
     }
 
-    /// A replica replied with these bytes and this attachment.
+    /// A replica replied with these bytes and this attachment. With a key, a reply without the tag of the answer has no
+    /// effect but on the outcome that is reported when no other answer comes.
     pub fn replied(&mut self, now: Time, id: QueryId, payload: &[u8], attachment: &[u8]) {
-        if let Some((replica, sent)) = self.probes.remove(&id) {
-            return self.probed(now.saturating_sub(sent), &replica, payload);
+        if let Some(probe) = self.probes.get(&id) {
+            if self
+                .config
+                .authentic(probe.tag.as_ref(), payload, attachment)
+            {
+                self.probed(now, id, payload);
+            }
+            return;
+        }
+        if let Some(pending) = self.pending.get_mut(&id)
+            && !self
+                .config
+                .authentic(pending.tag.as_ref(), payload, attachment)
+        {
+            // The replica's own answer may still come.
+            pending.forged = true;
+            return;
         }
         let Some(pending) = self.pending.remove(&id) else {
             return; // from before a reset, or a second reply to one query
@@ -276,12 +304,20 @@ impl Driver {
     }
 
     /// A replica answered with an error, given as the bytes of an `egp.v1.Error`. Bytes that are no such
-    /// message count as [`Driver::ended`].
+    /// message count as [`Driver::ended`]. With a key, a reply to the same query is still used, because errors have no tag.
     pub fn refused(&mut self, now: Time, id: QueryId, error: &[u8]) {
         let Some(pending) = self.pending.remove(&id) else {
             self.probes.remove(&id);
             return;
         };
+        if pending.tag.is_some() {
+            let counted = true; // the end of the query, which follows, is no further failure
+            let kept = Pending {
+                counted,
+                ..pending.clone()
+            };
+            self.pending.insert(id, kept);
+        }
         let Ok(error) = WireError::decode(error) else {
             return self.vanished(now, id, &pending);
         };

@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use egp_wire::keys::{self, Name};
+use egp_wire::keys;
 use egp_wire::{Invalid, MessageLimits, Ready, Reply, Timing};
 
-use super::{Driver, Pending, Time};
+use super::{Driver, Pending, Probe, Time};
 use crate::action::{Action, Query, QueryId};
 use crate::step::{Outcome, Step};
 
@@ -40,10 +40,13 @@ impl Driver {
         run.asked += 1;
         self.queries += 1;
         let id = QueryId(self.queries);
+        let key = keys::step(&replica, &self.config.fleet, &self.config.vehicle);
+        let (attachment, tag) = self.config.seal(&key, id.0, &run.bytes);
         let query = Query {
             id,
-            key: keys::step(&replica, &self.config.fleet, &self.config.vehicle),
+            key,
             payload: run.bytes.clone(),
+            attachment,
             listen: run.deadline.saturating_sub(now) + listen,
             replica: replica.clone(),
         };
@@ -52,6 +55,8 @@ impl Driver {
             sent: now,
             due: run.deadline,
             request: run.request.clone(),
+            tag,
+            forged: false,
             counted: false,
         };
         run.current = Some((id, replica));
@@ -81,7 +86,13 @@ impl Driver {
     /// A replica that announces itself gave no answer at all.
     pub(super) fn vanished(&mut self, now: Time, id: QueryId, pending: &Pending) {
         self.demote(now, pending);
-        self.failed(now, id, Outcome::Unreachable);
+        let outcome = if pending.forged {
+            let reason = "the answer has not the tag of this vehicle's key: it does not come from a service that has the key";
+            Outcome::Unusable(Invalid::field("tag", reason))
+        } else {
+            Outcome::Unreachable
+        };
+        self.failed(now, id, outcome);
     }
 
     /// Decides the open period and gives its command.
@@ -152,7 +163,7 @@ impl Driver {
         self.pending
             .retain(|_, pending| now.saturating_sub(pending.due) <= listen);
         self.probes
-            .retain(|_, (_, sent)| now.saturating_sub(*sent) <= listen);
+            .retain(|_, probe| now.saturating_sub(probe.sent) <= listen);
     }
 
     /// Probes a demoted replica when one is due.
@@ -162,11 +173,19 @@ impl Driver {
         };
         self.queries += 1;
         let id = QueryId(self.queries);
-        self.probes.insert(id, (replica.clone(), now));
+        let key = keys::ready(&replica);
+        let (attachment, tag) = self.config.seal(&key, id.0, &[]);
+        let probe = Probe {
+            replica: replica.clone(),
+            sent: now,
+            tag,
+        };
+        self.probes.insert(id, probe);
         self.actions.push_back(Action::Probe(Query {
             id,
-            key: keys::ready(&replica),
+            key,
             payload: Vec::new(),
+            attachment,
             listen: self.period() * LISTEN_PERIODS,
             replica,
         }));
@@ -174,11 +193,15 @@ impl Driver {
 
     /// A probe was answered: a replica that did so within a period, is ready and serves the vehicle's library is
     /// promoted.
-    pub(super) fn probed(&mut self, took: Duration, replica: &Name, answer: &[u8]) {
+    pub(super) fn probed(&mut self, now: Time, id: QueryId, answer: &[u8]) {
+        let Some(Probe { replica, sent, .. }) = self.probes.remove(&id) else {
+            return;
+        };
+        let took = now.saturating_sub(sent);
         let sound = |ready: &Ready| ready.ready && ready.library == self.served.library;
         let ready = Ready::decode(answer, &MessageLimits::default()).ok();
         if took <= self.period() && ready.as_ref().is_some_and(sound) {
-            self.replicas.proved(replica);
+            self.replicas.proved(&replica);
         }
     }
 

@@ -13,6 +13,7 @@ fn query(payload: &[u8]) -> Query {
         replica: name("in-process"),
         key: String::new(),
         payload: payload.to_vec(),
+        attachment: Vec::new(),
         listen: BUDGET,
     }
 }
@@ -23,14 +24,15 @@ fn answers_become_commands_and_errors_become_outcomes() {
     let timing = Timing {
         queue_us: 0,
         step_us: 7,
+        ..Timing::default()
     };
     let step = vehicle.step(measurement(), BUDGET, |payload| {
         assert_eq!(request(&query(payload)).budget_us, 16_000);
-        Ok((solved(&query(payload)).encode(), timing))
+        Ok((solved(&query(payload)).encode(), timing.clone()))
     });
     let step = step.unwrap();
     assert_eq!(step.command.mode, Mode::Normal);
-    assert_eq!(step.timing, Some(timing));
+    assert_eq!(step.timing, Some(timing.clone()));
     assert_eq!(step.replica, Some(name("in-process")));
     assert_eq!(vehicle.driver().weights(), [0.25, 0.75]);
 
@@ -43,7 +45,7 @@ fn answers_become_commands_and_errors_become_outcomes() {
     let mut asked = 0;
     let step = vehicle.step(measurement(), BUDGET, |payload| {
         asked += 1;
-        Ok((solved(&query(payload)).encode(), timing))
+        Ok((solved(&query(payload)).encode(), timing.clone()))
     });
     assert_eq!(step.unwrap().command.mode, Mode::Normal);
     assert_eq!(asked, 1);

@@ -8,4 +8,5 @@ mod measurements;
 mod periods;
 mod probes;
 mod replies;
+mod seals;
 mod world;

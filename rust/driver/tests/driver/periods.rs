@@ -29,6 +29,7 @@ fn a_reply_in_time_becomes_the_command() {
     let timing = Timing {
         queue_us: 1,
         step_us: 2,
+        ..Timing::default()
     };
     let reply = solved(&query);
     driver.replied(ms(25), query.id, &reply.encode(), &timing.encode_to_vec());

@@ -26,7 +26,7 @@ In production, write a TOML file and pass it as --config; options of the command
     "listen/endpoints" = '["tls/0.0.0.0:7447"]'
 
 Without "listen/endpoints" it listens on tcp/127.0.0.1:7447 only. A service that other machines reach
-needs TLS and access control, because a program that may declare its keys can answer in its place.
+needs keys, TLS and access control (see `egp keys`): others could answer in its place, and command the cars.
 
 Vehicles ask on egp/v1/r/REPLICA/FLEET/VEHICLE/step. The service answers its state on the keys health,
 ready and metrics of egp/v1/r/REPLICA, and announces itself by the liveliness token egp/v1/@live/REPLICA.

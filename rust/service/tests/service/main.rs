@@ -7,4 +7,5 @@ mod draining;
 mod hostile;
 mod map_store;
 mod queueing;
+mod seals;
 mod serving;

@@ -1,7 +1,9 @@
 //! Messages of the wire, from the golden ones. The second reader of the same bytes is prost.
 
 use egp_testing::messages;
-use egp_wire::{Header, MessageLimits, Ready, Reply, Request, Status, WireError, proto};
+use egp_wire::{
+    Header, KeyRing, MessageLimits, Ready, Reply, Request, Seal, Status, WireError, proto,
+};
 use prost::Message as _;
 
 use crate::edits::Words;
@@ -129,5 +131,28 @@ fn an_accepted_error_encodes_to_itself() {
         if let Ok(error) = WireError::decode(&bytes) {
             assert_eq!(WireError::decode(&error.encode()).unwrap(), error);
         }
+    });
+}
+
+#[test]
+fn an_accepted_seal_encodes_to_itself() {
+    fuzz!(
+        golden("wire_seal"),
+        Words::Texts(&["a/b", ""]),
+        |bytes: Vec<u8>| {
+            if let Some(seal) = Seal::decode(&bytes) {
+                assert_eq!(Seal::decode(&seal.encode()), Some(seal));
+            }
+        }
+    );
+}
+
+#[test]
+fn a_text_of_keys_is_read_or_an_error() {
+    let text = format!("# keys\ndepot/car-7 {}\n", "0b".repeat(32)).into_bytes();
+    fuzz!(vec![text], Words::Texts(&["/", "#", "+"]), |bytes: Vec<
+        u8,
+    >| {
+        let _ = KeyRing::parse(&String::from_utf8_lossy(&bytes));
     });
 }

@@ -7,3 +7,4 @@ mod golden;
 mod properties;
 mod protobuf;
 mod refusals;
+mod seals;

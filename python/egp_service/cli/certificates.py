@@ -1,0 +1,152 @@
+"""A certificate authority for the services, vehicles and operators of a fleet.
+
+Certificates are X.509 with keys on the curve P-256. A service's certificate names the hosts under
+which it is reached and may be used on both ends of a TLS link; all others are for the connecting
+end only, so that a vehicle's certificate cannot be used to listen in a service's place.
+"""
+
+# The extra `security` installs `cryptography`, which only `egp keys` needs.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import ipaddress
+from base64 import b64encode
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+
+_CLOCK_DIFFERENCE = timedelta(hours=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """A certificate with its private key, both as PEM."""
+
+    certificate: bytes
+    private_key: bytes
+
+    def tls(self, end: str) -> dict[str, str]:
+        """Give zenoh's settings for this identity on the end `listen` or `connect` of a link."""
+        return {
+            f"{end}_certificate_base64": b64encode(self.certificate).decode(),
+            f"{end}_private_key_base64": b64encode(self.private_key).decode(),
+        }
+
+
+class Authority:
+    """A certificate authority."""
+
+    def __init__(self, identity: Identity) -> None:
+        """Use the authority's own certificate and private key."""
+        from cryptography import x509
+        from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+        from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+        self.identity = identity
+        self._certificate = x509.load_pem_x509_certificate(identity.certificate)
+        key = load_pem_private_key(identity.private_key, None)
+        if not isinstance(key, EllipticCurvePrivateKey):
+            raise TypeError("expected the private key of an authority that `egp keys` made")
+        self._key = key
+
+    @classmethod
+    def new(cls, days: int) -> Self:
+        """Make an authority whose certificate is valid for `days`."""
+        from cryptography import x509
+        from cryptography.hazmat.primitives.asymmetric import ec
+
+        key = ec.generate_private_key(ec.SECP256R1())
+        name = "egp authority"
+        builder = _builder(name, days, key, x509.Name([_common_name(name)]))
+        constraints = x509.BasicConstraints(ca=True, path_length=0)
+        builder = builder.add_extension(constraints, critical=True)
+        builder = builder.add_extension(_key_usage(authority=True), critical=True)
+        return cls(_signed(builder, key, key))
+
+    def issue(self, name: str, days: int, hosts: Sequence[str] = ()) -> Identity:
+        """Make a certificate for `name` of at most 64 characters, which may listen at `hosts`."""
+        from cryptography import x509
+        from cryptography.hazmat.primitives.asymmetric import ec
+        from cryptography.x509.oid import ExtendedKeyUsageOID
+
+        key = ec.generate_private_key(ec.SECP256R1())
+        builder = _builder(name, days, key, self._certificate.subject)
+        constraints = x509.BasicConstraints(ca=False, path_length=None)
+        builder = builder.add_extension(constraints, critical=True)
+        builder = builder.add_extension(_key_usage(authority=False), critical=True)
+        uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
+        if hosts:
+            uses.append(ExtendedKeyUsageOID.SERVER_AUTH)
+            names = x509.SubjectAlternativeName([_host(host) for host in hosts])
+            builder = builder.add_extension(names, critical=False)
+        builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
+        return _signed(builder, key, self._key)
+
+
+def _builder(
+    name: str, days: int, key: EllipticCurvePrivateKey, issuer: x509.Name
+) -> x509.CertificateBuilder:
+    from cryptography import x509
+
+    now = datetime.now(UTC)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(x509.Name([_common_name(name)]))
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _CLOCK_DIFFERENCE)
+        .not_valid_after(now + timedelta(days=days))
+    )
+
+
+def _signed(
+    builder: x509.CertificateBuilder,
+    key: EllipticCurvePrivateKey,
+    authority: EllipticCurvePrivateKey,
+) -> Identity:
+    from cryptography.hazmat.primitives.hashes import SHA256
+    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+    certificate = builder.sign(authority, SHA256()).public_bytes(Encoding.PEM)
+    private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    return Identity(certificate, private)
+
+
+def _common_name(name: str) -> x509.NameAttribute[str]:
+    from cryptography import x509
+    from cryptography.x509.oid import NameOID
+
+    return x509.NameAttribute(NameOID.COMMON_NAME, name)
+
+
+def _host(host: str) -> x509.GeneralName:
+    from cryptography import x509
+
+    with suppress(ValueError):
+        return x509.IPAddress(ipaddress.ip_address(host))
+    return x509.DNSName(host)
+
+
+def _key_usage(*, authority: bool) -> x509.KeyUsage:
+    from cryptography import x509
+
+    return x509.KeyUsage(
+        digital_signature=not authority,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=authority,
+        crl_sign=authority,
+        encipher_only=False,
+        decipher_only=False,
+    )

@@ -1,0 +1,56 @@
+"""`egp keys`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+
+def keys(
+    folder: Annotated[Path, typer.Argument(help="Folder of the files.", show_default=False)],
+    vehicle: Annotated[
+        list[str], typer.Option(help="Name of a vehicle; repeat for more.", show_default=False)
+    ],
+    host: Annotated[
+        list[str],
+        typer.Option(
+            help="Host name or address under which the service is reached; repeat for more.",
+            show_default=False,
+        ),
+    ],
+    fleet: Annotated[str, typer.Option(help="Fleet of the vehicles.")] = "default",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the service.")] = 7447,
+    days: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            max=3650,
+            help="Validity of the certificates; the authority's is ten times as long.",
+        ),
+    ] = 365,
+) -> None:
+    """Make secret keys, certificates and network configurations that close a service to strangers.
+
+    Called again for other vehicles, it keeps what is there and adds what is missing. Keep ca.key
+    where no service and no vehicle is; all other files go where their name says.
+
+    For example:
+      egp keys secrets --vehicle car-1 --vehicle car-2 --host control.example
+    """
+    from egp_service.cli.credentials import write_credentials
+
+    console = Console(soft_wrap=True)
+    new = write_credentials(folder, fleet, vehicle, hosts=host, port=port, days=days)
+    console.print(f"New vehicles: {', '.join(new) or 'none'}")
+    own = folder / "vehicles" / (new or [f"{fleet}/{vehicle[0]}"])[0].replace("/", "@")
+    console.print(
+        f"""
+Service, in the file of `egp serve --config`:
+  vehicle_keys = "{folder / "vehicles.keys"}"
+  zenoh_file = "{folder / "service.json5"}"
+Vehicle, for instance:
+  egp drive --vehicle {vehicle[0]} --zenoh {own}.json5 --key {own}.keys""",
+        markup=False,
+        highlight=False,
+    )

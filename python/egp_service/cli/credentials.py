@@ -1,0 +1,202 @@
+"""The files of `egp keys`: secret keys of vehicles, and configurations of zenoh with certificates.
+
+Each configuration is complete, with its certificate, its private key and the authority's
+certificate inside, so that it can be copied to where it is used.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+from base64 import b64encode
+from typing import TYPE_CHECKING
+
+from egp_service._core import EgpError
+from egp_service.cli.certificates import Authority, Identity
+from egp_service.files import replacing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+_NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
+# Common names of the two certificates that are no vehicle's, whose names have a slash.
+SERVICE, OPERATOR = "service", "operator"
+# The length to which X.509 limits a common name.
+_LONGEST = 64
+_SCOUTING = {"multicast": {"enabled": False}}
+_RETRY = {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2}
+_FLOWS = ["ingress", "egress"]
+_LIVE = "egp/v1/@live/*"
+
+
+def write_credentials(
+    folder: Path,
+    fleet: str,
+    vehicles: Sequence[str],
+    *,
+    hosts: Sequence[str],
+    port: int,
+    days: int,
+) -> list[str]:
+    """Write or complete the files of a fleet in `folder`; return the vehicles that are new.
+
+    Raises `EgpError` for a name that cannot be used, or if the folder has an authority without its
+    private key.
+    """
+    names = [_vehicle(fleet, vehicle) for vehicle in vehicles]
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    authority = _authority(folder, days)
+    ring = folder / "vehicles.keys"
+    keys = _read_keys(ring)
+    new = [name for name in dict.fromkeys(names) if name not in keys]
+    keys |= {name: secrets.token_hex(32) for name in new}
+    endpoints = [f"tls/{f'[{host}]' if ':' in host else host}:{port}" for host in hosts]
+    for name in new:
+        file = folder / "vehicles" / name.replace("/", "@")
+        identity = authority.issue(name, days)
+        _write(file.with_name(f"{file.name}.keys"), _key_lines({name: keys[name]}))
+        config = _client(authority, identity, endpoints)
+        _write(file.with_name(f"{file.name}.json5"), _text(config))
+    operator = _client(authority, authority.issue(OPERATOR, days), endpoints)
+    _write(folder / "operator.json5", _text(operator))
+    identity = authority.issue(SERVICE, days, hosts)
+    _write(folder / "service.json5", _text(_service(authority, identity, port, keys)))
+    # The list of the vehicles comes last: an interrupted call can be repeated.
+    _write(ring, _key_lines(keys))
+    return new
+
+
+def _vehicle(fleet: str, vehicle: str) -> str:
+    name = f"{fleet}/{vehicle}"
+    for part in (fleet, vehicle):
+        if not _NAME.fullmatch(part):
+            raise EgpError(f"expected a name of 1 to 64 of A-Z a-z 0-9 . _ -, got {part!r}")
+    if len(name) > _LONGEST:
+        raise EgpError(f"{name}: a certificate names at most {_LONGEST} characters; shorten a name")
+    return name
+
+
+def _authority(folder: Path, days: int) -> Authority:
+    certificate, private = folder / "ca.pem", folder / "ca.key"
+    if certificate.exists():
+        if not private.exists():
+            raise EgpError(
+                f"{private} is missing: copy the authority's private key there to make more keys"
+            )
+        return Authority(Identity(certificate.read_bytes(), private.read_bytes()))
+    authority = Authority.new(10 * days)
+    _write(private, authority.identity.private_key.decode())
+    _write(certificate, authority.identity.certificate.decode())
+    return authority
+
+
+def _read_keys(file: Path) -> dict[str, str]:
+    if not file.exists():
+        return {}
+    lines = (line.split() for line in file.read_text(encoding="utf-8").splitlines())
+    return {line[0]: line[1] for line in lines if line and not line[0].startswith("#")}
+
+
+def _key_lines(keys: dict[str, str]) -> str:
+    return "".join(f"{name} {key}\n" for name, key in sorted(keys.items()))
+
+
+def _tls(authority: Authority, identities: dict[str, Identity]) -> dict[str, object]:
+    settings: dict[str, object] = {
+        "root_ca_certificate_base64": b64encode(authority.identity.certificate).decode(),
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+    }
+    for end, identity in identities.items():
+        settings |= identity.tls(end)
+    return settings
+
+
+def _transport(tls: dict[str, object], longest: int) -> dict[str, object]:
+    return {
+        "link": {
+            "protocols": ["tls"],
+            "tx": {"lease": 2000},
+            "rx": {"max_message_size": longest},
+            "tls": tls,
+        },
+        "shared_memory": {"enabled": False},
+    }
+
+
+def _client(
+    authority: Authority, identity: Identity, endpoints: Sequence[str]
+) -> dict[str, object]:
+    return {
+        "mode": "peer",
+        "scouting": _SCOUTING,
+        "listen": {"endpoints": []},
+        "connect": {"retry": _RETRY, "endpoints": list(endpoints)},
+        "transport": _transport(_tls(authority, {"connect": identity}), 1 << 20),
+    }
+
+
+def _service(
+    authority: Authority, identity: Identity, port: int, vehicles: Iterable[str]
+) -> dict[str, object]:
+    tls = _tls(authority, {"listen": identity, "connect": identity})
+    return {
+        "mode": "peer",
+        "scouting": _SCOUTING,
+        "connect": {"retry": _RETRY},
+        "listen": {"endpoints": [f"tls/[::]:{port}"]},
+        "transport": _transport(tls, 1 << 23),
+        "access_control": _access(sorted(vehicles)),
+    }
+
+
+def _access(vehicles: Sequence[str]) -> dict[str, object]:
+    """Deny everything but: own steps and `ready` to a vehicle, state and load to an operator."""
+    questions = ["query", "reply"]
+    liveliness = ["liveliness_query", "liveliness_token", "declare_liveliness_subscriber"]
+    rules = [
+        _rule("live", liveliness, _LIVE),
+        _rule("ready", questions, "egp/v1/r/*/ready"),
+        _rule("served", ["declare_queryable"], "egp/v1/r/**", flows=["egress"]),
+        _rule("state", questions, "egp/v1/r/*/health", "egp/v1/r/*/metrics"),
+        _rule("load", ["put", "declare_subscriber"], "egp/v1/@load/*"),
+        *(_rule(name, questions, f"egp/v1/r/*/{name}/step") for name in vehicles),
+    ]
+    everyone = ["live", "ready", "served"]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": name, "cert_common_names": [name]} for name in [OPERATOR, *vehicles]],
+        "policies": [
+            {"rules": [*everyone, "state", "load"], "subjects": [OPERATOR]},
+            *({"rules": [*everyone, name], "subjects": [name]} for name in vehicles),
+        ],
+    }
+
+
+def _rule(
+    name: str, messages: Sequence[str], *keys: str, flows: Sequence[str] = tuple(_FLOWS)
+) -> dict[str, object]:
+    return {
+        "id": name,
+        "messages": list(messages),
+        "flows": list(flows),
+        "permission": "allow",
+        "key_exprs": list(keys),
+    }
+
+
+def _text(settings: dict[str, object]) -> str:
+    return json.dumps(settings, indent=2) + "\n"
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file that only its owner can read."""
+    with replacing(path) as beside:
+        descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
+            stream.write(text)
