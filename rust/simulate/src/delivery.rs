@@ -82,11 +82,10 @@ impl World<'_> {
                 return;
             }
             Some(Mutant::ChangedRequest) if victim => {
-                // The wire's last bytes are the newest fields' values; another budget gives other bytes.
                 let changed =
                     egp_wire::Request::decode(&exchange.payload, &MessageLimits::default());
                 if let Ok(mut request) = changed {
-                    request.x[3] += 1e-3;
+                    request.reference.iter_mut().for_each(|row| row[2] *= 0.9);
                     exchange.payload = request.encode();
                 }
             }
@@ -159,7 +158,7 @@ impl World<'_> {
         let mut sent = std::mem::take(&mut *self.outbox.borrow_mut());
         if self.config.mutant == Some(Mutant::RandomOrder)
             && sent.len() > 1
-            && real_micros() % 2 == 0
+            && real_micros().is_multiple_of(2)
         {
             sent.reverse();
         }
@@ -260,10 +259,9 @@ impl World<'_> {
             _ => None,
         };
         match mutant {
-            Mutant::ChangedReply => reply.weights.reverse(),
-            Mutant::ForgedReply => reply.plan_u.iter_mut().for_each(|u| u[0] *= 0.5),
-            Mutant::OtherLibrary => reply.iterations += 1,
-            Mutant::StaleReply | Mutant::SwappedReply => {
+            Mutant::ChangedWeights => reply.weights.reverse(),
+            Mutant::ChangedPlan => reply.plan_u.iter_mut().for_each(|u| u[0] *= 0.5),
+            Mutant::StaleReply => {
                 let Some(other) = old.filter(|other| other.plan_x.len() == reply.plan_x.len())
                 else {
                     return payload;

@@ -60,16 +60,12 @@ mutants! {
     TailShifted => Tail,
     /// The stop after the tail repeats the last command instead of braking.
     StopRepeats => Tail,
-    /// A reply is changed on its way and still fits the request.
-    ChangedReply => Match,
-    /// A stray process answers with a plan of its own.
-    ForgedReply => Match,
-    /// The reply to an earlier request is given the present sequence.
+    /// The weights of a reply change places on its way.
+    ChangedWeights => Match,
+    /// The forces of a plan are halved on its way.
+    ChangedPlan => Match,
+    /// A reply has the plan and the weights of an earlier reply of the replica, to any vehicle.
     StaleReply => Match,
-    /// The reply to another vehicle is given this vehicle's sequence and state.
-    SwappedReply => Match,
-    /// The reply of another library is given this library's name.
-    OtherLibrary => Match,
     /// A request is changed on its way to the engine.
     ChangedRequest => Match,
     /// The service drops one vehicle's requests.
@@ -98,6 +94,6 @@ mutants! {
     LeakedQueries => Memory,
     /// The time of a step is that of the real clock.
     RealClock => Repeat,
-    /// The order of events is that of addresses in memory.
+    /// The real clock decides the order of messages that are sent at the same moment.
     RandomOrder => Repeat,
 }

@@ -267,7 +267,10 @@ impl World<'_> {
             self.broken(Oracle::Memory, format!("{outstanding} queries of car-{v}"));
         }
         for r in 0..self.replicas.len() {
-            let waiting = self.replicas[r].machine.as_ref().map_or(0, |m| m.waiting());
+            let waiting = self.replicas[r]
+                .machine
+                .as_ref()
+                .map_or(0, egp_service::Replica::waiting);
             if waiting > QUEUE {
                 self.broken(Oracle::Memory, format!("{waiting} vehicles wait in r{r}"));
             }
@@ -313,7 +316,9 @@ impl World<'_> {
             "car-{v} {:?} F {force:.3} N, rate {rate:.6} rad/s at {speed:.4} m/s, {} of {}",
             step.command.mode,
             step.outcome.name(),
-            step.replica.as_ref().map_or("none", |name| name.as_str()),
+            step.replica
+                .as_ref()
+                .map_or("none", egp_wire::keys::Name::as_str),
         ));
     }
 

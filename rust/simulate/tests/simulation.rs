@@ -36,7 +36,7 @@ fn each_oracle_finds_its_planted_fault() {
         Mutant::NoDeadline,
         Mutant::ForceSlew,
         Mutant::TailAsNormal,
-        Mutant::ForgedReply,
+        Mutant::ChangedPlan,
         Mutant::RefusedVehicle,
         Mutant::StuckWorker,
         Mutant::UntypedError,
