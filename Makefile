@@ -5,7 +5,7 @@ RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name 
 	$(wildcard python/egp_service/_core/*.pyi)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench fmt lint deny rust-test python-test instructions clean
+.PHONY: help demo test bench fmt lint deny rust-test python-test instructions soak clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -34,6 +34,12 @@ lint: .venv/built-dev ## Check format, lints, types, stubs and import rules
 	$(BIN)/mypy
 	$(BIN)/stubtest egp_service._core
 	$(BIN)/lint-imports
+
+SEEDS ?= 0..10000
+SHIPPED := python/egp_service/shipped
+soak: ## Simulate vehicles and replicas with faults for hours: make soak SEEDS=0..10000
+	cargo run --release --locked -p egp-simulate -- $(SHIPPED)/demo-library.safetensors \
+		--other $(SHIPPED)/evaluation-library.safetensors --seeds $(SEEDS)
 
 deny: ## Check licences, sources and advisories of the Rust crates, with cargo-deny and the network
 	cargo deny --locked check $(CHECKS)

@@ -10,7 +10,7 @@ use egp_wire::{Code, KeyError, KeyRing, Seal, Tag, VehicleKey, WireError};
 use prometheus_client::metrics::counter::Counter;
 use thiserror::Error;
 
-use crate::network::Query;
+use crate::query::Query;
 
 /// Runs of a vehicle's client that are remembered; a vehicle that starts more often than this while the service runs is
 /// answered, but copies of questions from before could be repeated.
@@ -92,7 +92,7 @@ impl Guard {
     /// request or a newer one of the same run came before.
     pub(crate) fn request(
         &self,
-        query: &Query,
+        query: &impl Query,
         fleet: &Name,
         vehicle: &Name,
     ) -> Result<Sealed, WireError> {
@@ -124,7 +124,7 @@ impl Guard {
     }
 
     /// The sender of a question that anybody may ask, if it can prove who it is.
-    pub(crate) fn question(&self, query: &Query) -> Option<Sealed> {
+    pub(crate) fn question(&self, query: &impl Query) -> Option<Sealed> {
         let seal = Seal::decode(&query.attachment())?;
         let (fleet, vehicle) = &seal.vehicle;
         let key = self.keys.get(fleet, vehicle).ok()?;

@@ -9,7 +9,7 @@ use prost::Message as _;
 
 use crate::guard::{Guard, Sealed};
 use crate::metrics::{Metrics, micros};
-use crate::network::Query;
+use crate::query::Query;
 use crate::queue::{Queue, Refused};
 
 /// The part of a budget that is left for the way of request and answer through network and threads, which the service
@@ -17,15 +17,15 @@ use crate::queue::{Queue, Refused};
 const TRANSIT: u32 = 8;
 
 /// A request on its way to a worker.
-pub(crate) struct Job {
-    pub(crate) query: Query,
+pub(crate) struct Job<Q> {
+    pub(crate) query: Q,
     pub(crate) arrived: Instant,
     pub(crate) deadline: Instant,
     /// The proof of the sender, if the service has keys.
     pub(crate) sealed: Option<Sealed>,
 }
 
-impl Job {
+impl<Q> Job<Q> {
     /// The time by which a step must be expected to end, unless the worker would otherwise be idle.
     pub(crate) fn expected_by(&self) -> Instant {
         self.arrived + (self.deadline - self.arrived) * (TRANSIT - 1) / TRANSIT
@@ -33,20 +33,20 @@ impl Job {
 }
 
 /// The state that intake and workers share.
-pub(crate) struct Shared {
+pub(crate) struct Shared<Q> {
     pub(crate) replica: Name,
     pub(crate) description: Ready,
     pub(crate) workers: usize,
-    pub(crate) queue: Queue<Job>,
+    pub(crate) queue: Queue<Job<Q>>,
     pub(crate) metrics: Metrics,
     pub(crate) draining: AtomicBool,
     /// The keys of the vehicles; without them every sender is served.
     pub(crate) guard: Option<Guard>,
 }
 
-impl Shared {
-    /// Answers a query, queues it, or answers it with an error.
-    pub(crate) fn take(&self, query: Query) {
+impl<Q: Query> Shared<Q> {
+    /// Answers a query that arrived at `arrived`, queues it, or answers it with an error.
+    pub(crate) fn take(&self, query: Q, arrived: Instant) {
         match keys::parse(query.key()) {
             Some(Target::Health) => {
                 let key = keys::health(&self.replica);
@@ -76,16 +76,15 @@ impl Shared {
                 let encoding = "application/openmetrics-text;version=1.0.0";
                 query.answer(&keys::metrics(&self.replica), text, encoding, None);
             }
-            Some(Target::Step { fleet, vehicle }) => self.admit(query, &fleet, &vehicle),
+            Some(Target::Step { fleet, vehicle }) => self.admit(query, arrived, &fleet, &vehicle),
             None => self.refuse(&query, &no_such_key(query.key())),
         }
     }
 
-    fn admit(&self, query: Query, fleet: &Name, vehicle: &Name) {
+    fn admit(&self, query: Q, arrived: Instant, fleet: &Name, vehicle: &Name) {
         if query.key() != keys::step(&self.replica, fleet, vehicle) {
             return self.refuse(&query, &no_such_key(query.key()));
         }
-        let arrived = Instant::now();
         let limits = MessageLimits::default();
         let (limit, actual) = (limits.message_bytes, query.length());
         if actual > limit {
@@ -154,7 +153,7 @@ impl Shared {
     }
 
     /// Sends an error and counts it.
-    pub(crate) fn refuse(&self, query: &Query, error: &WireError) {
+    pub(crate) fn refuse(&self, query: &Q, error: &WireError) {
         self.metrics.refused(error.code);
         tracing::debug!(key = query.key(), code = error.code.as_str_name(), %error, "refused");
         query.refuse(error);

@@ -9,6 +9,8 @@ use zenoh::bytes::ZBytes;
 use zenoh::qos::CongestionControl;
 use zenoh::{Config, Wait};
 
+use crate::query::Query;
+
 /// An operation of zenoh that failed.
 #[derive(Debug, Error)]
 #[error("{doing}: {reason}")]
@@ -136,38 +138,34 @@ fn free_ports(endpoints: &mut Value) {
     }
 }
 
-/// A query that was received.
-pub(crate) struct Query(zenoh::query::Query);
+/// A query that zenoh delivered.
+pub(crate) struct Received(zenoh::query::Query);
 
-impl Query {
-    pub(crate) fn key(&self) -> &str {
+impl Query for Received {
+    fn key(&self) -> &str {
         self.0.key_expr().as_str()
     }
 
-    /// Length of the payload in bytes.
-    pub(crate) fn length(&self) -> usize {
+    fn length(&self) -> usize {
         self.0.payload().map_or(0, ZBytes::len)
     }
 
-    /// The payload, which is copied if it came in several parts.
-    pub(crate) fn payload(&self) -> Cow<'_, [u8]> {
+    fn payload(&self) -> Cow<'_, [u8]> {
         self.0
             .payload()
             .map_or(Cow::Borrowed(&[]), |payload| payload.to_bytes())
     }
 
-    /// The attachment; empty if there is none.
-    pub(crate) fn attachment(&self) -> Cow<'_, [u8]> {
+    fn attachment(&self) -> Cow<'_, [u8]> {
         self.0
             .attachment()
             .map_or(Cow::Borrowed(&[]), |bytes| bytes.to_bytes())
     }
 
-    /// Replies on `key`, which must match the query's.
-    pub(crate) fn answer(
+    fn answer(
         &self,
         key: &str,
-        payload: impl Into<ZBytes>,
+        payload: Vec<u8>,
         encoding: &'static str,
         attachment: Option<Vec<u8>>,
     ) {
@@ -182,8 +180,7 @@ impl Query {
         }
     }
 
-    /// Replies with an error.
-    pub(crate) fn refuse(&self, error: &WireError) {
+    fn refuse(&self, error: &WireError) {
         let sent = self
             .0
             .reply_err(error.encode())
@@ -219,13 +216,13 @@ impl Network {
     pub(crate) fn declare(
         &mut self,
         key: &str,
-        intake: impl Fn(Query) + Send + Sync + 'static,
+        intake: impl Fn(Received) + Send + Sync + 'static,
     ) -> Result<(), NetworkError> {
         let queryable = self
             .session
             .declare_queryable(key)
             .complete(true)
-            .callback(move |query| intake(Query(query)))
+            .callback(move |query| intake(Received(query)))
             .wait()
             .map_err(|e| NetworkError::new(format!("cannot declare {key}"), &e))?;
         self.queryable = Some(queryable);

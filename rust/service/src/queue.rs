@@ -94,8 +94,7 @@ impl<T> Queue<T> {
     pub(crate) fn pop(&self) -> Option<T> {
         let mut waiting = self.lock();
         loop {
-            if let Some((_, (vehicle, item))) = waiting.by_place.pop_first() {
-                waiting.slots.remove(&vehicle);
+            if let Some(item) = Self::take_first(&mut waiting) {
                 return Some(item);
             }
             if waiting.closed {
@@ -106,6 +105,17 @@ impl<T> Queue<T> {
                 .wait(waiting)
                 .unwrap_or_else(PoisonError::into_inner);
         }
+    }
+
+    /// The item with the earliest deadline, or `None` if the queue is empty.
+    pub(crate) fn try_pop(&self) -> Option<T> {
+        Self::take_first(&mut self.lock())
+    }
+
+    fn take_first(waiting: &mut Waiting<T>) -> Option<T> {
+        let (_, (vehicle, item)) = waiting.by_place.pop_first()?;
+        waiting.slots.remove(&vehicle);
+        Some(item)
     }
 
     /// Closes the queue: later items are handed back, those that wait are still served.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use egp_core::library;
 use egp_engine::{Engine, EngineError};
@@ -18,7 +18,7 @@ use crate::guard::{Guard, VehicleKeysError};
 use crate::handler::Handler;
 use crate::intake::Shared;
 use crate::metrics::Metrics;
-use crate::network::{Network, NetworkError, Publisher, configuration};
+use crate::network::{Network, NetworkError, Publisher, Received, configuration};
 use crate::queue::Queue;
 use crate::worker::work;
 
@@ -50,7 +50,7 @@ pub enum StartError {
 
 /// A service that answers queries until it is drained or dropped.
 pub struct Server {
-    shared: Arc<Shared>,
+    shared: Arc<Shared<Received>>,
     network: Network,
     drain: Duration,
     workers: Vec<JoinHandle<()>>,
@@ -107,7 +107,9 @@ impl Server {
         let shared = server.shared.clone();
         server
             .network
-            .declare(&keys::replica(&replica), move |query| shared.take(query))?;
+            .declare(&keys::replica(&replica), move |query| {
+                shared.take(query, Instant::now());
+            })?;
         server.start_reporter(Duration::from_millis(config.load_ms))?;
         // The announcement comes last, because clients ask as soon as they see it.
         server.network.announce(&replica)?;
@@ -176,7 +178,12 @@ impl Drop for Server {
 }
 
 /// Publishes the load until `stop` is dropped.
-fn report(shared: &Shared, publisher: &Publisher, period: Duration, stop: &mpsc::Receiver<()>) {
+fn report(
+    shared: &Shared<Received>,
+    publisher: &Publisher,
+    period: Duration,
+    stop: &mpsc::Receiver<()>,
+) {
     while stop.recv_timeout(period) == Err(RecvTimeoutError::Timeout) {
         publisher.publish(shared.load().encode_to_vec());
     }

@@ -9,7 +9,8 @@ use egp_wire::road_keys::{self, RoadKey, RoadTarget};
 use egp_wire::{Code, WireError};
 
 use super::metrics::Metrics;
-use crate::network::Query;
+use crate::network::Received;
+use crate::query::Query as _;
 
 /// Queries of one vehicle that may wait; a vehicle that sends more delays only itself.
 const WAITING: usize = 64;
@@ -18,7 +19,7 @@ const PAYLOAD: usize = 4096;
 
 /// A query on its way to the keeper.
 pub(crate) struct Job {
-    pub query: Query,
+    pub query: Received,
     pub what: What,
     pub key: RoadKey,
     pub index: u32,
@@ -48,7 +49,7 @@ impl Intake {
     }
 
     /// Answers a query, hands it to the keeper, or answers it with an error.
-    pub(crate) fn take(&self, query: Query, keeper: &SyncSender<Job>) {
+    pub(crate) fn take(&self, query: Received, keeper: &SyncSender<Job>) {
         let (what, key, index) = match road_keys::parse(query.key()) {
             Some(RoadTarget::Health) => {
                 return query.answer(road_keys::HEALTH, b"ok".to_vec(), "text/plain", None);
@@ -110,7 +111,7 @@ impl Intake {
     }
 
     /// Sends an error and counts it.
-    pub(crate) fn refuse(&self, query: &Query, error: &WireError) {
+    pub(crate) fn refuse(&self, query: &Received, error: &WireError) {
         self.metrics.refused(error.code);
         tracing::debug!(key = query.key(), code = error.code.as_str_name(), %error, "refused");
         query.refuse(error);

@@ -13,6 +13,7 @@ use super::file::{self, Clocks};
 use super::intake::{Intake, Job, What};
 use super::store::{Road, Store};
 use crate::network::Putter;
+use crate::query::Query as _;
 
 // Messages and beliefs have the same tiles.
 const _: () = assert!(egp_map::TILE_BYTES == egp_wire::TILE_BYTES);

@@ -1,0 +1,97 @@
+//! A replica without network, threads and clock, for simulations.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use egp_core::library;
+use egp_wire::keys::Name;
+use egp_wire::{Status, WireError};
+
+use crate::handler::Handler;
+use crate::intake::Shared;
+use crate::metrics::Metrics;
+use crate::query::Query;
+use crate::queue::Queue;
+use crate::worker::{Begun, Worker};
+
+/// Intake, queue and workers of a service as one state machine; [`crate::Server`] runs the same code on threads.
+///
+/// The caller delivers queries, and gives the time with each call. Only differences between times matter.
+pub struct Replica<H: Handler, Q: Query> {
+    shared: Shared<Q>,
+    handler: H,
+    workers: Vec<Worker<H::Workspace>>,
+    /// The step that each worker computes, with its outcome.
+    running: Vec<Option<Computed<Q>>>,
+}
+
+type Computed<Q> = (Begun<Q>, Result<Status, WireError>);
+
+impl<H: Handler, Q: Query> Replica<H, Q> {
+    /// A replica with this name, number of workers and number of vehicles that may wait.
+    ///
+    /// # Errors
+    /// [`WireError`] if the memory of a worker cannot be made.
+    pub fn new(name: Name, handler: H, workers: usize, queue: usize) -> Result<Self, WireError> {
+        let description = handler.describe();
+        let memory = (0..workers).map(|_| handler.workspace().map(Worker::new));
+        let workers_memory = memory.collect::<Result<Vec<_>, _>>()?;
+        Ok(Self {
+            shared: Shared {
+                replica: name,
+                metrics: Metrics::new(&library::hex(&description.library)),
+                description,
+                workers,
+                queue: Queue::new(queue),
+                draining: AtomicBool::new(false),
+                guard: None,
+            },
+            handler,
+            workers: workers_memory,
+            running: (0..workers).map(|_| None).collect(),
+        })
+    }
+
+    /// Takes a query at the time `now`: answers it, queues it, or answers it with an error.
+    pub fn take(&self, query: Q, now: Instant) {
+        self.shared.take(query, now);
+    }
+
+    /// Lets an idle worker begin the next step at the time `now`, and returns the worker's index; none if no worker is
+    /// idle or no request waits. The caller calls [`Replica::end`] when the step's time has passed.
+    pub fn begin(&mut self, now: Instant) -> Option<usize> {
+        let index = self.running.iter().position(Option::is_none)?;
+        loop {
+            let job = self.shared.queue.try_pop()?;
+            if let Some(begun) = self.shared.begin(job, now) {
+                let worker = self.workers.get_mut(index)?;
+                let outcome = worker.compute(&self.shared, &self.handler, &begun);
+                *self.running.get_mut(index)? = Some((begun, outcome));
+                return Some(index);
+            }
+        }
+    }
+
+    /// Ends the step of the worker with this index at the time `now`, and answers its query.
+    pub fn end(&mut self, index: usize, now: Instant) {
+        let computed = self.running.get_mut(index).and_then(Option::take);
+        if let (Some((begun, outcome)), Some(worker)) = (computed, self.workers.get(index)) {
+            self.shared.finish(begun, outcome, &worker.reply, now);
+        }
+    }
+
+    /// Begins to drain: the replica describes itself as not ready, and still serves.
+    pub fn drain(&self) {
+        self.shared.draining.store(true, Ordering::Relaxed);
+    }
+
+    /// Closes the queue: later requests are answered with an error, those that wait are still served.
+    pub fn close(&self) {
+        self.shared.queue.close();
+    }
+
+    /// Vehicles that wait.
+    pub fn waiting(&self) -> usize {
+        self.shared.queue.len()
+    }
+}

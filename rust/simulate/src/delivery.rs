@@ -1,0 +1,341 @@
+//! How queries and answers travel between vehicles and replicas.
+
+use std::rc::Rc;
+use std::time::Duration;
+
+use egp_driver::{Query, QueryId};
+use egp_wire::{Code, MessageLimits, Reply, WireError};
+use rand::RngExt;
+
+use crate::event::{Event, Message};
+use crate::link::latency;
+use crate::mutant::Mutant;
+use crate::oracle::{Oracle, typed};
+use crate::replica::{Exchange, Received};
+use crate::world::World;
+
+/// Time after its arrival within which a running replica answers a query.
+const ANSWERED: Duration = Duration::from_secs(1);
+/// Time of a step, µs.
+const STEP: std::ops::Range<u64> = 800..2500;
+
+impl World<'_> {
+    /// Sends a query of a vehicle.
+    pub(crate) fn ask(&mut self, v: usize, query: Query) {
+        let index = query.replica.as_str().trim_start_matches('r').parse();
+        let Some(r) = index.ok().filter(|r: &usize| *r < self.replicas.len()) else {
+            return;
+        };
+        self.note(&format!("car-{v} asks r{r} as query {}", query.id.0));
+        self.vehicles[v].outstanding.push((query.id, r, self.now));
+        if !query.payload.is_empty() {
+            self.last_request.clone_from(&query.payload);
+        }
+        // A query that is not answered ends when its time has passed.
+        self.agenda.add(
+            self.now + query.listen,
+            Event::Deliver(v, query.id, Message::End),
+        );
+        let delay = latency(&mut self.rng);
+        if !self.links[v][r].asks_pass() {
+            return;
+        }
+        let process = &self.replicas[r];
+        if process.machine.is_none() || !process.declared {
+            self.agenda
+                .add(self.now + delay, Event::Deliver(v, query.id, Message::End));
+            return;
+        }
+        let exchange = Exchange {
+            key: query.key,
+            payload: query.payload,
+            asker: Some((v, query.id)),
+            outbox: self.outbox.clone(),
+            answers: Rc::default(),
+        };
+        self.agenda.add(
+            self.now + delay,
+            Event::Arrive(r, process.incarnation, exchange),
+        );
+    }
+
+    /// A query reaches a replica.
+    pub(crate) fn arrive(&mut self, r: usize, incarnation: u32, mut exchange: Exchange) {
+        let process = &mut self.replicas[r];
+        if process.incarnation != incarnation || !process.declared {
+            return;
+        }
+        if process.frozen > 0 {
+            process.waiting.push(exchange);
+            return;
+        }
+        let victim = matches!(exchange.asker, Some((0, _)));
+        match self.config.mutant {
+            Some(Mutant::DroppedVehicle) if victim => return,
+            Some(Mutant::TwoAnswers) if victim => {
+                let error = WireError::retryable(Code::Overloaded, 0, "planted");
+                egp_service::Query::refuse(&exchange, &error);
+            }
+            Some(Mutant::RefusedVehicle) if victim => {
+                let error = WireError::retryable(Code::Overloaded, 0, "planted");
+                egp_service::Query::refuse(&exchange, &error);
+                return;
+            }
+            Some(Mutant::ChangedRequest) if victim => {
+                let changed =
+                    egp_wire::Request::decode(&exchange.payload, &MessageLimits::default());
+                if let Ok(mut request) = changed {
+                    request.reference.iter_mut().for_each(|row| row[2] *= 0.9);
+                    exchange.payload = request.encode();
+                }
+            }
+            _ => {}
+        }
+        let Some(machine) = &process.machine else {
+            return;
+        };
+        let answers = exchange.answers.clone();
+        if self.config.mutant == Some(Mutant::DroppedRequest) && self.rng.random_range(0..50) == 0 {
+            drop(exchange);
+        } else {
+            machine.take(exchange, self.epoch + self.now + process.clock);
+        }
+        let at = self.now;
+        process.received.push(Received { at, answers });
+        self.work(r);
+    }
+
+    /// Lets idle workers of a replica begin steps.
+    pub(crate) fn work(&mut self, r: usize) {
+        let process = &mut self.replicas[r];
+        if process.frozen > 0 {
+            return;
+        }
+        let now = self.epoch + self.now + process.clock;
+        let Some(machine) = &mut process.machine else {
+            return;
+        };
+        while let Some(worker) = machine.begin(now) {
+            let slow = if process.slow > 0 { 12 } else { 1 };
+            let mut micros = slow * self.rng.random_range(STEP);
+            match self.config.mutant {
+                Some(Mutant::StuckWorker) => continue,
+                Some(Mutant::RealClock) => micros += real_micros(),
+                _ => {}
+            }
+            let due = self.now + Duration::from_micros(micros);
+            self.agenda
+                .add(due, Event::StepEnds(r, process.incarnation, worker));
+        }
+    }
+
+    /// A step has taken its time.
+    pub(crate) fn step_ends(&mut self, r: usize, incarnation: u32, worker: usize) {
+        let process = &mut self.replicas[r];
+        if process.incarnation != incarnation {
+            return;
+        }
+        if process.frozen > 0 {
+            process.ended.push(worker);
+            return;
+        }
+        let now = self.epoch + self.now + process.clock;
+        if let Some(machine) = &mut process.machine {
+            machine.end(worker, now);
+        }
+        self.flush_from(r);
+        self.work(r);
+    }
+
+    /// Puts what replicas have sent on the links.
+    pub(crate) fn flush(&mut self) {
+        for r in 0..self.replicas.len() {
+            self.flush_from(r);
+        }
+    }
+
+    fn flush_from(&mut self, r: usize) {
+        let mut sent = std::mem::take(&mut *self.outbox.borrow_mut());
+        if self.config.mutant == Some(Mutant::RandomOrder)
+            && sent.len() > 1
+            && real_micros().is_multiple_of(2)
+        {
+            sent.reverse();
+        }
+        for (asker, message) in sent {
+            let message = self.plant_error(message);
+            if matches!(&message, Message::Error(bytes) if !typed(bytes)) {
+                self.broken(Oracle::Typed, format!("r{r} sent an error without a code"));
+            }
+            let Some((v, id)) = asker else {
+                continue;
+            };
+            let outstanding = &self.vehicles[v].outstanding;
+            let asked = outstanding.iter().find(|(own, ..)| *own == id);
+            let r = asked.map_or(r, |(_, asked, _)| *asked);
+            self.travel(v, r, id, message);
+        }
+    }
+
+    /// Plants a fault into an error.
+    fn plant_error(&self, message: Message) -> Message {
+        match (message, self.config.mutant) {
+            (Message::Error(_), Some(Mutant::UntypedError)) => Message::Error(b"\xff".to_vec()),
+            (Message::Error(_), Some(Mutant::ErrorWithoutCode)) => {
+                Message::Error(WireError::permanent(Code::Unspecified, "planted").encode())
+            }
+            (message, _) => message,
+        }
+    }
+
+    /// Puts a replica's answer on the link to a vehicle.
+    fn travel(&mut self, v: usize, r: usize, id: QueryId, message: Message) {
+        let mut delay = latency(&mut self.rng);
+        if !self.links[v][r].answers_pass() {
+            return;
+        }
+        if self.config.mutant == Some(Mutant::LostAnswers) && v == 0 {
+            return;
+        }
+        let process = &mut self.replicas[r];
+        if process.disorder > 0 {
+            delay += Duration::from_micros(self.rng.random_range(0..40_000));
+            if self.rng.random::<bool>() {
+                let again = delay + Duration::from_micros(self.rng.random_range(0..5000));
+                self.agenda
+                    .add(self.now + again, Event::Deliver(v, id, message.clone()));
+            }
+        }
+        let hostile = process.hostile > 0;
+        let old = process.old_answer.clone();
+        if matches!(message, Message::Reply(..)) {
+            process.old_answer = Some(message.clone());
+        }
+        let message = match message {
+            Message::Reply(payload, attachment) => {
+                let payload = if hostile {
+                    self.corrupt(payload, old.as_ref())
+                } else {
+                    self.plant(v, payload, old.as_ref())
+                };
+                Message::Reply(payload, attachment)
+            }
+            other => other,
+        };
+        // The end of a query does not overtake its answer.
+        let mut due = self.now + delay;
+        let mut asked = self.vehicles[v].outstanding.iter_mut();
+        if let Some((_, _, last)) = asked.find(|(own, ..)| *own == id) {
+            due = due.max(*last);
+            *last = due;
+        }
+        self.agenda.add(due, Event::Deliver(v, id, message));
+    }
+
+    /// What a hostile or broken replica sends in place of a reply.
+    fn corrupt(&mut self, mut payload: Vec<u8>, old: Option<&Message>) -> Vec<u8> {
+        match (self.rng.random_range(0..4), old) {
+            (0, _) => payload.truncate(payload.len() / 2),
+            (1, _) => payload
+                .iter_mut()
+                .for_each(|byte| *byte = self.rng.random()),
+            (2, Some(Message::Reply(bytes, _))) => payload.clone_from(bytes),
+            _ => payload = vec![0; 2 << 20],
+        }
+        payload
+    }
+
+    /// Plants a fault into a reply.
+    fn plant(&mut self, v: usize, payload: Vec<u8>, old: Option<&Message>) -> Vec<u8> {
+        let (Some(mutant), 0) = (self.config.mutant, v) else {
+            return payload;
+        };
+        let limits = MessageLimits::default();
+        let Ok(mut reply) = Reply::decode(&payload, &limits) else {
+            return payload;
+        };
+        let old = match old {
+            Some(Message::Reply(bytes, _)) => Reply::decode(bytes, &limits).ok(),
+            _ => None,
+        };
+        match mutant {
+            Mutant::ChangedWeights => reply.weights.reverse(),
+            Mutant::ChangedPlan => reply.plan_u.iter_mut().for_each(|u| u[0] *= 0.5),
+            Mutant::StaleReply => {
+                let Some(other) = old.filter(|other| other.plan_x.len() == reply.plan_x.len())
+                else {
+                    return payload;
+                };
+                reply.plan_u = other.plan_u;
+                reply.weights = other.weights;
+            }
+            _ => return payload,
+        }
+        reply.encode()
+    }
+
+    /// A message reaches a vehicle.
+    pub(crate) fn deliver(&mut self, v: usize, id: QueryId, message: Message) {
+        let now = self.time_of(v);
+        let vehicle = &mut self.vehicles[v];
+        let known = vehicle.outstanding.iter().any(|(own, ..)| *own == id);
+        if !known {
+            return;
+        }
+        match message {
+            Message::Reply(payload, attachment) => {
+                vehicle.driver.replied(now, id, &payload, &attachment);
+            }
+            Message::Error(error) => vehicle.driver.refused(now, id, &error),
+            Message::End => {
+                if self.config.mutant != Some(Mutant::LeakedQueries) {
+                    vehicle.outstanding.retain(|(own, ..)| *own != id);
+                }
+                vehicle.driver.ended(now, id);
+            }
+        }
+        self.act(v);
+    }
+
+    /// Ends a vehicle's queries to a replica whose link is lost.
+    pub(crate) fn end_queries(&mut self, v: usize, r: usize) {
+        let ended: Vec<QueryId> = self.vehicles[v]
+            .outstanding
+            .iter()
+            .filter(|(_, asked, _)| *asked == r)
+            .map(|(id, ..)| *id)
+            .collect();
+        for id in ended {
+            self.agenda
+                .add(self.now, Event::Deliver(v, id, Message::End));
+        }
+    }
+
+    /// Checks that a running replica has answered each query once.
+    pub(crate) fn unanswered(&mut self, r: usize) {
+        let now = self.now;
+        let process = &mut self.replicas[r];
+        if process.frozen > 0 || process.machine.is_none() {
+            return;
+        }
+        let waited = |received: &Received| now.saturating_sub(received.at) > ANSWERED;
+        let wrong = process
+            .received
+            .iter()
+            .filter(|received| waited(received) && received.answers.get() != 1)
+            .count();
+        process.received.retain(|received| !waited(received));
+        if wrong > 0 {
+            self.broken(
+                Oracle::Answered,
+                format!("r{r} did not answer {wrong} queries exactly once"),
+            );
+        }
+    }
+}
+
+/// Microseconds of the real clock, for planted faults.
+fn real_micros() -> u64 {
+    let elapsed = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    elapsed.map_or(0, |time| u64::from(time.subsec_micros() % 100))
+}

@@ -1,0 +1,25 @@
+//! A deterministic simulation of vehicles, replicas and the network between them.
+//!
+//! Virtual time, one thread and one seed: the same [`Config`] gives the same trace, byte for byte. The decisions are the
+//! product's own: the driver and the gate of each vehicle, intake, queue and workers of each replica, the engine's control
+//! step and the multi-body plant. Only network, clocks and faults are simulated. `docs/simulation.md` describes the faults
+//! and the oracles.
+
+mod delivery;
+mod disturbance;
+mod event;
+mod fault;
+mod ledger;
+mod link;
+mod mutant;
+mod oracle;
+mod replica;
+mod scene;
+mod trace;
+mod vehicle;
+mod world;
+
+pub use mutant::Mutant;
+pub use oracle::{Oracle, Violation};
+pub use scene::{Scene, SimulationError};
+pub use world::{Config, Run, repeat, simulate};

@@ -1,0 +1,141 @@
+//! One replica of the service, and the queries that it answers.
+
+use std::borrow::Cow;
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+use std::time::Duration;
+
+use egp_driver::QueryId;
+use egp_service::{Query, Replica};
+use egp_wire::WireError;
+
+use crate::event::Message;
+use crate::ledger::NotedEngine;
+
+/// Who asked, and with which query; a flood's queries have no vehicle.
+pub(crate) type Asker = Option<(usize, QueryId)>;
+
+/// Messages that a replica has sent, to be put on the links: asker, number of the exchange, message.
+pub(crate) type Outbox = Rc<RefCell<Vec<(Asker, Message)>>>;
+
+/// A query on its way, which ends when it is dropped, as zenoh's does.
+pub(crate) struct Exchange {
+    pub(crate) key: String,
+    pub(crate) payload: Vec<u8>,
+    pub(crate) asker: Asker,
+    pub(crate) outbox: Outbox,
+    /// Answers sent on this query, to be counted by the oracle.
+    pub(crate) answers: Rc<Cell<u32>>,
+}
+
+impl Exchange {
+    fn send(&self, message: Message) {
+        self.answers.set(self.answers.get() + 1);
+        self.outbox.borrow_mut().push((self.asker, message));
+    }
+}
+
+impl Drop for Exchange {
+    fn drop(&mut self) {
+        self.outbox.borrow_mut().push((self.asker, Message::End));
+    }
+}
+
+impl Query for Exchange {
+    fn key(&self) -> &str {
+        &self.key
+    }
+
+    fn length(&self) -> usize {
+        self.payload.len()
+    }
+
+    fn payload(&self) -> Cow<'_, [u8]> {
+        Cow::Borrowed(&self.payload)
+    }
+
+    fn attachment(&self) -> Cow<'_, [u8]> {
+        Cow::Borrowed(&[])
+    }
+
+    fn answer(
+        &self,
+        _key: &str,
+        payload: Vec<u8>,
+        _encoding: &'static str,
+        attachment: Option<Vec<u8>>,
+    ) {
+        self.send(Message::Reply(payload, attachment.unwrap_or_default()));
+    }
+
+    fn refuse(&self, error: &WireError) {
+        self.send(Message::Error(error.encode()));
+    }
+}
+
+/// A query that a replica received, until it is answered.
+pub(crate) struct Received {
+    pub(crate) at: Duration,
+    pub(crate) answers: Rc<Cell<u32>>,
+}
+
+/// A replica's process.
+pub(crate) struct Process {
+    /// Intake, queue and workers; none while the process does not run.
+    pub(crate) machine: Option<Replica<NotedEngine, Exchange>>,
+    /// Counts the starts, so that what belongs to an earlier process is recognised.
+    pub(crate) incarnation: u32,
+    pub(crate) frozen: u32,
+    pub(crate) slow: u32,
+    pub(crate) hostile: u32,
+    pub(crate) disorder: u32,
+    pub(crate) flood: u32,
+    /// Whether it receives queries.
+    pub(crate) declared: bool,
+    /// Whether its liveliness token stands.
+    pub(crate) announced: bool,
+    /// Whether it serves the other library.
+    pub(crate) other_library: bool,
+    /// How far its clock is ahead.
+    pub(crate) clock: Duration,
+    /// What waits while it is frozen.
+    pub(crate) waiting: Vec<Exchange>,
+    /// Steps that ended while it was frozen.
+    pub(crate) ended: Vec<usize>,
+    pub(crate) received: Vec<Received>,
+    /// A recent answer, for replay.
+    pub(crate) old_answer: Option<Message>,
+    /// Since when it has been sound.
+    pub(crate) sound_since: Option<Duration>,
+}
+
+impl Process {
+    pub(crate) fn new() -> Self {
+        Self {
+            machine: None,
+            incarnation: 0,
+            frozen: 0,
+            slow: 0,
+            hostile: 0,
+            disorder: 0,
+            flood: 0,
+            declared: false,
+            announced: false,
+            other_library: false,
+            clock: Duration::ZERO,
+            waiting: Vec::new(),
+            ended: Vec::new(),
+            received: Vec::new(),
+            old_answer: None,
+            sound_since: None,
+        }
+    }
+
+    /// Whether it answers as a replica without fault does.
+    pub(crate) fn sound(&self) -> bool {
+        self.machine.is_some()
+            && self.declared
+            && !self.other_library
+            && self.frozen + self.slow + self.hostile + self.disorder + self.flood == 0
+    }
+}

@@ -1,0 +1,90 @@
+//! What all runs share: engines and the course.
+
+use std::path::Path as File;
+use std::sync::Arc;
+
+use egp_core::Settings;
+use egp_engine::{Engine, EngineError};
+use egp_path::tracks::RoundedRectangle;
+use egp_path::{Path, PathError, SpeedLimits, SpeedProfile, Zone};
+use egp_plant::{Friction, PlantError, Surface, VehicleId};
+use egp_wire::WireError;
+use thiserror::Error;
+
+/// The car that is simulated.
+pub(crate) const CAR: VehicleId = VehicleId::FordEscort;
+
+/// Why a simulation cannot be made. A violation of an oracle is not an error.
+#[derive(Debug, Error)]
+pub enum SimulationError {
+    /// A library cannot be used.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    /// The course is not valid.
+    #[error(transparent)]
+    Path(#[from] PathError),
+    /// The plant cannot be put on its course.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
+    /// A worker of a replica cannot be made.
+    #[error("cannot make a worker: {0}")]
+    Worker(#[from] WireError),
+    /// A vehicle's driver cannot be made for the library.
+    #[error(transparent)]
+    Driver(#[from] egp_driver::DriverError),
+    /// A name that the simulation gives is not valid.
+    #[error(transparent)]
+    Name(#[from] egp_wire::keys::NameError),
+    /// A vehicle's measurement is not accepted.
+    #[error(transparent)]
+    Measurement(#[from] egp_driver::InvalidArgument),
+}
+
+/// Engines and course; making one loads and verifies the libraries.
+pub struct Scene {
+    /// The engine that vehicles ask.
+    pub(crate) engine: Arc<Engine>,
+    /// An engine with another library, which a replica may serve after a reload.
+    pub(crate) other: Arc<Engine>,
+    pub(crate) path: Path,
+    pub(crate) profile: SpeedProfile,
+}
+
+impl Scene {
+    /// Control period, s.
+    pub fn period(&self) -> f64 {
+        self.engine.library().dt()
+    }
+
+    /// Loads the library that vehicles ask for, and another one.
+    ///
+    /// # Errors
+    /// [`SimulationError`] if a file is no library or the course cannot be made.
+    pub fn load(library: &File, other: &File) -> Result<Self, SimulationError> {
+        let path = RoundedRectangle::default().path()?;
+        let path = path.with_friction(&[Zone::new(0.0, 0.9), Zone::new(0.5, 0.6)])?;
+        let limits = SpeedLimits {
+            grip: 0.6,
+            ..SpeedLimits::of(&CAR.vehicle())
+        };
+        Ok(Self {
+            engine: Arc::new(Engine::load(library, Settings::default())?),
+            other: Arc::new(Engine::load(other, Settings::default())?),
+            profile: SpeedProfile::new(&path, &limits)?,
+            path,
+        })
+    }
+}
+
+/// The surface at a position, by its projection onto the path.
+pub(crate) struct Road<'a>(pub(crate) &'a Path, pub(crate) f64);
+
+impl Friction for Road<'_> {
+    fn surface(&self, position: [f64; 2]) -> Surface {
+        if !position.iter().all(|value| value.is_finite()) {
+            return f64::NAN.into(); // the plant reports the surface as an error
+        }
+        let projection = self.0.project(position, Some(self.1));
+        self.0.surface_beside(projection.s, projection.lateral)
+    }
+}

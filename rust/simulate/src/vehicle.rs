@@ -1,0 +1,123 @@
+//! One vehicle: plant, course and driver.
+
+use std::time::Duration;
+
+use egp_driver::{Driver, DriverConfig, Measurement};
+use egp_gate::{Limits, Mode};
+use egp_path::horizon_reference;
+use egp_plant::{Plant, VehicleState};
+use egp_wire::Ready;
+
+use crate::mutant::Mutant;
+use crate::oracle::Witness;
+use crate::scene::{CAR, Road, Scene, SimulationError};
+
+/// Control periods that the rest of a plan may bridge, as the oracle has it.
+const MAX_TAIL: u64 = 25;
+/// Below this speed, m/s, a stopped vehicle is put back on its course.
+const STANDSTILL: f64 = 0.5;
+
+/// A vehicle on the course.
+pub(crate) struct Vehicle {
+    pub(crate) driver: Driver,
+    pub(crate) witness: Witness,
+    plant: Plant,
+    s: f64,
+    /// The command of the last period.
+    pub(crate) u: [f64; 2],
+    /// How far its clock is ahead.
+    pub(crate) clock: Duration,
+    /// Deadline of the present period on the simulation's clock.
+    pub(crate) deadline: Duration,
+    /// Queries that have not ended, with their replica and when the last message for each is due.
+    pub(crate) outstanding: Vec<(egp_driver::QueryId, usize, Duration)>,
+}
+
+impl Vehicle {
+    pub(crate) fn new(
+        index: usize,
+        scene: &Scene,
+        served: Ready,
+        mutant: Option<Mutant>,
+    ) -> Result<Self, SimulationError> {
+        let text = format!("car-{index}");
+        let limits = Limits::of(&CAR.vehicle());
+        let mut config = DriverConfig::new("fleet", &text, limits)?;
+        if mutant == Some(Mutant::LongTail) {
+            config.max_tail_ticks = 3 * MAX_TAIL;
+        }
+        let mut vehicle = Self {
+            witness: Witness::new(limits, served.dt, MAX_TAIL),
+            driver: Driver::new(config, served)?,
+            plant: Plant::new(CAR.parameters()),
+            s: 0.0,
+            u: [0.0; 2],
+            clock: Duration::ZERO,
+            deadline: Duration::ZERO,
+            outstanding: Vec::new(),
+        };
+        vehicle.place(scene, 25.0 * index as f64)?;
+        Ok(vehicle)
+    }
+
+    /// Puts the vehicle on the course at the course's speed, and forgets the past.
+    fn place(&mut self, scene: &Scene, s: f64) -> Result<(), SimulationError> {
+        let sample = scene.path.sample(s);
+        self.plant.reset(&VehicleState {
+            p_x: sample.x,
+            p_y: sample.y,
+            psi: sample.yaw,
+            v_x: scene.profile.speed(s),
+            ..VehicleState::default()
+        })?;
+        self.driver.reset();
+        self.witness.forget_plan();
+        self.s = s;
+        Ok(())
+    }
+
+    /// Lets the plant drive one period with the last command, and puts a vehicle that has stopped, spun or left the road
+    /// back on its course. Returns whether that was so.
+    pub(crate) fn drive(&mut self, scene: &Scene, dt: f64) -> Result<bool, SimulationError> {
+        let moved = self.plant.step(self.u, dt, &Road(&scene.path, self.s));
+        let stopped = matches!(self.driver.mode(), Mode::Stop | Mode::Waiting)
+            && self.plant.vehicle_state().v_x < STANDSTILL;
+        if moved.is_err() || stopped {
+            self.place(scene, self.s)?;
+            return Ok(true);
+        }
+        Ok(false)
+    }
+
+    /// What the vehicle measures.
+    pub(crate) fn measure(&mut self, scene: &Scene) -> Result<Measurement, SimulationError> {
+        let stages = self.driver.served().horizon as usize + 1;
+        let (mut reference, mut widths) = (vec![[0.0; 4]; stages], vec![[0.0; 2]; stages]);
+        let state = self.plant.vehicle_state();
+        let projection = horizon_reference(
+            &scene.path,
+            &scene.profile,
+            [state.p_x, state.p_y],
+            state.psi,
+            self.driver.served().dt,
+            Some(self.s),
+            &mut reference,
+            &mut widths,
+        )?;
+        self.s = projection.s;
+        if !scene.path.has_widths() {
+            widths.clear();
+        }
+        Ok(Measurement {
+            x: state.to_array(),
+            reference,
+            widths,
+            road_friction: Vec::new(),
+        })
+    }
+
+    /// Present speed, m/s.
+    pub(crate) fn speed(&self) -> f64 {
+        self.plant.vehicle_state().v_x
+    }
+}
