@@ -27,10 +27,11 @@ def write_example(
     frictions: tuple[float, ...] = (0.5, 1.1),
     n: int = 30,
     vehicle: VehicleParameters | None = None,
+    measurement_noise: Array | None = None,
 ) -> None:
     """Write a library of RBF members, one for each friction coefficient.
 
-    It is for `vehicle`, or for the simulated car.
+    It is for `vehicle`, or for the simulated car, and states `measurement_noise` if that is given.
     """
     members = [
         MemberData(**member_arrays(friction, n, seed=i)) for i, friction in enumerate(frictions)
@@ -43,6 +44,7 @@ def write_example(
         parameters=vehicle or VehicleParameters.commonroad(1),
         members=members,
         provenance={"source": "tests"},
+        measurement_noise=measurement_noise,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.console import Console
 
 from egp_service import shipped
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 def test_inspect_shows_surfaces_sizes_scales_and_identity(tmp_path: Path) -> None:
     path = tmp_path / "library.safetensors"
-    write_example(path)
+    write_example(path, measurement_noise=np.array([0.0071, 0.0017, 0.0008]))
     library = Library.load(path)
     console = Console(file=io.StringIO(), width=200)
     inspect(path, console)
@@ -29,6 +30,7 @@ def test_inspect_shows_surfaces_sizes_scales_and_identity(tmp_path: Path) -> Non
     expected = [
         library.id,
         "0.05 s",
+        "0.0071, 0.0017, 0.0008",
         "rbf",
         "friction 1.1",
         "30",

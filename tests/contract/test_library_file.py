@@ -5,13 +5,22 @@ from __future__ import annotations
 import hashlib
 import json
 import struct
+import tomllib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from egp_service import EgpError
-from egp_service._core import Library, LibraryError, MemberData, VehicleParameters, write_library
+from egp_service._core import (
+    Engine,
+    Library,
+    LibraryError,
+    MemberData,
+    VehicleParameters,
+    write_library,
+    write_library_subset,
+)
 from library_example import member_arrays, write_example
 
 if TYPE_CHECKING:
@@ -98,6 +107,28 @@ def test_what_is_written_is_read(path: Path) -> None:
     np.testing.assert_allclose(mean, arrays["golden_mean"], atol=1e-12)
     np.testing.assert_allclose(jacobian, arrays["golden_jacobian"], atol=1e-12)
     np.testing.assert_allclose(variance, arrays["golden_variance"], atol=1e-12)
+
+
+def test_measurement_noise_is_optional_and_the_default_of_the_setting(tmp_path: Path) -> None:
+    def used(path: Path, settings: str = "") -> list[float]:
+        found: list[float] = tomllib.loads(Engine(str(path), settings).settings_toml)["weights"][
+            "measurement"
+        ]
+        return found
+
+    with_noise, part, without = (tmp_path / name for name in ("with", "part", "without"))
+    write_example(without)
+    assert b"measurement_noise" not in without.read_bytes()
+    assert Library.load(without).measurement_noise is None
+    assert used(without) == [0.03, 0.03, 0.005]
+    noise = np.array([0.007, 0.0017, 0.0008])
+    write_example(with_noise, measurement_noise=noise)
+    write_library_subset(with_noise, part, [1])
+    for path in (with_noise, part):
+        np.testing.assert_array_equal(Library.load(path).measurement_noise, noise)
+        assert used(path) == noise.tolist()
+    stated = "[weights]\nmeasurement = [0.1, 0.2, 0.3]"
+    assert used(with_noise, stated) == [0.1, 0.2, 0.3]
 
 
 def test_same_content_gives_same_bytes(path: Path) -> None:
@@ -212,6 +243,8 @@ def repeated_point(content: Content) -> None:
         ("metadata", "length", change_vehicle(length=4.3)),
         ("metadata", "l_r", lambda content: content.metadata["parameters"].pop("l_r")),
         ("metadata", "parameters", lambda content: content.metadata.pop("parameters")),
+        ("measurement_noise", "-0.1", change_metadata(measurement_noise=[0.1, -0.1, 0.1])),
+        ("metadata", "length 3", change_metadata(measurement_noise=0.1)),
         ("label", "friction 1.1", change_member(label="friction 1.1")),
         ("friction", "-1", change_member(friction=-1.0)),
         (

@@ -11,6 +11,7 @@ from surfaces import NOISE, TOY, provenance, surface
 
 from egp_service import EgpError
 from egp_service._core import Library
+from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
 from egp_service.training.export import export
 from egp_service.training.train import FitProgress, TrainingSettings, split, train
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from egp_service.data.dataset import Dataset
     from egp_service.training.gaussian_process import KernelName
     from egp_service.training.trained import TrainedMember
 
@@ -161,6 +161,35 @@ def test_library_says_where_it_comes_from(members: list[TrainedMember], library_
         assert ours.dataset == member.dataset.digest()
         assert ours.n_points == SETTINGS.max_points
         np.testing.assert_array_equal(ours.envelope[0], member.dataset.z.min(axis=0))
+
+
+def test_a_library_states_the_noise_of_the_logs_it_was_trained_on(
+    members: list[TrainedMember], library_path: Path, tmp_path: Path
+) -> None:
+    assert (
+        Library.load(library_path).measurement_noise is None
+    )  # its states are no consecutive ones
+    n, noise = 400, np.array([0.02, 0.01, 0.001])
+    rng = np.random.default_rng(0)
+
+    def log(vehicle: str) -> Dataset:
+        states = np.sin(0.02 * np.arange(n + 1))[:, None] + [15.0, 0.0, 0.0]
+        states += noise * rng.standard_normal(states.shape)
+        z = np.hstack([states[:-1], np.zeros((n, 3))])
+        index = np.arange(n, dtype=np.uint32)
+        about = provenance(vehicle=vehicle)
+        return Dataset(z, np.diff(states, axis=0), np.zeros_like(index), index, about)
+
+    def stated(vehicle: str) -> NDArray[np.float64] | None:
+        path = tmp_path / f"{vehicle}.safetensors"
+        logged = dataclasses.replace(members[0], dataset=log(vehicle))
+        export(path, [logged], SETTINGS, {}, TOY)
+        return Library.load(path).measurement_noise
+
+    found = stated("toy")
+    assert found is not None
+    np.testing.assert_allclose(found, noise, rtol=0.2)
+    assert stated("commonroad-2") is None
 
 
 def test_matrix_is_best_on_the_diagonal(

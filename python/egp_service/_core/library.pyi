@@ -35,6 +35,13 @@ class Library:
     def parameters(self) -> VehicleParameters:
         """Parameters of the vehicle that the data come from."""
     @property
+    def measurement_noise(self) -> NDArray[np.float64] | None:
+        """Standard deviations (3,) of the white noise of the measured `[v_x, v_y, omega]`.
+
+        In m/s, m/s and rad/s, as found in the logs that the library was trained on; None if it was
+        trained on simulated data.
+        """
+    @property
     def provenance(self) -> dict[str, str]:
         """How the library was made: versions, settings, seeds."""
     @property
@@ -154,6 +161,7 @@ def write_library(
     parameters: VehicleParameters,
     members: Sequence[MemberData],
     provenance: Mapping[str, str],
+    measurement_noise: NDArray[np.float64] | None = None,
 ) -> None: ...
 def write_library_subset(
     source: str | PathLike[str], path: str | PathLike[str], members: Sequence[int]

@@ -20,6 +20,7 @@ _GAIN: Final = 70.0
 _MAD: Final = 1.4826
 _MOVING: Final = 5.0  # m/s
 _LONGEST: Final = 1.0  # s
+_SAME: Final = 1e-9  # m/s and rad/s; differences between a state and its sum by rounding
 V_X, _, OMEGA, DELTA, FORCE, _ = range(len(GP_INPUT))
 
 
@@ -42,7 +43,8 @@ def channels(dataset: Dataset) -> Channels:
     """Estimate noise and delays from the transitions above 5 m/s.
 
     The noise is what fourth differences of the states leave, which remove cubic motion (Hall, Kay
-    and Titterington 1990); noise with a longer correlation than a few periods counts as motion.
+    and Titterington 1990); noise with a longer correlation than a few periods counts as motion. It
+    is NaN unless five consecutive states are those to which the transitions before them lead.
     Delays are the lags of largest correlation, up to 1 s; they are NaN without trajectories of
     twice that length.
     """
@@ -51,6 +53,8 @@ def channels(dataset: Dataset) -> Channels:
     apart = dataset.step[_ORDER:].astype(np.int64) - dataset.step[:-_ORDER]
     whole = (dataset.trajectory[_ORDER:] == dataset.trajectory[:-_ORDER]) & (apart == _ORDER)
     whole &= z[_ORDER:, V_X] > _MOVING
+    chained = np.all(np.isclose(states[1:], states[:-1] + y[:-1], rtol=0.0, atol=_SAME), axis=1)
+    whole &= np.lib.stride_tricks.sliding_window_view(chained, _ORDER).all(axis=1)
     fourth = np.diff(states, n=_ORDER, axis=0)[whole]
     noise = np.full(NY, np.nan)
     if len(fourth):

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import MemberData, write_library
-from egp_service.vehicle import known_vehicle
+from egp_service.data.channels import channels
+from egp_service.vehicle import known_vehicle, simulated_vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,7 +34,9 @@ def export(
 ) -> None:
     """Write the members as one library; the writer verifies it by loading it again.
 
-    Without `vehicle` the data must come from a simulated one, whose parameters are known.
+    Without `vehicle` the data must come from a simulated one, whose parameters are known. A library
+    that was trained on logs states the noise of their measured states, from which the weights'
+    window takes it.
 
     Raises:
         EgpError: if the vehicle is neither given nor simulated.
@@ -49,7 +52,20 @@ def export(
         parameters=vehicle or known_vehicle(first.vehicle),
         members=[_member(member) for member in members],
         provenance={**provenance, **_findings(members)},
+        measurement_noise=_measurement_noise(members),
     )
+
+
+def _measurement_noise(members: Sequence[TrainedMember]) -> NDArray[np.float64] | None:
+    """Return the noise (3,) of `[v_x, v_y, omega]` in the noisiest log of each channel.
+
+    None if the data were simulated, which has exact states, or if they do not tell the noise of a
+    channel: too few consecutive transitions above 5 m/s, or values that are held over periods.
+    """
+    if simulated_vehicle(members[0].dataset.provenance.vehicle) is not None:
+        return None
+    noise = np.max([channels(member.dataset).noise for member in members], axis=0)
+    return noise if np.all(noise > 0.0) else None
 
 
 def _findings(members: Sequence[TrainedMember]) -> dict[str, str]:

@@ -67,6 +67,13 @@ impl Library {
         VehicleParameters(*self.0.vehicle())
     }
 
+    #[doc = doc!(Library.measurement_noise)]
+    #[getter]
+    fn measurement_noise<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
+        let noise = self.0.metadata().measurement_noise?;
+        Some(vector(py, noise))
+    }
+
     #[doc = doc!(Library.provenance)]
     #[getter]
     fn provenance(&self) -> BTreeMap<String, String> {

@@ -116,11 +116,12 @@ fn exactly<T, const N: usize>(name: &str, rows: Vec<T>) -> PyResult<[T; N]> {
 /// Write a whole library file or nothing, after verifying that it can be loaded.
 ///
 /// `dt` in s, `kernel` "rbf" or "matern52"; `vehicle` and `parameters` are name and parameters of the vehicle that the
-/// data come from. The same arguments give the same bytes. Raises `LibraryError` for content that fails a check,
+/// data come from; `measurement_noise` (3,) are the standard deviations of the noise of the measured
+/// `[v_x, v_y, omega]`, if it is known. The same arguments give the same bytes. Raises `LibraryError` for content that fails a check,
 /// `OSError` if writing fails.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // all by name
-#[pyo3(signature = (path, *, dt, kernel, vehicle, parameters, members, provenance))]
+#[pyo3(signature = (path, *, dt, kernel, vehicle, parameters, members, provenance, measurement_noise = None))]
 pub fn write_library(
     py: Python<'_>,
     path: PathBuf,
@@ -130,6 +131,7 @@ pub fn write_library(
     parameters: &VehicleParameters,
     members: Vec<PyRef<'_, MemberData>>,
     provenance: BTreeMap<String, String>,
+    measurement_noise: Option<Vector<'_>>,
 ) -> PyResult<()> {
     let unknown = || {
         Failure::Refused(library::LibraryError::UnknownKernel {
@@ -138,11 +140,15 @@ pub fn write_library(
         .raise(py)
     };
     let members = members.iter().map(|member| member.0.clone()).collect();
+    let measurement_noise = measurement_noise
+        .map(|std| fixed("measurement_noise", &std))
+        .transpose()?;
     let spec = LibrarySpec {
         dt,
         kernel: Kernel::from_name(kernel).ok_or_else(unknown)?,
         vehicle,
         parameters: parameters.0,
+        measurement_noise,
         provenance,
         members,
     };

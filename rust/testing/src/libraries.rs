@@ -49,6 +49,7 @@ pub fn spec_of(
         kernel,
         vehicle: "commonroad-1".to_owned(),
         parameters: VehicleParameters::FORD_ESCORT,
+        measurement_noise: None,
         provenance: BTreeMap::from([("source".to_owned(), "tests".to_owned())]),
         members: frictions.iter().enumerate().map(member).collect(),
     }

@@ -21,6 +21,8 @@ pub struct LibrarySpec {
     pub vehicle: String,
     /// That vehicle's parameters.
     pub parameters: VehicleParameters,
+    /// Standard deviations of the noise of the measured `[v_x, v_y, omega]`, m/s, m/s and rad/s, if it is known.
+    pub measurement_noise: Option<[f64; NY]>,
     /// How the library was made: versions, settings, seeds.
     pub provenance: BTreeMap<String, String>,
     /// One member for each surface.

@@ -97,6 +97,14 @@ pub enum LibraryError {
     /// A vehicle parameter that no vehicle has.
     #[error("{0}; correct the vehicle that the library is trained for")]
     Vehicle(ParameterError),
+    /// Noise of the measured states that is no standard deviation.
+    #[error(
+        "measurement noise is {found:?}, each standard deviation must be within 0 and 100; leave it out or train again"
+    )]
+    MeasurementNoise {
+        /// Values in the file.
+        found: [f64; crate::NY],
+    },
     /// Too few or too many members, points or golden points.
     #[error("number of {what} is {found}, it must be within 1 and {limit}")]
     Count {
@@ -258,6 +266,7 @@ impl LibraryError {
             Self::UnknownKernel { .. } => "unknown_kernel",
             Self::TimeStep { .. } => "time_step",
             Self::Vehicle(_) => "vehicle",
+            Self::MeasurementNoise { .. } => "measurement_noise",
             Self::Count { .. } => "count",
             Self::Label { .. } => "label",
             Self::Friction { .. } => "friction",

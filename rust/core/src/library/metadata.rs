@@ -8,8 +8,9 @@ use serde::{Deserialize, Serialize};
 use super::LibraryError;
 use super::data::LibrarySpec;
 use super::limits::{MAX_DT, MAX_MEMBERS, MAX_POINTS, MIN_DT, SCHEMA_VERSION};
-use crate::Kernel;
+use crate::settings::WeightSettings;
 use crate::vehicle::ModelParameters;
+use crate::{Kernel, NY};
 
 const INPUTS: [(&str, &str); crate::NZ] = [
     ("v_x", "m/s"),
@@ -19,7 +20,7 @@ const INPUTS: [(&str, &str); crate::NZ] = [
     ("F_x", "N"),
     ("delta_dot", "rad/s"),
 ];
-const OUTPUTS: [(&str, &str); crate::NY] = [("dv_x", "m/s"), ("dv_y", "m/s"), ("domega", "rad/s")];
+const OUTPUTS: [(&str, &str); NY] = [("dv_x", "m/s"), ("dv_y", "m/s"), ("domega", "rad/s")];
 
 /// A named quantity and its unit.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -79,6 +80,10 @@ pub struct Metadata {
     pub vehicle: String,
     /// That vehicle's parameters.
     pub parameters: VehicleParameters,
+    /// Standard deviations of the white noise of the measured `[v_x, v_y, omega]`, in m/s, m/s and rad/s, in the logs
+    /// that the library was trained on. `None` if it was trained on simulated data or before this entry existed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measurement_noise: Option<[f64; NY]>,
     /// Members, in order.
     pub members: Vec<MemberMetadata>,
     /// How the library was made: versions, settings, seeds.
@@ -108,6 +113,7 @@ impl Metadata {
             outputs: signals(&OUTPUTS),
             vehicle: spec.vehicle.clone(),
             parameters: spec.parameters,
+            measurement_noise: spec.measurement_noise,
             members: spec.members.iter().map(member).collect(),
             provenance: spec.provenance.clone(),
         }
@@ -134,6 +140,11 @@ impl Metadata {
             });
         }
         self.parameters.validate().map_err(LibraryError::Vehicle)?;
+        if let Some(found) = self.measurement_noise
+            && !found.into_iter().all(WeightSettings::is_noise)
+        {
+            return Err(LibraryError::MeasurementNoise { found });
+        }
         check_count("members", self.members.len(), MAX_MEMBERS)?;
         for (i, member) in self.members.iter().enumerate() {
             let label = member.label.clone();

@@ -33,6 +33,7 @@ pub fn subset(bytes: &[u8], members: &[usize]) -> Result<Vec<u8>, LibraryError> 
         kernel,
         vehicle: metadata.vehicle.clone(),
         parameters: metadata.parameters,
+        measurement_noise: metadata.measurement_noise,
         provenance,
         members: members
             .iter()

@@ -17,9 +17,9 @@ pub struct WeightSettings {
     /// Standard deviations, the largest to expect, of the noise of the measured `[v_x, v_y, omega]`, in m/s and rad/s.
     /// Each measured change contains two of them, each shared with a neighbouring change; the members' own noise adds
     /// to it. Each window takes the likeliest of this, 0.3 and 0.1 of it, with all or half of the members' noise
-    /// ([`WindowNoise`](crate::weights::WindowNoise)). Ignored unless `whiten`. Default 0.03, 0.03, 0.005, what an
-    /// inertial system aided by satellites gives.
-    pub measurement: [f64; NY],
+    /// ([`WindowNoise`](crate::weights::WindowNoise)). Ignored unless `whiten`. Default: the library's
+    /// `measurement_noise`, and without that 0.03, 0.03, 0.005, what an inertial system aided by satellites gives.
+    pub measurement: Option<[f64; NY]>,
     /// What holds the weights when the window carries no information. Default quadratic with lambda 100.
     pub prior: Prior,
     /// Members with a weight at or below this are not evaluated in the control model; the rest is renormalised and
@@ -48,13 +48,17 @@ pub enum Prior {
 /// The default window, in s, and in transitions at most.
 const WINDOW: f64 = 0.5;
 const LONGEST_DEFAULT_WINDOW: usize = 64;
+/// The default noise of measured states if the library states none, in m/s, m/s and rad/s.
+const MEASUREMENT: [f64; NY] = [0.03, 0.03, 0.005];
+/// Largest standard deviation accepted.
+const MAX_NOISE: f64 = 100.0;
 
 impl Default for WeightSettings {
     fn default() -> Self {
         Self {
             window: None,
             whiten: true,
-            measurement: [0.03, 0.03, 0.005],
+            measurement: None,
             prior: Prior::Quadratic { lambda: 100.0 },
             threshold: 1e-3,
             max_active: 8,
@@ -72,16 +76,25 @@ impl WeightSettings {
             .unwrap_or_else(|| periods(WINDOW, dt, LONGEST_DEFAULT_WINDOW))
     }
 
+    /// Standard deviations of the noise of the measured states: these settings', otherwise those that the library
+    /// states, otherwise the default.
+    pub fn measurement(&self, library: Option<[f64; NY]>) -> [f64; NY] {
+        self.measurement.or(library).unwrap_or(MEASUREMENT)
+    }
+
+    /// Whether a number is accepted as the standard deviation of a measured state's noise: 0 to 100.
+    pub(crate) fn is_noise(std: f64) -> bool {
+        (0.0..=MAX_NOISE).contains(&std)
+    }
+
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
         if let Some(window) = self.window {
             check("weights.window", window as f64, "in 1..=1000", |k| {
                 (1.0..=Self::MAX_WINDOW as f64).contains(&k)
             })?;
         }
-        for std in self.measurement {
-            check("weights.measurement", std, "in [0, 100]", |v| {
-                (0.0..=100.0).contains(&v)
-            })?;
+        for std in self.measurement.into_iter().flatten() {
+            check("weights.measurement", std, "in [0, 100]", Self::is_noise)?;
         }
         match self.prior {
             Prior::Quadratic { lambda } => not_negative("weights.prior.lambda", lambda)?,

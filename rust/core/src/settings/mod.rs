@@ -21,6 +21,8 @@ pub use control::{
 };
 pub use estimation::{Prior, WeightSettings};
 
+use crate::NY;
+
 /// Settings of the control step.
 ///
 /// What describes the vehicle is by default that of the library ([`Settings::vehicle`]). The other defaults were chosen
@@ -103,13 +105,19 @@ impl Settings {
         }
     }
 
-    /// The same settings with every value stated that by default depends on the library: on its period of `dt` s, or on
-    /// the vehicle it was trained for. `soft.slip` stays as it is, because its default differs between the members.
+    /// The same settings with every value stated that by default depends on the library: on its period of `dt` s, on
+    /// the vehicle it was trained for, or on the noise of the measured states that it states. `soft.slip` stays as it is, because its default differs between the members.
     #[must_use]
-    pub fn complete(mut self, dt: f64, library: &VehicleParameters) -> Self {
+    pub fn complete(
+        mut self,
+        dt: f64,
+        library: &VehicleParameters,
+        measurement_noise: Option<[f64; NY]>,
+    ) -> Self {
         let vehicle = self.vehicle(library);
         self.horizon = Some(self.horizon(dt));
         self.weights.window = Some(self.weights.window(dt));
+        self.weights.measurement = Some(self.weights.measurement(measurement_noise));
         self.mass = Some(vehicle.mass);
         self.limits = InputBounds {
             a_min: Some(vehicle.a_min),
@@ -238,12 +246,12 @@ mod tests {
             (2.0, 1, 1),
         ] {
             let car = VehicleParameters::FORD_ESCORT;
-            let settings = Settings::default().complete(dt, &car);
+            let settings = Settings::default().complete(dt, &car, None);
             assert_eq!(
                 (settings.horizon, settings.weights.window),
                 (Some(horizon), Some(window))
             );
-            assert_eq!(settings.clone().complete(0.02, &car), settings);
+            assert_eq!(settings.clone().complete(0.02, &car, None), settings);
         }
     }
 
@@ -265,7 +273,7 @@ mod tests {
         assert_eq!(settings.vehicle(&library), stated);
         assert_eq!(Settings::default().vehicle(&library), library);
         // What is complete no longer depends on the library, but for what no setting can state.
-        let complete = settings.complete(0.02, &library);
+        let complete = settings.complete(0.02, &library, None);
         let other = complete.vehicle(&VehicleParameters::FORD_ESCORT);
         assert_eq!(
             VehicleParameters {
@@ -281,7 +289,7 @@ mod tests {
 
     #[test]
     fn with_the_demo_vehicle_the_defaults_are_those_of_the_published_results() {
-        let settings = Settings::default().complete(0.02, &VehicleParameters::FORD_ESCORT);
+        let settings = Settings::default().complete(0.02, &VehicleParameters::FORD_ESCORT, None);
         let InputBounds {
             a_min,
             a_max,

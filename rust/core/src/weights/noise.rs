@@ -64,14 +64,14 @@ impl WindowNoise {
         if !settings.whiten {
             return Self::new(&GpOutput::repeat(1.0), &GpOutput::zeros(), window);
         }
-        let (model, state) = (model_std(library), GpOutput::from(settings.measurement));
+        let (model, state) = (model_std(library), state_std(library, settings));
         let levels = STATE.map(|r| MODEL.map(|q| [model * q, state * r]));
         Self::with_levels(levels.as_flattened(), window)
     }
 
     /// The single level of the members' root-mean-square noise and the setting `measurement`.
     pub fn largest(library: &Library, settings: &WeightSettings) -> Self {
-        let state = GpOutput::from(settings.measurement);
+        let state = state_std(library, settings);
         let window = settings.window(library.dt());
         Self::new(&model_std(library), &state, window)
     }
@@ -155,6 +155,11 @@ fn model_std(library: &Library) -> GpOutput {
     let squares = |member: &Member| member.noise_std().map(|std| std * std);
     let variance: GpOutput = members.iter().map(squares).sum();
     (variance / members.len() as f64).map(f64::sqrt)
+}
+
+/// Noise of the measured states.
+fn state_std(library: &Library, settings: &WeightSettings) -> GpOutput {
+    GpOutput::from(settings.measurement(library.metadata().measurement_noise))
 }
 
 /// Error of the blended prediction of a transition.
