@@ -11,7 +11,7 @@ import torch
 from surfaces import TOY, provenance, surface
 
 from egp_service._core import Library
-from egp_service.cli.tables import skill_warnings
+from egp_service.cli.tables import kind_sentence, skill_warnings
 from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
 from egp_service.training.average_member import PriorMean, average_member
@@ -118,6 +118,13 @@ def test_a_vehicle_is_preferred_unless_another_kind_is_clearly_better() -> None:
     likelihoods = dict.fromkeys(KINDS, 0.0) | {"constant + GPs": 1.0, "single-track": 0.5}
     assert preferred(likelihoods) == "constant + GPs"
     assert preferred(likelihoods | {"single-track + GPs": 1.01 - MARGIN}) == "single-track + GPs"
+    # What is lost by it is said.
+    close = likelihoods | {"single-track + GPs": 0.9}
+    said = kind_sentence("dry", preferred(close), close)
+    assert "single-track + GPs is chosen" in said
+    assert "constant + GPs predicts held-out blocks better, by 0.100 nats" in said
+    said = kind_sentence("dry", preferred(likelihoods), likelihoods)
+    assert said == "dry: constant + GPs predicts held-out blocks best"
     # A vehicle without skill is not preferred to no change.
     assert preferred(dict.fromkeys(KINDS, -0.1) | {NO_CHANGE: 0.0}) == NO_CHANGE
 

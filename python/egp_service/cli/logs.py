@@ -5,7 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from egp_service.cli.progress import fitting
-from egp_service.cli.tables import MOTION_NAMES, skill_table, skill_warnings, vehicle_table
+from egp_service.cli.tables import (
+    MOTION_NAMES,
+    kind_sentence,
+    skill_table,
+    skill_warnings,
+    vehicle_table,
+)
 from egp_service.data.dataset import Dataset
 from egp_service.evaluation.log_figures import draw_log
 from egp_service.evaluation.logs import LAST_CHANGE, OURS, LogOutcome, evaluate_logs
@@ -59,6 +65,8 @@ def _show(console: Console, outcome: LogOutcome) -> None:
     console.print(f"{LAST_CHANGE}, after one period: {values}", highlight=False)
     shares = ", ".join(f"{100 * share:.1f} %" for share in outcome.coverage)
     console.print(f"inside the member's 95 % intervals: {shares}", highlight=False)
-    console.print(f"the member's kind: {outcome.member.kind}", highlight=False)
+    member = outcome.member
+    sentence = kind_sentence(outcome.name, member.kind, member.likelihoods)
+    console.print(sentence, highlight=False)
     for warning in skill_warnings(outcome.name, OURS, outcome.skill):
         console.print(f"[yellow]{warning}[/]", highlight=False)

@@ -152,6 +152,22 @@ def skill_table(label: str, skill: Skill) -> Table:
     return table
 
 
+def kind_sentence(label: str, kind: str, likelihoods: Mapping[str, float]) -> str:
+    """Return a sentence about a member's kind, given the held-out likelihoods of all kinds.
+
+    `likelihoods` are in nats per error. The sentence says which kind predicts best, and by how much
+    better, if the chosen one is a single-track vehicle that was preferred for other reasons.
+    """
+    best = max(likelihoods, key=lambda name: likelihoods[name])
+    behind = likelihoods[best] - likelihoods[kind]
+    if behind <= 0.0:
+        return f"{label}: {kind} predicts held-out blocks best"
+    return (
+        f"{label}: {kind} is chosen because it also predicts slides outside the data; {best} "
+        f"predicts held-out blocks better, by {behind:.3f} nats per error"
+    )
+
+
 def skill_warnings(label: str, name: str, skill: Skill) -> list[str]:
     """Return a sentence for each output and duration in which a predictor is worse than no change.
 
