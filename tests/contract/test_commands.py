@@ -76,6 +76,20 @@ def test_the_doctor_checks_machine_and_library(tmp_path: Path) -> None:
     assert RUNNER.invoke(app, ["doctor", str(broken)]).exit_code == 1
 
 
+def test_programs_get_the_options_and_a_missing_one_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert "cargo build --release -p egp-simulate" in failure("simulate", "--seed", "7")
+    program = tmp_path / "target/release/egp-load"
+    program.parent.mkdir(parents=True)
+    program.write_text(f'#!/bin/sh\nprintf "%s," "$@" > {tmp_path}/seen\nexit 3\n')
+    program.chmod(0o755)
+    assert RUNNER.invoke(app, ["load", "--vehicles", "8"]).exit_code == 3
+    assert (tmp_path / "seen").read_text() == "--vehicles,8,"
+
+
 def test_a_port_in_use_and_a_wrong_endpoint_are_named() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

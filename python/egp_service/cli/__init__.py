@@ -19,14 +19,16 @@ from egp_service.cli.commands.drive import drive
 from egp_service.cli.commands.evaluate import evaluate
 from egp_service.cli.commands.inspect import inspect
 from egp_service.cli.commands.keys import keys
-from egp_service.cli.commands.load import PASS_ON, load
+from egp_service.cli.commands.load import load
 from egp_service.cli.commands.map import keep_map
 from egp_service.cli.commands.replay import replay
 from egp_service.cli.commands.serve import serve
 from egp_service.cli.commands.settings import settings
+from egp_service.cli.commands.simulate import simulate
 from egp_service.cli.commands.train import train
 from egp_service.cli.commands.vehicle import vehicle
 from egp_service.cli.extras import EXTRAS
+from egp_service.cli.programs import PASS_ON
 
 HELP = """
 Drive on roads of unknown friction: an ensemble of Gaussian processes inside an MPC.
@@ -54,6 +56,9 @@ As a service for vehicles:
 What can be set, and whether this machine is fit:
   egp settings
   egp doctor
+
+What faults of network and replicas do to vehicles:
+  egp simulate --seeds 0..100
 
 What a fleet knows about the friction of roads:
   egp map --folder roads
@@ -83,6 +88,7 @@ for command in (
 app.command("map")(keep_map)
 app.add_typer(vehicle, name="vehicle")
 app.command("load", context_settings=PASS_ON)(load)
+app.command("simulate", context_settings=PASS_ON)(simulate)
 
 
 def _show_version(asked: bool) -> None:  # noqa: FBT001 - typer's form of a callback

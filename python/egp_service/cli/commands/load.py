@@ -2,8 +2,6 @@
 
 import typer
 
-PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True}
-
 
 def load(context: typer.Context) -> None:
     """Load a running service with simulated vehicles, and report answer times.
@@ -20,17 +18,6 @@ def load(context: typer.Context) -> None:
       egp serve library.safetensors &
       egp load --vehicles 8 --seconds 20
     """
-    import shutil
-    import subprocess
-    from pathlib import Path
+    from egp_service.cli.programs import run_program
 
-    from egp_service._core import EgpError
-
-    built = Path("target/release/egp-load")
-    program = shutil.which("egp-load") or (str(built) if built.is_file() else None)
-    if program is None:
-        raise EgpError(
-            "the program egp-load is neither on the PATH nor at target/release/egp-load: build it "
-            "in the source folder with `cargo build --release -p egp-load`"
-        )
-    raise typer.Exit(subprocess.run([program, *context.args], check=False).returncode)
+    raise typer.Exit(run_program("egp-load", context.args))
