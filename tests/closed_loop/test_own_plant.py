@@ -46,7 +46,7 @@ def scenario() -> Scenario:
 
 
 def test_the_documents_simulator_is_driven(folder: Path) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    code, _ = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
     (folder / "drift_car.py").write_text(code)
     own = replace(scenario(), plant="drift_car:DriftCar", laps=0.15)
     (folder / "own.toml").write_text(own.toml())

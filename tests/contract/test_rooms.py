@@ -13,8 +13,8 @@ import egp_service
 
 # Libraries that take long to import or come with an extra.
 WATCHED = {
-    "botorch", "cvxpy", "gpytorch", "loky", "matplotlib", "mcap", "osqp", "polars", "ray", "rich",
-    "scipy", "torch", "typer", "zenoh",
+    "botorch", "cvxpy", "gpytorch", "gymnasium", "loky", "matplotlib", "mcap", "osqp", "polars",
+    "ray", "rich", "scipy", "torch", "typer", "zenoh",
 }  # fmt: skip
 TRAINING = {"torch", "gpytorch", "botorch", "scipy", "polars", "loky"}
 TERMINAL = {"rich", "typer"}
@@ -34,6 +34,7 @@ MAY_LOAD = {
     "egp_service.control.recorded": {"mcap"},
     "egp_service.control.replay": {"mcap"},
     "egp_service.simulation": {"mcap"},
+    "egp_service.simulation.environment": {"gymnasium", "mcap"},
     "egp_service.simulation.report": {"matplotlib"},
     "egp_service.simulation.replay_report": {"matplotlib", "mcap"},
     "egp_service.data": {"polars", "loky"},

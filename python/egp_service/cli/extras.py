@@ -13,5 +13,6 @@ EXTRAS: Final = {
     "osqp": "paper",
     "ray": "cluster",
     "cryptography": "security",
+    "gymnasium": "gym",
 }
 """Name of each package, with the extra that installs it."""

@@ -1,0 +1,109 @@
+"""A gymnasium environment of the scenarios, for controllers that are learned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+import gymnasium as gym
+import numpy as np
+
+from egp_service._core import EgpError
+from egp_service.quantities import DELTA, NX, OMEGA, P_X, P_Y, POSITION, PSI, V_X, V_Y
+from egp_service.simulation.course import build_path, build_profile
+from egp_service.simulation.plant import make_plant
+from egp_service.simulation.scenario import Scenario, load_scenario, vehicle_parameters
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from egp_service._core import Path
+
+Observation = np.ndarray[tuple[int], np.dtype[np.float64]]
+
+_AHEAD: Final = np.array([0.0, 5.0, 10.0, 20.0, 40.0])  # m, where the curvature is observed
+_PATIENCE: Final = 4.0  # times of the lap that is told all zones, after which an episode ends
+
+
+class TrackEnvironment(gym.Env[Observation, Observation]):
+    """The vehicle of a scenario on its track; an episode ends with the last lap or off the road.
+
+    * An action is `[a, r]` in [-1, 1]²: `a` is the force as a share of the largest one for drive
+      (`a > 0`) or braking, and `r` the steering rate as a share of the largest one, positive to the
+      left.
+    * An observation has 11 numbers: lateral error in m (positive to the left of the path), heading
+      error in rad, `v_x`, `v_y` in m/s, `omega` in rad/s, `delta` in rad, and the path's curvature
+      in 1/m at the vehicle and 5, 10, 20 and 40 m ahead. The friction is not observed.
+    * The reward is the progress along the path in m.
+    * `info` has the state `x` (7,), the arc length `s` in m and the `friction` under the vehicle.
+
+    With the seed of `reset` a random track is drawn anew.
+    """
+
+    def __init__(self, scenario: Scenario | str = "random", dt: float = 0.02) -> None:
+        """Drive a scenario, given by itself or by its name or file, with actions every `dt` s.
+
+        Raises `EgpError` if the scenario or its track cannot be made.
+        """
+        self._scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        self._dt = dt
+        car = vehicle_parameters(self._scenario)
+        self._force = car.mass * np.array([-car.a_min, car.a_max])
+        self._steering = car.steering_rate
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float64)
+        size = 6 + len(_AHEAD)
+        self.observation_space = gym.spaces.Box(-np.inf, np.inf, (size,), np.float64)
+        self._start(self._scenario)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Put the vehicle on the start of the path, at the speed of the told lap."""
+        super().reset(seed=seed, options=options)
+        self._start(self._scenario if seed is None else replace(self._scenario, seed=seed))
+        return self._observe()
+
+    def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Drive one period with the action, which is limited to [-1, 1]²."""
+        share, rate = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        u = np.array([share * self._force[int(share > 0.0)], rate * self._steering])
+        before = self._distance
+        try:
+            self._plant.drive(u, self._dt, self._s)
+            spun = False
+        except EgpError:  # it keeps the state before the loss
+            spun = True
+        self._time += self._dt
+        observation, info = self._observe()
+        left = spun or abs(observation[0]) > self._scenario.leave_distance
+        ended = left or self._distance >= self._goal
+        return observation, self._distance - before, ended, self._time > self._limit, info
+
+    def _start(self, scenario: Scenario) -> None:
+        self._path: Path = build_path(scenario)
+        self._plant = make_plant(scenario, self._path)
+        profile = build_profile(scenario, self._path)
+        laps = scenario.laps if self._path.closed else 1.0
+        self._goal = laps * self._path.length
+        self._limit = _PATIENCE * laps * profile.lap_time
+        self._s, self._distance, self._time = 0.0, 0.0, 0.0
+        origin = np.zeros(1)
+        x = np.zeros(NX)
+        x[P_X], x[P_Y], x[PSI] = (float(column[0]) for column in self._path.sample(origin)[:3])
+        x[V_X] = scenario.speed.v_start or profile.speed(origin)[0]
+        self._plant.reset(x)
+
+    def _observe(self) -> tuple[Observation, dict[str, Any]]:
+        """Return observation and info, and update the driven distance."""
+        x: NDArray[np.float64] = self._plant.state
+        projection = self._path.project(x[POSITION], self._s)
+        advanced = projection.s - self._s
+        if self._path.closed:
+            advanced -= self._path.length * round(advanced / self._path.length)
+        self._distance += advanced
+        self._s = projection.s
+        heading = (x[PSI] - projection.yaw + np.pi) % (2.0 * np.pi) - np.pi
+        curvature = self._path.sample(self._s + _AHEAD)[3]
+        motion = [x[V_X], x[V_Y], x[OMEGA], x[DELTA]]
+        observation = np.array([projection.lateral, heading, *motion, *curvature])
+        return observation, {"x": x, "s": self._s, "friction": projection.friction}

@@ -1,0 +1,51 @@
+"""The gymnasium environment."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from egp_service.simulation.environment import TrackEnvironment
+
+DOCUMENT = Path(__file__).parents[2] / "docs/simulator.md"
+CREEP = np.array([0.05, 0.0])
+
+
+@pytest.mark.filterwarnings("ignore:.*Box observation space:UserWarning")
+def test_it_is_an_environment_of_gymnasium() -> None:
+    check_env(TrackEnvironment("rounded-rectangle"), skip_render_check=True)
+
+
+def test_progress_is_the_reward_until_the_road_is_left() -> None:
+    environment = TrackEnvironment("rounded-rectangle")
+    observation, info = environment.reset()
+    total, ended, truncated = 0.0, False, False
+    while not (ended or truncated):
+        observation, reward, ended, truncated, info = environment.step(CREEP)
+        total += reward
+    assert ended
+    assert total == pytest.approx(info["s"], abs=0.1)
+    assert abs(observation[0]) > 3.0  # straight on in the first bend
+    assert info["friction"] > 0.0
+
+
+def test_a_seed_makes_the_track() -> None:
+    environment = TrackEnvironment("random")
+    first, _ = environment.reset(seed=1)
+    other, _ = environment.reset(seed=2)
+    again, _ = environment.reset(seed=1)
+    assert not np.array_equal(first, other)
+    np.testing.assert_array_equal(first, again)
+
+
+def test_the_documents_example_drives(capsys: pytest.CaptureFixture[str]) -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    _, example = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    exec(example, {})  # noqa: S102 - the document's own code
+    s, friction = map(float, capsys.readouterr().out.split())
+    assert s > 3.0
+    assert friction > 0.0
