@@ -11,6 +11,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import pytest
+from mcap.reader import make_reader
 from typer.testing import CliRunner
 
 from egp_service._core import EgpError
@@ -69,15 +70,19 @@ def test_a_signal_ends_a_drive_with_its_service_and_its_files(
         start_new_session=True,
     )
     try:
-        wait_until(lambda: bool(list(runs.glob("*/.run.mcap.*"))))
+        wait_until(lambda: bool(list(runs.glob("*/run.mcap"))))
         assert list((tmp_path / "temporary").iterdir())
         process.send_signal(sent)
         output, _ = process.communicate(timeout=PATIENCE)
         assert process.returncode == 128 + sent, output
         assert "Traceback" not in output
         wait_until(lambda: not group_lives(process.pid))
-        assert not list(runs.glob("*/.run.mcap.*"))
         assert not list((tmp_path / "temporary").iterdir())
+        (run,) = runs.iterdir()
+        assert not [file for file in run.iterdir() if file.name.startswith(".")]
+        # What was recorded until then can be read.
+        with (run / "run.mcap").open("rb") as stream:
+            assert make_reader(stream).get_header().profile is not None
     finally:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)

@@ -64,4 +64,4 @@ def _table(path: Path) -> tuple[str, dict[str, object]]:
     except UnicodeDecodeError as error:
         raise EgpError(f"{path}: expected a TOML file, got bytes that are no UTF-8 text") from error
     except tomllib.TOMLDecodeError as error:
-        raise EgpError(f"{path}: {error}") from error
+        raise EgpError(f"{path} is not TOML: {error}") from error
