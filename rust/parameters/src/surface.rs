@@ -164,7 +164,7 @@ impl Surface {
         Self {
             longitudinal: scaled(&self.longitudinal),
             lateral: scaled(&self.lateral),
-            shift: left * self.shift,
+            shift: self.shift,
         }
     }
 

@@ -2,7 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 use egp_core::library::{LibraryError, LibrarySpec, MAX_FILE_BYTES, MAX_HEADER_BYTES, encode};
+use egp_core::settings::WeightSettings;
 use egp_core::vehicle::{ModelParameters, SINGLE_TRACK_PARAMETERS, VehicleModel};
+use egp_core::weights::WindowNoise;
 use egp_core::{
     Ensemble, GpJacobian, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, Sequential,
     VarianceScratch, VehicleParameters,
@@ -233,4 +235,24 @@ proptest! {
         let framed = [&length.to_le_bytes()[..], &bytes].concat();
         prop_assert!(Library::from_bytes(&framed).is_err());
     }
+}
+
+#[test]
+fn the_library_states_the_measurement_noise_unless_the_settings_do() {
+    let noise = [0.007, 0.0017, 0.0008];
+    let mut spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0);
+    let without = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
+    spec.measurement_noise = Some(noise);
+    let with = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
+    let rows = |library: &Library, measurement| {
+        let settings = WeightSettings {
+            measurement,
+            ..WeightSettings::default()
+        };
+        format!("{:?}", WindowNoise::of(library, &settings))
+    };
+    assert_eq!(rows(&with, None), rows(&without, Some(noise)));
+    assert_ne!(rows(&with, None), rows(&without, None));
+    let stated = Some([0.1, 0.2, 0.3]);
+    assert_eq!(rows(&with, stated), rows(&without, stated));
 }

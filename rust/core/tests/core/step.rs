@@ -4,9 +4,8 @@
 use std::f64::consts::{PI, TAU};
 
 use egp_core::library::encode;
-use egp_core::settings::{Operating, WeightSettings};
+use egp_core::settings::Operating;
 use egp_core::vehicle::ModelParameters;
-use egp_core::weights::WindowNoise;
 use egp_core::{Kernel, Library, Status, StepReply, Workspace, step};
 use egp_testing::libraries;
 use egp_testing::requests::{Request, library, settings, solve, warm};
@@ -389,24 +388,4 @@ fn measurement_noise_matters_only_in_a_whitened_window() {
     };
     assert_ne!(weights(true, 0.0), weights(true, 0.03));
     assert_eq!(weights(false, 0.0), weights(false, 0.03));
-}
-
-#[test]
-fn the_library_states_the_measurement_noise_unless_the_settings_do() {
-    let noise = [0.007, 0.0017, 0.0008];
-    let mut spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0);
-    let without = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
-    spec.measurement_noise = Some(noise);
-    let with = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
-    let rows = |library: &Library, measurement| {
-        let settings = WeightSettings {
-            measurement,
-            ..WeightSettings::default()
-        };
-        format!("{:?}", WindowNoise::of(library, &settings))
-    };
-    assert_eq!(rows(&with, None), rows(&without, Some(noise)));
-    assert_ne!(rows(&with, None), rows(&without, None));
-    let stated = Some([0.1, 0.2, 0.3]);
-    assert_eq!(rows(&with, stated), rows(&without, stated));
 }

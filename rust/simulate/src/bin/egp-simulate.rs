@@ -136,7 +136,7 @@ fn report(seed: u64, run: &Run) -> bool {
 }
 
 /// Seeds that are tried for each planted fault.
-const TRIED: u64 = 12;
+const TRIED: u64 = 100;
 
 fn planted(scene: &Scene) -> Result<bool, SimulationError> {
     println!("| planted fault | oracle | found with seed |\n|---|---|---|");
