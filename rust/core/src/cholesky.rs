@@ -54,12 +54,13 @@ impl InverseFactor {
         Ok(Self { panels, rows: n })
     }
 
-    /// `L⁻¹ B` for the `Q` columns of `B`, one pass over the factor. Lengths are the number of rows in blocks.
-    /// The padding of `B` may hold any finite numbers.
-    pub fn products<const Q: usize>(&self, b: [&[Lanes]; Q], out: [&mut [Lanes]; Q]) {
-        debug_assert!(b.iter().all(|b| b.len() == self.rows.div_ceil(LANES)));
+    /// `L⁻¹ B` in one pass over the factor. The columns of `B` and of the product lie one after the other, each as long
+    /// as the number of rows in blocks. The padding of `B` may hold any finite numbers.
+    pub fn products(&self, b: &[Lanes], out: &mut [Lanes]) {
+        debug_assert_eq!(b.len(), out.len());
         wide(Products {
             panels: &self.panels,
+            blocks: self.rows.div_ceil(LANES),
             b,
             out,
         });
@@ -144,52 +145,110 @@ impl Vectorised for Invert<'_> {
 }
 
 /// [`InverseFactor::products`].
-struct Products<'a, const Q: usize> {
+struct Products<'a> {
     panels: &'a [[Lanes; LANES]],
-    b: [&'a [Lanes]; Q],
-    out: [&'a mut [Lanes]; Q],
+    blocks: usize,
+    b: &'a [Lanes],
+    out: &'a mut [Lanes],
 }
 
-impl<const Q: usize> Wide for Products<'_, Q> {
+impl Products<'_> {
+    /// Row block `p` of the product for columns `first` to `first + Q`. With `N` sums for each column, `N · Q` chains of
+    /// additions run at once.
+    #[inline(always)]
+    fn tile<S: Simd, const Q: usize, const N: usize>(
+        &mut self,
+        simd: S,
+        panel: &[[Lanes; LANES]],
+        first: usize,
+    ) {
+        let columns: [&[Lanes]; Q] =
+            std::array::from_fn(|q| &self.b[(first + q) * self.blocks..][..panel.len()]);
+        let mut sums = [[simd.splat(0.0); Q]; N];
+        for (j, block) in panel.iter().enumerate() {
+            let b: [&Lanes; Q] = std::array::from_fn(|q| &columns[q][j]);
+            for (l, column) in block.iter().enumerate() {
+                let column = simd.load(column);
+                for (sum, b) in sums[l % N].iter_mut().zip(&b) {
+                    *sum = simd.mul_add(column, simd.splat(b[l]), *sum);
+                }
+            }
+        }
+        let (mut totals, rest) = (sums[0], &sums[1..]);
+        for sums in rest {
+            for (total, sum) in totals.iter_mut().zip(sums) {
+                *total = simd.add(*total, *sum);
+            }
+        }
+        let rows = self.out.chunks_exact_mut(self.blocks).skip(first);
+        for (rows, total) in rows.zip(totals) {
+            rows[panel.len() - 1] = simd.store(total);
+        }
+    }
+}
+
+impl Wide for Products<'_> {
     type Output = ();
 
     #[inline(always)]
     fn compute<S: Simd>(mut self, simd: S) {
+        let columns = self.b.len() / self.blocks.max(1);
         let mut panels = self.panels;
-        for p in 0..self.b[0].len() {
+        for p in 0..self.blocks {
             let (panel, rest) = panels.split_at(p + 1);
             panels = rest;
-            // Two sums for each column: with one sum and few columns each addition would wait for the previous one.
-            let mut sums = [[simd.splat(0.0); Q]; 2];
-            for (j, block) in panel.iter().enumerate() {
-                let b: [&Lanes; Q] = std::array::from_fn(|q| &self.b[q][j]);
-                for (l, column) in block.iter().enumerate() {
-                    let column = simd.load(column);
-                    for (sum, b) in sums[l % 2].iter_mut().zip(&b) {
-                        *sum = simd.mul_add(column, simd.splat(b[l]), *sum);
-                    }
+            // The panel stays in the cache while all columns use it.
+            let mut first = 0;
+            while first < columns {
+                let left = columns - first;
+                // Tiles of nearly equal width; the sums of the widest fill the vector registers.
+                let width = left.div_ceil(left.div_ceil(S::SUMS));
+                match width {
+                    1 => self.tile::<S, 1, 4>(simd, panel, first),
+                    2 => self.tile::<S, 2, 2>(simd, panel, first),
+                    3 => self.tile::<S, 3, 2>(simd, panel, first),
+                    4 => self.tile::<S, 4, 1>(simd, panel, first),
+                    5 => self.tile::<S, 5, 1>(simd, panel, first),
+                    6 => self.tile::<S, 6, 1>(simd, panel, first),
+                    7 => self.tile::<S, 7, 1>(simd, panel, first),
+                    8 => self.tile::<S, 8, 1>(simd, panel, first),
+                    9 => self.tile::<S, 9, 1>(simd, panel, first),
+                    _ => self.tile::<S, 10, 1>(simd, panel, first),
                 }
-            }
-            let [even, odd] = sums;
-            for ((out, even), odd) in self.out.iter_mut().zip(even).zip(odd) {
-                out[p] = simd.store(simd.add(even, odd));
+                first += width;
             }
         }
     }
 }
 
-/// Dot product of vectors in blocks.
-pub(crate) fn dot(a: &[Lanes], b: &[Lanes]) -> f64 {
-    struct Dot<'a>(&'a [Lanes], &'a [Lanes]);
-    impl Vectorised for Dot<'_> {
-        type Output = f64;
+/// Dot products of `a` with the columns of `b`, which lie one after the other, each as long as `a`.
+pub(crate) fn dots(a: &[Lanes], b: &[Lanes], out: &mut [f64]) {
+    struct Dots<'a>(&'a [Lanes], &'a [Lanes], &'a mut [f64]);
+    impl Wide for Dots<'_> {
+        type Output = ();
 
         #[inline(always)]
-        fn compute(self) -> f64 {
-            sum_of_products(self.0.as_flattened(), self.1.as_flattened())
+        fn compute<S: Simd>(self, simd: S) {
+            let Self(a, b, out) = self;
+            // Four columns at once: with one each addition would wait for the previous one.
+            for (tile, out) in out.chunks_mut(4).enumerate() {
+                let column =
+                    |q: usize| &b[(4 * tile + q.min(out.len() - 1)) * a.len()..][..a.len()];
+                let columns: [&[Lanes]; 4] = std::array::from_fn(column);
+                let mut sums = [simd.splat(0.0); 4];
+                for (i, a) in a.iter().enumerate() {
+                    let a = simd.load(a);
+                    for (sum, column) in sums.iter_mut().zip(columns) {
+                        *sum = simd.mul_add(a, simd.load(&column[i]), *sum);
+                    }
+                }
+                for (out, sum) in out.iter_mut().zip(sums) {
+                    *out = simd.sum(sum);
+                }
+            }
         }
     }
-    vectorised_loops(Dot(a, b))
+    wide(Dots(a, b, out));
 }
 
 /// Dot product in a fixed order of summation: vectorised and reproducible to the bit.

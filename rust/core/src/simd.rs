@@ -31,6 +31,8 @@ pub(crate) trait Wide {
 pub(crate) trait Simd: Copy {
     /// Name of the instructions.
     const NAME: &'static str;
+    /// Running sums that fit into the registers beside two operands.
+    const SUMS: usize;
     /// Eight numbers.
     type V: Copy;
     /// One number in all lanes.
@@ -122,6 +124,7 @@ struct Portable;
 
 impl Simd for Portable {
     const NAME: &'static str = "none";
+    const SUMS: usize = 2;
     type V = Lanes;
 
     #[inline(always)]
@@ -236,6 +239,7 @@ mod x86 {
 
     impl Simd for Avx512 {
         const NAME: &'static str = "AVX-512";
+        const SUMS: usize = 10;
         type V = __m512d;
 
         intrinsics! {
@@ -270,6 +274,7 @@ mod x86 {
 
     impl Simd for Avx2 {
         const NAME: &'static str = "AVX2";
+        const SUMS: usize = 6;
         type V = Pair;
 
         intrinsics! {

@@ -2,16 +2,14 @@
 
 use super::mean::CovarianceRow;
 use super::{Covariance, Gp};
-use crate::cholesky::{add_scaled, dot};
+use crate::cholesky::{add_scaled, dots};
 use crate::kernel::{LANES, Lanes, Points};
-use crate::simd::wide;
+use crate::simd::{Vectorised, vectorised_loops, wide};
 use crate::{GpInput, GpOutput};
 
 /// Largest excess of a bound over the exact variance, relative to variance plus floor (see [`Gp::variance_bounds`]). A
 /// standard deviation is then at most 5 % too large.
 pub(crate) const TOLERANCE: f64 = 0.1;
-/// Number of nodes that share a pass over the inverse factor; with fewer the speed of the memory is the limit.
-const NODES_PER_PASS: usize = 4;
 /// Smallest residual prior variance of a new node as a multiple of the outputscale; below it are rounding errors only.
 const SMALLEST_PIVOT: f64 = 1e-12;
 
@@ -32,14 +30,16 @@ pub(crate) struct Horizon {
     variance: Vec<f64>,
     /// Covariances of a node with the stages.
     row: Vec<Lanes>,
-    /// `k(X, z)` of the nodes of a pass.
-    covariances: [Vec<Lanes>; NODES_PER_PASS],
-    /// `w` of all nodes, one after the other.
-    directions: Vec<Lanes>,
-    /// `H`; rows are as long as the number of stages.
+    /// `k(X, z)` of the nodes, one after the other.
+    covariances: Vec<Lanes>,
+    /// `L⁻¹ k(X, z)` of the nodes, one after the other.
+    whitened: Vec<Lanes>,
+    /// `G`; rows are as long as the number of stages.
     gram: Vec<f64>,
-    /// One component of `(I - H) l` at all stages.
-    unexplained: Vec<f64>,
+    /// `c(z)`: a row over the stages for each node.
+    coefficients: Vec<f64>,
+    /// One component of `G c` at all stages.
+    explained: Vec<f64>,
 }
 
 impl Gp {
@@ -51,12 +51,14 @@ impl Gp {
     /// the others. Given noise-free values `f_N`, at any stage `f(z) = k(z, N) K_NN⁻¹ f_N + e`, where `e` has the prior
     /// variance `ρ(z) = k(z, z) - k(z, N) K_NN⁻¹ k(N, z)`. Data can only lower this variance, and by Cauchy-Schwarz
     /// ```text
-    /// √q - √ρ <= σ(z) <= √q + √ρ,     q = l(z)ᵀ (I - H) l(z),
-    /// R Rᵀ = K_NN,   l(z) = R⁻¹ k(N, z),   w = L⁻¹ k(X, N) R⁻ᵀ,   H = wᵀ w
+    /// √q - √ρ <= σ(z) <= √q + √ρ,     q = l(z)ᵀ l(z) - c(z)ᵀ G c(z),
+    /// R Rᵀ = K_NN,   l(z) = R⁻¹ k(N, z),   c(z) = R⁻ᵀ l(z),   G = wᵀ w,   w = L⁻¹ k(X, N)
     /// ```
     /// `q` is the posterior variance of the first term, and `ρ = k(z, z) - |l(z)|²`. Nodes are added where `ρ` relative
-    /// to the known variance is largest, four at a time, until `2 √(q ρ) + ρ` is below the tolerance at all stages.
-    /// With all stages as nodes the result is exact.
+    /// to the known variance is largest until `2 √(q ρ) + ρ` is below the tolerance at all stages. The first nodes are
+    /// those that are needed whatever the data, so that they share one pass over the inverse factor, by far the longest
+    /// part; each later pass takes as many as `q` of the pass before asks for. With all stages as nodes the result is
+    /// exact.
     pub(crate) fn variance_bounds(
         &self,
         floor: &[GpOutput],
@@ -72,47 +74,57 @@ impl Gp {
                     .copied()
                     .fold(f64::INFINITY, f64::min)
             };
-            while scratch.exceeds(floor) {
+            let prior = covariance.outputscale;
+            while scratch.exceeds_whatever_the_data(prior, floor)
+                && self.add_node(covariance, floor, scratch)
+            {}
+            scratch.add_data(covariance, 0);
+            loop {
                 let before = scratch.nodes.len();
-                for slot in 0..NODES_PER_PASS {
-                    match scratch.next_node(covariance.outputscale, floor) {
-                        Some(node) => self.add_node(covariance, node, slot, scratch),
-                        None => scratch.covariances[slot].fill([0.0; LANES]),
-                    }
-                }
+                while scratch.exceeds(floor) && self.add_node(covariance, floor, scratch) {}
                 if scratch.nodes.len() == before {
                     break;
                 }
                 scratch.add_data(covariance, before);
             }
             for (t, out) in out.iter_mut().enumerate() {
-                let bound = scratch.variance[t] + scratch.excess(t);
-                out.as_mut_slice()[outputs.clone()].fill(bound.min(covariance.outputscale));
+                let bound = scratch.variance[t] + scratch.excess(t, scratch.variance[t]);
+                out.as_mut_slice()[outputs.clone()].fill(bound.min(prior));
             }
         }
     }
 
-    /// Conditions the prior at the stages on a node and computes the node's covariances with the training points.
-    fn add_node(&self, covariance: &Covariance, node: usize, slot: usize, scratch: &mut Horizon) {
+    /// Conditions the prior at the stages on the next node and computes the node's covariances with the training points.
+    /// Returns whether there is such a node.
+    fn add_node(
+        &self,
+        covariance: &Covariance,
+        floor: impl Fn(usize) -> f64,
+        scratch: &mut Horizon,
+    ) -> bool {
+        let Some(node) = scratch.next_node(covariance.outputscale, floor) else {
+            return false;
+        };
+        let blocks = self.points.blocks().len();
         let query = covariance.metric.query(&scratch.z[node]);
-        let row = CovarianceRow {
+        wide(CovarianceRow {
             kernel: self.kernel,
             outputscale: covariance.outputscale,
             points: &scratch.queries,
             norms: &scratch.norms,
             query: &query,
             row: &mut scratch.row,
-        };
-        wide(row);
-        scratch.condition(node);
+        });
         wide(CovarianceRow {
             kernel: self.kernel,
             outputscale: covariance.outputscale,
             points: &self.points,
             norms: covariance.metric.norms(),
             query: &query,
-            row: &mut scratch.covariances[slot],
+            row: &mut scratch.covariances[scratch.nodes.len() * blocks..][..blocks],
         });
+        scratch.condition(node);
+        true
     }
 }
 
@@ -122,14 +134,13 @@ impl Horizon {
         let stages = self.z.len();
         covariance.metric.norms_of(&self.z, &mut self.norms);
         self.row.resize(self.norms.len(), [0.0; LANES]);
-        for covariances in &mut self.covariances {
-            covariances.resize(blocks, [0.0; LANES]);
+        for columns in [&mut self.covariances, &mut self.whitened] {
+            columns.resize(stages * blocks, [0.0; LANES]);
         }
-        self.directions
-            .resize((stages + NODES_PER_PASS) * blocks, [0.0; LANES]);
-        for square in [&mut self.factor, &mut self.gram] {
+        for square in [&mut self.factor, &mut self.gram, &mut self.coefficients] {
             square.resize(stages * stages, 0.0);
         }
+        self.explained.resize(stages, 0.0);
         for (values, start) in [
             (&mut self.residual, covariance.outputscale),
             (&mut self.variance, 0.0),
@@ -142,12 +153,20 @@ impl Horizon {
     }
 
     /// Excess of the bound over `q` at a stage.
-    fn excess(&self, t: usize) -> f64 {
-        2.0 * (self.variance[t] * self.residual[t]).sqrt() + self.residual[t]
+    fn excess(&self, t: usize, q: f64) -> f64 {
+        2.0 * (q * self.residual[t]).sqrt() + self.residual[t]
     }
 
     fn exceeds(&self, floor: impl Fn(usize) -> f64) -> bool {
-        (0..self.z.len()).any(|t| self.excess(t) > TOLERANCE * (self.variance[t] + floor(t)))
+        let q = |t: usize| self.variance[t];
+        (0..self.z.len()).any(|t| self.excess(t, q(t)) > TOLERANCE * (q(t) + floor(t)))
+    }
+
+    /// Whether a stage exceeds the tolerance with every `q` between zero and the prior variance. The difference is a
+    /// concave function of `q`, so that the two ends tell.
+    fn exceeds_whatever_the_data(&self, prior: f64, floor: impl Fn(usize) -> f64) -> bool {
+        let exceeds = |t: usize, q: f64| self.excess(t, q) > TOLERANCE * (q + floor(t));
+        (0..self.z.len()).any(|t| exceeds(t, 0.0) && exceeds(t, prior))
     }
 
     /// The stage with the largest residual prior variance relative to its known variance.
@@ -177,47 +196,84 @@ impl Horizon {
         self.nodes.push(node);
     }
 
-    /// Conditions the nodes from `first` on the training data: columns of `w`, rows of `H`, and `q` at all stages.
+    /// Conditions the nodes from `first` on the training data: columns of `w`, rows of `G`, and `q` at all stages.
     fn add_data(&mut self, covariance: &Covariance, first: usize) {
-        let (stages, blocks) = (self.z.len(), self.covariances[0].len());
-        let new = &mut self.directions[first * blocks..];
-        let (ab, cd) = new[..NODES_PER_PASS * blocks].split_at_mut(2 * blocks);
-        let ((a, b), (c, d)) = (ab.split_at_mut(blocks), cd.split_at_mut(blocks));
-        let covariances = self.covariances.each_ref().map(Vec::as_slice);
-        covariance.inverse.products(covariances, [a, b, c, d]);
-        for j in first..self.nodes.len() {
-            let (known, new) = self.directions.split_at_mut(j * blocks);
-            let direction = &mut new[..blocks];
-            let r = |i: usize| self.factor[i * stages + self.nodes[j]];
-            for (i, known) in known.chunks_exact(blocks).enumerate() {
-                add_scaled(direction.as_flattened_mut(), -r(i), known.as_flattened());
-            }
-            let inverse = 1.0 / r(j);
-            direction
-                .as_flattened_mut()
-                .iter_mut()
-                .for_each(|x| *x *= inverse);
-            for (i, known) in known.chunks_exact(blocks).enumerate() {
-                let entry = dot(known, direction);
-                (self.gram[i * stages + j], self.gram[j * stages + i]) = (entry, entry);
-            }
-            self.gram[j * stages + j] = dot(direction, direction);
-        }
-        let nodes = self.nodes.len();
-        let rows = || self.factor.chunks_exact(stages).take(nodes);
-        self.variance.fill(0.0);
-        for (i, l) in rows().enumerate() {
-            self.unexplained.clear();
-            self.unexplained.extend_from_slice(l);
-            for (h, l) in self.gram[i * stages..].iter().zip(rows()) {
-                add_scaled(&mut self.unexplained, -h, l);
-            }
-            for ((variance, l), unexplained) in
-                self.variance.iter_mut().zip(l).zip(&self.unexplained)
-            {
-                *variance += l * unexplained;
+        let (stages, nodes) = (self.z.len(), self.nodes.len());
+        let blocks = self.covariances.len() / stages;
+        let new = first * blocks..nodes * blocks;
+        covariance
+            .inverse
+            .products(&self.covariances[new.clone()], &mut self.whitened[new]);
+        for j in first..nodes {
+            let (row, column) = (j * stages, &self.whitened[j * blocks..][..blocks]);
+            let known = &self.whitened[..(j + 1) * blocks];
+            dots(column, known, &mut self.gram[row..=row + j]);
+            for i in 0..j {
+                self.gram[i * stages + j] = self.gram[row + i];
             }
         }
-        self.variance.iter_mut().for_each(|q| *q = q.max(0.0));
+        vectorised_loops(Propagate(self));
+    }
+}
+
+/// Computes `c` and `q` at all stages from `R`, `l` and `G`.
+struct Propagate<'a>(&'a mut Horizon);
+
+impl Vectorised for Propagate<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn compute(self) {
+        let Horizon {
+            z,
+            nodes,
+            factor,
+            variance,
+            gram,
+            coefficients,
+            explained,
+            ..
+        } = self.0;
+        let (stages, n) = (z.len(), nodes.len());
+        let accumulate = |sum: &mut [f64], scale: f64, row: &[f64]| {
+            for (sum, x) in sum.iter_mut().zip(row) {
+                *sum = scale.mul_add(*x, *sum);
+            }
+        };
+        variance.fill(0.0);
+        for (l, c) in (factor.chunks_exact(stages))
+            .zip(coefficients.chunks_exact_mut(stages))
+            .take(n)
+        {
+            for (variance, l) in variance.iter_mut().zip(l) {
+                *variance = l.mul_add(*l, *variance);
+            }
+            c.copy_from_slice(l);
+        }
+        // Row i of R is l_0 to l_i at node i, so that R⁻ᵀ is applied from the last row on.
+        for (i, &node) in nodes.iter().enumerate().rev() {
+            let (earlier, later) = coefficients.split_at_mut(i * stages);
+            let c = &mut later[..stages];
+            let inverse = 1.0 / factor[i * stages + node];
+            for c in c.iter_mut() {
+                *c *= inverse;
+            }
+            for (j, earlier) in earlier.chunks_exact_mut(stages).enumerate() {
+                accumulate(earlier, -factor[j * stages + node], c);
+            }
+        }
+        let rows = || coefficients.chunks_exact(stages).take(n);
+        for (i, c) in rows().enumerate() {
+            explained.fill(0.0);
+            for (g, c) in gram[i * stages..].iter().zip(rows()) {
+                accumulate(explained, *g, c);
+            }
+            for ((variance, c), explained) in variance.iter_mut().zip(c).zip(&*explained) {
+                *variance -= c * explained;
+            }
+        }
+        for q in variance.iter_mut() {
+            *q = q.max(0.0);
+        }
     }
 }

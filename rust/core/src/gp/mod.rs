@@ -19,7 +19,7 @@ use mean::{CovarianceRow, Mean, mean_jacobian};
 
 use std::ops::Range;
 
-use crate::cholesky::{InverseFactor, NotPositiveDefinite, dot};
+use crate::cholesky::{InverseFactor, NotPositiveDefinite, dots};
 use crate::kernel::{Kernel, LANES, Lanes, Metric, Points, in_blocks};
 use crate::simd::wide;
 use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
@@ -153,10 +153,11 @@ impl Gp {
                 query: &covariance.metric.query(z),
                 row: covariances,
             });
-            covariance.inverse.products([covariances], [product]);
-            let explained = dot(product, product);
+            covariance.inverse.products(covariances, product);
+            let mut explained = [0.0];
+            dots(product, product, &mut explained);
             // Rounding may give a tiny negative number near a training point.
-            let remaining = (covariance.outputscale - explained).max(0.0);
+            let remaining = (covariance.outputscale - explained[0]).max(0.0);
             outputs.for_each(|o| variance[o] = remaining);
         }
         variance
