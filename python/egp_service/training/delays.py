@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 _EARLIEST_FORCE: Final = -1.5  # s; a filtered acceleration is late by its filter
 _LATEST: Final = 0.32  # s
 _STEP: Final = 0.04  # s
-_GAIN: Final = 0.02  # nats per error by which a delay must predict better than none
+# Nats by which a delay must predict better than none: per error, and altogether, because the best
+# of many delays is better than none by chance.
+_GAIN: Final = 0.02
+_EVIDENCE: Final = 20.0
 _SHORTEST: Final = 2.0  # s of consecutive transitions; less is lost to the shift
 _ROWS: Final = 1000  # transitions of a surface that a vehicle is fitted to
 _FEWEST: Final = 200  # transitions above 5 m/s, each for the fit and for the comparison
@@ -39,10 +42,10 @@ def find_delays(logs: Sequence[Dataset], vehicle: VehicleParameters | None) -> D
     """Return the delays that all logs of one car have in common; zero where they are not told.
 
     A delay is told if its optimum lies inside the range that is searched (states 0 to 0.32 s, force
-    -1.5 to 0.32 s), and predicts better by 0.02 nats per error than no delay. For the delay of the
-    states the vehicle must also predict the yaw rate better than the linear model. If both delays
-    agree within a period, both are their mean, since one sensor measures all states. Only runs of
-    at least 2 s count. `vehicle` is what is known about the car.
+    -1.5 to 0.32 s), and predicts better than no delay by 0.02 nats per error and 20 nats
+    altogether. For the delay of the states the vehicle must also predict the yaw rate better than
+    the linear model. If both delays agree within a period, both are their mean, since one sensor
+    measures all states. Only runs of at least 2 s count. `vehicle` is what is known about the car.
 
     Raises:
         EgpError: if a fit fails.
@@ -57,13 +60,15 @@ def find_delays(logs: Sequence[Dataset], vehicle: VehicleParameters | None) -> D
     def of_force(delay: float) -> float:
         return _mean([_linear_error(*_split(p, Delays(force=delay)), axles, _V_X) for p in parts])
 
-    force, _ = _optimum(of_force, _EARLIEST_FORCE)
+    errors = sum(int(np.sum(hold_out(part)[1].z[:, 0] > MOVING)) for part in parts)
+    gain = max(_GAIN, _EVIDENCE / errors)
+    force, _ = _optimum(of_force, _EARLIEST_FORCE, gain)
 
     def of_states(delay: float) -> float:
         split = [_split(part, Delays(delay, force)) for part in parts]
         return _mean(_vehicle_errors(split, vehicle))
 
-    states, error = _optimum(of_states, 0.0)
+    states, error = _optimum(of_states, 0.0, gain)
     split = [_split(part, Delays(states, force)) for part in parts]
     if error > _mean([_linear_error(*s, axles, _OMEGA) for s in split]):
         states = 0.0
@@ -88,8 +93,8 @@ def _split(part: Dataset, delays: Delays) -> tuple[Dataset, Dataset]:
     return hold_out(align(part, delays))
 
 
-def _optimum(loss: Callable[[float], float], low: float) -> tuple[float, float]:
-    """Return the delay of least loss and the loss near it; a delay that is not told is 0.
+def _optimum(loss: Callable[[float], float], low: float, gain: float) -> tuple[float, float]:
+    """Return the delay of least loss and the loss near it; 0 if the loss is less by under `gain`.
 
     Delays are searched between `low` and `_LATEST` in steps of `_STEP`, upwards from 0 to the first
     minimum if `low` is 0. Half a step about the best one a parabola through three points follows.
@@ -105,7 +110,7 @@ def _optimum(loss: Callable[[float], float], low: float) -> tuple[float, float]:
     centre = best * _STEP
     before, here, after = loss(centre - 0.5 * _STEP), losses[best], loss(centre + 0.5 * _STEP)
     curvature = before - 2.0 * here + after
-    if curvature <= 0.0 or losses[0] - here < _GAIN:
+    if curvature <= 0.0 or losses[0] - here < gain:
         return 0.0, losses[0]
     found = 0.25 * _STEP * (before - after) / curvature
     return centre + float(np.clip(found, -0.5 * _STEP, 0.5 * _STEP)), min(before, here, after)
