@@ -28,10 +28,12 @@ def write_example(
     n: int = 30,
     vehicle: VehicleParameters | None = None,
     measurement_noise: Array | None = None,
+    measurement_delay: float | None = None,
 ) -> None:
     """Write a library of RBF members, one for each friction coefficient.
 
-    It is for `vehicle`, or for the simulated car, and states `measurement_noise` if that is given.
+    It is for `vehicle`, or for the simulated car, and states `measurement_noise` and
+    `measurement_delay` if they are given.
     """
     members = [
         MemberData(**member_arrays(friction, n, seed=i)) for i, friction in enumerate(frictions)
@@ -45,6 +47,7 @@ def write_example(
         members=members,
         provenance={"source": "tests"},
         measurement_noise=measurement_noise,
+        measurement_delay=measurement_delay,
     )
 
 

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 def test_inspect_shows_surfaces_sizes_scales_and_identity(tmp_path: Path) -> None:
     path = tmp_path / "library.safetensors"
-    write_example(path, measurement_noise=np.array([0.0071, 0.0017, 0.0008]))
+    noise = np.array([0.0071, 0.0017, 0.0008])
+    write_example(path, measurement_noise=noise, measurement_delay=0.056)
     library = Library.load(path)
     console = Console(file=io.StringIO(), width=200)
     inspect(path, console)
@@ -31,6 +32,7 @@ def test_inspect_shows_surfaces_sizes_scales_and_identity(tmp_path: Path) -> Non
         library.id,
         "0.05 s",
         "0.0071, 0.0017, 0.0008",
+        "0.056 s",
         "rbf",
         "friction 1.1",
         "30",

@@ -48,7 +48,9 @@ def test_tensors_are_those_of_the_table(header: dict[str, Any]) -> None:
 def test_metadata_keys_are_those_of_the_table(header: dict[str, Any]) -> None:
     metadata = json.loads(header["__metadata__"]["egp"])
     keys = set(re.findall(r"^\| `(\w+)` \|", METADATA, re.MULTILINE))
-    assert keys - {"measurement_noise"} == set(metadata)  # simulated data have none
+    assert keys - {"measurement_noise", "measurement_delay"} == set(
+        metadata
+    )  # simulated data have none
     (members,) = re.findall(r"^\| `members` \|(.*)\|$", METADATA, re.MULTILINE)
     for member in metadata["members"]:
         assert set(member) <= set(re.findall(r"`([\w-]+)`", members))

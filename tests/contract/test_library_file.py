@@ -131,6 +131,26 @@ def test_measurement_noise_is_optional_and_the_default_of_the_setting(tmp_path: 
     assert used(with_noise, stated) == [0.1, 0.2, 0.3]
 
 
+def test_measurement_delay_is_optional_and_the_default_of_the_setting(tmp_path: Path) -> None:
+    def used(path: Path, settings: str = "") -> float:
+        found: float = tomllib.loads(Engine(str(path), settings).settings_toml)["measurement_delay"]
+        return found
+
+    late, part, without = (tmp_path / name for name in ("late", "part", "without"))
+    write_example(without)
+    assert b"measurement_delay" not in without.read_bytes()
+    assert Library.load(without).measurement_delay is None
+    assert used(without) == 0.0
+    write_example(late, measurement_delay=0.056)
+    write_library_subset(late, part, [1])
+    for path in (late, part):
+        assert Library.load(path).measurement_delay == 0.056
+        assert used(path) == 0.056
+    assert used(late, "measurement_delay = 0.0") == 0.0
+    with pytest.raises(EgpError, match="measurement_delay"):
+        used(late, "measurement_delay = 0.6")
+
+
 def test_same_content_gives_same_bytes(path: Path) -> None:
     other = path.with_name("again.safetensors")
     write_example(other)
@@ -245,6 +265,7 @@ def repeated_point(content: Content) -> None:
         ("metadata", "parameters", lambda content: content.metadata.pop("parameters")),
         ("measurement_noise", "-0.1", change_metadata(measurement_noise=[0.1, -0.1, 0.1])),
         ("metadata", "length 3", change_metadata(measurement_noise=0.1)),
+        ("measurement_delay", "-0.01", change_metadata(measurement_delay=-0.01)),
         ("label", "friction 1.1", change_member(label="friction 1.1")),
         ("friction", "-1", change_member(friction=-1.0)),
         (

@@ -14,6 +14,7 @@ from egp_service import EgpError
 from egp_service._core import VehicleParameters
 from egp_service.cli import app
 from egp_service.control.toml_text import dumps
+from egp_service.data.alignment import Delays, align
 from egp_service.data.channels import channels
 from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.csv_import import Column, import_csv
@@ -77,12 +78,35 @@ def test_exact_data_have_no_noise_and_delays_are_found(exact: Dataset) -> None:
     assert late.steering_delay == pytest.approx(clean.steering_delay + 3 * DT, abs=1.5 * DT)
 
 
+def test_aligned_inputs_are_those_that_caused_what_was_measured(exact: Dataset) -> None:
+    sensors = Sensors(noise=(0.0, 0.0, 0.0), quantum=(1e-9,) * 3, cutoff=1e6, delay=2)
+    late = measure(exact, sensors, np.random.default_rng(0))
+    assert align(late, Delays()) is late
+    aligned = align(late, Delays(2 * DT, 2 * DT))
+    # Without the first two rows of each trajectory these are the exact rows two periods before.
+    kept = np.flatnonzero(np.append([False, False], exact.trajectory[2:] == exact.trajectory[:-2]))
+    assert len(aligned) == len(kept)
+    np.testing.assert_allclose(aligned.z, exact.z[kept - 2], atol=1e-6)
+    np.testing.assert_allclose(aligned.y, exact.y[kept - 2], atol=1e-6)
+    # Between periods inputs are means: half of this period's and half of the last one's.
+    half = align(late, Delays(0.5 * DT, -0.5 * DT))
+    row = int(np.flatnonzero((half.step == 50) & (half.trajectory == exact.trajectory[50]))[0])
+    np.testing.assert_allclose(half.z[row, 5], late.z[49:51, 5].mean())
+    np.testing.assert_allclose(half.z[row, 4], late.z[50:52, 4].mean())
+    np.testing.assert_allclose(half.z[row, 3], late.z[49:51, 3].mean())
+    with pytest.raises(EgpError, match="longer trajectories"):
+        align(late, Delays(1000.0, 0.0))
+
+
 def test_a_member_of_a_measured_drive_has_skill(exact: Dataset) -> None:
     measured = measure(exact, Sensors(), np.random.default_rng(0))
     (outcome,) = evaluate_logs([measured], known_vehicle("commonroad-1"), SETTINGS)
     rms = outcome.skill.rms
     assert np.all(rms[OURS][0] <= 1.02 * rms[NO_CHANGE][0])
     assert outcome.skill.likelihood[OURS] > 0.0
+    # The sensors are late by a period, 40 ms, and their filter by 16 ms.
+    assert outcome.delays.measurement == pytest.approx(0.056, abs=0.02)
+    assert outcome.delays.force == pytest.approx(0.056, abs=0.02)
     # Over all durations and outputs; measured 0.3 nats more.
     assert outcome.skill.likelihood[OURS] > outcome.skill.likelihood[LINEAR] - 0.1
     assert np.all(outcome.coverage > 0.85)
@@ -130,4 +154,6 @@ def test_the_oval_is_predicted_no_worse_than_no_change() -> None:
     (outcome,) = evaluate_logs([log], VehicleParameters(**car), TrainingSettings(mean="best"))
     rms = outcome.skill.rms
     assert np.all(rms[OURS] <= rms[NO_CHANGE])
+    assert outcome.delays.measurement == 0.0
+    assert outcome.delays.force == pytest.approx(-0.95, abs=0.15)  # a filtered acceleration
     assert np.all((outcome.coverage > 0.91) & (outcome.coverage < 0.97))

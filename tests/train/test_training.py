@@ -11,6 +11,7 @@ from surfaces import NOISE, TOY, provenance, surface
 
 from egp_service import EgpError
 from egp_service._core import Library
+from egp_service.data.alignment import Delays
 from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
 from egp_service.training.export import export
@@ -189,6 +190,10 @@ def test_a_library_states_the_noise_of_the_logs_it_was_trained_on(
     found = stated("toy")
     assert found is not None
     np.testing.assert_allclose(found, noise, rtol=0.2)
+    for delays, told in ((None, None), (Delays(0.0, -1.0), None), (Delays(0.05, 0.05), 0.05)):
+        path = tmp_path / "late.safetensors"
+        export(path, [dataclasses.replace(members[0], delays=delays)], SETTINGS, {}, TOY)
+        assert Library.load(path).measurement_delay == told
     assert stated("commonroad-2") is None
 
 

@@ -42,6 +42,13 @@ class Library:
         trained on simulated data.
         """
     @property
+    def measurement_delay(self) -> float | None:
+        """Time in s by which the measured `[v_x, v_y, omega]` are late.
+
+        As found in the logs that the library was trained on; None if they do not tell it, or if the
+        data were simulated.
+        """
+    @property
     def provenance(self) -> dict[str, str]:
         """How the library was made: versions, settings, seeds."""
     @property
@@ -162,6 +169,7 @@ def write_library(
     members: Sequence[MemberData],
     provenance: Mapping[str, str],
     measurement_noise: NDArray[np.float64] | None = None,
+    measurement_delay: float | None = None,
 ) -> None: ...
 def write_library_subset(
     source: str | PathLike[str], path: str | PathLike[str], members: Sequence[int]

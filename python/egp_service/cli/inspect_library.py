@@ -48,9 +48,11 @@ def summary(path: Path, library: Library) -> Table:
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="bold")
     table.add_column(overflow="fold")
-    noise = {}
+    sensors = {}
     if library.measurement_noise is not None:
-        noise["measurement noise"] = ", ".join(f"{std:.2g}" for std in library.measurement_noise)
+        sensors["measurement noise"] = ", ".join(f"{std:.2g}" for std in library.measurement_noise)
+    if library.measurement_delay is not None:
+        sensors["measurement delay"] = f"{library.measurement_delay:.3g} s"
     rows = {
         "file": f"{path} ({path.stat().st_size / 1e6:.2f} MB)",
         "id": library.id,
@@ -58,7 +60,7 @@ def summary(path: Path, library: Library) -> Table:
         "kernel": library.kernel,
         "vehicle": library.vehicle,
         "parameters": ", ".join(f"{n} = {v:g}" for n, v in library.parameters.fields().items()),
-        **noise,
+        **sensors,
         **library.provenance,
     }
     for name, value in rows.items():

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from egp_service.cli.progress import fitting
 from egp_service.cli.tables import (
     MOTION_NAMES,
+    delay_sentence,
     kind_sentence,
     skill_table,
     skill_warnings,
@@ -58,6 +59,7 @@ def _show(console: Console, outcome: LogOutcome) -> None:
         f"change of v_x the force by {found.force_delay:.2f} s",
         highlight=False,
     )
+    console.print(delay_sentence(outcome.delays), highlight=False)
     if outcome.member.vehicle is not None:
         console.print(vehicle_table(outcome.name, outcome.member.vehicle))
     console.print(skill_table(outcome.name, outcome.skill))

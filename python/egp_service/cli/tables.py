@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 from rich import box
 from rich.table import Table
 
+from egp_service.data.alignment import Delays
 from egp_service.quantities import GP_OUTPUT, MOTION, STATE
 from egp_service.training.open_loop import MOVING, NO_CHANGE
 from egp_service.training.validation import ROLLOUT
@@ -150,6 +151,18 @@ def skill_table(label: str, skill: Skill) -> Table:
             table.add_row(cells[0], output, *values, cells[1])
             cells = ("", "")
     return table
+
+
+def delay_sentence(delays: Delays | None) -> str:
+    """Return a sentence that says by what inputs were moved before training; None: simulated."""
+    if delays is None:
+        return "the data are simulated: inputs are used as they are"
+    if delays == Delays():
+        return "the log tells no delay: its inputs are used as they are"
+    return (
+        f"inputs are moved before training: steering by {delays.measurement:+.3f} s, because the "
+        f"measured states are late, and the force by {delays.force:+.3f} s"
+    )
 
 
 def kind_sentence(label: str, kind: str, likelihoods: Mapping[str, float]) -> str:

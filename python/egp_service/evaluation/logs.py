@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import EgpError, solve_weights
+from egp_service.data.alignment import Delays, align
 from egp_service.data.channels import Channels, channels
 from egp_service.quantities import NY
 from egp_service.training.average_member import PriorMean, average_member
 from egp_service.training.choice import hold_out
+from egp_service.training.delays import find_delays
 from egp_service.training.open_loop import LINEAR, MOVING, Skill, linear, skill
-from egp_service.training.train import TrainingSettings, train_parts
+from egp_service.training.train import TrainingSettings, one_thread, train_parts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -45,6 +47,8 @@ class LogOutcome:
 
     name: str
     channels: Channels
+    delays: Delays
+    """By what the log's inputs were moved before training and prediction."""
     member: TrainedMember
     """The member that is trained on the log, whose validation data are the held-out blocks."""
     skill: Skill
@@ -70,6 +74,8 @@ def evaluate_logs(
 ) -> list[LogOutcome]:
     """Train on four of five blocks of each log and predict the fifth.
 
+    All predictors get the log with its inputs moved by the delays that the four blocks tell.
+
     Raises:
         EgpError: if two logs have the same name of a surface, or differ in period, or if training
             fails.
@@ -80,11 +86,14 @@ def evaluate_logs(
         raise EgpError("two logs have the same surface: import each with its own --surface")
     if len({log.provenance.dt for log in logs}) > 1:
         raise EgpError("the logs differ in dt: import all with the same --dt")
-    parts = [hold_out(log) for log in logs]
+    with one_thread(settings.max_points):
+        delays = [find_delays([hold_out(log)[0]], vehicle) for log in logs]
+    moved = [align(log, own) for log, own in zip(logs, delays, strict=True)]
+    parts = [hold_out(log) for log in moved]
     members = _train(parts, settings, vehicle, report)
     paper = _train(parts, dataclasses.replace(settings, mean="constant"), vehicle, report)
     return [
-        _outcome(number, logs[number], members, paper[number], settings)
+        _outcome(number, (logs[number], delays[number]), members, paper[number], settings)
         for number in range(len(logs))
     ]
 
@@ -101,11 +110,12 @@ def _train(
 
 def _outcome(
     number: int,
-    log: Dataset,
+    source: tuple[Dataset, Delays],
     members: Sequence[TrainedMember],
     paper: TrainedMember,
     settings: TrainingSettings,
 ) -> LogOutcome:
+    log, delays = source
     member, others = members[number], [m for i, m in enumerate(members) if i != number]
     held = member.validation
     predictors: dict[str, Predictor] = {OURS: member.predict_mean, PAPER: paper.predict_mean}
@@ -126,6 +136,7 @@ def _outcome(
     return LogOutcome(
         name=log.provenance.surface,
         channels=channels(log),
+        delays=delays,
         member=member,
         skill=skill(predictors, held),
         last_change=_last_change(member.dataset, held, axles),

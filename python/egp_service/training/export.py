@@ -35,8 +35,8 @@ def export(
     """Write the members as one library; the writer verifies it by loading it again.
 
     Without `vehicle` the data must come from a simulated one, whose parameters are known. A library
-    that was trained on logs states the noise of their measured states, from which the weights'
-    window takes it.
+    that was trained on logs states noise and delay of their measured states, from which the control
+    step takes them.
 
     Raises:
         EgpError: if the vehicle is neither given nor simulated.
@@ -53,6 +53,7 @@ def export(
         members=[_member(member) for member in members],
         provenance={**provenance, **_findings(members)},
         measurement_noise=_measurement_noise(members),
+        measurement_delay=_measurement_delay(members),
     )
 
 
@@ -66,6 +67,12 @@ def _measurement_noise(members: Sequence[TrainedMember]) -> NDArray[np.float64] 
         return None
     noise = np.max([channels(member.dataset).noise for member in members], axis=0)
     return noise if np.all(noise > 0.0) else None
+
+
+def _measurement_delay(members: Sequence[TrainedMember]) -> float | None:
+    """Return the delay in s by which the members' inputs were moved; None if there is none."""
+    delays = members[0].delays
+    return delays.measurement if delays is not None and delays.measurement > 0.0 else None
 
 
 def _findings(members: Sequence[TrainedMember]) -> dict[str, str]:

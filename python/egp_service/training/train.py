@@ -17,9 +17,11 @@ import numpy as np
 import torch
 
 from egp_service._core import EgpError
+from egp_service.data.alignment import align
 from egp_service.data.dataset import Dataset, merge
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NZ
 from egp_service.training.choice import KINDS, best_member
+from egp_service.training.delays import find_delays
 from egp_service.training.exact_member import exact_member, spread
 from egp_service.training.vehicle_fit import fit_vehicle
 from egp_service.vehicle import simulated_vehicle
@@ -119,6 +121,7 @@ def train(
     """Train one member per surface label, ordered by friction and label.
 
     What is known about the vehicle are the parameters `vehicle`, or those of a simulated vehicle.
+    The logs of a real car are trained with their inputs moved by the delays that they tell.
 
     Raises:
         EgpError: if datasets differ in dt or vehicle, or a fit fails.
@@ -130,11 +133,17 @@ def train(
         surfaces.setdefault(key, []).append(dataset)
     _check_consistent([parts[0].provenance.surface for parts in surfaces.values()], datasets)
     rngs = [np.random.default_rng([settings.seed, number]) for number in range(len(surfaces))]
+    logs = [merge(surfaces[key]) for key in sorted(surfaces)]
+    delays = None
+    if simulated_vehicle(logs[0].provenance.vehicle) is None:
+        with one_thread(settings.max_points):
+            delays = find_delays(logs, vehicle)
+        logs = [align(log, delays) for log in logs]
     parts = [
-        split(merge(surfaces[key]), settings.validation_fraction, rng)
-        for key, rng in zip(sorted(surfaces), rngs, strict=True)
+        split(log, settings.validation_fraction, rng) for log, rng in zip(logs, rngs, strict=True)
     ]
-    return train_parts(parts, settings, report, vehicle=vehicle, rngs=rngs)
+    members = train_parts(parts, settings, report, vehicle=vehicle, rngs=rngs)
+    return [dataclasses.replace(member, delays=delays) for member in members]
 
 
 def train_parts(
@@ -156,7 +165,7 @@ def train_parts(
     fits = len(KINDS) if settings.mean == "best" else 1
     budget = len(parts) * fits * (settings.restarts + 2) * settings.max_iterations
     members: list[TrainedMember] = []
-    with _threads(settings.max_points):
+    with one_thread(settings.max_points):
         for data, _ in parts:
             _check_varies(data)
         vehicles: list[FittedVehicle | None] = [None for _ in parts]
@@ -177,7 +186,7 @@ def train_parts(
 
 
 @contextlib.contextmanager
-def _threads(points: int) -> Iterator[None]:
+def one_thread(points: int) -> Iterator[None]:
     """Use one thread for small matrices, for which further threads would only busy-wait."""
     before = torch.get_num_threads()
     if points <= _ONE_THREAD:

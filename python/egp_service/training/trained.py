@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from egp_service.data.alignment import Delays
     from egp_service.data.dataset import Dataset
     from egp_service.training.gaussian_process import OutputProcess
     from egp_service.training.vehicle_fit import FittedVehicle
@@ -47,6 +48,8 @@ class TrainedMember:
     vehicle: FittedVehicle | None
     """The fitted single-track vehicle with intervals of its parameters, if one was fitted."""
 
+    delays: Delays | None = None
+    """By what the inputs of a log were moved before training; None for simulated data."""
     kind: str = ""
     """The kind that was chosen among those of `choice.KINDS`, if there was a choice."""
     likelihoods: Mapping[str, float] = dataclasses.field(default_factory=dict)

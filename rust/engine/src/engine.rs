@@ -35,8 +35,13 @@ impl Engine {
     /// [`EngineError`] if the settings are out of range, or members, horizon or window exceed the limits of the wire.
     pub fn new(library: Library, settings: Settings) -> Result<Self, EngineError> {
         let (limits, dt) = (MessageLimits::default(), library.dt());
-        let settings =
-            settings.complete(dt, library.vehicle(), library.metadata().measurement_noise);
+        let metadata = library.metadata();
+        let settings = settings.complete(
+            dt,
+            library.vehicle(),
+            metadata.measurement_noise,
+            metadata.measurement_delay,
+        );
         for (what, actual, limit) in [
             (
                 "the number of members",

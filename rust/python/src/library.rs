@@ -74,6 +74,12 @@ impl Library {
         Some(vector(py, noise))
     }
 
+    #[doc = doc!(Library.measurement_delay)]
+    #[getter]
+    fn measurement_delay(&self) -> Option<f64> {
+        self.0.metadata().measurement_delay
+    }
+
     #[doc = doc!(Library.provenance)]
     #[getter]
     fn provenance(&self) -> BTreeMap<String, String> {

@@ -117,11 +117,11 @@ fn exactly<T, const N: usize>(name: &str, rows: Vec<T>) -> PyResult<[T; N]> {
 ///
 /// `dt` in s, `kernel` "rbf" or "matern52"; `vehicle` and `parameters` are name and parameters of the vehicle that the
 /// data come from; `measurement_noise` (3,) are the standard deviations of the noise of the measured
-/// `[v_x, v_y, omega]`, if it is known. The same arguments give the same bytes. Raises `LibraryError` for content that fails a check,
+/// `[v_x, v_y, omega]`, and `measurement_delay` the time in s by which these are late, if they are known. The same arguments give the same bytes. Raises `LibraryError` for content that fails a check,
 /// `OSError` if writing fails.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // all by name
-#[pyo3(signature = (path, *, dt, kernel, vehicle, parameters, members, provenance, measurement_noise = None))]
+#[pyo3(signature = (path, *, dt, kernel, vehicle, parameters, members, provenance, measurement_noise = None, measurement_delay = None))]
 pub fn write_library(
     py: Python<'_>,
     path: PathBuf,
@@ -132,6 +132,7 @@ pub fn write_library(
     members: Vec<PyRef<'_, MemberData>>,
     provenance: BTreeMap<String, String>,
     measurement_noise: Option<Vector<'_>>,
+    measurement_delay: Option<f64>,
 ) -> PyResult<()> {
     let unknown = || {
         Failure::Refused(library::LibraryError::UnknownKernel {
@@ -149,6 +150,7 @@ pub fn write_library(
         vehicle,
         parameters: parameters.0,
         measurement_noise,
+        measurement_delay,
         provenance,
         members,
     };

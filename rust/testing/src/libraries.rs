@@ -50,6 +50,7 @@ pub fn spec_of(
         vehicle: "commonroad-1".to_owned(),
         parameters: VehicleParameters::FORD_ESCORT,
         measurement_noise: None,
+        measurement_delay: None,
         provenance: BTreeMap::from([("source".to_owned(), "tests".to_owned())]),
         members: frictions.iter().enumerate().map(member).collect(),
     }

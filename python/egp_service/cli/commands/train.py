@@ -73,6 +73,7 @@ def train(
     from egp_service._core import EgpError, Library
     from egp_service.cli.progress import collecting, fitting
     from egp_service.cli.tables import (
+        delay_sentence,
         kind_sentence,
         skill_table,
         skill_warnings,
@@ -114,6 +115,7 @@ def train(
     library = Library.load(output)
     held_out = {member.dataset.provenance.surface: member.validation for member in members}
     matrix = validate(library, held_out)
+    console.print(delay_sentence(members[0].delays), highlight=False)
     for member in members:
         if member.vehicle is not None:
             console.print(vehicle_table(member.dataset.provenance.surface, member.vehicle))

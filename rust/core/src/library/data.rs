@@ -23,6 +23,8 @@ pub struct LibrarySpec {
     pub parameters: VehicleParameters,
     /// Standard deviations of the noise of the measured `[v_x, v_y, omega]`, m/s, m/s and rad/s, if it is known.
     pub measurement_noise: Option<[f64; NY]>,
+    /// Time in s by which the measured `[v_x, v_y, omega]` are late, if it is known.
+    pub measurement_delay: Option<f64>,
     /// How the library was made: versions, settings, seeds.
     pub provenance: BTreeMap<String, String>,
     /// One member for each surface.

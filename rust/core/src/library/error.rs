@@ -105,6 +105,14 @@ pub enum LibraryError {
         /// Values in the file.
         found: [f64; crate::NY],
     },
+    /// A delay of the measured states that no sensors have.
+    #[error(
+        "measurement delay is {found} s, it must be within 0 and 0.5; leave it out or train again"
+    )]
+    MeasurementDelay {
+        /// Value in the file.
+        found: f64,
+    },
     /// Too few or too many members, points or golden points.
     #[error("number of {what} is {found}, it must be within 1 and {limit}")]
     Count {
@@ -267,6 +275,7 @@ impl LibraryError {
             Self::TimeStep { .. } => "time_step",
             Self::Vehicle(_) => "vehicle",
             Self::MeasurementNoise { .. } => "measurement_noise",
+            Self::MeasurementDelay { .. } => "measurement_delay",
             Self::Count { .. } => "count",
             Self::Label { .. } => "label",
             Self::Friction { .. } => "friction",

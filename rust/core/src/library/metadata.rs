@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::LibraryError;
 use super::data::LibrarySpec;
 use super::limits::{MAX_DT, MAX_MEMBERS, MAX_POINTS, MIN_DT, SCHEMA_VERSION};
-use crate::settings::WeightSettings;
+use crate::settings::{Settings, WeightSettings};
 use crate::vehicle::ModelParameters;
 use crate::{Kernel, NY};
 
@@ -84,6 +84,9 @@ pub struct Metadata {
     /// that the library was trained on. `None` if it was trained on simulated data or before this entry existed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measurement_noise: Option<[f64; NY]>,
+    /// Time in s by which the measured `[v_x, v_y, omega]` are late, as found in the logs. `None` as for the noise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measurement_delay: Option<f64>,
     /// Members, in order.
     pub members: Vec<MemberMetadata>,
     /// How the library was made: versions, settings, seeds.
@@ -114,6 +117,7 @@ impl Metadata {
             vehicle: spec.vehicle.clone(),
             parameters: spec.parameters,
             measurement_noise: spec.measurement_noise,
+            measurement_delay: spec.measurement_delay,
             members: spec.members.iter().map(member).collect(),
             provenance: spec.provenance.clone(),
         }
@@ -144,6 +148,11 @@ impl Metadata {
             && !found.into_iter().all(WeightSettings::is_noise)
         {
             return Err(LibraryError::MeasurementNoise { found });
+        }
+        if let Some(found) = self.measurement_delay
+            && !Settings::is_delay(found)
+        {
+            return Err(LibraryError::MeasurementDelay { found });
         }
         check_count("members", self.members.len(), MAX_MEMBERS)?;
         for (i, member) in self.members.iter().enumerate() {

@@ -34,6 +34,7 @@ pub fn subset(bytes: &[u8], members: &[usize]) -> Result<Vec<u8>, LibraryError> 
         vehicle: metadata.vehicle.clone(),
         parameters: metadata.parameters,
         measurement_noise: metadata.measurement_noise,
+        measurement_delay: metadata.measurement_delay,
         provenance,
         members: members
             .iter()

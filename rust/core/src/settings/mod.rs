@@ -38,6 +38,11 @@ pub struct Settings {
     pub horizon: Option<usize>,
     /// Vehicle mass in kg, which turns force into the scaled input `a = F_x/m`. Default: the library's `mass`.
     pub mass: Option<f64>,
+    /// Time in s by which the measured `[v_x, v_y, omega]` are late; positions, yaw and steering angle are those of now.
+    ///
+    /// The step pairs the measured changes with the inputs that caused them, and predicts the present state by the
+    /// inputs since. Default: the library's `measurement_delay`, and without that 0, which changes nothing; at most 0.5.
+    pub measurement_delay: Option<f64>,
     /// How the weights follow the surface, eq. (6).
     pub weights: WeightSettings,
     /// Where the members are linearised, eq. (15).
@@ -55,6 +60,9 @@ pub struct Settings {
 /// The default horizon, in s, and in periods at most.
 const HORIZON: f64 = 0.8;
 const LONGEST_DEFAULT_HORIZON: usize = 100;
+
+/// Longest delay of measured states accepted, in s.
+const MAX_DELAY: f64 = 0.5;
 
 /// Why settings were refused.
 #[derive(Debug, thiserror::Error)]
@@ -105,19 +113,32 @@ impl Settings {
         }
     }
 
+    /// The delay of the measured `[v_x, v_y, omega]` in s: these settings', otherwise the library's, otherwise 0.
+    pub fn measurement_delay(&self, library: Option<f64>) -> f64 {
+        self.measurement_delay.or(library).unwrap_or(0.0)
+    }
+
+    /// Whether a number is accepted as the delay of measured states: 0 to 0.5 s.
+    pub(crate) fn is_delay(seconds: f64) -> bool {
+        (0.0..=MAX_DELAY).contains(&seconds)
+    }
+
     /// The same settings with every value stated that by default depends on the library: on its period of `dt` s, on
-    /// the vehicle it was trained for, or on the noise of the measured states that it states. `soft.slip` stays as it is, because its default differs between the members.
+    /// the vehicle it was trained for, or on noise and delay of the measured states that it states. `soft.slip` stays as
+    /// it is, because its default differs between the members.
     #[must_use]
     pub fn complete(
         mut self,
         dt: f64,
         library: &VehicleParameters,
         measurement_noise: Option<[f64; NY]>,
+        measurement_delay: Option<f64>,
     ) -> Self {
         let vehicle = self.vehicle(library);
         self.horizon = Some(self.horizon(dt));
         self.weights.window = Some(self.weights.window(dt));
         self.weights.measurement = Some(self.weights.measurement(measurement_noise));
+        self.measurement_delay = Some(self.measurement_delay(measurement_delay));
         self.mass = Some(vehicle.mass);
         self.limits = InputBounds {
             a_min: Some(vehicle.a_min),
@@ -165,6 +186,9 @@ impl Settings {
             check("mass", mass, "in [0.01, 1e6] kg", |mass| {
                 (0.01..=1e6).contains(&mass)
             })?;
+        }
+        if let Some(delay) = self.measurement_delay {
+            check("measurement_delay", delay, "in [0, 0.5] s", Self::is_delay)?;
         }
         self.weights.validate()?;
         self.operating.validate()?;
@@ -246,12 +270,12 @@ mod tests {
             (2.0, 1, 1),
         ] {
             let car = VehicleParameters::FORD_ESCORT;
-            let settings = Settings::default().complete(dt, &car, None);
+            let settings = Settings::default().complete(dt, &car, None, None);
             assert_eq!(
                 (settings.horizon, settings.weights.window),
                 (Some(horizon), Some(window))
             );
-            assert_eq!(settings.clone().complete(0.02, &car, None), settings);
+            assert_eq!(settings.clone().complete(0.02, &car, None, None), settings);
         }
     }
 
@@ -273,7 +297,7 @@ mod tests {
         assert_eq!(settings.vehicle(&library), stated);
         assert_eq!(Settings::default().vehicle(&library), library);
         // What is complete no longer depends on the library, but for what no setting can state.
-        let complete = settings.complete(0.02, &library, None);
+        let complete = settings.complete(0.02, &library, None, None);
         let other = complete.vehicle(&VehicleParameters::FORD_ESCORT);
         assert_eq!(
             VehicleParameters {
@@ -289,7 +313,8 @@ mod tests {
 
     #[test]
     fn with_the_demo_vehicle_the_defaults_are_those_of_the_published_results() {
-        let settings = Settings::default().complete(0.02, &VehicleParameters::FORD_ESCORT, None);
+        let settings =
+            Settings::default().complete(0.02, &VehicleParameters::FORD_ESCORT, None, None);
         let InputBounds {
             a_min,
             a_max,

@@ -3,6 +3,7 @@
 //! There is no clock, no randomness and no state between calls: the same library, settings and request give the same
 //! bits with any workspace. `NOTATION.md` lists the symbols.
 
+mod delay;
 mod deviations;
 mod request;
 mod validate;
@@ -12,6 +13,7 @@ pub use request::{StepReply, StepRequest};
 pub use validate::StepError;
 pub use workspace::{SetupError, Workspace};
 
+use delay::Delay;
 use validate::Rows;
 
 use crate::executor::for_each;
@@ -42,7 +44,6 @@ pub fn step(
     estimate_weights(library, settings, &rows, ws, reply);
 
     let frame = Frame::of(&rows.x);
-    let x0 = local_state(&rows.x);
     localise_reference(&frame, &rows, &mut ws.reference);
     ws.guess
         .shift(&frame, rows.plan_x, rows.plan_u, rows.plan_shift);
@@ -51,6 +52,8 @@ pub fn step(
         .stages
         .fill(&reply.weights, rows.road_friction, &settings.weights);
     let now = Ensemble::new(library, ws.stages.stage(0), 0.0).map_err(StepError::Ensemble)?;
+    let present = |delay: Delay| delay.present(&rows, &now);
+    let x0 = local_state(&ws.delay.map_or(rows.x, present));
     let ensembles = |t: usize| now.with_weights(ws.stages.stage(t));
     let edges = [settings.soft.v_x_max, ws.vehicle.steering_angle];
     ws.dynamics.along(
@@ -121,7 +124,7 @@ pub fn step(
     Ok(())
 }
 
-/// The measured state in the vehicle's frame.
+/// A state at the measured pose in the vehicle's frame.
 fn local_state(x: &State) -> State {
     let mut local = *x;
     (local[P_X], local[P_Y], local[PSI]) = (0.0, 0.0, 0.0);
@@ -153,7 +156,14 @@ fn estimate_weights(
 ) {
     let members = library.members();
     let width = members.len() * NY;
-    let missing = &rows.history_z[..rows.history_z.len() - rows.history_f.len() / width];
+    let history_z = match ws.delay {
+        Some(delay) => {
+            delay.align(rows.history_z, &mut ws.aligned);
+            &ws.aligned
+        }
+        None => rows.history_z,
+    };
+    let missing = &history_z[..history_z.len() - rows.history_f.len() / width];
     reply.history_f.resize(missing.len() * width, 0.0);
     let points: usize = members.iter().map(Member::n_points).sum();
     let parts = reply.history_f.chunks_exact_mut(width).zip(missing);
@@ -176,7 +186,7 @@ fn estimate_weights(
     );
     reply.friction = ws.friction.estimate(
         members,
-        rows.history_z,
+        history_z,
         &reply.history_f,
         rows.history_y,
         &ws.previous,

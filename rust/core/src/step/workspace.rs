@@ -5,6 +5,7 @@ use std::sync::Arc;
 use egp_parameters::VehicleParameters;
 
 use super::StepError;
+use super::delay::Delay;
 use super::deviations::Deviations;
 use crate::executor::{Executor, Sequential};
 use crate::friction::FrictionEstimator;
@@ -17,7 +18,7 @@ use crate::solver::{self, QpSolver, SolverSetupError};
 use crate::trajectory::Guess;
 use crate::vehicle::TyreLimits;
 use crate::weights::{WeightEstimator, WindowNoise};
-use crate::{Input, Library, Member, Settings, State};
+use crate::{Input, Library, Member, NZ, Settings, State};
 
 /// A workspace that could not be created.
 #[derive(Debug, thiserror::Error)]
@@ -38,6 +39,10 @@ pub struct Workspace {
     pub(super) vehicle: VehicleParameters,
     /// What the tyres transmit on each member's surface.
     pub(super) tyres: Vec<TyreLimits>,
+    /// The delay of the measured velocities, if they have one.
+    pub(super) delay: Option<Delay>,
+    /// The window's inputs at the time of its velocities.
+    pub(super) aligned: Vec<[f64; NZ]>,
     pub(super) noise: WindowNoise,
     pub(super) estimator: WeightEstimator,
     pub(super) friction: FrictionEstimator,
@@ -72,6 +77,7 @@ impl Workspace {
         let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
         let solvers = solver::solvers(&qp, &settings.solver)?;
         let vehicle = settings.vehicle(library.vehicle());
+        let late = settings.measurement_delay(library.metadata().measurement_delay);
         let limits = |member: &Member| {
             let limits = member.tyre_limits(&vehicle);
             let stated = settings.soft.slip.map(|slip| slip * member.friction());
@@ -86,6 +92,8 @@ impl Workspace {
             settings: settings.clone(),
             vehicle,
             tyres,
+            delay: Delay::new(late, dt),
+            aligned: Vec::with_capacity(settings.weights.window(dt)),
             noise: WindowNoise::of(library, &settings.weights),
             estimator: WeightEstimator::new(n, settings.weights.window(dt)),
             friction: FrictionEstimator::new(library, &settings.weights),

@@ -1,6 +1,7 @@
 //! Tests of the mathematics: members, weights, linearisation, solvers and the step as a whole.
 
 mod caution;
+mod delay;
 mod ensemble;
 mod executor;
 mod friction;

@@ -1,0 +1,79 @@
+"""Transitions with the inputs that caused what was measured: columns moved in time by delays."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from egp_service._core import EgpError
+from egp_service.quantities import GP_INPUT
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from egp_service.data.dataset import Dataset
+
+_, _, _, DELTA, FORCE, DELTA_DOT = range(len(GP_INPUT))
+_ROUNDING: Final = 1e-9  # periods
+
+
+@dataclasses.dataclass(frozen=True)
+class Delays:
+    """How late the columns of a log are, in s."""
+
+    measurement: float = 0.0
+    """Time by which the measured `[v_x, v_y, omega]` are later than the steering angle."""
+    force: float = 0.0
+    """Time by which the measured `v_x` is later than the force; negative if the log's force is
+    later than `v_x`, for instance a filtered measurement of the acceleration."""
+
+
+def align(dataset: Dataset, delays: Delays) -> Dataset:
+    """Return the transitions with steering angle and inputs of the time before the delays.
+
+    A transition from `t` to `t + dt` gets `delta(t - d)` and the mean inputs between `t - d` and
+    `t + dt - d`, with the delay `d` of each column. Steering angles are linear between the ends of
+    periods, and forces are constant. States and changes stay as they were measured. Transitions
+    whose inputs lie outside their trajectory are left out.
+
+    Raises:
+        EgpError: if no transition is left.
+
+    """
+    if delays == Delays():
+        return dataset
+    dt = dataset.provenance.dt
+    late, late_force = delays.measurement / dt, delays.force / dt
+    earliest, latest = max(late, late_force, 0.0), max(-late, -late_force, 0.0)
+    kept, inputs = [], []
+    for rows in consecutive(dataset):
+        n = len(rows)
+        k = np.arange(n, dtype=np.float64)
+        inside = (k - earliest >= -_ROUNDING) & (k + 1.0 + latest <= n + _ROUNDING)
+        k, time = k[inside], np.arange(n + 1, dtype=np.float64)
+        z = dataset.z[rows]
+        steering = np.append(z[:, DELTA], z[-1, DELTA] + dt * z[-1, DELTA_DOT])
+        impulse = np.concatenate([[0.0], np.cumsum(z[:, FORCE])])
+        moved = z[inside]
+        moved[:, DELTA] = np.interp(k - late, time, steering)
+        moved[:, DELTA_DOT] = (np.interp(k + 1.0 - late, time, steering) - moved[:, DELTA]) / dt
+        moved[:, FORCE] = np.interp(k + 1.0 - late_force, time, impulse) - np.interp(
+            k - late_force, time, impulse
+        )
+        kept.append(rows[inside])
+        inputs.append(moved)
+    rows = np.concatenate(kept)
+    if len(rows) == 0:
+        raise EgpError(
+            f"no transition is left after moving the inputs by {delays.measurement:g} s and "
+            f"{delays.force:g} s: expected longer trajectories"
+        )
+    return dataclasses.replace(dataset.select(rows), z=np.concatenate(inputs))
+
+
+def consecutive(dataset: Dataset) -> list[NDArray[np.int64]]:
+    """Return the rows of each run of consecutive transitions of a trajectory."""
+    follows = (np.diff(dataset.trajectory) == 0) & (np.diff(dataset.step.astype(np.int64)) == 1)
+    return np.split(np.arange(len(dataset)), np.flatnonzero(~follows) + 1)

@@ -1,0 +1,88 @@
+//! Velocities that were measured late: the window with the inputs that caused them, and their present values.
+
+use super::validate::Rows;
+use crate::vehicle::{DELTA, OMEGA, V_X, V_Y};
+use crate::{Ensemble, GpInput, NZ, State};
+
+/// Index of the steering angle in `z`; the inputs follow.
+const STEERING: usize = 3;
+
+/// The delay `d` of the measured `[v_x, v_y, omega]`: `(periods + part) dt` with `part` in [0, 1).
+///
+/// Positions, yaw and steering angle are measured without it. The history's rows hold what was measured and applied at
+/// the same time, so that those of the older rows have the inputs that a late velocity belongs to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Delay {
+    periods: usize,
+    part: f64,
+}
+
+impl Delay {
+    /// The delay of `seconds` at a period of `dt` s; none if it is zero.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // the settings bound it
+    pub fn new(seconds: f64, dt: f64) -> Option<Self> {
+        let late = seconds / dt;
+        let periods = late.floor();
+        (seconds > 0.0).then_some(Self {
+            periods: periods as usize,
+            part: late - periods,
+        })
+    }
+
+    /// Writes the rows of `history` (newest first) with the steering angle at the time of their velocities, and the
+    /// mean inputs over the period after it. Where older rows are missing, the oldest one stands for them.
+    pub fn align(&self, history: &[[f64; NZ]], out: &mut Vec<[f64; NZ]>) {
+        out.clear();
+        let at = |i: usize| &history[i.min(history.len() - 1)];
+        out.extend((0..history.len()).map(|i| {
+            let (newer, older) = (at(i + self.periods), at(i + self.periods + 1));
+            let mut row = history[i];
+            for column in STEERING..NZ {
+                row[column] = self.between(newer[column], older[column]);
+            }
+            row
+        }));
+    }
+
+    /// The measured state with the velocities of now: the ensemble's prediction over the delay, with the inputs that
+    /// were applied since, `x(t) = x(t - d) + Σ f(z) h / dt` over parts `h` of at most one period. Without a history the
+    /// last input counts as applied since then.
+    pub fn present(&self, rows: &Rows, ensemble: &Ensemble) -> State {
+        let [force, rate] = <[f64; 2]>::from(rows.u_prev);
+        let alone = [[0.0, 0.0, 0.0, rows.x[DELTA], force, rate]];
+        let history = if rows.history_z.is_empty() {
+            &alone
+        } else {
+            rows.history_z
+        };
+        let at = |j: usize| &history[j.min(history.len() - 1)];
+        let mut x = rows.x;
+        // Row j has the steering angle j + 1 periods ago and the inputs from then on.
+        let oldest = at(self.periods);
+        let after = match self.periods.checked_sub(1) {
+            Some(newer) => at(newer)[STEERING],
+            None => rows.x[DELTA],
+        };
+        let steering = self.between(after, oldest[STEERING]);
+        advance(&mut x, steering, oldest, self.part, ensemble);
+        for j in (0..self.periods).rev() {
+            advance(&mut x, at(j)[STEERING], at(j), 1.0, ensemble);
+        }
+        x
+    }
+
+    /// The value that lies `part` of the way from the newer to the older of two values.
+    fn between(&self, newer: f64, older: f64) -> f64 {
+        newer + self.part * (older - newer)
+    }
+}
+
+/// Adds the change of the velocities over the given part of a period, at a steering angle and the inputs of `row`.
+fn advance(x: &mut State, steering: f64, row: &[f64; NZ], part: f64, ensemble: &Ensemble) {
+    let [.., force, rate] = *row;
+    let z = GpInput::new(x[V_X], x[V_Y], x[OMEGA], steering, force, rate);
+    let change = ensemble.mean(&z) * part;
+    for (state, change) in [V_X, V_Y, OMEGA].into_iter().zip(change.iter()) {
+        x[state] += change;
+    }
+}

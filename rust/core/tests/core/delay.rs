@@ -1,0 +1,136 @@
+//! Velocities that are measured late: with their delay stated, the step is that of exact measurements.
+#![allow(clippy::unwrap_used)]
+
+use std::collections::VecDeque;
+
+use egp_core::{GpInput, Member, Settings};
+use egp_testing::requests::{Request, library, settings, solve};
+
+const DT: f64 = 0.05;
+/// Parts of a period in which the vehicle is simulated.
+const PARTS: usize = 4;
+/// Transitions of a request.
+const WINDOW: usize = 30;
+
+/// Inputs and steering angle of period `i`.
+fn input(i: usize) -> [f64; 2] {
+    let time = DT * f64::from(u32::try_from(i).unwrap());
+    [700.0 * (7.0 * time).sin(), 0.9 * (9.0 * time).cos()]
+}
+
+/// The request of a vehicle that moves as `member` predicts, whose velocities are `late` parts of a period old. Within a
+/// period the changes are those at its start, as the step assumes.
+fn request(member: &Member, late: usize) -> Request {
+    let (mut v, mut delta) = ([13.0, 0.0, 0.1], 0.03);
+    let mut past: VecDeque<[f64; 3]> = VecDeque::from(vec![v; late + 1]);
+    let (mut rows, mut changes) = (vec![], vec![]);
+    let mut measured = v;
+    for i in 0..40 {
+        let u = input(i);
+        rows.push([measured[0], measured[1], measured[2], delta, u[0], u[1]]);
+        let z = GpInput::new(v[0], v[1], v[2], delta, u[0], u[1]);
+        let change = member.mean(&z);
+        for _ in 0..PARTS {
+            for (v, change) in v.iter_mut().zip(change.iter()) {
+                *v += change / f64::from(u32::try_from(PARTS).unwrap());
+            }
+            past.push_back(v);
+            past.pop_front();
+        }
+        delta += DT * u[1];
+        let before = measured;
+        measured = past[0];
+        changes.push([0, 1, 2].map(|k| measured[k] - before[k]));
+    }
+    let mut request = Request::circle();
+    let [p_x, p_y, _, psi, ..] = request.x;
+    request.x = [p_x, p_y, measured[0], psi, measured[1], measured[2], delta];
+    request.u_prev = input(39);
+    request.history_z = rows.iter().rev().take(WINDOW).flatten().copied().collect();
+    request.history_y = changes
+        .iter()
+        .rev()
+        .take(WINDOW)
+        .flatten()
+        .copied()
+        .collect();
+    request
+}
+
+fn late(parts: usize) -> Settings {
+    let mut settings = settings();
+    settings.weights.window = Some(WINDOW);
+    let parts = f64::from(u32::try_from(parts).unwrap());
+    settings.measurement_delay = Some(parts * DT / f64::from(u32::try_from(PARTS).unwrap()));
+    settings
+}
+
+fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let differences = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+    differences.fold(0.0, f64::max)
+}
+
+#[test]
+fn late_velocities_give_the_plan_of_present_ones() {
+    let member = &library().members()[0];
+    let known = |parts| {
+        let mut request = request(member, parts);
+        request.weights = vec![1.0, 0.0];
+        request
+    };
+    let exact = solve(&known(0), &late(0)).plan_u;
+    for parts in [4, 8, 12] {
+        let told = solve(&known(parts), &late(parts)).plan_u;
+        let untold = solve(&known(parts), &late(0)).plan_u;
+        let [told, untold] = [told, untold].map(|plan| largest_difference(&plan[1..], &exact[1..]));
+        assert!(told < 0.02 * untold, "{parts}: {told} {untold}");
+    }
+    // Between whole periods the change is taken at the wrong time, by part of a period.
+    for parts in [1, 2, 3, 5, 6, 7] {
+        let told = solve(&known(parts), &late(parts)).plan_u;
+        let untold = solve(&known(parts), &late(0)).plan_u;
+        let [told, untold] = [told, untold].map(|plan| largest_difference(&plan[1..], &exact[1..]));
+        assert!(told < 0.3 * untold, "{parts}: {told} {untold}");
+    }
+}
+
+#[test]
+fn weights_and_friction_are_those_of_present_velocities() {
+    for member in library().members() {
+        let exact = solve(&request(member, 0), &late(0));
+        let told = solve(&request(member, 8), &late(8));
+        let untold = solve(&request(member, 8), &late(0));
+        let [told, untold] = [told, untold].map(|reply| {
+            [
+                largest_difference(&reply.weights, &exact.weights),
+                (reply.friction.mean - exact.friction.mean).abs(),
+            ]
+        });
+        println!("{told:?} {untold:?}");
+        for (told, untold) in told.into_iter().zip(untold) {
+            assert!(told < 0.05 && told <= untold, "{told} {untold}");
+        }
+    }
+}
+
+#[test]
+fn without_history_the_last_input_counts_as_applied_since() {
+    let member = &library().members()[0];
+    let mut request = request(member, 4);
+    request.weights = vec![1.0, 0.0];
+    (request.history_z, request.history_y) = (vec![], vec![]);
+    let reply = solve(&request, &late(4));
+    assert_eq!(reply.plan_x[..7], request.x);
+    assert_ne!(reply.plan_u, solve(&request, &late(0)).plan_u);
+}
+
+#[test]
+fn no_delay_changes_nothing() {
+    let request = Request::circle();
+    let stated = Settings {
+        measurement_delay: Some(0.0),
+        ..settings()
+    };
+    assert_eq!(solve(&request, &stated), solve(&request, &settings()));
+}
