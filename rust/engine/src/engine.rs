@@ -99,6 +99,13 @@ impl Engine {
         Ok(self)
     }
 
+    /// Shares the cores of another engine, whose steps then count as users of the same cores.
+    #[must_use]
+    pub fn with_cores_of(mut self, other: &Self) -> Self {
+        self.cores.clone_from(&other.cores);
+        self
+    }
+
     /// The library.
     pub fn library(&self) -> &Library {
         &self.library
@@ -145,6 +152,7 @@ impl Engine {
         Ready {
             ready: true,
             library: self.library.id(),
+            others: Vec::new(),
             dt: self.library.dt(),
             horizon: count(self.settings.horizon(self.library.dt())),
             history: count(self.settings.weights.window(self.library.dt())),
