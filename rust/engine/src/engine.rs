@@ -72,13 +72,20 @@ impl Engine {
     /// # Errors
     /// [`EngineError`]; the message names the file.
     pub fn load(path: &Path, settings: Settings) -> Result<Self, EngineError> {
-        let name = || path.display().to_string();
         let bytes = read_library(path).map_err(|source| EngineError::Read {
-            path: name(),
+            path: path.display().to_string(),
             source,
         })?;
-        let library = Library::from_bytes(&bytes).map_err(|source| EngineError::Library {
-            path: name(),
+        Self::from_bytes(path, &bytes, settings)
+    }
+
+    /// Makes an engine from the bytes of a library file.
+    ///
+    /// # Errors
+    /// [`EngineError`]; the message names the file.
+    pub fn from_bytes(path: &Path, bytes: &[u8], settings: Settings) -> Result<Self, EngineError> {
+        let library = Library::from_bytes(bytes).map_err(|source| EngineError::Library {
+            path: path.display().to_string(),
             source,
         })?;
         Self::new(library, settings)

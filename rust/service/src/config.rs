@@ -35,7 +35,7 @@ pub struct ServiceConfig {
     #[serde(default)]
     pub libraries: Vec<PathBuf>,
     /// Libraries that are served at a time, those included that a reload replaced. Default 4.
-    #[serde(default = "default_libraries")]
+    #[serde(default = "default_max_libraries")]
     pub max_libraries: usize,
     /// Time between looks at the library file, which is loaded again when it changed, ms. Default 0: only when the process
     /// gets SIGHUP.
@@ -69,6 +69,10 @@ pub struct ServiceConfig {
     /// vehicle's key are answered.
     #[serde(default)]
     pub vehicle_keys: Option<PathBuf>,
+    /// File with the public keys of those who may sign libraries, made by `egp keys`. With it, a library is served only if
+    /// the file beside it, with `.sig` behind its name, has a signature by one of the keys (`egp sign`).
+    #[serde(default)]
+    pub library_keys: Option<PathBuf>,
     /// A zenoh JSON5 file that replaces this service's defaults.
     #[serde(default)]
     pub zenoh_file: Option<PathBuf>,
@@ -81,7 +85,7 @@ fn default_replica() -> String {
     "main".to_owned()
 }
 
-fn default_libraries() -> usize {
+fn default_max_libraries() -> usize {
     4
 }
 
@@ -136,7 +140,7 @@ impl ServiceConfig {
         Self {
             library: library.into(),
             libraries: Vec::new(),
-            max_libraries: default_libraries(),
+            max_libraries: default_max_libraries(),
             watch_ms: 0,
             replica: default_replica(),
             workers: None,
@@ -147,6 +151,7 @@ impl ServiceConfig {
             log_json: false,
             settings: Settings::default(),
             vehicle_keys: None,
+            library_keys: None,
             zenoh_file: None,
             zenoh: BTreeMap::new(),
         }
@@ -183,6 +188,7 @@ impl ServiceConfig {
                 *library = folder.join(&library);
             }
             config.vehicle_keys = config.vehicle_keys.map(|file| folder.join(file));
+            config.library_keys = config.library_keys.map(|file| folder.join(file));
             config.zenoh_file = config.zenoh_file.map(|file| folder.join(file));
         }
         Ok(config)

@@ -24,6 +24,7 @@ mod reloader;
 mod replica;
 mod serve;
 mod server;
+mod signature;
 mod worker;
 
 pub use config::{ConfigError, ServiceConfig};
@@ -36,3 +37,4 @@ pub use query::Query;
 pub use replica::Replica;
 pub use serve::{ServeError, check, serve};
 pub use server::{Server, StartError};
+pub use signature::SignatureError;

@@ -6,12 +6,13 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use egp_core::{Settings, library};
-use egp_engine::{Engine, EngineError, EngineWorkspace};
+use egp_engine::{Engine, EngineError, EngineWorkspace, read_library};
 use egp_wire::{Code, Header, LibraryId, MessageLimits, Ready, Status, WireError};
 use thiserror::Error;
 
 use crate::config::ServiceConfig;
 use crate::handler::Handler;
+use crate::signature::{SignatureError, Signers};
 
 /// A library that was asked for within this time is not removed, because a vehicle would lose its service.
 const IN_USE: Duration = Duration::from_secs(60);
@@ -22,6 +23,9 @@ pub enum ReloadError {
     /// The library or the settings cannot be used.
     #[error(transparent)]
     Engine(#[from] EngineError),
+    /// The library is not signed as the configuration demands.
+    #[error(transparent)]
+    Signature(#[from] SignatureError),
     /// No library can be removed for the new one.
     #[error(
         "{limit} libraries are served, and vehicles asked for each of them within the last minute; restart the vehicles \
@@ -66,6 +70,7 @@ impl Served {
 pub struct Libraries {
     file: PathBuf,
     settings: Settings,
+    signers: Option<Signers>,
     limit: usize,
     started: Instant,
     /// At least one.
@@ -81,9 +86,14 @@ impl Libraries {
     /// Loads the libraries of a configuration.
     ///
     /// # Errors
-    /// [`EngineError`]; the message names the file.
-    pub fn load(config: &ServiceConfig) -> Result<Self, EngineError> {
-        let load = |file: &Path| Engine::load(file, config.settings.clone());
+    /// [`ReloadError`]; the message names the file.
+    pub fn load(config: &ServiceConfig) -> Result<Self, ReloadError> {
+        let signers = config
+            .library_keys
+            .as_deref()
+            .map(Signers::load)
+            .transpose()?;
+        let load = |file: &Path| load(file, &config.settings, signers.as_ref());
         let first = load(&config.library)?.with_cores(config.workers())?;
         let mut served = vec![Arc::new(Served::new(first))];
         for file in &config.libraries {
@@ -95,6 +105,7 @@ impl Libraries {
         Ok(Self {
             file: config.library.clone(),
             settings: config.settings.clone(),
+            signers,
             limit: config.max_libraries,
             started: Instant::now(),
             served: RwLock::new(served.into()),
@@ -121,7 +132,7 @@ impl Libraries {
     pub fn reload(&self) -> Result<Reloaded, ReloadError> {
         let _one = self.loading.lock().unwrap_or_else(PoisonError::into_inner);
         let before = self.served();
-        let engine = Engine::load(&self.file, self.settings.clone())?;
+        let engine = load(&self.file, &self.settings, self.signers.as_ref())?;
         let id = engine.library().id();
         let known = before.iter().position(|one| one.id() == id);
         let mut after: Vec<_> = before.to_vec();
@@ -165,6 +176,22 @@ impl Libraries {
         let served = self.served.read();
         served.unwrap_or_else(PoisonError::into_inner).clone()
     }
+}
+
+/// An engine with the library of a file, whose signature is checked if there are signers.
+fn load(
+    file: &Path,
+    settings: &Settings,
+    signers: Option<&Signers>,
+) -> Result<Engine, ReloadError> {
+    let bytes = read_library(file).map_err(|source| EngineError::Read {
+        path: file.display().to_string(),
+        source,
+    })?;
+    if let Some(signers) = signers {
+        signers.check(file, &bytes)?;
+    }
+    Ok(Engine::from_bytes(file, &bytes, settings.clone())?)
 }
 
 impl Served {
@@ -214,13 +241,11 @@ impl Handler for Libraries {
         if memory.len() > served.len() {
             memory.retain(|(id, _)| served.iter().any(|one| one.id() == *id));
         }
-        let index = match memory.iter().position(|(id, _)| *id == asked) {
-            Some(index) => index,
-            None => {
-                memory.push((asked, one.engine.workspace()?));
-                memory.len() - 1
-            }
-        };
+        let known = memory.iter().position(|(id, _)| *id == asked);
+        let index = known.unwrap_or(memory.len());
+        if known.is_none() {
+            memory.push((asked, one.engine.workspace()?));
+        }
         one.engine.step(&mut memory[index].1, request, reply)
     }
 }

@@ -7,7 +7,6 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use egp_core::library;
-use egp_engine::EngineError;
 use egp_wire::WireError;
 use egp_wire::keys::{self, Name, NameError};
 use prost::Message as _;
@@ -33,9 +32,9 @@ pub enum StartError {
     /// The replica's name is not 1 to 64 of the characters `A-Z a-z 0-9 . _ -`.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// The library or the settings cannot be used.
+    /// A library or the settings cannot be used.
     #[error(transparent)]
-    Engine(#[from] EngineError),
+    Library(#[from] ReloadError),
     /// A worker could not be set up.
     #[error("cannot set up a worker: {0}")]
     Worker(#[from] WireError),
@@ -68,7 +67,7 @@ impl Server {
     pub fn start(config: &ServiceConfig) -> Result<Self, StartError> {
         config.validate()?;
         let libraries = Arc::new(Libraries::load(config)?);
-        let mut server = Self::start_shared(config, libraries.clone())?;
+        let mut server = Self::start_shared(config, &libraries)?;
         let watch = (config.watch_ms > 0).then(|| Duration::from_millis(config.watch_ms));
         let (shared, reloader) = (server.shared.clone(), Reloader::new(libraries, watch));
         server.reloader = Some(reloader.start(move |reloaded| note(&shared.metrics, reloaded))?);
@@ -80,12 +79,12 @@ impl Server {
     /// # Errors
     /// [`StartError`]; nothing keeps running then.
     pub fn start_with<H: Handler>(config: &ServiceConfig, handler: H) -> Result<Self, StartError> {
-        Self::start_shared(config, Arc::new(handler))
+        Self::start_shared(config, &Arc::new(handler))
     }
 
     fn start_shared<H: Handler>(
         config: &ServiceConfig,
-        handler: Arc<H>,
+        handler: &Arc<H>,
     ) -> Result<Self, StartError> {
         config.validate()?;
         let replica: Name = config.replica.parse()?;
@@ -118,7 +117,7 @@ impl Server {
             reporter: None,
             reloader: None,
         };
-        server.start_workers(&handler)?;
+        server.start_workers(handler)?;
         let shared = server.shared.clone();
         server
             .network

@@ -9,6 +9,7 @@ import typer
 
 
 def serve(
+    *,
     library: Annotated[
         Path | None,
         typer.Argument(help="Library file, unless --config is given.", show_default=False),
@@ -49,12 +50,7 @@ def serve(
     if config is not None:
         if any(value is not None for value in (library, listen, replica, settings)) or watch:
             raise typer.BadParameter("--config excludes other options: put them into the file")
-        table, folder = read_service(config), config.parent
-        for name in ("library", "vehicle_keys", "zenoh_file"):
-            if isinstance(table.get(name), str):
-                table[name] = str(folder / str(table[name]))
-        if isinstance(libraries := table.get("libraries"), list):
-            table["libraries"] = [str(folder / str(file)) for file in libraries]
+        table = _with_folder(read_service(config), config.parent)
     elif library is not None:
         table = {"library": str(library)}
         if watch:
@@ -71,3 +67,15 @@ def serve(
     # The service has a handler of its own for SIGHUP; Python's would end the command.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     serve_until_signal(dumps(table))
+
+
+def _with_folder(table: dict[str, object], folder: Path) -> dict[str, object]:
+    """Let the relative paths of a configuration start at its folder."""
+    paths: dict[str, object] = {
+        name: str(folder / path)
+        for name in ("library", "vehicle_keys", "library_keys", "zenoh_file")
+        if isinstance(path := table.get(name), str)
+    }
+    if isinstance(libraries := table.get("libraries"), list):
+        paths["libraries"] = [str(folder / str(file)) for file in libraries]
+    return table | paths

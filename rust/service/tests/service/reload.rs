@@ -154,3 +154,64 @@ fn ten_reloads_under_load_miss_no_step() {
         assert!(answered > 20, "only {answered} answers");
     }
 }
+
+/// Signs a library as `egp sign` does, and returns the public key as a line of text.
+fn sign(path: &Path, seed: u8) -> String {
+    use ring::signature::{Ed25519KeyPair, KeyPair as _};
+    let key = Ed25519KeyPair::from_seed_unchecked(&[seed; 32]).unwrap();
+    let id = egp_core::Library::from_bytes(&std::fs::read(path).unwrap())
+        .unwrap()
+        .id();
+    let signature = key.sign(&[b"egp.v1 library\0".as_slice(), &id].concat());
+    let hex = |bytes: &[u8]| {
+        bytes
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect::<String>()
+    };
+    let beside = path.with_extension("safetensors.sig");
+    std::fs::write(beside, hex(signature.as_ref()) + "\n").unwrap();
+    hex(key.public_key().as_ref())
+}
+
+#[test]
+fn with_keys_only_signed_libraries_are_served() {
+    let (mut config, first) = config("signed.safetensors", 30);
+    let keys = config.library.with_extension("pub");
+    let beside = config.library.with_extension("safetensors.sig");
+    let _ = std::fs::remove_file(&beside);
+    let own = sign(&config.library, 1);
+    std::fs::write(
+        &keys,
+        format!(
+            "# the old key, and the new one\n{}\n\n{own}\n",
+            "11".repeat(32)
+        ),
+    )
+    .unwrap();
+    config.library_keys = Some(keys.clone());
+    let served = Libraries::load(&config).unwrap();
+    assert_eq!(served.ids(), [first]);
+    // Another library beside the signature of the first, and one with the signature of a stranger.
+    let second = replace(&config.library, 31);
+    let failure = |served: &Libraries| served.reload().unwrap_err().to_string();
+    assert!(failure(&served).contains("is not signed by any of the 2 configured keys"));
+    sign(&config.library, 2);
+    assert!(failure(&served).contains("is not signed by any of the 2 configured keys"));
+    for (text, words) in [
+        ("12", "expected 64 bytes"),
+        ("+1+1", "expected 64 bytes"),
+        ("ä", "expected 64 bytes"),
+    ] {
+        std::fs::write(&beside, text).unwrap();
+        assert!(failure(&served).contains(words));
+    }
+    std::fs::remove_file(&beside).unwrap();
+    assert!(failure(&served).contains("`egp sign` writes the signature"));
+    assert_eq!(served.ids(), [first]);
+    assert_eq!(sign(&config.library, 1), own);
+    assert_eq!(served.reload().unwrap(), Reloaded::Changed(second));
+    std::fs::write(&keys, "# none\n").unwrap();
+    let error = Libraries::load(&config).err().unwrap().to_string();
+    assert!(error.contains("expected 32 bytes"), "{error}");
+}
