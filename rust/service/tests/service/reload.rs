@@ -163,15 +163,9 @@ fn sign(path: &Path, seed: u8) -> String {
         .unwrap()
         .id();
     let signature = key.sign(&[b"egp.v1 library\0".as_slice(), &id].concat());
-    let hex = |bytes: &[u8]| {
-        bytes
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect::<String>()
-    };
     let beside = path.with_extension("safetensors.sig");
-    std::fs::write(beside, hex(signature.as_ref()) + "\n").unwrap();
-    hex(key.public_key().as_ref())
+    std::fs::write(beside, library::hex(signature.as_ref()) + "\n").unwrap();
+    library::hex(key.public_key().as_ref())
 }
 
 #[test]
