@@ -117,7 +117,12 @@ def test_service() -> None:
     source = (ROOT / "rust/service/src/config.rs").read_text(encoding="utf-8")
     functions = dict(re.findall(r"fn default_(\w+)\(\) -> \w+ \{\s+([^\n]+)\n\}", source))
     stated = {key: str(value) for key, value in table.items() if value is not None}
-    assert stated.pop("log_json") == "False"  # serde's default
+    # Serde's defaults:
+    assert [stated.pop(key) for key in ("log_json", "libraries", "watch_ms")] == [
+        "False",
+        "[]",
+        "0",
+    ]
     assert {key.removesuffix("_ms"): value for key, value in stated.items()} == {
         key: value.removesuffix(".to_owned()").strip('"') for key, value in functions.items()
     }

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
+import shutil
 import socket
 import struct
 import subprocess
@@ -20,9 +21,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import zenoh
+from typer.testing import CliRunner
 
-from egp_service import VehicleClient
-from egp_service._core import Discovery, live_key
+from egp_service import EgpError, VehicleClient
+from egp_service._core import Discovery, Server, live_key
+from egp_service.cli import app
+from egp_service.cli.signing import sign_library
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
 
 if TYPE_CHECKING:
@@ -259,3 +263,29 @@ def test_certificates_give_each_identity_its_own_keys(tmp_path: Path) -> None:
             seen = [str(r.ok.key_expr) for r in session.liveliness().get("egp/v1/@live/*") if r.ok]
             assert seen == [live_key("main")]
             del queryable, token
+
+
+def test_a_signature_of_the_command_is_accepted_and_a_strangers_is_not(tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="the extra `security` is not installed")
+    from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
+
+    for folder in ("own", "foreign"):
+        write_credentials(tmp_path / folder, "f", ["a"], hosts=["h"], port=7447, days=1)
+    library = tmp_path / "library.safetensors"
+    shutil.copyfile(LIBRARY, library)
+    listen = f'[zenoh]\n"listen/endpoints" = \'["{free_endpoint()}"]\'\n'
+    keys = tmp_path / "own" / "library.pub"
+    config = f'library = "{library}"\nlibrary_keys = "{keys}"\nworkers = 1\n{listen}'
+    with pytest.raises(EgpError, match="`egp sign` writes the signature"):
+        Server(config)
+    for folder in ("foreign", "own"):
+        key = str(tmp_path / folder / "library.key")
+        result = CliRunner().invoke(app, ["sign", str(library), "--key", key])
+        assert result.exit_code == 0, result.output
+        if folder == "foreign":
+            with pytest.raises(EgpError, match="is not signed by any of the 1 configured keys"):
+                Server(config)
+    Server(config).stop()
+    certificate = tmp_path / "own" / "ca.key"
+    with pytest.raises(EgpError, match="expected an Ed25519 key"):
+        sign_library(library, certificate)

@@ -22,8 +22,10 @@ from egp_service.cli.commands.keys import keys
 from egp_service.cli.commands.load import load
 from egp_service.cli.commands.map import keep_map
 from egp_service.cli.commands.replay import replay
+from egp_service.cli.commands.router import router
 from egp_service.cli.commands.serve import serve
 from egp_service.cli.commands.settings import settings
+from egp_service.cli.commands.sign import sign
 from egp_service.cli.commands.simulate import simulate
 from egp_service.cli.commands.train import train
 from egp_service.cli.commands.vehicle import vehicle
@@ -77,6 +79,8 @@ for command in (
     inspect,
     serve,
     keys,
+    sign,
+    router,
     drive,
     replay,
     demo,

@@ -1,4 +1,4 @@
-"""The files of `egp keys`: secret keys of vehicles, and configurations of zenoh with certificates.
+"""The files of `egp keys`: secret keys, and configurations of zenoh with certificates.
 
 Each configuration is complete, with its certificate, its private key and the authority's
 certificate inside, so that it can be copied to where it is used.
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from egp_service._core import EgpError
 from egp_service.cli.certificates import Authority, Identity
+from egp_service.cli.signing import new_signing_key
 from egp_service.files import replacing
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ def write_credentials(
     names = [_vehicle(fleet, vehicle) for vehicle in vehicles]
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     authority = _authority(folder, days)
+    _signing_key(folder)
     ring = folder / "vehicles.keys"
     keys = _read_keys(ring)
     new = [name for name in dict.fromkeys(names) if name not in keys]
@@ -91,6 +93,14 @@ def _authority(folder: Path, days: int) -> Authority:
     _write(private, authority.identity.private_key.decode())
     _write(certificate, authority.identity.certificate.decode())
     return authority
+
+
+def _signing_key(folder: Path) -> None:
+    public, private = folder / "library.pub", folder / "library.key"
+    if not public.exists():
+        pem, line = new_signing_key()
+        _write(private, pem)
+        _write(public, line)
 
 
 def _read_keys(file: Path) -> dict[str, str]:

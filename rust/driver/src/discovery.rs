@@ -197,6 +197,7 @@ mod tests {
         Ready {
             ready: true,
             library: [7; 32],
+            others: Vec::new(),
             dt: 0.02,
             horizon: 4,
             history: 3,

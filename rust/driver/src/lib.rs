@@ -12,7 +12,7 @@
 //! # let vehicle = egp_parameters::VehicleParameters::FORD_ESCORT;
 //! # let limits = Limits::of(&vehicle);
 //! # let served = egp_wire::Ready {
-//! #     ready: true, library: [7; 32], dt: 0.02, horizon: 4, history: 3, members: vec!["dry".into()],
+//! #     ready: true, library: [7; 32], others: vec![], dt: 0.02, horizon: 4, history: 3, members: vec!["dry".into()],
 //! #     envelope: [[0.0, -5.0, -2.0, -0.6, -9e3, -0.4], [30.0, 5.0, 2.0, 0.6, 9e3, 0.4]],
 //! #     vehicle: Some(vehicle),
 //! # };

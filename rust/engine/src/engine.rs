@@ -77,13 +77,20 @@ impl Engine {
     /// # Errors
     /// [`EngineError`]; the message names the file.
     pub fn load(path: &Path, settings: Settings) -> Result<Self, EngineError> {
-        let name = || path.display().to_string();
         let bytes = read_library(path).map_err(|source| EngineError::Read {
-            path: name(),
+            path: path.display().to_string(),
             source,
         })?;
-        let library = Library::from_bytes(&bytes).map_err(|source| EngineError::Library {
-            path: name(),
+        Self::from_bytes(path, &bytes, settings)
+    }
+
+    /// Makes an engine from the bytes of a library file.
+    ///
+    /// # Errors
+    /// [`EngineError`]; the message names the file.
+    pub fn from_bytes(path: &Path, bytes: &[u8], settings: Settings) -> Result<Self, EngineError> {
+        let library = Library::from_bytes(bytes).map_err(|source| EngineError::Library {
+            path: path.display().to_string(),
             source,
         })?;
         Self::new(library, settings)
@@ -102,6 +109,13 @@ impl Engine {
             None
         };
         Ok(self)
+    }
+
+    /// Shares the cores of another engine, whose steps then count as users of the same cores.
+    #[must_use]
+    pub fn with_cores_of(mut self, other: &Self) -> Self {
+        self.cores.clone_from(&other.cores);
+        self
     }
 
     /// The library.
@@ -150,6 +164,7 @@ impl Engine {
         Ready {
             ready: true,
             library: self.library.id(),
+            others: Vec::new(),
             dt: self.library.dt(),
             horizon: count(self.settings.horizon(self.library.dt())),
             history: count(self.settings.weights.window(self.library.dt())),

@@ -8,7 +8,7 @@ use std::{
 
 use egp_core::{Settings, SettingsError};
 use egp_engine::available_cores;
-use egp_wire::keys::Name;
+use egp_wire::{Ready, keys::Name};
 use serde::Deserialize;
 use thiserror::Error;
 
@@ -31,6 +31,16 @@ use thiserror::Error;
 pub struct ServiceConfig {
     /// The library file; a relative path starts at the folder of the configuration file.
     pub library: PathBuf,
+    /// Further library files, for requests that state their hash. Default none.
+    #[serde(default)]
+    pub libraries: Vec<PathBuf>,
+    /// Libraries that are served at a time, those included that a reload replaced. Default 4.
+    #[serde(default = "default_max_libraries")]
+    pub max_libraries: usize,
+    /// Time between looks at the library file, which is loaded again when it changed, ms. Default 0: only when the process
+    /// gets SIGHUP.
+    #[serde(default)]
+    pub watch_ms: u64,
     /// Name of this replica, unique among those the vehicles can reach. Default `main`.
     #[serde(default = "default_replica")]
     pub replica: String,
@@ -59,6 +69,10 @@ pub struct ServiceConfig {
     /// vehicle's key are answered.
     #[serde(default)]
     pub vehicle_keys: Option<PathBuf>,
+    /// File with the public keys of those who may sign libraries, made by `egp keys`. With it, a library is served only if
+    /// the file beside it, with `.sig` behind its name, has a signature by one of the keys (`egp sign`).
+    #[serde(default)]
+    pub library_keys: Option<PathBuf>,
     /// A zenoh JSON5 file that replaces this service's defaults.
     #[serde(default)]
     pub zenoh_file: Option<PathBuf>,
@@ -69,6 +83,10 @@ pub struct ServiceConfig {
 
 fn default_replica() -> String {
     "main".to_owned()
+}
+
+fn default_max_libraries() -> usize {
+    4
 }
 
 fn default_queue() -> usize {
@@ -121,6 +139,9 @@ impl ServiceConfig {
     pub fn new(library: impl Into<PathBuf>) -> Self {
         Self {
             library: library.into(),
+            libraries: Vec::new(),
+            max_libraries: default_max_libraries(),
+            watch_ms: 0,
             replica: default_replica(),
             workers: None,
             queue: default_queue(),
@@ -130,6 +151,7 @@ impl ServiceConfig {
             log_json: false,
             settings: Settings::default(),
             vehicle_keys: None,
+            library_keys: None,
             zenoh_file: None,
             zenoh: BTreeMap::new(),
         }
@@ -162,7 +184,11 @@ impl ServiceConfig {
         let mut config = Self::from_toml(&text)?;
         if let Some(folder) = path.parent() {
             config.library = folder.join(&config.library);
+            for library in &mut config.libraries {
+                *library = folder.join(&library);
+            }
             config.vehicle_keys = config.vehicle_keys.map(|file| folder.join(file));
+            config.library_keys = config.library_keys.map(|file| folder.join(file));
             config.zenoh_file = config.zenoh_file.map(|file| folder.join(file));
         }
         Ok(config)
@@ -185,6 +211,14 @@ impl ServiceConfig {
         }
         if let Some(workers) = self.workers.filter(|workers| !(1..=1024).contains(workers)) {
             return range("workers", "in 1..=1024", &workers);
+        }
+        let (least, most) = (1 + self.libraries.len(), 1 + Ready::MAX_OTHERS);
+        if !(least..=most).contains(&self.max_libraries) {
+            let expected = "at least the number of library files, and at most 64";
+            return range("max_libraries", expected, &self.max_libraries);
+        }
+        if self.watch_ms != 0 && !(10..=3_600_000).contains(&self.watch_ms) {
+            return range("watch_ms", "0 or in 10..=3600000", &self.watch_ms);
         }
         if !(1..=100_000).contains(&self.queue) {
             return range("queue", "in 1..=100000", &self.queue);
@@ -222,6 +256,11 @@ mod tests {
             ("libary = \"a\"", "libary"),
             ("library = \"a\"\nreplica = \"a/b\"", "`replica` must be"),
             ("library = \"a\"\nworkers = 0", "`workers` must be"),
+            (
+                "library = \"a\"\nmax_libraries = 0",
+                "`max_libraries` must be",
+            ),
+            ("library = \"a\"\nwatch_ms = 1", "`watch_ms` must be"),
             ("library = \"a\"\n[settings]\nhorizn = 3", "horizn"),
             ("library = \"a\"\n[settings]\nmass = -1.0", "mass"),
         ] {

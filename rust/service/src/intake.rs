@@ -35,7 +35,8 @@ impl<Q> Job<Q> {
 /// The state that intake and workers share.
 pub(crate) struct Shared<Q> {
     pub(crate) replica: Name,
-    pub(crate) description: Ready,
+    /// What the replica serves now.
+    pub(crate) describe: Box<dyn Fn() -> Ready + Send + Sync>,
     pub(crate) workers: usize,
     pub(crate) queue: Queue<Job<Q>>,
     pub(crate) metrics: Metrics,
@@ -53,11 +54,8 @@ impl<Q: Query> Shared<Q> {
                 query.answer(&key, b"ok".to_vec(), "text/plain", None);
             }
             Some(Target::Ready) => {
-                let ready = !self.draining.load(Ordering::Relaxed);
-                let description = Ready {
-                    ready,
-                    ..self.description.clone()
-                };
+                let mut description = (self.describe)();
+                description.ready = !self.draining.load(Ordering::Relaxed);
                 let encoding = "application/protobuf;egp.v1.Ready";
                 let (key, answer) = (keys::ready(&self.replica), description.encode());
                 let sealed = self.guard.as_ref().and_then(|guard| guard.question(&query));

@@ -3,19 +3,24 @@
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-use egp_wire::{Code, Status};
+use egp_core::library;
+use egp_wire::{Code, LibraryId, Status};
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
-use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Outcome {
     outcome: String,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Sha256 {
+    sha256: String,
 }
 
 /// Counters, histograms and the running estimate of a step's time.
@@ -28,10 +33,12 @@ pub(crate) struct Metrics {
     queued: Gauge,
     pub(crate) busy: Gauge,
     step_us: AtomicU32,
+    libraries: Family<Sha256, Gauge>,
+    reloads: Family<Outcome, Counter>,
 }
 
 impl Metrics {
-    pub(crate) fn new(library: &str) -> Self {
+    pub(crate) fn new(libraries: &[LibraryId]) -> Self {
         // 0.1 ms to 0.4 s: from a step of two small members to one that is longer than any control period.
         let seconds = || Histogram::new(exponential_buckets(1e-4, 2.0, 13));
         let mut metrics = Self {
@@ -43,6 +50,8 @@ impl Metrics {
             queued: Gauge::default(),
             busy: Gauge::default(),
             step_us: AtomicU32::new(0),
+            libraries: Family::default(),
+            reloads: Family::default(),
         };
         let registry = &mut metrics.registry;
         registry.register(
@@ -61,11 +70,11 @@ impl Metrics {
         registry.register_with_unit("queue", help, Unit::Seconds, histogram);
         registry.register("queued", "Vehicles that wait", metrics.queued.clone());
         registry.register("busy", "Workers that compute a step", metrics.busy.clone());
-        registry.register(
-            "library",
-            "The library served",
-            Info::new([("sha256", library.to_owned())]),
-        );
+        let (help, family) = ("The libraries served", metrics.libraries.clone());
+        registry.register("library_info", help, family);
+        let (help, family) = ("Reloads of the library file", metrics.reloads.clone());
+        registry.register("reloads", help, family);
+        metrics.serve(libraries);
         metrics
     }
 
@@ -73,6 +82,21 @@ impl Metrics {
     pub(crate) fn show_twice(&mut self, twice: Counter) {
         let help = "Turns of several clients with the key of one vehicle";
         self.registry.register("identity_twice", help, twice);
+    }
+
+    /// Shows the libraries that are served from now on.
+    pub(crate) fn serve(&self, libraries: &[LibraryId]) {
+        self.libraries.clear();
+        for id in libraries {
+            let sha256 = library::hex(id);
+            self.libraries.get_or_create(&Sha256 { sha256 }).set(1);
+        }
+    }
+
+    /// Counts a reload by its outcome.
+    pub(crate) fn reloaded(&self, outcome: &str) {
+        let outcome = outcome.to_owned();
+        self.reloads.get_or_create(&Outcome { outcome }).inc();
     }
 
     pub(crate) fn answered(&self, status: Status) {
@@ -139,7 +163,7 @@ mod tests {
 
     #[test]
     fn the_estimate_follows_steps_but_not_one_outlier() {
-        let metrics = Metrics::new("");
+        let metrics = Metrics::new(&[]);
         metrics.stepped(Duration::from_millis(2));
         metrics.stepped(Duration::from_secs(5));
         assert_eq!(metrics.step_time(), Duration::from_micros(2250));

@@ -1,9 +1,9 @@
 //! A replica without network, threads and clock, for simulations.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use egp_core::library;
 use egp_wire::keys::Name;
 use egp_wire::{Status, WireError};
 
@@ -19,7 +19,7 @@ use crate::worker::{Begun, Worker};
 /// The caller delivers queries, and gives the time with each call. Only differences between times matter.
 pub struct Replica<H: Handler, Q: Query> {
     shared: Shared<Q>,
-    handler: H,
+    handler: Arc<H>,
     workers: Vec<Worker<H::Workspace>>,
     /// The step that each worker computes, with its outcome.
     running: Vec<Option<Computed<Q>>>,
@@ -33,14 +33,15 @@ impl<H: Handler, Q: Query> Replica<H, Q> {
     /// # Errors
     /// [`WireError`] if the memory of a worker cannot be made.
     pub fn new(name: Name, handler: H, workers: usize, queue: usize) -> Result<Self, WireError> {
-        let description = handler.describe();
+        let handler = Arc::new(handler);
+        let described = handler.clone();
         let memory = (0..workers).map(|_| handler.workspace().map(Worker::new));
         let workers_memory = memory.collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
             shared: Shared {
                 replica: name,
-                metrics: Metrics::new(&library::hex(&description.library)),
-                description,
+                metrics: Metrics::new(&handler.describe().libraries()),
+                describe: Box::new(move || described.describe()),
                 workers,
                 queue: Queue::new(queue),
                 draining: AtomicBool::new(false),
@@ -65,7 +66,7 @@ impl<H: Handler, Q: Query> Replica<H, Q> {
             let job = self.shared.queue.try_pop()?;
             if let Some(begun) = self.shared.begin(job, now) {
                 let worker = self.workers.get_mut(index)?;
-                let outcome = worker.compute(&self.shared, &self.handler, &begun);
+                let outcome = worker.compute(&self.shared, &*self.handler, &begun);
                 *self.running.get_mut(index)? = Some((begun, outcome));
                 return Some(index);
             }

@@ -1,13 +1,14 @@
 //! A service as a whole process: `egp-server` and `egp serve`.
 
-use egp_engine::Engine;
 use egp_wire::Ready;
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use thiserror::Error;
 
 use crate::config::ServiceConfig;
 use crate::guard::Guard;
+use crate::handler::Handler as _;
+use crate::libraries::Libraries;
 use crate::logging::{init_logging, log_filter};
 use crate::network::{configuration, rehearse};
 use crate::server::{Server, StartError};
@@ -34,27 +35,32 @@ pub enum ServeError {
 pub fn check(config: &ServiceConfig) -> Result<Ready, ServeError> {
     log_filter(&config.log).map_err(ServeError::Logging)?;
     config.validate().map_err(StartError::from)?;
-    let engine =
-        Engine::load(&config.library, config.settings.clone()).map_err(StartError::from)?;
+    let libraries = Libraries::load(config).map_err(StartError::from)?;
     let keys = config.vehicle_keys.as_deref().map(Guard::load);
     keys.transpose().map_err(StartError::from)?;
     configuration(config.zenoh_file.as_deref(), &config.zenoh)
         .and_then(rehearse)
         .map_err(StartError::from)?;
-    Ok(engine.describe())
+    Ok(libraries.describe())
 }
 
-/// Serves until SIGTERM or SIGINT, then drains.
+/// Serves until SIGTERM or SIGINT, then drains. SIGHUP loads the library file again.
 ///
 /// # Errors
 /// [`ServeError`] if the service does not start.
 pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
     init_logging(&config.log, config.log_json).map_err(ServeError::Logging)?;
     // Signals are registered before the start, so that an early one is not lost.
-    let mut signals = Signals::new([SIGTERM, SIGINT]).map_err(ServeError::Signals)?;
+    let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).map_err(ServeError::Signals)?;
     let server = Server::start(config)?;
-    if let Some(signal) = signals.forever().next() {
+    for signal in signals.forever() {
         tracing::info!(signal, "signal received");
+        if signal != SIGHUP {
+            break;
+        }
+        if let Err(error) = server.reload() {
+            tracing::error!(%error, "library not loaded");
+        }
     }
     server.drain();
     Ok(())

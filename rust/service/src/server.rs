@@ -7,7 +7,6 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use egp_core::library;
-use egp_engine::{Engine, EngineError};
 use egp_wire::WireError;
 use egp_wire::keys::{self, Name, NameError};
 use prost::Message as _;
@@ -17,9 +16,11 @@ use crate::config::{ConfigError, ServiceConfig};
 use crate::guard::{Guard, VehicleKeysError};
 use crate::handler::Handler;
 use crate::intake::Shared;
+use crate::libraries::{Libraries, ReloadError, Reloaded};
 use crate::metrics::Metrics;
 use crate::network::{Network, NetworkError, Publisher, Received, configuration};
 use crate::queue::Queue;
+use crate::reloader::{Outcome, Reloader, Running};
 use crate::worker::work;
 
 /// Why a service did not start.
@@ -31,9 +32,9 @@ pub enum StartError {
     /// The replica's name is not 1 to 64 of the characters `A-Z a-z 0-9 . _ -`.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// The library or the settings cannot be used.
+    /// A library or the settings cannot be used.
     #[error(transparent)]
-    Engine(#[from] EngineError),
+    Library(#[from] ReloadError),
     /// A worker could not be set up.
     #[error("cannot set up a worker: {0}")]
     Worker(#[from] WireError),
@@ -55,6 +56,7 @@ pub struct Server {
     drain: Duration,
     workers: Vec<JoinHandle<()>>,
     reporter: Option<(Sender<()>, JoinHandle<()>)>,
+    reloader: Option<Running>,
 }
 
 impl Server {
@@ -64,32 +66,43 @@ impl Server {
     /// [`StartError`]; nothing keeps running then.
     pub fn start(config: &ServiceConfig) -> Result<Self, StartError> {
         config.validate()?;
-        let engine = Engine::load(&config.library, config.settings.clone())?;
-        Self::start_with(config, engine.with_cores(config.workers())?)
+        let libraries = Arc::new(Libraries::load(config)?);
+        let mut server = Self::start_shared(config, &libraries)?;
+        let watch = (config.watch_ms > 0).then(|| Duration::from_millis(config.watch_ms));
+        let (shared, reloader) = (server.shared.clone(), Reloader::new(libraries, watch));
+        server.reloader = Some(reloader.start(move |reloaded| note(&shared.metrics, reloaded))?);
+        Ok(server)
     }
 
-    /// Starts serving with any handler; [`Server::start`] uses an [`Engine`].
+    /// Starts serving with any handler; [`Server::start`] uses [`Libraries`].
     ///
     /// # Errors
     /// [`StartError`]; nothing keeps running then.
     pub fn start_with<H: Handler>(config: &ServiceConfig, handler: H) -> Result<Self, StartError> {
+        Self::start_shared(config, &Arc::new(handler))
+    }
+
+    fn start_shared<H: Handler>(
+        config: &ServiceConfig,
+        handler: &Arc<H>,
+    ) -> Result<Self, StartError> {
         config.validate()?;
         let replica: Name = config.replica.parse()?;
-        let description = handler.describe();
+        let (described, description) = (handler.clone(), handler.describe());
         let workers = config.workers();
         let guard = config
             .vehicle_keys
             .as_deref()
             .map(Guard::load)
             .transpose()?;
-        let mut metrics = Metrics::new(&library::hex(&description.library));
+        let mut metrics = Metrics::new(&description.libraries());
         if let Some(guard) = &guard {
             metrics.show_twice(guard.twice());
         }
         let shared = Arc::new(Shared {
             replica: replica.clone(),
             metrics,
-            description,
+            describe: Box::new(move || described.describe()),
             workers,
             queue: Queue::new(config.queue),
             draining: AtomicBool::new(false),
@@ -102,8 +115,9 @@ impl Server {
             drain: Duration::from_millis(config.drain_ms),
             workers: Vec::with_capacity(workers),
             reporter: None,
+            reloader: None,
         };
-        server.start_workers(&Arc::new(handler))?;
+        server.start_workers(handler)?;
         let shared = server.shared.clone();
         server
             .network
@@ -116,10 +130,22 @@ impl Server {
         tracing::info!(
             replica = %replica,
             workers,
-            library = library::hex(&server.shared.description.library),
+            library = library::hex(&description.library),
             "serving"
         );
         Ok(server)
+    }
+
+    /// Loads the library file again on a thread of its own, while requests are answered; the log and the metrics tell the
+    /// outcome. What was served before is still served to requests that state it.
+    ///
+    /// # Errors
+    /// [`ReloadError::NoFile`] if the server was started with a handler of its own.
+    pub fn reload(&self) -> Result<(), ReloadError> {
+        self.reloader
+            .as_ref()
+            .ok_or(ReloadError::NoFile)
+            .map(Running::reload)
     }
 
     /// Withdraws the announcement, serves new requests for a moment longer, finishes those that wait, and closes.
@@ -157,6 +183,7 @@ impl Server {
 
     /// Stops network, threads and queue; a second call does nothing.
     fn stop(&mut self) {
+        drop(self.reloader.take());
         self.network.undeclare();
         self.shared.queue.close();
         for worker in self.workers.drain(..) {
@@ -186,6 +213,29 @@ fn report(
 ) {
     while stop.recv_timeout(period) == Err(RecvTimeoutError::Timeout) {
         publisher.publish(shared.load().encode_to_vec());
+    }
+}
+
+/// Tells log and metrics how a reload ended.
+fn note(metrics: &Metrics, reloaded: Outcome) {
+    match reloaded {
+        Ok((Reloaded::Changed(id), all)) => {
+            metrics.serve(&all);
+            metrics.reloaded("changed");
+            tracing::info!(
+                library = library::hex(&id),
+                served = all.len(),
+                "library changed"
+            );
+        }
+        Ok((Reloaded::Same(id), _)) => {
+            metrics.reloaded("same");
+            tracing::info!(library = library::hex(&id), "library is the same as before");
+        }
+        Err(error) => {
+            metrics.reloaded("failed");
+            tracing::error!(%error, "library not loaded; what was served before is still served");
+        }
     }
 }
 

@@ -11,8 +11,10 @@ use crate::{GpInput, Invalid, LibraryId, MessageLimits, VERSION, check};
 pub struct Ready {
     /// False while the replica drains.
     pub ready: bool,
-    /// The library it serves.
+    /// The library that vehicles which start now are to state in their requests; the fields below describe it.
     pub library: LibraryId,
+    /// Further libraries that are served to requests that state them, at most [`Ready::MAX_OTHERS`].
+    pub others: Vec<LibraryId>,
     /// Control period, s.
     pub dt: f64,
     /// Inputs in a plan, T.
@@ -29,6 +31,20 @@ pub struct Ready {
 }
 
 impl Ready {
+    /// Largest number of further libraries.
+    pub const MAX_OTHERS: usize = 63;
+
+    /// All libraries that are served, the described one first.
+    pub fn libraries(&self) -> Vec<LibraryId> {
+        let others = self.others.iter().copied();
+        std::iter::once(self.library).chain(others).collect()
+    }
+
+    /// Whether the replica answers requests that state this library.
+    pub fn serves(&self, library: &LibraryId) -> bool {
+        self.library == *library || self.others.contains(library)
+    }
+
     /// Bytes of an `egp.v1.Ready`.
     pub fn encode(&self) -> Vec<u8> {
         proto::Ready {
@@ -44,6 +60,7 @@ impl Ready {
                 data: encode_values(self.envelope.as_flattened()),
             }),
             vehicle: self.vehicle.as_ref().map(vehicle_to_proto),
+            others: self.others.iter().map(|id| id.to_vec()).collect(),
         }
         .encode_to_vec()
     }
@@ -70,9 +87,16 @@ impl Ready {
             limits.history,
             "the limit of this side",
         )?;
+        if raw.others.len() > Self::MAX_OTHERS {
+            let (limit, actual) = (Self::MAX_OTHERS, raw.others.len());
+            let reason = format!("expected at most {limit} further libraries, got {actual}");
+            return Err(Invalid::field("others", reason));
+        }
+        let others = raw.others.iter().map(|id| check::library(id));
         Ok(Self {
             ready: raw.ready,
             library: check::library(&raw.library)?,
+            others: others.collect::<Result<_, _>>()?,
             dt: raw.dt,
             horizon: raw.horizon,
             history: raw.history,

@@ -33,7 +33,7 @@ def keys(
     """Make secret keys, certificates and network configurations that close a service to strangers.
 
     Called again for other vehicles, it keeps what is there and adds what is missing. Keep ca.key
-    where no service and no vehicle is; all other files go where their name says.
+    and library.key where no service and no vehicle is; all other files go where their name says.
 
     For example:
       egp keys secrets --vehicle car-1 --vehicle car-2 --host control.example
@@ -48,6 +48,7 @@ def keys(
         f"""
 Service, in the file of `egp serve --config`:
   vehicle_keys = "{folder / "vehicles.keys"}"
+  library_keys = "{folder / "library.pub"}"    (serves only what `egp sign` signed)
   zenoh_file = "{folder / "service.json5"}"
 Vehicle, for instance:
   egp drive --vehicle {vehicle[0]} --zenoh {own}.json5 --key {own}.keys""",

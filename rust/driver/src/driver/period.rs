@@ -198,7 +198,7 @@ impl Driver {
             return;
         };
         let took = now.saturating_sub(sent);
-        let sound = |ready: &Ready| ready.ready && ready.library == self.served.library;
+        let sound = |ready: &Ready| ready.ready && ready.serves(&self.served.library);
         let ready = Ready::decode(answer, &MessageLimits::default()).ok();
         if took <= self.period() && ready.as_ref().is_some_and(sound) {
             self.replicas.proved(&replica);

@@ -72,12 +72,18 @@ fn an_answer_promotes_only_if_it_is_fast_ready_and_of_the_same_library() {
         library: [8; 32],
         ..served()
     };
+    // After a reload the vehicle's library is one of several.
+    let reloaded = Ready {
+        others: vec![[9; 32], served().library],
+        ..foreign.clone()
+    };
     let nanosecond = Duration::from_nanos(1);
     for (answer, took, promoted) in [
         (served().encode(), PERIOD, true),
         (served().encode(), PERIOD + nanosecond, false),
         (ending.encode(), ms(1), false),
         (foreign.encode(), ms(1), false),
+        (reloaded.encode(), ms(1), true),
         (b"noise".to_vec(), ms(1), false),
     ] {
         let (mut driver, failed) = after_a_failure();

@@ -21,6 +21,7 @@ pub(crate) fn served() -> Ready {
     Ready {
         ready: true,
         library: [7; 32],
+        others: Vec::new(),
         dt: PERIOD.as_secs_f64(),
         horizon: HORIZON,
         history: 3,

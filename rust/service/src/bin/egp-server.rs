@@ -30,6 +30,8 @@ needs keys, TLS and access control (see `egp keys`): others could answer in its 
 
 Vehicles ask on egp/v1/r/REPLICA/FLEET/VEHICLE/step. The service answers its state on the keys health,
 ready and metrics of egp/v1/r/REPLICA, and announces itself by the liveliness token egp/v1/@live/REPLICA.
+On SIGHUP, or with --watch when the file changes, it loads and checks the library again beside the old one.
+Vehicles that start from then on get the new library; those that drive keep theirs, which is still served.
 On SIGTERM it drains: it withdraws the token, answers the requests that wait, and ends with status 0."#;
 
 /// Answers the control steps of vehicles over zenoh.
@@ -54,6 +56,9 @@ struct Arguments {
     /// Endpoint of a router or peer to connect to; may be given more than once.
     #[arg(long)]
     connect: Vec<String>,
+    /// Load the library again when its file changes, and not only on SIGHUP.
+    #[arg(long)]
+    watch: bool,
     /// Log one JSON object a line.
     #[arg(long)]
     log_json: bool,
@@ -76,6 +81,9 @@ impl Arguments {
         }
         config.workers = self.workers.or(config.workers);
         config.log_json |= self.log_json;
+        if self.watch && config.watch_ms == 0 {
+            config.watch_ms = 500;
+        }
         for (key, endpoints) in [
             ("listen/endpoints", self.listen),
             ("connect/endpoints", self.connect),

@@ -7,5 +7,6 @@ mod draining;
 mod hostile;
 mod map_store;
 mod queueing;
+mod reload;
 mod seals;
 mod serving;

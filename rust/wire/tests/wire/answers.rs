@@ -170,6 +170,19 @@ fn a_replica_is_described_within_the_limits_of_the_client() {
     for spoiled in [of(0), of(limits.members + 1)] {
         assert_eq!(field(&decode(&spoiled)), Some("members"));
     }
+    let with = |others: usize| Ready {
+        others: vec![[9; 32]; others],
+        ..messages::ready()
+    };
+    assert_eq!(
+        decode(&with(Ready::MAX_OTHERS)).unwrap(),
+        with(Ready::MAX_OTHERS)
+    );
+    assert_eq!(field(&decode(&with(Ready::MAX_OTHERS + 1))), Some("others"));
+    let several = with(2);
+    assert!(several.serves(&[9; 32]) && several.serves(&several.library));
+    assert!(!several.serves(&[8; 32]));
+    assert_eq!(several.libraries(), [several.library, [9; 32], [9; 32]]);
 }
 
 #[test]

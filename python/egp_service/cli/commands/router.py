@@ -1,0 +1,53 @@
+"""`egp router`."""
+
+import signal
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+
+def router(
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Endpoint to listen on; repeat for more. By default tcp/127.0.0.1:7449, which "
+            "only this machine reaches."
+        ),
+    ] = None,
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(help="Endpoint of another router; repeat for more.", show_default=False),
+    ] = None,
+    zenoh: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Configuration of zenoh (JSON5), with TLS and access control."
+        ),
+    ] = None,
+) -> None:
+    """Route between vehicles and services until SIGTERM or Ctrl-C.
+
+    Vehicles and services connect to it and need not reach each other. It routes as zenohd does,
+    and is meant for tests and small fleets; docs/security.md has a configuration for zenohd.
+
+    For example:
+      egp router --listen tcp/0.0.0.0:7449
+      egp serve --config service.toml    (with connect/endpoints of the router)
+      egp drive --connect tcp/127.0.0.1:7449
+    """
+    from egp_service.control.endpoints import check_free
+    from egp_service.control.router import Router
+
+    endpoints = listen or ([] if zenoh else ["tcp/127.0.0.1:7449"])
+    check_free(endpoints)
+    # The signal may come while the session opens, which lets vehicles in before it returns.
+    with (
+        suppress(KeyboardInterrupt, SystemExit),
+        Router(endpoints, connect or (), zenoh) as running,
+    ):
+        Console(soft_wrap=True).print(f"Routing on {', '.join(running.endpoints)}.")
+        while True:
+            signal.pause()

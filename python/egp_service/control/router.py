@@ -1,0 +1,61 @@
+"""A router of zenoh between vehicles and services."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Self
+
+import zenoh
+
+from egp_service._core import EgpError
+from egp_service.control.client import session_config
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+# Larger than any message of the service, and as its own limit: a client gets an error for a request
+# that is too large, and not silence.
+_MAX_MESSAGE_BYTES = 1 << 23
+
+
+class Router:
+    """Pass questions, answers and announcements on between all who connect.
+
+    It is a session of zenoh in router mode, which routes as `zenohd` does. It ends with `close` or
+    with the block of `with`; services and vehicles connect again once another one listens.
+    """
+
+    def __init__(
+        self, listen: Sequence[str], connect: Sequence[str] = (), zenoh_file: Path | None = None
+    ) -> None:
+        """Listen on endpoints such as `tcp/0.0.0.0:7449`, and connect to other routers.
+
+        Without endpoints those of `zenoh_file` are used, a configuration of zenoh in JSON5 with TLS
+        and access control. Raises `EgpError` if zenoh opens no session, and `InvalidArgumentError`
+        for endpoints or a configuration that cannot be used.
+        """
+        more: dict[str, object] = {"mode": "router"}
+        if listen:
+            more["listen/endpoints"] = list(listen)
+        if zenoh_file is None:
+            more["transport/link/rx/max_message_size"] = _MAX_MESSAGE_BYTES
+        config = session_config(connect, 0.0, more, zenoh_file)
+        try:
+            self._session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise EgpError(f"zenoh cannot open a router's session: {error}") from error
+        self.endpoints = tuple(json.loads(config.get_json("listen/endpoints")))
+        """Where it listens."""
+
+    def close(self) -> None:
+        """Close all links."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        """Return the router."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close all links."""
+        self.close()

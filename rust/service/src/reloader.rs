@@ -1,0 +1,109 @@
+//! The thread that loads the library file again, on command and when the file changes.
+
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, SystemTime};
+
+use egp_wire::LibraryId;
+
+use crate::libraries::{Libraries, ReloadError, Reloaded};
+
+/// How a reload ended, and all libraries that are served now.
+pub(crate) type Outcome = Result<(Reloaded, Vec<LibraryId>), ReloadError>;
+
+/// What tells one content of a file from another without reading it: time of the last change, and length.
+type Stamp = Option<(SystemTime, u64)>;
+
+/// A reloader that was not started.
+pub(crate) struct Reloader {
+    libraries: Arc<Libraries>,
+    watch: Option<Duration>,
+    /// The file as it was loaded last.
+    stamp: Stamp,
+}
+
+/// The running thread, which ends when this value is dropped; a loading that has begun is completed first.
+pub(crate) struct Running {
+    command: Option<SyncSender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Reloader {
+    /// Reloads on command, and when the file changed since the last look; looks are `watch` apart.
+    pub(crate) fn new(libraries: Arc<Libraries>, watch: Option<Duration>) -> Self {
+        Self {
+            stamp: stamp(libraries.file()),
+            libraries,
+            watch,
+        }
+    }
+
+    /// Starts the thread, which hands each outcome to `note`.
+    pub(crate) fn start(
+        mut self,
+        note: impl Fn(Outcome) + Send + 'static,
+    ) -> std::io::Result<Running> {
+        // Commands that come while one waits are the same command.
+        let (command, commands) = mpsc::sync_channel(1);
+        let thread = thread::Builder::new().name("egp-library".to_owned());
+        let thread = thread.spawn(move || {
+            while let Some(commanded) = self.wait(&commands) {
+                let now = stamp(self.libraries.file());
+                if commanded || now != self.stamp {
+                    // A change during the loading is seen at the next look.
+                    self.stamp = now;
+                    let reloaded = self.libraries.reload();
+                    note(reloaded.map(|reloaded| (reloaded, self.libraries.ids())));
+                }
+            }
+        })?;
+        Ok(Running {
+            command: Some(command),
+            thread: Some(thread),
+        })
+    }
+
+    /// Waits for a command or the next look: whether it was a command, or none once the thread is to end.
+    fn wait(&self, commands: &Receiver<()>) -> Option<bool> {
+        let Some(period) = self.watch else {
+            return commands.recv().ok().map(|()| true);
+        };
+        match commands.recv_timeout(period) {
+            Ok(()) => Some(true),
+            Err(RecvTimeoutError::Timeout) => Some(false),
+            Err(RecvTimeoutError::Disconnected) => None,
+        }
+    }
+}
+
+impl Running {
+    /// Commands a reload and returns at once.
+    pub(crate) fn reload(&self) {
+        if let Some(command) = &self.command {
+            // A full channel holds a command that has not begun.
+            let _ = command.try_send(());
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.command = None;
+        if self
+            .thread
+            .take()
+            .is_some_and(|thread| thread.join().is_err())
+        {
+            tracing::error!("the thread that loads libraries ended by a panic");
+        }
+    }
+}
+
+/// None if the file is not there.
+fn stamp(file: &Path) -> Stamp {
+    let metadata = fs::metadata(file).ok()?;
+    Some((metadata.modified().ok()?, metadata.len()))
+}

@@ -1,0 +1,120 @@
+//! Signatures of libraries (Ed25519): a service with public keys serves no library that others made.
+
+use std::fs;
+use std::path::Path;
+
+use ring::digest::{SHA256, digest};
+use ring::signature::{ED25519, UnparsedPublicKey};
+use thiserror::Error;
+
+/// Precedes the SHA-256 of the library in what is signed, so that a signature is of no use for anything else.
+const PURPOSE: &[u8] = b"egp.v1 library\0";
+
+/// Why a library is not accepted by its signature.
+#[derive(Debug, Error)]
+pub enum SignatureError {
+    /// A file cannot be read.
+    #[error(
+        "cannot read {path}: {source}; `egp sign` writes the signature of a library, `egp keys` the public key"
+    )]
+    Read {
+        /// The file.
+        path: String,
+        /// The error of the system.
+        source: std::io::Error,
+    },
+    /// The file holds something else.
+    #[error("{path}: expected {bytes} bytes as hexadecimal digits in each line, got {got:?}")]
+    Content {
+        /// The file.
+        path: String,
+        /// The expected number of bytes.
+        bytes: usize,
+        /// The line at fault.
+        got: String,
+    },
+    /// The signature is none of this library by one of the keys.
+    #[error(
+        "{path} is not signed by any of the {keys} configured keys; sign it with `egp sign`, or add the signer's key"
+    )]
+    Foreign {
+        /// The library.
+        path: String,
+        /// The number of keys.
+        keys: usize,
+    },
+}
+
+/// The public keys of those who may sign libraries.
+pub(crate) struct Signers(Vec<[u8; 32]>);
+
+impl Signers {
+    /// Reads a file with one key a line; empty lines and those that begin with `#` are left out.
+    ///
+    /// # Errors
+    /// [`SignatureError`] if the file cannot be read, or has no key or something else.
+    pub(crate) fn load(path: &Path) -> Result<Self, SignatureError> {
+        let text = read(path)?;
+        let lines = text.lines().map(str::trim);
+        let lines = lines.filter(|line| !line.is_empty() && !line.starts_with('#'));
+        let keys = lines
+            .map(|line| bytes(path, line))
+            .collect::<Result<Vec<_>, _>>()?;
+        if keys.is_empty() {
+            return Err(no_bytes::<32>(path, ""));
+        }
+        Ok(Self(keys))
+    }
+
+    /// Checks the bytes of a library with the signature in the file beside it.
+    ///
+    /// # Errors
+    /// [`SignatureError`] if there is no signature, or none of these bytes by one of the keys.
+    pub(crate) fn check(&self, library: &Path, content: &[u8]) -> Result<(), SignatureError> {
+        let mut name = library.as_os_str().to_owned();
+        name.push(".sig");
+        let path = Path::new(&name);
+        let signature: [u8; 64] = bytes(path, read(path)?.trim())?;
+        let signed = [PURPOSE, digest(&SHA256, content).as_ref()].concat();
+        let by = |key: &[u8; 32]| {
+            let key = UnparsedPublicKey::new(&ED25519, key);
+            key.verify(&signed, &signature).is_ok()
+        };
+        if self.0.iter().any(by) {
+            return Ok(());
+        }
+        Err(SignatureError::Foreign {
+            path: library.display().to_string(),
+            keys: self.0.len(),
+        })
+    }
+}
+
+fn read(path: &Path) -> Result<String, SignatureError> {
+    fs::read_to_string(path).map_err(|source| SignatureError::Read {
+        path: path.display().to_string(),
+        source,
+    })
+}
+
+/// The bytes of a line of hexadecimal digits.
+fn bytes<const N: usize>(path: &Path, line: &str) -> Result<[u8; N], SignatureError> {
+    let digit = |at: usize| {
+        line.get(at..at + 2)
+            .and_then(|two| u8::from_str_radix(two, 16).ok())
+    };
+    let all: Option<Vec<u8>> = (0..line.len()).step_by(2).map(digit).collect();
+    let plain = line.bytes().all(|digit| digit.is_ascii_hexdigit());
+    let all = all
+        .filter(|_| plain)
+        .and_then(|all| <[u8; N]>::try_from(all).ok());
+    all.ok_or_else(|| no_bytes::<N>(path, line))
+}
+
+fn no_bytes<const N: usize>(path: &Path, line: &str) -> SignatureError {
+    SignatureError::Content {
+        path: path.display().to_string(),
+        bytes: N,
+        got: line.chars().take(80).collect(),
+    }
+}
