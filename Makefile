@@ -5,7 +5,7 @@ RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name 
 	$(wildcard python/egp_service/_core/*.pyi)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench fmt lint deny rust-test python-test wheel wheel-test instructions soak clean
+.PHONY: help demo test bench fmt lint deny rust-test python-test site wheel wheel-test instructions soak clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -55,6 +55,10 @@ python-test: .venv/built-dev ## Run the Python tests
 	$(BIN)/pytest --numprocesses auto --dist loadfile $(addprefix --ignore ,$(ALONE))
 	$(BIN)/pytest $(ALONE)
 
+site: .venv/built-docs ## Build the documentation site in target/site
+	$(BIN)/mkdocs build
+	$(BIN)/python tests/stories/site.py target/site
+
 TARGET := x86_64-unknown-linux-gnu
 wheel: .venv/bin/python ## Build a wheel for Linux with glibc 2.17 or newer: make wheel TARGET=aarch64-unknown-linux-gnu
 	$(BIN)/pip install --quiet --constraint constraints.txt ziglang
@@ -72,6 +76,7 @@ clean: ## Remove what these commands built
 
 EXTRAS_viz := viz
 EXTRAS_dev := train,viz,paper,cluster,dev
+EXTRAS_docs := viz,docs
 EXTRAS_bench := train,viz,paper,cluster,dev,bench
 
 # One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension.
