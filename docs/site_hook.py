@@ -7,6 +7,7 @@ formulas become MathML, which browsers draw without a script.
 from __future__ import annotations
 
 import html
+import logging
 import os
 import re
 from pathlib import Path, PurePosixPath
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
     from mkdocs.structure.pages import Page
 
+LOG: Final = logging.getLogger("mkdocs.hooks.site")  # a warning ends a strict build
 ROOT: Final = Path(__file__).parents[1]
 PAGES: Final = {
     "README.md": "index.md",
@@ -29,6 +31,13 @@ PAGES: Final = {
 }
 SOURCES: Final = {page: source for source, page in PAGES.items()}
 LINK: Final = re.compile(r"\]\(([^)#:]+)(#[^)]*)?\)")
+# Commands that latex2mathml does not have, and what says the same.
+SPELLED: Final = [
+    ("\\\n", r"\ "),
+    ("{aligned}", "{align*}"),
+    (r"\arg\min", r"\operatorname{arg\,min}"),
+]
+DISPLAYED: Final = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FORMULA: Final = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 
 
@@ -63,7 +72,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links lead to the places of the files in the site."""
+    """Let links lead to the places of the files in the site, and mark displayed formulas."""
     del config, files
     here = page.file.src_uri
     folder = PurePosixPath(source_of(here)).parent
@@ -72,15 +81,21 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         target = target_of(os.path.normpath(folder / link[1]))
         return f"]({os.path.relpath(target, PurePosixPath(here).parent)}{link[2] or ''})"
 
-    return LINK.sub(moved, markdown)
+    return LINK.sub(moved, DISPLAYED.sub(r"$$\n\1$$", markdown))
 
 
 def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Draw formulas with MathML."""
-    del page, config, files
+    del config, files
 
     def drawn(formula: re.Match[str]) -> str:
         display = "block" if formula[1] == "div" else "inline"
-        return str(convert(html.unescape(formula[2]), display=display))
+        text = re.sub(r"\\tag\{(\w+)\}", r"\\qquad (\\text{\1})", html.unescape(formula[2]))
+        for written, known in SPELLED:
+            text = text.replace(written, known)
+        drawing = str(convert(text, display=display))
+        if "\\" in drawing or "<mi>&amp;</mi>" in drawing:
+            LOG.warning("%s: latex2mathml cannot draw %s", page.file.src_uri, text)
+        return drawing
 
     return FORMULA.sub(drawn, content)

@@ -73,11 +73,8 @@ def test_every_block_of_a_guide_runs(
     if page == "first-drive" and not EVERY:
         pytest.skip("a whole lap, which tests/closed_loop drives too: set EGP_EVERY_COMMAND=1")
     monkeypatch.chdir(tmp_path)
-    if not EVERY or page != "your-data":
-        shutil.copy(shipped.DEMO_LIBRARY, "library.safetensors")
+    shutil.copy(shipped.DEMO_LIBRARY, "library.safetensors")
     text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
-    if page == "your-car" and EVERY:  # it continues with the data of the page before
-        text = (DOCS / "your-data.md").read_text(encoding="utf-8") + text
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     running: list[subprocess.Popen[bytes]] = []
