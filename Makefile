@@ -5,7 +5,7 @@ RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name 
 	$(wildcard python/egp_service/_core/*.pyi)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench fmt lint deny rust-test python-test instructions soak clean
+.PHONY: help demo test bench fmt lint deny rust-test python-test site wheel wheel-test instructions soak clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -55,6 +55,19 @@ python-test: .venv/built-dev ## Run the Python tests
 	$(BIN)/pytest --numprocesses auto --dist loadfile $(addprefix --ignore ,$(ALONE))
 	$(BIN)/pytest $(ALONE)
 
+site: .venv/built-docs ## Build the documentation site in target/site
+	$(BIN)/mkdocs build
+	$(BIN)/python tests/stories/site.py target/site
+
+TARGET := x86_64-unknown-linux-gnu
+wheel: .venv/bin/python ## Build a wheel for Linux with glibc 2.17 or newer: make wheel TARGET=aarch64-unknown-linux-gnu
+	$(BIN)/pip install --quiet --constraint constraints.txt ziglang
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/maturin build --release --locked --zig --target $(TARGET) \
+		--compatibility manylinux2014 --interpreter $(BIN)/python --out target/wheels
+
+wheel-test: wheel ## Install the wheel from `make wheel` in a fresh environment, and pass the stories there
+	$(BIN)/python tests/stories/fresh.py target/wheels/egp_service-*x86_64.whl
+
 instructions: .venv/bin/python ## Check the instructions of a control step against their budget, with valgrind
 	$(BIN)/python tests/bench/instructions.py
 
@@ -63,6 +76,7 @@ clean: ## Remove what these commands built
 
 EXTRAS_viz := viz
 EXTRAS_dev := train,viz,paper,cluster,dev
+EXTRAS_docs := viz,docs
 EXTRAS_bench := train,viz,paper,cluster,dev,bench
 
 # One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension.

@@ -53,6 +53,8 @@ ALLOWED = {
         "egp-driver",
         "egp-engine",
         "egp-service",
+        "egp-simulate",
+        "egp-load",
     },
 }
 

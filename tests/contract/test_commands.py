@@ -76,18 +76,16 @@ def test_the_doctor_checks_machine_and_library(tmp_path: Path) -> None:
     assert RUNNER.invoke(app, ["doctor", str(broken)]).exit_code == 1
 
 
-def test_programs_get_the_options_and_a_missing_one_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert "cargo build --release -p egp-simulate" in failure("simulate", "--seed", "7")
-    program = tmp_path / "target/release/egp-load"
-    program.parent.mkdir(parents=True)
-    program.write_text(f'#!/bin/sh\nprintf "%s," "$@" > {tmp_path}/seen\nexit 3\n')
-    program.chmod(0o755)
-    assert RUNNER.invoke(app, ["load", "--vehicles", "8"]).exit_code == 3
-    assert (tmp_path / "seen").read_text() == "--vehicles,8,"
+def test_programs_of_the_extension_get_the_options(capfd: pytest.CaptureFixture[str]) -> None:
+    assert RUNNER.invoke(app, ["load", "--vehicles", "0"]).exit_code == 2
+    assert "0 is not in 1..=2000" in capfd.readouterr().err
+    assert RUNNER.invoke(app, ["simulate", "--seed", "7", "--seconds", "0.2"]).exit_code == 0
+    assert "seed 7: trace " in capfd.readouterr().out
+    for program in ("load", "simulate"):
+        assert RUNNER.invoke(app, [program, "--", "--help"]).exit_code == 0
+        shown = capfd.readouterr().out
+        assert f"Usage: egp {program} [OPTIONS]" in shown
+        assert max(map(len, shown.splitlines())) <= 80
 
 
 def test_a_port_in_use_and_a_wrong_endpoint_are_named() -> None:

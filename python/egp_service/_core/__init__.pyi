@@ -12,6 +12,7 @@ from egp_service._core.map import *
 from egp_service._core.optimal_control import *
 from egp_service._core.path import *
 from egp_service._core.plant import *
+from egp_service._core.programs import *
 from egp_service._core.service import *
 from egp_service._core.vehicle import *
 from egp_service._core.wire import *

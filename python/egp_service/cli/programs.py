@@ -1,33 +1,28 @@
-"""Programs of this project that are built from Rust."""
+"""Programs of the extension that are commands of their own."""
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-from pathlib import Path
+import signal
 from typing import TYPE_CHECKING, Final
 
-from egp_service._core import EgpError
-
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 PASS_ON: Final = {"allow_extra_args": True, "ignore_unknown_options": True}
 """Settings of a command that hands all options over to a program."""
 
+_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-def run_program(name: str, arguments: Sequence[str]) -> int:
-    """Run the program of this name and return its exit code.
 
-    It is looked for on the PATH and in the folder of a build from the source.
+def run_program(program: Callable[[Sequence[str]], int], arguments: Sequence[str]) -> int:
+    """Run a program of the extension and return its exit code.
 
-    Raises `EgpError` if it is in neither.
+    Meanwhile a signal ends the process at once: the program does not return to Python, whose
+    handlers would wait for it.
     """
-    built = Path("target/release") / name
-    program = shutil.which(name) or (str(built) if built.is_file() else None)
-    if program is None:
-        raise EgpError(
-            f"the program {name} is neither on the PATH nor at {built}: build it in the source "
-            f"folder with `cargo build --release -p {name}`"
-        )
-    return subprocess.run([program, *arguments], check=False).returncode
+    handlers = {number: signal.signal(number, signal.SIG_DFL) for number in _ENDING}
+    try:
+        return program(arguments)
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)

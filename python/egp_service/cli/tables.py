@@ -27,13 +27,13 @@ def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
     """Return a table with a row for each run: result, errors and times."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("run", no_wrap=True)
-    table.add_column("result")
+    table.add_column("result", min_width=len("completed"))
     for header in (
         "time\ns",
-        "beside path, m\nmax / RMS",
+        "lateral, m\nmax / RMS",
         "speed, m/s\nmean / error",
         "step, ms\np50 / p99",
-        "missed",
+        "late",
     ):
         table.add_column(header, justify="right", no_wrap=True)
     for label, summary in rows:

@@ -103,7 +103,7 @@ def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath
                 ax.plot(run.trace.distance[-1], run.trace.lateral_error[-1], "X", color=ALARM)
         ax.axhline(0.0, color=MUTED, linewidth=0.6)
         ax.set(xlabel="distance [m]", ylabel="beside the path [m]", title="Lateral error")
-        ax.legend(loc="upper left", ncols=len(runs))
+        _legend_above(ax, len(runs))
         with replacing(path) as beside:
             figure.savefig(beside)
         plt.close(figure)
@@ -145,12 +145,36 @@ def draw_track(ax: Axes, run: Run, speeds: Normalize | None = None) -> LineColle
         offset = (reach if np.isfinite(reach) else 2.0) + 0.022 * path.length
         labels.append((p_x + np.sin(angle) * offset, p_y - np.cos(angle) * offset))
         ax.text(*labels[-1], f"μ {mu:g}", ha="center", va="center", color="#5a606b")
-    ax.update_datalim(labels)
+    ax.update_datalim([*labels, *_draw_scale_and_direction(ax, np.vstack([lefts, rights]), run)])
     ax.margins(0.04)
     ax.set_aspect("equal")
     ax.autoscale_view()
     ax.axis("off")
     return lines
+
+
+def _draw_scale_and_direction(
+    ax: Axes, edges: NDArray[np.float64], run: Run
+) -> list[tuple[float, float]]:
+    """Draw a bar of a round length below the track, and an arrow beside the start."""
+    low, high = edges.min(axis=0), edges.max(axis=0)
+    extent = float((high - low).max())
+    decade = 10.0 ** np.floor(np.log10(0.25 * extent))
+    bar = decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= 0.25 * extent)
+    y = float(low[1]) - 0.1 * extent
+    ax.plot([low[0], low[0] + bar], [y, y], color=INK, linewidth=1.6, solid_capstyle="butt")
+    ax.text(low[0] + bar + 0.02 * extent, y, f"{bar:g} m", va="center", color=INK)
+    p_x, p_y, yaw, _, left, *_ = (column[0] for column in run.path.sample(np.zeros(1)))
+    beside = (left if np.isfinite(left) else 2.0) + 0.04 * extent
+    tail = np.array([p_x - np.sin(yaw) * beside, p_y + np.cos(yaw) * beside])
+    head = tail + 0.12 * extent * np.array([np.cos(yaw), np.sin(yaw)])
+    ax.annotate("", tuple(head), tuple(tail), arrowprops={"arrowstyle": "->", "color": INK})
+    return [(float(low[0]), y - 0.03 * extent), tuple(head.tolist()), tuple(tail.tolist())]
+
+
+def _legend_above(ax: Axes, columns: int) -> None:
+    """Place the legend above the plot, at its right end, where no curve is."""
+    ax.legend(ncols=columns, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
 
 
 def draw_zones(ax: Axes, path: Path, distance: float) -> None:
@@ -185,8 +209,7 @@ def _weights_figure(run: Run) -> Figure:
     colours = [MEMBER_COLOURS[i % len(MEMBER_COLOURS)] for i in range(len(run.members))]
     top.stackplot(distance, weights.T, labels=run.members, colors=colours, alpha=0.9, linewidth=0)
     top.set(ylim=(0.0, 1.0), ylabel="weight", title="Weights of the members")
-    legend = top.legend(loc="upper right", ncols=len(run.members), frameon=True, framealpha=0.9)
-    legend.get_frame().set(facecolor="white", linewidth=0)
+    _legend_above(top, len(run.members))
     for ax in (middle, bottom):
         draw_zones(ax, run.path, float(trace.distance[-1]))
     middle.step(trace.distance, trace.friction, color=INK, where="post", label="true friction")
@@ -198,7 +221,7 @@ def _weights_figure(run: Run) -> Figure:
     if run.scenario.speed.knows != "zones":
         middle.plot(trace.distance, trace.friction_planned, color=PLANNED, label="planned for")
     middle.set(ylabel="μ", ylim=(0.0, 1.4))
-    middle.legend(loc="lower right", ncols=4)
+    _legend_above(middle, 4)
     grip = np.abs(trace.x[:, V_X] * trace.x[:, OMEGA]) / (GRAVITY * trace.friction)
     bottom.fill_between(trace.distance, grip, color=MUTED, linewidth=0)
     bottom.set(xlabel="distance [m]", ylabel="grip used\nin corners", ylim=(0.0, 1.0))
@@ -227,9 +250,7 @@ def _errors_figure(run: Run) -> Figure:
 
 def _step_times_figure(run: Run) -> Figure:
     figure, ax = plt.subplots(figsize=(8.0, 3.2))
-    milliseconds, deadline = 1e3 * run.trace.step_time[1:], 1e3 * run.dt
-    if len(milliseconds) == 0:
-        milliseconds = 1e3 * run.trace.step_time
+    milliseconds, deadline = 1e3 * run.trace.step_time, 1e3 * run.dt
     low = 0.8 * float(np.min(milliseconds))
     high = 1.25 * max(deadline, float(np.max(milliseconds)))
     ax.hist(milliseconds, bins=list(np.geomspace(low, high, 60)), color=MEMBER_COLOURS[0])
@@ -237,8 +258,8 @@ def _step_times_figure(run: Run) -> Figure:
     ax.xaxis.set_major_formatter("{x:g}")
     ax.yaxis.set_major_locator(MaxNLocator(integer=True))
     for value, name, colour in (
-        (float(np.median(milliseconds)), "median", INK),
-        (float(np.percentile(milliseconds, 99)), "p99", INK),
+        (run.summary.step_time_ms["p50"], "median", INK),
+        (run.summary.step_time_ms["p99"], "p99", INK),
         (deadline, "deadline", ALARM),
     ):
         ax.axvline(

@@ -18,6 +18,7 @@ mod parameters;
 mod path;
 mod plant;
 mod problem;
+mod programs;
 mod service;
 mod surface;
 mod wire;
@@ -88,6 +89,12 @@ mod _core {
         use crate::plant::{Plant, plant_derivative, plant_initial_states, plant_step_batch};
         #[pymodule_export]
         use crate::surface::{FrictionMap, surface_friction};
+    }
+
+    #[pymodule]
+    mod programs {
+        #[pymodule_export]
+        use crate::programs::{run_load, run_simulation};
     }
 
     #[pymodule]

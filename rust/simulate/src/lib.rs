@@ -5,6 +5,7 @@
 //! step and the multi-body plant. Only network, clocks and faults are simulated. `docs/simulation.md` describes the faults
 //! and the oracles.
 
+mod command;
 mod delivery;
 mod disturbance;
 mod event;
@@ -19,6 +20,7 @@ mod trace;
 mod vehicle;
 mod world;
 
+pub use command::main;
 pub use mutant::Mutant;
 pub use oracle::{Oracle, Violation};
 pub use scene::{Scene, SimulationError};

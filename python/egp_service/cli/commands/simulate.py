@@ -6,19 +6,18 @@ import typer
 def simulate(context: typer.Context) -> None:
     """Simulate vehicles, replicas and network with faults drawn from a seed.
 
-    All options are those of the program egp-simulate: --seed N replays one
-    seed with its trace, --seeds A..B hunts over many, --planted shows which
-    oracle finds each planted fault, --vehicles, --replicas and --seconds set
-    the size; `egp simulate -- --help` lists them. The libraries are those of
-    the demo and the evaluation. The program is built from the source by
-    `cargo build --release -p egp-simulate`.
+    --seed N replays one seed with its trace, --seeds A..B hunts over many,
+    --planted shows which oracle finds each planted fault, --vehicles,
+    --replicas and --seconds set the size; `egp simulate -- --help` lists all
+    options. The libraries are those of the demo and the evaluation.
 
     For example:
       egp simulate --seeds 0..100
       egp simulate --seed 7
     """
     from egp_service import shipped
+    from egp_service._core import run_simulation
     from egp_service.cli.programs import run_program
 
     libraries = [str(shipped.DEMO_LIBRARY), "--other", str(shipped.EVALUATION_LIBRARY)]
-    raise typer.Exit(run_program("egp-simulate", [*libraries, *context.args]))
+    raise typer.Exit(run_program(run_simulation, [*libraries, *context.args]))

@@ -1,11 +1,12 @@
-//! `egp-load`: measures how many vehicles a service can keep on the road.
+//! The load generator: measures how many vehicles a service can keep on the road. It is the program `egp-load`, and the
+//! command `egp load` of the Python package.
 
 mod drive;
 mod report;
 mod tally;
 
+use std::ffi::OsString;
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -23,21 +24,25 @@ const HELP: &str = r"Loads a running service with simulated vehicles and reports
     egp-server --library surfaces.safetensors --workers 1
     egp-load --vehicles 8 --seconds 20 --json load.json
 
-Each vehicle has its own zenoh session, the 29-state plant on a track of changing friction, and the gate.
-Requests are sent on a fixed schedule (every control period of the library), whether or not the last one
-was answered, and latency is measured from when a request was due, so that a slow service cannot slow down
-its own test. The vehicles' schedules are spread evenly over the period.
+Each vehicle has its own zenoh session, the 29-state plant on a track of
+changing friction, and the gate. Requests are sent on a fixed schedule (every
+control period of the library), whether or not the last one was answered, and
+latency is measured from when a request was due, so that a slow service cannot
+slow down its own test. The vehicles' schedules are spread evenly over the
+period.
 
-A period is a miss if no solved plan came within the budget. The gate then continues with the last plan
-(tail) and finally stops the vehicle; stopped, spun or lost vehicles are put back on the track and counted.
+A period is a miss if no solved plan came within the budget. The gate then
+continues with the last plan (tail) and finally stops the vehicle; stopped, spun
+or lost vehicles are put back on the track and counted.
 
-Look at `generator lag` first: the delay with which requests were sent because this program or its machine
-was busy. If it is far above a millisecond, the other times describe the generator instead of the service;
-give the generator cores of its own or fewer vehicles.";
+Look at `generator lag` first: the delay with which requests were sent because
+this program or its machine was busy. If it is far above a millisecond, the other
+times describe the generator instead of the service; give the generator cores of
+its own or fewer vehicles.";
 
 /// Loads a running service with simulated vehicles and reports answer times and errors.
 #[derive(Parser)]
-#[command(version, long_about = HELP)]
+#[command(version, long_about = HELP, max_term_width = 80)]
 struct Arguments {
     /// Router or replica to connect to; may be given more than once. Default: the endpoints of --zenoh, or
     /// tcp/127.0.0.1:7447.
@@ -127,12 +132,22 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-fn main() -> ExitCode {
-    match run(&Arguments::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
+/// Runs the load generator with these arguments, of which the first is the name that the help shows, and returns the exit
+/// code: 0 after a measurement, 1 if it failed, 2 for arguments that cannot be used.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let arguments = match Arguments::try_parse_from(arguments) {
+        Ok(arguments) => arguments,
+        Err(answer) => {
+            // A terminal that has been closed leaves nobody to tell.
+            let _ = answer.print();
+            return u8::from(answer.use_stderr()) * 2;
+        }
+    };
+    match run(&arguments) {
+        Ok(()) => 0,
         Err(error) => {
             eprintln!("egp-load: {error}");
-            ExitCode::FAILURE
+            1
         }
     }
 }

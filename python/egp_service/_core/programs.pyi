@@ -1,0 +1,6 @@
+"""Programs that the extension runs as commands of `egp`."""
+
+from collections.abc import Sequence
+
+def run_load(arguments: Sequence[str]) -> int: ...
+def run_simulation(arguments: Sequence[str]) -> int: ...

@@ -1,0 +1,185 @@
+//! The program `egp-simulate`, which is also the command `egp simulate` of the Python package.
+
+use std::ffi::OsString;
+use std::io::{IsTerminal as _, Write as _};
+use std::path::PathBuf;
+
+use clap::Parser;
+
+use crate::{Config, Mutant, Oracle, Run, Scene, SimulationError, repeat, simulate};
+
+/// Simulate vehicles, replicas and the network between them in virtual time, with faults drawn from a seed.
+#[derive(Parser)]
+#[command(version, max_term_width = 80)]
+struct Options {
+    /// Library that vehicles ask for.
+    library: PathBuf,
+    /// Another library, which a replica serves after a reload.
+    #[arg(long)]
+    other: PathBuf,
+    /// Replay this seed and print its trace.
+    #[arg(long, conflicts_with_all = ["seeds", "planted"])]
+    seed: Option<u64>,
+    /// Run the seeds A to B, A..B without B.
+    #[arg(long, value_parser = seeds, default_value = "0..20", conflicts_with = "planted")]
+    seeds: std::ops::Range<u64>,
+    /// Print which oracle finds each planted fault.
+    #[arg(long)]
+    planted: bool,
+    /// Virtual duration of a run, s.
+    #[arg(long, default_value_t = 10.0)]
+    seconds: f64,
+    /// Number of vehicles, 1 to 100.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=100))]
+    vehicles: u8,
+    /// Number of replicas, 1 to 100.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=100))]
+    replicas: u8,
+}
+
+fn seeds(text: &str) -> Result<std::ops::Range<u64>, String> {
+    let bounds = text.split_once("..");
+    let parsed = bounds.and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
+    parsed
+        .filter(|range: &std::ops::Range<u64>| !range.is_empty())
+        .ok_or_else(|| format!("expected A..B with A below B, such as 0..1000, got {text}"))
+}
+
+/// Replays one seed with a readable trace, hunts over many seeds, or shows which oracle finds each planted fault.
+///
+/// The first of the arguments is the name that the help shows. Returns the exit code: 0 if no promise was broken and every
+/// planted fault was found, 1 otherwise, 2 if the simulation cannot run or for arguments that cannot be used.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let options = match Options::try_parse_from(arguments) {
+        Ok(options) => options,
+        Err(answer) => {
+            // A terminal that has been closed leaves nobody to tell.
+            let _ = answer.print();
+            return u8::from(answer.use_stderr()) * 2;
+        }
+    };
+    match run(&options) {
+        Ok(sound) => u8::from(!sound),
+        Err(error) => {
+            eprintln!("egp-simulate: {error}");
+            2
+        }
+    }
+}
+
+fn run(options: &Options) -> Result<bool, SimulationError> {
+    let scene = Scene::load(&options.library, &options.other)?;
+    let config = |seed| Config {
+        seconds: options.seconds,
+        vehicles: options.vehicles.into(),
+        replicas: options.replicas.into(),
+        ..Config::new(seed)
+    };
+    if options.planted {
+        return planted(&scene);
+    }
+    if let Some(seed) = options.seed {
+        let run = repeat(
+            &scene,
+            &Config {
+                recorded: true,
+                ..config(seed)
+            },
+        )?;
+        for line in &run.trace {
+            println!("{line}");
+        }
+        return Ok(report(seed, &run));
+    }
+    let (mut sound, mut total) = (true, Run::default());
+    let (count, terminal) = (
+        options.seeds.clone().count(),
+        std::io::stderr().is_terminal(),
+    );
+    for (done, seed) in options.seeds.clone().enumerate() {
+        let run = repeat(&scene, &config(seed))?;
+        if !run.violations.is_empty() {
+            sound = report(seed, &run);
+        }
+        total.periods += run.periods;
+        total.replied += run.replied;
+        total.faults += run.faults;
+        if terminal {
+            let filled = 40 * (done + 1) / count;
+            eprint!(
+                "\r[{:40}] {} of {count} seeds",
+                "#".repeat(filled),
+                done + 1
+            );
+            // A bar that cannot be drawn is no reason to stop.
+            let _ = std::io::stderr().flush();
+        }
+    }
+    if terminal {
+        eprintln!();
+    }
+    let hours = total.periods as f64 * scene.period() / 3600.0;
+    println!(
+        "{count} seeds, {hours:.3} vehicle-hours, {} faults, {} of {} periods with a reply: {}",
+        total.faults,
+        total.replied,
+        total.periods,
+        if sound {
+            "no oracle was violated, and every seed repeats"
+        } else {
+            "violated"
+        }
+    );
+    Ok(sound)
+}
+
+/// Prints what was broken; returns whether nothing was.
+fn report(seed: u64, run: &Run) -> bool {
+    for violation in &run.violations {
+        println!(
+            "seed {seed}: {:?} broken at {:.6} s: {}",
+            violation.oracle,
+            violation.at.as_secs_f64(),
+            violation.detail
+        );
+    }
+    println!("seed {seed}: trace {:016x}", run.hash);
+    run.violations.is_empty()
+}
+
+/// Seeds that are tried for each planted fault.
+const TRIED: u64 = 100;
+
+fn planted(scene: &Scene) -> Result<bool, SimulationError> {
+    println!("| planted fault | oracle | found with seed |\n|---|---|---|");
+    let mut found = 0;
+    for &mutant in Mutant::ALL {
+        let seed = first_seed(scene, mutant)?;
+        found += usize::from(seed.is_some());
+        let seed = seed.map_or("none".to_owned(), |seed| seed.to_string());
+        println!("| {} | {:?} | {seed} |", mutant.text(), mutant.oracle());
+    }
+    println!(
+        "\n{found} of {} planted faults were found by their oracle.",
+        Mutant::ALL.len()
+    );
+    Ok(found == Mutant::ALL.len())
+}
+
+fn first_seed(scene: &Scene, mutant: Mutant) -> Result<Option<u64>, SimulationError> {
+    for seed in 0..TRIED {
+        let config = Config {
+            mutant: Some(mutant),
+            ..Config::new(seed)
+        };
+        let run = if mutant.oracle() == Oracle::Repeat {
+            repeat(scene, &config)?
+        } else {
+            simulate(scene, &config)?
+        };
+        if run.violations.iter().any(|v| v.oracle == mutant.oracle()) {
+            return Ok(Some(seed));
+        }
+    }
+    Ok(None)
+}
