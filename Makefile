@@ -5,7 +5,7 @@ RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name 
 	$(wildcard python/egp_service/_core/*.pyi)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench fmt lint deny rust-test python-test instructions soak clean
+.PHONY: help demo test bench fmt lint deny rust-test python-test browser instructions soak clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -54,6 +54,9 @@ ALONE := tests/service tests/conformance
 python-test: .venv/built-dev ## Run the Python tests
 	$(BIN)/pytest --numprocesses auto --dist loadfile $(addprefix --ignore ,$(ALONE))
 	$(BIN)/pytest $(ALONE)
+
+browser: ## Install Chromium on Debian or Ubuntu (as root), for the tests of the live page
+	apt-get install --yes chromium
 
 instructions: .venv/bin/python ## Check the instructions of a control step against their budget, with valgrind
 	$(BIN)/python tests/bench/instructions.py
