@@ -50,7 +50,7 @@ rust-test: .venv/built-dev ## Run the Rust tests
 	cargo test --release --locked --workspace --exclude egp-bench
 
 # Tests of the service have deadlines to keep, so they run alone; all others share the cores.
-ALONE := tests/service tests/conformance
+ALONE := tests/service tests/conformance tests/monitor
 python-test: .venv/built-dev ## Run the Python tests
 	$(BIN)/pytest --numprocesses auto --dist loadfile $(addprefix --ignore ,$(ALONE))
 	$(BIN)/pytest $(ALONE)

@@ -22,7 +22,6 @@ _LOAD_SECONDS: Final = 1.25
 """A replica publishes its load twice a second; after this time it counts as silent."""
 _EVENTS: Final = 200
 _NAMED: Final = 3
-_WORTH_TELLING: Final = ("stop", "silent", "ended", "gone", "normal", "serving")
 _MOST_VEHICLES: Final = 1000
 """Messages of further vehicles are ignored, so that strangers cannot fill the memory."""
 
@@ -122,8 +121,7 @@ class Fleet:
                     changed.setdefault((kind, state), []).append(name)
         self._states = states
         for (kind, state), names in changed.items():
-            if state in _WORTH_TELLING:
-                self._tell(kind, state, names)
+            self._tell(kind, state, names)
 
     def _tell(self, kind: str, state: str, names: list[str]) -> None:
         listed = ", ".join(names[:_NAMED])

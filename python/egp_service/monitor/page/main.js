@@ -16,7 +16,11 @@ let stream = null, heard = performance.now(), lost = false, happened = 0;
 let detail = null, row = null, now = 0, palette = null, drawn = false, frames = 0;
 
 const samples = new Samples();
-const table = new FleetTable(get("rows"), (id) => select(id, true));
+const table = new FleetTable(get("rows"), (id) => {
+  select(id, true);
+  // Below the list on screens that have no place beside it.
+  if (matchMedia("(max-width: 1080px)").matches) get("detail").scrollIntoView();
+});
 const totals = new Totals(get("totals"), (state) => setFilter(table.filter === state ? "" : state));
 const replicas = new Replicas(get("replicas"));
 const map = new RoadMap(get("map"));
@@ -77,6 +81,8 @@ function keepDetail(next) {
 function draw() {
   drawn = false;
   get("detail").hidden = !(detail && row);
+  get("absent").hidden = !selected || Boolean(row) || table.rows.size === 0;
+  if (!row) say(get("absent"), `${selected} has not published for ten minutes or at all. Choose a vehicle in the list.`);
   if (!detail || !row) return;
   samples.trim(now);
   const { all, last } = samples;
@@ -178,6 +184,7 @@ function setFilter(text) {
 get("theme").addEventListener("click", nextTheme);
 get("follow").addEventListener("click", nextMap);
 get("help").addEventListener("click", () => get("keys").showModal());
+window.addEventListener("hashchange", () => { const id = decodeURIComponent(location.hash.slice(1)); if (id) select(id, false); });
 dark.addEventListener("change", showTheme);
 setInterval(() => { if (!lost && performance.now() - heard > LOST_AFTER) setLost(true); }, 200);
 
