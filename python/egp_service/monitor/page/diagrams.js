@@ -50,12 +50,12 @@ const share = (row) => (row[TOTAL] === null ? [] : [row[QUEUE], row[COMPUTE], Ma
 
 export const DIAGRAMS = [
   {
-    title: "Grip (friction coefficient)",
+    title: "Grip (pale if uninformed)",
     range: (rows) => [0, Math.max(1.3, extremes(rows, [MU_HIGH, MU_TRUE])[1]) * 1.04],
     layers: () => [
       { kind: "band", name: "90 % interval", colour: "c1", low: (row) => row[MU_LOW], high: (row) => row[MU_HIGH],
         faint: (row) => row[INFORMATION] === null || row[INFORMATION] < INFORMED,
-        text: (row) => row && row[MU_LOW] !== null ? `${fixed(row[MU_LOW], 2)}–${fixed(row[MU_HIGH], 2)}${row[INFORMATION] < INFORMED ? " uninformed" : ""}` : "–" },
+        text: (row) => row && row[MU_LOW] !== null ? `${fixed(row[MU_LOW], 2)}–${fixed(row[MU_HIGH], 2)}` : "–" },
       line("mean", MU, "c1", 2),
       line("true", MU_TRUE, "truth", 2, "", "dash"),
     ],

@@ -132,7 +132,7 @@ function readPalette() {
   const names = ["page", "card", "ink", "soft", "line", "accent", "normal", "tail", "stop", "silent", "waiting", "truth", "c1", "c2", "c3", "c4", "c5", "c6"];
   const colours = Object.fromEntries(names.map((name) => [name, read(name)]));
   const pen = get("map").getContext("2d");
-  colours.hatches = Object.fromEntries(["tail", "stop", "waiting"].map((mode) => [mode, hatch(pen, colours[mode])]));
+  colours.hatches = Object.fromEntries(["tail", "stop", "waiting"].map((mode) => [mode, hatch(pen, colours[mode], mode !== "tail")]));
   const stops = [[0.1, read("ice")], [0.5, read("wet")], [1.2, read("dry")]].map(([mu, hex]) => [mu, [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16))]);
   colours.friction = (mu) => {
     const upper = Math.max(1, stops.findIndex(([at]) => at >= mu)), [[a, low], [b, high]] = mu >= 1.2 ? [stops[1], stops[2]] : [stops[upper - 1], stops[upper]];

@@ -20,15 +20,23 @@ export function prepare(canvas) {
   return { pen, width, height };
 }
 
-/** Hatching in a colour, which marks what is not a normal period or not informed. */
-export function hatch(pen, colour) {
+/** Hatching for periods of a mode other than normal: lines for the tail, crossed lines for a stop and what else brakes. */
+export function hatch(pen, colour, crossed) {
   const tile = document.createElement("canvas");
   tile.width = tile.height = 6;
   const ink = tile.getContext("2d");
   ink.strokeStyle = colour;
-  ink.lineWidth = 1.4;
+  ink.lineWidth = 1;
+  ink.globalAlpha = 0.55;
   ink.beginPath();
-  for (const shift of [-6, 0, 6]) { ink.moveTo(shift, 6); ink.lineTo(shift + 6, 0); }
+  for (const shift of [-6, 0, 6]) {
+    ink.moveTo(shift, 6);
+    ink.lineTo(shift + 6, 0);
+    if (crossed) {
+      ink.moveTo(shift, 0);
+      ink.lineTo(shift + 6, 6);
+    }
+  }
   ink.stroke();
   return pen.createPattern(tile, "repeat");
 }
@@ -68,9 +76,10 @@ export class Plot {
     pen.beginPath();
     pen.rect(LEFT, TOP - 8, right - LEFT, bottom - TOP + 8);
     pen.clip();
-    this.modes(pen, rows, x, bottom, palette);
+    const spans = this.modes(pen, rows, x, bottom, palette);
     const layers = this.spec.layers(context);
     for (const layer of layers) this[layer.kind](pen, rows, x, y, layer, palette);
+    for (const [mode, start, end] of spans) this.word(pen, mode, start, end, palette);
     pen.restore();
     this.name(layers, rows, palette);
   }
@@ -99,8 +108,9 @@ export class Plot {
     }
   }
 
-  /** Hatches the periods that were not normal. */
+  /** Hatches the periods that were not normal, and returns their modes with begin and end in pixels. */
   modes(pen, rows, x, bottom, palette) {
+    const spans = [];
     let from = null;
     for (let i = 0; i <= rows.length; i += 1) {
       const mode = i < rows.length ? rows[i][MODE] : null;
@@ -108,10 +118,24 @@ export class Plot {
         const start = x(rows[from][AT]) - 1, end = i < rows.length ? x(rows[i][AT]) : x(rows[i - 1][AT]) + 2;
         pen.fillStyle = palette.hatches[rows[from][MODE]] ?? palette.hatches.stop;
         pen.fillRect(start, TOP - 8, Math.max(end - start, 2), bottom - TOP + 8);
+        spans.push([rows[from][MODE], start, end]);
         from = null;
       }
       if (from === null && mode !== null && mode !== "normal") from = i;
     }
+    return spans;
+  }
+
+  /** Writes the mode into its time if there is room. */
+  word(pen, mode, start, end, palette) {
+    pen.font = "600 10.5px system-ui, 'DejaVu Sans', sans-serif";
+    const wide = pen.measureText(mode).width + 6, left = Math.max(start, LEFT);
+    if (end - left < wide) return;
+    pen.fillStyle = palette.card;
+    pen.fillRect(left, TOP + 6, wide, 14);
+    pen.fillStyle = palette[mode] ?? palette.stop;
+    pen.textAlign = "left";
+    pen.fillText(mode, left + 3, TOP + 17);
   }
 
   /** Calls `each(row, begins)` for rows with a value; `begins` is true after a gap. */
