@@ -3,7 +3,7 @@
 export const STATES = ["stop", "silent", "tail", "waiting", "normal", "ended"];
 
 export const fixed = (value, digits, unit = "") =>
-  value === null || value === undefined ? "–" : value.toFixed(digits).replace("-", "−") + unit;
+  value === null || value === undefined ? "–" : value.toFixed(digits).replace(/^-(?=0(\.0*)?$)/, "").replace("-", "−") + unit;
 
 export function age(seconds) {
   if (seconds < 0.95) return "now";
