@@ -5,7 +5,7 @@ RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name 
 	$(wildcard python/egp_service/_core/*.pyi)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench fmt lint deny rust-test python-test site wheel wheel-test instructions soak clean
+.PHONY: help demo test bench fmt lint deny rust-test python-test browser site wheel wheel-test instructions soak clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -50,7 +50,7 @@ rust-test: .venv/built-dev ## Run the Rust tests
 	cargo test --release --locked --workspace --exclude egp-bench
 
 # Tests of the service have deadlines to keep, so they run alone; all others share the cores.
-ALONE := tests/service tests/conformance
+ALONE := tests/service tests/conformance tests/monitor
 python-test: .venv/built-dev ## Run the Python tests
 	$(BIN)/pytest --numprocesses auto --dist loadfile $(addprefix --ignore ,$(ALONE))
 	$(BIN)/pytest $(ALONE)
@@ -67,6 +67,8 @@ wheel: .venv/bin/python ## Build a wheel for Linux with glibc 2.17 or newer: mak
 
 wheel-test: wheel ## Install the wheel from `make wheel` in a fresh environment, and pass the stories there
 	$(BIN)/python tests/stories/fresh.py target/wheels/egp_service-*x86_64.whl
+browser: ## Install Chromium on Debian or Ubuntu (as root), for the tests of the live page
+	apt-get install --yes chromium
 
 instructions: .venv/bin/python ## Check the instructions of a control step against their budget, with valgrind
 	$(BIN)/python tests/bench/instructions.py

@@ -27,12 +27,14 @@ if TYPE_CHECKING:
     from egp_service.control.client import ServiceUnreachableError, VehicleClient
     from egp_service.control.controller import Controller
     from egp_service.control.recorder import Recorder
+    from egp_service.control.status import StatusPublisher
     from egp_service.control.step import Step
 else:
     _MODULES: Final = {
         "Controller": "egp_service.control.controller",
         "Recorder": "egp_service.control.recorder",
         "ServiceUnreachableError": "egp_service.control.client",
+        "StatusPublisher": "egp_service.control.status",
         "Step": "egp_service.control.step",
         "VehicleClient": "egp_service.control.client",
     }
@@ -61,6 +63,7 @@ __all__ = [
     "ServiceUnreachableError",
     "SpeedPlanner",
     "SpeedProfile",
+    "StatusPublisher",
     "Step",
     "VehicleClient",
     "VehicleParameters",

@@ -14,7 +14,7 @@ import egp_service
 # Libraries that take long to import or come with an extra.
 WATCHED = {
     "botorch", "cvxpy", "gpytorch", "gymnasium", "loky", "matplotlib", "mcap", "osqp", "polars",
-    "ray", "rich", "scipy", "torch", "typer", "zenoh",
+    "ray", "rich", "scipy", "starlette", "torch", "typer", "uvicorn", "zenoh",
 }  # fmt: skip
 TRAINING = {"torch", "gpytorch", "botorch", "scipy", "polars", "loky"}
 TERMINAL = {"rich", "typer"}
@@ -34,6 +34,8 @@ MAY_LOAD = {
     "egp_service.control.recorder": {"mcap"},
     "egp_service.control.recorded": {"mcap"},
     "egp_service.control.replay": {"mcap"},
+    "egp_service.control.status": {"zenoh"},
+    "egp_service.monitor": {"zenoh", "starlette", "uvicorn"},
     "egp_service.simulation": {"mcap"},
     "egp_service.simulation.environment": {"gymnasium", "mcap"},
     "egp_service.simulation.report": {"matplotlib"},
@@ -45,6 +47,7 @@ MAY_LOAD = {
     "egp_service.evaluation": TRAINING | {"mcap", "matplotlib", "cvxpy", "osqp"},
     "egp_service.cli": TERMINAL,
     "egp_service.cli.backends": TERMINAL | {"zenoh"},
+    "egp_service.cli.publication": TERMINAL | {"zenoh", "mcap"},
     "egp_service.cli.demo": TERMINAL | {"zenoh", "mcap"},
     "egp_service.cli.checks": TERMINAL | {"zenoh"},
     "egp_service.cli.replay_text": TERMINAL | {"mcap"},

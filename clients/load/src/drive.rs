@@ -32,6 +32,7 @@ pub(crate) fn connect(
     let mut config = VehicleConfig::new("load", &format!("car-{index}"), limits, &[])?
         .reached_by(&arguments.connect, arguments.zenoh.as_deref());
     config.driver.budget = arguments.budget;
+    config.publish_status = arguments.status;
     if let Some(file) = &arguments.key {
         config = config.with_key(file)?;
     }

@@ -75,6 +75,9 @@ struct Arguments {
     /// Fraction of the grip to drive at, in (0, 1].
     #[arg(long, default_value_t = 0.7)]
     grip: f64,
+    /// Let the vehicles publish how they drive, for `egp monitor`.
+    #[arg(long)]
+    status: bool,
     /// Write the report as JSON to this file.
     #[arg(long)]
     json: Option<PathBuf>,

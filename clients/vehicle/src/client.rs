@@ -8,10 +8,12 @@ use egp_driver::{
 };
 use egp_gate::Mode;
 use egp_wire::{ReferenceRow, State, WidthRow};
+use prost::Message as _;
 use thiserror::Error;
 
 use crate::config::VehicleConfig;
 use crate::network::{Event, Network, NetworkError, What};
+use crate::status::{Constants, Period, Status};
 
 /// Why a client cannot connect, or a control period cannot be opened.
 #[derive(Debug, Error)]
@@ -29,6 +31,9 @@ pub enum ClientError {
         /// Where it connected to.
         endpoints: Vec<String>,
     },
+    /// The system gives no random number, which the publication of the status needs.
+    #[error("the system gives no random number: {0}")]
+    Random(getrandom::Error),
     /// Budget, limits or gate settings are out of range.
     #[error(transparent)]
     Driver(#[from] DriverError),
@@ -42,6 +47,7 @@ pub struct VehicleClient {
     network: Network,
     driver: Driver,
     epoch: Instant,
+    status: Option<Status>,
 }
 
 impl VehicleClient {
@@ -54,10 +60,25 @@ impl VehicleClient {
         let discovery = Discovery::new(&config.driver)?;
         let (epoch, network) = (Instant::now(), Network::open(config)?);
         let driver = discover(discovery, &network, config, epoch)?;
+        let status = if config.publish_status {
+            let run = getrandom::u64().map_err(ClientError::Random)?;
+            Some(Status::new(
+                Constants {
+                    run,
+                    dt: driver.served().dt,
+                    deadline: driver.budget(),
+                    members: driver.served().members.clone(),
+                },
+                Instant::now(),
+            ))
+        } else {
+            None
+        };
         Ok(Self {
             network,
             driver,
             epoch,
+            status,
         })
     }
 
@@ -138,6 +159,26 @@ impl VehicleClient {
         deadline: Instant,
         measurement: Measurement,
     ) -> Result<Step, ClientError> {
+        let (began, x) = (Instant::now(), measurement.x);
+        let reference = measurement.reference.first().copied();
+        let step = self.decide(deadline, measurement)?;
+        if let Some(status) = &mut self.status {
+            let now = Instant::now();
+            let period = Period {
+                step: &step,
+                x,
+                reference,
+                weights: self.driver.weights(),
+                total: now - began,
+            };
+            if let Some(message) = status.add(&period, now) {
+                self.network.publish(message.encode_to_vec());
+            }
+        }
+        Ok(step)
+    }
+
+    fn decide(&mut self, deadline: Instant, measurement: Measurement) -> Result<Step, ClientError> {
         while let Some(event) = self.network.next(Duration::ZERO) {
             self.tell(event);
         }

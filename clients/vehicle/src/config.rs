@@ -47,6 +47,8 @@ pub struct VehicleConfig {
     /// A zenoh JSON5 file that replaces this client's defaults, for TLS and the like. `connect`, unless empty, replaces
     /// the file's endpoints.
     pub zenoh_file: Option<PathBuf>,
+    /// Whether the client publishes how the vehicle drives, for `egp monitor` and other displays. Default false.
+    pub publish_status: bool,
     /// Single zenoh settings, key path to JSON5 value; they override the defaults or the file.
     pub zenoh: BTreeMap<String, String>,
 }
@@ -67,6 +69,7 @@ impl VehicleConfig {
             connect: connect.iter().map(ToString::to_string).collect(),
             patience: Duration::from_secs(10),
             zenoh_file: None,
+            publish_status: false,
             zenoh: BTreeMap::new(),
         })
     }

@@ -20,6 +20,7 @@
 mod client;
 mod config;
 mod network;
+mod status;
 
 pub use client::{ClientError, VehicleClient};
 pub use config::{KeyFileError, VehicleConfig};

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use egp_driver::{Query, QueryId, Question};
 use egp_wire::keys::{self, Name};
 use thiserror::Error;
+use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::Reply;
 use zenoh::sample::SampleKind;
 use zenoh::{Config, Wait};
@@ -52,6 +53,7 @@ pub(crate) struct Network {
     session: zenoh::Session,
     events: Receiver<Event>,
     sender: Sender<Event>,
+    status: Option<zenoh::pubsub::Publisher<'static>>,
     // This field is never read; while it lives, it reports replicas that come and go.
     _subscriber: zenoh::pubsub::Subscriber<()>,
 }
@@ -79,8 +81,13 @@ impl Network {
             })
             .wait()
             .map_err(|e| NetworkError::new("cannot watch the replicas", &e))?;
+        let status = config
+            .publish_status
+            .then(|| publisher(&session, config))
+            .transpose()?;
         Ok(Self {
             session,
+            status,
             events,
             sender,
             _subscriber: subscriber,
@@ -91,6 +98,14 @@ impl Network {
     pub(crate) fn next(&self, patience: Duration) -> Option<Event> {
         // The channel is never closed, because `self` holds a sender.
         self.events.recv_timeout(patience).ok()
+    }
+
+    /// Publishes how the vehicle drives; the message is dropped if it cannot be sent at once.
+    pub(crate) fn publish(&self, status: Vec<u8>) {
+        if let Some(publisher) = &self.status {
+            // An error means that the session is closed, which the next query reports.
+            let _ = publisher.put(status).wait();
+        }
     }
 
     /// Sends a query, whose answers become events. A query that cannot be sent ends immediately.
@@ -143,6 +158,21 @@ impl Network {
         }
         Ok(None)
     }
+}
+
+/// A publisher of the vehicle's status.
+fn publisher(
+    session: &zenoh::Session,
+    config: &VehicleConfig,
+) -> Result<zenoh::pubsub::Publisher<'static>, NetworkError> {
+    let key = keys::vehicle(&config.driver.fleet, &config.driver.vehicle);
+    session
+        .declare_publisher(key.clone())
+        .encoding("application/protobuf;egp.v1.VehicleStatus")
+        .congestion_control(CongestionControl::Drop)
+        .priority(Priority::DataLow)
+        .wait()
+        .map_err(|e| NetworkError::new(format!("cannot declare {key}"), &e))
 }
 
 /// Reports the end of a query when it is dropped.

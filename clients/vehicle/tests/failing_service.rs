@@ -9,6 +9,10 @@ use egp_service::{Server, ServiceConfig};
 use egp_vehicle::{
     GateLimits, Mode, Outcome, Step, VehicleClient, VehicleConfig, VehicleParameters,
 };
+use egp_wire::keys;
+use egp_wire::proto::VehicleStatus;
+use prost::Message as _;
+use zenoh::Wait as _;
 
 const LIBRARY: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
@@ -54,6 +58,7 @@ impl Vehicle {
     fn connect(endpoints: &[&str]) -> Self {
         let mut config = VehicleConfig::new("test", "car", limits(), endpoints).unwrap();
         config.driver.max_tail_ticks = 5;
+        config.publish_status = true;
         Self {
             client: VehicleClient::connect(&config).unwrap(),
             p_x: 0.0,
@@ -152,6 +157,57 @@ fn another_replica_takes_over_without_a_missed_plan() {
     std::thread::sleep(Duration::from_secs(2)); // until "a" is announced again
     servers[1] = None;
     assert!(vehicle.step().outcome.is_solved());
+}
+
+#[test]
+fn a_vehicle_publishes_its_status_at_most_ten_times_a_second() {
+    let (endpoint, display) = (free_endpoint(), free_endpoint());
+    let server = serve("main", &endpoint);
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("listen/endpoints", format!("[\"{display}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    let session = zenoh::open(config).wait().unwrap();
+    let published = session
+        .declare_subscriber(keys::ALL_VEHICLES)
+        .wait()
+        .unwrap();
+    let mut vehicle = Vehicle::connect(&[&endpoint, &display]);
+    let mut messages = Vec::new();
+    let began = Instant::now();
+    let mut first = None;
+    // The link to the display may open after the first steps.
+    while first.is_none_or(|at: Instant| at.elapsed() < Duration::from_millis(450)) {
+        vehicle.step_until_solved();
+        while let Ok(Some(sample)) = published.try_recv() {
+            assert_eq!(sample.key_expr().as_str(), "egp/v1/@vehicle/test/car");
+            messages.push(VehicleStatus::decode(&*sample.payload().to_bytes()).unwrap());
+            first.get_or_insert(Instant::now());
+        }
+        assert!(began.elapsed() < Duration::from_secs(20));
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert!((2..=6).contains(&messages.len()), "{}", messages.len());
+    let [.., before, last] = messages.as_slice() else {
+        panic!("there are at least two")
+    };
+    assert_eq!(before.run, last.run);
+    let new = last.periods - before.periods;
+    assert_eq!(last.times.len() as u64, new, "every period is told once");
+    assert!(last.times.iter().all(|times| times.total_ms > 0.0));
+    assert_eq!(last.plan.len(), 2 * (vehicle.client.horizon() + 1));
+    assert_eq!(last.members, vehicle.client.members());
+    assert!((last.lateral_error - 0.2).abs() < 1e-12);
+    let step = last.step.as_ref().unwrap();
+    assert_eq!(
+        (&*step.mode, &*step.status, &*step.replica),
+        ("normal", "solved", "main")
+    );
+    assert_eq!(step.weights.len(), last.members.len());
+    server.drain();
 }
 
 #[test]

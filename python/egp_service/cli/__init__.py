@@ -21,6 +21,7 @@ from egp_service.cli.commands.inspect import inspect
 from egp_service.cli.commands.keys import keys
 from egp_service.cli.commands.load import load
 from egp_service.cli.commands.map import keep_map
+from egp_service.cli.commands.monitor import monitor
 from egp_service.cli.commands.replay import replay
 from egp_service.cli.commands.router import router
 from egp_service.cli.commands.serve import serve
@@ -55,6 +56,9 @@ Repeat a recorded run, or see what other settings would have changed:
 As a service for vehicles:
   egp serve library.safetensors --listen tcp/0.0.0.0:7447
 
+Watch vehicles and replicas in the browser:
+  egp monitor
+
 What can be set, and whether this machine is fit:
   egp settings
   egp doctor
@@ -87,6 +91,7 @@ for command in (
     evaluate,
     settings,
     doctor,
+    monitor,
 ):
     app.command(no_args_is_help=False)(command)
 app.command("map")(keep_map)

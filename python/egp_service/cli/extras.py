@@ -14,5 +14,7 @@ EXTRAS: Final = {
     "ray": "cluster",
     "cryptography": "security",
     "gymnasium": "gym",
+    "starlette": "monitor",
+    "uvicorn": "monitor",
 }
 """Name of each package, with the extra that installs it."""

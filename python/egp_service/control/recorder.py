@@ -26,8 +26,9 @@ from mcap_protobuf.schema import register_schema
 
 from egp_service._core import vector_instructions
 from egp_service.control.messages import message_class
+from egp_service.control.step_record import step_record
 from egp_service.control.toml_text import dumps
-from egp_service.quantities import P_X, P_Y, PSI, STATE
+from egp_service.quantities import P_X, P_Y, PSI
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -94,7 +95,7 @@ class Recorder:
         self.encoded("/request", "StepRequest", time, [step.request] if step.request else [])
         replies = [*step.late, *([] if step.reply is None else [step.reply])]
         self.encoded("/reply", "StepReply", time, replies)
-        self.message("/step", _record(step, state, time), time)
+        self.message("/step", step_record(step, state, time), time)
         if np.isfinite(state).all():
             pose = _pose(*state[[P_X, P_Y, PSI]])
             stamp = timestamp(time)
@@ -177,35 +178,4 @@ def _pose(p_x: float, p_y: float, psi: float) -> Pose:
     half = 0.5 * psi
     return Pose(
         position=Vector3(x=p_x, y=p_y), orientation=Quaternion(z=math.sin(half), w=math.cos(half))
-    )
-
-
-def _record(step: Step, state: np.ndarray, time: float) -> Message:
-    """Return the plain numbers of a step."""
-    found = step.friction
-    mean, lower, upper, information = (
-        (math.nan,) * 4
-        if found is None
-        else (found.mean, found.lower, found.upper, found.information)
-    )
-    return message_class("StepRecord")(
-        time=time,
-        **dict(zip(STATE, state.tolist(), strict=True)),
-        force=float(step.u[0]),
-        steering_rate=float(step.u[1]),
-        mode=step.mode,
-        status=step.status,
-        detail=step.detail,
-        limited=step.limited,
-        lost=step.lost,
-        weights=step.weights.tolist(),
-        friction_mean=mean,
-        friction_lower=lower,
-        friction_upper=upper,
-        friction_information=information,
-        envelope_distance=step.envelope_distance,
-        total_ms=1e3 * step.timings.total,
-        queue_ms=1e3 * step.timings.queue,
-        compute_ms=1e3 * step.timings.compute,
-        replica=step.replica,
     )

@@ -190,6 +190,11 @@ class StepController(ABC):
         decision = self._decide(start, budget, (rows(x), rows(reference), edges, road))
         return Step.of(decision, self._driver.weights, time.monotonic() - start)
 
+    @property
+    def deadline(self) -> float:
+        """Time that a step may take unless its call states another one, s."""
+        return self._driver.budget
+
     @abstractmethod
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
         """Decide the period that began at `start` of the monotonic clock, within `budget` s."""

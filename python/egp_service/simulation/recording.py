@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from google.protobuf.message import Message
+
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
     from egp_service.simulation.trace import Period
@@ -38,20 +40,25 @@ class Recording:
 
     def add(self, period: Period) -> None:
         """Record one control period."""
-        truth, step = period.truth, period.step
-        self._recorder.add(step, period.measured, truth.time)
-        message = message_class("PlantTruth")(
-            time=truth.time,
-            **dict(zip(STATE, truth.x.tolist(), strict=True)),
-            force=float(step.u[0]),
-            steering_rate=float(step.u[1]),
-            friction=truth.friction,
-            path_s=truth.path_s,
-            lateral_error=truth.lateral_error,
-            heading_error=truth.heading_error,
-            speed_reference=truth.speed_reference,
-            mode=step.mode,
-            weights=step.weights.tolist(),
-            friction_planned=truth.friction_planned,
-        )
-        self._recorder.message("/plant", message, truth.time)
+        truth = period.truth
+        self._recorder.add(period.step, period.measured, truth.time)
+        self._recorder.message("/plant", plant_truth(period), truth.time)
+
+
+def plant_truth(period: Period) -> Message:
+    """Return the simulated truth of a control period as the message `PlantTruth`."""
+    truth, step = period.truth, period.step
+    return message_class("PlantTruth")(
+        time=truth.time,
+        **dict(zip(STATE, truth.x.tolist(), strict=True)),
+        force=float(step.u[0]),
+        steering_rate=float(step.u[1]),
+        friction=truth.friction,
+        path_s=truth.path_s,
+        lateral_error=truth.lateral_error,
+        heading_error=truth.heading_error,
+        speed_reference=truth.speed_reference,
+        mode=step.mode,
+        weights=step.weights.tolist(),
+        friction_planned=truth.friction_planned,
+    )

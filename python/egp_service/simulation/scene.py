@@ -18,9 +18,11 @@ from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrim
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
 from egp_service._core import VehicleParameters
+from egp_service.control.messages import message_class
 from egp_service.control.recorder import MAP, VEHICLE, timestamp
 
 if TYPE_CHECKING:
+    from google.protobuf.message import Message
     from numpy.typing import NDArray
 
     from egp_service._core import Path
@@ -40,11 +42,7 @@ def road_scene(path: Path, vehicle: int) -> SceneUpdate:
 
     The car is drawn in the frame `vehicle`, the road in the frame `map`.
     """
-    s = np.linspace(0.0, path.length, max(2, 1 + round(path.length / SPACING)))
-    x, y, yaw, _, left, right, friction = path.sample(s)
-    centre, normal = np.column_stack([x, y]), np.column_stack([-np.sin(yaw), np.cos(yaw)])
-    lefts = centre + normal * np.where(np.isfinite(left), left, FREE)[:, None]
-    rights = centre - normal * np.where(np.isfinite(right), right, FREE)[:, None]
+    centre, lefts, rights, friction = _outline(path)
     ink = Color(r=0.12, g=0.16, b=0.22, a=1.0)
     white = Color(r=1.0, g=1.0, b=1.0, a=0.9)
     road = SceneEntity(
@@ -56,6 +54,29 @@ def road_scene(path: Path, vehicle: int) -> SceneUpdate:
         texts=_labels(centre, friction, ink),
     )
     return SceneUpdate(entities=[road, _car(vehicle)])
+
+
+def vehicle_road(path: Path) -> Message:
+    """Return the road as the message `VehicleRoad`, which displays draw."""
+    _, lefts, rights, friction = _outline(path)
+    return message_class("VehicleRoad")(
+        version=1,
+        left_x=lefts[:, 0],
+        left_y=lefts[:, 1],
+        right_x=rights[:, 0],
+        right_y=rights[:, 1],
+        friction=friction,
+    )
+
+
+def _outline(path: Path) -> tuple[NDArray[np.float64], ...]:
+    """Give centre, left and right edge (n, 2) and friction (n,) of a path."""
+    s = np.linspace(0.0, path.length, max(2, 1 + round(path.length / SPACING)))
+    x, y, yaw, _, left, right, friction = path.sample(s)
+    centre, normal = np.column_stack([x, y]), np.column_stack([-np.sin(yaw), np.cos(yaw)])
+    lefts = centre + normal * np.where(np.isfinite(left), left, FREE)[:, None]
+    rights = centre - normal * np.where(np.isfinite(right), right, FREE)[:, None]
+    return centre, lefts, rights, friction
 
 
 def _car(vehicle: int) -> SceneEntity:

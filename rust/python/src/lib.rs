@@ -122,10 +122,15 @@ mod _core {
         #[pymodule_export]
         const LIVE_KEYS: &str = egp_wire::keys::ALL_LIVE;
         #[pymodule_export]
+        const LOAD_KEYS: &str = egp_wire::keys::ALL_LOADS;
+        #[pymodule_export]
+        const VEHICLE_KEYS: &str = egp_wire::keys::ALL_VEHICLES;
+        #[pymodule_export]
         use crate::wire::{
             Friction, Refusal, Replica, Reply, Request, decode_error, decode_ready, decode_reply,
             decode_request, decode_timing, file_descriptor_set, health_key, live_key, metrics_key,
-            ready_key, replica_of_live, step_key,
+            publishing_vehicle, ready_key, replica_of_live, replica_of_load, step_key, vehicle_key,
+            vehicle_road_key,
         };
     }
 

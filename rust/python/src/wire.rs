@@ -261,3 +261,28 @@ pub fn live_key(replica: &str) -> PyResult<String> {
 pub fn replica_of_live(key: &str) -> Option<String> {
     keys::replica_of_live(key).map(|replica| replica.to_string())
 }
+
+/// Name of the replica that publishes its load on this key, or None.
+#[pyfunction]
+pub fn replica_of_load(key: &str) -> Option<String> {
+    keys::replica_of_load(key).map(|replica| replica.to_string())
+}
+
+/// The key on which a vehicle publishes its status.
+#[pyfunction]
+pub fn vehicle_key(fleet: &str, vehicle: &str) -> PyResult<String> {
+    Ok(keys::vehicle(&name(fleet)?, &name(vehicle)?))
+}
+
+/// The key on which a vehicle answers its road.
+#[pyfunction]
+pub fn vehicle_road_key(fleet: &str, vehicle: &str) -> PyResult<String> {
+    Ok(keys::vehicle_road(&name(fleet)?, &name(vehicle)?))
+}
+
+/// Fleet and name of the vehicle that publishes its status on this key, or None.
+#[pyfunction]
+pub fn publishing_vehicle(key: &str) -> Option<(String, String)> {
+    let (fleet, vehicle) = keys::publishing_vehicle(key)?;
+    Some((fleet.to_string(), vehicle.to_string()))
+}

@@ -10,11 +10,18 @@ use thiserror::Error;
 const PREFIX: &str = "egp/v1/r/";
 const LIVE: &str = "egp/v1/@live/";
 const LOAD: &str = "egp/v1/@load/";
+const VEHICLE: &str = "egp/v1/@vehicle/";
 const STEP: &str = "/step";
 const NAME_MAX: usize = 64;
 
 /// Matches the liveliness tokens of all replicas.
 pub const ALL_LIVE: &str = "egp/v1/@live/*";
+
+/// Matches the publications of all replicas' [`crate::Load`].
+pub const ALL_LOADS: &str = "egp/v1/@load/*";
+
+/// Matches the publications of all vehicles' [`crate::proto::VehicleStatus`].
+pub const ALL_VEHICLES: &str = "egp/v1/@vehicle/*/*";
 
 /// The text is not a name.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -93,6 +100,27 @@ pub fn replica_of_live(key: &str) -> Option<Name> {
     key.strip_prefix(LIVE)?.parse().ok()
 }
 
+/// The replica that publishes its [`crate::Load`] on this key.
+pub fn replica_of_load(key: &str) -> Option<Name> {
+    key.strip_prefix(LOAD)?.parse().ok()
+}
+
+/// The key on which a vehicle publishes its [`crate::proto::VehicleStatus`].
+pub fn vehicle(fleet: &Name, vehicle: &Name) -> String {
+    format!("{VEHICLE}{fleet}/{vehicle}")
+}
+
+/// The key on which a vehicle answers its [`crate::proto::VehicleRoad`].
+pub fn vehicle_road(fleet: &Name, vehicle: &Name) -> String {
+    format!("{VEHICLE}{fleet}/{vehicle}/road")
+}
+
+/// Fleet and name of the vehicle that publishes its status on this key.
+pub fn publishing_vehicle(key: &str) -> Option<(Name, Name)> {
+    let (fleet, vehicle) = key.strip_prefix(VEHICLE)?.split_once('/')?;
+    Some((fleet.parse().ok()?, vehicle.parse().ok()?))
+}
+
 /// The purpose of a query under a replica's prefix.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Target {
@@ -143,6 +171,8 @@ mod tests {
         assert_eq!(metrics(&main), "egp/v1/r/main/metrics");
         assert_eq!(live(&main), "egp/v1/@live/main");
         assert_eq!(load(&main), "egp/v1/@load/main");
+        assert_eq!(vehicle(&main, &main), "egp/v1/@vehicle/main/main");
+        assert_eq!(vehicle_road(&main, &main), "egp/v1/@vehicle/main/main/road");
     }
 
     #[test]
@@ -154,7 +184,10 @@ mod tests {
         );
         assert_eq!(
             parse(&step(&here, &fleet, &vehicle)),
-            Some(Target::Step { fleet, vehicle })
+            Some(Target::Step {
+                fleet: fleet.clone(),
+                vehicle: vehicle.clone()
+            })
         );
         assert_eq!(parse(&ready(&here)), Some(Target::Ready));
         assert_eq!(parse(&health(&here)), Some(Target::Health));
@@ -162,7 +195,13 @@ mod tests {
         assert_eq!(parse(&replica(&here)), None);
         assert_eq!(parse("egp/v1/r/r1/depot/step"), None);
         assert_eq!(parse("egp/v1/r/r1/a/b/c/step"), None);
-        assert_eq!(replica_of_live(&live(&here)), Some(here));
+        assert_eq!(replica_of_live(&live(&here)), Some(here.clone()));
+        assert_eq!(replica_of_load(&load(&here)), Some(here));
+        assert_eq!(
+            publishing_vehicle(&super::vehicle(&fleet, &vehicle)),
+            Some((fleet.clone(), vehicle.clone()))
+        );
+        assert_eq!(publishing_vehicle(&vehicle_road(&fleet, &vehicle)), None);
     }
 
     #[test]

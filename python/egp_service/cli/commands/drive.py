@@ -65,6 +65,10 @@ def drive(
     vehicle: Annotated[
         str | None, typer.Option(help="Name of the car, unique in the fleet.")
     ] = None,
+    monitor: Annotated[
+        str | None,
+        typer.Option(help="Endpoint of a live page (`egp monitor`), such as tcp/127.0.0.1:7449."),
+    ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
         "runs"
     ),
@@ -83,7 +87,9 @@ def drive(
       egp drive --plant my_simulator:Car
       egp drive -s random --road random.road    (and once more: faster)
       egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-2
+      egp drive --monitor tcp/127.0.0.1:7449    (with `egp monitor` running)
     """
+    from egp_service.cli.publication import publication
     from egp_service.cli.status_line import StatusLine
     from egp_service.cli.tables import summary_table
     from egp_service.simulation.reference import load_belief, store_belief
@@ -105,6 +111,7 @@ def drive(
         _controller(
             chosen, in_process=in_process, connect=connect, vehicle=vehicle, zenoh=zenoh, key=key
         ) as controller,
+        publication(chosen, controller, monitor, vehicle or "vehicle-1") as publish,
     ):
         folder = new_folder(output, chosen.name)
         with StatusLine(console) as line:
@@ -112,6 +119,7 @@ def drive(
             def observe(period: "Period") -> None:
                 line.show(chosen.name, period)
                 exchange()
+                publish(period)
 
             run = record_run(chosen, controller, folder, observe, belief)
     if road is not None:

@@ -1,0 +1,58 @@
+"""`egp monitor`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def monitor(
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Endpoint of a service or router; repeat for more. By default "
+            "tcp/127.0.0.1:7447, where `egp serve` listens."
+        ),
+    ] = None,
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(help="Endpoint for vehicles that connect. By default tcp/127.0.0.1:7449."),
+    ] = None,
+    *,
+    zenoh: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Configuration of zenoh (JSON5), with TLS and keys."),
+    ] = None,
+    host: Annotated[
+        str, typer.Option(help="Address of the page; only this machine reaches the default.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the page; 0 takes a free one.")
+    ] = 8642,
+) -> None:
+    """Show vehicles and replicas on a live page in the browser.
+
+    The page has the state of the fleet and, for one vehicle, map, grip, weights,
+    times, commands and errors (docs/monitor.md). It shows whatever publishes to
+    the endpoints, loads nothing from elsewhere, and controls nothing. It runs
+    until Ctrl-C or SIGTERM.
+
+    For example:
+      egp monitor          (then open http://127.0.0.1:8642)
+      egp drive --monitor tcp/127.0.0.1:7449 --vehicle car-1
+    """
+    from egp_service.control.endpoints import check_free
+    from egp_service.control.status import MONITOR_ENDPOINT
+    from egp_service.monitor.web import bind, serve
+
+    given = zenoh is not None
+    connected = connect or ([] if given else ["tcp/127.0.0.1:7447"])
+    listening = listen or ([] if given else [MONITOR_ENDPOINT])
+    check_free(listening)
+    with bind(host, port) as bound:
+        from egp_service.monitor.listener import Listener
+
+        with Listener(connected, listening, zenoh) as listener:
+            shown = f"[{host}]" if ":" in host else host
+            typer.echo(f"Live page: http://{shown}:{bound.getsockname()[1]}  (Ctrl-C ends it)")
+            serve(listener, bound, host)

@@ -1,0 +1,42 @@
+"""The publication of a simulated vehicle's state for `egp monitor`."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from egp_service.control.status import StatusPublisher
+from egp_service.simulation.course import build_path
+from egp_service.simulation.recording import plant_truth
+from egp_service.simulation.scene import vehicle_road
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from egp_service.control.step import StepController
+    from egp_service.simulation.scenario import Scenario
+    from egp_service.simulation.trace import Period
+
+
+@contextmanager
+def publication(
+    scenario: Scenario, controller: StepController, endpoint: str | None, vehicle: str
+) -> Iterator[Callable[[Period], None]]:
+    """Give what to call with each period; without an endpoint it does nothing."""
+    if endpoint is None:
+        yield lambda _: None
+        return
+    road = vehicle_road(build_path(scenario))
+    with StatusPublisher(controller, endpoint, vehicle=vehicle, road=road) as status:
+
+        def publish(period: Period) -> None:
+            truth = period.truth
+            status.add(
+                period.step,
+                period.measured,
+                truth.time,
+                lateral_error=truth.lateral_error,
+                truth=plant_truth(period),
+            )
+
+        yield publish

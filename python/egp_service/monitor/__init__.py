@@ -1,0 +1,1 @@
+"""The live page of vehicles and replicas, served to browsers on this machine."""

@@ -1,0 +1,151 @@
+"""What the monitor keeps of vehicles and replicas, from the messages that they publish."""
+
+from __future__ import annotations
+
+import json
+import time as clock
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from google.protobuf.message import DecodeError
+
+from egp_service.control.messages import message_class
+from egp_service.monitor.vehicle import Json, VehicleRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+FORGET_SECONDS: Final = 600.0
+"""Vehicles and replicas that were not seen for this time leave the page."""
+_LOAD_SECONDS: Final = 1.25
+"""A replica publishes its load twice a second; after this time it counts as silent."""
+_EVENTS: Final = 200
+_NAMED: Final = 3
+_MOST_VEHICLES: Final = 1000
+"""Messages of further vehicles are ignored, so that strangers cannot fill the memory."""
+
+
+@dataclass(slots=True)
+class Replica:
+    """A replica of the service."""
+
+    name: str
+    alive: bool
+    last_seen: float
+    load: Json
+
+    def state(self, now: float) -> str:
+        """Give `serving`, `silent` or `gone`."""
+        if not self.alive:
+            return "gone"
+        return "silent" if now - self.last_seen > _LOAD_SECONDS else "serving"
+
+    def row(self, now: float) -> Json:
+        """Give what the page shows."""
+        age = round(max(now - self.last_seen, 0.0), 1)
+        return {"name": self.name, "state": self.state(now), "age": age, **self.load}
+
+
+class Fleet:
+    """Vehicles and replicas by name; times are those of the monotonic clock, in s."""
+
+    def __init__(self) -> None:
+        """Begin without vehicles and replicas."""
+        self.vehicles: dict[str, VehicleRecord] = {}
+        self.replicas: dict[str, Replica] = {}
+        self.events: deque[Json] = deque(maxlen=_EVENTS)
+        self.happened = 0
+        self._states: dict[tuple[str, str], str] = {}
+
+    def status(self, name: str, payload: bytes, now: float) -> None:
+        """Keep a vehicle's message `VehicleStatus`; one that cannot be decoded is ignored."""
+        status = message_class("VehicleStatus")()
+        try:
+            status.ParseFromString(payload)
+        except DecodeError:
+            return
+        known = self.vehicles.get(name)
+        if known is not None:
+            known.add(status, now)
+        elif len(self.vehicles) < _MOST_VEHICLES:
+            self.vehicles[name] = VehicleRecord(name, status, now)
+
+    def road(self, name: str, payload: bytes) -> None:
+        """Keep the road of a vehicle, a message `VehicleRoad`."""
+        road = message_class("VehicleRoad")()
+        try:
+            road.ParseFromString(payload)
+        except DecodeError:
+            return
+        columns = {
+            name: [round(value, 2) for value in getattr(road, name)]
+            for name in ("left_x", "left_y", "right_x", "right_y", "friction")
+        }
+        if name in self.vehicles and len({len(column) for column in columns.values()}) == 1:
+            self.vehicles[name].road = dict(columns)
+
+    def load(self, name: str, payload: bytes, now: float) -> None:
+        """Keep a replica's message `Load`."""
+        load = message_class("Load")()
+        try:
+            load.ParseFromString(payload)
+        except DecodeError:
+            return
+        replica = self.replicas.setdefault(name, Replica(name, alive=True, last_seen=now, load={}))
+        replica.alive, replica.last_seen = True, now
+        replica.load = {
+            "queued": load.queued,
+            "busy": load.busy,
+            "workers": load.workers,
+            "step_ms": round(1e-3 * load.step_us, 2),
+        }
+
+    def token(self, name: str, now: float, *, appeared: bool) -> None:
+        """Note that a replica's liveliness token appeared or disappeared."""
+        replica = self.replicas.setdefault(name, Replica(name, appeared, now, {}))
+        replica.alive, replica.last_seen = appeared, now
+
+    def update(self, now: float) -> None:
+        """Note changes of state as events, and forget what was not seen for long."""
+        for name in _unseen(self.vehicles.items(), now):
+            del self.vehicles[name]
+        for name in _unseen(self.replicas.items(), now):
+            del self.replicas[name]
+        changed: dict[tuple[str, str], list[str]] = {}
+        states: dict[tuple[str, str], str] = {}
+        for kind, records in (("replica", self.replicas), ("vehicle", self.vehicles)):
+            for name, record in records.items():
+                state = states[kind, name] = record.state(now)
+                if self._states.get((kind, name)) != state:
+                    changed.setdefault((kind, state), []).append(name)
+        self._states = states
+        for (kind, state), names in changed.items():
+            self._tell(kind, state, names)
+
+    def _tell(self, kind: str, state: str, names: list[str]) -> None:
+        listed = ", ".join(names[:_NAMED])
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        event: Json = {"at": round(clock.time(), 1), "kind": kind, "state": state}
+        self.events.append(event | {"names": listed + more, "number": self.happened})
+        self.happened += 1
+
+    def snapshot(self, now: float) -> str:
+        """Give the rows of all vehicles and replicas as JSON."""
+        serves: dict[str, int] = {}
+        rows = [vehicle.row(now) for vehicle in self.vehicles.values()]
+        for row in rows:
+            if row["state"] in {"normal", "tail"}:
+                serves[str(row["replica"])] = serves.get(str(row["replica"]), 0) + 1
+        replicas = [
+            replica.row(now) | {"vehicles": serves.get(replica.name, 0)}
+            for replica in self.replicas.values()
+        ]
+        return json.dumps({"now": round(now, 3), "vehicles": rows, "replicas": replicas})
+
+
+def _unseen(
+    records: Iterable[tuple[str, VehicleRecord]] | Iterable[tuple[str, Replica]], now: float
+) -> Iterator[str]:
+    """Give the names of records that are to be forgotten."""
+    yield from [name for name, record in records if now - record.last_seen > FORGET_SECONDS]

@@ -1,0 +1,117 @@
+"""The zenoh session of the monitor, and its events in order as calls of a fleet."""
+
+from __future__ import annotations
+
+import queue
+import time
+from typing import TYPE_CHECKING, Self
+
+import zenoh
+
+from egp_service._core import (
+    LIVE_KEYS,
+    LOAD_KEYS,
+    VEHICLE_KEYS,
+    EgpError,
+    publishing_vehicle,
+    replica_of_live,
+    replica_of_load,
+    vehicle_road_key,
+)
+from egp_service.control.client import session_config
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from egp_service.monitor.fleet import Fleet
+
+_CONNECT_SECONDS = 1.0
+_ROAD_SECONDS = 2.0
+
+
+class Listener:
+    """Follows vehicles and replicas; a context manager."""
+
+    def __init__(
+        self, connect: Sequence[str], listen: Sequence[str], zenoh_file: Path | None = None
+    ) -> None:
+        """Connect to services or routers at `connect`, and let vehicles connect to `listen`.
+
+        Endpoints that cannot be reached are tried again and again. `zenoh_file` is a configuration
+        of zenoh in JSON5, whose endpoints are replaced by those that are given. Raises
+        `InvalidArgumentError` for a configuration that cannot be used, and `EgpError` if zenoh
+        opens no session.
+        """
+        more = {"listen/endpoints": list(listen)} if listen else {}
+        self._inbox: queue.SimpleQueue[Callable[[Fleet], None]] = queue.SimpleQueue()
+        try:
+            self._session = zenoh.open(session_config(connect, _CONNECT_SECONDS, more, zenoh_file))
+        except zenoh.ZError as error:
+            raise EgpError(
+                f"zenoh cannot open a session: {error}; is {', '.join(listen)} in use? "
+                "Choose another endpoint with --listen"
+            ) from error
+        direct = zenoh.handlers.Callback
+        self._declared = [
+            self._session.declare_subscriber(
+                VEHICLE_KEYS, direct(self._on_vehicle, indirect=False)
+            ),
+            self._session.declare_subscriber(LOAD_KEYS, direct(self._on_load, indirect=False)),
+            self._session.liveliness().declare_subscriber(
+                LIVE_KEYS, direct(self._on_token, indirect=False), history=True
+            ),
+        ]
+
+    def deliver(self, fleet: Fleet) -> None:
+        """Tell the fleet what has come since the last call, and ask for missing roads."""
+        for _ in range(self._inbox.qsize()):
+            self._inbox.get()(fleet)
+        now = time.monotonic()
+        for vehicle in fleet.vehicles.values():
+            if vehicle.wants_road(now):
+                self._ask_road(vehicle.name)
+
+    def close(self) -> None:
+        """Close the session."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        """Use as a context manager to close at the end."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
+    def _on_vehicle(self, sample: zenoh.Sample) -> None:
+        found = publishing_vehicle(str(sample.key_expr))
+        if found is not None:
+            now, name, payload = time.monotonic(), "/".join(found), sample.payload.to_bytes()
+            self._inbox.put(lambda fleet: fleet.status(name, payload, now))
+
+    def _on_load(self, sample: zenoh.Sample) -> None:
+        replica = replica_of_load(str(sample.key_expr))
+        if replica is not None:
+            now, payload = time.monotonic(), sample.payload.to_bytes()
+            self._inbox.put(lambda fleet: fleet.load(replica, payload, now))
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        replica = replica_of_live(str(sample.key_expr))
+        if replica is not None:
+            now, appeared = time.monotonic(), sample.kind == zenoh.SampleKind.PUT
+            self._inbox.put(lambda fleet: fleet.token(replica, now, appeared=appeared))
+
+    def _ask_road(self, name: str) -> None:
+        fleet_name, _, vehicle = name.partition("/")
+
+        def deliver(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                payload = reply.ok.payload.to_bytes()
+                self._inbox.put(lambda fleet: fleet.road(name, payload))
+
+        self._session.get(
+            vehicle_road_key(fleet_name, vehicle),
+            zenoh.handlers.Callback(deliver, indirect=False),
+            timeout=_ROAD_SECONDS,
+        )

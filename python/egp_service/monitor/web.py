@@ -1,0 +1,160 @@
+"""The web server of the live page: static files, and a stream of events for each open page.
+
+The page makes no request beyond this server; its content security policy lets the browser enforce
+that.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import socket
+import time
+from importlib import resources
+from typing import TYPE_CHECKING, Final
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.responses import StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from egp_service._core import EgpError
+from egp_service.monitor.fleet import Fleet
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+
+    from starlette.requests import Request
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+    from egp_service.monitor.listener import Listener
+
+PAGE = resources.files("egp_service.monitor") / "page"
+REFRESH_SECONDS: Final = 0.1
+RETRY_MS: Final = 300
+"""Time after which a page connects again to a monitor that ended."""
+_LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
+_HEADERS: Final = [
+    (b"content-security-policy", b"default-src 'self'; frame-ancestors 'none'; base-uri 'none'"),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cache-control", b"no-cache"),
+]
+
+
+class _Refresh:
+    """Updates the fleet ten times a second and tells the open pages."""
+
+    def __init__(self, listener: Listener, ended: Callable[[], bool]) -> None:
+        self.fleet = Fleet()
+        self.snapshot = ""
+        self.ended = ended
+        self._listener = listener
+        self._pages = 0
+        self._tick = asyncio.Event()
+
+    async def run(self) -> None:
+        """Update until the server ends."""
+        while not self.ended():
+            now = time.monotonic()
+            self._listener.deliver(self.fleet)
+            self.fleet.update(now)
+            if self._pages:
+                self.snapshot = self.fleet.snapshot(now)
+            self._tick.set()
+            self._tick = asyncio.Event()
+            await asyncio.sleep(max(0.0, now + REFRESH_SECONDS - time.monotonic()))
+        self._tick.set()
+
+    async def stream(self, selected: str) -> AsyncIterator[str]:
+        """Give the events of one page that shows the vehicle `selected`."""
+        self._pages += 1
+        run, sampled, happened, road_sent = "", 0, 0, False
+        yield f"retry: {RETRY_MS}\n\n"
+        try:
+            while True:
+                await self._tick.wait()
+                if self.ended():
+                    return
+                fleet = self.fleet
+                parts = [f'"fleet":{self.snapshot}'] if self.snapshot else []
+                events = [event for event in fleet.events if int(str(event["number"])) >= happened]
+                happened = fleet.happened
+                if events:
+                    parts.append(f'"events":{json.dumps(events)}')
+                vehicle = fleet.vehicles.get(selected)
+                if vehicle is not None:
+                    detail, count = vehicle.detail(sampled)
+                    if detail["run"] != run:
+                        run, road_sent = str(detail["run"]), False
+                        detail, count = vehicle.detail(0)
+                        detail["begin"] = True
+                    sampled = count
+                    if vehicle.road is not None and not road_sent:
+                        detail["road"], road_sent = vehicle.road, True
+                    parts.append(f'"detail":{json.dumps(detail)}')
+                yield f"data: {{{','.join(parts)}}}\n\n"
+        finally:
+            self._pages -= 1
+
+
+class _Headers:
+    """Adds the security headers to every response."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message["headers"], *_HEADERS]
+            await send(message)
+
+        await self._app(scope, receive, with_headers)
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """Listen on `host` and `port`, 0 being any free port; raises `EgpError` if that fails."""
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        return socket.create_server((host, port), family=family)
+    except (OSError, OverflowError) as error:
+        raise EgpError(
+            f"cannot serve the page on {host} port {port}: {error}; choose another one with "
+            "--host and --port"
+        ) from error
+
+
+def serve(listener: Listener, bound: socket.socket, host: str) -> None:
+    """Serve the page until SIGTERM or SIGINT.
+
+    On a loopback address only requests that name it as their host are answered, so that a foreign
+    page cannot read the data by a name that resolves to this machine.
+    """
+    refresh: _Refresh
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        nonlocal refresh
+        refresh = _Refresh(listener, lambda: server.should_exit)
+        task = asyncio.create_task(refresh.run())
+        yield
+        task.cancel()
+
+    async def events(request: Request) -> StreamingResponse:
+        chosen = request.query_params.get("vehicle", "")
+        return StreamingResponse(refresh.stream(chosen), media_type="text/event-stream")
+
+    hosts = list(_LOOPBACK) if host in _LOOPBACK else ["*"]
+    app = Starlette(
+        routes=[Route("/events", events), Mount("/", StaticFiles(directory=str(PAGE), html=True))],
+        middleware=[Middleware(_Headers), Middleware(TrustedHostMiddleware, allowed_hosts=hosts)],
+        lifespan=lifespan,
+    )
+    config = uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=1, ws="none")
+    server = uvicorn.Server(config)
+    server.run(sockets=[bound])

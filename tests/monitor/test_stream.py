@@ -1,0 +1,143 @@
+"""The monitor without a browser: what it keeps, and what its server answers."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import signal
+import time
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+import pytest
+
+from egp_service._core import EgpError, InvalidArgumentError
+from egp_service.control.messages import message_class
+from egp_service.monitor.fleet import FORGET_SECONDS, Fleet
+from egp_service.monitor.web import bind
+from monitor.conftest import MonitorProcess, free_port
+from monitor.simulated_fleet import SimulatedFleet
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+MODES = ("normal", "tail", "stop")
+
+
+def status(mode: str = "normal", *, run: int = 1, total: float = 5.0, ended: bool = False) -> bytes:
+    """Make a message with two periods, one of which missed unless the mode is normal."""
+    times = message_class("PeriodTimes")
+    message = message_class("VehicleStatus")(
+        version=1,
+        run=run,
+        dt=0.05,
+        deadline_ms=40.0,
+        step=message_class("StepRecord")(mode=mode, replica="main", friction_mean=float("nan")),
+        times=[times(total_ms=total), times(total_ms=total, missed=mode != "normal")],
+        ended=ended,
+    )
+    payload: bytes = message.SerializeToString()
+    return payload
+
+
+def states(fleet: Fleet, now: float) -> dict[str, str]:
+    fleet.update(now)
+    rows = json.loads(fleet.snapshot(now))
+    return {
+        row.get("id") or row["name"]: row["state"] for row in rows["vehicles"] + rows["replicas"]
+    }
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_vehicle_has_the_state_of_its_newest_message_until_it_is_silent(mode: str) -> None:
+    fleet = Fleet()
+    fleet.status("f/car", status(mode), 10.0)
+    assert states(fleet, 10.9) == {"f/car": mode}
+    assert states(fleet, 11.1) == {"f/car": "silent"}
+    fleet.status("f/car", status(ended=True), 12.0)
+    assert states(fleet, 50.0) == {"f/car": "ended"}
+    assert states(fleet, 12.1 + FORGET_SECONDS) == {}
+    assert [event["state"] for event in fleet.events][-2:] == ["silent", "ended"]
+
+
+def test_misses_and_the_quantile_count_every_period_of_this_run() -> None:
+    fleet = Fleet()
+    for i in range(99):
+        fleet.status("f/car", status(), float(i))
+    fleet.status("f/car", status("tail", total=90.0), 99.0)
+    (row,) = json.loads(fleet.snapshot(99.0))["vehicles"]
+    assert (row["misses"], row["periods"], row["p99"]) == (1, 200, pytest.approx(5.0, abs=2.0))
+    fleet.status("f/car", status(run=2), 99.1)
+    (row,) = json.loads(fleet.snapshot(99.2))["vehicles"]
+    assert (row["misses"], row["periods"]) == (0, 2)
+
+
+def test_a_replica_is_silent_without_load_and_gone_without_token() -> None:
+    fleet, load = Fleet(), message_class("Load")(workers=2, busy=1, step_us=1500)
+    fleet.token("main", 0.0, appeared=True)
+    fleet.load("main", load.SerializeToString(), 1.0)
+    assert states(fleet, 2.0) == {"main": "serving"}
+    assert states(fleet, 2.5) == {"main": "silent"}
+    fleet.token("main", 3.0, appeared=False)
+    assert states(fleet, 3.0) == {"main": "gone"}
+    (row,) = json.loads(fleet.snapshot(3.0))["replicas"]
+    assert (row["workers"], row["step_ms"]) == (2, 1.5)
+
+
+def test_bytes_that_are_no_message_change_nothing() -> None:
+    fleet = Fleet()
+    fleet.status("f/car", status(), 0.0)
+    fleet.status("f/car", b"\xff\xff", 5.0)
+    fleet.status("f/other", b"\xff\xff", 5.0)
+    fleet.load("main", b"\xff\xff", 5.0)
+    fleet.road("f/car", b"\xff\xff")
+    assert states(fleet, 0.5) == {"f/car": "normal"}
+
+
+@pytest.fixture(scope="module")
+def monitor() -> Iterator[MonitorProcess]:
+    found = MonitorProcess(f"tcp/127.0.0.1:{free_port()}")  # nothing listens there
+    found.start()
+    yield found
+    assert found.end(signal.SIGTERM) == 128 + signal.SIGTERM
+
+
+def request(monitor: MonitorProcess, path: str, **headers: str) -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection(urlsplit(monitor.url).netloc, timeout=5.0)
+    connection.request("GET", path, headers={"Connection": "close", **headers})
+    return connection.getresponse()
+
+
+def test_a_published_vehicle_reaches_the_stream_with_its_road(monitor: MonitorProcess) -> None:
+    fleet = SimulatedFleet(monitor.listen, 1, laps=0.02)
+    end = time.monotonic() + 5.0
+    found: dict[str, object] = {}
+    with request(monitor, "/events?vehicle=default/car-1") as answer:
+        stream = (json.loads(line[6:]) for line in answer if line.startswith(b"data: "))
+        while not {"road", "samples"} <= found.keys():
+            tick = iter((True, True, True, True, True, False))
+            fleet.publish(lambda tick=tick: next(tick))  # type: ignore[misc]
+            found |= next(stream).get("detail", {})
+            assert time.monotonic() < end
+        fleet.close()
+        while next(stream)["fleet"]["vehicles"][0]["state"] != "ended":
+            assert time.monotonic() < end
+    road = found["road"]
+    assert isinstance(road, dict)
+    assert len(road["left_x"]) == len(road["friction"]) > 100
+
+
+def test_the_server_forbids_foreign_content_and_foreign_names(monitor: MonitorProcess) -> None:
+    with request(monitor, "/") as answer:
+        assert answer.status == http.HTTPStatus.OK
+        assert "default-src 'self'" in (answer.getheader("content-security-policy") or "")
+        assert b"http" not in answer.read()
+    with request(monitor, "/", Host="elsewhere.example") as answer:
+        assert answer.status == http.HTTPStatus.BAD_REQUEST
+
+
+def test_addresses_that_cannot_be_used_are_named() -> None:
+    with bind("127.0.0.1", 0) as taken, pytest.raises(EgpError, match="--port"):
+        bind("127.0.0.1", taken.getsockname()[1])
+    with pytest.raises(InvalidArgumentError, match="did you mean"):
+        SimulatedFleet("127.0.0.1:7449", 1, laps=0.02)
