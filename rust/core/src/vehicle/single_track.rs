@@ -15,9 +15,8 @@ pub const SLOWEST: f64 = 3.0;
 /// at 0.39 rad in the table of `docs/surfaces.md`. Where a fitted force peaks beyond this, the force is nearly constant.
 pub const LARGEST_PEAK_SLIP: f64 = 0.4;
 
-/// `F_x / m` in units of `g D_x` with which a vehicle reaches 97 % of its largest acceleration. With 1.5 the
-/// braking of a road of 0.5 is cut to 0.47 g by the shipped library, whose fitted `D_x` under braking is 0.31.
-const SATURATED: f64 = 1.7;
+/// `F_x / m` in units of `g D_x` with which a vehicle reaches 96 % of its largest acceleration.
+const SATURATED: f64 = 1.5;
 
 /// Number of parameters of a [`SingleTrack`].
 pub const SINGLE_TRACK_PARAMETERS: usize = 17;
@@ -152,8 +151,8 @@ impl SingleTrack {
         peak.min(LARGEST_PEAK_SLIP)
     }
 
-    /// Accelerations `F_x / m` in m/s², under drive and under braking, beyond which a larger force adds hardly anything: 1.7
-    /// times `g D_x`, with which the vehicle reaches 97 % of its largest acceleration.
+    /// Accelerations `F_x / m` in m/s², under drive and under braking, beyond which a larger force adds hardly anything: 1.5
+    /// times `g D_x`, with which the vehicle reaches 96 % of its largest acceleration.
     pub fn largest_accelerations(&self) -> [f64; 2] {
         [self.grip.drive, self.grip.brake].map(|grip| SATURATED * GRAVITY * grip)
     }

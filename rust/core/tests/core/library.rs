@@ -161,7 +161,7 @@ fn the_force_is_limited_by_the_fitted_tyres_or_by_the_vehicle() {
     let ModelParameters::SingleTrack(fitted) = SINGLE_TRACK else {
         unreachable!();
     };
-    let [drive, brake] = [fitted[5], fitted[6]].map(|grip| 1.7 * 9.81 * grip);
+    let [drive, brake] = [fitted[5], fitted[6]].map(|grip| 1.5 * 9.81 * grip);
     assert!((limits[0].drive - drive).abs() < 1e-12, "{limits:?}");
     assert!((limits[0].brake - brake).abs() < 1e-12, "{limits:?}");
     assert_eq!((limits[1].drive, limits[1].brake), (car.a_max, -car.a_min));
