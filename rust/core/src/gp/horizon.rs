@@ -7,8 +7,9 @@ use crate::kernel::{LANES, Lanes, Points};
 use crate::simd::{Vectorised, vectorised_loops, wide};
 use crate::{GpInput, GpOutput};
 
-/// Largest excess of a bound over the exact variance, relative to variance plus floor (see [`Gp::variance_bounds`]). A
-/// standard deviation is then at most 5 % too large.
+/// Largest excess of a bound over the variance `q` that the nodes explain, relative to `q` plus floor (see
+/// [`Gp::variance_bounds`]). The exact variance may be below `q` by as much, so that in the worst case a bound is 22 % and
+/// its standard deviation 11 % too large.
 pub(crate) const TOLERANCE: f64 = 0.1;
 /// Smallest residual prior variance of a new node as a multiple of the outputscale; below it are rounding errors only.
 const SMALLEST_PIVOT: f64 = 1e-12;
@@ -44,8 +45,8 @@ pub(crate) struct Horizon {
 
 impl Gp {
     /// Upper bounds of the variances at the z-scored inputs `scratch.z`, in z-scored units, each at most `TOLERANCE ·
-    /// (σ² + floor)` above the exact `σ²`, where `floor` is the variance that the caller adds to the bound. Outputs
-    /// that share a covariance use the smallest of their floors.
+    /// (q + floor)` above the estimate `q` below, where `floor` is the variance that the caller adds to the bound.
+    /// Outputs that share a covariance use the smallest of their floors.
     ///
     /// Stages lie on a curve, so the values of the latent function at a few of them, the nodes `N`, nearly determine
     /// the others. Given noise-free values `f_N`, at any stage `f(z) = k(z, N) K_NN⁻¹ f_N + e`, where `e` has the prior
