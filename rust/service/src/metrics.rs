@@ -31,7 +31,7 @@ pub(crate) struct Metrics {
 }
 
 impl Metrics {
-    pub(crate) fn new(library: &str) -> Self {
+    pub(crate) fn new(library: &str, workers: usize) -> Self {
         // 0.1 ms to 0.4 s: from a step of two small members to one that is longer than any control period.
         let seconds = || Histogram::new(exponential_buckets(1e-4, 2.0, 13));
         let mut metrics = Self {
@@ -61,6 +61,9 @@ impl Metrics {
         registry.register_with_unit("queue", help, Unit::Seconds, histogram);
         registry.register("queued", "Vehicles that wait", metrics.queued.clone());
         registry.register("busy", "Workers that compute a step", metrics.busy.clone());
+        let all = Gauge::<i64>::default();
+        all.set(i64::try_from(workers).unwrap_or(i64::MAX));
+        registry.register("workers", "Workers", all);
         registry.register(
             "library",
             "The library served",
@@ -139,7 +142,7 @@ mod tests {
 
     #[test]
     fn the_estimate_follows_steps_but_not_one_outlier() {
-        let metrics = Metrics::new("");
+        let metrics = Metrics::new("", 1);
         metrics.stepped(Duration::from_millis(2));
         metrics.stepped(Duration::from_secs(5));
         assert_eq!(metrics.step_time(), Duration::from_micros(2250));

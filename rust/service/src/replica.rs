@@ -39,7 +39,7 @@ impl<H: Handler, Q: Query> Replica<H, Q> {
         Ok(Self {
             shared: Shared {
                 replica: name,
-                metrics: Metrics::new(&library::hex(&description.library)),
+                metrics: Metrics::new(&library::hex(&description.library), workers),
                 description,
                 workers,
                 queue: Queue::new(queue),
