@@ -62,7 +62,7 @@ ALLOWED = {
 ONE_FILE = {
     "rust/core/src": ["clarabel", "safetensors"],
     "rust/python/src": ["numpy"],
-    "rust/service/src": ["zenoh"],
+    "rust/service/src": ["zenoh", "tiny_http"],
     "clients/vehicle/src": ["zenoh"],
 }
 

@@ -3,6 +3,7 @@
 use std::{
     collections::BTreeMap,
     fs,
+    net::SocketAddr,
     path::{Path, PathBuf},
 };
 
@@ -56,6 +57,9 @@ pub struct ServiceConfig {
     /// Time between load reports, ms. Default 500.
     #[serde(default = "default_load")]
     pub load_ms: u64,
+    /// Address for `/health`, `/ready` and `/metrics` over HTTP, as `127.0.0.1:9464`. Default: none.
+    #[serde(default)]
+    pub http: Option<SocketAddr>,
     /// What to log: a level, or directives as `egp_service=debug,zenoh=warn`. Default `info,zenoh=warn`.
     #[serde(default = "default_log")]
     pub log: String,
@@ -147,6 +151,7 @@ impl ServiceConfig {
             queue: default_queue(),
             drain_ms: default_drain(),
             load_ms: default_load(),
+            http: None,
             log: default_log(),
             log_json: false,
             settings: Settings::default(),
@@ -261,6 +266,7 @@ mod tests {
                 "`max_libraries` must be",
             ),
             ("library = \"a\"\nwatch_ms = 1", "`watch_ms` must be"),
+            ("library = \"a\"\nhttp = \"9464\"", "socket address"),
             ("library = \"a\"\n[settings]\nhorizn = 3", "horizn"),
             ("library = \"a\"\n[settings]\nmass = -1.0", "mass"),
         ] {

@@ -7,6 +7,7 @@ use egp_wire::keys::{self, Name, Target};
 use egp_wire::{Code, Header, Invalid, Load, MessageLimits, Ready, Timing, WireError};
 use prost::Message as _;
 
+use crate::events;
 use crate::guard::{Guard, Sealed};
 use crate::metrics::{Metrics, micros};
 use crate::query::Query;
@@ -19,6 +20,7 @@ const TRANSIT: u32 = 8;
 /// A request on its way to a worker.
 pub(crate) struct Job<Q> {
     pub(crate) query: Q,
+    pub(crate) sequence: u64,
     pub(crate) arrived: Instant,
     pub(crate) deadline: Instant,
     /// The proof of the sender, if the service has keys.
@@ -75,23 +77,23 @@ impl<Q: Query> Shared<Q> {
                 query.answer(&keys::metrics(&self.replica), text, encoding, None);
             }
             Some(Target::Step { fleet, vehicle }) => self.admit(query, arrived, &fleet, &vehicle),
-            None => self.refuse(&query, &no_such_key(query.key())),
+            None => self.refuse(&query, None, &no_such_key(query.key())),
         }
     }
 
     fn admit(&self, query: Q, arrived: Instant, fleet: &Name, vehicle: &Name) {
         if query.key() != keys::step(&self.replica, fleet, vehicle) {
-            return self.refuse(&query, &no_such_key(query.key()));
+            return self.refuse(&query, None, &no_such_key(query.key()));
         }
         let limits = MessageLimits::default();
         let (limit, actual) = (limits.message_bytes, query.length());
         if actual > limit {
             // The payload is not read: several parts of it would be copied first.
-            return self.refuse(&query, &Invalid::TooLarge { limit, actual }.into());
+            return self.refuse(&query, None, &Invalid::TooLarge { limit, actual }.into());
         }
         let header = match Header::decode(&query.payload(), &limits) {
             Ok(header) => header,
-            Err(invalid) => return self.refuse(&query, &invalid.into()),
+            Err(invalid) => return self.refuse(&query, None, &invalid.into()),
         };
         let sealed = match self
             .guard
@@ -99,12 +101,13 @@ impl<Q: Query> Shared<Q> {
             .map(|guard| guard.request(&query, fleet, vehicle))
         {
             Some(Ok(sealed)) => Some(sealed),
-            Some(Err(error)) => return self.refuse(&query, &error),
+            Some(Err(error)) => return self.refuse(&query, Some(header.sequence), &error),
             None => None,
         };
         let deadline = arrived + Duration::from_micros(header.budget_us.into());
         let job = Job {
             query,
+            sequence: header.sequence,
             arrived,
             deadline,
             sealed,
@@ -118,14 +121,14 @@ impl<Q: Query> Shared<Q> {
             .push(format!("{fleet}/{vehicle}"), deadline, job, in_time);
         if let Some(old) = pushed.superseded {
             let detail = "a newer request of this vehicle took the place of this one";
-            self.refuse(&old.query, &WireError::permanent(Code::Superseded, detail));
+            self.refuse_job(&old, &WireError::permanent(Code::Superseded, detail));
         }
         match pushed.queued {
             Ok(()) => {}
-            Err(Refused::Full(job)) => self.refuse(&job.query, &self.overloaded()),
-            Err(Refused::Late(job)) => self.refuse(&job.query, &self.too_late(header.budget_us)),
-            Err(Refused::Closed(job)) => self.refuse(
-                &job.query,
+            Err(Refused::Full(job)) => self.refuse_job(&job, &self.overloaded()),
+            Err(Refused::Late(job)) => self.refuse_job(&job, &self.too_late(header.budget_us)),
+            Err(Refused::Closed(job)) => self.refuse_job(
+                &job,
                 &WireError::retryable(Code::Draining, 0, "this replica is going away, ask another"),
             ),
         }
@@ -150,10 +153,15 @@ impl<Q: Query> Shared<Q> {
         WireError::retryable(Code::TooLate, wait, detail)
     }
 
+    /// Answers a request that was queued with an error.
+    pub(crate) fn refuse_job(&self, job: &Job<Q>, error: &WireError) {
+        self.refuse(&job.query, Some(job.sequence), error);
+    }
+
     /// Sends an error and counts it.
-    pub(crate) fn refuse(&self, query: &Q, error: &WireError) {
+    fn refuse(&self, query: &Q, sequence: Option<u64>, error: &WireError) {
         self.metrics.refused(error.code);
-        tracing::debug!(key = query.key(), code = error.code.as_str_name(), %error, "refused");
+        events::refused(query.key(), sequence, error);
         query.refuse(error);
     }
 

@@ -10,8 +10,10 @@
 //! it available on the network; [`serve`] runs one until a signal.
 
 mod config;
+mod events;
 mod guard;
 mod handler;
+mod http;
 mod intake;
 mod libraries;
 mod logging;

@@ -16,7 +16,8 @@ pub fn init_logging(filter: &str, json: bool) -> Result<(), String> {
         .with_writer(std::io::stderr);
     // A process that has set up its own logging keeps it.
     let _ = if json {
-        subscriber.json().try_init()
+        // The fields of an event stand beside its message, where programs that collect logs look for them.
+        subscriber.json().flatten_event(true).try_init()
     } else {
         subscriber.try_init()
     };

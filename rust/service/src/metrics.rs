@@ -38,7 +38,7 @@ pub(crate) struct Metrics {
 }
 
 impl Metrics {
-    pub(crate) fn new(libraries: &[LibraryId]) -> Self {
+    pub(crate) fn new(libraries: &[LibraryId], workers: usize) -> Self {
         // 0.1 ms to 0.4 s: from a step of two small members to one that is longer than any control period.
         let seconds = || Histogram::new(exponential_buckets(1e-4, 2.0, 13));
         let mut metrics = Self {
@@ -70,6 +70,9 @@ impl Metrics {
         registry.register_with_unit("queue", help, Unit::Seconds, histogram);
         registry.register("queued", "Vehicles that wait", metrics.queued.clone());
         registry.register("busy", "Workers that compute a step", metrics.busy.clone());
+        let all = Gauge::<i64>::default();
+        all.set(i64::try_from(workers).unwrap_or(i64::MAX));
+        registry.register("workers", "Workers", all);
         let (help, family) = ("The libraries served", metrics.libraries.clone());
         registry.register("library_info", help, family);
         let (help, family) = ("Reloads of the library file", metrics.reloads.clone());
@@ -163,7 +166,7 @@ mod tests {
 
     #[test]
     fn the_estimate_follows_steps_but_not_one_outlier() {
-        let metrics = Metrics::new(&[]);
+        let metrics = Metrics::new(&[], 1);
         metrics.stepped(Duration::from_millis(2));
         metrics.stepped(Duration::from_secs(5));
         assert_eq!(metrics.step_time(), Duration::from_micros(2250));

@@ -40,7 +40,7 @@ impl<H: Handler, Q: Query> Replica<H, Q> {
         Ok(Self {
             shared: Shared {
                 replica: name,
-                metrics: Metrics::new(&handler.describe().libraries()),
+                metrics: Metrics::new(&handler.describe().libraries(), workers),
                 describe: Box::new(move || described.describe()),
                 workers,
                 queue: Queue::new(queue),

@@ -1,5 +1,6 @@
 //! A running service: start and drain.
 
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
@@ -15,6 +16,7 @@ use thiserror::Error;
 use crate::config::{ConfigError, ServiceConfig};
 use crate::guard::{Guard, VehicleKeysError};
 use crate::handler::Handler;
+use crate::http::{HttpEndpoint, HttpListener};
 use crate::intake::Shared;
 use crate::libraries::{Libraries, ReloadError, Reloaded};
 use crate::metrics::Metrics;
@@ -41,6 +43,14 @@ pub enum StartError {
     /// The system could not start a thread.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
+    /// The address for HTTP cannot be listened on.
+    #[error("cannot listen for HTTP on {address}: {reason}; choose another address for `http`")]
+    Http {
+        /// The address.
+        address: SocketAddr,
+        /// The error of the system.
+        reason: String,
+    },
     /// The keys of the vehicles cannot be used.
     #[error(transparent)]
     Keys(#[from] VehicleKeysError),
@@ -57,6 +67,7 @@ pub struct Server {
     workers: Vec<JoinHandle<()>>,
     reporter: Option<(Sender<()>, JoinHandle<()>)>,
     reloader: Option<Running>,
+    http: Option<HttpEndpoint>,
 }
 
 impl Server {
@@ -95,7 +106,7 @@ impl Server {
             .as_deref()
             .map(Guard::load)
             .transpose()?;
-        let mut metrics = Metrics::new(&description.libraries());
+        let mut metrics = Metrics::new(&description.libraries(), workers);
         if let Some(guard) = &guard {
             metrics.show_twice(guard.twice());
         }
@@ -108,6 +119,7 @@ impl Server {
             draining: AtomicBool::new(false),
             guard,
         });
+        let http = config.http.map(HttpListener::bind).transpose()?;
         let network = Network::open(configuration(config.zenoh_file.as_deref(), &config.zenoh)?)?;
         let mut server = Self {
             shared,
@@ -116,6 +128,7 @@ impl Server {
             workers: Vec::with_capacity(workers),
             reporter: None,
             reloader: None,
+            http: None,
         };
         server.start_workers(handler)?;
         let shared = server.shared.clone();
@@ -127,6 +140,9 @@ impl Server {
         server.start_reporter(Duration::from_millis(config.load_ms))?;
         // The announcement comes last, because clients ask as soon as they see it.
         server.network.announce(&replica)?;
+        server.http = http
+            .map(|listener| listener.answer(server.shared.clone()))
+            .transpose()?;
         tracing::info!(
             replica = %replica,
             workers,
@@ -189,6 +205,7 @@ impl Server {
         for worker in self.workers.drain(..) {
             join(worker);
         }
+        drop(self.http.take());
         if let Some((stop, reporter)) = self.reporter.take() {
             drop(stop);
             join(reporter);

@@ -6,6 +6,7 @@ use std::time::Instant;
 use egp_wire::{Code, Status, Timing, WireError};
 use prost::Message as _;
 
+use crate::events;
 use crate::handler::Handler;
 use crate::intake::{Job, Shared};
 use crate::metrics::micros;
@@ -37,7 +38,7 @@ impl<Q: Query> Shared<Q> {
         // the worker.
         if started > job.deadline || (hopeless && self.queue.len() > 0) {
             let budget = micros(job.deadline - job.arrived);
-            self.refuse(&job.query, &self.too_late(budget));
+            self.refuse_job(&job, &self.too_late(budget));
             return None;
         }
         self.metrics.busy.inc();
@@ -66,12 +67,13 @@ impl<Q: Query> Shared<Q> {
                         .as_ref()
                         .map_or_else(Vec::new, |sealed| sealed.tag(reply)),
                 };
+                events::answered(job.query.key(), job.sequence, status, &timing);
                 let encoding = "application/protobuf;egp.v1.StepReply";
                 let attachment = Some(timing.encode_to_vec());
                 job.query
                     .answer(job.query.key(), reply.to_vec(), encoding, attachment);
             }
-            Err(error) => self.refuse(&job.query, &error),
+            Err(error) => self.refuse_job(&job, &error),
         }
         self.metrics.busy.dec();
     }

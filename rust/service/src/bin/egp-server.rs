@@ -1,5 +1,6 @@
 //! `egp-server`: serves a library until SIGTERM or SIGINT.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -19,6 +20,7 @@ In production, write a TOML file and pass it as --config; options of the command
     replica = "garage-1"               # unique among the replicas that vehicles can reach
     workers = 4                        # default: one for each core
     queue = 256                        # vehicles that may wait at a time
+    http = "127.0.0.1:9464"            # /health, /ready and /metrics; default: none
     log_json = true
     [settings.cost]                    # the control step; every field has a default
     lateral = 30.0
@@ -59,6 +61,9 @@ struct Arguments {
     /// Load the library again when its file changes, and not only on SIGHUP.
     #[arg(long)]
     watch: bool,
+    /// Address for /health, /ready and /metrics over HTTP, as 127.0.0.1:9464.
+    #[arg(long, value_name = "ADDRESS")]
+    http: Option<SocketAddr>,
     /// Log one JSON object a line.
     #[arg(long)]
     log_json: bool,
@@ -79,6 +84,7 @@ impl Arguments {
         if let Some(replica) = self.replica {
             config.replica = replica;
         }
+        config.http = self.http.or(config.http);
         config.workers = self.workers.or(config.workers);
         config.log_json |= self.log_json;
         if self.watch && config.watch_ms == 0 {

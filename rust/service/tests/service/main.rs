@@ -6,6 +6,7 @@ mod cores;
 mod draining;
 mod hostile;
 mod map_store;
+mod operating;
 mod queueing;
 mod reload;
 mod seals;

@@ -1,0 +1,137 @@
+//! A service as its operator sees it: pages over HTTP, and the log.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use crate::common::{Client, Outcome, first_request, free_endpoint, library_file, step_key};
+use serde_json::Value;
+
+fn free_address() -> SocketAddr {
+    TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap()
+}
+
+/// Status and body of the answer to one request over HTTP; an error if nobody listens.
+fn ask(address: SocketAddr, method: &str, path: &str) -> std::io::Result<(u16, String)> {
+    let mut stream = TcpStream::connect(address)?;
+    stream.set_read_timeout(Some(Duration::from_secs(10)))?;
+    write!(
+        stream,
+        "{method} {path} HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n"
+    )?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer)?;
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or((&answer, ""));
+    let status = head.split(' ').nth(1).and_then(|text| text.parse().ok());
+    Ok((status.unwrap_or(0), body.to_owned()))
+}
+
+/// A service process with HTTP, and a drain of a second.
+fn start(name: &str, endpoint: &str, http: SocketAddr) -> Child {
+    let library = library_file(name);
+    let config = library.with_extension("toml");
+    let text = format!(
+        "library = \"{}\"\nhttp = \"{http}\"\ndrain_ms = 1000\nlog_json = true\n\
+         log = \"info,zenoh=warn,egp_service::request=debug\"\n[settings]\nhorizon = 20\n",
+        library.display()
+    );
+    std::fs::write(&config, text).unwrap();
+    Command::new(env!("CARGO_BIN_EXE_egp-server"))
+        .args(["--workers", "1", "--listen", endpoint, "--config"])
+        .arg(&config)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+#[test]
+fn pages_and_log_follow_a_process_from_start_to_drain() {
+    let (endpoint, http) = (free_endpoint(), free_address());
+    let mut process = start("operating.safetensors", &endpoint, http);
+    let client = Client::connect(&endpoint);
+    let mut request = first_request();
+    request.sequence = 41;
+    let outcome = client.ask(&step_key("car"), &request.encode());
+    assert!(matches!(outcome, Outcome::Answer { .. }), "{outcome:?}");
+    let outcome = client.ask(&step_key("stranger"), b"no request");
+    assert!(matches!(outcome, Outcome::Error(_)), "{outcome:?}");
+
+    let page = |path| ask(http, "GET", path).unwrap();
+    assert_eq!(page("/health"), (200, "ok\n".to_owned()));
+    assert_eq!(page("/ready?verbose"), (200, "ready\n".to_owned()));
+    assert_eq!(ask(http, "HEAD", "/ready").unwrap(), (200, String::new()));
+    assert_eq!(ask(http, "POST", "/ready").unwrap().0, 405);
+    assert_eq!(page("/nonsense").0, 404);
+    let (status, metrics) = page("/metrics");
+    assert_eq!(status, 200);
+    for line in [
+        "egp_requests_total{outcome=\"solved\"} 1",
+        "egp_requests_total{outcome=\"malformed\"} 1",
+        "egp_step_seconds_count 1",
+        "egp_workers 1",
+        "# EOF",
+    ] {
+        assert!(metrics.lines().any(|l| l == line), "{line}:\n{metrics}");
+    }
+
+    let pid = process.id().to_string();
+    let kill = Command::new("kill").args(["-TERM", &pid]).status();
+    assert!(kill.unwrap().success());
+    // The process is alive and not ready for a second, and then nobody listens.
+    let mut seen = Vec::new();
+    while let Ok((status, body)) = ask(http, "GET", "/ready") {
+        if seen.last() != Some(&(status, body.clone())) {
+            seen.push((status, body));
+        }
+        if status == 503 && seen.len() < 3 {
+            assert_eq!(page("/health").0, 200);
+            break;
+        }
+    }
+    let draining = (503, "draining\n".to_owned());
+    assert_eq!(seen.last(), Some(&draining), "{seen:?}");
+    assert!(process.wait().unwrap().success());
+    assert!(ask(http, "GET", "/health").is_err());
+
+    let log = BufReader::new(process.stderr.take().unwrap());
+    let events: Vec<Value> = log
+        .lines()
+        .map(|line| serde_json::from_str(&line.unwrap()).unwrap())
+        .collect();
+    let event = |message: &str| {
+        let mut found = events.iter().filter(|event| event["message"] == message);
+        found.next().unwrap_or(&Value::Null)
+    };
+    let answered = event("answered");
+    assert_eq!(answered["target"], "egp_service::request");
+    assert_eq!(
+        (&answered["fleet"], &answered["vehicle"]),
+        (&"fleet".into(), &"car".into())
+    );
+    assert_eq!(answered["sequence"], 41);
+    assert_eq!(answered["status"], "STATUS_SOLVED");
+    assert!(answered["step_us"].as_u64().unwrap() > 0, "{answered}");
+    let refused = event("refused");
+    assert_eq!(refused["vehicle"], "stranger");
+    assert_eq!(refused["code"], "CODE_MALFORMED");
+    assert_eq!(event("drained")["level"], "INFO");
+}
+
+#[test]
+fn an_address_in_use_is_an_error_in_words() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap();
+    let process = start("taken.safetensors", &free_endpoint(), address);
+    let output = process.wait_with_output().unwrap();
+    let message = String::from_utf8(output.stderr).unwrap();
+    let words = format!("cannot listen for HTTP on {address}");
+    assert!(
+        !output.status.success() && message.contains(&words),
+        "{message}"
+    );
+}
