@@ -7,6 +7,7 @@ import socket
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
@@ -17,6 +18,7 @@ from egp_service.cli import app
 from egp_service.cli.checks import run_checks
 from egp_service.cli.settings_text import read_settings_document
 from egp_service.control.endpoints import check_endpoints, why_not_free
+from egp_service.control.recorded import Recorded, RecordedStep, RecordingError, write_requests
 
 if TYPE_CHECKING:
     from click import Group
@@ -88,6 +90,30 @@ def test_programs_get_the_options_and_a_missing_one_is_named(
     program.chmod(0o755)
     assert RUNNER.invoke(app, ["load", "--vehicles", "8"]).exit_code == 3
     assert (tmp_path / "seen").read_text() == "--vehicles,8,"
+
+
+def test_load_hands_over_the_requests_of_a_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    requests = [b"\x08" + bytes(length) for length in (0, 126, 127, 20_000)]
+    steps = [RecordedStep(0.0, np.zeros(7), request, None) for request in requests]
+    recorded = Recorded({}, None, {}, None, steps, complete=True)
+    monkeypatch.setattr("egp_service.control.recorded.read_recording", lambda _: recorded)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    program = tmp_path / "egp-load"
+    program.write_text(
+        f'#!/bin/sh\ncat "$2" > {tmp_path}/seen\necho "$1 $3" > {tmp_path}/options\n'
+    )
+    program.chmod(0o755)
+    assert RUNNER.invoke(app, ["load", "--replay", "run.mcap", "--ramp"]).exit_code == 0
+    assert (tmp_path / "options").read_text() == "--requests --ramp\n"
+    # The lengths as varints.
+    lengths = [b"\x01", b"\x7f", b"\x80\x01", b"\xa1\x9c\x01"]
+    joined = b"".join(length + request for length, request in zip(lengths, requests, strict=True))
+    assert (tmp_path / "seen").read_bytes() == joined
+    empty = Recorded({}, None, {}, None, [], complete=True)
+    with pytest.raises(RecordingError, match="at least one step"):
+        write_requests(empty, tmp_path / "none")
 
 
 def test_a_port_in_use_and_a_wrong_endpoint_are_named() -> None:

@@ -16,6 +16,7 @@ from mcap.stream_reader import StreamReader
 from egp_service._core import EgpError, decode_request
 from egp_service.control.messages import message_class
 from egp_service.control.recorder import ABOUT, NANOSECONDS, SCENARIO, SETTINGS
+from egp_service.files import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -106,6 +107,33 @@ def read_recording(path: Path) -> Recorded:
         steps=[_step(time, request, replies) for time, request in requests],
         complete=complete,
     )
+
+
+def write_requests(recorded: Recorded, path: Path) -> None:
+    """Write the requests as `egp-load --requests` reads them: each behind its length as a varint.
+
+    Raises:
+        RecordingError: if there are no requests.
+        OSError: if the file cannot be written.
+
+    """
+    if not recorded.steps:
+        raise RecordingError(
+            f"no requests to write to {path}: expected a recording with at least one step"
+        )
+    with replacing(path) as new:
+        new.write_bytes(
+            b"".join(_varint(len(step.request)) + step.request for step in recorded.steps)
+        )
+
+
+def _varint(number: int) -> bytes:
+    """Give seven bits a byte, the lowest first, with the highest bit set in all but the last."""
+    groups = bytearray()
+    while number >> 7:
+        groups.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*groups, number])
 
 
 def _step(time: float, request: bytes, replies: Mapping[int, bytes]) -> RecordedStep:
