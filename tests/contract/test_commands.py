@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 import socket
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
@@ -17,6 +19,7 @@ from egp_service.cli import app
 from egp_service.cli.checks import run_checks
 from egp_service.cli.settings_text import read_settings_document
 from egp_service.control.endpoints import check_endpoints, why_not_free
+from egp_service.control.recorded import Recorded, RecordedStep, RecordingError, write_requests
 
 if TYPE_CHECKING:
     from click import Group
@@ -86,6 +89,21 @@ def test_programs_of_the_extension_get_the_options(capfd: pytest.CaptureFixture[
         shown = capfd.readouterr().out
         assert f"Usage: egp {program} [OPTIONS]" in shown
         assert max(map(len, shown.splitlines())) <= 80
+
+
+def test_requests_of_a_recording_are_written_behind_their_lengths() -> None:
+    requests = [b"\x08" + bytes(length) for length in (0, 126, 127, 20_000)]
+    steps = [RecordedStep(0.0, np.zeros(7), request, None) for request in requests]
+    recorded = Recorded({}, None, {}, None, steps, complete=True)
+    file = BytesIO()
+    write_requests(recorded, file)
+    # The lengths as varints.
+    lengths = [b"\x01", b"\x7f", b"\x80\x01", b"\xa1\x9c\x01"]
+    joined = b"".join(length + request for length, request in zip(lengths, requests, strict=True))
+    assert file.getvalue() == joined
+    empty = Recorded({}, None, {}, None, [], complete=True)
+    with pytest.raises(RecordingError, match="at least one step"):
+        write_requests(empty, file)
 
 
 def test_a_port_in_use_and_a_wrong_endpoint_are_named() -> None:

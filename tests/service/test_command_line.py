@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -115,6 +116,13 @@ def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -
         zenoh.write_text(f"{{connect: {{endpoints: ['{service.endpoint}']}}}}", encoding="utf-8")
         result = CliRunner().invoke(app, [*arguments, "--zenoh", str(zenoh)])
         assert result.exit_code == 0, result.output
+        # The same service answers the recorded requests.
+        (recording,) = (tmp_path / "runs").glob("*/run.mcap")
+        report = tmp_path / "load.json"
+        replay = ["load", "--replay", str(recording), "--connect", service.endpoint]
+        options = ["--vehicles", "2", "--seconds", "1", "--json", str(report)]
+        assert CliRunner().invoke(app, [*replay, *options]).exit_code == 0
+    assert json.loads(report.read_text())["rates"][0]["in_deadline"] > 0
     zenoh.write_text("{conect: {}}", encoding="utf-8")
     result = CliRunner().invoke(app, [*arguments, "--zenoh", str(zenoh)])
     assert isinstance(result.exception, EgpError)

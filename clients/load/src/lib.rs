@@ -1,11 +1,16 @@
 //! The load generator: measures how many vehicles a service can keep on the road. It is the program `egp-load`, and the
 //! command `egp load` of the Python package.
 
+mod counts;
 mod drive;
+mod ramp;
+mod recording;
+mod replay;
 mod report;
 mod tally;
 
 use std::ffi::OsString;
+use std::fmt::Display;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread;
@@ -13,8 +18,11 @@ use std::time::{Duration, Instant};
 
 use clap::Parser;
 use egp_simulator::{Course, Track};
+use serde::Serialize;
 
 use crate::drive::{Assignment, drive};
+use crate::ramp::ramp;
+use crate::replay::Replay;
 use crate::report::Report;
 use crate::tally::Tally;
 
@@ -23,6 +31,7 @@ const HELP: &str = r"Loads a running service with simulated vehicles and reports
 
     egp-server --library surfaces.safetensors --workers 1
     egp-load --vehicles 8 --seconds 20 --json load.json
+    egp-load --requests requests.bin --vehicles 32 --ramp 0.99 --seconds 5
 
 Each vehicle has its own zenoh session, the 29-state plant on a track of
 changing friction, and the gate. Requests are sent on a fixed schedule (every
@@ -34,6 +43,14 @@ period.
 A period is a miss if no solved plan came within the budget. The gate then
 continues with the last plan (tail) and finally stops the vehicle; stopped, spun
 or lost vehicles are put back on the track and counted.
+
+With --requests the vehicles have no plant: each sends the requests of a
+recording, which must be of the library that is served; `egp load --replay
+run.mcap` extracts them from what `egp drive` writes. Sending them costs little,
+so that this shows what the service carries. A request counts as in time if its
+plan came within the budget from when it was due. With --ramp the number of
+vehicles rises by a quarter as long as at least this fraction is in time;
+--seconds is for each rate.
 
 Look at `generator lag` first: the delay with which requests were sent because
 this program or its machine was busy. If it is far above a millisecond, the other
@@ -55,8 +72,17 @@ struct Arguments {
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
     /// Number of vehicles.
-    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=2000))]
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=LARGEST.into()))]
     vehicles: u32,
+    /// Replay the requests of this file without a plant; for services without vehicle_keys.
+    #[arg(long, value_name = "FILE", conflicts_with = "key")]
+    requests: Option<PathBuf>,
+    /// With --requests: raise the number of vehicles until less than this fraction of requests is answered in time.
+    #[arg(long, value_name = "FRACTION", requires = "requests", value_parser = fraction)]
+    ramp: Option<f64>,
+    /// With --ramp: the largest number of vehicles.
+    #[arg(long, default_value_t = LARGEST, value_parser = clap::value_parser!(u32).range(1..=LARGEST.into()))]
+    most: u32,
     /// How long to measure, s.
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
@@ -83,19 +109,53 @@ struct Arguments {
     json: Option<PathBuf>,
 }
 
+/// The largest number of vehicles.
+const LARGEST: u32 = 2000;
+
+fn fraction(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok();
+    value
+        .filter(|value| *value > 0.0 && *value <= 1.0)
+        .ok_or_else(|| "expected a number above 0 and up to 1".to_owned())
+}
+
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let course = Arc::new(Course::new(
-        arguments.track,
-        &arguments.friction,
-        arguments.grip,
-    )?);
     let seconds = |value: f64| {
         Duration::try_from_secs_f64(value)
             .map_err(|_| format!("{value} is not a number of seconds"))
     };
     let (warm_up, measured) = (seconds(arguments.warm_up)?, seconds(arguments.seconds)?);
+    match &arguments.requests {
+        Some(file) => {
+            let mut replay = Replay::new(arguments, recording::read(file)?)?;
+            report(arguments, &ramp(arguments, &mut replay, warm_up, measured)?)
+        }
+        None => report(arguments, &drive_all(arguments, warm_up, measured)?),
+    }
+}
+
+/// Prints a result, and writes it as JSON if that is asked for.
+fn report(arguments: &Arguments, result: &(impl Display + Serialize)) -> Result<(), Failure> {
+    println!("{result}");
+    if let Some(path) = &arguments.json {
+        std::fs::write(path, serde_json::to_vec_pretty(result)?)?;
+    }
+    Ok(())
+}
+
+/// Drives simulated vehicles.
+fn drive_all(
+    arguments: &Arguments,
+    warm_up: Duration,
+    measured: Duration,
+) -> Result<Report, Failure> {
+    let course = Arc::new(Course::new(
+        arguments.track,
+        &arguments.friction,
+        arguments.grip,
+    )?);
     let vehicles: Vec<_> = (0..arguments.vehicles)
         .map(|index| {
             let part = f64::from(index) / f64::from(arguments.vehicles);
@@ -127,12 +187,8 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     for thread in threads {
         total.add(&thread.join().map_err(|_| "a vehicle's thread panicked")??);
     }
-    let report = Report::new(&total, arguments.vehicles, arguments.seconds);
-    println!("{report}");
-    if let Some(path) = &arguments.json {
-        std::fs::write(path, serde_json::to_vec_pretty(&report)?)?;
-    }
-    Ok(())
+    let (vehicles, seconds) = (arguments.vehicles, arguments.seconds);
+    Ok(Report::new(&total, vehicles, seconds))
 }
 
 /// Runs the load generator with these arguments, of which the first is the name that the help shows, and returns the exit

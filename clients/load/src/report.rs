@@ -11,14 +11,14 @@ use crate::tally::{Micros, Tally};
 #[derive(Serialize)]
 pub(crate) struct Quantiles {
     count: u64,
-    p50: f64,
-    p99: f64,
-    p999: f64,
+    pub(crate) p50: f64,
+    pub(crate) p99: f64,
+    pub(crate) p999: f64,
     max: f64,
 }
 
 impl Quantiles {
-    fn of(times: &Micros) -> Self {
+    pub(crate) fn of(times: &Micros) -> Self {
         Self {
             count: times.len(),
             p50: times.quantile(0.5),

@@ -27,4 +27,4 @@ pub use config::{KeyFileError, VehicleConfig};
 pub use egp_driver::{DriverConfig, Late, Lost, Measurement, Outcome, Situation, Step};
 pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use egp_parameters::VehicleParameters;
-pub use network::NetworkError;
+pub use network::{NetworkError, open_session};

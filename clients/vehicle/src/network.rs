@@ -48,6 +48,16 @@ pub(crate) enum What {
     Ended(QueryId),
 }
 
+/// Opens a session as a vehicle's client does, for programs that send questions of their own.
+///
+/// # Errors
+/// [`NetworkError`] if the configuration is not valid, or zenoh opens no session.
+pub fn open_session(config: &VehicleConfig) -> Result<zenoh::Session, NetworkError> {
+    zenoh::open(configuration(config)?)
+        .wait()
+        .map_err(|e| NetworkError::new("cannot open the zenoh session", &e))
+}
+
 /// A session and its events.
 pub(crate) struct Network {
     session: zenoh::Session,
@@ -60,9 +70,7 @@ pub(crate) struct Network {
 
 impl Network {
     pub(crate) fn open(config: &VehicleConfig) -> Result<Self, NetworkError> {
-        let session = zenoh::open(configuration(config)?)
-            .wait()
-            .map_err(|e| NetworkError::new("cannot open the zenoh session", &e))?;
+        let session = open_session(config)?;
         let (sender, events) = channel();
         let out = sender.clone();
         let subscriber = session

@@ -20,6 +20,7 @@ from egp_service.control.recorder import ABOUT, NANOSECONDS, SCENARIO, SETTINGS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
+    from typing import BinaryIO
 
     from mcap.records import McapRecord
     from numpy.typing import NDArray
@@ -106,6 +107,28 @@ def read_recording(path: Path) -> Recorded:
         steps=[_step(time, request, replies) for time, request in requests],
         complete=complete,
     )
+
+
+def write_requests(recorded: Recorded, file: BinaryIO) -> None:
+    """Write the requests as `egp-load --requests` reads them: each behind its length as a varint.
+
+    Raises:
+        RecordingError: if there are no requests.
+        OSError: if the file cannot be written.
+
+    """
+    if not recorded.steps:
+        raise RecordingError("no requests to write: expected a recording with at least one step")
+    file.writelines(_varint(len(step.request)) + step.request for step in recorded.steps)
+
+
+def _varint(number: int) -> bytes:
+    """Give seven bits a byte, the lowest first, with the highest bit set in all but the last."""
+    groups = bytearray()
+    while number >> 7:
+        groups.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*groups, number])
 
 
 def _step(time: float, request: bytes, replies: Mapping[int, bytes]) -> RecordedStep:

@@ -1,0 +1,147 @@
+//! A replay with a given number of vehicles, or with more and more of them up to the knee.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::time::Duration;
+
+use serde::Serialize;
+
+use crate::counts::Counts;
+use crate::replay::Replay;
+use crate::report::Quantiles;
+use crate::{Arguments, Failure};
+
+/// Each step of a ramp has this many times the vehicles of the step before.
+const GROWTH: f64 = 1.25;
+
+/// One number of vehicles; times in milliseconds.
+#[derive(Serialize)]
+pub(crate) struct Rate {
+    vehicles: usize,
+    requests: u64,
+    requests_per_second: f64,
+    in_deadline: u64,
+    in_deadline_fraction: f64,
+    in_deadline_per_second: f64,
+    /// Fraction of the vehicle with the smallest one.
+    least_vehicle_fraction: f64,
+    outcomes: BTreeMap<String, u64>,
+    latency_ms: Quantiles,
+    service_queue_ms: Quantiles,
+    service_step_ms: Quantiles,
+    generator_lag_ms: Quantiles,
+}
+
+impl Rate {
+    fn new(counts: &Counts, seconds: f64) -> Self {
+        let fraction = |[all, in_time]: [u64; 2]| in_time as f64 / all.max(1) as f64;
+        let sums = counts.vehicles.iter().fold([0, 0], |sum, vehicle| {
+            [sum[0] + vehicle[0], sum[1] + vehicle[1]]
+        });
+        let least = counts.vehicles.iter().copied().map(fraction);
+        Self {
+            vehicles: counts.vehicles.len(),
+            requests: sums[0],
+            requests_per_second: sums[0] as f64 / seconds,
+            in_deadline: sums[1],
+            in_deadline_fraction: fraction(sums),
+            in_deadline_per_second: sums[1] as f64 / seconds,
+            least_vehicle_fraction: least.fold(1.0, f64::min),
+            outcomes: counts.outcomes.clone(),
+            latency_ms: Quantiles::of(&counts.latency),
+            service_queue_ms: Quantiles::of(&counts.queue),
+            service_step_ms: Quantiles::of(&counts.step),
+            generator_lag_ms: Quantiles::of(&counts.lag),
+        }
+    }
+}
+
+/// The result of a replay.
+#[derive(Serialize)]
+pub(crate) struct Ramp {
+    period_s: f64,
+    seconds: f64,
+    /// The fraction in the deadline down to which a rate holds; without one, a single rate was measured.
+    hold: Option<f64>,
+    /// Vehicles of the fastest rate that held; absent if none did, or none was asked for.
+    knee_vehicles: Option<usize>,
+    rates: Vec<Rate>,
+}
+
+/// Replays with the number of vehicles that the arguments state and, if they ask for a ramp, with more until the fraction
+/// of requests answered in the deadline is below `hold`.
+///
+/// # Errors
+/// A message of [`Replay::run`].
+pub(crate) fn ramp(
+    arguments: &Arguments,
+    replay: &mut Replay<'_>,
+    warm_up: Duration,
+    measured: Duration,
+) -> Result<Ramp, Failure> {
+    let mut result = Ramp {
+        period_s: replay.period.as_secs_f64(),
+        seconds: arguments.seconds,
+        hold: arguments.ramp,
+        knee_vehicles: None,
+        rates: Vec::new(),
+    };
+    let mut vehicles = f64::from(arguments.vehicles);
+    while vehicles <= f64::from(arguments.most) {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 1 to 2000
+        let count = vehicles as usize;
+        let rate = Rate::new(&replay.run(count, warm_up, measured)?, arguments.seconds);
+        let held = result
+            .hold
+            .is_some_and(|hold| rate.in_deadline_fraction >= hold);
+        result.rates.push(rate);
+        if !held {
+            break;
+        }
+        result.knee_vehicles = Some(count);
+        vehicles = (vehicles * GROWTH).ceil();
+    }
+    Ok(result)
+}
+
+impl fmt::Display for Ramp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{:>8}{:>11}{:>11}{:>9}{:>9}{:>9}{:>9}{:>9}",
+            "vehicles",
+            "requests/s",
+            "in time/s",
+            "in time",
+            "p50 ms",
+            "p99 ms",
+            "p99.9 ms",
+            "lag p99"
+        )?;
+        for rate in &self.rates {
+            writeln!(
+                f,
+                "{:8}{:11.1}{:11.1}{:8.2}%{:9.2}{:9.2}{:9.2}{:9.2}",
+                rate.vehicles,
+                rate.requests_per_second,
+                rate.in_deadline_per_second,
+                rate.in_deadline_fraction * 100.0,
+                rate.latency_ms.p50,
+                rate.latency_ms.p99,
+                rate.latency_ms.p999,
+                rate.generator_lag_ms.p99
+            )?;
+        }
+        match (self.hold, self.knee_vehicles) {
+            (None, _) => write!(f, "one rate was measured; --ramp 0.99 looks for the knee"),
+            (Some(hold), None) => write!(f, "no rate held {:.1} %", hold * 100.0),
+            (Some(hold), Some(knee)) => {
+                write!(
+                    f,
+                    "{knee} vehicles is the most that held {:.1} %",
+                    hold * 100.0
+                )
+            }
+        }
+    }
+}

@@ -1,0 +1,208 @@
+//! Recorded requests, sent again on a fixed schedule without a plant; no other file of this crate uses zenoh.
+
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use egp_simulator::CAR;
+use egp_vehicle::{GateLimits, VehicleConfig, open_session};
+use egp_wire::keys::{self, Name};
+use egp_wire::{MessageLimits, Ready, Request};
+use zenoh::bytes::ZBytes;
+use zenoh::{Session, Wait};
+
+use crate::counts::{Counts, Sent};
+use crate::{Arguments, Failure};
+
+/// How long a late answer is waited for.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// The vehicles that replay one recording.
+pub(crate) struct Replay<'a> {
+    arguments: &'a Arguments,
+    requests: Vec<ZBytes>,
+    replicas: Vec<Name>,
+    sessions: Vec<Session>,
+    /// Control period of the library.
+    pub(crate) period: Duration,
+    budget: Duration,
+}
+
+impl<'a> Replay<'a> {
+    /// Connects, and prepares the requests: each gets the budget of the arguments.
+    ///
+    /// # Errors
+    /// A message if no replica can be reached, or one serves another library than that of the recording.
+    pub(crate) fn new(arguments: &'a Arguments, recorded: Vec<Request>) -> Result<Self, Failure> {
+        let first = session(arguments, 0)?;
+        let replicas = live(&first)?;
+        let mut period = Duration::ZERO;
+        for replica in &replicas {
+            let ready = ready(&first, replica)?;
+            if recorded
+                .iter()
+                .any(|request| request.library != ready.library)
+            {
+                let expected = "replay a recording that was made with the library that is served";
+                return Err(format!("replica {replica} serves another library; {expected}").into());
+            }
+            period = Duration::try_from_secs_f64(ready.dt)?;
+        }
+        let budget = period.mul_f64(arguments.budget);
+        let budget_us = u32::try_from(budget.as_micros())?;
+        let encode = |request| {
+            Request {
+                budget_us,
+                ..request
+            }
+            .encode()
+            .into()
+        };
+        Ok(Self {
+            arguments,
+            requests: recorded.into_iter().map(encode).collect(),
+            replicas,
+            sessions: vec![first],
+            period,
+            budget,
+        })
+    }
+
+    /// Lets this many vehicles send a request each period, first for the time `warm_up`, then for `measured`, and counts
+    /// what becomes of the requests that are due in the latter.
+    ///
+    /// # Errors
+    /// A message if a session cannot be opened.
+    pub(crate) fn run(
+        &mut self,
+        vehicles: usize,
+        warm_up: Duration,
+        measured: Duration,
+    ) -> Result<Counts, Failure> {
+        while self.sessions.len() < vehicles {
+            self.sessions
+                .push(session(self.arguments, self.sessions.len())?);
+        }
+        let keys = (0..vehicles).map(|index| self.key(index));
+        let keys = keys.collect::<Result<Vec<_>, _>>()?;
+        let counts = Arc::new(Mutex::new(Counts {
+            vehicles: vec![[0; 2]; vehicles],
+            ..Counts::default()
+        }));
+        let ignored = Arc::new(Mutex::new(Counts::default()));
+        let begin = Instant::now() + Duration::from_millis(200);
+        for round in 0_u32.. {
+            for (index, (key, session)) in keys.iter().zip(&self.sessions).enumerate() {
+                let part = index as f64 / vehicles as f64;
+                let after = self.period.mul_f64(f64::from(round) + part);
+                if after >= warm_up + measured {
+                    return Ok(finish(&counts));
+                }
+                let due = begin + after;
+                thread::sleep(due.saturating_duration_since(Instant::now()));
+                let counts = if after < warm_up { &ignored } else { &counts };
+                let lag = due.elapsed();
+                counts
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .lag
+                    .record(lag);
+                // The vehicles begin at places that are spread over the recording.
+                let start = index * self.requests.len() / vehicles;
+                let at = (start + round as usize) % self.requests.len();
+                let sent = Sent {
+                    due,
+                    vehicle: index,
+                    budget: self.budget,
+                    counts: counts.clone(),
+                    answered: AtomicBool::new(false),
+                };
+                if let Some(request) = self.requests.get(at) {
+                    ask(session, key, request.clone(), sent);
+                }
+            }
+        }
+        Ok(finish(&counts))
+    }
+
+    fn key(&self, index: usize) -> Result<String, Failure> {
+        let replica = self.replicas.get(index % self.replicas.len());
+        let replica = replica.ok_or("no replica of the service is known")?;
+        Ok(keys::step(replica, &"load".parse()?, &name(index).parse()?))
+    }
+}
+
+/// The counts when the last answer has come or is no longer waited for.
+fn finish(counts: &Arc<Mutex<Counts>>) -> Counts {
+    let end = Instant::now() + PATIENCE + Duration::from_millis(500);
+    // Each request that is under way holds the counts.
+    while Arc::strong_count(counts) > 1 && Instant::now() < end {
+        thread::sleep(Duration::from_millis(5));
+    }
+    let mut counts = counts.lock().unwrap_or_else(PoisonError::into_inner);
+    std::mem::take(&mut *counts)
+}
+
+fn name(index: usize) -> String {
+    format!("car-{index}")
+}
+
+fn session(arguments: &Arguments, index: usize) -> Result<Session, Failure> {
+    let limits = GateLimits::of(&CAR.vehicle());
+    let config = VehicleConfig::new("load", &name(index), limits, &[])?
+        .reached_by(&arguments.connect, arguments.zenoh.as_deref());
+    Ok(open_session(&config)?)
+}
+
+/// The replicas that announce themselves within ten seconds of the first look.
+fn live(session: &Session) -> Result<Vec<Name>, Failure> {
+    let end = Instant::now() + Duration::from_secs(10);
+    while Instant::now() < end {
+        let tokens = session.liveliness().get(keys::ALL_LIVE).wait()?;
+        let mut found: Vec<Name> = std::iter::from_fn(|| tokens.recv().ok())
+            .filter_map(|reply| reply.into_result().ok())
+            .filter_map(|sample| keys::replica_of_live(sample.key_expr().as_str()))
+            .collect();
+        found.sort();
+        found.dedup();
+        if !found.is_empty() {
+            return Ok(found);
+        }
+        thread::sleep(Duration::from_millis(50));
+    }
+    Err("no replica of the service announces itself; start one, or check --connect".into())
+}
+
+fn ready(session: &Session, replica: &Name) -> Result<Ready, Failure> {
+    let replies = session.get(keys::ready(replica)).timeout(PATIENCE).wait()?;
+    let answer = replies
+        .recv()
+        .ok()
+        .and_then(|reply| reply.into_result().ok());
+    let sample = answer.ok_or_else(|| format!("replica {replica} does not say what it serves"))?;
+    Ok(Ready::decode(
+        &sample.payload().to_bytes(),
+        &MessageLimits::default(),
+    )?)
+}
+
+/// Sends a request; `sent` counts its answer.
+fn ask(session: &Session, key: &str, request: ZBytes, sent: Sent) {
+    // An error drops `sent`, which counts a request without an answer.
+    let _ = session
+        .get(key)
+        .payload(request)
+        .encoding("application/protobuf;egp.v1.StepRequest")
+        .express(true)
+        .timeout(PATIENCE)
+        .callback(move |reply| match reply.into_result() {
+            Ok(sample) => {
+                let attachment = sample.attachment().map(|bytes| bytes.to_bytes());
+                let attachment = attachment.as_deref().unwrap_or_default();
+                sent.replied(&sample.payload().to_bytes(), attachment);
+            }
+            Err(error) => sent.refused(&error.payload().to_bytes()),
+        })
+        .wait();
+}

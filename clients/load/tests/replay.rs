@@ -1,0 +1,104 @@
+//! A short ramp with recorded requests against a real service: the counts must add up.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use std::net::TcpListener;
+use std::process::{Command, Output};
+
+use egp_core::Library;
+use egp_driver::Carry;
+use egp_service::{Server, ServiceConfig};
+use egp_wire::LibraryId;
+use serde_json::Value;
+
+const LIBRARY: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../../python/egp_service/shipped/demo-library.safetensors"
+);
+
+/// A file of two requests of a car on a straight road, for a horizon of 40 periods of 20 ms.
+fn requests_file(name: &str, library: LibraryId) -> String {
+    let mut carry = Carry::new(library, 25);
+    let mut bytes = Vec::new();
+    for lateral in [0.1, 0.2] {
+        let reference = (0..=40).map(|t| [0.3 * f64::from(t), 0.0, 15.0, 0.0]);
+        let x = [0.0, lateral, 15.0, 0.0, 0.0, 0.0, 0.0];
+        let request = carry.request(x, reference.collect(), vec![[3.0, 3.0]; 41], 1);
+        let request = request.encode();
+        prost::encode_length_delimiter(request.len(), &mut bytes).unwrap();
+        bytes.extend(request);
+    }
+    let path = format!("{}/{name}", env!("CARGO_TARGET_TMPDIR"));
+    std::fs::write(&path, bytes).unwrap();
+    path
+}
+
+fn serve() -> (Server, String) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
+    drop(listener);
+    let mut config = ServiceConfig::new(LIBRARY);
+    config
+        .zenoh
+        .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
+    (Server::start(&config).unwrap(), endpoint)
+}
+
+fn replay(endpoint: &str, requests: &str, more: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_egp-load"))
+        .args(["--connect", endpoint, "--requests", requests])
+        .args(more)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn every_due_request_of_each_rate_is_accounted_for() {
+    let library = Library::from_bytes(&std::fs::read(LIBRARY).unwrap()).unwrap();
+    let requests = requests_file("requests.bin", library.id());
+    let (server, endpoint) = serve();
+    let json = concat!(env!("CARGO_TARGET_TMPDIR"), "/replay.json");
+    // Nothing is answered within a millionth of the period, so the ramp ends at the first rate.
+    for (budget, rates) in [("1", 2), ("0.000001", 1)] {
+        let options = ["--vehicles", "2", "--seconds", "0.5", "--warm-up", "0.1"];
+        let more = [
+            "--ramp", "0.01", "--most", "3", "--budget", budget, "--json", json,
+        ];
+        let output = replay(&endpoint, &requests, &[options.as_slice(), &more].concat());
+        let (text, errors) = (
+            String::from_utf8(output.stdout),
+            String::from_utf8(output.stderr),
+        );
+        let (text, errors) = (text.unwrap(), errors.unwrap());
+        assert!(output.status.success(), "{errors}");
+        let report: Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+        assert_eq!(report["rates"].as_array().unwrap().len(), rates, "{text}");
+        for rate in report["rates"].as_array().unwrap() {
+            // 25 periods of 20 ms in half a second.
+            let vehicles = rate["vehicles"].as_u64().unwrap();
+            assert_eq!(rate["requests"].as_u64().unwrap(), 25 * vehicles, "{text}");
+            let outcomes = rate["outcomes"].as_object().unwrap();
+            let sum: u64 = outcomes.values().map(|n| n.as_u64().unwrap()).sum();
+            assert_eq!(sum, 25 * vehicles, "{text}");
+            let solved = outcomes.get("solved").map_or(0, |n| n.as_u64().unwrap());
+            assert_eq!(rate["in_deadline"].as_u64().unwrap(), solved, "{text}");
+            assert_eq!(solved > 0, budget == "1", "{text} {outcomes:?}");
+        }
+        let knee = report["knee_vehicles"].as_u64();
+        assert_eq!(knee, (budget == "1").then_some(3), "{text}");
+    }
+    server.drain();
+}
+
+#[test]
+fn a_recording_of_another_library_is_an_error_in_words() {
+    let requests = requests_file("others.bin", LibraryId::default());
+    let (server, endpoint) = serve();
+    let output = replay(&endpoint, &requests, &[]);
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success(), "{message}");
+    assert!(
+        message.contains("replica main serves another library"),
+        "{message}"
+    );
+    server.drain();
+}
