@@ -1,33 +1,27 @@
 //! The configuration of a client.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use egp_driver::{DriverConfig, RunKey};
 use egp_gate::Limits;
 use egp_wire::keys::NameError;
-use egp_wire::{KeyError, KeyRing};
+use egp_wire::{KeyError, KeyFileError, KeyRing};
 use thiserror::Error;
 
 /// Why the secret key of a vehicle cannot be used.
 #[derive(Debug, Error)]
-pub enum KeyFileError {
-    /// The file cannot be read.
-    #[error("cannot read the key {path}: {source}")]
-    Read {
-        /// The file.
-        path: String,
-        /// The error of the system.
-        source: std::io::Error,
-    },
+pub enum VehicleKeyError {
+    /// The file cannot be used.
+    #[error(transparent)]
+    File(#[from] KeyFileError),
     /// The file has no key of this vehicle.
     #[error("{path}: {source}")]
-    Content {
+    Missing {
         /// The file.
         path: String,
-        /// What is wrong.
+        /// Which key is missing.
         source: KeyError,
     },
     /// The system gives no random numbers.
@@ -78,22 +72,17 @@ impl VehicleConfig {
     /// recognises its answers.
     ///
     /// # Errors
-    /// [`KeyFileError`] naming the file.
-    pub fn with_key(mut self, file: &Path) -> Result<Self, KeyFileError> {
-        let name = || file.display().to_string();
-        let text = fs::read_to_string(file).map_err(|source| KeyFileError::Read {
-            path: name(),
-            source,
-        })?;
-        let key = KeyRing::parse(&text).and_then(|ring| {
-            let own = ring.get(&self.driver.fleet, &self.driver.vehicle)?;
-            Ok(own.clone())
-        });
-        let key = key.map_err(|source| KeyFileError::Content {
-            path: name(),
-            source,
-        })?;
-        let run = getrandom::u64().map_err(KeyFileError::Random)?;
+    /// [`VehicleKeyError`] naming the file.
+    pub fn with_key(mut self, file: &Path) -> Result<Self, VehicleKeyError> {
+        let ring = KeyRing::read(file)?;
+        let key = ring.get(&self.driver.fleet, &self.driver.vehicle);
+        let key = key
+            .map_err(|source| VehicleKeyError::Missing {
+                path: file.display().to_string(),
+                source,
+            })?
+            .clone();
+        let run = getrandom::u64().map_err(VehicleKeyError::Random)?;
         self.driver.key = Some(RunKey { key, run });
         Ok(self)
     }

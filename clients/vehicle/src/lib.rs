@@ -23,7 +23,7 @@ mod network;
 mod status;
 
 pub use client::{ClientError, VehicleClient};
-pub use config::{KeyFileError, VehicleConfig};
+pub use config::{VehicleConfig, VehicleKeyError};
 pub use egp_driver::{DriverConfig, Late, Lost, Measurement, Outcome, Situation, Step};
 pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use egp_parameters::VehicleParameters;

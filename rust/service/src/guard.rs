@@ -1,41 +1,18 @@
 //! Who sends a question: the seals of vehicles are checked against their keys, and no question counts twice.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::fs;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use egp_wire::keys::Name;
-use egp_wire::{Code, KeyError, KeyRing, Seal, Tag, VehicleKey, WireError};
+use egp_wire::{Code, KeyFileError, KeyRing, Seal, Tag, VehicleKey, WireError};
 use prometheus_client::metrics::counter::Counter;
-use thiserror::Error;
 
 use crate::query::Query;
 
 /// Runs of a vehicle's client that are remembered; a vehicle that starts more often than this while the service runs is
 /// answered, but copies of questions from before could be repeated.
 const RUNS: usize = 64;
-
-/// Why the keys of the vehicles cannot be used.
-#[derive(Debug, Error)]
-pub enum VehicleKeysError {
-    /// The file cannot be read.
-    #[error("cannot read the keys of the vehicles {path}: {source}")]
-    Read {
-        /// The file.
-        path: String,
-        /// The error of the system.
-        source: std::io::Error,
-    },
-    /// The file holds no keys.
-    #[error("{path}: {source}")]
-    Content {
-        /// The file.
-        path: String,
-        /// What is wrong.
-        source: KeyError,
-    },
-}
 
 /// The runs of a vehicle, each with the number of its newest question; the run that asked last is the last.
 type Runs = VecDeque<(u64, u64)>;
@@ -63,18 +40,9 @@ impl Sealed {
 
 impl Guard {
     /// Reads the keys.
-    pub(crate) fn load(path: &Path) -> Result<Self, VehicleKeysError> {
-        let name = || path.display().to_string();
-        let text = fs::read_to_string(path).map_err(|source| VehicleKeysError::Read {
-            path: name(),
-            source,
-        })?;
-        let keys = KeyRing::parse(&text).map_err(|source| VehicleKeysError::Content {
-            path: name(),
-            source,
-        })?;
+    pub(crate) fn load(path: &Path) -> Result<Self, KeyFileError> {
         Ok(Self {
-            keys,
+            keys: KeyRing::read(path)?,
             seen: Mutex::new(BTreeMap::new()),
             twice: Counter::default(),
         })

@@ -30,7 +30,6 @@ mod signature;
 mod worker;
 
 pub use config::{ConfigError, ServiceConfig};
-pub use guard::VehicleKeysError;
 pub use handler::Handler;
 pub use libraries::{Libraries, LibrariesWorkspace, ReloadError, Reloaded};
 pub use logging::init_logging;

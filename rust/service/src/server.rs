@@ -8,13 +8,13 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use egp_core::library;
-use egp_wire::WireError;
 use egp_wire::keys::{self, Name, NameError};
+use egp_wire::{KeyFileError, WireError};
 use prost::Message as _;
 use thiserror::Error;
 
 use crate::config::{ConfigError, ServiceConfig};
-use crate::guard::{Guard, VehicleKeysError};
+use crate::guard::Guard;
 use crate::handler::Handler;
 use crate::http::{HttpEndpoint, HttpListener};
 use crate::intake::Shared;
@@ -53,7 +53,7 @@ pub enum StartError {
     },
     /// The keys of the vehicles cannot be used.
     #[error(transparent)]
-    Keys(#[from] VehicleKeysError),
+    Keys(#[from] KeyFileError),
     /// An operation of zenoh that failed.
     #[error(transparent)]
     Network(#[from] NetworkError),

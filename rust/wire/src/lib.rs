@@ -50,7 +50,7 @@ pub use road::{
     TileOrigin, decode_tiles_changed, encode_tiles_changed,
 };
 
-pub use seal::{KeyError, KeyRing, Seal, Tag, VehicleKey};
+pub use seal::{KeyError, KeyFileError, KeyRing, Seal, Tag, VehicleKey};
 
 /// The messages as generated from `proto/egp/v1/egp.proto`, unvalidated.
 #[allow(missing_docs, clippy::pedantic)]

@@ -10,7 +10,8 @@
 //! The tag of an answer therefore holds for one vehicle, one replica, one sequence number and one request only.
 
 use std::collections::BTreeMap;
-use std::fmt;
+use std::path::Path;
+use std::{fmt, fs};
 
 use hmac::{Hmac, KeyInit as _, Mac as _};
 use prost::Message as _;
@@ -151,11 +152,48 @@ pub enum KeyError {
     },
 }
 
+/// Why a file of keys cannot be used.
+#[derive(Debug, Error)]
+pub enum KeyFileError {
+    /// The file cannot be read.
+    #[error("cannot read the keys of the vehicles {path}: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// The error of the system.
+        source: std::io::Error,
+    },
+    /// The file holds no such keys.
+    #[error("{path}: {source}")]
+    Content {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        source: KeyError,
+    },
+}
+
 /// The keys of several vehicles: a text with a line `FLEET/VEHICLE KEY` for each. Lines that begin with `#` are comments.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct KeyRing(BTreeMap<(Name, Name), VehicleKey>);
 
 impl KeyRing {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`KeyFileError`] naming the file.
+    pub fn read(path: &Path) -> Result<Self, KeyFileError> {
+        let name = || path.display().to_string();
+        let text = fs::read_to_string(path).map_err(|source| KeyFileError::Read {
+            path: name(),
+            source,
+        })?;
+        Self::parse(&text).map_err(|source| KeyFileError::Content {
+            path: name(),
+            source,
+        })
+    }
+
     /// Reads the text.
     ///
     /// # Errors
