@@ -14,7 +14,8 @@ import egp_service
 # Libraries that take long to import or come with an extra.
 WATCHED = {
     "botorch", "cvxpy", "gpytorch", "gymnasium", "loky", "matplotlib", "mcap", "osqp", "polars",
-    "ray", "rich", "scipy", "starlette", "torch", "typer", "uvicorn", "zenoh",
+    "ray", "rich", "rosbags", "ruamel", "scipy", "starlette", "torch", "typer", "uvicorn",
+    "xxhash", "zenoh",
 }  # fmt: skip
 TRAINING = {"torch", "gpytorch", "botorch", "scipy", "polars", "loky"}
 TERMINAL = {"rich", "typer"}
@@ -36,6 +37,7 @@ MAY_LOAD = {
     "egp_service.control.replay": {"mcap"},
     "egp_service.control.status": {"zenoh"},
     "egp_service.monitor": {"zenoh", "starlette", "uvicorn"},
+    "egp_service.ros2": {"rosbags", "ruamel", "xxhash", "zenoh"},
     "egp_service.simulation": {"mcap"},
     "egp_service.simulation.environment": {"gymnasium", "mcap"},
     "egp_service.simulation.report": {"matplotlib"},

@@ -148,6 +148,21 @@ def test_7_the_commands_tell_what_they_do() -> None:
     assert "solved" in egp("doctor")
 
 
+def test_8_parameters_of_autoware_become_settings(folder: Path) -> None:
+    lines = ["mpc_prediction_horizon: 50", "mpc_prediction_dt: 0.02", "mpc_weight_lat_error: 1.0"]
+    file = folder / "lateral.param.yaml"
+    file.write_text("\n    ".join(["/**:\n  ros__parameters:", *lines]) + "\n")
+    assert "ros2 run rmw_zenoh_cpp rmw_zenohd" in egp("ros2", "--help")
+    if importlib.util.find_spec("rosbags") is None or importlib.util.find_spec("xxhash") is None:
+        told = egp("ros2", code=1)
+        assert "pip install 'egp-service[ros2]'" in told
+    else:
+        (folder / "settings.toml").write_text(egp("ros2", "--autoware-parameters", str(file)))
+        assert "horizon = 50" in (folder / "settings.toml").read_text()
+        told = egp("ros2", "--router=tcp/127.0.0.1:9", "--settings=settings.toml", code=1)
+        assert "rmw_zenohd" in told
+
+
 def test_10_the_service_the_load_and_the_simulation_come_with_the_wheel(folder: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"

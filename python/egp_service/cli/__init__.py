@@ -23,6 +23,7 @@ from egp_service.cli.commands.load import load
 from egp_service.cli.commands.map import keep_map
 from egp_service.cli.commands.monitor import monitor
 from egp_service.cli.commands.replay import replay
+from egp_service.cli.commands.ros2 import ros2
 from egp_service.cli.commands.router import router
 from egp_service.cli.commands.serve import serve
 from egp_service.cli.commands.settings import settings
@@ -59,6 +60,9 @@ As a service for vehicles:
 Watch vehicles and replicas in the browser:
   egp monitor
 
+Drive a vehicle of ROS 2 (rmw_zenoh), without ROS on this machine:
+  egp ros2
+
 What can be set, and whether this machine is fit:
   egp settings
   egp doctor
@@ -92,6 +96,7 @@ for command in (
     settings,
     doctor,
     monitor,
+    ros2,
 ):
     app.command(no_args_is_help=False)(command)
 app.command("map")(keep_map)

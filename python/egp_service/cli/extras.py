@@ -16,5 +16,8 @@ EXTRAS: Final = {
     "gymnasium": "gym",
     "starlette": "monitor",
     "uvicorn": "monitor",
+    "rosbags": "ros2",
+    "ruamel": "ros2",
+    "xxhash": "ros2",
 }
 """Name of each package, with the extra that installs it."""

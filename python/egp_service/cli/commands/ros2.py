@@ -1,0 +1,160 @@
+"""`egp ros2`."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from egp_service.shipped import DEMO_LIBRARY
+
+if TYPE_CHECKING:
+    from egp_service._core import VehicleParameters
+    from egp_service.control.step import Step, StepController
+
+
+class Origin(StrEnum):
+    """Where the child frame of the odometry lies."""
+
+    REAR_AXLE = "rear-axle"
+    CENTRE = "centre"
+
+
+def ros2(
+    *,
+    router: Annotated[
+        str, typer.Option(help="Endpoint of rmw_zenoh's router.")
+    ] = "tcp/127.0.0.1:7447",
+    domain: Annotated[int, typer.Option(help="ROS_DOMAIN_ID.")] = 0,
+    node: Annotated[str, typer.Option(help="Name of the node.")] = "egp_controller",
+    library: Annotated[
+        Path, typer.Option("--library", "-l", help="Library of the vehicle.")
+    ] = DEMO_LIBRARY,
+    vehicle: Annotated[
+        Path | None, typer.Option(help="File of the vehicle in place of the library's.")
+    ] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="Settings of the control step (TOML).")
+    ] = None,
+    connect: Annotated[
+        str | None, typer.Option(help="Endpoint of a service in place of this process.")
+    ] = None,
+    odometry: Annotated[
+        str, typer.Option(help="Topic, nav_msgs/Odometry.")
+    ] = "/localization/kinematic_state",
+    path: Annotated[str, typer.Option(help="Topic, nav_msgs/Path.")] = "/planning/path",
+    steering: Annotated[
+        str | None, typer.Option(help="Topic, autoware_vehicle_msgs/SteeringReport.")
+    ] = None,
+    ackermann: Annotated[
+        str, typer.Option(help="Topic, ackermann_msgs/AckermannDriveStamped; '' for none.")
+    ] = "/drive",
+    control: Annotated[
+        str, typer.Option(help="Topic, autoware_control_msgs/Control; '' for none.")
+    ] = "/control/command/control_cmd",
+    child_frame: Annotated[
+        Origin, typer.Option(help="Where the odometry's child frame lies.")
+    ] = Origin.REAR_AXLE,
+    friction: Annotated[
+        float, typer.Option(min=0.01, max=2.0, help="Friction for which the speed is planned.")
+    ] = 0.5,
+    grip: Annotated[float, typer.Option(min=0.01, max=1.0, help="Used part of it.")] = 0.8,
+    v_max: Annotated[float, typer.Option(min=0.1, help="Largest speed, m/s.")] = 10.0,
+    silence: Annotated[
+        float, typer.Option(min=0.02, help="Seconds without odometry before a stop.")
+    ] = 0.2,
+    seconds: Annotated[float | None, typer.Option(help="End after this time.")] = None,
+    zenoh: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Configuration of zenoh (JSON5).")
+    ] = None,
+    autoware_parameters: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the settings that fit Autoware's MPC lateral controller, and end.",
+        ),
+    ] = None,
+) -> None:
+    """Drive a vehicle of ROS 2 through rmw_zenoh, without ROS on this machine.
+
+    Odometry and path come in; commands go out in each period as Ackermann drive
+    and as Autoware control. `ros2 topic list` shows the topics. Without odometry
+    for --silence seconds the vehicle is stopped until the command is started
+    again (docs/ros2.md).
+
+    For example:
+      ros2 run rmw_zenoh_cpp rmw_zenohd     (on the vehicle)
+      egp ros2 --router tcp/vehicle:7447 --odometry /odom --path /plan
+      egp ros2 --autoware-parameters lateral.param.yaml > settings.toml
+    """
+    from egp_service._core import Library
+
+    loaded = Library.load(library)
+    if autoware_parameters is not None:
+        _write_settings(autoware_parameters, loaded.dt)
+        return
+    from egp_service.ros2.driving import Drive, Vehicle
+    from egp_service.ros2.node import Node
+    from egp_service.vehicle import read_vehicle
+
+    car = loaded.parameters if vehicle is None else read_vehicle(vehicle)
+    drive = Drive(
+        vehicle=car,
+        to_centre=car.l_r if child_frame is Origin.REAR_AXLE else 0.0,
+        friction=friction,
+        grip=grip,
+        v_max=v_max,
+        silence=silence,
+        odometry=odometry,
+        path=path,
+        steering=steering,
+        ackermann=ackermann or None,
+        control=control or None,
+    )
+    console = Console(stderr=True)
+    with (
+        _controller(library, settings, connect, car) as controller,
+        Node(node, domain, router, zenoh) as ros,
+    ):
+        driven = Vehicle(ros, controller, drive)
+        shown = ""
+
+        def observe(step: "Step | None") -> None:
+            nonlocal shown
+            mode = "waiting for odometry and path" if step is None else step.mode
+            told = f"{mode}: {driven.problem}" if driven.problem else mode
+            if told != shown:
+                console.print(told)
+                shown = told
+
+        console.print(f"Node {node} in domain {domain}, router {router}  (Ctrl-C ends it)")
+        driven.run(observe, seconds)
+
+
+def _controller(
+    library: Path, settings: Path | None, connect: str | None, car: "VehicleParameters"
+) -> "StepController":
+    from egp_service.cli.settings_file import read_settings
+    from egp_service.control.controller import Controller
+
+    if connect is None:
+        stated = {} if settings is None else read_settings(settings)
+        return Controller(library, stated, gate=car.gate_limits())
+    if settings is not None:
+        raise typer.BadParameter("--settings belongs to the service: egp serve --settings")
+    from egp_service.control.client import VehicleClient
+
+    return VehicleClient.connect([connect], gate=car.gate_limits())
+
+
+def _write_settings(file: Path, dt: float) -> None:
+    """Print settings as TOML, with what they come from and what is left out as comments."""
+    from egp_service.control.toml_text import dumps
+    from egp_service.ros2.autoware import map_parameters, read_parameters
+
+    mapped = map_parameters(read_parameters(file), dt)
+    lines = [f"# {setting}: {source}" for setting, source in mapped.sources.items()]
+    lines += [f"# vehicle's file: {name} = {value:.4g}" for name, value in mapped.limits.items()]
+    lines += [f"# not mapped: {name}, {why}" for name, why in mapped.ignored.items()]
+    typer.echo("\n".join([*lines, dumps(mapped.settings)]), nl=False)

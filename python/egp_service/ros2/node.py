@@ -1,0 +1,138 @@
+"""A node in the graph of ROS 2, as a session of zenoh."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import zenoh
+
+from egp_service._core import EgpError
+from egp_service.control.client import session_config
+from egp_service.ros2.messages import decode, encode
+from egp_service.ros2.rmw_zenoh import (
+    Topic,
+    check_node,
+    encode_attachment,
+    endpoint_token,
+    gid,
+    node_token,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+# Larger than a path of 40 000 poses.
+_MAX_MESSAGE_BYTES: Final = 1 << 23
+_CONNECT_SECONDS: Final = 5.0
+
+
+class Newest:
+    """The newest message of a subscription, which zenoh's thread replaces."""
+
+    def __init__(self, topic: Topic, arrived: threading.Event) -> None:
+        """Set `arrived` with each message."""
+        self.topic = topic
+        self._arrived = arrived
+        self._newest: tuple[bytes, float] | None = None
+
+    def take(self) -> tuple[Any, float] | None:
+        """Return the message and its time of arrival (monotonic, s), once.
+
+        Raises `MessageError` if it cannot be decoded.
+        """
+        newest, self._newest = self._newest, None
+        if newest is None:
+            return None
+        data, arrival = newest
+        return decode(data, self.topic.type), arrival
+
+    def put(self, sample: zenoh.Sample) -> None:
+        """Keep a sample; zenoh calls this."""
+        self._newest = (sample.payload.to_bytes(), time.monotonic())
+        self._arrived.set()
+
+
+class Node:
+    """A node of rmw_zenoh with publishers and subscriptions; it leaves the graph on `close`."""
+
+    def __init__(self, name: str, domain: int, endpoint: str, file: Path | None = None) -> None:
+        """Connect to the router `ros2 run rmw_zenoh_cpp rmw_zenohd` at `endpoint`.
+
+        `file` is a configuration of zenoh (JSON5) in place of the defaults.
+        Raises `EgpError` if no session opens, and `InvalidArgumentError` for a wrong name.
+        """
+        check_node(name)
+        more: dict[str, object] = {"connect/exit_on_failure": True}
+        if file is None:
+            more["transport/link/rx/max_message_size"] = _MAX_MESSAGE_BYTES
+        config = session_config([endpoint], _CONNECT_SECONDS, more, file)
+        try:
+            self._session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise EgpError(
+                f"no router of rmw_zenoh at {endpoint}: {error}; start one with "
+                "`ros2 run rmw_zenoh_cpp rmw_zenohd` or `egp router`"
+            ) from error
+        self._name, self._domain = name, domain
+        self._id = str(self._session.zid())
+        self.arrived = threading.Event()
+        """Is set when a message arrives."""
+        self._entities = 0
+        # What zenoh drops when nobody holds it.
+        self._held: list[object] = []
+        self._declare_token(node_token(domain, self._id, name))
+
+    def subscribe(self, topic: str, kind: str, *, depth: int = 1) -> Newest:
+        """Subscribe to a topic of a type such as `nav_msgs/msg/Path`."""
+        described = Topic(self._domain, topic, kind)
+        newest = Newest(described, self.arrived)
+        self._held.append(self._session.declare_subscriber(described.key, newest.put))
+        self._entities += 1
+        self._declare_token(
+            endpoint_token(
+                described, self._id, self._name, entity=self._entities, kind="MS", depth=depth
+            )
+        )
+        return newest
+
+    def publisher(self, topic: str, kind: str, *, depth: int = 1) -> Callable[[object], None]:
+        """Return a function that publishes messages of a type on a topic."""
+        described = Topic(self._domain, topic, kind)
+        self._entities += 1
+        token = endpoint_token(
+            described, self._id, self._name, entity=self._entities, kind="MP", depth=depth
+        )
+        self._declare_token(token)
+        publisher = self._session.declare_publisher(
+            described.key, congestion_control=zenoh.CongestionControl.DROP
+        )
+        identity = gid(token)
+        sequence = 0
+
+        def publish(message: object) -> None:
+            nonlocal sequence
+            sequence += 1
+            publisher.put(
+                encode(message, kind),
+                attachment=encode_attachment(sequence, time.time_ns(), identity),
+            )
+
+        return publish
+
+    def _declare_token(self, token: str) -> None:
+        self._held.append(self._session.liveliness().declare_token(token))
+
+    def close(self) -> None:
+        """Leave the graph and close the session."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        """Return the node."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the graph."""
+        self.close()

@@ -1,0 +1,198 @@
+# mypy: disable-error-code="arg-type"
+"""The adapter to ROS 2: bytes against another CDR library, and a drive over zenoh."""
+
+# ruff: noqa: E402 - the libraries of the extra may be missing
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+for name in ("rosbags", "ruamel.yaml", "xxhash", "pycdr2"):
+    pytest.importorskip(name, reason=f"{name} comes with `make setup`")
+
+from egp_service import Controller, Plant, shipped
+from egp_service._core import InvalidArgumentError
+from egp_service.control.router import Router
+from egp_service.ros2 import messages
+from egp_service.ros2.autoware import AutowareError, map_parameters, read_parameters
+from egp_service.ros2.conversion import Command, PathError, message_of, path_of, state_of
+from egp_service.ros2.rmw_zenoh import (
+    Topic,
+    decode_attachment,
+    encode_attachment,
+    endpoint_token,
+    gid,
+    node_token,
+)
+from ros2 import idl, vehicle
+
+TESTS = Path(__file__).parents[1]
+# From the design document of rmw_zenoh.
+STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+
+
+def test_keys_and_tokens_are_those_of_the_design_document() -> None:
+    chatter = Topic(2, "/robot1/chatter", "std_msgs/msg/String")
+    assert chatter.key == f"2/robot1/chatter/std_msgs::msg::dds_::String_/{STRING}"
+    assert Topic(7, "/odom", messages.ODOMETRY).key == vehicle.ODOMETRY
+    session = "aac3178e146ba6f1fc6e6a4085e77f21"
+    assert node_token(2, session, "listener") == f"@ros2_lv/2/{session}/0/0/NN/%/%/listener"
+    token = endpoint_token(
+        Topic(2, "/chatter", "std_msgs/msg/String"),
+        session, "listener", entity=10, kind="MS", depth=10,
+    )  # fmt: skip
+    assert token == (
+        f"@ros2_lv/2/{session}/0/10/MS/%/%/listener/%chatter/std_msgs::msg::dds_::String_/"
+        f"{STRING}/::,10:,:,:,,"
+    )
+    # XXH3 of 128 bits of the empty text is 99aa06d3014798d86001c324468d497f.
+    assert gid("").hex() == "7f498d4624c30160d8984701d306aa99"
+    for domain, topic in ((233, "/odom"), (-1, "/odom"), (0, "odom"), (0, "/a//b"), (0, "/a*")):
+        with pytest.raises(InvalidArgumentError):
+            Topic(domain, topic, messages.PATH)
+
+
+def test_an_attachment_has_33_bytes_in_the_documented_order() -> None:
+    data = encode_attachment(3, 1_000_000_007, bytes(range(16)))
+    assert data == (
+        b"\x03" + bytes(7) + b"\x07\xca\x9a\x3b" + bytes(4) + b"\x10" + bytes(range(16))
+    )
+    assert decode_attachment(data) == (3, 1_000_000_007, bytes(range(16)))
+    with pytest.raises(messages.MessageError, match=r"0\.6 or newer"):
+        decode_attachment(data[:-1])
+
+
+def test_commands_have_the_bytes_of_another_cdr_library() -> None:
+    command = Command(0.25, -0.5, 7.5, -1.25)
+    time_ns = 5_000_000_009
+    now = idl.Time(5, 9)
+    drive = idl.AckermannDrive(0.25, -0.5, 7.5, -1.25, 0.0)
+    golden = idl.AckermannDriveStamped(idl.Header(now, "base_link"), drive).serialize()
+    made = message_of(command, messages.ACKERMANN, time_ns, "base_link")
+    assert messages.encode(made, messages.ACKERMANN) == golden
+    lateral = idl.Lateral(now, now, 0.25, -0.5, True)  # noqa: FBT003
+    longitudinal = idl.Longitudinal(now, now, 7.5, -1.25, 0.0, True, False)  # noqa: FBT003
+    golden = idl.Control(now, now, lateral, longitudinal).serialize()
+    made = message_of(command, messages.CONTROL, time_ns, "base_link")
+    # The last field is a byte, behind which libraries may pad.
+    assert messages.encode(made, messages.CONTROL).rstrip(b"\0") == golden.rstrip(b"\0")
+
+
+def test_odometry_of_another_cdr_library_gives_the_state() -> None:
+    state = np.array([3.0, -4.0, 12.0, 2.5, 0.3, -0.2, 0.1])
+    data = vehicle.odometry(state, 1.5)
+    read = state_of(messages.decode(data, messages.ODOMETRY), 0.1, 1.5)
+    np.testing.assert_allclose(read, state, rtol=0, atol=1e-14)
+    for broken in (b"", data[:100], b"\x00\x03" + data[2:]):
+        with pytest.raises(messages.MessageError):
+            messages.decode(broken, messages.ODOMETRY)
+
+
+def test_a_path_is_closed_if_its_ends_meet_and_needs_four_poses() -> None:
+    def path(points: list[tuple[float, float]]) -> object:
+        header = idl.Header(idl.Time(), "map")
+        poses = [idl.PoseStamped(header, vehicle.pose(x, y, 0.0)) for x, y in points]
+        return messages.decode(idl.Path(header, poses).serialize(), messages.PATH)
+
+    angle = np.linspace(0.0, 2.0 * np.pi, 101)
+    ring = [(20.0 * float(np.cos(a)), 20.0 * float(np.sin(a))) for a in angle]
+    lap = path_of(path(ring), 0.4)
+    assert lap.closed
+    assert lap.length == pytest.approx(40.0 * np.pi, rel=1e-3)
+    assert float(lap.sample(np.zeros(1))[-1][0]) == 0.4
+    half = path_of(path([*ring[:50], ring[49]]), 0.4)
+    assert not half.closed
+    assert not path_of(path([(0.0, 0.0), (40.0, 0.0), (80.0, 0.0), (120.0, 0.0)]), 0.4).closed
+    for points in ([], ring[:1], [ring[0]] * 5):
+        with pytest.raises(PathError, match="at least 4"):
+            path_of(path(points), 0.4)
+
+
+PARAMETERS = """/**:
+  ros__parameters:
+    mpc_prediction_horizon: 50
+    mpc_prediction_dt: 0.02
+    mpc_weight_lat_error: 2.0
+    mpc_weight_heading_error: 0.1
+    mpc_weight_heading_error_squared_vel: 0.01
+    mpc_weight_steering_input: 1.0
+    mpc_weight_steer_rate: 0.1
+    mpc_weight_terminal_lat_error: 4.0
+    steer_rate_lim_dps_list_by_velocity: [60.0, 50.0, 40.0]
+"""
+
+
+def test_parameters_of_autoware_become_settings(tmp_path: Path) -> None:
+    file = tmp_path / "lateral.param.yaml"
+    file.write_text(PARAMETERS)
+    parameters = read_parameters(file)
+    mapped = map_parameters(parameters, dt=0.02)
+    assert mapped.settings == {
+        "horizon": 50,
+        "cost": {
+            "lateral": 60.0,
+            "terminal": 2.0,
+            "input": [0.05, pytest.approx(3.0)],
+        },
+    }
+    assert mapped.limits == {"steering_rate": pytest.approx(np.radians(40.0))}
+    assert set(mapped.ignored) == {
+        "mpc_weight_heading_error",
+        "mpc_weight_heading_error_squared_vel",
+        "mpc_weight_steering_input",
+    }
+    limits = Plant().parameters.gate_limits()
+    with Controller(shipped.DEMO_LIBRARY, mapped.settings, gate=limits) as controller:
+        assert controller.horizon == 50
+    for name, value in (("mpc_weight_lat_error", 0.0), ("mpc_prediction_dt", "fast")):
+        with pytest.raises(AutowareError, match=name):
+            map_parameters({**parameters, name: value}, dt=0.02)
+    for text in ("a: [", "a: 1", ""):
+        file.write_text(text)
+        with pytest.raises(AutowareError, match=str(file)):
+            read_parameters(file)
+
+
+def test_a_vehicle_of_rmw_zenoh_is_driven_and_stopped_in_silence() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    environment = {
+        **os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path]),
+    }  # fmt: skip
+
+    def start(*arguments: str, stdout: int | None = None) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", *arguments]
+        return subprocess.Popen(command, env=environment, stdout=stdout, text=True)
+
+    with Router([endpoint]):
+        adapter = start(
+            "egp_service", "ros2", "--router", endpoint, "--domain=7", "--odometry=/odom",
+            "--path=/plan", "--friction=0.8", "--silence=0.3",
+        )  # fmt: skip
+        try:
+            driven = start("ros2.vehicle", endpoint, "4.0", "0.9", stdout=subprocess.PIPE)
+            said, _ = driven.communicate(timeout=40)
+            assert driven.returncode == 0
+        finally:
+            adapter.terminate()
+            adapter.wait(timeout=20)
+    found = json.loads(said)
+    kinds = sorted(token.split("/")[5] for token in found["tokens"])
+    assert kinds == ["MP", "MP", "MS", "MS", "NN"]
+    assert found["commands"] > 120
+    assert found["sequences"]
+    assert found["lateral"] < 0.5
+    assert found["driven"] > 20.0
+    assert not found["stopped_before_the_silence"]
+    assert found["stopped_at_the_end"]
+    velocity, acceleration = found["control"]
+    assert velocity == 0.0
+    assert acceleration < 0.0
+    assert found["speed"] < found["speed_before"] - 0.5
