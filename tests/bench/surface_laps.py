@@ -66,7 +66,7 @@ def laps(
             zones=zones,
             library=library,
             seed=seed,
-            speed=Speed(grip=grip, v_max=18.0),
+            speed=Speed(grip=grip, v_max=18.0, tyres=True),
             measurement=NOISE,
         )
         controller = make(Contender(kind, kind), scenario)

@@ -117,11 +117,18 @@ def merge_tiles(
 class SpeedPlanner:
     """Plans the speed over the next 250 m of a path, once in each control period.
 
-    `grip` and `v_max` are those of `SpeedProfile`. The path's zones of friction are not used.
+    `grip`, `v_max` and `tyres` are those of `SpeedProfile`. The path's zones of friction are not
+    used.
     """
 
     def __new__(
-        cls, path: Path, vehicle: VehicleParameters, grip: float = 0.8, v_max: float = 30.0
+        cls,
+        path: Path,
+        vehicle: VehicleParameters,
+        grip: float = 0.8,
+        v_max: float = 30.0,
+        *,
+        tyres: NDArray[np.float64] | None = None,
     ) -> SpeedPlanner: ...
     def places(self, s: float) -> NDArray[np.float64]:
         """Return the arc lengths (n,) at which `plan` needs the friction, for a vehicle at `s`."""

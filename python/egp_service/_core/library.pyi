@@ -93,6 +93,13 @@ class Member:
         times the friction.
         """
     @property
+    def lateral_grip(self) -> float:
+        """Largest lateral acceleration of a steady bend on this surface, as a fraction of mu g.
+
+        Of a single-track vehicle the smaller peak of its two axles, `min(D_f, D_r) / mu`, without
+        the Gaussian processes. Of other members `lateral_grip` of the library's vehicle.
+        """
+    @property
     def dataset(self) -> str:
         """SHA-256 of the dataset that the member was trained on."""
     @property

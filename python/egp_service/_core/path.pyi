@@ -156,7 +156,11 @@ class SpeedProfile:
 
     `vehicle` states the reachable shares of the friction, the strongest braking and the strongest
     drive. `v_max` and the start and end speed of an open path are in m/s; the latter default to the
-    fastest.
+    fastest. `tyres` has rows of a friction coefficient and the `lateral_grip` of its member (n, 2),
+    with increasing friction: in bends the profile then asks for at most 95 % of what the tyres
+    transmit, `min(grip * vehicle.lateral_grip, 0.95 * lateral_grip(mu)) * mu * g`. Between rows the
+    lateral grip is interpolated; beyond them it is that of the nearest. Raises `EgpError` if a
+    number is out of range or the frictions do not increase.
     """
 
     def __new__(
@@ -168,6 +172,7 @@ class SpeedProfile:
         *,
         start_speed: float | None = None,
         end_speed: float | None = None,
+        tyres: NDArray[np.float64] | None = None,
     ) -> SpeedProfile: ...
     @staticmethod
     def constant(path: Path, speed: float) -> SpeedProfile:

@@ -10,16 +10,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import Path, SpeedProfile
+from egp_service._core import Library, Path, SpeedProfile
 from egp_service.simulation.scenario import (
     Scenario,
     ScenarioError,
     check_seed,
+    library_path,
     vehicle_parameters,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
 # A long lap with fast and slow corners of both directions.
 _CIRCUIT_SEED = 11
@@ -77,7 +80,24 @@ def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:
     if scenario.speed.constant:
         return SpeedProfile.constant(path, scenario.speed.v_max)
     car = vehicle_parameters(scenario)
-    return SpeedProfile(path, car, scenario.speed.grip, scenario.speed.v_max)
+    speed = scenario.speed
+    return SpeedProfile(path, car, speed.grip, speed.v_max, tyres=tyre_grips(scenario))
+
+
+def tyre_grips(scenario: Scenario) -> NDArray[np.float64] | None:
+    """Return the members' frictions and lateral grips (n, 2), the least of each friction.
+
+    None if the scenario's speed does not depend on them. Raises `LibraryError` or `OSError` if the
+    scenario's library cannot be read.
+    """
+    if not scenario.speed.tyres:
+        return None
+    members = Library.load(library_path(scenario)).members
+    grips: dict[float, float] = {}
+    for member in members:
+        known = grips.get(member.friction, float("inf"))
+        grips[member.friction] = min(known, member.lateral_grip)
+    return np.array(sorted(grips.items()))
 
 
 def road_name(scenario: Scenario) -> str:

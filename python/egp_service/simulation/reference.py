@@ -10,7 +10,7 @@ import numpy as np
 
 from egp_service._core import EgpError, RoadBelief, SpeedPlanner
 from egp_service.files import replacing
-from egp_service.simulation.course import build_path, build_profile
+from egp_service.simulation.course import build_path, build_profile, tyre_grips
 from egp_service.simulation.scenario import ScenarioError, vehicle_parameters
 
 if TYPE_CHECKING:
@@ -63,7 +63,8 @@ class _Planned(SpeedReference):
 
     def __init__(self, scenario: Scenario, path: Path) -> None:
         car = vehicle_parameters(scenario)
-        self._planner = SpeedPlanner(path, car, scenario.speed.grip, scenario.speed.v_max)
+        speed = scenario.speed
+        self._planner = SpeedPlanner(path, car, speed.grip, speed.v_max, tyres=tyre_grips(scenario))
 
     def plan(self, s: float, v: float | None) -> tuple[SpeedProfile, float]:
         """Plan for the friction that is believed."""

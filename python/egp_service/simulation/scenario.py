@@ -102,6 +102,9 @@ class Speed:
     preview: bool = True
     """With `nothing`: whether the model of each stage follows what was found about the road there;
     otherwise it is that of the last transitions at all stages."""
+    tyres: bool = False
+    """Whether the speed in bends is limited to what the tyres of the library's members transmit,
+    for surfaces on which the vehicle reaches less of the friction than `lateral_grip` says."""
     v_max: float = 20.0
     """Largest speed, m/s."""
     constant: bool = False

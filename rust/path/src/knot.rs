@@ -22,7 +22,7 @@ impl Knot {
         Self {
             curvature,
             grip,
-            lateral: limits.lateral * grip,
+            lateral: limits.lateral_acceleration(friction),
         }
     }
 

@@ -1,17 +1,24 @@
 //! Bounds of the speed along a path.
 
-use egp_parameters::VehicleParameters;
+use egp_parameters::{STANDARD_GRAVITY, VehicleParameters};
 
 use crate::error::{PathError, check};
 
+/// Largest share of the lateral peak of a surface's tyres that a reference asks for. On the peak itself a controller
+/// has nothing left with which it could correct an error.
+const TYRE_SHARE: f64 = 0.95;
+
 /// Bounds of the speed. The friction circle of `mu g` is scaled in each direction, because a vehicle with one driven
 /// axle and load transfer reaches far less of it in acceleration than in cornering.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SpeedLimits {
     /// Fraction of the reachable accelerations to use, in `(0, 1]`.
     pub grip: f64,
     /// Reachable lateral acceleration as a fraction of `mu g`.
     pub lateral: f64,
+    /// Lateral peaks of the tyres of single surfaces: rows of the friction coefficient `mu` and the largest lateral
+    /// acceleration as a fraction of `mu g`, with increasing `mu`. Empty if they are not known.
+    pub tyres: Vec<[f64; 2]>,
     /// Reachable deceleration as a fraction of `mu g`.
     pub braking: f64,
     /// Reachable acceleration as a fraction of `mu g`.
@@ -36,6 +43,7 @@ impl SpeedLimits {
         Self {
             grip: 0.8,
             lateral: vehicle.lateral_grip,
+            tyres: Vec::new(),
             braking: vehicle.braking_grip,
             driving: vehicle.driving_grip,
             v_max: 30.0,
@@ -45,6 +53,21 @@ impl SpeedLimits {
             start_speed: None,
             end_speed: None,
         }
+    }
+
+    /// The largest lateral acceleration in m/s² of a reference on friction `mu`: the smaller of `grip lateral mu g` and
+    /// 95 % of what the tyres transmit. Between two surfaces the fraction of the latter is interpolated linearly in
+    /// `mu`; beyond all of them it is that of the nearest one.
+    pub(crate) fn lateral_acceleration(&self, mu: f64) -> f64 {
+        let share = self.grip * self.lateral;
+        let above = self.tyres.partition_point(|[friction, _]| *friction <= mu);
+        let below = self.tyres[..above].last();
+        let most = match (below, self.tyres.get(above)) {
+            (Some([low, a]), Some([high, b])) => a + (mu - low) / (high - low) * (b - a),
+            (Some([_, nearest]), None) | (None, Some([_, nearest])) => *nearest,
+            (None, None) => f64::INFINITY,
+        };
+        share.min(TYRE_SHARE * most) * mu * STANDARD_GRAVITY
     }
 
     /// Errors if a limit is out of range, or if a closed path has a start or end speed.
@@ -62,6 +85,14 @@ impl SpeedLimits {
             ("power", self.power),
         ] {
             check(name, value, "a positive number", |x| x > 0.0)?;
+        }
+        let mut before = 0.0;
+        for [friction, share] in &self.tyres {
+            check("tyres", *friction, "increasing positive frictions", |mu| {
+                mu > before
+            })?;
+            check("tyres", *share, "positive fractions of mu g", |x| x > 0.0)?;
+            before = *friction;
         }
         for (name, speed) in [
             ("start_speed", self.start_speed),

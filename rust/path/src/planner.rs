@@ -45,7 +45,7 @@ impl SpeedPlanner {
             .collect();
         let knots = (DISTANCE / step).ceil() as usize + 1;
         Ok(Self {
-            limits: *limits,
+            limits: limits.clone(),
             closed: path.closed(),
             step,
             curvature,

@@ -25,7 +25,8 @@ pub struct SpeedProfile {
 impl SpeedProfile {
     /// The fastest profile within the limits, by a backward pass for braking and a forward pass for driving. At every
     /// knot it satisfies the friction ellipse `(a_lat / (lateral mu g))² + (a_lon / (braking | driving) mu g)² <=
-    /// grip²`, for the accelerations before and after the knot, with the lowest friction within a step.
+    /// grip²`, for the accelerations before and after the knot, with the lowest friction within a step. Where the tyres of
+    /// the surface transmit less, `grip lateral mu g` is the share of their peak that [`SpeedLimits`] leaves.
     ///
     /// # Errors
     /// [`PathError`] if a limit is out of range or a closed path has a start or end speed.

@@ -8,10 +8,10 @@ use egp_path::SpeedLimits;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use crate::array::{NewMatrix, NewVector, Vector, fixed, vector};
+use crate::array::{Matrix, NewMatrix, NewVector, Vector, fixed, vector};
 use crate::error::raise;
 use crate::parameters::VehicleParameters;
-use crate::path::{Path, SpeedProfile};
+use crate::path::{Path, SpeedProfile, tyre_rows};
 use crate::wire::matrix;
 
 #[doc = doc!(SpeedPlanner)]
@@ -21,11 +21,18 @@ pub struct SpeedPlanner(egp_path::SpeedPlanner);
 #[pymethods]
 impl SpeedPlanner {
     #[new]
-    #[pyo3(signature = (path, vehicle, grip = 0.8, v_max = 30.0))]
-    fn new(path: &Path, vehicle: &VehicleParameters, grip: f64, v_max: f64) -> PyResult<Self> {
+    #[pyo3(signature = (path, vehicle, grip = 0.8, v_max = 30.0, *, tyres = None))]
+    fn new(
+        path: &Path,
+        vehicle: &VehicleParameters,
+        grip: f64,
+        v_max: f64,
+        tyres: Option<Matrix<'_>>,
+    ) -> PyResult<Self> {
         let limits = SpeedLimits {
             grip,
             v_max,
+            tyres: tyre_rows(tyres)?,
             ..SpeedLimits::of(&vehicle.0)
         };
         egp_path::SpeedPlanner::new(&path.0, &limits)

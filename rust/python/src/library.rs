@@ -173,6 +173,12 @@ impl Member {
         self.get().peak_slip(self.library.vehicle())
     }
 
+    #[doc = doc!(Member.lateral_grip)]
+    #[getter]
+    fn lateral_grip(&self) -> f64 {
+        self.get().lateral_grip(self.library.vehicle())
+    }
+
     #[doc = doc!(Member.dataset)]
     #[getter]
     fn dataset(&self) -> &str {

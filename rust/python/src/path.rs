@@ -274,6 +274,11 @@ impl Projection {
     }
 }
 
+/// The rows `[mu, share]` of the argument `tyres`.
+pub fn tyre_rows(tyres: Option<Matrix<'_>>) -> PyResult<Vec<[f64; 2]>> {
+    tyres.map_or(Ok(Vec::new()), |tyres| rows("tyres", &tyres))
+}
+
 #[doc = doc!(SpeedProfile)]
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct SpeedProfile(pub egp_path::SpeedProfile);
@@ -288,7 +293,7 @@ impl SpeedProfile {
 impl SpeedProfile {
     #[new]
     #[pyo3(signature = (
-        path, vehicle, grip = 0.8, v_max = 30.0, *, start_speed = None, end_speed = None
+        path, vehicle, grip = 0.8, v_max = 30.0, *, start_speed = None, end_speed = None, tyres = None
     ))]
     fn new(
         path: &Path,
@@ -297,12 +302,14 @@ impl SpeedProfile {
         v_max: f64,
         start_speed: Option<f64>,
         end_speed: Option<f64>,
+        tyres: Option<Matrix<'_>>,
     ) -> PyResult<Self> {
         let limits = SpeedLimits {
             grip,
             v_max,
             start_speed,
             end_speed,
+            tyres: tyre_rows(tyres)?,
             ..SpeedLimits::of(&vehicle.0)
         };
         egp_path::SpeedProfile::new(&path.0, &limits)

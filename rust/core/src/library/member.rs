@@ -81,6 +81,18 @@ impl Member {
         }
     }
 
+    /// Largest lateral acceleration of a steady bend on this surface, as a fraction of `mu g`: that of the fitted vehicle,
+    /// [`SingleTrack::largest_lateral_acceleration`](crate::vehicle::SingleTrack::largest_lateral_acceleration), without the
+    /// member's Gaussian processes. A member without a single-track vehicle has the `lateral_grip` of `vehicle`.
+    pub fn lateral_grip(&self, vehicle: &VehicleParameters) -> f64 {
+        match &self.vehicle {
+            Some(VehicleModel::SingleTrack(fitted)) => {
+                fitted.largest_lateral_acceleration() / self.friction
+            }
+            Some(VehicleModel::Kinematic(_)) | None => vehicle.lateral_grip,
+        }
+    }
+
     /// What the tyres transmit on this surface, for the bounds of the OCP: those of the fitted vehicle. A member without a
     /// single-track vehicle has [`Self::peak_slip`] and the largest accelerations of `vehicle`.
     pub fn tyre_limits(&self, vehicle: &VehicleParameters) -> TyreLimits {

@@ -151,6 +151,14 @@ impl SingleTrack {
         peak.min(LARGEST_PEAK_SLIP)
     }
 
+    /// Largest lateral acceleration of a steady bend in units of g, `min(D_f, D_r)`: each axle then carries the share of
+    /// the lateral force that it has of the load. Without a peak (`C <= 1`) an axle transmits `D sin(pi C / 2)` at most.
+    pub fn largest_lateral_acceleration(&self) -> f64 {
+        let peak = |axle: &Axle| axle.friction * (FRAC_PI_2 * axle.shape.min(1.0)).sin();
+        let [front, rear] = &self.axles;
+        peak(front).min(peak(rear))
+    }
+
     /// Accelerations `F_x / m` in m/s², under drive and under braking, beyond which a larger force adds hardly anything: 1.5
     /// times `g D_x`, with which the vehicle reaches 96 % of its largest acceleration.
     pub fn largest_accelerations(&self) -> [f64; 2] {
@@ -361,6 +369,28 @@ mod tests {
             let car = with(20.0, shape);
             assert!(car.peak_slip() == LARGEST_PEAK_SLIP);
             assert!(force(&car, LARGEST_PEAK_SLIP) > force(&car, 0.99 * LARGEST_PEAK_SLIP));
+        }
+    }
+
+    #[test]
+    fn no_steady_bend_needs_more_than_the_largest_lateral_acceleration() {
+        // The largest force of each axle over its slip angle; where the yaw moments of both axles cancel, the sum of the
+        // forces is limited by one of them.
+        for (front, rear, shape) in [(0.45, 0.5, 1.6), (1.0, 0.6, 1.3), (0.7, 0.9, 0.8)] {
+            let mut parameters = CAR;
+            (parameters[9], parameters[11]) = (front, shape);
+            (parameters[14], parameters[16]) = (rear, shape);
+            let car = SingleTrack::new(&parameters, 0.02);
+            let most = car.axles.map(|axle| {
+                let sideways = |i: i32| [20.0, -0.05 * f64::from(i), 0.0, 0.0, 0.0];
+                (0..20_000)
+                    .map(|i| axle.lateral(sideways(i), [0.0; 2]).0)
+                    .fold(0.0, f64::max)
+            });
+            let [l_f, l_r] = car.axles.map(|axle| axle.position.abs());
+            let sum = (most[0] * (1.0 + l_f / l_r)).min(most[1] * (1.0 + l_r / l_f));
+            let largest = GRAVITY * car.largest_lateral_acceleration();
+            assert!((largest / sum - 1.0).abs() < 0.02, "{largest} {sum}");
         }
     }
 

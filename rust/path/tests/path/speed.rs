@@ -15,6 +15,8 @@ fn car() -> SpeedLimits {
 }
 
 const G: f64 = 9.806_65;
+/// Share of the tyres' lateral peak that a profile uses at most.
+const SHARE: f64 = 0.95;
 
 fn straight(length: f64) -> Path {
     let points: Vec<_> = (0..=10)
@@ -141,6 +143,40 @@ fn it_brakes_before_the_slippery_zone_and_not_inside() {
 }
 
 #[test]
+fn bends_ask_for_at_most_a_share_of_what_the_tyres_transmit() {
+    let points: Vec<_> = (0..200)
+        .map(|i| (TAU * f64::from(i) / 200.0).sin_cos())
+        .map(|(sin, cos)| [30.0 * cos, 30.0 * sin])
+        .collect();
+    let circle = Path::from_points(&points, true, None).unwrap();
+    let limits = SpeedLimits {
+        grip: 0.9,
+        tyres: vec![[0.1, 0.5], [0.3, 0.7], [1.0, 0.87]],
+        ..car()
+    };
+    // On 1.0 the tyres transmit more than the vehicle's own limit asks for.
+    for (friction, asked) in [
+        (0.05, SHARE * 0.5),
+        (0.1, SHARE * 0.5),
+        (0.15, SHARE * 0.55),
+        (0.3, SHARE * 0.7),
+        (1.0, 0.9 * car().lateral),
+        (1.2, 0.9 * car().lateral),
+    ] {
+        let road = circle
+            .clone()
+            .with_friction(&[Zone::new(0.0, friction)])
+            .unwrap();
+        let v = SpeedProfile::new(&road, &limits).unwrap().speed(1.0);
+        let share = v * v / 30.0 / (friction * G);
+        assert!(
+            (share / asked - 1.0).abs() < 1e-3,
+            "{friction}: {share} {asked}"
+        );
+    }
+}
+
+#[test]
 fn errors_name_the_invalid_limit() {
     let reject = |path: &Path, limits: SpeedLimits| SpeedProfile::new(path, &limits).unwrap_err();
     let name = |error: PathError| match error {
@@ -154,7 +190,7 @@ fn errors_name_the_invalid_limit() {
             &open,
             SpeedLimits {
                 grip: 1.2,
-                ..default
+                ..default.clone()
             }
         )),
         "grip"
@@ -164,7 +200,7 @@ fn errors_name_the_invalid_limit() {
             &open,
             SpeedLimits {
                 power: f64::NAN,
-                ..default
+                ..default.clone()
             }
         )),
         "power"
@@ -174,7 +210,7 @@ fn errors_name_the_invalid_limit() {
             &open,
             SpeedLimits {
                 end_speed: Some(-1.0),
-                ..default
+                ..default.clone()
             }
         )),
         "end_speed"
@@ -184,11 +220,22 @@ fn errors_name_the_invalid_limit() {
             &demo(),
             SpeedLimits {
                 start_speed: Some(1.0),
-                ..default
+                ..default.clone()
             }
         )),
         "start_speed"
     );
+    for tyres in [
+        vec![[0.5, 0.8], [0.5, 0.9]],
+        vec![[0.5, -0.1]],
+        vec![[f64::NAN, 0.8]],
+    ] {
+        let wrong = SpeedLimits {
+            tyres,
+            ..default.clone()
+        };
+        assert_eq!(name(reject(&open, wrong)), "tyres");
+    }
     assert_eq!(
         name(SpeedProfile::constant(&open, 0.0).unwrap_err()),
         "speed"
