@@ -158,8 +158,8 @@ class SpeedProfile:
     drive. `v_max` and the start and end speed of an open path are in m/s; the latter default to the
     fastest. `tyres` has rows of a friction coefficient and the `lateral_grip` of its member (n, 2),
     with increasing friction: in bends the profile then asks for at most 95 % of what the tyres
-    transmit, `min(grip * vehicle.lateral_grip, 0.95 * lateral_grip(mu)) * mu * g`. Between rows the
-    lateral grip is interpolated; beyond them it is that of the nearest. Raises `EgpError` if a
+    transmit, `min(grip * vehicle.lateral_grip, 0.95 * lateral_grip(mu)) * mu * g`. Between rows
+    `mu * lateral_grip` is interpolated linearly, and continued below them. Raises `EgpError` if a
     number is out of range or the frictions do not increase.
     """
 

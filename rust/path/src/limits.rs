@@ -7,6 +7,8 @@ use crate::error::{PathError, check};
 /// Largest share of the lateral peak of a surface's tyres that a reference asks for. On the peak itself a controller
 /// has nothing left with which it could correct an error.
 const TYRE_SHARE: f64 = 0.95;
+/// Least share of the lowest surface's lateral grip that is left below its friction.
+const LEAST_SHARE: f64 = 0.5;
 
 /// Bounds of the speed. The friction circle of `mu g` is scaled in each direction, because a vehicle with one driven
 /// axle and load transfer reaches far less of it in acceleration than in cornering.
@@ -56,18 +58,25 @@ impl SpeedLimits {
     }
 
     /// The largest lateral acceleration in m/s² of a reference on friction `mu`: the smaller of `grip lateral mu g` and
-    /// 95 % of what the tyres transmit. Between two surfaces the fraction of the latter is interpolated linearly in
-    /// `mu`; beyond all of them it is that of the nearest one.
+    /// 95 % of what the tyres transmit. The latter is interpolated linearly between surfaces. Below all of them the line
+    /// through the two lowest is continued: where it meets zero above friction 0, a part of the lateral force does not
+    /// depend on the friction, such as that of camber. Above all of them the share of the highest one is kept.
     pub(crate) fn lateral_acceleration(&self, mu: f64) -> f64 {
-        let share = self.grip * self.lateral;
-        let above = self.tyres.partition_point(|[friction, _]| *friction <= mu);
-        let below = self.tyres[..above].last();
-        let most = match (below, self.tyres.get(above)) {
-            (Some([low, a]), Some([high, b])) => a + (mu - low) / (high - low) * (b - a),
-            (Some([_, nearest]), None) | (None, Some([_, nearest])) => *nearest,
-            (None, None) => f64::INFINITY,
+        let reference = self.lateral * (self.grip * mu * STANDARD_GRAVITY);
+        let peak = |[friction, share]: [f64; 2]| share * friction;
+        let most = match *self.tyres {
+            [] => return reference,
+            [[_, only]] => only * mu,
+            [.., last] if mu >= last[0] => last[1] * mu,
+            _ => {
+                let above = self.tyres.partition_point(|[friction, _]| *friction <= mu);
+                let (low, high) = (self.tyres[above.max(1) - 1], self.tyres[above.max(1)]);
+                let part = (mu - low[0]) / (high[0] - low[0]);
+                let line = peak(low) + part * (peak(high) - peak(low));
+                line.max(LEAST_SHARE * low[1] * mu)
+            }
         };
-        share.min(TYRE_SHARE * most) * mu * STANDARD_GRAVITY
+        reference.min(TYRE_SHARE * most * STANDARD_GRAVITY)
     }
 
     /// Errors if a limit is out of range, or if a closed path has a start or end speed.

@@ -154,11 +154,12 @@ fn bends_ask_for_at_most_a_share_of_what_the_tyres_transmit() {
         tyres: vec![[0.1, 0.5], [0.3, 0.7], [1.0, 0.87]],
         ..car()
     };
-    // On 1.0 the tyres transmit more than the vehicle's own limit asks for.
+    // The tyres transmit 0.05, 0.21 and 0.87 g; on 1.0 and more this is more than the vehicle's own limit asks for.
     for (friction, asked) in [
-        (0.05, SHARE * 0.5),
+        (0.05, SHARE * 0.25), // the line would leave 0.2
+        (0.08, SHARE * 0.034 / 0.08),
         (0.1, SHARE * 0.5),
-        (0.15, SHARE * 0.55),
+        (0.15, SHARE * 0.09 / 0.15),
         (0.3, SHARE * 0.7),
         (1.0, 0.9 * car().lateral),
         (1.2, 0.9 * car().lateral),
