@@ -37,7 +37,9 @@ def test_help_shows_the_documentation_of_the_stubs() -> None:
     assert {name: inspect.getdoc(attrgetter(name)(_core)) for name in DOCS} == DOCS
 
 
-@pytest.mark.parametrize("name", ["solve_ocp", "solve_weights", "Library.predict"])
+@pytest.mark.parametrize(
+    "name", ["solve_ocp", "solve_weights", "predict_residual", "Library.predict"]
+)
 def test_example(name: str) -> None:
     test = doctest.DocTestParser().get_doctest(DOCS[name], {}, name, None, 0)
     assert doctest.DocTestRunner().run(test) == (0, len(test.examples))

@@ -110,6 +110,8 @@ def test_a_member_of_a_measured_drive_has_skill(exact: Dataset) -> None:
     # Over all durations and outputs; measured 0.3 nats more.
     assert outcome.skill.likelihood[OURS] > outcome.skill.likelihood[LINEAR] - 0.1
     assert np.all(outcome.coverage > 0.85)
+    assert np.all(outcome.with_residual <= 1.02 * rms[OURS][0])
+    assert np.all(outcome.residual_coverage > 0.85)
     assert outcome.predicted.shape == outcome.member.validation.y.shape
 
 
@@ -154,6 +156,7 @@ def test_the_oval_is_predicted_no_worse_than_no_change() -> None:
     (outcome,) = evaluate_logs([log], VehicleParameters(**car), TrainingSettings(mean="best"))
     rms = outcome.skill.rms
     assert np.all(rms[OURS] <= rms[NO_CHANGE])
+    assert np.all(outcome.with_residual <= outcome.last_change)
     assert outcome.delays.measurement == 0.0
     assert outcome.delays.force == pytest.approx(-0.95, abs=0.15)  # a filtered acceleration
     assert np.all((outcome.coverage > 0.91) & (outcome.coverage < 0.97))

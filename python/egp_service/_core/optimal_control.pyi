@@ -152,6 +152,43 @@ def solve_weights(
     [0.5, 0.5]
     """
 
+def predict_residual(
+    errors: NDArray[np.float64],
+    *,
+    dt: float,
+    window: int,
+    std: NDArray[np.float64],
+    time: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    measurement: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Predict each of consecutive errors (n, 3) of a model from at most `window` before it.
+
+    An error is the measured change of [v_x, v_y, omega] over one period of dt s less the predicted
+    one. It consists of a disturbance with standard deviations `std` and correlation times `time` in
+    s, of independent errors with standard deviations `noise`, and of the measured states' noise
+    with `measurement`, each (3,), as in the control step with the settings of `[residual]`.
+    Returns the predictions (n, 3) and the variances (n, 3) of the disturbance; zero if `std` and
+    `measurement` are.
+    Raises `EgpError` for other shapes and for numbers outside their domain.
+
+    A constant disturbance is found from the errors before, and limited to three times `std`:
+
+    >>> import numpy as np
+    >>> from egp_service.optimal_control import predict_residual
+    >>> mean, _ = predict_residual(
+    ...     np.full((50, 3), 0.02),
+    ...     dt=0.04,
+    ...     window=12,
+    ...     std=np.array([0.02, 0.005, 0.0]),
+    ...     time=np.full(3, 1e4),
+    ...     noise=np.full(3, 0.01),
+    ...     measurement=np.zeros(3),
+    ... )
+    >>> mean[-1].round(4).tolist()
+    [0.0196, 0.015, 0.0]
+    """
+
 def ocp_to_qp(
     A: ArrayLike,
     B: ArrayLike,

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
     from rich.console import Console
 
 
@@ -65,10 +67,20 @@ def _show(console: Console, outcome: LogOutcome) -> None:
     console.print(skill_table(outcome.name, outcome.skill))
     values = ", ".join(f"{error:.4f}" for error in outcome.last_change)
     console.print(f"{LAST_CHANGE}, after one period: {values}", highlight=False)
-    shares = ", ".join(f"{100 * share:.1f} %" for share in outcome.coverage)
-    console.print(f"inside the member's 95 % intervals: {shares}", highlight=False)
+    values = ", ".join(f"{error:.4f}" for error in outcome.with_residual)
+    console.print(f"member with the residual, after one period: {values}", highlight=False)
+    console.print(
+        f"inside the member's 95 % intervals: {_shares(outcome.coverage)}", highlight=False
+    )
+    console.print(f"with the residual: {_shares(outcome.residual_coverage)}", highlight=False)
+    console.print("settings of this residual for the control step:", highlight=False)
+    console.print(outcome.residual.settings(), highlight=False, markup=False)
     member = outcome.member
     sentence = kind_sentence(outcome.name, member.kind, member.likelihoods)
     console.print(sentence, highlight=False)
     for warning in skill_warnings(outcome.name, OURS, outcome.skill):
         console.print(f"[yellow]{warning}[/]", highlight=False)
+
+
+def _shares(shares: NDArray[np.float64]) -> str:
+    return ", ".join(f"{100 * share:.1f} %" for share in shares)

@@ -14,6 +14,7 @@ import numpy as np
 from egp_service._core import EgpError, solve_weights
 from egp_service.data.alignment import Delays, align
 from egp_service.data.channels import Channels, channels
+from egp_service.evaluation.residual import Residual, fit_residual, moving_runs
 from egp_service.quantities import NY
 from egp_service.training.average_member import PriorMean, average_member
 from egp_service.training.choice import hold_out
@@ -55,6 +56,12 @@ class LogOutcome:
     """Of all predictors on the held-out blocks."""
     last_change: NDArray[np.float64]
     """RMS errors (3,) over one period of the linear model that also gets the last change."""
+    residual: Residual
+    """The residual that is fitted to the member's errors on its training data."""
+    with_residual: NDArray[np.float64]
+    """RMS errors (3,) over one period of the member with the residual."""
+    residual_coverage: NDArray[np.float64]
+    """Like `coverage`, with the residual and its variance."""
     coverage: NDArray[np.float64]
     """Share (3,) of the held-out changes above 5 m/s inside the member's 95 % intervals."""
     predicted: NDArray[np.float64]
@@ -131,6 +138,8 @@ def _outcome(
     predictors |= {f"member of {m.dataset.provenance.surface}": m.predict_mean for m in others}
     predicted, _, variance = member.predict(held.z)
     deviation = np.sqrt(variance + member.noise_variance)
+    residual = fit_residual(member.predict_mean, member.dataset)
+    with_residual, residual_coverage = _with_residual(member, residual)
     moving = held.z[:, 0] > MOVING
     inside = np.abs(held.y - predicted) < _QUANTILE * deviation
     return LogOutcome(
@@ -140,6 +149,9 @@ def _outcome(
         member=member,
         skill=skill(predictors, held),
         last_change=_last_change(member.dataset, held, axles),
+        residual=residual,
+        with_residual=with_residual,
+        residual_coverage=residual_coverage,
         coverage=inside[moving].mean(axis=0) if moving.any() else np.full(NY, np.nan),
         predicted=predicted,
         deviation=deviation,
@@ -156,6 +168,29 @@ def _last_change(
     weights = np.linalg.lstsq(known, rest, rcond=None)[0]
     known, rest = _consecutive(held, first)
     return np.asarray(np.sqrt(np.mean((rest - known @ weights) ** 2, axis=0)))
+
+
+def _with_residual(
+    member: TrainedMember, residual: Residual
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """RMS errors (3,) with the residual on the held-out blocks, and shares (3,) in its intervals.
+
+    The first transition of each run has no errors before it and is left out.
+    """
+    held, runs = moving_runs(member.validation)
+    mean, _, variance = member.predict(held.z)
+    rest = held.y - mean
+    left, deviations = [], []
+    for rows in runs:
+        found, of_residual = residual.predict(rest[rows], held.provenance.dt)
+        left.append((rest[rows] - found)[1:])
+        total = variance[rows] + member.noise_variance + of_residual
+        deviations.append(np.sqrt(total)[1:])
+    if not left:
+        return np.full(NY, np.nan), np.full(NY, np.nan)
+    errors = np.concatenate(left)
+    inside = np.abs(errors) < _QUANTILE * np.concatenate(deviations)
+    return np.sqrt(np.mean(errors**2, axis=0)), inside.mean(axis=0)
 
 
 def _consecutive(

@@ -166,7 +166,7 @@ fn phases(c: &mut Criterion, library: &Library) {
     let (guess, mut dynamics) = (Guess::new(20), Linearisation::new(20));
     let mut linearise = || {
         dynamics.along(
-            |_| ensemble,
+            |_| (ensemble, egp_core::GpOutput::zeros()),
             0.05,
             &x0,
             &guess,

@@ -13,6 +13,7 @@ pub mod linearisation;
 pub mod ocp;
 pub mod preview;
 pub mod qp;
+pub mod residual;
 pub mod scaler;
 pub mod settings;
 pub mod solver;

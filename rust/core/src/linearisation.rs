@@ -5,7 +5,7 @@ use nalgebra::SMatrix;
 use crate::settings::{Operating, OperatingSettings};
 use crate::trajectory::Guess;
 use crate::vehicle::{DELTA, OMEGA, V_X, V_Y, gp_input, jacobians, successor};
-use crate::{Ensemble, GpJacobian, Input, NU, NX, State};
+use crate::{Ensemble, GpJacobian, GpOutput, Input, NU, NX, State};
 
 /// `x_{t+1} = A x_t + B u_t + c`, inputs in N and rad/s.
 #[derive(Debug, Clone, PartialEq)]
@@ -64,12 +64,14 @@ impl Linearisation {
     /// Linearises the ensemble of each stage about the inputs of the guess and, with [`Operating::Shift`], about its states. Stages without a
     /// guessed state use the ensemble's prediction, and stage 0 is always the measured state `x0`.
     ///
+    /// `models` gives the ensemble of a stage and what is added to the change that it predicts.
+    ///
     /// Value and Jacobian of the active members are evaluated once for each stage. Operating states are clamped to the
     /// box of the settings, in which the members have training data, and to `|delta|` and `v_x_max`. The affine term is
     /// that of the clamped state, so the result is still a tangent of the ensemble.
     pub fn along<'a>(
         &mut self,
-        ensembles: impl Fn(usize) -> Ensemble<'a>,
+        models: impl Fn(usize) -> (Ensemble<'a>, GpOutput),
         dt: f64,
         x0: &State,
         guess: &Guess,
@@ -84,8 +86,9 @@ impl Linearisation {
         };
         self.x[0] = domain.clamp(*x0);
         for t in 0..self.stages.len() {
-            let ensemble = ensembles(t);
-            let (stage, next) = tangent(&ensemble, dt, settings.yaw_at, &self.x[t], &guess.u[t]);
+            let model = models(t);
+            let point = (&self.x[t], &guess.u[t]);
+            let (stage, next) = tangent(&model, dt, settings.yaw_at, point);
             self.stages[t] = stage;
             let planned = match settings.kind {
                 Operating::Shift => guess.x.get(t + 1),
@@ -98,14 +101,13 @@ impl Linearisation {
 
 /// The dynamics at one point, eq. (15), and its successor.
 fn tangent(
-    ensemble: &Ensemble,
+    (ensemble, offset): &(Ensemble, GpOutput),
     dt: f64,
     yaw_at: f64,
-    x: &State,
-    u: &Input,
+    (x, u): (&State, &Input),
 ) -> (AffineDynamics, State) {
     let mut gp = GpJacobian::zeros();
-    let change = ensemble.mean_jacobian(&gp_input(x, u), &mut gp);
+    let change = ensemble.mean_jacobian(&gp_input(x, u), &mut gp) + offset;
     let next = successor(x, u, &change, dt, yaw_at);
     let (a, b) = jacobians(x, &gp, dt, yaw_at);
     (

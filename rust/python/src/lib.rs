@@ -19,6 +19,7 @@ mod path;
 mod plant;
 mod problem;
 mod programs;
+mod residual;
 mod service;
 mod surface;
 mod wire;
@@ -75,6 +76,8 @@ mod _core {
         use crate::ocp::{OcpResult, ocp_to_qp, solve_ocp, solve_weights};
         #[pymodule_export]
         use crate::problem::{OcpBounds, OcpWeights};
+        #[pymodule_export]
+        use crate::residual::predict_residual;
     }
 
     #[pymodule]

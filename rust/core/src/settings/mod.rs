@@ -12,6 +12,7 @@
 
 mod control;
 mod estimation;
+mod residual;
 
 use egp_parameters::VehicleParameters;
 use serde::{Deserialize, Serialize};
@@ -20,6 +21,7 @@ pub use control::{
     Cost, InputBounds, Operating, OperatingSettings, Penalty, Soft, SolverKind, SolverSettings,
 };
 pub use estimation::{Prior, WeightSettings};
+pub use residual::ResidualSettings;
 
 use crate::NY;
 
@@ -45,6 +47,8 @@ pub struct Settings {
     pub measurement_delay: Option<f64>,
     /// How the weights follow the surface, eq. (6).
     pub weights: WeightSettings,
+    /// What is added to the members' prediction.
+    pub residual: ResidualSettings,
     /// Where the members are linearised, eq. (15).
     pub operating: OperatingSettings,
     /// Cost of eq. (18).
@@ -191,6 +195,7 @@ impl Settings {
             check("measurement_delay", delay, "in [0, 0.5] s", Self::is_delay)?;
         }
         self.weights.validate()?;
+        self.residual.validate()?;
         self.operating.validate()?;
         self.cost.validate()?;
         self.limits.validate()?;
@@ -363,6 +368,13 @@ mod tests {
             ("[operating]\nyaw_at = nan", "operating.yaw_at"),
             ("[cost]\ninput = [0.0, 1.0]", "cost.input"),
             ("[weights]\nthreshold = 1.5", "weights.threshold"),
+            ("[residual]\nstd = [0.0, -1.0, 0.0]", "residual.std"),
+            (
+                "[residual]\nmeasurement = [0.0, 0.0, 1e3]",
+                "residual.measurement",
+            ),
+            ("[residual]\ntime = [0.0, 1.0, 1.0]", "residual.time"),
+            ("[residual]\nnoise = [1.0, 1.0, nan]", "residual.noise"),
             ("[soft.track]\nlinear = 0.0", "soft.track.linear"),
         ] {
             let error = Settings::from_toml(text).unwrap_err();

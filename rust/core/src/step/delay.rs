@@ -2,7 +2,7 @@
 
 use super::validate::Rows;
 use crate::vehicle::{DELTA, OMEGA, V_X, V_Y};
-use crate::{Ensemble, GpInput, NZ, State};
+use crate::{Ensemble, GpInput, GpOutput, NZ, State};
 
 /// Index of the steering angle in `z`; the inputs follow.
 const STEERING: usize = 3;
@@ -46,8 +46,8 @@ impl Delay {
 
     /// The measured state with the velocities of now: the ensemble's prediction over the delay, with the inputs that
     /// were applied since, `x(t) = x(t - d) + Σ f(z) h / dt` over parts `h` of at most one period. Without a history the
-    /// last input counts as applied since then.
-    pub fn present(&self, rows: &Rows, ensemble: &Ensemble) -> State {
+    /// last input counts as applied since then. `disturbance` is added to each change `f`.
+    pub fn present(&self, rows: &Rows, ensemble: &Ensemble, disturbance: &GpOutput) -> State {
         let [force, rate] = <[f64; 2]>::from(rows.u_prev);
         let alone = [[0.0, 0.0, 0.0, rows.x[DELTA], force, rate]];
         let history = if rows.history_z.is_empty() {
@@ -57,6 +57,7 @@ impl Delay {
         };
         let at = |j: usize| &history[j.min(history.len() - 1)];
         let mut x = rows.x;
+        let change = |z: &GpInput| ensemble.mean(z) + disturbance;
         // Row j has the steering angle j + 1 periods ago and the inputs from then on.
         let oldest = at(self.periods);
         let after = match self.periods.checked_sub(1) {
@@ -64,9 +65,9 @@ impl Delay {
             None => rows.x[DELTA],
         };
         let steering = self.between(after, oldest[STEERING]);
-        advance(&mut x, steering, oldest, self.part, ensemble);
+        advance(&mut x, steering, oldest, self.part, change);
         for j in (0..self.periods).rev() {
-            advance(&mut x, at(j)[STEERING], at(j), 1.0, ensemble);
+            advance(&mut x, at(j)[STEERING], at(j), 1.0, change);
         }
         x
     }
@@ -77,11 +78,17 @@ impl Delay {
     }
 }
 
-/// Adds the change of the velocities over the given part of a period, at a steering angle and the inputs of `row`.
-fn advance(x: &mut State, steering: f64, row: &[f64; NZ], part: f64, ensemble: &Ensemble) {
+/// Adds the given part of the velocities' change over a period, at a steering angle and the inputs of `row`.
+fn advance(
+    x: &mut State,
+    steering: f64,
+    row: &[f64; NZ],
+    part: f64,
+    change: impl Fn(&GpInput) -> GpOutput,
+) {
     let [.., force, rate] = *row;
     let z = GpInput::new(x[V_X], x[V_Y], x[OMEGA], steering, force, rate);
-    let change = ensemble.mean(&z) * part;
+    let change = change(&z) * part;
     for (state, change) in [V_X, V_Y, OMEGA].into_iter().zip(change.iter()) {
         x[state] += change;
     }

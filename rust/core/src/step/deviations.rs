@@ -13,6 +13,8 @@ pub(super) struct Deviations {
     variances: Vec<GpOutput>,
     scratch: MixtureScratch,
     disturbances: Vec<Disturbance>,
+    /// Variance of the residual at each stage; empty without one.
+    pub residual: Vec<GpOutput>,
 }
 
 impl Deviations {
@@ -22,10 +24,12 @@ impl Deviations {
             variances: vec![GpOutput::zeros(); horizon],
             scratch: MixtureScratch::default(),
             disturbances: Vec::with_capacity(horizon),
+            residual: Vec::with_capacity(horizon),
         }
     }
 
-    /// Computes the variances of the transitions that begin with these states and inputs, each at most 10 % too large.
+    /// Computes the variances of the transitions that begin with these states and inputs, each at most 10 % too large, with that of the
+    /// residual.
     fn compute<'a>(
         &mut self,
         ensembles: impl Fn(usize) -> Ensemble<'a>,
@@ -37,6 +41,9 @@ impl Deviations {
             .extend(transitions.map(|(x, u)| gp_input(&x, &u)));
         let (scratch, variances) = (&mut self.scratch, &mut self.variances);
         Ensemble::mixture_bounds(ensembles, &self.queries, scratch, variances, executor);
+        for (variance, residual) in variances.iter_mut().zip(&self.residual) {
+            *variance += residual;
+        }
     }
 
     /// Writes the standard deviations of `[v_x, v_y, omega]` along the plan, given the state before. Row 0, the

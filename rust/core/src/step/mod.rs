@@ -20,9 +20,9 @@ use crate::executor::for_each;
 use crate::ocp::{self, Road, Setup};
 use crate::solver::{Status, solve_with_fallback};
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, TyreLimits, V_X, wrap};
-use crate::{Ensemble, GpInput, Input, Library, Member, NY, Settings, State};
+use crate::{Ensemble, GpInput, GpOutput, Input, Library, Member, NY, Settings, State};
 
-/// One control step: weights, eq. (6); linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
+/// One control step: weights, eq. (6); residual; linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
 ///
 /// After the first call with a workspace nothing is allocated here, but the QP solver and a parallel executor may
 /// allocate. A reply whose status is not [`Status::Solved`] contains weights and history for the next request but no
@@ -42,6 +42,7 @@ pub fn step(
     ws.belongs_to(library, settings)?;
     let rows = validate::validate(library, settings, ws.vehicle.mass, request)?;
     estimate_weights(library, settings, &rows, ws, reply);
+    let disturbance = estimate_residual(&rows, ws, reply);
 
     let frame = Frame::of(&rows.x);
     localise_reference(&frame, &rows, &mut ws.reference);
@@ -52,12 +53,12 @@ pub fn step(
         .stages
         .fill(&reply.weights, rows.road_friction, &settings.weights);
     let now = Ensemble::new(library, ws.stages.stage(0), 0.0).map_err(StepError::Ensemble)?;
-    let present = |delay: Delay| delay.present(&rows, &now);
+    let present = |delay: Delay| delay.present(&rows, &now, &disturbance);
     let x0 = local_state(&ws.delay.map_or(rows.x, present));
     let ensembles = |t: usize| now.with_weights(ws.stages.stage(t));
     let edges = [settings.soft.v_x_max, ws.vehicle.steering_angle];
     ws.dynamics.along(
-        ensembles,
+        |t| (ensembles(t), ws.offsets[t]),
         library.dt(),
         &x0,
         &ws.guess,
@@ -194,6 +195,29 @@ fn estimate_weights(
     if settings.weights.whiten && !ws.estimator.informed(&reply.weights) {
         reply.weights.copy_from_slice(&ws.previous);
     }
+}
+
+/// Writes what the residual adds to the ensemble's prediction at each stage, with its variances, and returns its
+/// disturbance; zero without a residual.
+fn estimate_residual(rows: &Rows, ws: &mut Workspace, reply: &StepReply) -> GpOutput {
+    let Some(filter) = &ws.residual else {
+        return GpOutput::zeros();
+    };
+    let predictions = reply.history_f.as_chunks::<NY>().0;
+    let transitions = predictions.chunks_exact(reply.weights.len());
+    let errors = transitions.zip(rows.history_y).map(|(members, measured)| {
+        let blend = members.iter().zip(&reply.weights);
+        blend.fold(GpOutput::from(*measured), |error, (f, w)| {
+            error - GpOutput::from(*f) * *w
+        })
+    });
+    let residual = filter.estimate(errors.rev());
+    ws.deviations.residual.clear();
+    for (offset, (change, variance)) in ws.offsets.iter_mut().zip(residual.ahead()) {
+        *offset = change;
+        ws.deviations.residual.push(variance);
+    }
+    residual.disturbance()
 }
 
 /// Writes the plan in map coordinates and newtons.

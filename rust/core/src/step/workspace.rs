@@ -13,12 +13,13 @@ use crate::linearisation::Linearisation;
 use crate::ocp::{Caution, soft_rows};
 use crate::preview::StageWeights;
 use crate::qp::{OcpQp, OcpSolution};
+use crate::residual::ResidualFilter;
 use crate::settings::SettingsError;
 use crate::solver::{self, QpSolver, SolverSetupError};
 use crate::trajectory::Guess;
 use crate::vehicle::TyreLimits;
 use crate::weights::{WeightEstimator, WindowNoise};
-use crate::{Input, Library, Member, NZ, Settings, State};
+use crate::{GpOutput, Input, Library, Member, NZ, Settings, State};
 
 /// A workspace that could not be created.
 #[derive(Debug, thiserror::Error)]
@@ -46,6 +47,10 @@ pub struct Workspace {
     pub(super) noise: WindowNoise,
     pub(super) estimator: WeightEstimator,
     pub(super) friction: FrictionEstimator,
+    /// The filter of the residual, if the settings ask for one.
+    pub(super) residual: Option<ResidualFilter>,
+    /// What it adds to the ensemble's prediction at each stage; zero without one.
+    pub(super) offsets: Vec<GpOutput>,
     pub(super) previous: Vec<f64>,
     /// Weights of the active members at each stage.
     pub(super) stages: StageWeights,
@@ -97,6 +102,8 @@ impl Workspace {
             noise: WindowNoise::of(library, &settings.weights),
             estimator: WeightEstimator::new(n, settings.weights.window(dt)),
             friction: FrictionEstimator::new(library, &settings.weights),
+            residual: ResidualFilter::new(&settings.residual, dt, settings.weights.window(dt)),
+            offsets: vec![GpOutput::zeros(); horizon],
             previous: vec![0.0; n],
             stages: StageWeights::new(library.members(), horizon),
             stage_tyres: vec![TyreLimits::default(); horizon + 1],

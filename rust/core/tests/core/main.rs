@@ -11,6 +11,7 @@ mod library;
 mod preview;
 mod qp;
 mod refusals;
+mod residual;
 mod solvers;
 mod step;
 mod weights;

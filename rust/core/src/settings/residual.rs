@@ -1,0 +1,66 @@
+//! Settings of the residual.
+
+use serde::{Deserialize, Serialize};
+
+use super::{SettingsError, check};
+use crate::NY;
+
+/// What the control step adds to the members' prediction, from the errors of the last transitions.
+///
+/// All arrays are for the changes of `[v_x, v_y, omega]` over one period. `egp evaluate --log` prints the values with
+/// which a log is predicted best. With `std` and `measurement` zero there is no residual.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ResidualSettings {
+    /// Standard deviations of the slow disturbance, in m/s, m/s and rad/s. Default 0.
+    pub std: [f64; NY],
+    /// Correlation times of the disturbance, in s. Default 1.
+    pub time: [f64; NY],
+    /// Standard deviations of errors that are independent between periods, in m/s, m/s and rad/s. Default 0.02, 0.005,
+    /// 0.002.
+    pub noise: [f64; NY],
+    /// Standard deviations of the noise of the measured states, in m/s, m/s and rad/s: the newest state's part in the last
+    /// error is corrected in the first stage. Default 0: it is not.
+    pub measurement: [f64; NY],
+}
+
+impl Default for ResidualSettings {
+    fn default() -> Self {
+        Self {
+            std: [0.0; NY],
+            time: [1.0; NY],
+            noise: [0.02, 0.005, 0.002],
+            measurement: [0.0; NY],
+        }
+    }
+}
+
+impl ResidualSettings {
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// [`SettingsError::Range`] naming the first field out of range.
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        for std in self.std {
+            check("residual.std", std, "in [0, 100]", |v| {
+                (0.0..=100.0).contains(&v)
+            })?;
+        }
+        for time in self.time {
+            check("residual.time", time, "in [0.001, 10000] s", |v| {
+                (1e-3..=1e4).contains(&v)
+            })?;
+        }
+        for noise in self.noise {
+            check("residual.noise", noise, "in [1e-9, 100]", |v| {
+                (1e-9..=100.0).contains(&v)
+            })?;
+        }
+        for std in self.measurement {
+            check("residual.measurement", std, "in [0, 100]", |v| {
+                (0.0..=100.0).contains(&v)
+            })?;
+        }
+        Ok(())
+    }
+}

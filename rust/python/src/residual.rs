@@ -1,0 +1,55 @@
+//! The residual of the control step by itself.
+
+use egp_core::residual::ResidualFilter;
+use egp_core::settings::ResidualSettings;
+use egp_core::{GpOutput, NY};
+use pyo3::prelude::*;
+
+use crate::array::{Matrix, NewMatrix, Vector, array, fixed, rows};
+use crate::error::{EgpError, raise};
+
+#[doc = doc!(predict_residual)]
+#[pyfunction]
+#[pyo3(signature = (errors, *, dt, window, std, time, noise, measurement))]
+#[expect(clippy::too_many_arguments, reason = "a keyword each in Python")]
+pub fn predict_residual<'py>(
+    py: Python<'py>,
+    errors: Matrix<'py>,
+    dt: f64,
+    window: usize,
+    std: Vector<'py>,
+    time: Vector<'py>,
+    noise: Vector<'py>,
+    measurement: Vector<'py>,
+) -> PyResult<(NewMatrix<'py>, NewMatrix<'py>)> {
+    let errors = rows::<NY>("errors", &errors)?;
+    let settings = ResidualSettings {
+        std: fixed::<NY>("std", &std)?,
+        time: fixed::<NY>("time", &time)?,
+        noise: fixed::<NY>("noise", &noise)?,
+        measurement: fixed::<NY>("measurement", &measurement)?,
+    };
+    settings.validate().map_err(raise)?;
+    let sensible = errors.as_flattened().iter().all(|error| error.is_finite())
+        && (1e-6..=1e3).contains(&dt)
+        && (1..=1000).contains(&window);
+    if !sensible {
+        return Err(EgpError::new_err(
+            "errors must be finite, dt in [1e-6, 1000] s and window in 1..=1000: check their units",
+        ));
+    }
+    let (mut mean, mut variance) = (vec![], vec![]);
+    if let Some(filter) = ResidualFilter::new(&settings, dt, window) {
+        for k in 0..errors.len() {
+            let before = errors[k.saturating_sub(window)..k].iter();
+            let residual = filter.estimate(before.map(|error| GpOutput::from(*error)));
+            let next = residual.ahead().next().unwrap_or_default();
+            mean.extend(&next.0);
+            variance.extend(&next.1);
+        }
+    }
+    let shape = [errors.len(), NY];
+    mean.resize(errors.as_flattened().len(), 0.0);
+    variance.resize(errors.as_flattened().len(), 0.0);
+    Ok((array(py, mean, shape)?, array(py, variance, shape)?))
+}
