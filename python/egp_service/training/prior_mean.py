@@ -68,13 +68,15 @@ PARAMETERS: Final = BODY | TYRES
 
 
 def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
-    """Change of `[v_x, v_y, omega]` (n, 3) over `dt` at inputs z (n, 6); parameters (17,).
+    """Change of `[v_x, v_y, omega]` (n, 3) over `dt` at inputs z (n, 6).
+
+    The parameters (17,) are common to all inputs, or each input has its own (n, 17).
 
     This is one explicit Euler step with the steering angle in the middle of the period, by the
     equations of `SingleTrack` in Rust.
     """
     v_x, v_y, omega, delta, force, delta_dot = z.unbind(-1)
-    mass, l_f, l_r, gyration, height, drive, brake, *tyres = parameters.unbind()
+    mass, l_f, l_r, gyration, height, drive, brake, *tyres = parameters.unbind(-1)
     steering = delta + 0.5 * dt * delta_dot
     a = force / mass
     driven = force > 0.0

@@ -214,8 +214,8 @@ class _Problem:
         return self._physical(torch.from_numpy(unknowns))
 
     def _physical(self, unknowns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        parameters = torch.from_numpy(self._centre) * unknowns[: len(PARAMETERS)].exp()
-        return parameters, torch.from_numpy(_DISTURBANCE) * unknowns[len(PARAMETERS) :]
+        parameters = torch.from_numpy(self._centre) * unknowns[..., : len(PARAMETERS)].exp()
+        return parameters, torch.from_numpy(_DISTURBANCE) * unknowns[..., len(PARAMETERS) :]
 
     def _errors(self, surface: _Surface, unknowns: torch.Tensor) -> torch.Tensor:
         """Errors of a surface (3n,), whose squares are the robust loss `soft_l1`."""
@@ -225,6 +225,17 @@ class _Problem:
         # 2 (sqrt(1 + e²) - 1) = (e sqrt(2 / (1 + sqrt(1 + e²))))²
         robust = error * (2.0 / (1.0 + (1.0 + error**2).sqrt())).sqrt()
         return math.sqrt(surface.weight) * robust.flatten()
+
+    def _slopes(self, surface: _Surface, own: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the derivatives (3n, 20) of the errors of a surface by its unknowns.
+
+        Each transition gets a copy of the unknowns, so that the sum of an output's errors has the
+        derivatives of all transitions: three backward passes suffice.
+        """
+        copies = torch.from_numpy(own).repeat(len(surface.y), 1).requires_grad_()
+        outputs = self._errors(surface, copies).reshape(-1, NY).sum(0)
+        slopes = [torch.autograd.grad(y, copies, retain_graph=True)[0] for y in outputs]
+        return torch.stack(slopes, dim=1).flatten(0, 1).numpy()
 
     def _residuals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         errors = [
@@ -236,11 +247,8 @@ class _Problem:
     def _jacobian(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         blocks = []
         for number, (surface, own) in enumerate(zip(self.surfaces, self.parts(x), strict=True)):
-            slopes = torch.func.jacfwd(lambda u, s=surface: self._errors(s, u))(
-                torch.from_numpy(own)
-            )
-            block = np.zeros((len(slopes), self.size))
-            block[:, self._columns(number)] = slopes.numpy()
+            block = np.zeros((NY * len(surface.y), self.size))
+            block[:, self._columns(number)] = self._slopes(surface, own)
             blocks.append(block)
         return np.vstack([*blocks, np.diag(1.0 / self._width)])
 
