@@ -132,14 +132,16 @@ impl Libraries {
     pub fn reload(&self) -> Result<Reloaded, ReloadError> {
         let _one = self.loading.lock().unwrap_or_else(PoisonError::into_inner);
         let before = self.served();
-        let engine = load(&self.file, &self.settings, self.signers.as_ref())?;
-        let id = engine.library().id();
+        let bytes = read(&self.file, self.signers.as_ref())?;
+        // A library that is served was checked when it was loaded.
+        let id = library::hash(&bytes);
         let known = before.iter().position(|one| one.id() == id);
         let mut after: Vec<_> = before.to_vec();
         match known {
             Some(0) => return Ok(Reloaded::Same(id)),
             Some(index) => after[..=index].rotate_right(1),
             None => {
+                let engine = Engine::from_bytes(&self.file, &bytes, self.settings.clone())?;
                 let engine = match before.first() {
                     Some(first) => engine.with_cores_of(&first.engine),
                     None => engine,
@@ -184,6 +186,12 @@ fn load(
     settings: &Settings,
     signers: Option<&Signers>,
 ) -> Result<Engine, ReloadError> {
+    let bytes = read(file, signers)?;
+    Ok(Engine::from_bytes(file, &bytes, settings.clone())?)
+}
+
+/// The bytes of a library file, whose signature is checked if there are signers.
+fn read(file: &Path, signers: Option<&Signers>) -> Result<Vec<u8>, ReloadError> {
     let bytes = read_library(file).map_err(|source| EngineError::Read {
         path: file.display().to_string(),
         source,
@@ -191,7 +199,7 @@ fn load(
     if let Some(signers) = signers {
         signers.check(file, &bytes)?;
     }
-    Ok(Engine::from_bytes(file, &bytes, settings.clone())?)
+    Ok(bytes)
 }
 
 impl Served {

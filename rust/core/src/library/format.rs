@@ -87,6 +87,11 @@ pub(super) fn tensor_name(member: usize, name: &str) -> String {
     format!("members.{member}.{name}")
 }
 
+/// SHA-256 of a library file, by which requests name their library.
+pub fn hash(bytes: &[u8]) -> [u8; 32] {
+    Sha256::digest(bytes).into()
+}
+
 /// Lower-case hexadecimal digits.
 pub fn hex(bytes: &[u8]) -> String {
     bytes

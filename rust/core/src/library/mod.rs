@@ -16,11 +16,10 @@ use egp_parameters::VehicleParameters;
 
 pub use data::{LibrarySpec, MemberData};
 pub use error::LibraryError;
-pub use format::hex;
+pub use format::{hash, hex};
 pub use limits::*;
 pub use member::Member;
 pub use metadata::{MemberMetadata, Metadata, PriorMean, Signal};
-use sha2::{Digest, Sha256};
 pub use subset::subset;
 
 use crate::Kernel;
@@ -57,14 +56,14 @@ impl Library {
             members.push(member);
         }
         Ok(Self {
-            id: Sha256::digest(bytes).into(),
+            id: hash(bytes),
             kernel,
             metadata,
             members,
         })
     }
 
-    /// SHA-256 of the file.
+    /// [`hash`] of the file.
     pub fn id(&self) -> [u8; 32] {
         self.id
     }
