@@ -40,6 +40,13 @@ def test_each_surface_gets_its_own_transitions() -> None:
     assert [dataset.digest() for dataset in again] == [dataset.digest() for dataset in datasets]
 
 
+def test_vehicles_that_stand_give_no_transitions() -> None:
+    # The members have frictions of 0.5 and 1.1; one of the laps on snow ends with a standing car.
+    snow = [Experiment(friction="snow", label="snow")]
+    (found,) = drive_laps(LIBRARY, snow, OnPolicySettings(rounds=1, laps=5, grip=(0.9, 1.0)))
+    assert np.min(found.z[:, 0]) >= 1.0
+
+
 def test_surfaces_of_the_same_friction_cannot_be_told_apart() -> None:
     alike = [Experiment(friction="snow", label="snow"), Experiment(friction=0.3, label="mu 0.3")]
     with pytest.raises(EgpError, match="have the same one"):

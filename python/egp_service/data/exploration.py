@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from egp_service.data.experiment import Experiment
     from egp_service.data.exploration_track import ExplorationTrack
 
-_MIN_SPEED: Final = 1.0  # m/s; slower vehicles count as standing
+STANDING: Final = 1.0
+"""Vehicles slower than this count as standing, m/s."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +112,7 @@ def _episode(
         for k in range(round(seconds / experiment.dt)):
             x = plant.vehicle_state
             reference, on_track = track.look(x, believed(k * experiment.dt), grip, experiment.dt)
-            if not on_track or x[V_X] < _MIN_SPEED:
+            if not on_track or x[V_X] < STANDING:
                 return False
             u = driver.input(x, reference)
             try:

@@ -15,7 +15,8 @@ import numpy as np
 
 from egp_service._core import EgpError
 from egp_service.data.dataset import Dataset
-from egp_service.quantities import MOTION, gp_input
+from egp_service.data.exploration import STANDING
+from egp_service.quantities import MOTION, V_X, gp_input
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.scenario import (
@@ -143,11 +144,15 @@ def _drive(scenario: Scenario) -> _Driven:
 
 
 def _on_surface(laps: Sequence[_Driven], surface: Experiment) -> Dataset | None:
-    """Return all transitions that start and end on the surface, in pieces of `_TRAJECTORY`."""
+    """Return all transitions that start and end on the surface, in pieces of `_TRAJECTORY`.
+
+    A vehicle that has lost a surface's grip may stand until its lap ends. No slip angle describes
+    its forces, so that such transitions would distort the tyres and the yaw inertia of a fit.
+    """
     z, y, trajectory, step = [], [], [], []
     pieces = 0
     for lap in laps:
-        on = lap.friction == surface.mu
+        on = (lap.friction == surface.mu) & (lap.x[:, V_X] >= STANDING)
         rows = np.flatnonzero(on[:-1] & on[1:])
         if len(rows) == 0:
             continue
