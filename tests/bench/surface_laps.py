@@ -1,11 +1,12 @@
 """How much of the tyres a library of surfaces uses, and how well it drives on them.
 
-usage: surface_laps.py LIBRARY
+usage: surface_laps.py LIBRARY [SEEDS]
 
 LIBRARY is made by `egp train --recipe` with the shipped `surfaces-recipe.toml`. The first table has
 the share of the front axle's largest lateral force that the bound on slip leaves on each surface.
 The second one has laps of random tracks with measurement noise, on each surface and over all of
-them, of the ensemble and of the member of the surface under the car (the oracle).
+them, of the ensemble and of the member of the surface under the car (the oracle). SEEDS is the
+number of runs of each, 20 unless stated.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SURFACES: Final = ("dry", "wet", "snow", "ice")
-SEEDS: Final = 20
 GRIPS: Final = (0.8, 0.9)
 SPEED: Final = 15.0
 SHORT: Final = 1e-5  # s, in which the vehicle hardly moves
@@ -54,12 +54,12 @@ def usable(surface: str, bound: float) -> float:
 
 
 def laps(
-    library: str, kind: str, grip: float, surfaces: tuple[str, ...]
+    library: str, kind: str, grip: float, surfaces: tuple[str, ...], seeds: int
 ) -> tuple[int, float, float]:
     """Completed runs over zones of equal length, and median RMS and largest lateral error in m."""
     zones = tuple(Zone(n / len(surfaces), surface=name) for n, name in enumerate(surfaces))
     completed, errors = 0, []
-    for seed in range(SEEDS):
+    for seed in range(seeds):
         scenario = Scenario(
             name="surfaces",
             track=Track("random"),
@@ -77,8 +77,8 @@ def laps(
     return completed, float(rms), float(largest)
 
 
-def main(library: str) -> None:
-    """Print both tables."""
+def main(library: str, seeds: int = 20) -> None:
+    """Print both tables; the second one has `seeds` runs of each kind."""
     print("surface  bound on slip  share of the peak")
     for member in Library.load(library).members:
         share = usable(member.label, member.peak_slip)
@@ -88,12 +88,15 @@ def main(library: str) -> None:
         name = surfaces[0] if len(surfaces) == 1 else "all"
         for grip in GRIPS:
             for kind in (ENSEMBLE, ORACLE):
-                completed, rms, largest = laps(library, kind, grip, surfaces)
-                runs = f"{completed}/{SEEDS}"
-                print(f"{name:5} {grip:4.0%}  {kind:9}  {runs:9}  {rms:.3f}, {largest:.2f}")
+                completed, rms, largest = laps(library, kind, grip, surfaces, seeds)
+                runs = f"{completed}/{seeds}"
+                print(
+                    f"{name:5} {grip:4.0%}  {kind:9}  {runs:9}  {rms:.3f}, {largest:.2f}",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
+    if len(sys.argv) not in (2, 3) or not all(text.isdigit() for text in sys.argv[2:]):
         sys.exit(__doc__)
-    main(sys.argv[1])
+    main(sys.argv[1], *(int(text) for text in sys.argv[2:]))
