@@ -100,7 +100,7 @@ def test_departures_of_unknown_roads_are_counted_and_break_the_claim(library: Pa
         road = scenario(library, border, assumed)
         return run_trial(Trial(FIRST, "", Contender(name, "ensemble", (0, 3)), road))
 
-    def claims(outcomes: list[Outcome]) -> list[tuple[bool, str]]:
+    def claims(outcomes: list[Outcome]) -> list[tuple[bool | None, str]]:
         return [
             (claim.holds, claim.evidence)
             for claim in check(outcomes, [])

@@ -145,7 +145,7 @@ def test_differences_are_paired_by_seed() -> None:
 
 
 def test_the_claim_needs_half_of_the_disturbances() -> None:
-    def claim(gains: list[float]) -> bool:
+    def claim(gains: list[float]) -> bool | None:
         found = []
         for condition, gain in zip(DISTURBED, gains, strict=True):
             found += runs(condition, ENSEMBLE, 0.0) + runs(condition, FITTED, gain)

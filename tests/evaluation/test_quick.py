@@ -57,7 +57,8 @@ def test_the_report_stands_alone(folder: Path) -> None:
     sources = re.findall(r'src="([^"]{0,30})', report)
     assert len(sources) > 10
     assert all(source.startswith("data:image/png;base64,") for source in sources)
-    assert "<h2>Claims</h2>" in report
+    assert '<a href="#section-0">Claims</a>' in report
+    assert '<h2 id="section-0">Claims</h2>' in report
     # The paper's pictures of the ensemble, with changes in corners and on straights among them.
     for kind in ("weights", "errors"):
         for condition in ("changes-in-corners", "changes-on-straights"):

@@ -46,10 +46,10 @@ _EXCITED: Final = tuple(
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A claim and whether the outcomes support it."""
+    """A claim and whether the outcomes support it; None if they do not have what it is about."""
 
     text: str
-    holds: bool
+    holds: bool | None
     evidence: str
 
 
@@ -299,14 +299,15 @@ def _settling(outcomes: Sequence[Outcome]) -> list[Claim]:
             continue
         moved = sum(bool(outcome.settling) for outcome in own)
         found = f"{moved} of {len(own)} runs have a step that moved the weights"
-        late = np.inf
+        holds = None
         if times:
             median, late = float(np.median(times)), float(np.percentile(times, 90))
             found = f"median {median:.2f} s, 90 % within {late:.2f} s; {found}"
+            holds = moved >= _SHARE * len(own) and late <= _SETTLED
         claims.append(
             Claim(
                 f"Weights settle within {_SETTLED} s of a friction step under {condition}",
-                moved >= _SHARE * len(own) and late <= _SETTLED,
+                holds,
                 found,
             )
         )

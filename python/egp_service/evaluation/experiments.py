@@ -60,7 +60,7 @@ def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender
 
 LABELS: Final = ("μ 0.5", "μ 0.6", "μ 0.9", "μ 1.1", "pooled")
 # Variants of the ensemble with one part changed; they are not baselines.
-VARIANTS: Final = ("paper's weights", "constant mean", "fitted single-track", "forward Euler")
+VARIANTS: Final = ("paper's weights", "constant mean", "forward Euler")
 _ALL_OF_TWO: Final = (
     *contenders(TWO, LABELS),
     Contender("constant mean", "ensemble", CONSTANT_MEAN),

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from egp_service.evaluation.campaign import Outcome
@@ -65,14 +66,24 @@ def draw_risk(groups: Sequence[Group], path: Path) -> Path:
                 # The sources' curves are close: labels of one are below it.
                 below = g.contender.startswith(HERE)
                 label = "" if g.contender == ORACLE else g.contender.split(", ", 1)[-1]
-                offset = (4, -11) if below else (4, 4)
                 ax.annotate(
-                    label, (x, y), offset, textcoords="offset points", fontsize=7, color=colour
+                    label,
+                    (x, y),
+                    (3, -3) if below else (3, 3),
+                    textcoords="offset points",
+                    rotation=-40 if below else 40,
+                    rotation_mode="anchor",
+                    verticalalignment="top" if below else "bottom",
+                    fontsize=7,
+                    color=colour,
                 )
         ax.set(xlabel="lap time / that of a reference that is told all zones")
         ax.set(ylabel="departures [%]", title="First lap on roads of unknown friction")
-        ax.set_ylim(bottom=0.0)
-        ax.legend()
+        # A scale that also fits few runs, with space for the labels.
+        highest = max(10.0, ax.get_ylim()[1])
+        ax.set_ylim(-0.35 * highest, 1.1 * highest)
+        ax.set_yticks([tick for tick in ax.get_yticks() if 0.0 <= tick <= highest])
+        _legend_beside(ax)
         return _save(figure, path)
 
 
@@ -139,7 +150,7 @@ def draw_completion(groups: Sequence[Group], path: Path) -> Path:
         axes[1].xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes[1].xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axes[1].xaxis.set_minor_formatter(NullFormatter())
-        axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        _legend_beside(axes[1])
         return _save(figure, path)
 
 
@@ -159,7 +170,7 @@ def draw_entry_speeds(medians: Mapping[tuple[str, str], Interval], path: Path) -
         ax.set_yticks(range(len(surfaces)), surfaces)
         ax.invert_yaxis()
         ax.set_xlabel("highest entry speed, m/s")
-        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        _legend_beside(ax)
         return _save(figure, path)
 
 
@@ -199,7 +210,7 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
             "Below: runs in which the weights moved, of all. At 2 s: not settled within 2 s"
         )
         ax.set_ylabel("settling time, s")
-        ax.legend(loc="upper right")
+        _legend_beside(ax)
         return _save(figure, path)
 
 
@@ -216,8 +227,13 @@ def draw_scaling(times: Sequence[StepTime], path: Path) -> Path:
         ax.set_yscale("log")
         ax.set_xlabel("members")
         ax.set_ylabel("time of a control step, ms")
-        ax.legend()
+        _legend_beside(ax)
         return _save(figure, path)
+
+
+def _legend_beside(ax: Axes) -> None:
+    """Place the legend to the right of the plot, where no curve is."""
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def _save(figure: Figure, path: Path) -> Path:

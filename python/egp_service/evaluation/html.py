@@ -17,14 +17,17 @@ if TYPE_CHECKING:
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1f2937; max-width: 76rem; margin: 2rem auto;
-       padding: 0 1rem; }
+       padding: 0 .5rem; }
 h1, h2 { line-height: 1.2; } h2 { margin-top: 2.5rem; }
 table { border-collapse: collapse; margin: 1rem 0; font-size: 12.5px;
         font-variant-numeric: tabular-nums; }
 th, td { text-align: right; padding: .2rem .5rem; border-bottom: 1px solid #e5e7eb; }
+table.numbers { font-size: 10px; } table.numbers td { white-space: nowrap; }
+table.numbers th, table.numbers td { padding: .2rem .25rem; }
 th:first-child, td:first-child, .text { text-align: left; }
 th { font-weight: 600; color: #5a606b; } img { max-width: 100%; } code { background: #f3f4f6; }
 .no { color: #c2410c; font-weight: 600; } .yes { color: #3f6f3a; font-weight: 600; }
+.none { color: #5a606b; } nav li { margin: 0; }
 p.note { color: #5a606b; }
 """
 
@@ -40,10 +43,15 @@ class Section:
 
 
 def page(title: str, introduction: str, sections: Sequence[Section]) -> str:
-    """Return the page with embedded pictures."""
+    """Return the page with a list of contents and embedded pictures."""
+    titles = [html.escape(section.title) for section in sections]
+    contents = "".join(
+        f'<li><a href="#section-{number}">{name}</a></li>' for number, name in enumerate(titles)
+    )
     body = [f"<h1>{html.escape(title)}</h1>", f"<p>{introduction}</p>"]
-    for section in sections:
-        body += [f"<h2>{html.escape(section.title)}</h2>", f"<p>{section.text}</p>"]
+    body.append(f"<nav><ol>{contents}</ol></nav>")
+    for number, section in enumerate(sections):
+        body += [f'<h2 id="section-{number}">{titles[number]}</h2>', f"<p>{section.text}</p>"]
         body += [_picture(path) for path in section.figures]
         body += section.tables
     return (
@@ -54,10 +62,12 @@ def page(title: str, introduction: str, sections: Sequence[Section]) -> str:
 
 def claim_table(claims: Iterable[Claim]) -> str:
     """Return a table with a row for each claim: whether it holds, and the evidence."""
+    verdicts = {True: ("yes", "holds"), False: ("no", "fails"), None: ("none", "no data")}
     rows = [
-        f"<tr><td class=text>{html.escape(c.text)}</td>"
-        f"<td class={'yes' if c.holds else 'no'}>{'holds' if c.holds else 'fails'}</td>"
-        f"<td class=text>{html.escape(c.evidence)}</td></tr>"
+        f"<tr><td class=text>{html.escape(c.text)}</td><td class={{}}>{{}}</td>".format(
+            *verdicts[c.holds]
+        )
+        + f"<td class=text>{html.escape(c.evidence)}</td></tr>"
         for c in claims
     ]
     heads = "<tr><th>claim</th><th></th><th class=text>evidence</th></tr>"
@@ -83,8 +93,8 @@ def group_table(groups: Iterable[Group]) -> str:
             f"<td>{text}</td>"
             for text in (
                 interval(group.lateral_rms, 4),
-                interval(group.lateral_max),
-                interval(group.speed_rms),
+                interval(group.lateral_max, 2),
+                interval(group.speed_rms, 2),
                 interval(group.lap_time, 2),
                 interval(group.off_track, 2),
                 interval(group.settling, 2),
@@ -101,7 +111,7 @@ def group_table(groups: Iterable[Group]) -> str:
     texts, numbers = heads[:2], heads[2:]
     header = "".join(f"<th class=text>{head}</th>" for head in texts)
     header += "".join(f"<th>{head}</th>" for head in numbers)
-    return f"<table><tr>{header}</tr>{''.join(rows)}</table>"
+    return f"<table class=numbers><tr>{header}</tr>{''.join(rows)}</table>"
 
 
 def plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -110,13 +120,13 @@ def plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     body = "".join(
         "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
     )
-    return f"<table><tr>{header}</tr>{body}</table>"
+    return f"<table class=numbers><tr>{header}</tr>{body}</table>"
 
 
 def interval(found: Interval, digits: int = 3) -> str:
-    """Format a value and its interval."""
+    """Format a value and its interval; a value that no run has is "no data"."""
     if math.isnan(found.value):
-        return "-"
+        return "no data"
     low, high = f"{found.low:.{digits}f}", f"{found.high:.{digits}f}"
     return f"{found.value:.{digits}f} ({low}-{high})"
 

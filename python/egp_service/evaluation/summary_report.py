@@ -7,12 +7,12 @@ import html
 import io
 import re
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from egp_service.evaluation import disturbances, figures, hidden_ice, unknown_roads
-from egp_service.evaluation.claims import check
+from egp_service.evaluation.claims import POOLED, check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.entry_speed import SLOWEST
 from egp_service.evaluation.experiments import (
@@ -30,6 +30,7 @@ from egp_service.evaluation.html import (
     page,
     plain_table,
 )
+from egp_service.evaluation.prediction import SURFACES
 from egp_service.evaluation.scaling import PAPER
 from egp_service.evaluation.statistics import grouped, median
 from egp_service.files import write_text
@@ -54,7 +55,8 @@ the true state. The error of an incomplete run is the error up to its end, so er
 must be read together. Brackets are 95 % intervals over the seeds: Wilson's for shares, bootstrap
 for medians (off track: for the mean). <i>No plan</i> counts control periods without a usable plan,
 and <i>late</i> counts periods whose step took longer than the period while other runs shared the
-machine.
+machine. <i>No data</i> means that no run gives the figure, and claims about experiments that were
+not run are left out.
 Command: <code>{command}</code>"""
 
 _CLAIMS = """Below the limit the errors of the best controllers differ by millimetres, while
@@ -121,6 +123,9 @@ def write_report(
         Section("Claims", _CLAIMS, tables=(claim_table(check(outcomes, predictions, ice)),)),
         Section("Where this differs from the paper", _DIFFERENCES),
     ]
+    if best := headline(outcomes):
+        table = plain_table(HEADLINE, best)
+        sections.append(Section("Best controllers", _BEST, tables=(table,)))
     if regret := _regret_section(groups):
         sections.append(regret)
     if predictions:
@@ -143,6 +148,13 @@ def write_report(
     about = _ABOUT.format(command=html.escape(command))
     write_text(report, page("Ensemble GP-MPC: evaluation", about, sections))
     return report
+
+
+HEADLINE: Final = ("experiment", "condition", ENSEMBLE, "best baseline", ORACLE)
+"""Heads of the rows of `headline`."""
+_BEST = """Completed runs and the median lateral RMS error. The best baseline is the one that
+completes most runs and among these has the smallest median error; variants of the ensemble are not
+among them. <code>egp evaluate</code> prints the same table."""
 
 
 def headline(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
@@ -332,11 +344,15 @@ def _prediction_section(folder: Path, predictions: Sequence[PredictionOutcome]) 
         )
         rest = [" / ".join(f"{v:.2f}" for v in column.mean(0)) for column in columns[1:]]
         rows.append((predictor, on, str(window or "-"), rmse, *rest))
+    frictions = ", ".join(f"{name} = {mu:g}" for name, mu in SURFACES.items())
     return Section(
         "Prediction error (paper, comparison with standard GP)",
-        "RMS errors of the changes of v_x, v_y (m/s) and ω (rad/s) over 20 ms, mean and standard "
-        "deviation over seeds; share inside the 95 % interval and negative log predictive density "
-        "for the variance of eq. (3) and for the mixture variance.",
+        f"The letters are surfaces with the friction {frictions}. A predictor A is a GP trained "
+        f"on surface A, {POOLED} one trained on both surfaces, and E(AD) the ensemble of the GPs A "
+        "and D; K is the number of periods in the window of its weights. RMS errors of the changes "
+        "of v_x, v_y (m/s) and ω (rad/s) over 20 ms, mean and standard deviation over seeds; share "
+        "inside the 95 % interval and negative log predictive density for the variance of eq. (3) "
+        "and for the mixture variance.",
         (figures.draw_prediction(predictions, folder / "prediction.png"),),
         (
             plain_table(

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 
 from egp_service._core import GRAVITY
 from egp_service.files import replacing
-from egp_service.quantities import OMEGA, POSITION, V_X
+from egp_service.quantities import OMEGA, POSITION, V_X, V_Y
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -54,6 +54,8 @@ MEMBER_COLOURS = ("#4ba3c7", "#e0a13a", "#6a994e", "#9d6bb0", "#c8553d", "#5c677
 SURFACE = LinearSegmentedColormap.from_list("surface", ["#cfe6f5", "#b9c2c9", "#82878d"])
 FRICTION_RANGE = Normalize(0.4, 1.2)
 SPEED = mpl.colormaps["plasma"]
+# Points on white need darker colours than areas.
+FRICTION_POINTS = LinearSegmentedColormap.from_list("points", ["#3b8fc4", "#6a994e", "#2b2d33"])
 
 
 def draw_run(run: Run, folder: FilePath) -> list[FilePath]:
@@ -62,6 +64,7 @@ def draw_run(run: Run, folder: FilePath) -> list[FilePath]:
         _save(_track_figure, run, folder / "track.png"),
         draw_weights(run, folder / "weights.png"),
         draw_errors(run, folder / "errors.png"),
+        _save(_commands_figure, run, folder / "commands.png"),
         _save(_step_times_figure, run, folder / "step-times.png"),
     ]
 
@@ -244,7 +247,40 @@ def _errors_figure(run: Run) -> Figure:
     speed.plot(trace.distance, reference, color=MUTED, linestyle="--", label="reference")
     speed.plot(trace.distance, trace.x[:, V_X], color=INK, label="driven")
     speed.set(ylabel="speed [m/s]", xlabel="distance [m]")
-    speed.legend(loc="lower right", ncols=2)
+    _legend_above(speed, 2)
+    return figure
+
+
+def _commands_figure(run: Run) -> Figure:
+    """Commands over the distance, and accelerations over each other (g-g diagram)."""
+    figure, axes = plt.subplot_mosaic(
+        [["force", "g-g"], ["rate", "g-g"]], figsize=(11.0, 4.6), width_ratios=(1.4, 1.0)
+    )
+    trace, force, rate, diagram = run.trace, axes["force"], axes["rate"], axes["g-g"]
+    for ax, column, scale, label in (
+        (force, 0, 1e-3, "force [kN]"),
+        (rate, 1, 1.0, "steering rate [rad/s]"),
+    ):
+        draw_zones(ax, run.path, float(trace.distance[-1]))
+        ax.axhline(0.0, color=MUTED, linewidth=0.6)
+        ax.plot(trace.distance, scale * trace.u[:, column], color=INK, linewidth=0.9)
+        ax.set(ylabel=label)
+    force.set(title="Commands")
+    rate.set(xlabel="distance [m]")
+    v_x, v_y, omega = trace.x[:-1, [V_X, V_Y, OMEGA]].T
+    changes = np.diff(trace.x[:, [V_X, V_Y]], axis=0) / run.dt
+    along, across = (changes + np.column_stack([-v_y, v_x]) * omega[:, None]).T / GRAVITY
+    diagram.scatter(
+        across, along, c=trace.friction[:-1], s=3, cmap=FRICTION_POINTS, norm=FRICTION_RANGE
+    )
+    angle = np.linspace(0.0, 2.0 * np.pi, 181)
+    for mu in np.unique(trace.friction):
+        colour = FRICTION_POINTS(FRICTION_RANGE(mu))
+        label = f"µ g at {mu:g}"
+        diagram.plot(mu * np.sin(angle), mu * np.cos(angle), color=colour, lw=0.9, label=label)
+    diagram.set(xlabel="to the left [g]", ylabel="forwards [g]", aspect="equal")
+    diagram.set_title("Accelerations")
+    diagram.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 

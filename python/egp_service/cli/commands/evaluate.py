@@ -326,8 +326,10 @@ def _print(console: Console, rows: list[tuple[str, ...]]) -> None:
     from rich import box
     from rich.table import Table
 
+    from egp_service.evaluation.summary_report import HEADLINE
+
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for head in ("experiment", "condition", "ensemble", "best baseline", "oracle"):
+    for head in HEADLINE:
         table.add_column(head)
     for row in rows:
         table.add_row(*row)

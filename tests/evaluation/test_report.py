@@ -1,0 +1,117 @@
+"""What the report says about outcomes, and how its page looks in a browser."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+from egp_service.evaluation.campaign import Outcome
+from egp_service.evaluation.claims import check
+from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
+from egp_service.evaluation.summary_report import HEADLINE, headline, write_report
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from playwright.sync_api import Browser
+
+WIDTH = 1280
+BASELINE = "fitted single-track"
+ERRORS = {
+    ENSEMBLE: 0.025,
+    "selection": 0.042,
+    BASELINE: 0.022,
+    "forward Euler": 0.001,
+    ORACLE: 0.02,
+}
+
+
+def outcome(experiment: str, contender: str, error: float, seed: int = 0) -> Outcome:
+    return Outcome(
+        experiment=experiment,
+        condition="95% of grip",
+        contender=contender,
+        seed=seed,
+        completed=True,
+        reason="completed",
+        time=21.125,
+        distance=300.0,
+        lap_times=(21.125,),
+        lateral_max=3.0 * error,
+        lateral_rms=error,
+        speed_rms=0.125,
+        off_track=0.0,
+        settling=(),
+        resolution=None,
+        avoidable=None,
+        misses=0,
+        late=0,
+        step_ms=0.5,
+    )
+
+
+def report_of(outcomes: list[Outcome], folder: Path) -> Path:
+    return write_report(
+        folder,
+        "egp evaluate",
+        outcomes=outcomes,
+        predictions=[],
+        speeds=[],
+        ice=[],
+        times=[],
+        drives={},
+    )
+
+
+@pytest.fixture
+def outcomes() -> list[Outcome]:
+    return [
+        outcome("varying-speed", name, error, seed)
+        for name, error in ERRORS.items()
+        for seed in range(3)
+    ]
+
+
+def test_terminal_and_report_have_the_same_best_baseline(
+    outcomes: list[Outcome], tmp_path: Path
+) -> None:
+    (row,) = headline(outcomes)
+    assert dict(zip(HEADLINE, row, strict=True))["best baseline"] == f"3/3, 0.022 m {BASELINE}"
+    report = report_of(outcomes, tmp_path).read_text(encoding="utf-8")
+    cells = "".join(f"<td>{cell}</td>" for cell in row)
+    assert f"<tr>{cells}</tr>" in report
+
+
+def test_a_claim_without_data_neither_holds_nor_fails(tmp_path: Path) -> None:
+    still = [outcome("friction-step", ENSEMBLE, 0.02)]
+    settling = [claim for claim in check(still, []) if "settle" in claim.text]
+    assert [claim.holds for claim in settling] == [None] * len(settling)
+    report = report_of(still, tmp_path).read_text(encoding="utf-8")
+    assert "<td>no data</td>" in report  # the time after a change of friction
+    moved = [replace(one, settling=(3.0,)) for one in still]
+    settling = [claim for claim in check(moved, []) if "settle" in claim.text]
+    assert not any(claim.holds for claim in settling)
+
+
+def test_the_page_is_not_wider_than_a_small_screen(
+    outcomes: list[Outcome], browser: Browser, tmp_path: Path
+) -> None:
+    # The widest names and figures of the evaluation.
+    outcomes += [
+        replace(one, contender="nominal single-track", lateral_max=12.345, off_track=15.25)
+        for one in outcomes[:3]
+    ]
+    report = report_of(outcomes, tmp_path)
+    page = browser.new_page(viewport={"width": WIDTH, "height": 900})
+    page.goto(report.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") == WIDTH
+    heights = page.evaluate(
+        "[...document.querySelectorAll('table.numbers td')].map(cell => cell.clientHeight)"
+    )
+    assert len(heights) > 10 * len(ERRORS)
+    assert max(heights) < 30, "a cell has two lines"
+    page.get_by_role("link", name="Best controllers").click()
+    assert page.evaluate("location.hash") == "#section-2"
+    page.close()
