@@ -80,7 +80,9 @@ def requests(request: pytest.FixtureRequest) -> list[bytes]:
 
 def test_clarabel_finds_the_same_plans(requests: list[bytes]) -> None:
     fast = Engine(str(LIBRARY))
-    oracle = Engine(str(LIBRARY), '[solver]\nkind = "clarabel"\ntolerance = 1e-13')
+    # With 1e-13 Clarabel ends some problems at a residual of 1e-7, and with 1e-11 some plans are
+    # not accurate enough.
+    oracle = Engine(str(LIBRARY), '[solver]\nkind = "clarabel"\ntolerance = 1e-12')
     for sent in requests:
         ours, other = decode_reply(fast.step(sent)), decode_reply(oracle.step(sent))
         assert ours.status == other.status == "solved"

@@ -184,6 +184,7 @@ fn phases(c: &mut Criterion, library: &Library) {
         .map(|r| State::from([r[0], r[1], r[2], r[3], 0.0, 0.0, 0.0]))
         .collect();
     let tyres = TyreLimits {
+        friction: 1.0,
         slip: 0.96,
         drive: 6.0,
         brake: 8.0,

@@ -101,6 +101,7 @@ impl Member {
             Some(VehicleModel::Kinematic(_)) | None => [vehicle.a_max, -vehicle.a_min],
         };
         TyreLimits {
+            friction: self.friction,
             slip: self.peak_slip(vehicle),
             drive,
             brake,

@@ -151,6 +151,7 @@ mod tests {
                     .map(|t| State::ith(V_X, 2.0 + 3.0 * f64::from(t)))
                     .collect();
                 let tyres = [TyreLimits {
+                    friction: 0.5,
                     slip: 0.1,
                     drive: 1.0,
                     brake: 2.0,

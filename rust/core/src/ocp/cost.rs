@@ -1,4 +1,4 @@
-//! State weights in the frame of the reference.
+//! State weights in the frame of the reference, and their factor at the end of the horizon.
 
 use nalgebra::SMatrix;
 
@@ -8,19 +8,31 @@ use crate::{NX, State};
 
 /// `Q` for a reference state: weights of the position errors along and across the reference yaw and of speed and yaw
 /// errors.
-pub fn state_weight(cost: &Cost, reference: &State, last: bool) -> SMatrix<f64, NX, NX> {
-    let factor = if last { cost.terminal } else { 1.0 };
-    let (along, across) = (factor * cost.longitudinal, factor * cost.lateral);
+pub fn state_weight(cost: &Cost, reference: &State) -> SMatrix<f64, NX, NX> {
+    let (along, across) = (cost.longitudinal, cost.lateral);
     let (sin, cos) = reference[PSI].sin_cos();
     let mut q = SMatrix::zeros();
     q[(P_X, P_X)] = along * cos * cos + across * sin * sin;
     q[(P_Y, P_Y)] = along * sin * sin + across * cos * cos;
     q[(P_X, P_Y)] = (along - across) * sin * cos;
     q[(P_Y, P_X)] = q[(P_X, P_Y)];
-    q[(V_X, V_X)] = factor * cost.v_x;
-    q[(PSI, PSI)] = factor * cost.psi;
+    q[(V_X, V_X)] = cost.v_x;
+    q[(PSI, PSI)] = cost.psi;
     q
 }
+
+/// Factor of the state weights at the end of the horizon on a surface with this friction: `terminal / min(friction, 1)`.
+///
+/// The weights of the last stage stand for the cost of the time after it (Rawlings, Mayne and Diehl, *Model Predictive
+/// Control*, 2nd edition, section 2.5). The forces that remove an error are proportional to the friction, so on ice an
+/// error costs for longer after the end of the horizon than on tarmac. With the factor of tarmac the vehicle oscillates
+/// about the reference on ice with growing amplitude.
+pub fn terminal_factor(cost: &Cost, friction: f64) -> f64 {
+    cost.terminal / friction.clamp(LEAST_FRICTION, 1.0)
+}
+
+/// Friction below which the factor does not grow, so that the weights stay in a range that the solvers condition well.
+const LEAST_FRICTION: f64 = 0.05;
 
 #[cfg(test)]
 mod tests {
@@ -32,12 +44,20 @@ mod tests {
         let psi: f64 = 0.7;
         let mut reference = State::zeros();
         reference[PSI] = psi;
-        let value = |e: State, last| (e.transpose() * state_weight(&cost, &reference, last) * e).x;
+        let value = |e: State| (e.transpose() * state_weight(&cost, &reference) * e).x;
         let along = State::from_column_slice(&[psi.cos(), psi.sin(), 0.0, 0.0, 0.0, 0.0, 0.0]);
         let across = State::from_column_slice(&[-psi.sin(), psi.cos(), 0.0, 0.0, 0.0, 0.0, 0.0]);
-        assert!((value(along, false) - cost.longitudinal).abs() < 1e-12);
-        assert!((value(across, false) - cost.lateral).abs() < 1e-12);
-        assert!((value(across, true) - cost.terminal * cost.lateral).abs() < 1e-12);
-        assert!((value(along + across, false) - cost.longitudinal - cost.lateral).abs() < 1e-12);
+        assert!((value(along) - cost.longitudinal).abs() < 1e-12);
+        assert!((value(across) - cost.lateral).abs() < 1e-12);
+        assert!((value(along + across) - cost.longitudinal - cost.lateral).abs() < 1e-12);
+    }
+
+    #[test]
+    fn less_friction_gives_the_end_of_the_horizon_more_weight() {
+        let cost = Cost::default();
+        let factor = |friction| terminal_factor(&cost, friction);
+        assert_eq!([1.3, 1.0].map(factor), [cost.terminal; 2]);
+        assert_eq!(factor(0.5), 2.0 * cost.terminal);
+        assert_eq!(factor(1e-9), factor(LEAST_FRICTION));
     }
 }

@@ -68,7 +68,10 @@ pub fn assemble(
         stage.b.column_mut(FORCE).scale_mut(vehicle.mass);
         stage.c = affine.c;
         let target = &road.x[t + 1];
-        stage.q = cost::state_weight(&settings.cost, target, t + 1 == horizon);
+        stage.q = cost::state_weight(&settings.cost, target);
+        if t + 1 == horizon {
+            stage.q *= cost::terminal_factor(&settings.cost, road.tyres[t + 1].friction);
+        }
         stage.reference = *target;
         bounds::soft(
             &settings.soft,

@@ -46,7 +46,8 @@ pub struct Cost {
     pub v_x: f64,
     /// Yaw error, 1/rad². Default 10.
     pub psi: f64,
-    /// Factor of the state weights at the last stage (`Q_T = terminal · Q`). Default 2.
+    /// Factor of the state weights at the last stage on a surface with the friction 1; it is inversely proportional to the
+    /// friction on those with less: `Q_T = terminal / min(mu, 1) · Q`. Default 2.
     pub terminal: f64,
     /// `R` on `[F_x/m, delta_dot]`, 1/(m/s²)² and 1/(rad/s)². Default [0.05, 2].
     pub input: [f64; NU],

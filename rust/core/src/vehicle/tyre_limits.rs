@@ -5,6 +5,8 @@ use std::ops::{AddAssign, Mul};
 /// Limits beyond which the tyres of one surface, or of a blend of surfaces, transmit no more.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct TyreLimits {
+    /// Friction coefficient of the surface.
+    pub friction: f64,
     /// Slip angle of the front tyres at the peak of their force, rad.
     pub slip: f64,
     /// Largest acceleration `F_x / m` under drive, m/s².
@@ -18,6 +20,7 @@ impl Mul<f64> for TyreLimits {
 
     fn mul(self, factor: f64) -> Self {
         Self {
+            friction: self.friction * factor,
             slip: self.slip * factor,
             drive: self.drive * factor,
             brake: self.brake * factor,
@@ -27,6 +30,7 @@ impl Mul<f64> for TyreLimits {
 
 impl AddAssign for TyreLimits {
     fn add_assign(&mut self, other: Self) {
+        self.friction += other.friction;
         self.slip += other.slip;
         self.drive += other.drive;
         self.brake += other.brake;
