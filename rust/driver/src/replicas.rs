@@ -23,13 +23,18 @@ struct Demotion {
     /// Until then the replica is asked last in any case; afterwards, until a probe was answered.
     until: Time,
     length: Duration,
+    /// When the replica failed last.
+    failed: Time,
     /// When the last probe was sent.
     probed: Option<Time>,
     over: bool,
 }
 
-/// The live replicas in the order of a vehicle's rendezvous hash, with those that failed lately at the end, of these the
-/// one first that last answered.
+/// The live replicas in the order of a vehicle's rendezvous hash, with those that failed lately at the end.
+///
+/// Of the demoted replicas those that have answered since they failed come first, the last answer first. The others
+/// follow, the earliest failure first: when no replica is known to work, each is asked in turn, and one that has been
+/// started again is found although another one answered until it froze.
 ///
 /// A replica fails by letting a deadline pass, by an answer that cannot be used, or by an error that other replicas may
 /// not have. Because a frozen replica may stay frozen, it is promoted again only once its demotion has passed and it
@@ -83,16 +88,14 @@ impl Replicas {
         );
         // The sort is stable, so those that are not demoted keep their rank.
         order.sort_by_key(|replica| {
-            self.is_demoted(replica)
-                .then(|| Reverse(self.answered.get(replica).copied()))
+            let demotion = self.demoted.get(replica).filter(|demotion| !demotion.over);
+            demotion.map(|demotion| {
+                let answered = self.answered.get(replica).copied();
+                let recovered = answered.is_some_and(|at| at > demotion.failed);
+                ((!recovered).then_some(demotion.failed), Reverse(answered))
+            })
         });
         order
-    }
-
-    fn is_demoted(&self, replica: &Name) -> bool {
-        self.demoted
-            .get(replica)
-            .is_some_and(|demotion| !demotion.over)
     }
 
     /// Notes that a replica failed.
@@ -110,6 +113,7 @@ impl Replicas {
         let demotion = Demotion {
             until: now + length,
             length,
+            failed: now,
             probed: None,
             over: false,
         };
@@ -236,6 +240,26 @@ mod tests {
         replicas.appeared(usual[1].clone());
         let unknown_last = [usual[2].clone(), usual[0].clone(), usual[1].clone()];
         assert_eq!(replicas.order(), unknown_last);
+    }
+
+    #[test]
+    fn demoted_replicas_that_do_not_answer_are_asked_in_turn() {
+        let (mut replicas, usual) = three();
+        replicas.gone(&usual[2]);
+        let [first, second] = [usual[0].clone(), usual[1].clone()];
+        // The second one was killed and started again, and the first one answered until it froze.
+        replicas.demote(&second, seconds(1.0));
+        replicas.answered(&first, seconds(2.0));
+        replicas.demote(&first, seconds(2.02));
+        assert_eq!(replicas.order(), [second.clone(), first.clone()]);
+        replicas.demote(&second, seconds(2.04));
+        assert_eq!(replicas.order(), [first.clone(), second.clone()]);
+        replicas.demote(&first, seconds(2.06));
+        assert_eq!(replicas.order(), [second.clone(), first.clone()]);
+        // An answer ends the alternation.
+        replicas.answered(&second, seconds(2.07));
+        replicas.demote(&first, seconds(2.08));
+        assert_eq!(replicas.order(), [second, first]);
     }
 
     #[test]
