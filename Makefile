@@ -82,7 +82,7 @@ EXTRAS_docs := viz,docs
 EXTRAS_bench := train,viz,paper,cluster,dev,bench
 
 # One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension. The crates are
-# compiled while pip installs the packages; maturin then waits for this build and links what it left.
+# compiled while pip installs the packages; the second maturin then waits for the first one and finds them built.
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed, found $$($(PYTHON) --version). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
@@ -91,9 +91,7 @@ EXTRAS_bench := train,viz,paper,cluster,dev,bench
 	$(BIN)/pip install --quiet --constraint constraints.txt maturin
 
 .venv/built-%: .venv/bin/python pyproject.toml constraints.txt $(RUST)
-	PYO3_BUILD_EXTENSION_MODULE=1 PYO3_PYTHON=$(CURDIR)/$(BIN)/python \
-		cargo build --release --locked --quiet --package egp-python & \
-	VIRTUAL_ENV=$(CURDIR)/.venv PIP_CONSTRAINT=$(CURDIR)/constraints.txt \
-		$(BIN)/maturin develop --release --locked --extras $(EXTRAS_$*); \
-	status=$$?; wait; exit $$status
+	export VIRTUAL_ENV=$(CURDIR)/.venv PIP_CONSTRAINT=$(CURDIR)/constraints.txt; \
+	$(BIN)/maturin develop --release --locked --quiet --skip-install & \
+	$(BIN)/maturin develop --release --locked --extras $(EXTRAS_$*); status=$$?; wait; exit $$status
 	@touch $@
