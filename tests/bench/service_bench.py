@@ -95,7 +95,8 @@ class Bench:
     ) -> dict[str, Any]:
         """Run `egp load` and return its report, of the first rate if it replays."""
         result = self.folder / f"load-{time.monotonic_ns()}.json"
-        options = ["--replay", str(self.recording())] if replay else []
+        # Each vehicle has a session, but not hundreds of vehicles, which take minutes to connect.
+        options = ["--replay", str(self.recording()), "--sessions=64"] if replay else []
         options += [f"--connect={endpoint}" for endpoint in endpoints]
         options += [f"--seconds={seconds}", f"--vehicles={vehicles}", f"--json={result}"]
         subprocess.run([*EGP, "load", *options], check=True, capture_output=True)

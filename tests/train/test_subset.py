@@ -35,6 +35,40 @@ def test_finds_the_rare_and_keeps_the_common() -> None:
     assert np.sum(chosen < 500) == 40
 
 
+def _one_by_one(K: np.ndarray, noise: float, count: int, rng: np.random.Generator) -> list[int]:
+    """Draw rows as `select` promises, each with the variance of the exact posterior."""
+    chosen: list[int] = rng.choice(len(K), count // 2, replace=False).tolist()
+    while len(chosen) < count:
+        inner = K[np.ix_(chosen, chosen)] + noise * np.eye(len(chosen))
+        left = np.diag(K) - np.sum(K[chosen] * np.linalg.solve(inner, K[chosen]), axis=0)
+        left[chosen] = 0.0
+        chosen.append(rng.choice(len(K), p=left / left.sum()))
+    return chosen
+
+
+def _places() -> torch.Tensor:
+    """Return three places with six states each and six places with one."""
+    rng = np.random.default_rng(0)
+    centres = 3.0 * rng.standard_normal((9, 6))
+    states = np.repeat(centres, [6, 6, 6, 1, 1, 1, 1, 1, 1], axis=0)
+    return torch.tensor(states + 0.02 * rng.standard_normal(states.shape))
+
+
+def test_blocks_do_not_change_the_probabilities() -> None:
+    z = _places()
+    process = _processes(z)[1]
+    with torch.no_grad():
+        K = process.covar_module(z).to_dense().numpy()
+    noise = float(process.likelihood.noise.detach()[0])
+    ours, expected = np.zeros(len(z)), np.zeros(len(z))
+    draws = 2000
+    for seed in range(draws):
+        ours[select(z, [process], 6, np.random.default_rng(seed))] += 1 / draws
+        expected[_one_by_one(K, noise, 6, np.random.default_rng(draws + seed))] += 1 / draws
+    # Five standard deviations of a difference of two frequencies.
+    assert np.all(np.abs(ours - expected) < 5.0 * np.sqrt(2.0 * 0.25 / draws))
+
+
 def test_follows_its_seed() -> None:
     z = _clustered()
     first, second, other = (

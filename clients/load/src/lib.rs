@@ -77,6 +77,9 @@ struct Arguments {
     /// Replay the requests of this file without a plant; for services without vehicle_keys.
     #[arg(long, value_name = "FILE", conflicts_with = "key")]
     requests: Option<PathBuf>,
+    /// With --requests: share this many sessions of zenoh, as vehicles do behind routers; by default each has its own.
+    #[arg(long, requires = "requests", value_parser = clap::value_parser!(u32).range(1..=LARGEST.into()))]
+    sessions: Option<u32>,
     /// With --requests: raise the number of vehicles until less than this fraction of requests is answered in time.
     #[arg(long, value_name = "FRACTION", requires = "requests", value_parser = fraction)]
     ramp: Option<f64>,

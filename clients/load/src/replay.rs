@@ -80,7 +80,8 @@ impl<'a> Replay<'a> {
         warm_up: Duration,
         measured: Duration,
     ) -> Result<Counts, Failure> {
-        while self.sessions.len() < vehicles {
+        let sessions = self.arguments.sessions.map_or(vehicles, |n| n as usize);
+        while self.sessions.len() < sessions.min(vehicles) {
             self.sessions
                 .push(session(self.arguments, self.sessions.len())?);
         }
@@ -93,7 +94,8 @@ impl<'a> Replay<'a> {
         let ignored = Arc::new(Mutex::new(Counts::default()));
         let begin = Instant::now() + Duration::from_millis(200);
         for round in 0_u32.. {
-            for (index, (key, session)) in keys.iter().zip(&self.sessions).enumerate() {
+            for (index, (key, session)) in keys.iter().zip(self.sessions.iter().cycle()).enumerate()
+            {
                 let part = index as f64 / vehicles as f64;
                 let after = self.period.mul_f64(f64::from(round) + part);
                 if after >= warm_up + measured {

@@ -58,12 +58,17 @@ fn every_due_request_of_each_rate_is_accounted_for() {
     let (server, endpoint) = serve();
     let json = concat!(env!("CARGO_TARGET_TMPDIR"), "/replay.json");
     // Nothing is answered within a millionth of the period, so the ramp ends at the first rate.
-    for (budget, rates) in [("1", 2), ("0.000001", 1)] {
+    for (budget, rates, sessions) in [("1", 2, "1"), ("0.000001", 1, "2")] {
         let options = ["--vehicles", "2", "--seconds", "0.5", "--warm-up", "0.1"];
+        let options = [options.as_slice(), &["--sessions", sessions]].concat();
         let more = [
             "--ramp", "0.01", "--most", "3", "--budget", budget, "--json", json,
         ];
-        let output = replay(&endpoint, &requests, &[options.as_slice(), &more].concat());
+        let output = replay(
+            &endpoint,
+            &requests,
+            &[options.as_slice(), more.as_slice()].concat(),
+        );
         let (text, errors) = (
             String::from_utf8(output.stdout),
             String::from_utf8(output.stderr),

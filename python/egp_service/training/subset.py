@@ -6,6 +6,11 @@ probability proportional to the variance that remains given the points drawn so 
 largest variance instead would select mostly outliers. RMS errors of v_y after 1 s with all, half
 and none drawn uniformly, on the demo's surfaces with GPs of whole changes: slides after a friction
 drop 0.73, 0.61, 0.45 m/s, driving below the limit 0.02-0.07, 0.02, 0.03 m/s.
+
+Points are drawn in blocks with rejection (accelerated RPCholesky: Epperly, Tropp and Webber,
+"Embrace rejection", 2024). A block is proposed with the variances before it, and each of its points
+is accepted with the probability by which the points accepted before it in the block have reduced
+its variance. The distribution of the points is the same as without blocks.
 """
 
 from __future__ import annotations
@@ -21,6 +26,40 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from egp_service.training.gaussian_process import OutputProcess
+
+_BLOCK = 64
+
+
+class _Remaining:
+    """The variance of one output that remains, given noisy observations at the points so far.
+
+    With points P so far and noise variance s, `factor` is F = K(z, P) L⁻ᵀ, where L is the Cholesky
+    factor of K(P, P) + s I, so that the covariance that remains is K - F Fᵀ.
+    """
+
+    def __init__(self, process: OutputProcess, z: torch.Tensor, count: int) -> None:
+        self.kernel, self.z = process.covar_module, z
+        self.noise = float(process.likelihood.noise[0])
+        self.size = 0
+        self.factor = z.new_zeros(len(z), count)
+        self.variance = self.kernel(z, diag=True)
+
+    def covariance(self, of: slice | NDArray[np.int64], rows: NDArray[np.int64]) -> torch.Tensor:
+        """Return the covariance that remains between two sets of rows, as a matrix."""
+        known = self.factor[:, : self.size]
+        prior = self.kernel(self.z[of], self.z[rows]).to_dense()
+        remaining: torch.Tensor = prior - known[of] @ known[rows].T
+        return remaining
+
+    def observe(self, rows: NDArray[np.int64]) -> None:
+        """Add these rows to the points."""
+        column = self.covariance(slice(None), rows)
+        inner = column[rows] + self.noise * torch.eye(len(rows)).to(column)
+        lower = torch.linalg.cholesky(inner)
+        added = torch.linalg.solve_triangular(lower, column.T, upper=False).T
+        self.factor[:, self.size : self.size + len(rows)] = added
+        self.size += len(rows)
+        self.variance -= (added**2).sum(dim=1)
 
 
 def select(
@@ -38,19 +77,38 @@ def select(
     n = len(z)
     if n <= count:
         return np.arange(n)
-    chosen: list[int] = rng.choice(n, count // 2, replace=False).tolist()
-    factors = [z.new_zeros(n, count) for _ in processes]
+    chosen = rng.choice(n, count // 2, replace=False)
     with torch.no_grad():
-        left = torch.stack([p.covar_module(z, diag=True) for p in processes])
-        for k in range(count):
-            if k == len(chosen):
-                weight = np.maximum(left.sum(dim=0).cpu().numpy(), 0.0)
-                weight[chosen] = 0.0
-                chosen.append(int(rng.choice(n, p=weight / weight.sum())))
-            pivot = chosen[k]
-            for j, process in enumerate(processes):
-                column = process.covar_module(z, z[pivot : pivot + 1]).to_dense()[:, 0]
-                column = column - factors[j][:, :k] @ factors[j][pivot, :k]
-                factors[j][:, k] = column / (column[pivot] + process.likelihood.noise[0]).sqrt()
-                left[j] -= factors[j][:, k] ** 2
-    return np.sort(np.array(chosen, dtype=np.int64))
+        outputs = [_Remaining(process, z, count) for process in processes]
+        for k in range(0, len(chosen), _BLOCK):
+            for output in outputs:
+                output.observe(chosen[k : k + _BLOCK])
+        while len(chosen) < count:
+            weight = sum(output.variance for output in outputs).cpu().numpy().clip(0.0)
+            weight[chosen] = 0.0
+            proposed = rng.choice(n, _BLOCK, p=weight / weight.sum())
+            accepted = _accepted(proposed, weight, outputs, rng)[: count - len(chosen)]
+            for output in outputs:
+                output.observe(accepted)
+            chosen = np.concatenate([chosen, accepted])
+    return np.sort(chosen)
+
+
+def _accepted(
+    proposed: NDArray[np.int64],
+    weight: NDArray[np.float64],
+    outputs: Sequence[_Remaining],
+    rng: np.random.Generator,
+) -> NDArray[np.int64]:
+    """Accept each row with the ratio of its variance, given those accepted, to its `weight`."""
+    inner = np.stack([output.covariance(proposed, proposed).cpu().numpy() for output in outputs])
+    noise = np.array([output.noise for output in outputs])
+    accepted: list[int] = []
+    for i, row in enumerate(proposed.tolist()):
+        remaining = inner[:, i, i]
+        if row in accepted or rng.random() * weight[row] >= remaining.sum():
+            continue
+        accepted.append(row)
+        column = inner[:, :, i] / np.sqrt(remaining + noise)[:, None]
+        inner -= column[:, :, None] * column[:, None, :]
+    return np.array(accepted, dtype=np.int64)
