@@ -5,7 +5,7 @@ RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name 
 	$(wildcard python/egp_service/_core/*.pyi)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench fmt lint deny rust-test python-test browser site wheel wheel-test instructions soak clean
+.PHONY: help demo test bench fmt lint lint-rust lint-python deny rust-test python-test browser site wheel wheel-test instructions soak clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -13,7 +13,10 @@ help: ## List these commands
 demo: .venv/built-viz ## Set up, then drive a lap over three surfaces and draw it
 	$(BIN)/egp demo
 
-test: lint rust-test python-test instructions ## Set up and pass every check: format, lint, types, Rust and Python tests
+# What needs one core runs beside what uses several; tests have the machine to themselves.
+test: .venv/built-dev ## Set up and pass every check: format, lint, types, Rust and Python tests
+	$(MAKE) --jobs=2 lint instructions
+	$(MAKE) rust-test python-test
 
 bench: .venv/built-bench ## Run the benchmarks
 	cargo bench -p egp-bench
@@ -25,10 +28,14 @@ fmt: .venv/built-dev ## Format Rust and Python
 	$(BIN)/ruff format python tests
 	$(BIN)/ruff check --fix python tests
 
-lint: .venv/built-dev ## Check format, lints, types, stubs and import rules
+lint: lint-rust lint-python ## Check format, lints, types, stubs and import rules
+
+lint-rust: .venv/built-dev
 	cargo fmt --all --check
 	cargo clippy --release --workspace --all-targets --locked -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps --locked
+
+lint-python: .venv/built-dev
 	$(BIN)/ruff format --check python tests
 	$(BIN)/ruff check python tests
 	$(BIN)/mypy
@@ -52,7 +59,7 @@ rust-test: .venv/built-dev ## Run the Rust tests
 # Tests of the service have deadlines to keep, so they run alone; all others share the cores.
 ALONE := tests/service tests/conformance tests/monitor
 python-test: .venv/built-dev ## Run the Python tests
-	$(BIN)/pytest --numprocesses auto --dist loadfile $(addprefix --ignore ,$(ALONE))
+	$(BIN)/pytest --numprocesses auto --dist loadfile --no-loadscope-reorder $(addprefix --ignore ,$(ALONE))
 	$(BIN)/pytest $(ALONE)
 
 site: .venv/built-docs ## Build the documentation site in target/site
@@ -82,7 +89,8 @@ EXTRAS_docs := viz,docs
 EXTRAS_bench := train,viz,paper,cluster,dev,bench
 
 # One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension. The crates are
-# compiled while pip installs the packages; the second maturin then waits for the first one and finds them built.
+# compiled while pip installs the packages; the second maturin then waits for the first one and finds them built. Python
+# compiles a module when it is first imported, which few of those of the packages are.
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed, found $$($(PYTHON) --version). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
@@ -91,7 +99,7 @@ EXTRAS_bench := train,viz,paper,cluster,dev,bench
 	$(BIN)/pip install --quiet --constraint constraints.txt maturin
 
 .venv/built-%: .venv/bin/python pyproject.toml constraints.txt $(RUST)
-	export VIRTUAL_ENV=$(CURDIR)/.venv PIP_CONSTRAINT=$(CURDIR)/constraints.txt; \
+	export VIRTUAL_ENV=$(CURDIR)/.venv PIP_CONSTRAINT=$(CURDIR)/constraints.txt PIP_NO_COMPILE=1; \
 	$(BIN)/maturin develop --release --locked --quiet --skip-install & \
 	$(BIN)/maturin develop --release --locked --extras $(EXTRAS_$*); status=$$?; wait; exit $$status
 	@touch $@

@@ -1,4 +1,4 @@
-"""A browser for the tests of pages, if this machine has one."""
+"""What all tests share: threads, the order of files, and a browser if this machine has one."""
 
 from __future__ import annotations
 
@@ -14,6 +14,19 @@ if TYPE_CHECKING:
 
     from playwright.sync_api import Browser
 
+# Tests run on all cores side by side. Threads of BLAS and of torch in each of them would wait for
+# one another; torch and numpy read this when they are imported.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# Files whose tests take longest. They come first, so that at the end all cores have work.
+SLOW = (
+    "tests/evaluation/test_quick.py",
+    "tests/train/test_demo_library.py",
+    "tests/evaluation/test_interruption.py",
+    "tests/evaluation/test_logs.py",
+    "tests/train/test_choice.py",
+)
+
 CHROMIUM = next(
     (
         found
@@ -22,6 +35,11 @@ CHROMIUM = next(
     ),
     None,
 )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    rank = {name: k for k, name in enumerate(SLOW)}
+    items.sort(key=lambda item: rank.get(item.nodeid.partition("::")[0], len(SLOW)))
 
 
 @pytest.fixture(scope="session")
