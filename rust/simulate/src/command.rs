@@ -6,7 +6,9 @@ use std::path::PathBuf;
 
 use clap::Parser;
 
-use crate::{Config, Mutant, Oracle, Run, Scene, SimulationError, repeat, simulate};
+use crate::{
+    Config, Mutant, Oracle, Run, Scene, ScheduledFault, SimulationError, repeat, simulate,
+};
 
 /// Simulate vehicles, replicas and the network between them in virtual time, with faults drawn from a seed.
 #[derive(Parser)]
@@ -26,6 +28,12 @@ struct Options {
     /// Print which oracle finds each planted fault.
     #[arg(long)]
     planted: bool,
+    /// With --seed: this fault in place of those of the seed; may be given more than once. WHAT:WHERE@BEGIN+LENGTH, s:
+    /// kill:r0@1.5+2 kills replica 0 and starts it again after 2 s, and so freeze, slow, restart, drain, reload, hostile,
+    /// disorder, flood and replica-clock; partition:car-0:r1@1+0.5 cuts a link, half-open loses its answers;
+    /// vehicle-clock:car-0@1+0 lets a clock jump.
+    #[arg(long, value_name = "FAULT", requires = "seed")]
+    fault: Vec<ScheduledFault>,
     /// Virtual duration of a run, s.
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
@@ -73,6 +81,7 @@ fn run(options: &Options) -> Result<bool, SimulationError> {
         seconds: options.seconds,
         vehicles: options.vehicles.into(),
         replicas: options.replicas.into(),
+        faults: options.fault.clone(),
         ..Config::new(seed)
     };
     if options.planted {

@@ -1,5 +1,6 @@
-//! Faults, drawn from the seed.
+//! Faults, drawn from the seed or scheduled.
 
+use std::str::FromStr;
 use std::time::Duration;
 
 use rand::RngExt;
@@ -7,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 /// A fault of one replica, or of the link between a vehicle and a replica.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Fault {
+pub enum Fault {
     /// The process ends; its links close at once. A new one starts when the fault ends.
     Kill(usize),
     /// The process stops and later continues, as by SIGSTOP and SIGCONT.
@@ -34,6 +35,80 @@ pub(crate) enum Fault {
     Reload(usize),
     /// The replica drains and restarts.
     Drain(usize),
+}
+
+/// A fault with its time, as `kill:r0@1.5+2`: what, of which replica, when and for how long, s. A fault of a link names
+/// the vehicle first, as `partition:car-0:r1@1+0.5`.
+#[derive(Clone, Copy, Debug)]
+pub struct ScheduledFault {
+    pub(crate) fault: Fault,
+    pub(crate) begin: Duration,
+    pub(crate) length: Duration,
+}
+
+impl ScheduledFault {
+    /// Whether the vehicle and the replica that are named take part in a run of so many.
+    pub(crate) fn fits(&self, vehicles: usize, replicas: usize) -> bool {
+        match self.fault {
+            Fault::Partition(v, r) | Fault::HalfOpen(v, r) => v < vehicles && r < replicas,
+            Fault::VehicleClock(v) => v < vehicles,
+            Fault::Kill(r)
+            | Fault::Freeze(r)
+            | Fault::Slow(r)
+            | Fault::Restart(r)
+            | Fault::ReplicaClock(r)
+            | Fault::Hostile(r)
+            | Fault::Disorder(r)
+            | Fault::Flood(r)
+            | Fault::Reload(r)
+            | Fault::Drain(r) => r < replicas,
+        }
+    }
+}
+
+impl FromStr for ScheduledFault {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let seconds = |text: &str| Duration::try_from_secs_f64(text.parse().ok()?).ok();
+        let parsed = text.split_once('@').and_then(|(fault, times)| {
+            let (begin, length) = times.split_once('+')?;
+            Some(Self {
+                fault: fault_of(fault)?,
+                begin: seconds(begin)?,
+                length: seconds(length)?,
+            })
+        });
+        parsed.ok_or_else(|| {
+            format!("expected WHAT:WHERE@BEGIN+LENGTH, such as kill:r0@1.5+2, got {text}")
+        })
+    }
+}
+
+fn fault_of(text: &str) -> Option<Fault> {
+    let replica = |text: &str| text.strip_prefix('r')?.parse().ok();
+    let vehicle = |text: &str| text.strip_prefix("car-")?.parse().ok();
+    let link = |text: &str| {
+        let (v, r) = text.split_once(':')?;
+        Some((vehicle(v)?, replica(r)?))
+    };
+    let (what, place) = text.split_once(':')?;
+    match what {
+        "kill" => replica(place).map(Fault::Kill),
+        "freeze" => replica(place).map(Fault::Freeze),
+        "slow" => replica(place).map(Fault::Slow),
+        "partition" => link(place).map(|(v, r)| Fault::Partition(v, r)),
+        "half-open" => link(place).map(|(v, r)| Fault::HalfOpen(v, r)),
+        "restart" => replica(place).map(Fault::Restart),
+        "vehicle-clock" => vehicle(place).map(Fault::VehicleClock),
+        "replica-clock" => replica(place).map(Fault::ReplicaClock),
+        "hostile" => replica(place).map(Fault::Hostile),
+        "disorder" => replica(place).map(Fault::Disorder),
+        "flood" => replica(place).map(Fault::Flood),
+        "reload" => replica(place).map(Fault::Reload),
+        "drain" => replica(place).map(Fault::Drain),
+        _ => None,
+    }
 }
 
 /// Draws a fault and its duration.

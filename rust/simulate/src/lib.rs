@@ -21,6 +21,7 @@ mod vehicle;
 mod world;
 
 pub use command::main;
+pub use fault::{Fault, ScheduledFault};
 pub use mutant::Mutant;
 pub use oracle::{Oracle, Violation};
 pub use scene::{Scene, SimulationError};

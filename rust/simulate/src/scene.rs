@@ -11,6 +11,8 @@ use egp_plant::{Friction, PlantError, Surface, VehicleId};
 use egp_wire::WireError;
 use thiserror::Error;
 
+use crate::fault::Fault;
+
 /// The car that is simulated.
 pub(crate) const CAR: VehicleId = VehicleId::FordEscort;
 
@@ -35,6 +37,11 @@ pub enum SimulationError {
     /// A name that the simulation gives is not valid.
     #[error(transparent)]
     Name(#[from] egp_wire::keys::NameError),
+    /// A scheduled fault is one of a vehicle or a replica that does not take part.
+    #[error(
+        "{0:?} is a fault of a vehicle or a replica that the run does not have; see --vehicles and --replicas"
+    )]
+    Schedule(Fault),
     /// A vehicle's measurement is not accepted.
     #[error(transparent)]
     Measurement(#[from] egp_driver::InvalidArgument),

@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::event::{Agenda, Event};
-use crate::fault::draw;
+use crate::fault::{ScheduledFault, draw};
 use crate::ledger::Ledger;
 use crate::link::Link;
 use crate::mutant::Mutant;
@@ -18,7 +18,7 @@ use crate::trace::Trace;
 use crate::vehicle::Vehicle;
 
 /// A run.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Config {
     /// The seed of all that is random.
     pub seed: u64,
@@ -28,6 +28,8 @@ pub struct Config {
     pub replicas: usize,
     /// Virtual duration, s.
     pub seconds: f64,
+    /// Faults in place of those that are drawn from the seed, unless it is empty.
+    pub faults: Vec<ScheduledFault>,
     /// Whether the whole trace is kept.
     pub recorded: bool,
     /// A planted fault.
@@ -42,6 +44,7 @@ impl Config {
             vehicles: 3,
             replicas: 3,
             seconds: 10.0,
+            faults: Vec::new(),
             recorded: false,
             mutant: None,
         }
@@ -106,7 +109,7 @@ pub fn simulate(scene: &Scene, config: &Config) -> Result<Run, SimulationError> 
         .collect::<Result<Vec<_>, _>>()?;
     let mut world = World {
         scene,
-        config: *config,
+        config: config.clone(),
         rng: ChaCha8Rng::seed_from_u64(config.seed),
         now: Duration::ZERO,
         epoch: Instant::now(),
@@ -121,7 +124,7 @@ pub fn simulate(scene: &Scene, config: &Config) -> Result<Run, SimulationError> 
         dt: Duration::from_secs_f64(served.dt),
         last_request: Vec::new(),
     };
-    world.plan();
+    world.plan()?;
     world.run()?;
     let World { trace, mut run, .. } = world;
     (run.hash, run.trace) = trace.finish();
@@ -146,13 +149,25 @@ pub fn repeat(scene: &Scene, config: &Config) -> Result<Run, SimulationError> {
 
 impl World<'_> {
     /// Plans the starts, the first periods and the faults.
-    fn plan(&mut self) {
+    fn plan(&mut self) -> Result<(), SimulationError> {
         for r in 0..self.config.replicas {
             self.agenda.add(Duration::ZERO, Event::Start(r));
         }
         for v in 0..self.config.vehicles {
             let phase = Duration::from_micros(self.rng.random_range(200_000..220_000));
             self.agenda.add(phase, Event::Period(v));
+        }
+        if !self.config.faults.is_empty() {
+            for scheduled in &self.config.faults {
+                if !scheduled.fits(self.config.vehicles, self.config.replicas) {
+                    return Err(SimulationError::Schedule(scheduled.fault));
+                }
+                let (begin, fault) = (scheduled.begin, scheduled.fault);
+                self.agenda.add(begin, Event::Begin(fault));
+                let end = begin.saturating_add(scheduled.length);
+                self.agenda.add(end, Event::Finish(fault));
+            }
+            return Ok(());
         }
         let mut at = Duration::from_millis(600);
         // The last quarter has no new faults, so that every run also shows the return.
@@ -162,6 +177,7 @@ impl World<'_> {
             self.agenda.add(at + length, Event::Finish(fault));
             at += Duration::from_micros(self.rng.random_range(50_000..1_200_000));
         }
+        Ok(())
     }
 
     fn run(&mut self) -> Result<(), SimulationError> {

@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use egp_simulate::{Config, Mutant, Oracle, Scene, repeat, simulate};
+use egp_simulate::{Config, Mutant, Oracle, Scene, ScheduledFault, repeat, simulate};
 
 fn scene() -> Scene {
     let shipped =
@@ -54,5 +54,64 @@ fn each_oracle_finds_its_planted_fault() {
             .take(1)
             .collect();
         assert!(found.contains(&mutant.oracle()), "{mutant:?}: {found:?}");
+    }
+}
+
+#[test]
+fn scheduled_faults_replace_those_of_the_seed() {
+    let scene = scene();
+    let run = |faults: &[&str]| {
+        let config = Config {
+            vehicles: 1,
+            replicas: 2,
+            seconds: 4.0,
+            recorded: true,
+            faults: faults.iter().map(|text| text.parse().unwrap()).collect(),
+            ..Config::new(0)
+        };
+        repeat(&scene, &config)
+    };
+    let periods = |trace: &[String], mode: &str| {
+        let lines = trace.iter().filter(|line| line.contains(mode));
+        lines
+            .map(|line| line.trim().split(' ').next().unwrap().parse().unwrap())
+            .collect::<Vec<f64>>()
+    };
+    let short = run(&["kill:r0@1+2", "freeze:r1@1.5+0.2"]).unwrap();
+    assert_eq!((short.faults, short.violations.len()), (2, 0));
+    let tail = periods(&short.trace, " Tail ");
+    assert!(tail.len() >= 8, "{tail:?}");
+    assert!(tail.iter().all(|t| (1.0..1.8).contains(t)), "{tail:?}");
+    assert!(periods(&short.trace, " Stop ").is_empty());
+    let long = run(&["kill:r0@1+2", "freeze:r1@1.5+1"]).unwrap();
+    assert!(!periods(&long.trace, " Stop ").is_empty());
+    let error = run(&["partition:car-1:r0@1+1"]).unwrap_err();
+    assert!(error.to_string().contains("--vehicles"), "{error}");
+}
+
+#[test]
+fn faults_that_are_not_understood_are_errors() {
+    for text in [
+        "",
+        "kill",
+        "kill:r0",
+        "kill:r0@1",
+        "kill:0@1+1",
+        "kill:r0@-1+1",
+        "kill:r0@1+nan",
+        "kill:car-0@1+1",
+        "partition:r0:car-0@1+1",
+        "partition:car-0@1+1",
+        "explode:r0@1+1",
+    ] {
+        let error = text.parse::<ScheduledFault>().unwrap_err();
+        assert!(error.contains("such as kill:r0@1.5+2"), "{text}: {error}");
+    }
+    for text in [
+        "half-open:car-1:r2@0+0.5",
+        "vehicle-clock:car-0@1+0",
+        "replica-clock:r1@1e0+0",
+    ] {
+        assert!(text.parse::<ScheduledFault>().is_ok(), "{text}");
     }
 }
