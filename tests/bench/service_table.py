@@ -1,6 +1,6 @@
 """Measures what the service promises and prints one table of tests, goals and measured figures.
 
-    python tests/bench/service_table.py                      # about 50 minutes, on an idle machine
+    python tests/bench/service_table.py                      # about 3 hours, on an idle machine
     python tests/bench/service_table.py --only load --only overload
     python tests/bench/service_table.py --share 0.02         # counts and durations times 0.02
 
@@ -18,7 +18,9 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -68,14 +70,35 @@ def command(*words: str, **environment: str) -> tuple[int, str]:
 
 
 def simulated(bench: Bench) -> Measured:
-    """Simulate all faults mixed, each seed twice, and then the planted faults."""
-    code, said = command(*EGP, "simulate", f"--seeds=0..{bench.count(10_000)}")
+    """Simulate all faults mixed, each seed twice, on every core, and then the planted faults."""
+    count, parts = bench.count(10_000), os.cpu_count() or 1
+    bounds = [count * k // parts for k in range(parts + 1)]
+    with ThreadPoolExecutor(parts) as pool:
+        results = list(
+            pool.map(
+                lambda ends: command(*EGP, "simulate", f"--seeds={ends[0]}..{ends[1]}"),
+                [(a, b) for a, b in pairwise(bounds) if a < b],
+            )
+        )
+    said = "\n".join(output for _, output in results)
+    totals = re.findall(r"^(\d+) seeds, ([\d.]+) vehicle-hours, (\d+) faults", said, re.MULTILINE)
+    if not totals:
+        return said[-300:], False
+    seeds, hours, begun = (sum(map(float, column)) for column in zip(*totals, strict=True))
     planted, found = command(*EGP, "simulate", "--planted")
     violations = len(re.findall(r"^seed \d+: .* broken", said, re.MULTILINE))
-    last = said.strip().splitlines()[-1].partition(":")[0]
-    return f"{last}: {violations} violations; {found.strip().splitlines()[-1]}", not (
-        code or planted
-    )
+    code = max(code for code, _ in results)
+    run = f"{seeds:.0f} seeds, {hours:.1f} vehicle-hours, {begun:.0f} faults"
+    last = found.strip().splitlines()[-1]
+    return f"{run}: {violations} violations; {last}", not (code or planted)
+
+
+def schedules(bench: Bench) -> Measured:
+    """Run schedules of faults simulated and for real."""
+    program = ("tests/bench/schedules.py", f"--count={bench.count(200)}")
+    code, said = command(sys.executable, *program)
+    lines = [line for line in said.splitlines() if "have the same outcomes" in line]
+    return lines[-1] if lines else said[-300:], code == 0
 
 
 def many_vehicles(bench: Bench) -> Measured:
@@ -264,6 +287,7 @@ def endurance(bench: Bench) -> Measured:
 SECURITY = "tests/service/test_security.py"
 ROWS = {
     "simulation": Row("all faults mixed, simulated", "0 violations, every fault found", simulated),
+    "schedules": Row("schedules, simulated and real", "same outcomes", schedules),
     "load": Row("48 vehicles at 50 Hz", "no miss, p99 5 ms, p99.9 10 ms", many_vehicles),
     "overload": Row(
         "one worker, and at 3 times its capacity", "90 % in time, least share 80 %", one_worker

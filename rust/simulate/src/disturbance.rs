@@ -11,7 +11,7 @@ use rand::RngExt;
 use crate::event::Event;
 use crate::fault::Fault;
 use crate::ledger::NotedEngine;
-use crate::link::{LEASE, token_delay};
+use crate::link::{closing, lease, token_delay};
 use crate::mutant::Mutant;
 use crate::oracle::Oracle;
 use crate::replica::Exchange;
@@ -45,7 +45,7 @@ impl World<'_> {
             Fault::Freeze(r) => {
                 self.replicas[r].frozen += 1;
                 for v in 0..self.vehicles.len() {
-                    self.agenda.add(self.now + LEASE, Event::Token(v, r, false));
+                    self.fall_silent(v, r);
                 }
             }
             Fault::Slow(r) => self.replicas[r].slow += 1,
@@ -57,11 +57,11 @@ impl World<'_> {
             }
             Fault::Partition(v, r) => {
                 self.links[v][r].cut += 1;
-                self.agenda.add(self.now + LEASE, Event::Token(v, r, false));
+                self.fall_silent(v, r);
             }
             Fault::HalfOpen(v, r) => {
                 self.links[v][r].half += 1;
-                self.agenda.add(self.now + LEASE, Event::Token(v, r, false));
+                self.fall_silent(v, r);
             }
             Fault::VehicleClock(v) => {
                 let jump = self.jump();
@@ -246,23 +246,31 @@ impl World<'_> {
         self.judge_replicas();
     }
 
+    /// A link on which nothing arrives is closed when its lease has passed.
+    fn fall_silent(&mut self, v: usize, r: usize) {
+        let lease = lease(&mut self.rng);
+        self.agenda.add(self.now + lease, Event::Token(v, r, false));
+    }
+
     fn heal(&mut self, v: usize, r: usize) {
         self.links[v][r].since = self.now;
         self.announce(v, r);
     }
 
-    /// A vehicle sees a token appear or go, if that is still so.
+    /// A vehicle sees a token appear or go, if that is still so and it did not see it before.
     pub(crate) fn token(&mut self, v: usize, r: usize, alive: bool) {
         let process = &self.replicas[r];
         let link = self.links[v][r];
-        let there = process.machine.is_some()
-            && process.declared
-            && process.announced
-            && process.frozen == 0
-            && link.asks_pass()
-            && link.answers_pass();
-        if there != alive {
+        let silent = process.frozen > 0 || !link.asks_pass() || !link.answers_pass();
+        let there = process.machine.is_some() && process.declared && process.announced && !silent;
+        let seen = alive.then_some(process.incarnation);
+        if there != alive || link.seen == seen {
             return;
+        }
+        self.links[v][r].seen = seen;
+        if silent {
+            let closing = closing(&mut self.rng);
+            self.vehicles[v].deaf_until = self.now + closing;
         }
         let Ok(replica) = name(r) else {
             return;

@@ -5,8 +5,17 @@ use std::time::Duration;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// After this time without a sign of life a link is closed (zenoh's lease as the service configures it).
-pub(crate) const LEASE: Duration = Duration::from_secs(2);
+/// The time after which a silent link is closed: zenoh's lease of two seconds as the clients configure it, less the time
+/// since the last sign of life, which comes every half second.
+pub(crate) fn lease(rng: &mut ChaCha8Rng) -> Duration {
+    Duration::from_micros(rng.random_range(1_500_000..2_000_000))
+}
+
+/// How long a vehicle receives nothing from any replica while zenoh closes a silent link: 20 to 35 ms, as measured with
+/// `tests/bench/schedules.py`.
+pub(crate) fn closing(rng: &mut ChaCha8Rng) -> Duration {
+    Duration::from_micros(rng.random_range(20_000..35_000))
+}
 
 /// What a link does at present.
 #[derive(Clone, Copy, Debug, Default)]
@@ -17,6 +26,8 @@ pub(crate) struct Link {
     pub(crate) half: u32,
     /// When the last fault of the link ended.
     pub(crate) since: Duration,
+    /// The start of the replica's process whose token the vehicle sees; none while it sees none.
+    pub(crate) seen: Option<u32>,
 }
 
 impl Link {
