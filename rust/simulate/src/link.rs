@@ -11,10 +11,10 @@ pub(crate) fn lease(rng: &mut ChaCha8Rng) -> Duration {
     Duration::from_micros(rng.random_range(1_500_000..2_000_000))
 }
 
-/// How long a vehicle receives nothing from any replica while zenoh closes a silent link: 20 to 35 ms, as measured with
+/// How long a vehicle receives nothing from any replica while zenoh closes a silent link: 30 to 50 ms, as measured with
 /// `tests/bench/schedules.py`.
 pub(crate) fn closing(rng: &mut ChaCha8Rng) -> Duration {
-    Duration::from_micros(rng.random_range(20_000..35_000))
+    Duration::from_micros(rng.random_range(30_000..50_000))
 }
 
 /// What a link does at present.
