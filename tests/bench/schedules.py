@@ -6,10 +6,10 @@
 A schedule kills, freezes, restarts or drains two replicas while two vehicles drive. For real these
 are processes with SIGKILL, SIGSTOP, SIGCONT and SIGTERM, and sessions of zenoh over loopback;
 simulated it is `egp simulate --seed N --fault ...`, which this prints for schedules with different
-outcomes. Outcomes of a vehicle: whether it stopped, and which replica answered it at the end of each
-interval of more than a second without a fault that begins or ends. A
-schedule with different outcomes is run for real once more, alone: a busy machine lets an answer
-come late, and then a vehicle asks another replica for a while.
+outcomes. Outcomes of a vehicle: whether it stopped, and which replica answered it at the end of
+each interval of more than a second without a fault that begins or ends. A schedule with different
+outcomes is run for real once more, alone: a busy machine lets an answer come late, and then a
+vehicle asks another replica for a while.
 """
 
 from __future__ import annotations

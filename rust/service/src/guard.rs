@@ -39,13 +39,18 @@ impl Sealed {
 }
 
 impl Guard {
-    /// Reads the keys.
-    pub(crate) fn load(path: &Path) -> Result<Self, KeyFileError> {
-        Ok(Self {
-            keys: KeyRing::read(path)?,
+    /// A guard with these keys.
+    pub(crate) fn new(keys: KeyRing) -> Self {
+        Self {
+            keys,
             seen: Mutex::new(BTreeMap::new()),
             twice: Counter::default(),
-        })
+        }
+    }
+
+    /// Reads the keys.
+    pub(crate) fn load(path: &Path) -> Result<Self, KeyFileError> {
+        KeyRing::read(path).map(Self::new)
     }
 
     /// Counts how often clients with one key took turns.

@@ -5,8 +5,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use egp_wire::keys::Name;
-use egp_wire::{Status, WireError};
+use egp_wire::{KeyRing, Status, WireError};
 
+use crate::guard::Guard;
 use crate::handler::Handler;
 use crate::intake::Shared;
 use crate::metrics::Metrics;
@@ -51,6 +52,13 @@ impl<H: Handler, Q: Query> Replica<H, Q> {
             workers: workers_memory,
             running: (0..workers).map(|_| None).collect(),
         })
+    }
+
+    /// Answers only requests that are sealed with these keys of their vehicles, as a service with `vehicle_keys` does.
+    #[must_use]
+    pub fn with_keys(mut self, keys: KeyRing) -> Self {
+        self.shared.guard = Some(Guard::new(keys));
+        self
     }
 
     /// Takes a query at the time `now`: answers it, queues it, or answers it with an error.

@@ -49,6 +49,7 @@ impl World<'_> {
         let exchange = Exchange {
             key: query.key,
             payload: query.payload,
+            attachment: query.attachment,
             asker: Some((v, query.id)),
             outbox: self.outbox.clone(),
             answers: Rc::default(),
@@ -232,14 +233,18 @@ impl World<'_> {
         self.agenda.add(due, Event::Deliver(v, id, message));
     }
 
-    /// What a hostile or broken replica sends in place of a reply.
+    /// What a hostile or broken replica sends in place of a reply. Without the keys of vehicles, a reply that is changed and
+    /// still valid cannot be told from a true one, and is not sent.
     fn corrupt(&mut self, mut payload: Vec<u8>, old: Option<&Message>) -> Vec<u8> {
-        match (self.rng.random_range(0..4), old) {
+        let kinds = if self.config.keys { 6 } else { 4 };
+        match (self.rng.random_range(0..kinds), old) {
             (0, _) => payload.truncate(payload.len() / 2),
             (1, _) => payload
                 .iter_mut()
                 .for_each(|byte| *byte = self.rng.random()),
             (2, Some(Message::Reply(bytes, _))) => payload.clone_from(bytes),
+            (4, _) => payload = changed(payload, halve),
+            (5, _) => payload = changed(payload, |reply| reply.weights.reverse()),
             _ => payload = vec![0; 2 << 20],
         }
         payload
@@ -260,7 +265,7 @@ impl World<'_> {
         };
         match mutant {
             Mutant::ChangedWeights => reply.weights.reverse(),
-            Mutant::ChangedPlan => reply.plan_u.iter_mut().for_each(|u| u[0] *= 0.5),
+            Mutant::ChangedPlan => halve(&mut reply),
             Mutant::StaleReply => {
                 let Some(other) = old.filter(|other| other.plan_x.len() == reply.plan_x.len())
                 else {
@@ -337,6 +342,20 @@ impl World<'_> {
             );
         }
     }
+}
+
+/// The bytes of a reply after a change, or the bytes as they were if they are no reply.
+fn changed(payload: Vec<u8>, change: impl Fn(&mut Reply)) -> Vec<u8> {
+    let Ok(mut reply) = Reply::decode(&payload, &MessageLimits::default()) else {
+        return payload;
+    };
+    change(&mut reply);
+    reply.encode()
+}
+
+/// Halves the forces of a plan.
+fn halve(reply: &mut Reply) {
+    reply.plan_u.iter_mut().for_each(|u| u[0] *= 0.5);
 }
 
 /// Microseconds of the real clock, for planted faults.

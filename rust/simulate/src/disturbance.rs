@@ -151,7 +151,11 @@ impl World<'_> {
             Some(Mutant::UnboundedQueue) => 10 * QUEUE,
             _ => QUEUE,
         };
-        process.machine = Some(Replica::new(name(r)?, handler, 1 + r % 2, queue)?);
+        let machine = Replica::new(name(r)?, handler, 1 + r % 2, queue)?;
+        process.machine = Some(match &self.keys {
+            Some(keys) => machine.with_keys(keys.clone()),
+            None => machine,
+        });
         process.incarnation += 1;
         process.declared = true;
         process.announced = true;
@@ -312,6 +316,7 @@ impl World<'_> {
         let exchange = Exchange {
             key,
             payload: request.encode(),
+            attachment: Vec::new(),
             asker: None,
             outbox: self.outbox.clone(),
             answers: Rc::default(),

@@ -22,6 +22,7 @@ pub(crate) type Outbox = Rc<RefCell<Vec<(Asker, Message)>>>;
 pub(crate) struct Exchange {
     pub(crate) key: String,
     pub(crate) payload: Vec<u8>,
+    pub(crate) attachment: Vec<u8>,
     pub(crate) asker: Asker,
     pub(crate) outbox: Outbox,
     /// Answers sent on this query, to be counted by the oracle.
@@ -55,7 +56,7 @@ impl Query for Exchange {
     }
 
     fn attachment(&self) -> Cow<'_, [u8]> {
-        Cow::Borrowed(&[])
+        Cow::Borrowed(&self.attachment)
     }
 
     fn answer(

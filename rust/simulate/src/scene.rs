@@ -37,6 +37,9 @@ pub enum SimulationError {
     /// A name that the simulation gives is not valid.
     #[error(transparent)]
     Name(#[from] egp_wire::keys::NameError),
+    /// The keys of the vehicles cannot be used.
+    #[error(transparent)]
+    Key(#[from] egp_wire::KeyError),
     /// A scheduled fault is one of a vehicle or a replica that does not take part.
     #[error(
         "{0:?} is a fault of a vehicle or a replica that the run does not have; see --vehicles and --replicas"

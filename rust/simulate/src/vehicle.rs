@@ -2,16 +2,18 @@
 
 use std::time::Duration;
 
-use egp_driver::{Driver, DriverConfig, Measurement};
+use egp_driver::{Driver, DriverConfig, Measurement, RunKey};
 use egp_gate::{Limits, Mode};
 use egp_path::horizon_reference;
 use egp_plant::{Plant, VehicleState};
-use egp_wire::Ready;
+use egp_wire::{KeyRing, Ready};
 
 use crate::mutant::Mutant;
 use crate::oracle::Witness;
 use crate::scene::{CAR, Road, Scene, SimulationError};
 
+/// The fleet of all vehicles.
+pub(crate) const FLEET: &str = "fleet";
 /// Control periods that the rest of a plan may bridge, as the oracle has it.
 const MAX_TAIL: u64 = 25;
 /// Below this speed, m/s, a stopped vehicle is put back on its course.
@@ -40,11 +42,17 @@ impl Vehicle {
         index: usize,
         scene: &Scene,
         served: Ready,
+        keys: Option<&KeyRing>,
         mutant: Option<Mutant>,
     ) -> Result<Self, SimulationError> {
         let text = format!("car-{index}");
         let limits = Limits::of(&CAR.vehicle());
-        let mut config = DriverConfig::new("fleet", &text, limits)?;
+        let mut config = DriverConfig::new(FLEET, &text, limits)?;
+        if let Some(keys) = keys {
+            let key = keys.get(&config.fleet, &config.vehicle)?.clone();
+            let run = index as u64;
+            config.key = Some(RunKey { key, run });
+        }
         if mutant == Some(Mutant::LongTail) {
             config.max_tail_ticks = 3 * MAX_TAIL;
         }

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use egp_driver::{Action, Step};
+use egp_wire::{KeyError, KeyRing};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -15,7 +16,7 @@ use crate::oracle::{Oracle, Violation};
 use crate::replica::{Outbox, Process};
 use crate::scene::{Scene, SimulationError};
 use crate::trace::Trace;
-use crate::vehicle::Vehicle;
+use crate::vehicle::{FLEET, Vehicle};
 
 /// A run.
 #[derive(Clone, Debug)]
@@ -28,6 +29,8 @@ pub struct Config {
     pub replicas: usize,
     /// Virtual duration, s.
     pub seconds: f64,
+    /// Whether vehicles and replicas have secret keys.
+    pub keys: bool,
     /// Faults in place of those that are drawn from the seed, unless it is empty.
     pub faults: Vec<ScheduledFault>,
     /// Whether the whole trace is kept.
@@ -37,13 +40,14 @@ pub struct Config {
 }
 
 impl Config {
-    /// Three vehicles and three replicas for ten seconds.
+    /// Three vehicles and three replicas for ten seconds, with secret keys if the seed is odd.
     pub fn new(seed: u64) -> Self {
         Self {
             seed,
             vehicles: 3,
             replicas: 3,
             seconds: 10.0,
+            keys: !seed.is_multiple_of(2),
             faults: Vec::new(),
             recorded: false,
             mutant: None,
@@ -94,6 +98,8 @@ pub(crate) struct World<'a> {
     pub(crate) trace: Trace,
     pub(crate) run: Run,
     pub(crate) dt: Duration,
+    /// The secret keys of the vehicles, if they have some.
+    pub(crate) keys: Option<KeyRing>,
     /// The newest request of any vehicle, which floods send again.
     pub(crate) last_request: Vec<u8>,
 }
@@ -104,8 +110,9 @@ pub(crate) struct World<'a> {
 /// [`SimulationError`] if the scene does not fit the simulation; broken promises are in the result.
 pub fn simulate(scene: &Scene, config: &Config) -> Result<Run, SimulationError> {
     let served = scene.engine.describe();
+    let keys = config.keys.then(|| keys(config.vehicles)).transpose()?;
     let vehicles = (0..config.vehicles)
-        .map(|index| Vehicle::new(index, scene, served.clone(), config.mutant))
+        .map(|index| Vehicle::new(index, scene, served.clone(), keys.as_ref(), config.mutant))
         .collect::<Result<Vec<_>, _>>()?;
     let mut world = World {
         scene,
@@ -122,6 +129,7 @@ pub fn simulate(scene: &Scene, config: &Config) -> Result<Run, SimulationError> 
         trace: Trace::new(config.recorded),
         run: Run::default(),
         dt: Duration::from_secs_f64(served.dt),
+        keys,
         last_request: Vec::new(),
     };
     world.plan()?;
@@ -129,6 +137,12 @@ pub fn simulate(scene: &Scene, config: &Config) -> Result<Run, SimulationError> 
     let World { trace, mut run, .. } = world;
     (run.hash, run.trace) = trace.finish();
     Ok(run)
+}
+
+/// A secret key for each vehicle.
+fn keys(vehicles: usize) -> Result<KeyRing, KeyError> {
+    let lines = (0..vehicles).map(|v| format!("{FLEET}/car-{v} {v:064x}\n"));
+    KeyRing::parse(&lines.collect::<String>())
 }
 
 /// Simulates a run twice and compares the traces.
