@@ -5,6 +5,7 @@ The public names are imported when they are first used, so that importing one ro
 that only another room needs.
 """
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
@@ -22,6 +23,10 @@ from egp_service._core import (
     VehicleParameters,
     horizon_reference,
 )
+
+# Closing the link to a silent process blocks a receive thread of zenoh for 30 to 50 ms. zenoh has
+# two, so that answers of healthy replicas come late meanwhile. It reads this for its first session.
+os.environ.setdefault("ZENOH_RUNTIME", "(rx: (worker_threads: 8))")
 
 if TYPE_CHECKING:
     from egp_service.control.client import ServiceUnreachableError, VehicleClient

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import queue
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +23,6 @@ from egp_service.simulation.scenario import gate_settings, library_path, load_sc
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from egp_service.control.step import Step, StepController
     from egp_service.simulation.closed_loop import Run
@@ -69,6 +71,16 @@ def test_service_and_controller_give_the_same_bytes(service: ServiceProcess) -> 
     assert [step.request for step in there] == [step.request for step in here]
     assert [step.u.tolist() for step in there] == [step.u.tolist() for step in here]
     assert all(step.mode == "normal" for step in there)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="lists the threads of a process in /proc")
+def test_vehicles_and_services_receive_with_eight_threads(service: ServiceProcess) -> None:
+    """With two, closing the link to a silent process delays the answers of all others."""
+    with VehicleClient.connect([service.endpoint], gate=GATE):
+        for process in (os.getpid(), service.pid):
+            threads = Path(f"/proc/{process}/task").glob("*/comm")
+            names = [thread.read_text(encoding="utf-8") for thread in threads]
+            assert sum(name.startswith("rx-") for name in names) >= 8, names
 
 
 def test_a_lap_through_the_service_is_the_lap_in_process(service: ServiceProcess) -> None:

@@ -16,6 +16,8 @@
 //! }
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! A program calls [`set_receive_threads`] first, so that a replica that falls silent does not delay the answers of others.
 
 mod client;
 mod config;
@@ -27,4 +29,5 @@ pub use config::{VehicleConfig, VehicleKeyError};
 pub use egp_driver::{DriverConfig, Late, Lost, Measurement, Outcome, Situation, Step};
 pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use egp_parameters::VehicleParameters;
+pub use egp_wire::set_receive_threads;
 pub use network::{NetworkError, open_session};

@@ -46,6 +46,13 @@ class ServiceProcess:
         self._folder = Path()
         self._process: subprocess.Popen[bytes] | None = None
 
+    @property
+    def pid(self) -> int:
+        """The identifier of the process that serves."""
+        if self._process is None:
+            raise EgpError("the service does not run")
+        return self._process.pid
+
     def start(self) -> None:
         """Start the service and wait until it listens, or raise `ServiceStartError`."""
         config, log_file = self._folder / "service.toml", self._folder / "log.txt"

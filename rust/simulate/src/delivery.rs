@@ -283,11 +283,6 @@ impl World<'_> {
     pub(crate) fn deliver(&mut self, v: usize, id: QueryId, message: Message) {
         let now = self.time_of(v);
         let vehicle = &mut self.vehicles[v];
-        if self.now < vehicle.deaf_until {
-            self.agenda
-                .add(vehicle.deaf_until, Event::Deliver(v, id, message));
-            return;
-        }
         let known = vehicle.outstanding.iter().any(|(own, ..)| *own == id);
         if !known {
             return;

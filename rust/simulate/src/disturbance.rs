@@ -11,7 +11,7 @@ use rand::RngExt;
 use crate::event::Event;
 use crate::fault::Fault;
 use crate::ledger::NotedEngine;
-use crate::link::{closing, lease, token_delay};
+use crate::link::{lease, token_delay};
 use crate::mutant::Mutant;
 use crate::oracle::Oracle;
 use crate::replica::Exchange;
@@ -272,10 +272,6 @@ impl World<'_> {
             return;
         }
         self.links[v][r].seen = seen;
-        if silent {
-            let closing = closing(&mut self.rng);
-            self.vehicles[v].deaf_until = self.now + closing;
-        }
         let Ok(replica) = name(r) else {
             return;
         };

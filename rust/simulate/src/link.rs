@@ -11,12 +11,6 @@ pub(crate) fn lease(rng: &mut ChaCha8Rng) -> Duration {
     Duration::from_micros(rng.random_range(1_500_000..2_000_000))
 }
 
-/// How long a vehicle receives nothing from any replica while zenoh closes a silent link: 30 to 50 ms, as measured with
-/// `tests/bench/schedules.py`.
-pub(crate) fn closing(rng: &mut ChaCha8Rng) -> Duration {
-    Duration::from_micros(rng.random_range(30_000..50_000))
-}
-
 /// What a link does at present.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Link {

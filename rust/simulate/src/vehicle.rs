@@ -31,8 +31,6 @@ pub(crate) struct Vehicle {
     pub(crate) clock: Duration,
     /// Deadline of the present period on the simulation's clock.
     pub(crate) deadline: Duration,
-    /// Until when it receives nothing, because its session closes a link.
-    pub(crate) deaf_until: Duration,
     /// Queries that have not ended, with their replica and when the last message for each is due.
     pub(crate) outstanding: Vec<(egp_driver::QueryId, usize, Duration)>,
 }
@@ -64,7 +62,6 @@ impl Vehicle {
             u: [0.0; 2],
             clock: Duration::ZERO,
             deadline: Duration::ZERO,
-            deaf_until: Duration::ZERO,
             outstanding: Vec::new(),
         };
         vehicle.place(scene, 25.0 * index as f64)?;

@@ -34,6 +34,7 @@ mod road;
 pub mod road_keys;
 mod seal;
 mod tensor;
+mod threads;
 mod writer;
 
 pub use error::{Code, Invalid, WireError};
@@ -51,6 +52,7 @@ pub use road::{
 };
 
 pub use seal::{KeyError, KeyFileError, KeyRing, Seal, Tag, VehicleKey};
+pub use threads::set_receive_threads;
 
 /// The messages as generated from `proto/egp/v1/egp.proto`, unvalidated.
 #[allow(missing_docs, clippy::pedantic)]

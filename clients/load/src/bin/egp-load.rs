@@ -2,6 +2,9 @@
 
 use std::process::ExitCode;
 
+#[allow(unsafe_code)]
 fn main() -> ExitCode {
+    // SAFETY: no other thread runs yet.
+    unsafe { egp_wire::set_receive_threads() };
     egp_load::main(std::env::args_os()).into()
 }

@@ -122,7 +122,10 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
+#[allow(unsafe_code)]
 fn main() -> ExitCode {
+    // SAFETY: no other thread runs yet.
+    unsafe { egp_wire::set_receive_threads() };
     match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
