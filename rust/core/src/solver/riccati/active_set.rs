@@ -30,10 +30,11 @@ const SHORT_HORIZON: usize = 12;
 
 /// Largest number of contradicting rows at a longer horizon. Measured: beyond it the changes cost more than the
 /// interior-point method.
-const MAX_CONTRADICTIONS: usize = 20;
+const MAX_CONTRADICTIONS: usize = 60;
 
-/// Largest number of changes of one start, at short horizons for each stage.
-const MAX_EXCHANGES: usize = 24;
+/// Largest number of changes of one start, at short horizons for each stage. Their time is then at most that of the
+/// interior-point method.
+const MAX_EXCHANGES: usize = 32;
 const MAX_EXCHANGES_SHORT: usize = 6;
 
 /// Largest number of times that the working set is factorised anew after an exchange.
@@ -144,11 +145,11 @@ impl ActiveSet {
                         work.lambda = work.estimate.lambda;
                     }
                 }
-                self.estimate(stages);
                 refinements += 1;
                 if refinements > MAX_REFINEMENTS {
                     return false;
                 }
+                self.estimate(stages);
             }
             if !self.exchange(stages, tolerance) {
                 return false;

@@ -14,6 +14,10 @@ use super::recursion::{Aug, backward, forward};
 use super::stage::{PAIRS, Stage, row_gradient, row_values};
 use crate::NU;
 
+/// Changes after which the rest of the budget must cover the violated rows. The first changes often correct several rows
+/// at once; after them the number of violated rows decreases by one or less with each change.
+const PROBE: usize = 8;
+
 impl ActiveSet {
     /// Number of free rows that violate their bound.
     #[inline(always)]
@@ -31,16 +35,18 @@ impl ActiveSet {
         count.iter().sum()
     }
 
-    /// The free row that violates its bound most, in shares of the interval between its bounds.
+    /// The free row that violates its bound most, in shares of the interval between its bounds, and the number of free
+    /// rows that violate theirs.
     #[inline(always)]
-    fn largest_violation(&self, stages: &[Stage], tolerance: f64) -> Option<Place> {
-        let (mut worst, mut place) = (0.0, None);
+    fn largest_violation(&self, stages: &[Stage], tolerance: f64) -> Option<(Place, usize)> {
+        let (mut worst, mut place, mut count) = (0.0, None, [0; PAIRS]);
         for (t, (stage, work)) in stages.iter().zip(&self.work).enumerate() {
             let mut shares = [0.0; PAIRS];
             for k in 0..PAIRS {
                 let (upper, lower) = (stage.rows.upper[k], stage.rows.lower[k]);
                 let excess = larger(work.y[k] - upper, lower - work.y[k]);
                 let free = work.set.side[k] == 0.0 && excess > tolerance;
+                count[k] += usize::from(free);
                 shares[k] = if free {
                     excess / (upper - lower + 1e-3)
                 } else {
@@ -53,11 +59,11 @@ impl ActiveSet {
                 }
             }
         }
-        place
+        place.map(|place| (place, count.iter().sum()))
     }
 
-    /// Changes the working set until no free row violates its bound; false if the budget of changes is spent or a
-    /// factorisation fails. The present point must solve the subproblem of the factorised working set.
+    /// Changes the working set until no free row violates its bound; false if the budget of changes is spent or will not
+    /// suffice, or if a factorisation fails. The present point must solve the subproblem of the factorised working set.
     #[inline(always)]
     pub(super) fn exchange(&mut self, stages: &[Stage], tolerance: f64) -> bool {
         self.low_rank.clear();
@@ -65,7 +71,11 @@ impl ActiveSet {
             work.base = (work.y, work.estimate.lambda);
             work.multiplier = work.estimate.lambda;
         }
-        while let Some((t, k)) = self.largest_violation(stages, tolerance) {
+        let probed = self.budget.saturating_sub(PROBE);
+        while let Some(((t, k), violations)) = self.largest_violation(stages, tolerance) {
+            if self.budget <= probed && violations > self.budget {
+                return false;
+            }
             let work = &mut self.work[t];
             let side = if work.y[k] > stages[t].rows.upper[k] {
                 1.0

@@ -7,7 +7,7 @@
 use super::active_set::ActiveSet;
 use super::crossover::crossover;
 use super::one_sided::{
-    Iterate, OneSided, ROWS, Residual, RightHandSide, Rows, Scaling, Targets, larger, largest,
+    Iterate, OneSided, ROWS, Residual, RightHandSide, Scaling, Targets, larger, largest,
     signed_values,
 };
 use super::recursion::{Aug, Factor, Symmetric, backward, factorise, forward};
@@ -18,7 +18,6 @@ use crate::NU;
 #[derive(Clone, Copy, Debug)]
 struct StageWork {
     rows: OneSided,
-    y: Rows,
     residual: Residual,
     scaling: Scaling,
     factor: Factor,
@@ -40,16 +39,6 @@ pub(super) struct Point {
     pub rows: Iterate,
 }
 
-/// `s⁺ = Ā s + B̄ v + c` along the horizon.
-#[inline(always)]
-fn roll_out(initial: &Aug, stages: &[Stage], points: &mut [Point]) {
-    let mut s = *initial;
-    for (stage, point) in stages.iter().zip(points) {
-        s = stage.successor(&s, &point.v);
-        point.s = s;
-    }
-}
-
 /// How a solve ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Outcome {
@@ -63,13 +52,13 @@ pub(super) enum Outcome {
     Breakdown,
 }
 
-/// Residuals of the optimality conditions at a point: the largest entry of each.
+/// How far an iterate is from the solution, without stationarity in the controls.
 #[derive(Clone, Copy, Debug)]
-struct Optimality {
-    /// Stationarity in the controls and in `ε`, relative to the largest term in the controls (at least 1).
-    stationarity: f64,
-    /// Violation of the rows.
+struct Distance {
+    /// Largest violation of a row.
     primal: f64,
+    /// Largest residual of stationarity in `ε`.
+    epsilon: f64,
     /// Duality measure: mean product of slack and multiplier.
     mu: f64,
 }
@@ -104,15 +93,8 @@ const CROSSOVER_PRIMAL: f64 = 1e-2;
 impl InteriorPoint {
     pub fn new(horizon: usize) -> Self {
         let rows = [0.0; ROWS];
-        let iterate = Iterate {
-            slack: rows,
-            lambda: rows,
-            epsilon: rows,
-            gamma: rows,
-        };
         let work = StageWork {
             rows: OneSided::default(),
-            y: rows,
             residual: Residual {
                 primal: rows,
                 epsilon: rows,
@@ -129,7 +111,7 @@ impl InteriorPoint {
                 epsilon: rows,
             },
             dv: [0.0; NU],
-            direction: iterate,
+            direction: Iterate::ZERO,
         };
         Self {
             work: vec![work; horizon],
@@ -149,26 +131,24 @@ impl InteriorPoint {
         tolerance: f64,
         limit: u32,
     ) -> (Outcome, u32) {
-        for (stage, work) in stages.iter().zip(&mut self.work) {
-            work.rows = OneSided::of(&stage.rows);
-        }
-        self.n_pairs = self.work.iter().map(|work| work.rows.n_pairs()).sum();
-        let mut next_crossover = CROSSOVER_MU;
         if !self.start(initial, stages, points) {
             return (Outcome::Breakdown, 0);
         }
+        let mut next_crossover = CROSSOVER_MU;
+        let mut step = 0.0;
         for iteration in 0..=limit {
-            roll_out(initial, stages, points);
-            let Optimality {
-                stationarity,
+            let Distance {
                 primal,
+                epsilon,
                 mu,
-            } = self.residuals(stages, points);
-            let worst = stationarity.max(primal).max(mu / COMPLEMENTARITY_FACTOR);
-            if !(stationarity + primal + mu).is_finite() {
+            } = self.advance(initial, stages, points, step);
+            if !(primal + epsilon + mu).is_finite() {
                 return (Outcome::Breakdown, iteration);
             }
-            if worst <= tolerance {
+            // Stationarity takes a sweep of its own, which only an iterate near the solution needs.
+            if primal.max(mu / COMPLEMENTARITY_FACTOR) <= tolerance
+                && self.stationarity(stages, points, epsilon) <= tolerance
+            {
                 return (Outcome::Converged, iteration);
             }
             if mu < next_crossover && primal < CROSSOVER_PRIMAL {
@@ -182,7 +162,7 @@ impl InteriorPoint {
                 if !self.factorise(stages, points) {
                     return (Outcome::Breakdown, iteration);
                 }
-                self.step(stages, points, mu, 0.1 * COMPLEMENTARITY_FACTOR * tolerance);
+                step = self.direction(stages, points, mu, 0.1 * COMPLEMENTARITY_FACTOR * tolerance);
             }
         }
         (Outcome::IterationLimit, limit)
@@ -192,11 +172,14 @@ impl InteriorPoint {
     /// stage by stage, and each row on its own central path. False if the factorisation fails.
     #[inline(always)]
     fn start(&mut self, initial: &Aug, stages: &[Stage], points: &mut [Point]) -> bool {
-        for point in points.iter_mut() {
-            point.v = [0.0; NU];
-            point.rows = Iterate::default();
+        let mut s = *initial;
+        for ((stage, point), work) in stages.iter().zip(points.iter_mut()).zip(&mut self.work) {
+            s = stage.successor(&s, &[0.0; NU]);
+            point.s = s;
+            work.rows = OneSided::of(&stage.rows);
+            (work.dv, work.direction) = ([0.0; NU], Iterate::ZERO);
         }
-        roll_out(initial, stages, points);
+        self.n_pairs = self.work.iter().map(|work| work.rows.n_pairs()).sum();
         let mut p = Symmetric::default();
         let mut gradient = Aug::default();
         for ((stage, point), work) in stages.iter().zip(points.iter()).zip(&mut self.work).rev() {
@@ -232,26 +215,50 @@ impl InteriorPoint {
         true
     }
 
-    /// Computes row values and residuals; stationarity in the controls uses the adjoint states.
+    /// Takes a step of that length along the direction, rolls out the states and computes the residuals of the rows.
     #[inline(always)]
-    fn residuals(&mut self, stages: &[Stage], points: &[Point]) -> Optimality {
-        let mut adjoint = Aug::default();
-        let mut scale = 1.0_f64;
-        let mut stationarity = 0.0_f64;
+    fn advance(
+        &mut self,
+        initial: &Aug,
+        stages: &[Stage],
+        points: &mut [Point],
+        step: f64,
+    ) -> Distance {
+        let mut s = *initial;
         let (mut primal, mut epsilon, mut products) = ([0.0; ROWS], [0.0; ROWS], [0.0; ROWS]);
-        for ((stage, point), work) in stages.iter().zip(points).zip(&mut self.work).rev() {
-            let rows = &work.rows;
-            work.y = signed_values(&point.v, &point.s, &rows.normal);
-            rows.residual(&work.y, &point.rows, &mut work.residual);
+        for ((stage, point), work) in stages.iter().zip(points).zip(&mut self.work) {
+            for (v, dv) in point.v.iter_mut().zip(&work.dv) {
+                *v = step.mul_add(*dv, *v);
+            }
+            s = stage.successor(&s, &point.v);
+            point.s = s;
+            point.rows.advance(step, &work.direction);
+            let y = signed_values(&point.v, &point.s, &work.rows.normal);
+            work.rows.residual(&y, &point.rows, &mut work.residual);
             for k in 0..ROWS {
                 primal[k] = larger(primal[k], work.residual.primal[k].abs());
                 epsilon[k] = larger(epsilon[k], work.residual.epsilon[k].abs());
             }
-            rows.add_products(&point.rows, 0.0, &point.rows, &mut products);
+            work.rows.add_products(&point.rows, &mut products);
+        }
+        Distance {
+            primal: largest(&primal),
+            epsilon: largest(&epsilon),
+            mu: products.iter().sum::<f64>() / self.n_pairs,
+        }
+    }
 
+    /// Largest residual of stationarity in the controls, by the adjoint states, and in `ε`, relative to the largest
+    /// term in the controls (at least 1).
+    #[inline(always)]
+    fn stationarity(&self, stages: &[Stage], points: &[Point], epsilon: f64) -> f64 {
+        let mut adjoint = Aug::default();
+        let mut scale = 1.0_f64;
+        let mut worst = epsilon;
+        for ((stage, point), work) in stages.iter().zip(points).zip(&self.work).rev() {
             let mut next = stage.cost_gradient(&point.s);
             next.add(&adjoint);
-            let (own, rate) = rows.gradient(&point.rows.lambda);
+            let (own, rate) = work.rows.gradient(&point.rows.lambda);
             next.add(&own);
             adjoint = stage.dynamics.apply_transposed(&next);
             for i in 0..NU {
@@ -261,25 +268,18 @@ impl InteriorPoint {
                     .max(own.abs())
                     .max(rate[i].abs())
                     .max(adjoint.u[i].abs());
-                // `f64::max` ignores NaN, but the residual must not.
-                stationarity = if g.is_nan() {
-                    g
-                } else {
-                    stationarity.max(g.abs())
-                };
+                worst = worst.max(g.abs());
             }
         }
-        Optimality {
-            stationarity: larger(largest(&epsilon), stationarity) / scale,
-            primal: largest(&primal),
-            mu: products.iter().sum::<f64>() / self.n_pairs,
-        }
+        worst / scale
     }
 
-    /// Backward sweep of the Riccati recursion with the Hessian of the rows. False if a factorisation fails.
+    /// Backward sweep of the Riccati recursion with the Hessian of the rows, and for the right-hand side of the
+    /// predictor. False if a factorisation fails.
     #[inline(always)]
     fn factorise(&mut self, stages: &[Stage], points: &[Point]) -> bool {
         let mut p = Symmetric::default();
+        let mut gradient = Aug::default();
         for ((stage, point), work) in stages.iter().zip(points).zip(&mut self.work).rev() {
             work.rows.scale(&point.rows, &mut work.scaling);
             p.add(&stage.cost);
@@ -295,74 +295,43 @@ impl InteriorPoint {
                 }
                 None => return false,
             }
+            work.targets = Targets::affine(&point.rows);
+            gradient = work.eliminate(stage, point, &gradient);
         }
         true
     }
 
-    /// Predictor, centring and corrector, then the step. `floor` is the smallest barrier parameter aimed at.
+    /// The direction of Mehrotra's method: predictor, centring and corrector. `mu` is the duality measure and `floor`
+    /// the smallest barrier parameter aimed at. Returns the length of the step.
     #[inline(always)]
-    fn step(&mut self, stages: &[Stage], points: &mut [Point], mu: f64, floor: f64) {
-        self.newton(stages, points, |rows, _| Targets::affine(rows));
-        let affine = self.max_step(points);
-        let mut products = [0.0; ROWS];
-        for (point, work) in points.iter().zip(&self.work) {
-            work.rows
-                .add_products(&point.rows, affine, &work.direction, &mut products);
-        }
-        let after = products.iter().sum::<f64>() / self.n_pairs;
+    fn direction(&mut self, stages: &[Stage], points: &[Point], mu: f64, floor: f64) -> f64 {
+        let (affine, second) = self.forward(stages, points);
+        // The predictor's equation is s Δλ + λ Δs = −s λ, so the products after its step need ΔsᵀΔλ only.
+        let after = (1.0 - affine) * mu + affine * affine * second / self.n_pairs;
         let ratio = (after / mu).clamp(0.0, 1.0);
         let target = (ratio * ratio * ratio * mu).max(floor);
-        self.newton(stages, points, |rows, affine| {
-            Targets::corrected(rows, affine, target)
-        });
-        let max_step = self.max_step(points);
-        let step = if max_step < 1.0 {
-            FRACTION_TO_BOUNDARY * max_step
+        let mut gradient = Aug::default();
+        for ((stage, point), work) in stages.iter().zip(points).zip(&mut self.work).rev() {
+            work.targets = Targets::corrected(&point.rows, &work.direction, target);
+            gradient = work.eliminate(stage, point, &gradient);
+        }
+        let (longest, _) = self.forward(stages, points);
+        if longest < 1.0 {
+            FRACTION_TO_BOUNDARY * longest
         } else {
             1.0
-        };
-        for (point, work) in points.iter_mut().zip(&self.work) {
-            for (v, dv) in point.v.iter_mut().zip(&work.dv) {
-                *v = step.mul_add(*dv, *v);
-            }
-            point.rows.advance(step, &work.direction);
         }
     }
 
-    /// Solves the Newton system. `targets` gives the right-hand sides of the complementarity conditions from the
-    /// iterate and the previous direction.
+    /// Forward sweep: the Newton direction. Returns the largest step length, at most 1, that keeps slacks and
+    /// multipliers nonnegative, and the sum of the products `Δs Δλ + Δε Δγ`.
     #[inline(always)]
-    fn newton(
-        &mut self,
-        stages: &[Stage],
-        points: &[Point],
-        targets: impl Fn(&Iterate, &Iterate) -> Targets,
-    ) {
-        let mut p = Aug::default();
-        for ((stage, point), work) in stages.iter().zip(points).zip(&mut self.work).rev() {
-            work.targets = targets(&point.rows, &work.direction);
-            work.scaling
-                .right_hand_side(&point.rows, &work.residual, &work.targets, &mut work.rhs);
-            let mut lambda = [0.0; ROWS];
-            for (sum, (lambda, step)) in lambda
-                .iter_mut()
-                .zip(point.rows.lambda.iter().zip(&work.rhs.lambda))
-            {
-                *sum = lambda + step;
-            }
-            let mut next = stage.cost_gradient(&point.s);
-            next.add(&p);
-            let (own, mut g_v) = work.rows.gradient(&lambda);
-            next.add(&own);
-            for i in 0..NU {
-                g_v[i] = stage.rate[i].mul_add(point.v[i], g_v[i]);
-            }
-            (p, work.feedforward) = backward(&stage.dynamics, &work.factor, &next, &g_v);
-        }
+    fn forward(&mut self, stages: &[Stage], points: &[Point]) -> (f64, f64) {
         let mut ds = Aug::default();
+        let (mut worst, mut products) = ([1.0; ROWS], [0.0; ROWS]);
         for ((stage, point), work) in stages.iter().zip(points).zip(&mut self.work) {
             (work.dv, ds) = forward(&stage.dynamics, &work.factor, &work.feedforward, &ds);
-            let dy = signed_values(&work.dv, &ds, &stage.rows.normal);
+            let dy = signed_values(&work.dv, &ds, &work.rows.normal);
             work.rows.recover(
                 &work.scaling,
                 &work.rhs,
@@ -372,17 +341,34 @@ impl InteriorPoint {
                 &dy,
                 &mut work.direction,
             );
-        }
-    }
-
-    /// Largest step length, at most 1, that keeps slacks and multipliers nonnegative.
-    #[inline(always)]
-    fn max_step(&self, points: &[Point]) -> f64 {
-        let mut worst = [1.0; ROWS];
-        for (point, work) in points.iter().zip(&self.work) {
             work.rows
                 .max_decrease(&point.rows, &work.direction, &mut worst);
+            work.rows.add_products(&work.direction, &mut products);
         }
-        1.0 / largest(&worst)
+        (1.0 / largest(&worst), products.iter().sum())
+    }
+}
+
+impl StageWork {
+    /// One stage of the backward sweep for the present targets: eliminates the steps of the rows, sets the feedforward
+    /// term, and returns the gradient of the cost-to-go before the stage.
+    #[inline(always)]
+    fn eliminate(&mut self, stage: &Stage, point: &Point, gradient: &Aug) -> Aug {
+        self.scaling
+            .right_hand_side(&point.rows, &self.residual, &self.targets, &mut self.rhs);
+        let mut lambda = [0.0; ROWS];
+        for k in 0..ROWS {
+            lambda[k] = point.rows.lambda[k] + self.rhs.lambda[k];
+        }
+        let mut next = stage.cost_gradient(&point.s);
+        next.add(gradient);
+        let (own, mut g_v) = self.rows.gradient(&lambda);
+        next.add(&own);
+        for i in 0..NU {
+            g_v[i] = stage.rate[i].mul_add(point.v[i], g_v[i]);
+        }
+        let (before, feedforward) = backward(&stage.dynamics, &self.factor, &next, &g_v);
+        self.feedforward = feedforward;
+        before
     }
 }

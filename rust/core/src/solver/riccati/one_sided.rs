@@ -283,15 +283,12 @@ impl OneSided {
         (row_gradient(&pair, &self.normal), [pair[0], pair[1]])
     }
 
-    /// Adds `s λ + ε γ` of each row, after a step of that length, to `sums`.
+    /// Adds `s λ + ε γ` of each row to `sums`.
     #[inline(always)]
-    pub fn add_products(&self, it: &Iterate, length: f64, step: &Iterate, sums: &mut Rows) {
+    pub fn add_products(&self, it: &Iterate, sums: &mut Rows) {
         for k in 0..ROWS {
-            let slack = length.mul_add(step.slack[k], it.slack[k]);
-            let lambda = length.mul_add(step.lambda[k], it.lambda[k]);
-            let epsilon = length.mul_add(step.epsilon[k], it.epsilon[k]);
-            let gamma = length.mul_add(step.gamma[k], it.gamma[k]);
-            sums[k] += self.present[k] * slack * lambda + self.soft[k] * epsilon * gamma;
+            sums[k] += self.present[k] * it.slack[k] * it.lambda[k]
+                + self.soft[k] * it.epsilon[k] * it.gamma[k];
         }
     }
 
@@ -333,6 +330,14 @@ pub(super) fn largest(rows: &Rows) -> f64 {
 }
 
 impl Iterate {
+    /// A direction that changes nothing.
+    pub const ZERO: Self = Self {
+        slack: [0.0; ROWS],
+        lambda: [0.0; ROWS],
+        epsilon: [0.0; ROWS],
+        gamma: [0.0; ROWS],
+    };
+
     /// Takes a step of that length.
     #[inline(always)]
     pub fn advance(&mut self, length: f64, step: &Self) {
