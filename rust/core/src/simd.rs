@@ -33,6 +33,8 @@ pub(crate) trait Simd: Copy {
     const NAME: &'static str;
     /// Running sums that fit into the registers beside two operands.
     const SUMS: usize;
+    /// Number of vectors of eight numbers that the registers hold.
+    const REGISTERS: usize;
     /// Eight numbers.
     type V: Copy;
     /// One number in all lanes.
@@ -103,6 +105,18 @@ pub(crate) fn wide<C: Wide>(computation: C) -> C::Output {
     computation.compute(Portable)
 }
 
+/// Results of a computation with every instruction set of this machine, the portable one first.
+#[cfg(test)]
+pub(crate) fn with_each<C: Wide + Copy>(computation: C) -> Vec<C::Output> {
+    let mut results = vec![computation.compute(Portable)];
+    #[cfg(target_arch = "x86_64")]
+    {
+        results.extend(x86::Avx2::detect().map(|simd| computation.compute(simd)));
+        results.extend(x86::Avx512::detect().map(|simd| computation.compute(simd)));
+    }
+    results
+}
+
 /// Name of the vector instructions that this machine's Gaussian processes use: `AVX-512`, `AVX2` or `none`.
 ///
 /// Results of machines whose names differ may differ by rounding.
@@ -125,6 +139,7 @@ struct Portable;
 impl Simd for Portable {
     const NAME: &'static str = "none";
     const SUMS: usize = 2;
+    const REGISTERS: usize = 8;
     type V = Lanes;
 
     #[inline(always)]
@@ -240,6 +255,7 @@ mod x86 {
     impl Simd for Avx512 {
         const NAME: &'static str = "AVX-512";
         const SUMS: usize = 10;
+        const REGISTERS: usize = 32;
         type V = __m512d;
 
         intrinsics! {
@@ -275,6 +291,7 @@ mod x86 {
     impl Simd for Avx2 {
         const NAME: &'static str = "AVX2";
         const SUMS: usize = 6;
+        const REGISTERS: usize = 8;
         type V = Pair;
 
         intrinsics! {
@@ -326,6 +343,19 @@ mod tests {
     const SUMMANDS: Lanes = [0.1, 0.2, 0.3, 1e8, -0.7, 1e-3, 7.0, 1.0 / 3.0];
 
     /// Results of every method for operands that differ in all lanes.
+    #[derive(Clone, Copy)]
+    struct All;
+
+    impl Wide for All {
+        type Output = [Lanes; 9];
+
+        #[inline(always)]
+        fn compute<S: Simd>(self, simd: S) -> [Lanes; 9] {
+            all(simd)
+        }
+    }
+
+    #[inline(always)]
     fn all<S: Simd>(simd: S) -> [Lanes; 9] {
         let a = simd.load(&[1.5, -2.0, 3.25, 0.0, 1e300, 7.0, -1e-3, 9.0]);
         let b = simd.load(&[0.1, 4.0, f64::NAN, 2.0, 5.0, -6.0, 7e3, 0.3]);
@@ -347,20 +377,15 @@ mod tests {
     #[test]
     fn instruction_sets_agree_bit_by_bit() {
         let bits = |x: [Lanes; 9]| x.map(|x| x.map(|x| if x.is_nan() { 0 } else { x.to_bits() }));
-        let expected = bits(all(Portable));
-        #[cfg(target_arch = "x86_64")]
-        {
-            if let Some(simd) = x86::Avx2::detect() {
-                assert_eq!(bits(all(simd)), expected);
-            }
-            if let Some(simd) = x86::Avx512::detect() {
-                assert_eq!(bits(all(simd)), expected);
-            }
+        let results = with_each(All);
+        let portable = results[0];
+        for result in results {
+            assert_eq!(bits(result), bits(portable));
         }
-        assert_eq!(all(Portable)[7][..4], [14.0, 0.25, 28.0, 1.0]);
+        assert_eq!(portable[7][..4], [14.0, 0.25, 28.0, 1.0]);
         let [a, b, c, d, e, f, g, h] = SUMMANDS;
         let sum = ((a + e) + (c + g)) + ((b + f) + (d + h));
-        assert_eq!(all(Portable)[8][0].to_bits(), sum.to_bits());
+        assert_eq!(portable[8][0].to_bits(), sum.to_bits());
         assert_ne!(sum.to_bits(), SUMMANDS.iter().sum::<f64>().to_bits());
     }
 }

@@ -101,6 +101,7 @@ fn weighted_sums<const N: usize>(
     })
 }
 
+#[derive(Clone, Copy)]
 struct WeightedSums<'a, const N: usize> {
     kernel: Kernel,
     blocks: &'a [[Lanes; NZ]],
@@ -109,10 +110,32 @@ struct WeightedSums<'a, const N: usize> {
     weights: [&'a [Lanes]; N],
 }
 
+/// Blocks of points whose kernel values are stored between the passes.
+const CHUNK: usize = 16;
+
 impl<const N: usize> WeightedSums<'_, N> {
     #[inline(always)]
     fn with<P: Profile, S: Simd>(self, simd: S) -> [[f64; SUMS]; N] {
         let mut sums = [[simd.splat(0.0); SUMS]; N];
+        if S::REGISTERS > N * SUMS {
+            self.in_one_pass::<P, S>(simd, &mut sums);
+        } else {
+            self.in_passes::<P, S>(simd, &mut sums);
+        }
+        let mut totals = [[0.0; SUMS]; N];
+        for (total, sum) in totals
+            .as_flattened_mut()
+            .iter_mut()
+            .zip(sums.as_flattened())
+        {
+            *total = simd.sum(*sum);
+        }
+        totals
+    }
+
+    /// All sums at once.
+    #[inline(always)]
+    fn in_one_pass<P: Profile, S: Simd>(self, simd: S, sums: &mut [[S::V; SUMS]; N]) {
         for (i, (block, norms)) in self.blocks.iter().zip(self.norms).enumerate() {
             let (value, slope) = P::value_slope(simd, self.query.distances(simd, block, norms));
             let mut slopes = [slope; N];
@@ -130,15 +153,41 @@ impl<const N: usize> WeightedSums<'_, N> {
                 }
             }
         }
-        let mut totals = [[0.0; SUMS]; N];
-        for (total, sum) in totals
-            .as_flattened_mut()
-            .iter_mut()
-            .zip(sums.as_flattened())
-        {
-            *total = simd.sum(*sum);
+    }
+
+    /// The same sums in the same order, from kernel values that are stored for some blocks of points: the moments, which
+    /// are most of the work, then have the registers to themselves.
+    #[allow(clippy::needless_range_loop)] // the loops read like the sums
+    #[inline(always)]
+    fn in_passes<P: Profile, S: Simd>(self, simd: S, sums: &mut [[S::V; SUMS]; N]) {
+        let mut values = [simd.splat(0.0); CHUNK];
+        let mut slopes = [[simd.splat(0.0); CHUNK]; N];
+        let chunks = self.blocks.chunks(CHUNK).zip(self.norms.chunks(CHUNK));
+        for (chunk, (blocks, norms)) in chunks.enumerate() {
+            let weights = |o: usize, i: usize| simd.load(&self.weights[o][chunk * CHUNK + i]);
+            for (i, (block, norms)) in blocks.iter().zip(norms).enumerate() {
+                let distances = self.query.distances(simd, block, norms);
+                let (value, slope) = P::value_slope(simd, distances);
+                values[i] = value;
+                for o in 0..N {
+                    slopes[o][i] = simd.mul(slope, weights(o, i));
+                }
+            }
+            for o in 0..N {
+                let [mut value, mut slope, mut moments @ ..] = sums[o];
+                for i in 0..blocks.len() {
+                    value = simd.mul_add(values[i], weights(o, i), value);
+                    slope = simd.add(slope, slopes[o][i]);
+                }
+                for (slope, block) in slopes[o].iter().zip(blocks) {
+                    for (moment, x) in moments.iter_mut().zip(block) {
+                        *moment = simd.mul_add(*slope, simd.load(x), *moment);
+                    }
+                }
+                let [a, b, c, d, e, f] = moments;
+                sums[o] = [value, slope, a, b, c, d, e, f];
+            }
         }
-        totals
     }
 }
 
@@ -184,6 +233,45 @@ impl Wide for CovarianceRow<'_> {
         match self.kernel {
             Kernel::Rbf => self.with::<Rbf, S>(simd),
             Kernel::Matern52 => self.with::<Matern52, S>(simd),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simd::with_each;
+
+    /// One or three outputs with 41 blocks of points, which are more than two chunks and a part.
+    fn sums<const N: usize>(kernel: Kernel) -> Vec<[[f64; SUMS]; N]> {
+        let number = |i: usize| ((i * 7919) % 1009) as f64 / 500.0 - 1.0;
+        let lanes = |first: usize| -> Lanes { std::array::from_fn(|l| number(8 * first + l)) };
+        let inputs: Vec<GpInput> = (0..8 * 41)
+            .map(|i| GpInput::from_fn(|d, _| number(6 * i + d)))
+            .collect();
+        let points = Points::new(&inputs);
+        let metric = Metric::new(kernel.scale(), &[0.7, 1.1, 0.9, 1.3, 0.8, 1.0], &inputs);
+        let weights: [Vec<Lanes>; N] =
+            std::array::from_fn(|o| (0..41).map(|i| lanes(1000 * o + i)).collect());
+        with_each(WeightedSums {
+            kernel,
+            blocks: points.blocks(),
+            norms: metric.norms(),
+            query: metric.query(&GpInput::from_element(0.2)),
+            weights: weights.each_ref().map(|weights| &weights[..]),
+        })
+    }
+
+    #[test]
+    fn instruction_sets_and_numbers_of_passes_agree_bit_by_bit() {
+        for kernel in [Kernel::Rbf, Kernel::Matern52] {
+            let (one, three) = (sums::<1>(kernel), sums::<3>(kernel));
+            let bits = |sums: [f64; SUMS]| sums.map(f64::to_bits);
+            let portable = three[0].map(bits);
+            for (one, three) in one.iter().zip(&three) {
+                assert_eq!(bits(one[0]), bits(three[0]));
+                assert_eq!(three.map(bits), portable);
+            }
         }
     }
 }
