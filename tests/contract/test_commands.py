@@ -20,6 +20,7 @@ from egp_service.cli.checks import run_checks
 from egp_service.cli.settings_text import read_settings_document
 from egp_service.control.endpoints import check_endpoints, why_not_free
 from egp_service.control.recorded import Recorded, RecordedStep, RecordingError, write_requests
+from egp_service.data.dataset import Dataset, Provenance
 
 if TYPE_CHECKING:
     from click import Group
@@ -117,6 +118,28 @@ def test_a_port_in_use_and_a_wrong_endpoint_are_named() -> None:
     assert why_not_free(endpoint) is None
     assert "did you mean 'tcp/127.0.0.1:7447'" in failure("drive", "--connect", "127.0.0.1:7447")
     check_endpoints(["tcp/127.0.0.1:7447", "tls/[::1]:7447", "unixsock-stream//tmp/socket"])
+
+
+def test_training_does_not_begin_with_what_fails_at_its_end(tmp_path: Path) -> None:
+    # Constant columns are an error of training itself, so that any other error came before it.
+    steps = np.tile(np.arange(10, dtype=np.uint32), 4)
+    data = Dataset(
+        z=np.ones((40, 6)),
+        y=np.ones((40, 3)),
+        trajectory=np.repeat(np.arange(4, dtype=np.uint32), 10),
+        step=steps,
+        provenance=Provenance(0.05, "own car", "asphalt", 0.8, 0, "test", "test"),
+    )
+    log = tmp_path / "log.parquet"
+    data.write(log)
+    library = str(tmp_path / "library.safetensors")
+    told = failure("train", str(log), "-o", library)
+    assert "vehicle 'own car' are not known" in told
+    assert "--vehicle" in told
+    for wrong in (tmp_path, tmp_path / "absent" / "library.safetensors"):
+        assert "expected a file in a folder" in failure("train", str(log), "-o", str(wrong))
+    told = failure("train", str(log), "-o", library, "--picture", str(tmp_path))
+    assert "expected a file in a folder" in told
 
 
 def test_files_of_another_kind_are_named(tmp_path: Path) -> None:

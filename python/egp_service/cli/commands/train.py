@@ -1,12 +1,19 @@
 """`egp train`."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
 
 from egp_service.cli.options import Cluster
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from egp_service._core import Library
+    from egp_service.training.trained import TrainedMember
+    from egp_service.training.validation import Cell
 
 
 def train(
@@ -72,23 +79,20 @@ def train(
     """
     from egp_service._core import EgpError, Library
     from egp_service.cli.progress import collecting, fitting
-    from egp_service.cli.tables import (
-        delay_sentence,
-        kind_sentence,
-        skill_table,
-        skill_warnings,
-        validation_table,
-        vehicle_table,
-    )
     from egp_service.data.dataset import Dataset
     from egp_service.training.export import export
     from egp_service.training.recipe import Displays, Recipe, follow, training_provenance
     from egp_service.training.train import TrainingSettings
     from egp_service.training.train import train as train_members
-    from egp_service.training.validation import member_skill, validate
-    from egp_service.vehicle import read_vehicle
+    from egp_service.training.validation import validate
+    from egp_service.vehicle import known_vehicle, read_vehicle
 
     console = Console()
+    # These checks come before the minutes that training takes: files that cannot be written, a
+    # missing extra and, below, an unknown vehicle.
+    _check_writable(output, picture)
+    if picture is not None:
+        from egp_service.training.validation_report import draw_validation
     car = None if vehicle is None else read_vehicle(vehicle)
     if (recipe is None) == (not data):
         raise EgpError("expected either datasets or --recipe")
@@ -109,12 +113,45 @@ def train(
             seed=seed,
         )
         datasets = [Dataset.read(path) for path in data or []]
+        if car is None:
+            known_vehicle(datasets[0].provenance.vehicle)
         with fitting(console) as report:
             members = train_members(datasets, settings, report, vehicle=car)
     export(output, members, settings, training_provenance(settings), car)
     library = Library.load(output)
     held_out = {member.dataset.provenance.surface: member.validation for member in members}
     matrix = validate(library, held_out)
+    _show(console, library, members, matrix)
+    if picture is not None:
+        draw_validation(matrix, picture)
+    console.print(f"{output}: {len(members)} members, id {library.id}")
+
+
+def _check_writable(*files: Path | None) -> None:
+    from egp_service._core import EgpError
+
+    for file in files:
+        if file is not None and (file.is_dir() or not file.absolute().parent.is_dir()):
+            raise EgpError(f"{file}: expected a file in a folder that exists")
+
+
+def _show(
+    console: Console,
+    library: "Library",
+    members: "Sequence[TrainedMember]",
+    matrix: "list[list[Cell]]",
+) -> None:
+    """Print what training found about each member, and how each one predicts."""
+    from egp_service.cli.tables import (
+        delay_sentence,
+        kind_sentence,
+        skill_table,
+        skill_warnings,
+        validation_table,
+        vehicle_table,
+    )
+    from egp_service.training.validation import member_skill
+
     console.print(delay_sentence(members[0].delays), highlight=False)
     for member in members:
         if member.vehicle is not None:
@@ -129,8 +166,3 @@ def train(
         console.print(skill_table(label, compared))
         for warning in skill_warnings(label, label, compared):
             console.print(f"[yellow]{warning}[/]", highlight=False)
-    if picture is not None:
-        from egp_service.training.validation_report import draw_validation
-
-        draw_validation(matrix, picture)
-    console.print(f"{output}: {len(members)} members, id {library.id}")
