@@ -7,6 +7,7 @@ import re
 import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -137,6 +138,37 @@ def test_other_tools_find_their_own_schemas_and_plain_numbers(lap: Lap) -> None:
     # The layout that is written beside the recording shows only topics that it has.
     layout = (lap.folder / "foxglove.json").read_text()
     assert {f"/{name}" for name in re.findall(r'"/(\w+)', layout)} <= set(topics)
+
+
+def test_the_layout_of_plotjuggler_has_the_curves_of_foxglove(lap: Lap) -> None:
+    with (lap.folder / "run.mcap").open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        decoded = reader.iter_decoded_messages(topics=["/step", "/plant"])
+        recorded = {name for row in decoded for name in plotjuggler_names(row[1].topic, row[3])}
+    layout = ET.parse(lap.folder / "plotjuggler.xml").getroot()  # noqa: S314 - ours
+    curves = {curve.attrib["name"] for curve in layout.iter("curve")}
+    assert curves <= recorded
+    assert {"/step/weights[0]", "/step/weights[1]"} <= curves
+    plots = re.findall(
+        r'"value": "(/\w+)\.([\w\[\]]+)"', (lap.folder / "foxglove.json").read_text()
+    )
+    assert curves == {f"{topic}/{field}" for topic, field in plots} & recorded
+    file = layout.find("previouslyLoaded_Datafiles/fileInfo")
+    assert file is not None
+    assert file.attrib["filename"] == "run.mcap"
+    for splitter in layout.iter("DockSplitter"):
+        sizes = splitter.attrib["sizes"].split(";")
+        assert len(splitter) == len(sizes) == int(splitter.attrib["count"])
+
+
+def plotjuggler_names(topic: str, message: Any) -> Iterator[str]:  # noqa: ANN401 - of any schema
+    """Give the numeric fields as PlotJuggler's parser of protobuf names them."""
+    for field in message.DESCRIPTOR.fields:
+        value = getattr(message, field.name)
+        if field.is_repeated:
+            yield from (f"{topic}/{field.name}[{i}]" for i in range(len(value)))
+        elif isinstance(value, float | bool):
+            yield f"{topic}/{field.name}"
 
 
 def test_a_replay_gives_the_recorded_bytes(lap: Lap) -> None:

@@ -14,7 +14,7 @@ import egp_service
 # Libraries that take long to import or come with an extra.
 WATCHED = {
     "botorch", "cvxpy", "gpytorch", "gymnasium", "loky", "matplotlib", "mcap", "osqp", "polars",
-    "ray", "rich", "rosbags", "ruamel", "scipy", "starlette", "torch", "typer", "uvicorn",
+    "ray", "rerun", "rich", "rosbags", "ruamel", "scipy", "starlette", "torch", "typer", "uvicorn",
     "xxhash", "zenoh",
 }  # fmt: skip
 TRAINING = {"torch", "gpytorch", "botorch", "scipy", "polars", "loky"}
@@ -37,6 +37,7 @@ MAY_LOAD = {
     "egp_service.control.replay": {"mcap"},
     "egp_service.control.status": {"zenoh"},
     "egp_service.monitor": {"zenoh", "starlette", "uvicorn"},
+    "egp_service.view": {"mcap", "rerun"},
     "egp_service.ros2": {"rosbags", "ruamel", "xxhash", "zenoh"},
     "egp_service.simulation": {"mcap"},
     "egp_service.simulation.environment": {"gymnasium", "mcap"},

@@ -6,7 +6,10 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import json
+import os
+import pydoc
 import re
 import signal
 import socket
@@ -14,13 +17,18 @@ import subprocess
 import sys
 import sysconfig
 import time
+from importlib.metadata import metadata
 from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import egp_service
 from egp_service import Controller, Plant, Recorder, shipped
+from egp_service.cli import app
 
 EGP = Path(sysconfig.get_path("scripts")) / "egp"
 MASS = 1225.887  # kg, of the simulated car
@@ -114,16 +122,33 @@ def test_2_a_vehicle_is_fitted_or_the_missing_extra_is_named(folder: Path) -> No
         assert "mass" in (folder / "car.toml").read_text()
 
 
-def test_3_and_5_an_own_simulator_is_driven_recorded_and_replayed(folder: Path) -> None:
-    (folder / "slider.py").write_text(SIMULATOR)
+def write_scenario(path: Path, laps: float) -> None:
+    """Write the scenario of a part of a lap."""
     scenario = Path(egp_service.__file__).parent / "simulation/scenarios/rounded-rectangle.toml"
     short = re.sub(r"(?m)^laps = .*$", "", scenario.read_text())
-    (folder / "short.toml").write_text(f"laps = 0.05\n{short}")
+    path.write_text(f"laps = {laps}\n{short}")
+
+
+def free_port() -> int:
+    """Return a port of this machine on which nobody listens."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port: int = free.getsockname()[1]
+    return port
+
+
+def test_3_and_5_an_own_simulator_is_driven_recorded_replayed_and_viewed(folder: Path) -> None:
+    (folder / "slider.py").write_text(SIMULATOR)
+    write_scenario(folder / "short.toml", 0.05)
     egp("drive", "--plant=slider:Slider", "-s", "short.toml", "--in-process", "-o", "runs")
     (run,) = (folder / "runs").iterdir()
     assert json.loads((run / "summary.json").read_text())["lateral_error"]["max"] < 0.5
-    assert {path.suffix for path in run.iterdir()} >= {".png", ".mcap", ".json"}
+    assert {path.suffix for path in run.iterdir()} >= {".png", ".mcap", ".json", ".xml"}
     assert "have the same bytes as recorded" in egp("replay", str(run / "run.mcap"))
+    if importlib.util.find_spec("rerun") is None:
+        told = egp("view", str(run / "run.mcap"), code=1)
+        assert "pip install 'egp-service[view]'" in told
+    else:
+        assert "Saved run.rrd" in egp("view", str(run / "run.mcap"), "--save", "run.rrd")
 
 
 def test_4_a_step_says_what_was_found(folder: Path) -> None:
@@ -140,6 +165,44 @@ def test_4_a_step_says_what_was_found(folder: Path) -> None:
     assert "normal, solved" in repr(step)
     assert "rad" in str(Plant.step.__doc__)
     assert "All 1 replies have the same bytes" in egp("replay", "own.mcap")
+
+
+def test_6_a_live_page_shows_a_car_that_drives(folder: Path) -> None:
+    if importlib.util.find_spec("starlette") is None or importlib.util.find_spec("uvicorn") is None:
+        assert "pip install 'egp-service[monitor]'" in egp("monitor", code=1)
+        return
+    write_scenario(folder / "half.toml", 0.5)
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    deadline = time.monotonic() + 30.0
+    nobody = f"tcp/127.0.0.1:{free_port()}"
+    monitor = subprocess.Popen(
+        [EGP, "monitor", "--listen", endpoint, "--connect", nobody, "--port", "0"],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    assert monitor.stdout is not None
+    try:
+        (url,) = re.findall(r"http://[\d.]+:\d+", monitor.stdout.readline())
+        with urlopen(url, timeout=10) as page:  # noqa: S310 - this machine
+            assert "<title>egp monitor</title>" in page.read().decode()
+        car = ["--monitor", endpoint, "--vehicle", "car-7"]
+        egp("drive", "-s", "half.toml", "--in-process", "--no-pictures", *car)
+        # The page's events; those of a car have its curves.
+        with urlopen(f"{url}/events?vehicle=default/car-7", timeout=10) as stream:  # noqa: S310
+            shown: dict[str, Any] = {}
+            while "detail" not in shown:
+                assert time.monotonic() < deadline
+                name, _, data = stream.readline().decode().partition(": ")
+                shown = json.loads(data) if name == "data" else {}
+        (row,) = shown["fleet"]["vehicles"]
+        assert (row["id"], row["state"], row["replica"]) == ("default/car-7", "ended", "in-process")
+        assert shown["detail"]["members"] == ["mu 0.5", "mu 1.1"]
+        assert len(shown["detail"]["samples"]) > 1
+    finally:
+        monitor.terminate()
+        monitor.wait(timeout=20)
+        monitor.stdout.close()
 
 
 def test_7_the_commands_tell_what_they_do() -> None:
@@ -163,9 +226,39 @@ def test_8_parameters_of_autoware_become_settings(folder: Path) -> None:
         assert "rmw_zenohd" in told
 
 
+def test_9_every_command_that_is_named_explains_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    overview, readme = egp("--help"), str(metadata("egp-service").json["description"])
+    commands = re.findall(r"(?m)^│ ([a-z0-9]+) ", overview)
+    named = set(re.findall(r"\begp ([a-z0-9]+)", overview + readme))
+    assert {"collect", "train", "drive", "replay", "serve"} <= named <= set(commands)
+    for name in commands:
+        text = CliRunner().invoke(app, [name, "--help"]).output
+        assert max(map(len, text.splitlines())) <= 80, name
+        assert re.search(rf"(?m)^ +(For example: )?egp {name}\b", text), f"no example: {name}"
+
+
+def test_9_help_explains_every_public_name() -> None:
+    assert len(egp_service.__all__) > 10
+    for name in egp_service.__all__:
+        thing = getattr(egp_service, name)
+        assert len(inspect.getdoc(thing) or "") > 20, name
+        assert name in pydoc.plain(pydoc.render_doc(thing))
+        for member, value in vars(thing).items() if inspect.isclass(thing) else ():
+            told = inspect.isroutine(value) or isinstance(value, property)
+            if not member.startswith("_") and (told or inspect.isgetsetdescriptor(value)):
+                assert inspect.getdoc(value), f"{name}.{member}"
+
+
+def test_9_the_example_of_the_readme_runs(capfd: pytest.CaptureFixture[str]) -> None:
+    readme = str(metadata("egp-service").json["description"])
+    (example,) = re.findall(r"(?s)```python\n(.*?)```", readme)
+    exec(example.replace('"library.safetensors"', repr(LIBRARY)), {})  # noqa: S102
+    assert "normal" in capfd.readouterr().out
+
+
 def test_10_the_service_the_load_and_the_simulation_come_with_the_wheel(folder: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     service = subprocess.Popen([EGP, "serve", LIBRARY, "--listen", endpoint])
     try:
         deadline = time.monotonic() + 20.0

@@ -31,6 +31,7 @@ from egp_service.cli.commands.sign import sign
 from egp_service.cli.commands.simulate import simulate
 from egp_service.cli.commands.train import train
 from egp_service.cli.commands.vehicle import vehicle
+from egp_service.cli.commands.view import view
 from egp_service.cli.extras import EXTRAS
 from egp_service.cli.programs import PASS_ON
 
@@ -53,6 +54,9 @@ The paper's experiments, with baselines:
 
 Repeat a recorded run, or see what other settings would have changed:
   egp replay runs/*/run.mcap
+
+Look at a recorded run on a map and in curves:
+  egp view runs/*/run.mcap
 
 As a service for vehicles:
   egp serve library.safetensors --listen tcp/0.0.0.0:7447
@@ -91,6 +95,7 @@ for command in (
     router,
     drive,
     replay,
+    view,
     demo,
     evaluate,
     settings,

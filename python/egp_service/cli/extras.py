@@ -16,6 +16,8 @@ EXTRAS: Final = {
     "gymnasium": "gym",
     "starlette": "monitor",
     "uvicorn": "monitor",
+    "rerun": "view",
+    "rerun_cli": "view",
     "rosbags": "ros2",
     "ruamel": "ros2",
     "xxhash": "ros2",

@@ -79,7 +79,7 @@ def read_recording(path: Path) -> Recorded:
     replies: dict[int, bytes] = {}
     complete = False
     sequence_of = message_class("StepReply").FromString
-    for record in _records(path):
+    for record in records(path):
         if isinstance(record, Metadata):
             metadata[record.name] = record.metadata
         elif isinstance(record, Channel):
@@ -136,8 +136,14 @@ def _step(time: float, request: bytes, replies: Mapping[int, bytes]) -> Recorded
     return RecordedStep(time, np.asarray(sent.x), request, replies.get(sent.sequence))
 
 
-def _records(path: Path) -> Iterator[McapRecord]:
-    """Give the records up to the end, or up to where the file was cut off."""
+def records(path: Path) -> Iterator[McapRecord]:
+    """Give the records of an MCAP file up to its end, or up to where it was cut off.
+
+    Raises:
+        RecordingError: for a file that is not MCAP.
+        OSError: if the file cannot be read.
+
+    """
     begun = False
     with path.open("rb") as stream:
         try:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 from datetime import datetime
-from importlib import resources
 from typing import TYPE_CHECKING
 
 from egp_service.files import write_text
 from egp_service.simulation.closed_loop import Run, drive
+from egp_service.simulation.layouts import write_layouts
 from egp_service.simulation.recording import Recording
-
-LAYOUT = resources.files("egp_service.simulation") / "foxglove.json"
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,11 +43,11 @@ def record_run(
 ) -> Run:
     """Drive the scenario and write `scenario.toml`, `run.mcap` and `summary.json` to `folder`.
 
-    `foxglove.json`, also written there, is a Foxglove layout for the recording. `belief` is what
-    earlier runs found about the road, see `drive`.
+    `foxglove.json` and `plotjuggler.xml`, also written there, are layouts for the recording.
+    `belief` is what earlier runs found about the road, see `drive`.
     """
     write_text(folder / "scenario.toml", scenario.toml())
-    write_text(folder / "foxglove.json", LAYOUT.read_text(encoding="utf-8"))
+    write_layouts(folder, len(controller.members))
     with Recording.create(folder / "run.mcap", scenario, controller) as recording:
 
         def both(period: Period) -> None:

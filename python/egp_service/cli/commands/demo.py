@@ -31,6 +31,8 @@ def demo(
     before found. Then the same lap is driven by a car that is told the friction of
     all zones: with the library's ensemble, and with each of its two members alone.
     A service in its own process computes every control step.
+
+    For example: egp demo
     """
     from egp_service.cli.demo import LAPS, drive_laps
     from egp_service.cli.status_line import StatusLine

@@ -1,0 +1,1 @@
+"""Recordings in the viewer of Rerun; requires the `[view]` extra."""
