@@ -1,6 +1,6 @@
 //! The model of a vehicle on a road of a given friction coefficient, from the members.
 
-use crate::vehicle::{SingleTrack, VehicleModel};
+use crate::vehicle::{Attitude, SingleTrack, VehicleModel};
 use crate::{GpInput, GpOutput, Member, NY};
 
 /// A model for one friction coefficient `mu`:
@@ -51,12 +51,18 @@ impl Hypothesis {
     }
 
     /// The change of `[v_x, v_y, omega]` over one period, from the members' predictions `f` and what their GPs added
-    /// to their vehicles.
-    pub fn change(&self, z: &GpInput, f: &[[f64; NY]], learned: &[GpOutput]) -> GpOutput {
+    /// to their vehicles. `attitude` is that of the vehicle before at the same `z`, if there is one.
+    pub fn change(
+        &self,
+        z: &GpInput,
+        attitude: &mut Option<Attitude>,
+        f: &[[f64; NY]],
+        learned: &[GpOutput],
+    ) -> GpOutput {
         let blend = |a: GpOutput, b: GpOutput| a + (b - a) * self.share;
         let [a, b] = self.members;
         match &self.vehicle {
-            Some(vehicle) => vehicle.change(z) + blend(learned[a], learned[b]),
+            Some(vehicle) => vehicle.change_in(z, attitude) + blend(learned[a], learned[b]),
             None => blend(f[a].into(), f[b].into()),
         }
     }

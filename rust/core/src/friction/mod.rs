@@ -148,9 +148,11 @@ impl FrictionEstimator {
                     *learned -= vehicle.change(&z);
                 }
             }
+            let mut attitude = None;
             let hypotheses = self.hypotheses.iter().zip(&mut self.white);
             for ((hypothesis, white), squares) in hypotheses.zip(&mut self.squares) {
-                let error = GpOutput::from(*y) - hypothesis.change(&z, f, &self.learned);
+                let error =
+                    GpOutput::from(*y) - hypothesis.change(&z, &mut attitude, f, &self.learned);
                 *white = GpOutput::from_fn(|o, _| whitening.whiten(o, error[o], white[o]));
                 *squares += white.norm_squared();
             }

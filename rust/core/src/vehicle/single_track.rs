@@ -4,8 +4,10 @@ use std::f64::consts::FRAC_PI_2;
 use std::ops::AddAssign;
 
 use egp_parameters::GRAVITY;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::SMatrix;
 
+use super::attitude::Attitude;
+use super::axle::{Axle, Sides};
 use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
 
 /// Slip angles lose their meaning when the vehicle stands; below this speed, m/s, they are taken at it or left alone.
@@ -25,37 +27,6 @@ pub const SINGLE_TRACK_PARAMETERS: usize = 17;
 /// is proportional to it, and their slope at zero slip, `B C D`, does not depend on it.
 const FRICTION_POWERS: [i32; SINGLE_TRACK_PARAMETERS] =
     [0, 0, 0, 0, 0, 1, 1, -1, -1, 1, -1, 0, -1, -1, 1, -1, 0];
-
-/// One axle: where it is, what it carries and how its tyres hold.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Axle {
-    /// Ahead of the centre of mass, m.
-    position: f64,
-    /// 1 where it steers, otherwise 0.
-    steers: f64,
-    /// Load per mass at rest, m/s².
-    load: f64,
-    /// Change of the load with `a_x`.
-    transfer: f64,
-    /// What drive and braking cost of the lateral force.
-    coupling: Sides,
-    friction: f64,
-    stiffness: f64,
-    shape: f64,
-}
-
-/// A parameter that differs between drive and braking: they act on different axles.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Sides {
-    drive: f64,
-    brake: f64,
-}
-
-impl Sides {
-    fn of(self, a: f64) -> f64 {
-        if a > 0.0 { self.drive } else { self.brake }
-    }
-}
 
 /// The change of `[v_x, v_y, omega]` over one period from `z = [v_x, v_y, omega, delta, F_x, delta_dot]`, by one step
 /// of the explicit Euler method with the steering angle of the period's middle.
@@ -86,9 +57,6 @@ pub struct SingleTrack {
     axles: [Axle; 2],
     parameters: [f64; SINGLE_TRACK_PARAMETERS],
 }
-
-/// Derivatives by `v_x, v_y, omega`, the steering angle in the period's middle, and `a`.
-type Gradient = SVector<f64, 5>;
 
 impl SingleTrack {
     /// A vehicle of the parameters `[m, l_f, l_r, k², h]` (kg, m, m, m², m), `D_x` under drive and braking, and for the
@@ -167,7 +135,39 @@ impl SingleTrack {
 
     /// The change of `[v_x, v_y, omega]` over the period.
     pub fn change(&self, z: &GpInput) -> GpOutput {
-        self.change_jacobian(z).0
+        self.change_in(z, &mut None)
+    }
+
+    /// The change, with the attitude at `z` of another vehicle if that has the same body; otherwise with its own, which
+    /// is left in `attitude`.
+    pub(crate) fn change_in(&self, z: &GpInput, attitude: &mut Option<Attitude>) -> GpOutput {
+        let positions = self.axles.map(|axle| axle.position);
+        let shared = attitude.filter(|attitude| attitude.is_of(self.dt, positions));
+        let own = shared.unwrap_or_else(|| Attitude::new(z, self.dt, positions));
+        *attitude = Some(own);
+        let [v_x, v_y, omega, _, force, _] = <[f64; NZ]>::from(*z);
+        let a = force / self.mass;
+        let (a_x, _) = self.longitudinal(a);
+        let mut rate = GpOutput::new(a_x + v_y * omega, -v_x * omega, 0.0);
+        for (axle, direction) in self.axles.iter().zip(own.directions) {
+            let slip = axle.stiffness * (axle.steers * own.steering - direction);
+            let sin = (axle.shape * slip.atan()).sin();
+            let f = axle.friction * axle.left(a).1 * sin * axle.load_at(a_x);
+            let (sin, cos) = if axle.steers > 0.0 {
+                own.turned
+            } else {
+                (0.0, 1.0)
+            };
+            rate += f * GpOutput::new(-sin, cos, axle.position / self.gyration * cos);
+        }
+        rate * self.dt
+    }
+
+    /// `a_x` for `a = F_x / m`, and its derivative.
+    fn longitudinal(&self, a: f64) -> (f64, f64) {
+        let excess = 1.0 + (a / (GRAVITY * self.grip.of(a))).powi(4);
+        let root = excess.sqrt().sqrt();
+        (a / root, 1.0 / (excess * root))
     }
 
     /// The change and its Jacobian.
@@ -175,10 +175,7 @@ impl SingleTrack {
         let [v_x, v_y, omega, delta, force, delta_dot] = <[f64; NZ]>::from(*z);
         let steering = delta + 0.5 * self.dt * delta_dot;
         let a = force / self.mass;
-        let excess = 1.0 + (a / (GRAVITY * self.grip.of(a))).powi(4);
-        let root = excess.sqrt().sqrt();
-        let (a_x, a_x_by_a) = (a / root, 1.0 / (excess * root));
-
+        let (a_x, a_x_by_a) = self.longitudinal(a);
         let mut rate = GpOutput::new(a_x + v_y * omega, -v_x * omega, 0.0);
         let mut slopes = SMatrix::<f64, NY, 5>::zeros();
         (slopes[(0, 1)], slopes[(0, 2)], slopes[(0, 4)]) = (omega, v_y, a_x_by_a);
@@ -199,44 +196,6 @@ impl SingleTrack {
         jacobian.set_column(4, &(slopes.column(4) * (self.dt / self.mass)));
         jacobian.set_column(5, &(slopes.column(3) * (0.5 * self.dt * self.dt)));
         (rate * self.dt, jacobian)
-    }
-}
-
-impl Axle {
-    /// The lateral force per mass of the vehicle, m/s², and its gradient.
-    fn lateral(
-        &self,
-        [v_x, v_y, omega, steering, a]: [f64; 5],
-        [a_x, a_x_by_a]: [f64; 2],
-    ) -> (f64, Gradient) {
-        let v = v_x.max(SLOWEST);
-        let direction = (v_y + self.position * omega) / v;
-        let slip = self.stiffness * (self.steers * steering - direction.atan());
-        let (sin, cos) = (self.shape * slip.atan()).sin_cos();
-        let coupling = self.coupling.of(a);
-        let used = coupling * a / GRAVITY;
-        let left = 1.0 / (1.0 + used.powi(4)).sqrt();
-        let per_load = self.friction * left * sin;
-        let load = self.load + self.transfer * a_x;
-        let by_slip =
-            load * self.friction * left * cos * self.shape * self.stiffness / (1.0 + slip * slip);
-        let by_lateral_speed = -by_slip / ((1.0 + direction * direction) * v);
-        let by_speed = if v_x > SLOWEST {
-            -direction * by_lateral_speed
-        } else {
-            0.0
-        };
-        // Relative; in this order nothing overflows that a force could be.
-        let left_by_a = -2.0 * (used * used * left) * (used * left) * coupling / GRAVITY;
-        let by_a = per_load * (self.transfer * a_x_by_a + load * left_by_a);
-        let by = [
-            by_speed,
-            by_lateral_speed,
-            self.position * by_lateral_speed,
-            self.steers * by_slip,
-            by_a,
-        ];
-        (per_load * load, by.into())
     }
 }
 
