@@ -3,6 +3,7 @@
 use crate::executor::{Executor, for_each};
 use crate::gp::Horizon;
 use crate::library::{Library, Member};
+use crate::vehicle::Batch;
 use crate::{GpInput, GpJacobian, GpOutput, VarianceScratch};
 
 /// Weights that do not define an ensemble.
@@ -41,6 +42,7 @@ pub struct EnsembleVariance {
 #[derive(Clone, Copy, Debug)]
 pub struct Ensemble<'a> {
     members: &'a [Member],
+    vehicles: &'a Batch,
     weights: &'a [f64],
     threshold: f64,
     kept: f64,
@@ -71,6 +73,7 @@ impl<'a> Ensemble<'a> {
         }
         Ok(Self {
             members,
+            vehicles: library.vehicles(),
             weights,
             threshold,
             kept: kept / weights.iter().sum::<f64>(),
@@ -95,11 +98,16 @@ impl<'a> Ensemble<'a> {
 
     /// The active members with their scaled weights.
     pub fn active(&self) -> impl Iterator<Item = (f64, &'a Member)> {
+        self.places().map(|(_, weight, member)| (weight, member))
+    }
+
+    /// The active members with their places in the library and their scaled weights.
+    fn places(&self) -> impl Iterator<Item = (usize, f64, &'a Member)> {
         let (threshold, kept) = (self.threshold, self.kept);
-        let pairs = self.weights.iter().zip(self.members);
+        let pairs = self.weights.iter().zip(self.members).enumerate();
         pairs
-            .filter(move |&(&weight, _)| weight > threshold)
-            .map(move |(&weight, member)| (weight / kept, member))
+            .filter(move |&(_, (&weight, _))| weight > threshold)
+            .map(move |(place, (&weight, member))| (place, weight / kept, member))
     }
 
     /// The scaled weight of a member, 0 unless it is active.
@@ -124,8 +132,10 @@ impl<'a> Ensemble<'a> {
         jacobian.fill(0.0);
         let mut mean = GpOutput::zeros();
         let mut member_jacobian = GpJacobian::zeros();
-        for (weight, member) in self.active() {
-            mean += weight * member.mean_jacobian(z, &mut member_jacobian);
+        let mut vehicles = self.vehicles.tangents(z);
+        for (place, weight, member) in self.places() {
+            let known = vehicles.change_jacobian(place);
+            mean += weight * member.mean_jacobian_beside(known, z, &mut member_jacobian);
             *jacobian += weight * member_jacobian;
         }
         mean

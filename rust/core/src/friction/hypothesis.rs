@@ -1,7 +1,7 @@
 //! The model of a vehicle on a road of a given friction coefficient, from the members.
 
-use crate::vehicle::{Attitude, SingleTrack, VehicleModel};
-use crate::{GpInput, GpOutput, Member, NY};
+use crate::vehicle::{SingleTrack, VehicleModel};
+use crate::{GpOutput, Member, NY};
 
 /// A model for one friction coefficient `mu`:
 ///
@@ -50,20 +50,20 @@ impl Hypothesis {
         })
     }
 
-    /// The change of `[v_x, v_y, omega]` over one period, from the members' predictions `f` and what their GPs added
-    /// to their vehicles. `attitude` is that of the vehicle before at the same `z`, if there is one.
-    pub fn change(
-        &self,
-        z: &GpInput,
-        attitude: &mut Option<Attitude>,
-        f: &[[f64; NY]],
-        learned: &[GpOutput],
-    ) -> GpOutput {
+    /// `vehicle_mu`, unless a neighbour has no single-track vehicle.
+    pub fn vehicle(&self) -> Option<VehicleModel> {
+        self.vehicle.map(VehicleModel::SingleTrack)
+    }
+
+    /// The change of `[v_x, v_y, omega]` over one period, from that of `vehicle_mu`, the members' predictions `f` and what
+    /// their GPs added to their vehicles.
+    pub fn change(&self, vehicle: GpOutput, f: &[[f64; NY]], learned: &[GpOutput]) -> GpOutput {
         let blend = |a: GpOutput, b: GpOutput| a + (b - a) * self.share;
         let [a, b] = self.members;
-        match &self.vehicle {
-            Some(vehicle) => vehicle.change_in(z, attitude) + blend(learned[a], learned[b]),
-            None => blend(f[a].into(), f[b].into()),
+        if self.vehicle.is_some() {
+            vehicle + blend(learned[a], learned[b])
+        } else {
+            blend(f[a].into(), f[b].into())
         }
     }
 }

@@ -23,8 +23,9 @@ use egp_parameters::{
 use hypothesis::Hypothesis;
 
 use crate::settings::WeightSettings;
+use crate::vehicle::Batch;
 use crate::weights::WindowNoise;
-use crate::{GpInput, GpOutput, Library, Member, NY};
+use crate::{GpInput, GpOutput, Library, NY};
 
 /// Reciprocal of the power of the likelihood. With 1.6 the 90 % interval contains the true value in 90 % of the informed
 /// windows, with 2 in 93 %, with 3 in 97 % (`tests/bench/calibration.py`).
@@ -82,8 +83,12 @@ impl Default for FrictionEstimate {
 pub struct FrictionEstimator {
     noise: WindowNoise,
     hypotheses: Vec<Hypothesis>,
+    /// The vehicles of the hypotheses, then those of the members.
+    vehicles: Batch,
     /// Position of each point of the density, counted in hypotheses.
     positions: Vec<f64>,
+    /// The changes by the vehicles, zero where there is none.
+    changes: Vec<GpOutput>,
     /// Part of each member's prediction that is not its vehicle's.
     learned: Vec<GpOutput>,
     /// Whitened error of the last transition, for each hypothesis.
@@ -101,13 +106,17 @@ impl FrictionEstimator {
         let (low, high) = RANGE;
         let gap = (high / low).ln() / (HYPOTHESES - 1) as f64;
         let members = library.members();
-        let hypotheses = friction_hypotheses()
+        let hypotheses: Vec<_> = friction_hypotheses()
             .iter()
             .filter_map(|mu| Hypothesis::new(*mu, members))
             .collect();
+        let vehicles = hypotheses.iter().map(Hypothesis::vehicle);
+        let of_members = members.iter().map(|member| member.vehicle().copied());
         let positions = (0..POINTS).map(|i| (point(i) / low).ln() / gap).collect();
         Self {
             noise: WindowNoise::largest(library, settings),
+            vehicles: Batch::new(vehicles.chain(of_members), library.dt()),
+            changes: vec![GpOutput::zeros(); hypotheses.len() + members.len()],
             hypotheses,
             positions,
             learned: vec![GpOutput::zeros(); members.len()],
@@ -128,7 +137,6 @@ impl FrictionEstimator {
     /// Without transitions this is the prior. Transitions beyond the window are ignored.
     pub fn estimate(
         &mut self,
-        members: &[Member],
         z: &[[f64; 6]],
         predictions: &[f64],
         measured: &[[f64; NY]],
@@ -138,21 +146,20 @@ impl FrictionEstimator {
         self.squares.fill(0.0);
         let mut transitions = 0;
         let rows = self.noise.rows(predictions, measured, previous);
-        let windows = predictions.chunks_exact(members.len() * NY).zip(measured);
+        let windows = predictions
+            .chunks_exact(self.learned.len() * NY)
+            .zip(measured);
         for ((whitening, (row, y)), z) in rows.zip(windows).zip(z) {
             let z = GpInput::from(*z);
             let f = row.as_chunks().0;
-            for ((learned, member), f) in self.learned.iter_mut().zip(members).zip(f) {
-                *learned = GpOutput::from(*f);
-                if let Some(vehicle) = member.vehicle() {
-                    *learned -= vehicle.change(&z);
-                }
+            self.vehicles.changes(&z, &mut self.changes);
+            let (changes, of_members) = self.changes.split_at(self.hypotheses.len());
+            for ((learned, change), f) in self.learned.iter_mut().zip(of_members).zip(f) {
+                *learned = GpOutput::from(*f) - change;
             }
-            let mut attitude = None;
-            let hypotheses = self.hypotheses.iter().zip(&mut self.white);
-            for ((hypothesis, white), squares) in hypotheses.zip(&mut self.squares) {
-                let error =
-                    GpOutput::from(*y) - hypothesis.change(&z, &mut attitude, f, &self.learned);
+            let hypotheses = self.hypotheses.iter().zip(changes).zip(&mut self.white);
+            for (((hypothesis, change), white), squares) in hypotheses.zip(&mut self.squares) {
+                let error = GpOutput::from(*y) - hypothesis.change(*change, f, &self.learned);
                 *white = GpOutput::from_fn(|o, _| whitening.whiten(o, error[o], white[o]));
                 *squares += white.norm_squared();
             }

@@ -161,9 +161,20 @@ impl Member {
     }
 
     /// The predictive mean at `z` and its Jacobian, both in physical units.
+    pub fn mean_jacobian(&self, z: &GpInput, jacobian: &mut GpJacobian) -> GpOutput {
+        let known = self.vehicle.as_ref().map(|known| known.change_jacobian(z));
+        self.mean_jacobian_beside(known, z, jacobian)
+    }
+
+    /// Like [`Self::mean_jacobian`], with the change and the Jacobian of the member's vehicle, if it has one.
     ///
     /// For the GPs by the chain rule `∂y_o/∂z_d = target_std_o / input_std_d · ∂ŷ_o/∂ẑ_d`.
-    pub fn mean_jacobian(&self, z: &GpInput, jacobian: &mut GpJacobian) -> GpOutput {
+    pub(crate) fn mean_jacobian_beside(
+        &self,
+        known: Option<(GpOutput, GpJacobian)>,
+        z: &GpInput,
+        jacobian: &mut GpJacobian,
+    ) -> GpOutput {
         let scaled = self.gp.mean_jacobian(&self.input_scaler.scale(z), jacobian);
         for o in 0..NY {
             for d in 0..NZ {
@@ -171,10 +182,9 @@ impl Member {
             }
         }
         let learned = self.target_scaler.unscale(&scaled);
-        let Some(known) = &self.vehicle else {
+        let Some((change, slopes)) = known else {
             return learned;
         };
-        let (change, slopes) = known.change_jacobian(z);
         *jacobian += slopes;
         change + learned
     }

@@ -23,6 +23,7 @@ pub use metadata::{MemberMetadata, Metadata, PriorMean, Signal};
 pub use subset::subset;
 
 use crate::Kernel;
+use crate::vehicle::Batch;
 
 /// A verified library, ready for predictions.
 #[derive(Clone, Debug)]
@@ -31,6 +32,7 @@ pub struct Library {
     kernel: Kernel,
     metadata: Metadata,
     members: Vec<Member>,
+    vehicles: Batch,
 }
 
 impl Library {
@@ -55,9 +57,11 @@ impl Library {
             verify::check_golden(data, &member, i)?;
             members.push(member);
         }
+        let vehicles = members.iter().map(|member| member.vehicle().copied());
         Ok(Self {
             id: hash(bytes),
             kernel,
+            vehicles: Batch::new(vehicles, metadata.dt),
             metadata,
             members,
         })
@@ -86,6 +90,11 @@ impl Library {
     /// The members, in the order of the weights.
     pub fn members(&self) -> &[Member] {
         &self.members
+    }
+
+    /// The members' vehicles, in the same order.
+    pub(crate) fn vehicles(&self) -> &Batch {
+        &self.vehicles
     }
 
     /// Units, names, vehicle, provenance.

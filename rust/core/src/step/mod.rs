@@ -185,13 +185,9 @@ fn estimate_weights(
         &ws.previous,
         &mut reply.weights,
     );
-    reply.friction = ws.friction.estimate(
-        members,
-        history_z,
-        &reply.history_f,
-        rows.history_y,
-        &ws.previous,
-    );
+    reply.friction =
+        ws.friction
+            .estimate(history_z, &reply.history_f, rows.history_y, &ws.previous);
     if settings.weights.whiten && !ws.estimator.informed(&reply.weights) {
         reply.weights.copy_from_slice(&ws.previous);
     }

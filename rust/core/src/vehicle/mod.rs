@@ -1,8 +1,8 @@
 //! The vehicle of eq. (11): where each quantity stands, known kinematics, the vehicles that a member may contain, and the
 //! frame the step works in.
 
-mod attitude;
-mod axle;
+mod axles;
+mod batch;
 mod frame;
 mod kinematic;
 mod kinematics;
@@ -10,7 +10,7 @@ mod model;
 mod single_track;
 mod tyre_limits;
 
-pub(crate) use attitude::Attitude;
+pub(crate) use batch::Batch;
 pub use frame::{Frame, wrap};
 pub use kinematic::{KINEMATIC_PARAMETERS, Kinematic};
 pub use kinematics::{gp_input, jacobians, successor};

@@ -4,11 +4,10 @@ use std::f64::consts::FRAC_PI_2;
 use std::ops::AddAssign;
 
 use egp_parameters::GRAVITY;
-use nalgebra::SMatrix;
+use nalgebra::{SMatrix, SVector};
 
-use super::attitude::Attitude;
-use super::axle::{Axle, Sides};
-use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
+use super::axles::{Axle, Axles, Forces, Motion, Sides, Slopes};
+use crate::{GpInput, GpJacobian, GpOutput, NY};
 
 /// Slip angles lose their meaning when the vehicle stands; below this speed, m/s, they are taken at it or left alone.
 pub const SLOWEST: f64 = 3.0;
@@ -135,67 +134,80 @@ impl SingleTrack {
 
     /// The change of `[v_x, v_y, omega]` over the period.
     pub fn change(&self, z: &GpInput) -> GpOutput {
-        self.change_in(z, &mut None)
-    }
-
-    /// The change, with the attitude at `z` of another vehicle if that has the same body; otherwise with its own, which
-    /// is left in `attitude`.
-    pub(crate) fn change_in(&self, z: &GpInput, attitude: &mut Option<Attitude>) -> GpOutput {
-        let positions = self.axles.map(|axle| axle.position);
-        let shared = attitude.filter(|attitude| attitude.is_of(self.dt, positions));
-        let own = shared.unwrap_or_else(|| Attitude::new(z, self.dt, positions));
-        *attitude = Some(own);
-        let [v_x, v_y, omega, _, force, _] = <[f64; NZ]>::from(*z);
-        let a = force / self.mass;
-        let (a_x, _) = self.longitudinal(a);
-        let mut rate = GpOutput::new(a_x + v_y * omega, -v_x * omega, 0.0);
-        for (axle, direction) in self.axles.iter().zip(own.directions) {
-            let slip = axle.stiffness * (axle.steers * own.steering - direction);
-            let sin = (axle.shape * slip.atan()).sin();
-            let f = axle.friction * axle.left(a).1 * sin * axle.load_at(a_x);
-            let (sin, cos) = if axle.steers > 0.0 {
-                own.turned
-            } else {
-                (0.0, 1.0)
-            };
-            rate += f * GpOutput::new(-sin, cos, axle.position / self.gyration * cos);
-        }
-        rate * self.dt
-    }
-
-    /// `a_x` for `a = F_x / m`, and its derivative.
-    fn longitudinal(&self, a: f64) -> (f64, f64) {
-        let excess = 1.0 + (a / (GRAVITY * self.grip.of(a))).powi(4);
-        let root = excess.sqrt().sqrt();
-        (a / root, 1.0 / (excess * root))
+        let motion = Motion::new(z, self.dt);
+        let forces = Self::axles(|_| self).forces(&motion);
+        self.change_by(&motion, &forces, 0)
     }
 
     /// The change and its Jacobian.
     pub fn change_jacobian(&self, z: &GpInput) -> (GpOutput, GpJacobian) {
-        let [v_x, v_y, omega, delta, force, delta_dot] = <[f64; NZ]>::from(*z);
-        let steering = delta + 0.5 * self.dt * delta_dot;
-        let a = force / self.mass;
-        let (a_x, a_x_by_a) = self.longitudinal(a);
+        let motion = Motion::new(z, self.dt);
+        let (forces, slopes) = Self::axles(|_| self).forces_and_slopes(&motion);
+        self.change_jacobian_by(&motion, &forces, &slopes, 0)
+    }
+
+    /// The axles of several vehicles.
+    pub(super) fn axles<'a>(of: impl Fn(usize) -> &'a Self) -> Axles {
+        Axles::new(|place| (of(place).mass, of(place).grip, of(place).axles))
+    }
+
+    /// The change from the forces of the axles, of which this vehicle's are at the given place.
+    pub(super) fn change_by(&self, motion: &Motion, forces: &Forces, place: usize) -> GpOutput {
+        let Motion {
+            v_x, v_y, omega, ..
+        } = *motion;
+        let a_x = forces.longitudinal[2 * place];
         let mut rate = GpOutput::new(a_x + v_y * omega, -v_x * omega, 0.0);
-        let mut slopes = SMatrix::<f64, NY, 5>::zeros();
-        (slopes[(0, 1)], slopes[(0, 2)], slopes[(0, 4)]) = (omega, v_y, a_x_by_a);
-        (slopes[(1, 0)], slopes[(1, 2)]) = (-omega, -v_x);
-        for axle in &self.axles {
-            let (f, by) = axle.lateral([v_x, v_y, omega, steering, a], [a_x, a_x_by_a]);
-            let (sin, cos) = (axle.steers * steering).sin_cos();
-            let lever = axle.position / self.gyration;
-            rate += f * GpOutput::new(-sin, cos, lever * cos);
-            slopes += GpOutput::new(-sin, cos, lever * cos) * by.transpose();
-            let turned = f * axle.steers * GpOutput::new(-cos, -sin, -lever * sin);
-            slopes.column_mut(3).add_assign(&turned);
+        for (axle, f) in self.axles.iter().zip(&forces.lateral[2 * place..]) {
+            rate += *f * self.across(axle, motion);
+        }
+        rate * self.dt
+    }
+
+    /// Like [`Self::change_by`], with the Jacobian.
+    pub(super) fn change_jacobian_by(
+        &self,
+        motion: &Motion,
+        forces: &Forces,
+        slopes: &Slopes,
+        place: usize,
+    ) -> (GpOutput, GpJacobian) {
+        let Motion {
+            v_x, v_y, omega, ..
+        } = *motion;
+        // By v_x, v_y, omega, the steering angle, and a.
+        let mut by = SMatrix::<f64, NY, 5>::zeros();
+        let a_x_by_a = slopes.longitudinal[2 * place];
+        (by[(0, 1)], by[(0, 2)], by[(0, 4)]) = (omega, v_y, a_x_by_a);
+        (by[(1, 0)], by[(1, 2)]) = (-omega, -v_x);
+        for (lane, axle) in (2 * place..).zip(&self.axles) {
+            let [speed, lateral, steering, a] = slopes.lateral.map(|slope| slope[lane]);
+            let gradient = SVector::from([speed, lateral, axle.position * lateral, steering, a]);
+            by += self.across(axle, motion) * gradient.transpose();
+            if axle.steers > 0.0 {
+                let (sin, cos) = motion.turned;
+                let lever = axle.position / self.gyration;
+                let turning = forces.lateral[lane] * GpOutput::new(-cos, -sin, -lever * sin);
+                by.column_mut(3).add_assign(&turning);
+            }
         }
         let mut jacobian = GpJacobian::zeros();
         jacobian
             .fixed_columns_mut::<4>(0)
-            .copy_from(&(slopes.fixed_columns::<4>(0) * self.dt));
-        jacobian.set_column(4, &(slopes.column(4) * (self.dt / self.mass)));
-        jacobian.set_column(5, &(slopes.column(3) * (0.5 * self.dt * self.dt)));
-        (rate * self.dt, jacobian)
+            .copy_from(&(by.fixed_columns::<4>(0) * self.dt));
+        jacobian.set_column(4, &(by.column(4) * (self.dt / self.mass)));
+        jacobian.set_column(5, &(by.column(3) * (0.5 * self.dt * self.dt)));
+        (self.change_by(motion, forces, place), jacobian)
+    }
+
+    /// Accelerations of `[v_x, v_y, omega]` by a unit of lateral force per mass at the axle.
+    fn across(&self, axle: &Axle, motion: &Motion) -> GpOutput {
+        let (sin, cos) = if axle.steers > 0.0 {
+            motion.turned
+        } else {
+            (0.0, 1.0)
+        };
+        GpOutput::new(-sin, cos, axle.position / self.gyration * cos)
     }
 }
 
@@ -203,6 +215,7 @@ impl SingleTrack {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::NZ;
 
     const CAR: [f64; SINGLE_TRACK_PARAMETERS] = [
         1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
@@ -340,11 +353,12 @@ mod tests {
             (parameters[9], parameters[11]) = (front, shape);
             (parameters[14], parameters[16]) = (rear, shape);
             let car = SingleTrack::new(&parameters, 0.02);
-            let most = car.axles.map(|axle| {
-                let sideways = |i: i32| [20.0, -0.05 * f64::from(i), 0.0, 0.0, 0.0];
-                (0..20_000)
-                    .map(|i| axle.lateral(sideways(i), [0.0; 2]).0)
-                    .fold(0.0, f64::max)
+            let axles = SingleTrack::axles(|_| &car);
+            let most = (0..20_000).fold([0.0, 0.0], |most: [f64; 2], i| {
+                let v_y = -0.05 * f64::from(i);
+                let z = GpInput::new(20.0, v_y, 0.0, 0.0, 0.0, 0.0);
+                let forces = axles.forces(&Motion::new(&z, 0.02)).lateral;
+                [most[0].max(forces[0]), most[1].max(forces[1])]
             });
             let [l_f, l_r] = car.axles.map(|axle| axle.position.abs());
             let sum = (most[0] * (1.0 + l_f / l_r)).min(most[1] * (1.0 + l_r / l_f));

@@ -88,7 +88,6 @@ fn estimate(library: &Library, truth: &Library, z: &[[f64; 6]]) -> FrictionEstim
         .collect();
     let previous = vec![1.0 / members.len() as f64; members.len()];
     FrictionEstimator::new(library, &WeightSettings::default()).estimate(
-        members,
         z,
         &predictions,
         &changes(&truth.members()[0], z),
