@@ -55,11 +55,10 @@ impl Gp {
     /// √q - √ρ <= σ(z) <= √q + √ρ,     q = l(z)ᵀ l(z) - c(z)ᵀ G c(z),
     /// R Rᵀ = K_NN,   l(z) = R⁻¹ k(N, z),   c(z) = R⁻ᵀ l(z),   G = wᵀ w,   w = L⁻¹ k(X, N)
     /// ```
-    /// `q` is the posterior variance of the first term, and `ρ = k(z, z) - |l(z)|²`. Nodes are added where `ρ` relative
-    /// to the known variance is largest until `2 √(q ρ) + ρ` is below the tolerance at all stages. The first nodes are
-    /// those that are needed whatever the data, so that they share one pass over the inverse factor, by far the longest
-    /// part; each later pass takes as many as `q` of the pass before asks for. With all stages as nodes the result is
-    /// exact.
+    /// `q` is the posterior variance of the first term, and `ρ = k(z, z) - |l(z)|²`. The excess `2 √(q ρ) + ρ` is at most
+    /// `TOLERANCE · (q + floor)` for every `q` if `ρ (1 + 1 / TOLERANCE) <= TOLERANCE · floor`. Nodes are added where `ρ`
+    /// relative to the floor is largest until this holds at all stages. All of them are then multiplied by the inverse
+    /// factor in one pass over it, which is by far the longest part. With all stages as nodes the result is exact.
     pub(crate) fn variance_bounds(
         &self,
         floor: &[GpOutput],
@@ -75,37 +74,19 @@ impl Gp {
                     .copied()
                     .fold(f64::INFINITY, f64::min)
             };
-            let prior = covariance.outputscale;
-            while scratch.exceeds_whatever_the_data(prior, floor)
-                && self.add_node(covariance, floor, scratch)
-            {}
-            scratch.add_data(covariance, 0);
-            loop {
-                let before = scratch.nodes.len();
-                while scratch.exceeds(floor) && self.add_node(covariance, floor, scratch) {}
-                if scratch.nodes.len() == before {
-                    break;
-                }
-                scratch.add_data(covariance, before);
+            while let Some(node) = scratch.next_node(covariance.outputscale, floor) {
+                self.add_node(covariance, node, scratch);
             }
+            scratch.add_data(covariance);
             for (t, out) in out.iter_mut().enumerate() {
-                let bound = scratch.variance[t] + scratch.excess(t, scratch.variance[t]);
-                out.as_mut_slice()[outputs.clone()].fill(bound.min(prior));
+                let bound = scratch.variance[t] + scratch.excess(t);
+                out.as_mut_slice()[outputs.clone()].fill(bound.min(covariance.outputscale));
             }
         }
     }
 
-    /// Conditions the prior at the stages on the next node and computes the node's covariances with the training points.
-    /// Returns whether there is such a node.
-    fn add_node(
-        &self,
-        covariance: &Covariance,
-        floor: impl Fn(usize) -> f64,
-        scratch: &mut Horizon,
-    ) -> bool {
-        let Some(node) = scratch.next_node(covariance.outputscale, floor) else {
-            return false;
-        };
+    /// Conditions the prior at the stages on a node and computes the node's covariances with the training points.
+    fn add_node(&self, covariance: &Covariance, node: usize, scratch: &mut Horizon) {
         let blocks = self.points.blocks().len();
         let query = covariance.metric.query(&scratch.z[node]);
         wide(CovarianceRow {
@@ -125,7 +106,6 @@ impl Gp {
             row: &mut scratch.covariances[scratch.nodes.len() * blocks..][..blocks],
         });
         scratch.condition(node);
-        true
     }
 }
 
@@ -154,27 +134,17 @@ impl Horizon {
     }
 
     /// Excess of the bound over `q` at a stage.
-    fn excess(&self, t: usize, q: f64) -> f64 {
-        2.0 * (q * self.residual[t]).sqrt() + self.residual[t]
+    fn excess(&self, t: usize) -> f64 {
+        2.0 * (self.variance[t] * self.residual[t]).sqrt() + self.residual[t]
     }
 
-    fn exceeds(&self, floor: impl Fn(usize) -> f64) -> bool {
-        let q = |t: usize| self.variance[t];
-        (0..self.z.len()).any(|t| self.excess(t, q(t)) > TOLERANCE * (q(t) + floor(t)))
-    }
-
-    /// Whether a stage exceeds the tolerance with every `q` between zero and the prior variance. The difference is a
-    /// concave function of `q`, so that the two ends tell.
-    fn exceeds_whatever_the_data(&self, prior: f64, floor: impl Fn(usize) -> f64) -> bool {
-        let exceeds = |t: usize, q: f64| self.excess(t, q) > TOLERANCE * (q + floor(t));
-        (0..self.z.len()).any(|t| exceeds(t, 0.0) && exceeds(t, prior))
-    }
-
-    /// The stage with the largest residual prior variance relative to its known variance.
+    /// The stage that exceeds the tolerance most if one does.
     fn next_node(&self, outputscale: f64, floor: impl Fn(usize) -> f64) -> Option<usize> {
-        let score = |t: usize| self.residual[t] / (self.variance[t] + floor(t));
+        let score = |t: usize| self.residual[t] / floor(t);
+        let exceeds = |t: &usize| score(*t) * (1.0 + 1.0 / TOLERANCE) > TOLERANCE;
         (0..self.z.len())
             .filter(|&t| self.residual[t] > SMALLEST_PIVOT * outputscale)
+            .filter(exceeds)
             .max_by(|&a, &b| score(a).total_cmp(&score(b)))
     }
 
@@ -197,15 +167,15 @@ impl Horizon {
         self.nodes.push(node);
     }
 
-    /// Conditions the nodes from `first` on the training data: columns of `w`, rows of `G`, and `q` at all stages.
-    fn add_data(&mut self, covariance: &Covariance, first: usize) {
+    /// Conditions the nodes on the training data: columns of `w`, rows of `G`, and `q` at all stages.
+    fn add_data(&mut self, covariance: &Covariance) {
         let (stages, nodes) = (self.z.len(), self.nodes.len());
         let blocks = self.covariances.len() / stages;
-        let new = first * blocks..nodes * blocks;
+        let all = nodes * blocks;
         covariance
             .inverse
-            .products(&self.covariances[new.clone()], &mut self.whitened[new]);
-        for j in first..nodes {
+            .products(&self.covariances[..all], &mut self.whitened[..all]);
+        for j in 0..nodes {
             let (row, column) = (j * stages, &self.whitened[j * blocks..][..blocks]);
             let known = &self.whitened[..(j + 1) * blocks];
             dots(column, known, &mut self.gram[row..=row + j]);
