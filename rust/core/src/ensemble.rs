@@ -110,16 +110,6 @@ impl<'a> Ensemble<'a> {
             .map(move |(place, (&weight, member))| (place, weight / kept, member))
     }
 
-    /// The scaled weight of a member, 0 unless it is active.
-    fn share(&self, member: usize) -> f64 {
-        let weight = self.weights[member];
-        if weight > self.threshold {
-            weight / self.kept
-        } else {
-            0.0
-        }
-    }
-
     /// The mean, eq. (3): `Σ w μ(z)`, in output units.
     pub fn mean(&self, z: &GpInput) -> GpOutput {
         self.active()
@@ -173,48 +163,48 @@ impl<'a> Ensemble<'a> {
         executor: &dyn Executor,
     ) {
         let MixtureScratch {
-            means,
+            active,
             disagreement,
             members,
         } = scratch;
-        for buffer in [&mut *means, &mut *disagreement] {
-            buffer.clear();
-            buffer.resize(z.len(), GpOutput::zeros());
-        }
-        let library = stage(0).members;
-        let active = || {
-            let used = |i: &usize| (0..z.len()).any(|t| stage(t).share(*i) > 0.0);
-            (0..library.len()).filter(used)
-        };
-        let count = active().count();
-        // The disagreement of a single member is zero.
-        for i in active().filter(|_| count > 1) {
-            for (t, (mean, disagreement)) in means.iter_mut().zip(&mut *disagreement).enumerate() {
-                let weight = stage(t).share(i);
-                if weight > 0.0 {
-                    let sum = (0..=i).map(|j| stage(t).share(j)).sum();
-                    disagree(weight, sum, &library[i].mean(&z[t]), mean, disagreement);
+        active.clear();
+        disagreement.clear();
+        for (t, z) in z.iter().enumerate() {
+            let ensemble = stage(t);
+            let several = ensemble.places().nth(1).is_some();
+            let (mut sum, mut mean, mut spread) = (0.0, GpOutput::zeros(), GpOutput::zeros());
+            for (place, weight, member) in ensemble.places() {
+                if let Err(position) = active.binary_search(&place) {
+                    active.insert(position, place);
+                }
+                // The disagreement of a single member is zero.
+                if several {
+                    sum += weight;
+                    disagree(weight, sum, &member.mean(z), &mut mean, &mut spread);
                 }
             }
+            disagreement.push(spread);
         }
-        out.copy_from_slice(disagreement);
-        if members.len() < count {
-            members.resize_with(count, MemberScratch::default);
+        if members.len() < active.len() {
+            members.resize_with(active.len(), MemberScratch::default);
         }
-        let squares = |i: usize| library[i].n_points() * library[i].n_points();
-        let work = active().map(squares).sum::<usize>() / SQUARES_PER_NANOSECOND;
-        let parts = active().zip(&mut *members);
+        let library = stage(0).members;
+        let squares = |i: &usize| library[*i].n_points() * library[*i].n_points();
+        let work = active.iter().map(squares).sum::<usize>() / SQUARES_PER_NANOSECOND;
+        let parts = active.iter().zip(&mut *members);
         for_each(executor, work, parts, |(i, memory)| {
-            let member = &library[i];
             memory.bounds.clear();
             memory.bounds.resize(z.len(), GpOutput::zeros());
             let (horizon, floor) = (&mut memory.horizon, &mut memory.floor);
-            member.variance_bounds(z, disagreement, horizon, floor, &mut memory.bounds);
+            library[*i].variance_bounds(z, disagreement, horizon, floor, &mut memory.bounds);
         });
-        for (i, memory) in active().zip(members) {
-            let noise = library[i].noise_std().map(|std| std * std);
-            for (t, (out, bound)) in out.iter_mut().zip(&memory.bounds).enumerate() {
-                *out += stage(t).share(i) * (bound + noise);
+        for (t, (out, disagreement)) in out.iter_mut().zip(disagreement).enumerate() {
+            *out = *disagreement;
+            for (place, weight, member) in stage(t).places() {
+                if let Ok(position) = active.binary_search(&place) {
+                    let noise = member.noise_std().map(|std| std * std);
+                    *out += weight * (members[position].bounds[t] + noise);
+                }
             }
         }
     }
@@ -223,7 +213,8 @@ impl<'a> Ensemble<'a> {
 /// Memory for [`Ensemble::mixture_bounds`]; grows at its first use and is then reused.
 #[derive(Clone, Debug, Default)]
 pub struct MixtureScratch {
-    means: Vec<GpOutput>,
+    /// Places in the library of the members that are active at any stage, ascending.
+    active: Vec<usize>,
     disagreement: Vec<GpOutput>,
     members: Vec<MemberScratch>,
 }
