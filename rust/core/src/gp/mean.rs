@@ -130,6 +130,11 @@ impl<const N: usize> WeightedSums<'_, N> {
         {
             *total = simd.sum(*sum);
         }
+        if P::SLOPE_IS_VALUE {
+            for total in &mut totals {
+                total[0] = total[1];
+            }
+        }
         totals
     }
 
@@ -142,7 +147,9 @@ impl<const N: usize> WeightedSums<'_, N> {
             for o in 0..N {
                 let weights = simd.load(&self.weights[o][i]);
                 slopes[o] = simd.mul(slope, weights);
-                sums[o][0] = simd.mul_add(value, weights, sums[o][0]);
+                if !P::SLOPE_IS_VALUE {
+                    sums[o][0] = simd.mul_add(value, weights, sums[o][0]);
+                }
                 sums[o][1] = simd.add(sums[o][1], slopes[o]);
             }
             // Each coordinate is loaded once for all outputs: with three outputs, loads limit the speed.
@@ -176,7 +183,9 @@ impl<const N: usize> WeightedSums<'_, N> {
             for o in 0..N {
                 let [mut value, mut slope, mut moments @ ..] = sums[o];
                 for i in 0..blocks.len() {
-                    value = simd.mul_add(values[i], weights(o, i), value);
+                    if !P::SLOPE_IS_VALUE {
+                        value = simd.mul_add(values[i], weights(o, i), value);
+                    }
                     slope = simd.add(slope, slopes[o][i]);
                 }
                 for (slope, block) in slopes[o].iter().zip(blocks) {

@@ -15,6 +15,7 @@ pub(crate) struct Matern52;
 impl Profile for Matern52 {
     const SCALE: f64 = 5.0;
     const SLOPE: f64 = -5.0 / 6.0;
+    const SLOPE_IS_VALUE: bool = false;
 
     #[inline(always)]
     fn value<S: Simd>(simd: S, t: S::V) -> S::V {

@@ -30,6 +30,8 @@ pub(crate) trait Profile {
     const SCALE: f64;
     /// Constant factor of the slope.
     const SLOPE: f64;
+    /// Whether slope and value are the same number, so that one sum serves for both.
+    const SLOPE_IS_VALUE: bool;
     /// `φ` for a block of points.
     fn value<S: Simd>(simd: S, t: S::V) -> S::V;
     /// `φ` and `dφ/d(r²) / SLOPE` for a block of points; they share the exponential.

@@ -13,6 +13,7 @@ pub(crate) struct Rbf;
 impl Profile for Rbf {
     const SCALE: f64 = -0.5 * LOG2_E;
     const SLOPE: f64 = -0.5;
+    const SLOPE_IS_VALUE: bool = true;
 
     #[inline(always)]
     fn value<S: Simd>(simd: S, t: S::V) -> S::V {
