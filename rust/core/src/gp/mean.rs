@@ -118,7 +118,7 @@ impl<const N: usize> WeightedSums<'_, N> {
     fn with<P: Profile, S: Simd>(self, simd: S) -> [[f64; SUMS]; N] {
         let mut sums = [[simd.splat(0.0); SUMS]; N];
         if S::REGISTERS > N * SUMS {
-            self.in_one_pass::<P, S>(simd, &mut sums);
+            self.in_two_passes::<P, S>(simd, &mut sums);
         } else {
             self.in_passes::<P, S>(simd, &mut sums);
         }
@@ -138,32 +138,50 @@ impl<const N: usize> WeightedSums<'_, N> {
         totals
     }
 
-    /// All sums at once.
+    /// Kernel values and `Σ w φ` for some blocks of points, then the other sums of all outputs over these blocks: both
+    /// passes have registers for their sums, and the first for several blocks of independent operations.
+    #[allow(clippy::needless_range_loop)] // the loops read like the sums
     #[inline(always)]
-    fn in_one_pass<P: Profile, S: Simd>(self, simd: S, sums: &mut [[S::V; SUMS]; N]) {
-        for (i, (block, norms)) in self.blocks.iter().zip(self.norms).enumerate() {
-            let (value, slope) = P::value_slope(simd, self.query.distances(simd, block, norms));
-            let mut slopes = [slope; N];
-            for o in 0..N {
-                let weights = simd.load(&self.weights[o][i]);
-                slopes[o] = simd.mul(slope, weights);
+    fn in_two_passes<P: Profile, S: Simd>(self, simd: S, sums: &mut [[S::V; SUMS]; N]) {
+        let mut slopes = [simd.splat(0.0); CHUNK];
+        let chunks = self.blocks.chunks(CHUNK).zip(self.norms.chunks(CHUNK));
+        for (chunk, (blocks, norms)) in chunks.enumerate() {
+            let weights = |o: usize, i: usize| simd.load(&self.weights[o][chunk * CHUNK + i]);
+            let mut values = sums.map(|sums| sums[0]);
+            for (i, (block, norms)) in blocks.iter().zip(norms).enumerate() {
+                let distances = self.query.distances(simd, block, norms);
+                let (value, slope) = P::value_slope(simd, distances);
+                slopes[i] = slope;
                 if !P::SLOPE_IS_VALUE {
-                    sums[o][0] = simd.mul_add(value, weights, sums[o][0]);
+                    for o in 0..N {
+                        values[o] = simd.mul_add(value, weights(o, i), values[o]);
+                    }
                 }
-                sums[o][1] = simd.add(sums[o][1], slopes[o]);
             }
-            // Each coordinate is loaded once for all outputs: with three outputs, loads limit the speed.
-            for (d, x) in block.iter().enumerate() {
-                let x = simd.load(x);
+            let mut others = sums.map(|[_, others @ ..]| others);
+            for (i, (block, slope)) in blocks.iter().zip(&slopes).enumerate() {
+                let mut weighted = [*slope; N];
                 for o in 0..N {
-                    sums[o][2 + d] = simd.mul_add(slopes[o], x, sums[o][2 + d]);
+                    weighted[o] = simd.mul(*slope, weights(o, i));
+                    others[o][0] = simd.add(others[o][0], weighted[o]);
                 }
+                // Each coordinate is loaded once for all outputs: with three outputs, loads limit the speed.
+                for (d, x) in block.iter().enumerate() {
+                    let x = simd.load(x);
+                    for o in 0..N {
+                        others[o][1 + d] = simd.mul_add(weighted[o], x, others[o][1 + d]);
+                    }
+                }
+            }
+            for o in 0..N {
+                let [slope, a, b, c, d, e, f] = others[o];
+                sums[o] = [values[o], slope, a, b, c, d, e, f];
             }
         }
     }
 
-    /// The same sums in the same order, from kernel values that are stored for some blocks of points: the moments, which
-    /// are most of the work, then have the registers to themselves.
+    /// The same sums in the same order, output by output, for few registers: the moments of one output, which are most of
+    /// the work, have them to themselves.
     #[allow(clippy::needless_range_loop)] // the loops read like the sums
     #[inline(always)]
     fn in_passes<P: Profile, S: Simd>(self, simd: S, sums: &mut [[S::V; SUMS]; N]) {
