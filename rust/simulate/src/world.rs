@@ -276,17 +276,13 @@ impl World<'_> {
     /// The oracles that need no command.
     fn check(&mut self, v: usize) {
         let now = self.now;
-        let sound = |r: usize, process: &Process| {
+        let reached = |(r, process): (usize, &Process)| {
             let link = self.links[v][r];
-            process.sound_since.filter(|_| link.cut + link.half == 0)
+            let open = link.cut + link.half == 0;
+            Some(process.sound_since.filter(|_| open)?.max(link.since))
         };
-        let since = self
-            .replicas
-            .iter()
-            .enumerate()
-            .filter_map(|(r, p)| sound(r, p));
-        let link_since = self.links[v].iter().map(|link| link.since).max();
-        let since = since.min().max(link_since);
+        // The longest time for which one sound replica was within reach; none if there is no such replica.
+        let since = self.replicas.iter().enumerate().filter_map(reached).min();
         let vehicle = &self.vehicles[v];
         let replied = since.map(|since| since.max(vehicle.witness.replied));
         if replied.is_some_and(|last| now.saturating_sub(last) > STARVING) {

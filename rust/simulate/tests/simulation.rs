@@ -89,6 +89,23 @@ fn scheduled_faults_replace_those_of_the_seed() {
     assert!(error.to_string().contains("--vehicles"), "{error}");
 }
 
+/// The vehicle stops while its only replica is dead for five seconds, which is no fault of the replica or the driver.
+#[test]
+fn nobody_is_starved_while_no_replica_is_within_reach() {
+    for fault in ["kill:r0@1+5", "partition:car-0:r0@1+5", "hostile:r0@1+5"] {
+        let config = Config {
+            vehicles: 1,
+            replicas: 1,
+            seconds: 7.0,
+            faults: vec![fault.parse().unwrap()],
+            ..Config::new(0)
+        };
+        let run = simulate(&scene(), &config).unwrap();
+        assert_eq!(run.violations, [], "{fault}");
+        assert!(run.replied + 200 < run.periods, "{fault}: {}", run.replied);
+    }
+}
+
 #[test]
 fn faults_that_are_not_understood_are_errors() {
     for text in [
