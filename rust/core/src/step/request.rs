@@ -33,7 +33,7 @@ pub struct StepRequest<'a> {
     /// What is known about the road: rows of friction coefficient and standard deviation, first of the road on which the
     /// history was measured, then at the stages `0..=T`, `[T+2, 2]`; empty if nothing is known.
     pub road_friction: &'a [f64],
-    /// Whether to compute standard deviations along the plan, which takes about as long as three more steps.
+    /// Whether to compute standard deviations along the plan, which takes as long as one or two more steps.
     pub want_sigma: bool,
 }
 
