@@ -159,6 +159,7 @@ impl World<'_> {
         process.incarnation += 1;
         process.declared = true;
         process.announced = true;
+        process.terminated = false;
         process.received.clear();
         process.waiting.clear();
         process.ended.clear();
@@ -181,6 +182,7 @@ impl World<'_> {
         let process = &mut self.replicas[r];
         process.machine = None;
         process.declared = false;
+        process.terminated = false;
         process.incarnation += 1;
         process.received.clear();
         process.waiting.clear();
@@ -214,13 +216,21 @@ impl World<'_> {
         for v in 0..self.vehicles.len() {
             self.announce(v, r);
         }
+        if self.replicas[r].terminated {
+            self.drain(r);
+        }
     }
 
+    /// Drains a replica; one that is frozen begins when it continues, as a stopped process receives SIGTERM.
     fn drain(&mut self, r: usize) {
         let process = &mut self.replicas[r];
         let Some(machine) = process.machine.as_ref().filter(|_| process.declared) else {
             return;
         };
+        process.terminated = process.frozen > 0;
+        if process.terminated {
+            return;
+        }
         machine.drain();
         process.announced = false;
         let incarnation = process.incarnation;

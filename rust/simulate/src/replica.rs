@@ -95,6 +95,8 @@ pub(crate) struct Process {
     pub(crate) declared: bool,
     /// Whether its liveliness token stands.
     pub(crate) announced: bool,
+    /// Whether it is to drain as soon as it continues.
+    pub(crate) terminated: bool,
     /// Whether it serves the other library.
     pub(crate) other_library: bool,
     /// How far its clock is ahead.
@@ -122,6 +124,7 @@ impl Process {
             flood: 0,
             declared: false,
             announced: false,
+            terminated: false,
             other_library: false,
             clock: Duration::ZERO,
             waiting: Vec::new(),

@@ -106,6 +106,29 @@ fn nobody_is_starved_while_no_replica_is_within_reach() {
     }
 }
 
+/// A stopped process cannot answer what it has received, and drains when it continues.
+#[test]
+fn a_frozen_replica_drains_when_it_continues() {
+    let config = Config {
+        recorded: true,
+        seconds: 5.0,
+        faults: ["freeze:r0@1+1.5", "drain:r0@1.2+1"]
+            .iter()
+            .map(|text| text.parse().unwrap())
+            .collect(),
+        ..Config::new(0)
+    };
+    let run = simulate(&scene(), &config).unwrap();
+    assert_eq!(run.violations, []);
+    let starts: Vec<&str> = run
+        .trace
+        .iter()
+        .filter(|line| line.ends_with("r0 starts"))
+        .map(|line| line.trim().split(' ').next().unwrap())
+        .collect();
+    assert_eq!(starts, ["0.000000", "3.550000"], "drained at 2.5 s");
+}
+
 #[test]
 fn faults_that_are_not_understood_are_errors() {
     for text in [
