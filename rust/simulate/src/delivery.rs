@@ -41,7 +41,7 @@ impl World<'_> {
             return;
         }
         let process = &self.replicas[r];
-        if process.machine.is_none() || !process.declared {
+        if process.machine.is_none() || !process.declared() {
             self.agenda
                 .add(self.now + delay, Event::Deliver(v, query.id, Message::End));
             return;
@@ -63,7 +63,7 @@ impl World<'_> {
     /// A query reaches a replica.
     pub(crate) fn arrive(&mut self, r: usize, incarnation: u32, mut exchange: Exchange) {
         let process = &mut self.replicas[r];
-        if process.incarnation != incarnation || !process.declared {
+        if process.incarnation != incarnation || !process.declared() {
             return;
         }
         if process.frozen > 0 {

@@ -14,7 +14,7 @@ use crate::ledger::NotedEngine;
 use crate::link::{lease, token_delay};
 use crate::mutant::Mutant;
 use crate::oracle::Oracle;
-use crate::replica::Exchange;
+use crate::replica::{Exchange, Stage};
 use crate::scene::SimulationError;
 use crate::world::{QUEUE, World};
 
@@ -123,7 +123,7 @@ impl World<'_> {
     /// Starts a replica that does not run, or that has drained.
     pub(crate) fn start(&mut self, r: usize) -> Result<(), SimulationError> {
         let process = &mut self.replicas[r];
-        if process.machine.is_some() && process.declared {
+        if process.machine.is_some() && process.declared() {
             return Ok(());
         }
         let missed = process
@@ -157,9 +157,7 @@ impl World<'_> {
             None => machine,
         });
         process.incarnation += 1;
-        process.declared = true;
-        process.announced = true;
-        process.terminated = false;
+        process.stage = Stage::Serving;
         process.received.clear();
         process.waiting.clear();
         process.ended.clear();
@@ -181,8 +179,7 @@ impl World<'_> {
     fn kill(&mut self, r: usize) {
         let process = &mut self.replicas[r];
         process.machine = None;
-        process.declared = false;
-        process.terminated = false;
+        process.stage = Stage::Closed;
         process.incarnation += 1;
         process.received.clear();
         process.waiting.clear();
@@ -216,7 +213,8 @@ impl World<'_> {
         for v in 0..self.vehicles.len() {
             self.announce(v, r);
         }
-        if self.replicas[r].terminated {
+        if self.replicas[r].stage == Stage::Terminated {
+            self.replicas[r].stage = Stage::Serving;
             self.drain(r);
         }
     }
@@ -224,15 +222,17 @@ impl World<'_> {
     /// Drains a replica; one that is frozen begins when it continues, as a stopped process receives SIGTERM.
     fn drain(&mut self, r: usize) {
         let process = &mut self.replicas[r];
-        let Some(machine) = process.machine.as_ref().filter(|_| process.declared) else {
-            return;
-        };
-        process.terminated = process.frozen > 0;
-        if process.terminated {
+        if process.stage != Stage::Serving {
             return;
         }
-        machine.drain();
-        process.announced = false;
+        if process.frozen > 0 {
+            process.stage = Stage::Terminated;
+            return;
+        }
+        if let Some(machine) = &process.machine {
+            machine.drain();
+        }
+        process.stage = Stage::Draining;
         let incarnation = process.incarnation;
         for v in 0..self.vehicles.len() {
             self.agenda.add(self.now, Event::Token(v, r, false));
@@ -248,7 +248,7 @@ impl World<'_> {
         if process.incarnation != incarnation {
             return;
         }
-        process.declared = false;
+        process.stage = Stage::Closed;
         if let Some(machine) = &process.machine {
             machine.close();
         }
@@ -276,7 +276,8 @@ impl World<'_> {
         let process = &self.replicas[r];
         let link = self.links[v][r];
         let silent = process.frozen > 0 || !link.asks_pass() || !link.answers_pass();
-        let there = process.machine.is_some() && process.declared && process.announced && !silent;
+        let announced = matches!(process.stage, Stage::Serving | Stage::Terminated);
+        let there = process.machine.is_some() && announced && !silent;
         let seen = alive.then_some(process.incarnation);
         if there != alive || link.seen == seen {
             return;

@@ -80,6 +80,19 @@ pub(crate) struct Received {
     pub(crate) answers: Rc<Cell<u32>>,
 }
 
+/// How far a replica's process is on its way to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Stage {
+    /// It receives queries, and its liveliness token stands.
+    Serving,
+    /// The same, and it will drain as soon as it continues, because it was frozen when it was told to end.
+    Terminated,
+    /// It has withdrawn its token and still receives queries.
+    Draining,
+    /// It receives no queries.
+    Closed,
+}
+
 /// A replica's process.
 pub(crate) struct Process {
     /// Intake, queue and workers; none while the process does not run.
@@ -91,12 +104,7 @@ pub(crate) struct Process {
     pub(crate) hostile: u32,
     pub(crate) disorder: u32,
     pub(crate) flood: u32,
-    /// Whether it receives queries.
-    pub(crate) declared: bool,
-    /// Whether its liveliness token stands.
-    pub(crate) announced: bool,
-    /// Whether it is to drain as soon as it continues.
-    pub(crate) terminated: bool,
+    pub(crate) stage: Stage,
     /// Whether it serves the other library.
     pub(crate) other_library: bool,
     /// How far its clock is ahead.
@@ -122,9 +130,7 @@ impl Process {
             hostile: 0,
             disorder: 0,
             flood: 0,
-            declared: false,
-            announced: false,
-            terminated: false,
+            stage: Stage::Closed,
             other_library: false,
             clock: Duration::ZERO,
             waiting: Vec::new(),
@@ -135,10 +141,15 @@ impl Process {
         }
     }
 
+    /// Whether it receives queries.
+    pub(crate) fn declared(&self) -> bool {
+        self.stage != Stage::Closed
+    }
+
     /// Whether it answers as a replica without fault does.
     pub(crate) fn sound(&self) -> bool {
         self.machine.is_some()
-            && self.declared
+            && self.declared()
             && !self.other_library
             && self.frozen + self.slow + self.hostile + self.disorder + self.flood == 0
     }
