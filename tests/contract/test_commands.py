@@ -154,7 +154,7 @@ def test_files_of_another_kind_are_named(tmp_path: Path) -> None:
     with pytest.raises(EgpError, match="got the path"):
         Controller(LIBRARY, str(settings), gate=Plant().parameters.gate_limits())
     log.write_text("t,v\n0,1\n0.02,1\n")
-    assert "`egp collect --from-csv`" in failure("train", str(log), "-o", str(tmp_path / "l"))
+    assert "`egp collect --from-log`" in failure("train", str(log), "-o", str(tmp_path / "l"))
     missing = failure(
         *("collect", "-o", str(log), "--friction", "0.5", "--from-csv", str(log)),
         *("--column", "time=t:s"),

@@ -43,7 +43,7 @@ MAY_LOAD = {
     "egp_service.simulation.environment": {"gymnasium", "mcap"},
     "egp_service.simulation.report": {"matplotlib"},
     "egp_service.simulation.replay_report": {"matplotlib", "mcap"},
-    "egp_service.data": {"polars", "loky"},
+    "egp_service.data": {"polars", "loky", "mcap"},
     "egp_service.data.coverage_figure": {"polars", "loky", "matplotlib"},
     "egp_service.training": TRAINING | {"mcap"},
     "egp_service.training.validation_report": {"matplotlib"},

@@ -17,9 +17,9 @@ from egp_service.control.toml_text import dumps
 from egp_service.data.alignment import Delays, align
 from egp_service.data.channels import channels
 from egp_service.data.collect import CollectionSettings, collect
-from egp_service.data.csv_import import Column, import_csv
 from egp_service.data.dataset import Dataset, Provenance
 from egp_service.data.experiment import Experiment
+from egp_service.data.log_import import Column, import_log
 from egp_service.data.sensors import Sensors, measure
 from egp_service.evaluation.logs import OURS, evaluate_logs
 from egp_service.training.open_loop import LINEAR, NO_CHANGE
@@ -150,7 +150,7 @@ def test_the_oval_is_predicted_no_worse_than_no_change() -> None:
         "a_x": Column("ax(m/s^2)", "m/s2"),
     }
     provenance = Provenance(DT, "av21", "oval", 1.0, 0, "log", "test")
-    log = import_csv(Path(OVAL), columns, provenance, mass=790.0)
+    log = import_log(Path(OVAL), columns, provenance, mass=790.0)
     fields = known_vehicle("commonroad-1").fields()
     car = fields | {"mass": 790.0, "yaw_inertia": 1000.0, "l_f": 1.248, "l_r": 1.7328}
     (outcome,) = evaluate_logs([log], VehicleParameters(**car), TrainingSettings(mean="best"))

@@ -100,7 +100,7 @@ COLUMNS = [f"--mass={MASS}"] + [
 
 def test_1_a_log_is_imported_and_a_wrong_unit_is_named(folder: Path) -> None:
     write_log(folder / "drive.csv", 0.8)
-    log = ["collect", "-o", "own.parquet", "--friction", "0.8", "--from-csv", "drive.csv"]
+    log = ["collect", "-o", "own.parquet", "--friction", "0.8", "--from-log", "drive.csv"]
     assert "599 transitions" in egp(*log, *COLUMNS)
     wrong = [column.replace("speed:km/h", "speed:m/s") for column in COLUMNS]
     told = egp(*log, *wrong, code=1)
@@ -113,7 +113,7 @@ def test_2_a_vehicle_is_fitted_or_the_missing_extra_is_named(folder: Path) -> No
     if torch is not None and not Path(str(torch.origin)).is_relative_to(sys.prefix):
         pytest.skip("the fit takes 17 s and runs where torch was installed for it")
     write_log(folder / "drive.csv", 0.8)
-    egp("collect", "-o", "own.parquet", "--friction=0.8", "--from-csv=drive.csv", *COLUMNS)
+    egp("collect", "-o", "own.parquet", "--friction=0.8", "--from-log=drive.csv", *COLUMNS)
     if torch is None:
         told = egp("vehicle", "fit", "own.parquet", code=1)
         assert "pip install 'egp-service[train]'" in told

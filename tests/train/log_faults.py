@@ -16,9 +16,9 @@ import polars as pl
 
 from egp_service import EgpError, VehicleParameters
 from egp_service.data.collect import CollectionSettings, collect
-from egp_service.data.csv_import import Column, import_csv
 from egp_service.data.dataset import Provenance
 from egp_service.data.experiment import Experiment
+from egp_service.data.log_import import Column, import_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -117,7 +117,7 @@ def verdict(log: Log, folder: Path) -> str | None:
     columns = {name: Column(name, unit) for name, unit in UNITS.items()}
     provenance = Provenance(DT, "commonroad-1", "log", 0.8, 0, "test", "test")
     try:
-        import_csv(path, columns, provenance, mass=VehicleParameters.commonroad(1).mass)
+        import_log(path, columns, provenance, mass=VehicleParameters.commonroad(1).mass)
     except EgpError as error:
         return str(error)
     return None

@@ -123,5 +123,5 @@ def test_refuses_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(EgpError, match="not a readable Parquet"):
         Dataset.read(tmp_path / "text.parquet")
     pl.DataFrame({"v_x": [1.0]}).write_parquet(tmp_path / "bare.parquet")
-    with pytest.raises(EgpError, match="--from-csv"):
+    with pytest.raises(EgpError, match="--from-log"):
         Dataset.read(tmp_path / "bare.parquet")

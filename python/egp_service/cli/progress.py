@@ -1,4 +1,4 @@
-"""Progress bars of collection and training."""
+"""Progress bars of imports, collection and training."""
 
 from __future__ import annotations
 
@@ -39,6 +39,26 @@ def collecting(console: Console) -> Iterator[Callable[[str, int, int], None]]:
             if label not in tasks:
                 tasks[label] = progress.add_task(label, total=total)
             progress.update(tasks[label], completed=done)
+
+        yield report
+
+
+@contextlib.contextmanager
+def reading(console: Console, name: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a bar for a recording; the callable takes the messages that were read, and all."""
+    with Progress(
+        TextColumn("reading {task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("messages"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+    ) as progress:
+        task = progress.add_task(name, total=None, visible=False)
+
+        def report(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total, visible=True)
 
         yield report
 

@@ -157,7 +157,7 @@ class Dataset:
             )
         except pl.exceptions.PolarsError as error:
             raise EgpError(
-                f"{path}: not a readable Parquet file ({error}); `egp collect --from-csv` makes a "
+                f"{path}: not a readable Parquet file ({error}); `egp collect --from-log` makes a "
                 "dataset of a log"
             ) from error
         except EgpError as error:
@@ -200,7 +200,7 @@ def _provenance(metadata: dict[str, str]) -> Provenance:
     if text is None:
         raise EgpError(
             f"no '{METADATA_KEY}' metadata: not written by `egp collect`; "
-            "import other logs with `egp collect --from-csv`"
+            "import other logs with `egp collect --from-log`"
         )
     try:
         fields = json.loads(text)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from egp_service.data.csv_import import Column
+    from egp_service.data.log_import import Column
 
     Log = Mapping[str, NDArray[np.float64]]
 

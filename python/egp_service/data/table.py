@@ -1,4 +1,4 @@
-"""Tables of numbers in CSV files, as spreadsheets of several countries write them."""
+"""Tables of numbers: Parquet files, and CSV files as several countries write them."""
 
 from __future__ import annotations
 
@@ -19,16 +19,22 @@ _DECIMAL_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
 
 
 def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
-    """Read a CSV file; lines that begin with `#` are comments, and a byte-order mark is left out.
+    """Read a Parquet file (`.parquet`) or a CSV file.
 
-    If the header has no `separator` but semicolons or tabs, those separate.
+    In CSV files lines that begin with `#` are comments, and a byte-order mark is left out. If the
+    header has no `separator` but semicolons or tabs, those separate.
 
     Raises:
-        EgpError: if there is no such file, or it is no CSV file.
+        EgpError: if there is no such file, or it is no Parquet or CSV file.
 
     """
     if not path.is_file():
         raise EgpError(f"{path}: no such file")
+    if path.suffix == ".parquet":
+        try:
+            return pl.read_parquet(path)
+        except pl.exceptions.PolarsError as error:
+            raise EgpError(f"{path}: not a readable Parquet file ({error})") from error
     try:
         lines = path.read_bytes().decode("utf-8-sig").splitlines()
         header = next((line for line in lines if line and line[0] != "#"), "")
@@ -43,13 +49,21 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
 def numbers(path: Path, column: pl.Series) -> NDArray[np.float64]:
     """Return a column's numbers; with a decimal comma if all cells have one or are whole.
 
+    Points in time are seconds since the first one, and durations are seconds.
+
     Raises:
         EgpError: naming column, row and content of the first cell that is no finite number. Rows
             are counted from 0 behind the header.
 
     """
     cells = column
-    if column.dtype == pl.String:
+    if isinstance(column.dtype, pl.Datetime):
+        cells = (column - column[0]).dt.total_nanoseconds() * 1e-9
+    elif isinstance(column.dtype, pl.Duration):
+        cells = column.dt.total_nanoseconds() * 1e-9
+    elif column.dtype.is_nested():
+        raise EgpError(f"{path}: column '{column.name}' holds {column.dtype}, expected numbers")
+    elif column.dtype == pl.String:
         if (
             column.str.contains(_DECIMAL_COMMA).any()
             and not column.str.contains(".", literal=True).any()

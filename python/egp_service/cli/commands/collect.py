@@ -10,6 +10,7 @@ from egp_service.cli.options import Cluster, Jobs
 
 if TYPE_CHECKING:
     from egp_service.data.dataset import Dataset
+    from egp_service.data.log_import import Column
 
 
 def collect(
@@ -44,18 +45,25 @@ def collect(
     ] = None,
     jobs: Jobs = None,
     cluster: Cluster = None,
-    from_csv: Annotated[
+    from_log: Annotated[
         list[Path] | None,
-        typer.Option(help="Import this log instead of driving the simulated car; repeat for more."),
+        typer.Option(
+            "--from-log",
+            "--from-csv",
+            help="Import this log: CSV, Parquet, MCAP or ROS bag; repeat for more.",
+        ),
     ] = None,
     column: Annotated[
         list[str] | None,
-        typer.Option(help="Column of a log: QUANTITY=COLUMN:UNIT, for example v_x=speed:km/h."),
+        typer.Option(
+            help="Column of a log: QUANTITY=COLUMN:UNIT, for example v_x=speed:km/h. In MCAP files "
+            "and ROS bags, COLUMN is TOPIC/FIELD.FIELD."
+        ),
     ] = None,
     mass: Annotated[
         float | None, typer.Option(help="Mass in kg, for a log with a_x instead of F_x.")
     ] = None,
-    separator: Annotated[str, typer.Option(help="Separator of the columns, for a log.")] = ",",
+    separator: Annotated[str, typer.Option(help="Separator of the columns of CSV.")] = ",",
     steering_ratio: Annotated[
         float,
         typer.Option(
@@ -69,9 +77,10 @@ def collect(
     """Collect drive data of one surface into a dataset.
 
     Drives the simulated car on tracks, at increasing speed and with exploration
-    noise, and from random states. With --from-csv it imports a log instead, which
+    noise, and from random states. With --from-log it imports a log instead, which
     must contain time, v_x, v_y, omega, delta, and F_x or a_x. Columns that contradict
     each other are errors: wrong units and signs, swapped columns, stuck sensors.
+    In MCAP files and ROS bags (extra ros2) the time is that of the messages' headers.
     It prints what the data cover and what is too thin to train on.
 
     For example:
@@ -80,46 +89,45 @@ def collect(
       egp collect -o data/loaded.parquet --friction 0.5
           --disturbance load=300 --disturbance load_y=0.6
       egp collect -o data/ice.parquet --friction 0.2 --surface ice
-          --from-csv drive.csv --mass 1400 --column time=t:s
+          --from-log drive.csv --mass 1400 --column time=t:s
           --column v_x=speed:km/h --column v_y=lateral_speed:m/s
           --column omega=yaw_rate:deg/s --column delta=wheel_angle:deg
           --column a_x=accel:g
+      egp collect -o data/wet.parquet --friction wet --from-log rosbag2_2026/
+          --mass 1400 --column v_x=/odom/twist.twist.linear.x:m/s ...
     """
     from egp_service._core import EgpError, surface_friction
-    from egp_service.cli.progress import collecting
+    from egp_service.cli.progress import collecting, reading
     from egp_service.data.collect import CollectionSettings
     from egp_service.data.collect import collect as collect_dataset
-    from egp_service.data.csv_import import Column, import_csv
     from egp_service.data.dataset import Provenance, merge
     from egp_service.data.experiment import Experiment, parse_surface, tool
+    from egp_service.data.log_import import import_log
     from egp_service.vehicle import read_vehicle
 
     console = Console()
     road = parse_surface(friction)
     mu = surface_friction(road)
     label = surface or (road if isinstance(road, str) else f"mu {road:g}")
-    if from_csv:
-        columns = {}
-        for text in column or []:
-            quantity, equals, rest = text.partition("=")
-            if not equals:
-                raise EgpError(f"--column {text}: expected QUANTITY=COLUMN:UNIT")
-            columns[quantity] = Column.parse(rest)
+    if from_log:
         if vehicle.endswith(".toml"):
             car = read_vehicle(Path(vehicle))
             mass, vehicle = mass or car.mass, Path(vehicle).stem
+        columns = dict(_column(text) for text in column or [])
         parts = []
-        for log in from_csv:
+        for log in from_log:
             provenance = Provenance(dt, vehicle, label, mu, seed, f"log {log.name}", tool())
             try:
-                part = import_csv(
-                    log,
-                    columns,
-                    provenance,
-                    mass=mass,
-                    separator=separator,
-                    steering_ratio=steering_ratio,
-                )
+                with reading(console, log.name) as report_messages:
+                    part = import_log(
+                        log,
+                        columns,
+                        provenance,
+                        mass=mass,
+                        separator=separator,
+                        steering_ratio=steering_ratio,
+                        report=report_messages,
+                    )
             except EgpError as error:
                 raise EgpError(f"{log.name}: {error}") from error
             parts.append(part)
@@ -155,6 +163,17 @@ def _show_coverage(console: Console, dataset: "Dataset", label: str, picture: Pa
         from egp_service.data.coverage_figure import draw_coverage
 
         draw_coverage(covered, label, picture)
+
+
+def _column(text: str) -> "tuple[str, Column]":
+    """Read a quantity with its column and unit, for example `v_x=speed:km/h`."""
+    from egp_service._core import EgpError
+    from egp_service.data.log_import import Column
+
+    quantity, equals, rest = text.partition("=")
+    if not equals:
+        raise EgpError(f"--column {text}: expected QUANTITY=COLUMN:UNIT")
+    return quantity, Column.parse(rest)
 
 
 def _disturbance(text: str) -> tuple[str, float]:

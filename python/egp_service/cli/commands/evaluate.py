@@ -76,7 +76,7 @@ def evaluate(
     With --log nothing drives: members are trained on four of five blocks of each
     log and predict the fifth, over one period and in rollouts, next to no change,
     linear models, the paper's GPs and a vehicle alone. The log is a dataset of
-    `egp collect --from-csv`; the pictures go to the output folder.
+    `egp collect --from-log`; the pictures go to the output folder.
 
     The same command resumes an interrupted evaluation. Requires the extras train
     and viz; with the extra paper, step-times includes the paper's stack.

@@ -42,7 +42,7 @@ def fit(
     With a_x and --mass instead of a measured force, the logs say nothing new
     about the mass: the fit then finds the mass that was given.
 
-    The file is used by `egp collect --from-csv --vehicle FILE` (mass and
+    The file is used by `egp collect --from-log --vehicle FILE` (mass and
     name), `egp train --vehicle FILE` (the library then states the vehicle,
     for `egp serve` and every controller), and `vehicle_file` of a scenario
     (gate and speeds of `egp drive`).

@@ -1,4 +1,4 @@
-"""Import of a user's log as a dataset: conversion of units, and checks of period and magnitudes."""
+"""Import of a log as a dataset: conversion of units, and checks of period and magnitudes."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ import numpy as np
 from egp_service._core import STANDARD_GRAVITY, EgpError
 from egp_service.data import plausibility
 from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.messages import is_recording
+from egp_service.data.recording import read_recording, topics
 from egp_service.data.table import numbers, read_table
 from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
+    import polars as pl
     from numpy.typing import NDArray
 
 # unit: (SI unit, factor)
@@ -74,7 +77,7 @@ class Column:
         return Column(name, unit)
 
 
-def import_csv(
+def import_log(
     path: Path,
     columns: Mapping[str, Column],
     provenance: Provenance,
@@ -82,15 +85,21 @@ def import_csv(
     mass: float | None = None,
     separator: str = ",",
     steering_ratio: float = 1.0,
+    report: Callable[[int, int], None] | None = None,
 ) -> Dataset:
     """Convert a log into transitions of `provenance.dt` seconds.
 
-    `columns` maps `time, v_x, v_y, omega, delta` and `F_x`, or `a_x` (commanded acceleration,
-    multiplied by `mass` in kg), to the log's columns. Faster logs are thinned: states are those at
-    the ends of a period, the force is its mean over the period, and the steering rate is the change
-    of `delta`, so that it is consistent with the steering angle. A `delta_dot` column is only
-    compared with this rate. A gap in time starts a new trajectory. Steering angles are divided by
-    `steering_ratio`, that of the steering wheel's angle to the road wheels'.
+    A log is a CSV or Parquet file, an MCAP file, or a bag of ROS 1 or 2. `columns` maps `time, v_x,
+    v_y, omega, delta` and `F_x`, or `a_x` (commanded acceleration, multiplied by `mass` in kg), to
+    the log's columns. Those of MCAP files and bags are fields of messages as `read_recording` names
+    them, with the times of the messages of `v_x`; `report` receives the number of messages that
+    were read, and of all.
+
+    Faster logs are thinned: states are those at the ends of a period, the force is its mean over
+    the period, and the steering rate is the change of `delta`, so that it is consistent with the
+    steering angle. A `delta_dot` column is only compared with this rate. A gap in time starts a new
+    trajectory. Steering angles are divided by `steering_ratio`, that of the steering wheel's angle
+    to the road wheels'.
 
     Raises:
         EgpError: if columns are missing, magnitudes are implausible, columns contradict each other,
@@ -98,19 +107,17 @@ def import_csv(
 
     """
     _check_separator(separator)
-    missing = [q for q in ("time", *GP_STATE_NAMES) if q not in columns]
-    if not {"F_x", "a_x"} & columns.keys():
-        missing.append("F_x or a_x")
-    if missing:
-        raise EgpError(
-            f"no column is named for {', '.join(missing)}: add --column {missing[0].split()[0]}="
-            f"NAME:UNIT for each; {path.name} has the columns {_header(path, separator)}"
-        )
-    if {"F_x", "a_x"} <= columns.keys():
-        raise EgpError("columns for F_x and a_x are named: expected exactly one of F_x and a_x")
     if not steering_ratio > 0.0:
         raise EgpError(f"expected a positive --steering-ratio, got {steering_ratio}")
-    log = _read(path, columns, separator)
+    if is_recording(path):
+        columns = _with_time(path, columns)
+        base = columns["v_x"].name
+        others = {c.name for q, c in columns.items() if q != "time"} - {base}
+        frame = read_recording(path, [base, *sorted(others)], provenance.dt, report)
+    else:
+        _check_columns(columns, "NAME:UNIT", lambda: _header(path, separator))
+        frame = read_table(path, separator)
+    log = _read(path, columns, frame)
     for quantity in _STEERING & log.keys():
         log[quantity] = log[quantity] / steering_ratio
     plausibility.check(log, columns, mass)
@@ -118,6 +125,12 @@ def import_csv(
         if mass is None or mass <= 0.0:
             raise EgpError("a_x requires the vehicle's mass in kg for the force F_x = mass a_x")
         log["F_x"] = mass * log["a_x"]
+    return _transitions(log, columns, provenance)
+
+
+def _transitions(
+    log: Mapping[str, NDArray[np.float64]], columns: Mapping[str, Column], provenance: Provenance
+) -> Dataset:
     pieces, every = _pieces(log["time"], provenance.dt)
     z, y, trajectory, step = [], [], [], []
     for number, (first, last) in enumerate(pieces):
@@ -148,18 +161,47 @@ def _check_separator(separator: str) -> None:
         )
 
 
+def _with_time(path: Path, columns: Mapping[str, Column]) -> Mapping[str, Column]:
+    """Add the column of the time, which a recording states with its messages."""
+    if "time" in columns:
+        raise EgpError(
+            f"{path.name} states the time of its messages: leave out --column "
+            f"time={columns['time'].name}:{columns['time'].unit}"
+        )
+    columns = {"time": Column("time", "s")} | dict(columns)
+    _check_columns(
+        columns, "TOPIC/FIELD:UNIT", lambda: f"{path.name} has the topics {topics(path)}"
+    )
+    return columns
+
+
+def _check_columns(
+    columns: Mapping[str, Column], expected: str, contents: Callable[[], str]
+) -> None:
+    missing = [q for q in ("time", *GP_STATE_NAMES) if q not in columns]
+    if not {"F_x", "a_x"} & columns.keys():
+        missing.append("F_x or a_x")
+    if missing:
+        raise EgpError(
+            f"no column is named for {', '.join(missing)}: add --column {missing[0].split()[0]}="
+            f"{expected} for each; {contents()}"
+        )
+    if {"F_x", "a_x"} <= columns.keys():
+        raise EgpError("columns for F_x and a_x are named: expected exactly one of F_x and a_x")
+
+
 def _header(path: Path, separator: str) -> str:
-    """List the names in a log's header, for messages."""
+    """Say which columns a table has."""
     try:
-        return ", ".join(name or "''" for name in read_table(path, separator).columns)
-    except EgpError:
-        return "(not readable)"
+        names = read_table(path, separator).columns
+    except EgpError as error:
+        return str(error)
+    return f"{path.name} has the columns {', '.join(name or repr('') for name in names)}"
 
 
 def _read(
-    path: Path, columns: Mapping[str, Column], separator: str
+    path: Path, columns: Mapping[str, Column], frame: pl.DataFrame
 ) -> dict[str, NDArray[np.float64]]:
-    frame = read_table(path, separator)
     log = {}
     for quantity, column in columns.items():
         if quantity not in _LARGEST:

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from egp_service import EgpError
 from egp_service.cli import app
 from egp_service.data.coverage import Coverage
-from egp_service.data.csv_import import Column, import_csv
 from egp_service.data.dataset import Dataset
+from egp_service.data.log_import import Column, import_log
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,7 +62,7 @@ def _write(path: Path, si: dict[str, NDArray[np.float64]]) -> None:
 
 def _import(path: Path, **changes: str) -> Dataset:
     columns = {name: Column.parse(text) for name, text in (COLUMNS | changes).items()}
-    return import_csv(path, columns, provenance(), mass=MASS)
+    return import_log(path, columns, provenance(), mass=MASS)
 
 
 def test_converts_units_and_thins_to_the_period(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_a_separator_is_one_character(tmp_path: Path, separator: str) -> None:
     path.write_text("t;v\n", encoding="utf-8")
     columns = {name: Column.parse(text) for name, text in COLUMNS.items()}
     with pytest.raises(EgpError, match="one ASCII character as --separator"):
-        import_csv(path, columns, provenance(), mass=MASS, separator=separator)
+        import_log(path, columns, provenance(), mass=MASS, separator=separator)
 
 
 def test_names_what_is_missing(tmp_path: Path) -> None:
@@ -158,10 +158,10 @@ def test_names_what_is_missing(tmp_path: Path) -> None:
         _import(path, F_x="accel:N")
     columns = {name: Column.parse(text) for name, text in COLUMNS.items()}
     with pytest.raises(EgpError, match="mass in kg"):
-        import_csv(path, columns, provenance())
+        import_log(path, columns, provenance())
     path.write_text("t,speed\n1,fast\n")
     with pytest.raises(EgpError, match="column 'speed', row 0 holds 'fast'"):
-        import_csv(
+        import_log(
             path,
             {
                 name: Column.parse("speed:m/s" if name == "v_x" else text)
@@ -250,10 +250,10 @@ def test_the_steering_wheels_angle_is_divided_by_its_ratio(tmp_path: Path) -> No
     expected = _import(tmp_path / "drive.csv")
     _write(tmp_path / "wheel.csv", si | {"delta": 8.0 * si["delta"]})
     columns = {name: Column.parse(text) for name, text in COLUMNS.items()}
-    found = import_csv(tmp_path / "wheel.csv", columns, provenance(), mass=MASS, steering_ratio=8.0)
+    found = import_log(tmp_path / "wheel.csv", columns, provenance(), mass=MASS, steering_ratio=8.0)
     np.testing.assert_allclose(found.z, expected.z, rtol=1e-9, atol=1e-12)
     with pytest.raises(EgpError, match="positive --steering-ratio"):
-        import_csv(tmp_path / "wheel.csv", columns, provenance(), mass=MASS, steering_ratio=0.0)
+        import_log(tmp_path / "wheel.csv", columns, provenance(), mass=MASS, steering_ratio=0.0)
 
 
 def test_spreadsheets_of_other_countries(tmp_path: Path) -> None:
@@ -298,7 +298,7 @@ def test_several_logs_and_what_they_cover(tmp_path: Path) -> None:
     arguments = ["collect", "--friction", "0.5", "--dt", "0.05", "--mass", str(MASS)]
     for name, seconds in (("a.csv", 30.0), ("b.csv", 20.0)):
         _write(tmp_path / name, _log(seconds=seconds))
-        arguments += ["--from-csv", str(tmp_path / name)]
+        arguments += ["--from-log", str(tmp_path / name)]
     for quantity, column in COLUMNS.items():
         arguments += ["--column", f"{quantity}={column}"]
     output, picture = tmp_path / "data.parquet", tmp_path / "covered.png"
