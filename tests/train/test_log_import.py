@@ -291,7 +291,33 @@ def test_mistakes_are_found_in_a_drive_and_none_in_sound_ones(tmp_path: Path, se
         assert log_faults.verdict(sound, tmp_path) is None
     kinds = log_faults.FAULTS.items()
     accepted = [kind for kind, do in kinds if log_faults.verdict(do(log, rng), tmp_path) is None]
-    assert set(accepted) <= {"m/s read as km/h"}
+    assert accepted == []
+
+
+@pytest.mark.parametrize("kind", ["m/s read as km/h", "km/h read as m/s"])
+def test_a_speed_in_the_wrong_unit_is_found_without_the_mass(tmp_path: Path, kind: str) -> None:
+    rng = np.random.default_rng(1)
+    for seed in (0, 2):  # on friction 1.1 and 0.5
+        log = log_faults.noisy(log_faults.drive(seed), rng)
+        assert log_faults.verdict(log, tmp_path, mass_known=False) is None
+        wrong = log_faults.FAULTS[kind](log, rng)
+        error = log_faults.verdict(wrong, tmp_path, mass_known=False)
+        assert error is not None
+        assert "wheelbase" in error
+        assert "wrong unit" in error
+
+
+def test_a_known_wheelbase_sharpens_the_checks(tmp_path: Path) -> None:
+    si = _log()
+    si["omega"] = si["v_x"] * si["delta"] / 0.33  # of a model car
+    si["omega"], si["delta"] = si["omega"] / 2.0, si["delta"] / 2.0
+    _write(tmp_path / "drive.csv", si)
+    columns = {name: Column.parse(text) for name, text in COLUMNS.items()}
+    with pytest.raises(EgpError, match=r"fit a wheelbase of 0\.33 m, expected 1 to 16\.8 m"):
+        import_log(tmp_path / "drive.csv", columns, provenance(), mass=MASS)
+    import_log(tmp_path / "drive.csv", columns, provenance(), mass=MASS, wheelbase=0.33)
+    with pytest.raises(EgpError, match=r"fit a wheelbase of 0\.33 m, expected 0\.6 to"):
+        import_log(tmp_path / "drive.csv", columns, provenance(), mass=MASS, wheelbase=1.0)
 
 
 def test_several_logs_and_what_they_cover(tmp_path: Path) -> None:

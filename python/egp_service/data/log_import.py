@@ -83,6 +83,7 @@ def import_log(
     provenance: Provenance,
     *,
     mass: float | None = None,
+    wheelbase: float | None = None,
     separator: str = ",",
     steering_ratio: float = 1.0,
     report: Callable[[int, int], None] | None = None,
@@ -99,7 +100,7 @@ def import_log(
     the period, and the steering rate is the change of `delta`, so that it is consistent with the
     steering angle. A `delta_dot` column is only compared with this rate. A gap in time starts a new
     trajectory. Steering angles are divided by `steering_ratio`, that of the steering wheel's angle
-    to the road wheels'.
+    to the road wheels'. A known `wheelbase` in m sharpens the checks of steering and speed.
 
     Raises:
         EgpError: if columns are missing, magnitudes are implausible, columns contradict each other,
@@ -120,7 +121,7 @@ def import_log(
     log = _read(path, columns, frame)
     for quantity in _STEERING & log.keys():
         log[quantity] = log[quantity] / steering_ratio
-    plausibility.check(log, columns, mass)
+    plausibility.check(log, columns, mass, wheelbase)
     if "a_x" in log:
         if mass is None or mass <= 0.0:
             raise EgpError("a_x requires the vehicle's mass in kg for the force F_x = mass a_x")

@@ -4,7 +4,8 @@ A wrong unit, a wrong sign or a swapped column often gives values that are possi
 shows where columns state the same thing twice: the change of the speed and the acceleration, the
 yaw rate and the steering angle. With the speed v, the steering angle delta and the wheelbase L a
 slow vehicle turns at omega = v delta / L (Rajamani, *Vehicle Dynamics and Control*, 2nd ed.,
-section 2.2), and understeer makes this smaller.
+section 2.2), and understeer makes this smaller: v delta = (L + K v²) omega in a steady turn
+(section 3.2, with K as the understeer gradient per acceleration).
 """
 
 from __future__ import annotations
@@ -33,8 +34,16 @@ _JUMPS: Final = {"v_x": (3.0, 60.0), "v_y": (3.0, 60.0), "omega": (2.0, 40.0), "
 _ACTIVE: Final = {"v_x": 0.5, "omega": 0.05, "delta": 0.02}
 _STUCK: Final = 5.0  # s
 _MOVING: Final = 3.0  # m/s
-# 1/m; omega / (v delta), which is 1 / wheelbase for a slow vehicle and less with understeer.
-_CURVATURES: Final = (0.06, 1.0)
+_ROLLING: Final = 1.0  # m/s
+# Bounds of the wheelbase in m if it is not known, and as multiples of a known one.
+_WHEELBASES: Final = (1.0, 7.0)
+_KNOWN: Final = (0.6, 1.6)
+# With understeer v delta / omega is larger than the wheelbase, and at most by this factor.
+_UNDERSTEER: Final = 2.4
+# A fitted wheelbase is wrong if it is so many standard errors, as if rows were independent, outside
+# its bounds, and if the fastest rows are so many times as fast as the slowest.
+_ERRORS: Final = 10.0
+_SPREAD: Final = 1.5
 # Change of v_x over acceleration: tyres and drag take a part, and nothing adds to it.
 _ACCELERATIONS: Final = (0.4, 2.0)
 _CERTAIN: Final = 0.7  # correlation from which a ratio is meant
@@ -53,8 +62,15 @@ _LAGS: Final = (
 )  # s, by which filters may delay an acceleration
 
 
-def check(log: Log, columns: Mapping[str, Column], mass: float | None) -> None:
+def check(
+    log: Log,
+    columns: Mapping[str, Column],
+    mass: float | None = None,
+    wheelbase: float | None = None,
+) -> None:
     """Check a log in SI units; `columns` are those it was read from.
+
+    What is known of the vehicle, its mass in kg and its wheelbase in m, makes the checks sharper.
 
     Raises:
         EgpError: if columns contradict each other. The error names them, the likely mistake, and
@@ -70,7 +86,7 @@ def check(log: Log, columns: Mapping[str, Column], mass: float | None) -> None:
         )
     _check_stuck(log, columns)
     _check_accelerating(log, columns, mass)
-    _check_turning(log, columns)
+    _check_turning(log, columns, wheelbase)
 
 
 def _check_period(log: Log, columns: Mapping[str, Column]) -> None:
@@ -118,17 +134,24 @@ def _check_stuck(log: Log, columns: Mapping[str, Column]) -> None:
                 )
 
 
-def _check_turning(log: Log, columns: Mapping[str, Column]) -> None:
+def _check_turning(log: Log, columns: Mapping[str, Column], wheelbase: float | None) -> None:
     """Check all rows, and then those of gentle turns, where a sliding vehicle does not hide it."""
+    low, high = _WHEELBASES if wheelbase is None else (_KNOWN[0] * wheelbase, _KNOWN[1] * wheelbase)
     moving = log["v_x"] > _MOVING
+    for rows in (moving, _gentle(log, moving)):
+        _check_turning_rows(log, columns, rows, low, high)
+    _check_wheelbase(log, columns, _gentle(log, log["v_x"] > _ROLLING), low, high)
+
+
+def _gentle(log: Log, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Those of some rows in which tyres slip least."""
     demand = log["v_x"] ** 2 * np.abs(log["delta"])
-    if moving.any():
-        gentle = moving & (demand <= np.quantile(demand[moving], _GENTLE))
-        for rows in (moving, gentle):
-            _check_turning_rows(log, columns, rows)
+    return rows & (demand <= np.quantile(demand[rows], _GENTLE)) if rows.any() else rows
 
 
-def _check_turning_rows(log: Log, columns: Mapping[str, Column], rows: NDArray[np.bool_]) -> None:
+def _check_turning_rows(
+    log: Log, columns: Mapping[str, Column], rows: NDArray[np.bool_], low: float, high: float
+) -> None:
     turned, omega = (log["v_x"] * log["delta"])[rows], log["omega"][rows]
     if len(omega) < 2 or np.std(turned) < _EXCITED["turning"] or np.std(omega) == 0.0:  # noqa: PLR2004
         return
@@ -139,18 +162,49 @@ def _check_turning_rows(log: Log, columns: Mapping[str, Column], rows: NDArray[n
             f"{names} have opposite signs: the vehicle turns right when it steers left. Both are "
             "positive to the left (counter-clockwise); negate one of them in the log"
         )
-    ratio = float(turned @ omega / (turned @ turned))
-    low, high = _CURVATURES
-    if correlation > _CERTAIN and not low <= ratio <= high:
+    if correlation < _CERTAIN:
+        return
+    found = float(turned @ turned / (turned @ omega))
+    high *= _UNDERSTEER
+    if not low <= found <= high:
         likely = (
             "the steering wheel's angle in place of the road wheels' (give --steering-ratio), or "
             "a wrong unit of one of them or of the speed"
-            if ratio < low
+            if found > high
             else "a wrong unit of one of them, or of the speed"
         )
         raise EgpError(
-            f"{names} fit a wheelbase of {1.0 / ratio:.3g} m, expected {1.0 / high:g} to "
-            f"{1.0 / low:.3g} m: {likely}"
+            f"{names} fit a wheelbase of {found:.3g} m, expected {low:.3g} to {high:.3g} m: "
+            f"{likely}"
+        )
+
+
+def _check_wheelbase(
+    log: Log, columns: Mapping[str, Column], rows: NDArray[np.bool_], low: float, high: float
+) -> None:
+    """Check the wheelbase that is left when understeer is fitted, too: a wrong unit changes it."""
+    v, delta, omega = (log[q][rows] for q in ("v_x", "delta", "omega"))
+    if len(v) < 3:  # noqa: PLR2004
+        return
+    turned = v * delta
+    slow, fast = np.quantile(v, [0.05, 0.95])
+    if np.std(turned) < _EXCITED["turning"] or np.std(omega) == 0.0 or fast < _SPREAD * slow:
+        return
+    if float(np.corrcoef(turned, omega)[0, 1]) < _CERTAIN:
+        return
+    slopes = np.column_stack([omega, v**2 * omega])
+    fit, _, rank, _ = np.linalg.lstsq(slopes, turned)
+    if rank < slopes.shape[1]:
+        return
+    variance = np.mean((turned - slopes @ fit) ** 2) * np.linalg.inv(slopes.T @ slopes)[0, 0]
+    margin = _ERRORS * float(np.sqrt(variance))
+    if not low - margin <= fit[0] <= high + margin:
+        speed = columns["v_x"]
+        wheel = "" if fit[0] < low else ", or the steering wheel's angle (give --steering-ratio)"
+        raise EgpError(
+            f"'{speed.name}', '{columns['omega'].name}' and '{columns['delta'].name}' fit a "
+            f"wheelbase of {fit[0]:.3g} m at low speed, expected {low:.3g} to {high:.3g} m: a "
+            f"wrong unit ('{speed.name}' is read in {speed.unit}){wheel}"
         )
 
 

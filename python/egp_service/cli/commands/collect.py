@@ -110,9 +110,11 @@ def collect(
     mu = surface_friction(road)
     label = surface or (road if isinstance(road, str) else f"mu {road:g}")
     if from_log:
+        wheelbase = None
         if vehicle.endswith(".toml"):
             car = read_vehicle(Path(vehicle))
-            mass, vehicle = mass or car.mass, Path(vehicle).stem
+            mass, wheelbase = mass or car.mass, car.l_f + car.l_r
+            vehicle = Path(vehicle).stem
         columns = dict(_column(text) for text in column or [])
         parts = []
         for log in from_log:
@@ -124,6 +126,7 @@ def collect(
                         columns,
                         provenance,
                         mass=mass,
+                        wheelbase=wheelbase,
                         separator=separator,
                         steering_ratio=steering_ratio,
                         report=report_messages,
