@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import matplotlib as mpl
 
@@ -82,7 +82,7 @@ def draw_errors(run: Run, path: FilePath, title: str | None = None) -> FilePath:
 def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath:
     """Draw the tracks of several runs of a scenario side by side, and their errors in one plot."""
     with plt.style.context(STYLE):
-        figure = plt.figure(figsize=(min(4.2 * len(runs), 17.0), 5.8))
+        figure = plt.figure(figsize=(min(4.2 * len(runs), 12.5), 5.4))
         rows = figure.add_gridspec(2, len(runs), height_ratios=(1.25, 1.0))
         driven = np.concatenate([run.trace.x[:, V_X] for _, run in runs])
         speeds = Normalize(float(driven.min()), float(driven.max()))
@@ -91,11 +91,11 @@ def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath
             lines = draw_track(ax, run, speeds)
             ending = run.summary.ending
             verdict = (
-                f"max {run.summary.lateral_error.max:.2f} m beside the path"
+                f"{run.summary.lateral_error.max:.2f} m beside the path"
                 if ending.completed
                 else ending.reason.split(":")[0]
             )
-            ax.set_title(f"{label}\n{verdict}", color=INK if ending.completed else ALARM)
+            ax.set_title(f"{label}\n{verdict}", color=INK if ending.completed else ALARM, pad=12.0)
         figure.colorbar(lines, ax=axes, label="speed [m/s]", shrink=0.7, aspect=20)
         ax = figure.add_subplot(rows[1, :])
         draw_zones(ax, runs[0][1].path, max(float(run.trace.distance[-1]) for _, run in runs))
@@ -111,6 +111,10 @@ def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath
             figure.savefig(beside)
         plt.close(figure)
     return path
+
+
+# A label is centred on a direction that is at most this much of the unit vector towards it.
+_BESIDE: Final = 0.4
 
 
 def draw_track(ax: Axes, run: Run, speeds: Normalize | None = None) -> LineCollection:
@@ -145,9 +149,17 @@ def draw_track(ax: Axes, run: Run, speeds: Normalize | None = None) -> LineColle
         p_x, p_y, angle, _, _, reach, _ = (
             column[0] for column in path.sample(np.array([0.5 * (start + end)]))
         )
-        offset = (reach if np.isfinite(reach) else 2.0) + 0.022 * path.length
+        offset = (reach if np.isfinite(reach) else 2.0) + 0.015 * path.length
         labels.append((p_x + np.sin(angle) * offset, p_y - np.cos(angle) * offset))
-        ax.text(*labels[-1], f"μ {mu:g}", ha="center", va="center", color="#5a606b")
+        # The text continues away from the road.
+        across, up = np.sin(angle), -np.cos(angle)
+        ax.text(
+            *labels[-1],
+            f"μ {mu:g}",
+            ha="center" if abs(across) < _BESIDE else "left" if across > 0.0 else "right",
+            va="center" if abs(up) < _BESIDE else "bottom" if up > 0.0 else "top",
+            color="#5a606b",
+        )
     ax.update_datalim([*labels, *_draw_scale_and_direction(ax, np.vstack([lefts, rights]), run)])
     ax.margins(0.04)
     ax.set_aspect("equal")
