@@ -248,6 +248,25 @@ def test_files_that_are_no_complete_recording_are_named(tmp_path: Path) -> None:
         load(cut)
 
 
+@pytest.mark.parametrize("form", ["mcap", "db3", "ros1"])
+def test_damaged_files_are_read_or_named(tmp_path: Path, form: str) -> None:
+    t = np.arange(200) * 0.01
+    path = write(tmp_path, form, Drive(odom=t, imu=t, steer=t[::2]))
+    whole = path.read_bytes()
+    rng = np.random.default_rng(5)
+    named = 0
+    for _ in range(25):
+        damaged = bytearray(whole)
+        for place in rng.integers(len(whole), size=4):
+            damaged[place] = rng.integers(256)
+        path.write_bytes(damaged[: rng.integers(len(whole) // 2, 2 * len(whole))])
+        try:
+            load(path)
+        except EgpError:
+            named += 1
+    assert named > 0
+
+
 def test_mcap_files_with_json(tmp_path: Path) -> None:
     path = tmp_path / "json.mcap"
     with path.open("wb") as file:

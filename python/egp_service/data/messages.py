@@ -8,7 +8,6 @@ import json
 from typing import TYPE_CHECKING, Any, Final
 
 from mcap.decoder import DecoderFactory
-from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoderFactory
 
@@ -53,41 +52,60 @@ def open_recording(path: Path) -> Iterator[Messages]:
     """
     if not path.exists():
         raise EgpError(f"{path}: no such file or folder")
-    if path.suffix == _MCAP and path.is_file():
-        with _errors(path, (McapError, OSError, ValueError)), path.open("rb") as file:
-            yield _mcap(path, file)
-        return
-    from rosbags.highlevel import AnyReader, AnyReaderError
-    from rosbags.typesys import Stores, get_typestore
-
-    with (
-        _errors(path, (AnyReaderError, OSError, ValueError)),
-        AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader,
-    ):
-        topics = {
-            topic: (info.msgtype or "several types", info.msgcount)
-            for topic, info in reader.topics.items()
-        }
+    with contextlib.ExitStack() as stack:
+        with _foreign(path):
+            mcap = path.suffix == _MCAP and path.is_file()
+            opened = (_mcap if mcap else _bag)(path, stack)
 
         def read(chosen: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
-            connections = [c for c in reader.connections if c.topic in chosen]
-            for connection, time, raw in reader.messages(connections):
-                yield connection.topic, time, reader.deserialize(raw, connection.msgtype)
+            messages = opened.read(chosen)
+            while True:
+                with _foreign(path):
+                    try:
+                        message = next(messages)
+                    except StopIteration:
+                        return
+                yield message
 
-        yield Messages(topics, read)
+        yield Messages(opened.topics, read)
 
 
 @contextlib.contextmanager
-def _errors(path: Path, kinds: tuple[type[Exception], ...]) -> Iterator[None]:
+def _foreign(path: Path) -> Iterator[None]:
+    """Turn what the readers of a format raise into one error.
+
+    They raise many kinds for a damaged file, assertions and missing keys among them.
+    """
     try:
         yield
-    except EgpError:
+    except (EgpError, ImportError):
         raise
-    except kinds as error:
-        raise EgpError(f"{path}: not a readable recording ({error})") from error
+    except Exception as error:
+        reason = str(error) or type(error).__name__
+        raise EgpError(f"{path}: not a readable recording ({reason})") from error
 
 
-def _mcap(path: Path, file: Any) -> Messages:  # noqa: ANN401 - a binary file
+def _bag(path: Path, stack: contextlib.ExitStack) -> Messages:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    reader = stack.enter_context(AnyReader([path], default_typestore=store))
+    topics = {
+        topic: (info.msgtype or "several types", info.msgcount)
+        for topic, info in reader.topics.items()
+    }
+
+    def read(chosen: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
+        connections = [c for c in reader.connections if c.topic in chosen]
+        for connection, time, raw in reader.messages(connections):
+            yield connection.topic, time, reader.deserialize(raw, connection.msgtype)
+
+    return Messages(topics, read)
+
+
+def _mcap(path: Path, stack: contextlib.ExitStack) -> Messages:
+    file = stack.enter_context(path.open("rb"))
     reader = make_reader(file, decoder_factories=[ProtobufDecoderFactory(), _Json(), _Ros2()])
     summary = reader.get_summary()
     if summary is None or summary.statistics is None:

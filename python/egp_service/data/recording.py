@@ -22,6 +22,7 @@ _GAP: Final = 3.0
 # A topic may be slower than the control period by this factor.
 _SLOWER: Final = 1.1
 _REPORTED: Final = 1000  # messages
+_LATEST: Final = 2**62  # ns
 
 
 def topics(path: Path) -> str:
@@ -153,7 +154,8 @@ def _stamp(message: Any) -> int:  # noqa: ANN401
                 value = _member(value, step)
             for whole, rest in (("sec", "nanosec"), ("seconds", "nanos"), ("sec", "nsec")):
                 if whole in _fields(value) and rest in _fields(value):
-                    return int(_member(value, whole)) * 10**9 + int(_member(value, rest))
+                    time = int(_member(value, whole)) * 10**9 + int(_member(value, rest))
+                    return time if 0 < time < _LATEST else 0
         except (AttributeError, KeyError, TypeError, ValueError):
             continue
     return 0
