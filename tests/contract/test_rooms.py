@@ -23,6 +23,7 @@ TERMINAL = {"rich", "typer"}
 MAY_LOAD = {
     "egp_service": set(),
     "egp_service.quantities": set(),
+    "egp_service.callbacks": set(),
     "egp_service.files": set(),
     "egp_service.optimal_control": set(),
     "egp_service.shipped": set(),

@@ -103,6 +103,33 @@ def test_what_a_signal_raised_is_raised_again_if_it_was_lost(
         signals.check()
 
 
+def test_a_signal_in_a_function_that_zenoh_calls_is_raised_after_it() -> None:
+    code = """
+import os, signal, zenoh
+from egp_service.cli import signals
+from egp_service.control.client import direct
+
+def called():
+    os.kill(os.getpid(), signal.SIGTERM)
+    for _ in range(1000):
+        pass
+    print("called to its end")
+
+direct(called)
+signals.install()
+called()
+print("back")
+signals.check()
+print("not reached")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=PATIENCE
+    )
+    assert done.returncode == 128 + signal.SIGTERM, done.stderr
+    assert done.stdout.splitlines() == ["called to its end", "back"]
+    assert not done.stderr
+
+
 def test_the_status_line_has_a_style_for_every_mode() -> None:
     assert set(MODE_STYLES) == {"normal", "tail", "stop", "waiting"}
 

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import signal
 import sys
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
+
+from egp_service import callbacks
+
+if TYPE_CHECKING:
+    from types import FrameType
 
 # The signals that came, the newest last.
 _received: list[int] = []
@@ -18,25 +23,24 @@ def install() -> None:
 
 
 def check() -> None:
-    """Raise again what a signal raised before, if it is lost.
+    """Raise what a signal did not raise, because an extension called back into Python when it came.
 
-    That happens if the signal comes while an extension calls back into Python: whatever is raised
-    there does not reach the caller of the extension.
+    What is raised in such a call does not reach the caller of the extension.
     """
     if _received:
         _raise(_received[-1])
 
 
-def _end(number: int, _: object) -> NoReturn:
+def _end(number: int, frame: FrameType | None) -> None:
     for ending in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(ending, signal.SIG_IGN)  # a second one must not interrupt the cleaning up
-    _received.append(number)
-    _raise(number)
+    _interrupt(number, frame)
 
 
-def _interrupt(number: int, _: object) -> NoReturn:
+def _interrupt(number: int, frame: FrameType | None) -> None:
     _received.append(number)
-    _raise(number)
+    if not callbacks.is_within(frame):
+        _raise(number)
 
 
 def _raise(number: int) -> NoReturn:

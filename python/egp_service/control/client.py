@@ -10,10 +10,11 @@ import queue
 import time
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import zenoh
 
+from egp_service import callbacks
 from egp_service._core import (
     LIVE_KEYS,
     Decision,
@@ -181,7 +182,7 @@ class Network:
         except zenoh.ZError as error:
             raise _unreachable(endpoints, f"zenoh cannot open a session ({error})") from error
         self._subscriber = self.session.liveliness().declare_subscriber(
-            LIVE_KEYS, zenoh.handlers.Callback(self._on_token, indirect=False), history=True
+            LIVE_KEYS, direct(self._on_token), history=True
         )
 
     def next(self, patience: float) -> Callable[[Driver], None] | None:
@@ -212,7 +213,7 @@ class Network:
         try:
             self.session.get(
                 query.key,
-                zenoh.handlers.Callback(deliver, end, indirect=False),
+                direct(deliver, end),
                 payload=query.payload,
                 attachment=query.attachment or None,
                 encoding=REQUEST_ENCODING,
@@ -240,6 +241,17 @@ class Network:
             return
         appeared = sample.kind == zenoh.SampleKind.PUT
         self._inbox.put(Announcement(time.monotonic(), replica, appeared))
+
+
+def direct(function: Any, end: Any = None) -> zenoh.handlers.Callback[Any]:  # noqa: ANN401
+    """Let zenoh call a function in the thread in which it receives, and `end` after the last call.
+
+    Rarely that is the main thread, which handles signals.
+    """
+    for called in (function, end):
+        if called is not None:
+            callbacks.mark(called)
+    return zenoh.handlers.Callback(function, end, indirect=False)
 
 
 def session_config(

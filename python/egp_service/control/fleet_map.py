@@ -20,7 +20,7 @@ from egp_service._core import (
     encode_tile_evidence,
     merge_tiles,
 )
-from egp_service.control.client import session_config
+from egp_service.control.client import direct, session_config
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -92,7 +92,7 @@ class FleetMap:
         except zenoh.ZError as error:
             raise EgpError(f"zenoh cannot open a session with {endpoint}: {error}") from error
         self._subscriber = self._session.declare_subscriber(
-            self._keys.changed, zenoh.handlers.Callback(self._on_change, indirect=False)
+            self._keys.changed, direct(self._on_change)
         )
 
     def fetch(self) -> bool:
@@ -237,7 +237,7 @@ class FleetMap:
         try:
             self._session.get(
                 key,
-                zenoh.handlers.Callback(deliver, ended, indirect=False),
+                direct(deliver, ended),
                 payload=payload,
                 encoding=EVIDENCE_ENCODING,
                 timeout=self._timeout,

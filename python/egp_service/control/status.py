@@ -16,7 +16,7 @@ import numpy as np
 import zenoh
 
 from egp_service._core import EgpError, vehicle_key, vehicle_road_key
-from egp_service.control.client import session_config
+from egp_service.control.client import direct, session_config
 from egp_service.control.messages import message_class
 from egp_service.control.step_record import step_record
 from egp_service.quantities import POSITION
@@ -100,9 +100,7 @@ class StatusPublisher:
             def answer(query: zenoh.Query) -> None:
                 query.reply(road_key, payload, encoding=_ENCODING + "VehicleRoad")
 
-            self._queryable = self._session.declare_queryable(
-                road_key, zenoh.handlers.Callback(answer, indirect=False)
-            )
+            self._queryable = self._session.declare_queryable(road_key, direct(answer))
 
     def add(
         self,

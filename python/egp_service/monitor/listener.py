@@ -18,7 +18,7 @@ from egp_service._core import (
     replica_of_load,
     vehicle_road_key,
 )
-from egp_service.control.client import session_config
+from egp_service.control.client import direct, session_config
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -112,6 +112,6 @@ class Listener:
 
         self._session.get(
             vehicle_road_key(fleet_name, vehicle),
-            zenoh.handlers.Callback(deliver, indirect=False),
+            direct(deliver),
             timeout=_ROAD_SECONDS,
         )
