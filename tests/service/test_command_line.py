@@ -71,7 +71,7 @@ def test_a_signal_ends_a_drive_with_its_service_and_its_files(
         start_new_session=True,
     )
     try:
-        wait_until(lambda: bool(list(runs.glob("*/run.mcap"))))
+        wait_until(lambda: any(file.stat().st_size for file in runs.glob("*/run.mcap")))
         assert list((tmp_path / "temporary").iterdir())
         process.send_signal(sent)
         output, _ = process.communicate(timeout=PATIENCE)

@@ -76,14 +76,20 @@ class Recorder:
         """
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._stream = path.open("wb")
-        self._writer = Writer(self._stream)
-        self._writer.start(profile="egp.v1", library="egp-service")
         self._channels: dict[str, int] = {}
         self._steps = 0
-        for name, texts in (_about(controller) | dict(notes or {})).items():
-            self._writer.add_metadata(name, dict(texts))
-        self._writer.flush()  # type: ignore[no-untyped-call]
+        about = _about(controller) | dict(notes or {})
+        self._stream = path.open("wb")
+        try:
+            self._writer = Writer(self._stream)
+            self._writer.start(profile="egp.v1", library="egp-service")
+            for name, texts in about.items():
+                self._writer.add_metadata(name, dict(texts))
+            self._writer.flush()  # type: ignore[no-untyped-call]
+        except BaseException:
+            self._stream.close()
+            path.unlink()  # it has no header, or nothing else
+            raise
 
     def add(self, step: Step, x: ArrayLike, time: float) -> None:
         """Record one control period.
