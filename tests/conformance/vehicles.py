@@ -127,7 +127,7 @@ class InProcess:
                     action.mode, action.status, action.replica, action.lost, action.request
                 )
             if action is None:
-                self._now = deadline
+                self._now = self._driver.next_wake
                 self._driver.wake(self._now)
             elif action.replica in self._frozen:
                 self._open.append((self._now + action.listen, action.id))

@@ -192,7 +192,8 @@ impl VehicleClient {
                     Action::Ask(query) | Action::Probe(query) => self.network.ask(query),
                 }
             }
-            let left = deadline.saturating_duration_since(Instant::now());
+            let wake = self.driver.next_wake().unwrap_or(due);
+            let left = wake.saturating_sub(self.time(Instant::now()));
             match self.network.next(left) {
                 Some(event) => self.tell(event),
                 None => self.driver.wake(self.time(Instant::now())),

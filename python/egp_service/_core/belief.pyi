@@ -16,9 +16,10 @@ class RoadBelief:
     From cell to cell the friction stays or, on average every `change_distance` m (default 200), is
     drawn anew from a uniform distribution over 0.1 to 1.3. Plans reckon with a change at every
     place within the last `commitment` m (40), over which the vehicle cannot react. `capacity` is
-    the largest logarithm of a likelihood ratio that a cell keeps (6 nats), and `window` the number
-    of transitions from which a step estimates the friction (25). Raises `EgpError` unless all are
-    positive.
+    the largest logarithm of a likelihood ratio that a cell keeps (6 nats), `window` the number of
+    transitions from which a step estimates the friction (25), and `indifference` the logarithm of a
+    likelihood ratio up to which a window does not tell coefficients apart (0.25 nats). Raises
+    `EgpError` unless all are positive.
     """
 
     def __new__(
@@ -29,6 +30,7 @@ class RoadBelief:
         commitment: float | None = None,
         capacity: float | None = None,
         window: int | None = None,
+        indifference: float | None = None,
     ) -> RoadBelief: ...
     def to_bytes(self) -> bytes:
         """Return the evidence of all cells, to be stored; equal beliefs give equal bytes."""

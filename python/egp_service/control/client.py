@@ -87,6 +87,7 @@ class VehicleClient(StepController):
         vehicle: str = "vehicle-1",
         gate: Mapping[str, float],
         budget: float = 0.8,
+        hedge: float = 0.5,
         want_sigma: bool = False,
         timeout: float = 10.0,
         key_file: Path | None = None,
@@ -103,6 +104,9 @@ class VehicleClient(StepController):
         `key_file` has the vehicle's secret key, made by `egp keys`: requests are sealed with it,
         and only answers of a service that has the same key are used (docs/security.md).
         `budget` is the part of the control period that an answer may take, in (0, 1].
+        `hedge` is the part of the time until the deadline, in (0, 1], after which the next replica
+        is asked as well if none has answered; with 1 they are asked only one after the other. At
+        most one period in twenty asks twice in the long run.
         `zenoh_config` holds more of zenoh's configuration by path, such as
         `{"transport/link/tls/root_ca_certificate": "ca.pem"}`. Raises `InvalidArgumentError` for
         names, gate settings or a configuration that cannot be used, and `ServiceUnreachableError`
@@ -113,7 +117,9 @@ class VehicleClient(StepController):
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         deadline = time.monotonic() + timeout
         keys = None if key_file is None else key_file.read_text(encoding="utf-8")
-        discovery = Discovery(fleet=fleet, vehicle=vehicle, gate=gate, budget=budget, keys=keys)
+        discovery = Discovery(
+            fleet=fleet, vehicle=vehicle, gate=gate, budget=budget, hedge=hedge, keys=keys
+        )
         network = Network(session_config(names, timeout, zenoh_config or {}, zenoh_file), names)
         try:
             ready = _first_ready(network, discovery, names, deadline)
@@ -123,6 +129,7 @@ class VehicleClient(StepController):
                 vehicle=vehicle,
                 gate=gate,
                 budget=budget,
+                hedge=hedge,
                 want_sigma=want_sigma,
                 keys=keys,
             )
@@ -143,7 +150,7 @@ class VehicleClient(StepController):
                 if isinstance(action, Decision):
                     return action
                 self._network.ask(action)
-            happened = self._network.next(due - time.monotonic())
+            happened = self._network.next(self._driver.next_wake - time.monotonic())
             if happened is None:
                 self._driver.wake(time.monotonic())
             else:

@@ -20,6 +20,9 @@ pub enum DriverError {
     /// The budget is outside its range.
     #[error("the budget must be in (0, 1] of the control period, got {0}")]
     Budget(f64),
+    /// The time of the second question is outside its range.
+    #[error("hedge must be in (0, 1] of the time until the deadline, got {0}")]
+    Hedge(f64),
 }
 
 /// Configuration of a [`crate::Driver`].
@@ -31,6 +34,11 @@ pub struct DriverConfig {
     pub vehicle: Name,
     /// Part of the control period that an answer may take, in (0, 1]. Default 0.8.
     pub budget: f64,
+    /// Part of the time until the deadline, in (0, 1], after which the next replica is asked as well if none has
+    /// answered; the first answer counts. At most one period in twenty does this in the long run, so that replicas that
+    /// are slow because they are busy do not get twice the load. With 1 replicas are asked only one after the other.
+    /// Default 0.5.
+    pub hedge: f64,
     /// Limits of the actuators.
     pub limits: Limits,
     /// Control periods that the rest of a plan may bridge. Default 25, half a second at 50 Hz.
@@ -62,6 +70,7 @@ impl DriverConfig {
             fleet: fleet.parse()?,
             vehicle: vehicle.parse()?,
             budget: 0.8,
+            hedge: 0.5,
             limits,
             max_tail_ticks: 25,
             stop_deceleration: 3.0,
@@ -101,11 +110,12 @@ impl DriverConfig {
     /// Checks everything that does not depend on what a replica serves.
     ///
     /// # Errors
-    /// [`DriverError`] when budget, limits or gate settings are out of range.
+    /// [`DriverError`] when budget, hedge, limits or gate settings are out of range.
     pub(crate) fn validate(&self) -> Result<(), DriverError> {
         let any_dt = 1.0;
         self.gate(any_dt)?;
         self.budget(any_dt)?;
+        self.hedge()?;
         Ok(())
     }
 
@@ -126,6 +136,18 @@ impl DriverConfig {
             Ok(Duration::from_secs_f64(dt * self.budget))
         } else {
             Err(DriverError::Budget(self.budget))
+        }
+    }
+
+    /// The part of the time until the deadline after which a second replica is asked.
+    ///
+    /// # Errors
+    /// [`DriverError::Hedge`] when it is outside (0, 1].
+    pub(crate) fn hedge(&self) -> Result<f64, DriverError> {
+        if self.hedge > 0.0 && self.hedge <= 1.0 {
+            Ok(self.hedge)
+        } else {
+            Err(DriverError::Hedge(self.hedge))
         }
     }
 }

@@ -41,6 +41,8 @@ pub struct BeliefSettings {
     pub capacity: f64,
     /// Number of transitions `K` from which a control step estimates the friction.
     pub window: usize,
+    /// Logarithm of the likelihood ratio in nats up to which a window does not tell coefficients apart.
+    pub indifference: f64,
 }
 
 impl Default for BeliefSettings {
@@ -50,6 +52,7 @@ impl Default for BeliefSettings {
             commitment: 40.0,
             capacity: 6.0,
             window: 25,
+            indifference: 0.25,
         }
     }
 }
@@ -110,6 +113,7 @@ impl RoadBelief {
             ("change_distance", settings.change_distance),
             ("commitment", settings.commitment),
             ("capacity", settings.capacity),
+            ("indifference", settings.indifference),
         ] {
             positive(name, value)?;
         }
@@ -152,6 +156,11 @@ impl RoadBelief {
     /// start of this third to the vehicle: otherwise a surface that has just begun would be believed only after most of the
     /// window lies on it.
     ///
+    /// Likelihoods that are smaller than the largest one by at most the setting `indifference` count as equal to it, and
+    /// the others are raised by as much. Where no grip is used, the models of all coefficients predict nearly the same, and
+    /// the small differences of their likelihoods are errors of the models. They do not become smaller with the number of
+    /// windows, and would add up.
+    ///
     /// # Errors
     /// [`BeliefError`] unless `s` is finite and the likelihoods' logarithms are finite and at most 0.
     pub fn update(
@@ -175,7 +184,9 @@ impl RoadBelief {
             if self.track.len() > window {
                 let (from, to) = (self.track[window / 3], self.track[2 * window / 3]);
                 self.compare_with_reports(log_likelihood);
-                let log_likelihood = interpolate(log_likelihood);
+                let indifference = self.settings.indifference;
+                let log_likelihood =
+                    interpolate(log_likelihood).map(|value| (value + indifference).min(0.0));
                 self.add(from, to, &log_likelihood);
                 self.recent = self.between(from, s).map(|(from, to)| {
                     Recent::new(self.index(from), self.index(to), &log_likelihood)

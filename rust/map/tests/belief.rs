@@ -99,6 +99,21 @@ fn what_is_known_fades_with_the_distance() {
 }
 
 #[test]
+fn differences_that_errors_of_the_models_explain_do_not_add_up() {
+    // Each window prefers little friction by 0.2 nats, as on a straight, or excludes less than 0.4, as in a bend.
+    let straight = friction_hypotheses().map(|mu| -0.2 * (mu / 1.3));
+    let bend = friction_hypotheses().map(|mu| if mu < 0.4 { -3.0 } else { 0.0 });
+    let mut belief = belief();
+    let empty = belief.to_bytes().unwrap();
+    drive(&mut belief, 0.0, 10.0 * LENGTH, |_| Some(straight));
+    belief.leave();
+    assert_eq!(belief.to_bytes().unwrap(), empty);
+    drive(&mut belief, 0.0, 60.0, |_| Some(bend));
+    let [low, ..] = quantiles(&mut belief, 40.0);
+    assert!(low > 0.38, "{low}");
+}
+
+#[test]
 fn new_evidence_contradicts_old() {
     let mut belief = belief();
     drive(&mut belief, 0.0, 20.0 * LENGTH, |_| Some(evidence(1.0)));
@@ -191,6 +206,13 @@ fn numbers_out_of_range_are_errors() {
             .contains("change_distance")
     );
     assert!(RoadBelief::new(f64::NAN, true, &BeliefSettings::default()).is_err());
+    for indifference in [-0.1, f64::NAN] {
+        let settings = BeliefSettings {
+            indifference,
+            ..BeliefSettings::default()
+        };
+        assert!(RoadBelief::new(LENGTH, true, &settings).is_err());
+    }
     let mut belief = belief();
     assert!(belief.update(f64::NAN, None).is_err());
     for spoiled in [f64::NAN, 0.5, f64::NEG_INFINITY] {

@@ -62,13 +62,14 @@ pub struct RoadBelief(egp_map::RoadBelief);
 #[pymethods]
 impl RoadBelief {
     #[new]
-    #[pyo3(signature = (path, *, change_distance = None, commitment = None, capacity = None, window = None))]
+    #[pyo3(signature = (path, *, change_distance = None, commitment = None, capacity = None, window = None, indifference = None))]
     fn new(
         path: &Path,
         change_distance: Option<f64>,
         commitment: Option<f64>,
         capacity: Option<f64>,
         window: Option<usize>,
+        indifference: Option<f64>,
     ) -> PyResult<Self> {
         let default = BeliefSettings::default();
         let settings = BeliefSettings {
@@ -76,6 +77,7 @@ impl RoadBelief {
             commitment: commitment.unwrap_or(default.commitment),
             capacity: capacity.unwrap_or(default.capacity),
             window: window.unwrap_or(default.window),
+            indifference: indifference.unwrap_or(default.indifference),
         };
         let path = &path.0;
         egp_map::RoadBelief::new(path.length(), path.closed(), &settings)

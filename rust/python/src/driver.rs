@@ -121,6 +121,7 @@ pub fn driver_config(
     vehicle: &str,
     gate: BTreeMap<String, f64>,
     budget: f64,
+    hedge: f64,
     want_sigma: bool,
     keys: Option<&str>,
 ) -> PyResult<DriverConfig> {
@@ -132,6 +133,7 @@ pub fn driver_config(
     };
     Ok(DriverConfig {
         budget,
+        hedge,
         max_tail_ticks,
         stop_deceleration,
         want_sigma,
@@ -178,15 +180,16 @@ fn time(seconds: f64) -> PyResult<Duration> {
 ///
 /// A state machine without clock, network or threads: it is told each event with the time in s of a clock that does not
 /// run backwards, and its actions are to be carried out. `ready` is a replica's answer on its `ready` key, `gate` the
-/// settings of the gate, `budget` the part of the control period that an answer may take, `keys` the text of a file of
-/// secret keys with that of this vehicle. Raises `InvalidArgumentError` for values out of range, and if there is no key.
+/// settings of the gate, `budget` the part of the control period that an answer may take, `hedge` the part of the time
+/// until the deadline after which a second replica is asked, `keys` the text of a file of secret keys with that of this
+/// vehicle. Raises `InvalidArgumentError` for values out of range, and if there is no key.
 #[pyclass(module = "egp_service._core")]
 pub struct Driver(egp_driver::Driver);
 
 #[pymethods]
 impl Driver {
     #[new]
-    #[pyo3(signature = (ready, *, fleet, vehicle, gate, budget = 0.8, want_sigma = false, keys = None))]
+    #[pyo3(signature = (ready, *, fleet, vehicle, gate, budget = 0.8, hedge = 0.5, want_sigma = false, keys = None))]
     #[allow(clippy::too_many_arguments)] // the settings of a driver
     fn new(
         ready: &[u8],
@@ -194,10 +197,11 @@ impl Driver {
         vehicle: &str,
         gate: BTreeMap<String, f64>,
         budget: f64,
+        hedge: f64,
         want_sigma: bool,
         keys: Option<&str>,
     ) -> PyResult<Self> {
-        let config = driver_config(fleet, vehicle, gate, budget, want_sigma, keys)?;
+        let config = driver_config(fleet, vehicle, gate, budget, hedge, want_sigma, keys)?;
         let ready = Ready::decode(ready, &egp_wire::MessageLimits::default()).map_err(raise)?;
         egp_driver::Driver::new(config, ready)
             .map(Self)
@@ -237,7 +241,15 @@ impl Driver {
         ticked.map_err(InvalidArgumentError::raise)
     }
 
-    /// Decide the open period if its deadline has passed.
+    /// When `wake` is due, on the driver's clock; infinite while no period is open.
+    #[getter]
+    fn next_wake(&self) -> f64 {
+        self.0
+            .next_wake()
+            .map_or(f64::INFINITY, |at| at.as_secs_f64())
+    }
+
+    /// Ask a second replica or decide the open period, if it is time to.
     fn wake(&mut self, now: f64) -> PyResult<()> {
         self.0.wake(time(now)?);
         Ok(())
@@ -318,15 +330,16 @@ pub struct Discover(Discovery);
 #[pymethods]
 impl Discover {
     #[new]
-    #[pyo3(signature = (*, fleet, vehicle, gate, budget = 0.8, keys = None))]
+    #[pyo3(signature = (*, fleet, vehicle, gate, budget = 0.8, hedge = 0.5, keys = None))]
     fn new(
         fleet: &str,
         vehicle: &str,
         gate: BTreeMap<String, f64>,
         budget: f64,
+        hedge: f64,
         keys: Option<&str>,
     ) -> PyResult<Self> {
-        let config = driver_config(fleet, vehicle, gate, budget, false, keys)?;
+        let config = driver_config(fleet, vehicle, gate, budget, hedge, false, keys)?;
         Discovery::new(&config)
             .map(Self)
             .map_err(InvalidArgumentError::raise)

@@ -144,7 +144,8 @@ impl InProcessDriver {
     #[new]
     #[pyo3(signature = (engine, *, gate, want_sigma = false))]
     fn new(engine: Py<Engine>, gate: BTreeMap<String, f64>, want_sigma: bool) -> PyResult<Self> {
-        let config = driver_config("in-process", "vehicle", gate, 0.8, want_sigma, None)?;
+        // Nobody else can be asked within a process, so the second question has no time.
+        let config = driver_config("in-process", "vehicle", gate, 0.8, 1.0, want_sigma, None)?;
         let served = engine.get().served.clone();
         let driver = egp_driver::InProcessDriver::new(config, served)
             .map_err(InvalidArgumentError::raise)?;

@@ -24,8 +24,8 @@ pub(crate) enum Message {
 pub(crate) enum Event {
     /// A control period of a vehicle begins.
     Period(usize),
-    /// The deadline of a vehicle's control period.
-    Deadline(usize),
+    /// A vehicle's driver is due to wake.
+    Wake(usize),
     /// A query reaches a replica, if the replica is still in this incarnation.
     Arrive(usize, u32, Exchange),
     /// The step of a replica's worker has taken its time.

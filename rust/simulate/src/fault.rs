@@ -29,7 +29,7 @@ pub enum Fault {
     Hostile(usize),
     /// Answers of a replica come twice, or in another order.
     Disorder(usize),
-    /// A sender asks a replica a thousand times a second under one name.
+    /// A sender asks a replica a thousand times a second under 64 names.
     Flood(usize),
     /// The replica restarts with another library until the fault ends.
     Reload(usize),

@@ -210,7 +210,7 @@ impl World<'_> {
     fn happen(&mut self, event: Event) -> Result<(), SimulationError> {
         match event {
             Event::Period(v) => self.period(v)?,
-            Event::Deadline(v) => {
+            Event::Wake(v) => {
                 if self.config.mutant != Some(Mutant::NoDeadline) {
                     let now = self.time_of(v);
                     self.vehicles[v].driver.wake(now);
@@ -267,7 +267,14 @@ impl World<'_> {
         vehicle.deadline = self.now + budget;
         vehicle.driver.tick(now, now + budget, measurement)?;
         self.run.periods += 1;
-        self.agenda.add(self.now + budget, Event::Deadline(v));
+        let hedge = vehicle.driver.next_wake().map(|at| at.saturating_sub(now));
+        for wait in hedge
+            .filter(|hedge| *hedge < budget)
+            .into_iter()
+            .chain([budget])
+        {
+            self.agenda.add(self.now + wait, Event::Wake(v));
+        }
         self.agenda.add(self.now + dt, Event::Period(v));
         self.act(v);
         Ok(())

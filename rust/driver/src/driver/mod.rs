@@ -1,5 +1,6 @@
 //! The state machine: events in, actions out.
 
+mod hedge;
 mod period;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -18,6 +19,7 @@ use crate::replicas::Replicas;
 use crate::reply;
 use crate::situation::{Lost, LostDetector, Situation};
 use crate::step::{Late, Outcome};
+use hedge::HedgeAllowance;
 use period::Answer;
 
 /// Time since a moment that the transport chooses and then keeps; it must not run backwards.
@@ -37,6 +39,8 @@ struct Pending {
     forged: bool,
     /// Whether the replica was demoted because the deadline passed. What comes later does not demote it again.
     counted: bool,
+    /// Whether another replica's answer decided the period.
+    redundant: bool,
 }
 
 /// A question what a replica serves.
@@ -52,13 +56,17 @@ struct Probe {
 struct Running {
     begun: Time,
     deadline: Time,
+    /// When the next replica is asked although those asked before may still answer.
+    hedge: Option<Time>,
     request: Request,
     bytes: Vec<u8>,
     /// Replicas still to be asked, the next one last.
     remaining: Vec<Name>,
     asked: u32,
-    /// The replica asked last and the query whose answer is awaited.
-    current: Option<(QueryId, Name)>,
+    /// The queries whose answers are awaited, with their replicas.
+    awaited: Vec<(QueryId, Name)>,
+    /// The replica that replied, or that was asked last.
+    replica: Option<Name>,
     /// The outcome of the queries so far.
     outcome: Outcome,
     situation: Situation,
@@ -74,6 +82,7 @@ pub struct Driver {
     carry: Carry,
     gate: Gate,
     replicas: Replicas,
+    hedges: HedgeAllowance,
     lost: LostDetector,
     running: Option<Running>,
     pending: BTreeMap<QueryId, Pending>,
@@ -96,6 +105,7 @@ impl Driver {
         }
         Ok(Self {
             budget: config.budget(served.dt)?,
+            hedges: HedgeAllowance::new(config.hedge()?),
             carry: Carry::new(served.library, served.history as usize),
             gate,
             replicas: Replicas::new(config.fleet.clone(), config.vehicle.clone()),
@@ -161,8 +171,12 @@ impl Driver {
     /// A replica withdrew its announcement or was lost. A request that waits for it goes to the next one.
     pub fn replica_gone(&mut self, now: Time, replica: &Name) {
         self.replicas.gone(replica);
-        let awaited = self.running.as_ref().and_then(|run| run.current.as_ref());
-        if awaited.is_some_and(|(_, name)| name == replica) {
+        let Some(run) = self.running.as_mut() else {
+            return;
+        };
+        let before = run.awaited.len();
+        run.awaited.retain(|(_, name)| name != replica);
+        if run.awaited.len() < before {
             self.ask_next(now);
         }
     }
@@ -211,11 +225,13 @@ impl Driver {
         self.running = Some(Running {
             begun: now,
             deadline,
+            hedge: self.hedges.open(now, deadline),
             bytes: request.encode(),
             request,
             remaining,
             asked: 0,
-            current: None,
+            awaited: Vec::new(),
+            replica: None,
             outcome: Outcome::Unreachable,
             situation,
             lost,
@@ -225,8 +241,10 @@ impl Driver {
     }
 
     /// When [`Driver::wake`] is due; none while no period is open.
-    pub fn deadline(&self) -> Option<Time> {
-        self.running.as_ref().map(|run| run.deadline)
+    pub fn next_wake(&self) -> Option<Time> {
+        let run = self.running.as_ref()?;
+        let hedge = run.hedge.filter(|_| !run.remaining.is_empty());
+        Some(hedge.unwrap_or(run.deadline))
     }
 
     /// The next thing to do, oldest first.
@@ -234,19 +252,19 @@ impl Driver {
         self.actions.pop_front()
     }
 
-    /// The time is `now`: past the deadline, the open period is decided without a reply.
+    /// The time is `now`: a replica that has been silent for long is no longer waited for alone, and past the deadline the
+    /// open period is decided without a reply.
     pub fn wake(&mut self, now: Time) {
-        let Some(run) = self.running.as_mut().filter(|run| now >= run.deadline) else {
+        let Some(run) = self.running.as_mut() else {
             return;
         };
-        if let Some((id, replica)) = &run.current {
-            run.outcome = Outcome::Late;
-            self.replicas.demote(replica, now);
-            if let Some(pending) = self.pending.get_mut(id) {
-                pending.counted = true;
-            }
+        if now >= run.deadline {
+            self.expire(now);
+        } else if !run.remaining.is_empty() && run.hedge.is_some_and(|at| now >= at) {
+            run.hedge = None;
+            self.hedges.spend();
+            self.ask_next(now);
         }
-        self.decide(now, None);
     }
 
     /// A replica replied with these bytes and this attachment. With a key, a reply without the tag of the answer has no
@@ -281,13 +299,17 @@ impl Driver {
             }
         };
         self.replicas.answered(&pending.replica, now);
+        if pending.redundant {
+            return; // the period was decided by another replica's answer
+        }
         self.accept(&reply);
         let current =
             |run: &&mut Running| run.request.sequence == reply.sequence && now <= run.deadline;
         match self.running.as_mut().filter(current) {
             Some(run) => {
                 run.outcome = Outcome::Replied(reply.status);
-                run.current = Some((id, pending.replica));
+                run.awaited.retain(|(awaited, _)| *awaited != id);
+                run.replica = Some(pending.replica);
                 let timing = Timing::decode(attachment).ok();
                 let answer = Answer {
                     reply,

@@ -23,7 +23,8 @@ pub(super) struct Answer {
 }
 
 impl Driver {
-    /// Asks the next replica for the open period's step, or decides the period when none or no time is left.
+    /// Asks the next replica for the open period's step. Decides the period when no time is left, or when there is neither
+    /// a further replica nor an answer to wait for.
     pub(super) fn ask_next(&mut self, now: Time) {
         let listen = self.period() * LISTEN_PERIODS;
         let Some(run) = self.running.as_mut() else {
@@ -35,7 +36,12 @@ impl Driver {
             None
         };
         let Some(replica) = next else {
-            return self.decide(now, None);
+            if now >= run.deadline {
+                self.expire(now);
+            } else if run.awaited.is_empty() {
+                self.decide(now, None);
+            }
+            return;
         };
         run.asked += 1;
         self.queries += 1;
@@ -58,8 +64,10 @@ impl Driver {
             tag,
             forged: false,
             counted: false,
+            redundant: false,
         };
-        run.current = Some((id, replica));
+        run.awaited.push((id, replica.clone()));
+        run.replica = Some(replica);
         self.pending.insert(id, pending);
         if self.pending.len() > MAX_PENDING {
             self.pending.pop_first();
@@ -69,10 +77,40 @@ impl Driver {
 
     /// Notes the end of a query; if the open period waited for it, asks the next replica.
     pub(super) fn failed(&mut self, now: Time, id: QueryId, outcome: Outcome) {
-        let awaited = |run: &&mut super::Running| matches!(&run.current, Some((current, _)) if *current == id);
-        if let Some(run) = self.running.as_mut().filter(awaited) {
+        let Some(run) = self.running.as_mut() else {
+            return;
+        };
+        let before = run.awaited.len();
+        run.awaited.retain(|(awaited, _)| *awaited != id);
+        if run.awaited.len() < before {
             run.outcome = outcome;
             self.ask_next(now);
+        }
+    }
+
+    /// Decides the open period, whose deadline has passed.
+    pub(super) fn expire(&mut self, now: Time) {
+        if let Some(run) = &mut self.running
+            && !run.awaited.is_empty()
+        {
+            run.outcome = Outcome::Late;
+            for (id, replica) in &run.awaited {
+                self.replicas.demote(replica, now);
+                if let Some(pending) = self.pending.get_mut(id) {
+                    pending.counted = true;
+                }
+            }
+        }
+        self.decide(now, None);
+    }
+
+    /// Demotes the replicas that have let a deadline pass while another one's answer decided the period.
+    fn count_overdue(&mut self, now: Time) {
+        let overdue =
+            |pending: &&mut Pending| pending.redundant && !pending.counted && now >= pending.due;
+        for pending in self.pending.values_mut().filter(overdue) {
+            pending.counted = true;
+            self.replicas.demote(&pending.replica, now);
         }
     }
 
@@ -100,6 +138,13 @@ impl Driver {
         let Some(run) = self.running.take() else {
             return;
         };
+        if answer.is_some() {
+            for (id, _) in &run.awaited {
+                if let Some(pending) = self.pending.get_mut(id) {
+                    pending.redundant = true;
+                }
+            }
+        }
         let [_, _, v_x, _, _, _, delta] = run.request.x;
         let command = self.gate.command(self.carry.sequence(), v_x, delta);
         self.carry.applied(command.u);
@@ -111,7 +156,7 @@ impl Driver {
         let step = Step {
             command,
             outcome: run.outcome,
-            replica: run.current.map(|(_, replica)| replica),
+            replica: run.replica,
             request: run.bytes,
             reply,
             reply_bytes,
@@ -159,6 +204,7 @@ impl Driver {
     /// Leaves an open period without a command and forgets requests that are too old to be answered.
     pub(super) fn give_up(&mut self, now: Time) {
         self.running = None;
+        self.count_overdue(now);
         let listen = self.period() * LISTEN_PERIODS;
         self.pending
             .retain(|_, pending| now.saturating_sub(pending.due) <= listen);

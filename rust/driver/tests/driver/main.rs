@@ -3,6 +3,7 @@
 
 mod carry;
 mod gate;
+mod hedge;
 mod in_process;
 mod measurements;
 mod periods;

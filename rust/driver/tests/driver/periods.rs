@@ -9,16 +9,16 @@ use prost::Message as _;
 
 use crate::world::{
     BUDGET, HORIZON, LISTEN, answered_period, asked, decided, driver, error, infeasible,
-    measurement, ms, name, request, served, solved, tick,
+    measurement, ms, name, request, served, solved, tick, without_hedge,
 };
 
 #[test]
 fn a_reply_in_time_becomes_the_command() {
     let mut driver = driver(&["a"]);
     assert_eq!((driver.served(), driver.budget()), (&served(), BUDGET));
-    assert_eq!((driver.mode(), driver.deadline()), (Mode::Waiting, None));
+    assert_eq!((driver.mode(), driver.next_wake()), (Mode::Waiting, None));
     tick(&mut driver, ms(20));
-    assert_eq!(driver.deadline(), Some(ms(20) + BUDGET));
+    assert_eq!(driver.next_wake(), Some(ms(20) + BUDGET));
     let query = asked(&mut driver);
     assert_eq!(query.replica, name("a"));
     assert_eq!(query.key, "egp/v1/r/a/depot/car-7/step");
@@ -48,7 +48,7 @@ fn a_reply_in_time_becomes_the_command() {
     assert_eq!(step.lost, None);
     assert_eq!(step.situation.unwrap().distance, 0.0);
     assert_eq!(driver.weights(), [0.25, 0.75]);
-    assert_eq!((driver.mode(), driver.deadline()), (Mode::Normal, None));
+    assert_eq!((driver.mode(), driver.next_wake()), (Mode::Normal, None));
 
     tick(&mut driver, ms(40));
     let next = request(&asked(&mut driver));
@@ -71,7 +71,7 @@ fn an_attachment_is_no_part_of_the_reply() {
 
 #[test]
 fn a_silent_replica_is_waited_for_until_the_deadline_and_then_asked_last() {
-    let mut driver = driver(&["a", "b"]);
+    let mut driver = without_hedge(&["a", "b"]);
     let first = answered_period(&mut driver, ms(20));
     tick(&mut driver, ms(40));
     let query = asked(&mut driver);
@@ -349,7 +349,7 @@ fn a_reset_forgets_everything_but_the_count_of_periods() {
     tick(&mut driver, ms(40));
     let query = asked(&mut driver);
     driver.reset();
-    assert_eq!((driver.mode(), driver.deadline()), (Mode::Waiting, None));
+    assert_eq!((driver.mode(), driver.next_wake()), (Mode::Waiting, None));
     assert!(driver.weights().is_empty());
     driver.replied(ms(41), query.id, &solved(&query).encode(), b"");
     tick(&mut driver, ms(60));

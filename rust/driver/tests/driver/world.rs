@@ -48,7 +48,17 @@ pub(crate) fn ms(milliseconds: u64) -> Duration {
 
 /// A driver with these replicas.
 pub(crate) fn driver(replicas: &[&str]) -> Driver {
-    let mut driver = Driver::new(config(), served()).unwrap();
+    configured(replicas, config())
+}
+
+/// The same, which never asks a second replica while it waits for the first one.
+pub(crate) fn without_hedge(replicas: &[&str]) -> Driver {
+    let hedge = 1.0;
+    configured(replicas, DriverConfig { hedge, ..config() })
+}
+
+fn configured(replicas: &[&str], config: DriverConfig) -> Driver {
+    let mut driver = Driver::new(config, served()).unwrap();
     for replica in replicas {
         driver.replica_appeared(Duration::ZERO, name(replica));
     }
