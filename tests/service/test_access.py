@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 TABLE: Final = Path(__file__).parents[2] / "docs" / "security.md"
 OPERATIONS: Final = ("query", "answer", "put", "subscribe", "announce", "follow")
 IDENTITIES: Final = ("service", "map", "f/a", "f/b", "operator", "stranger")
-# A message that is allowed arrives within a tenth of the first, and a link is there within the second.
+# What is allowed arrives within a tenth of the first time; a link is there within the second.
 SETTLE_SECONDS, PATIENCE = 0.1, 10.0
 # A right: an identity, an operation and a key.
 Right = tuple[str, str, str]
@@ -74,11 +74,15 @@ class Matrix:
 
     def observe(self) -> set[Right]:
         """Try each operation of each identity on each key."""
-        for trial in (self.query, self.answer, self.put, self.subscribe, self.announce, self.follow):
-            trial()
+        self._query()
+        self._answer()
+        self._put()
+        self._subscribe()
+        self._announce()
+        self._follow()
         return self.found
 
-    def repeat(self, attempt: Callable[[], None], operation: str, *identities: str) -> None:
+    def _repeat(self, attempt: Callable[[], None], operation: str, *identities: str) -> None:
         """Repeat an attempt until the expected rights were seen, and once more for others."""
         expected = {
             right
@@ -92,20 +96,20 @@ class Matrix:
         attempt()
         time.sleep(SETTLE_SECONDS)
 
-    def note(self, identity: str, operation: str, key: str) -> Callable[[object], None]:
+    def _note(self, identity: str, operation: str, key: str) -> Callable[[object], None]:
         return lambda _: self.found.add((identity, operation, key))
 
-    def query(self) -> None:
+    def _query(self) -> None:
         declared = [self.hub.declare_queryable(key, reply_with("hub")) for key in KEYS]
 
         def attempt() -> None:
             for (identity, session), key in product(self.sessions.items(), KEYS):
-                session.get(key, answered(self.note(identity, "query", key)), timeout=1.0)
+                session.get(key, answered(self._note(identity, "query", key)), timeout=1.0)
 
-        self.repeat(attempt, "query")
+        self._repeat(attempt, "query")
         undeclare(declared)
 
-    def answer(self) -> None:
+    def _answer(self) -> None:
         declared = [
             session.declare_queryable(key, reply_with(identity))
             for (identity, session), key in product(self.sessions.items(), KEYS)
@@ -120,10 +124,10 @@ class Matrix:
                 identity, key = reply.ok.payload.to_string(), str(reply.ok.key_expr)
                 self.found.add((identity, "answer", key))
 
-        self.repeat(attempt, "answer")
+        self._repeat(attempt, "answer")
         undeclare(declared)
 
-    def put(self) -> None:
+    def _put(self) -> None:
         def note(sample: zenoh.Sample) -> None:
             identity = sample.payload.to_string() or "deletion"
             self.found.add((identity, "put", str(sample.key_expr)))
@@ -134,12 +138,12 @@ class Matrix:
                 session.delete(key)  # no identity may
 
         declared = [self.hub.declare_subscriber(key, note) for key in KEYS]
-        self.repeat(attempt, "put")
+        self._repeat(attempt, "put")
         undeclare(declared)
 
-    def subscribe(self) -> None:
+    def _subscribe(self) -> None:
         declared = [
-            session.declare_subscriber(key, self.note(identity, "subscribe", key))
+            session.declare_subscriber(key, self._note(identity, "subscribe", key))
             for (identity, session), key in product(self.sessions.items(), KEYS)
         ]
 
@@ -147,37 +151,37 @@ class Matrix:
             for key in KEYS:
                 self.hub.put(key, b"hub")
 
-        self.repeat(attempt, "subscribe")
+        self._repeat(attempt, "subscribe")
         undeclare(declared)
 
-    def announce(self) -> None:
+    def _announce(self) -> None:
         for identity, session in self.sessions.items():
             tokens = [session.liveliness().declare_token(key) for key in KEYS]
 
             def attempt(identity: str = identity) -> None:
                 self.found |= {(identity, "announce", key) for key in KEYS if alive(self.hub, key)}
 
-            self.repeat(attempt, "announce", identity)
+            self._repeat(attempt, "announce", identity)
             undeclare(tokens)
             late = time.monotonic() + PATIENCE
             while any(alive(self.hub, key) for key in KEYS):
                 assert time.monotonic() < late
 
-    def follow(self) -> None:
+    def _follow(self) -> None:
         tokens = [self.hub.liveliness().declare_token(key) for key in KEYS]
         declared = [
             session.liveliness().declare_subscriber(
-                key, self.note(identity, "follow", key), history=True
+                key, self._note(identity, "follow", key), history=True
             )
             for (identity, session), key in product(self.sessions.items(), KEYS)
         ]
 
         def attempt() -> None:
             for (identity, session), key in product(self.sessions.items(), KEYS):
-                note = answered(self.note(identity, "follow", key))
+                note = answered(self._note(identity, "follow", key))
                 session.liveliness().get(key, note, timeout=1.0)
 
-        self.repeat(attempt, "follow")
+        self._repeat(attempt, "follow")
         undeclare([*declared, *tokens])
 
 
@@ -194,9 +198,11 @@ def alive(session: zenoh.Session, key: str) -> bool:
     return any(reply.ok is not None for reply in session.liveliness().get(key, timeout=1.0))
 
 
-def undeclare(declared: Iterable[zenoh.Queryable[None] | zenoh.Subscriber[None]]) -> None:
+def undeclare(
+    declared: Iterable[zenoh.Queryable[None] | zenoh.Subscriber[None] | zenoh.LivelinessToken],
+) -> None:
     for one in declared:
-        one.undeclare()
+        one.undeclare()  # type: ignore[no-untyped-call]
 
 
 def opened(file: Path, **settings: object) -> zenoh.Session:
