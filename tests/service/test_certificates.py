@@ -283,3 +283,18 @@ def test_a_service_has_a_limited_number_of_sessions(tmp_path: Path) -> None:
             assert len(hub.info.peers_zid()) <= 24
             time.sleep(0.05)
         assert len(hub.info.peers_zid()) == 24
+
+
+def test_a_question_that_is_larger_than_any_of_its_key_is_dropped(tmp_path: Path) -> None:
+    endpoint = free_endpoint("tls")
+    own = secrets(tmp_path / "own", endpoint)
+    config = zenoh.Config.from_file(own / "service.json5")
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    with zenoh.open(config) as hub, client(endpoint, own / "operator.json5") as session:
+        key = "egp/v1/r/main/health"
+        queryable = hub.declare_queryable("egp/v1/r/main/**", lambda q: q.reply(key, b"ok"))
+        assert first(session, key) is not None
+        for size, answers in ((1024, True), (1025, False)):
+            replies = session.get(key, payload=bytes(size), timeout=1.0)
+            assert any(reply.ok is not None for reply in replies) == answers
+        del queryable
