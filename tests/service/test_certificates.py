@@ -13,6 +13,7 @@ import zenoh
 from security_programs import (
     GATE,
     LINK_SECONDS,
+    PATIENCE,
     client,
     drive,
     first,
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-PATIENCE = 20.0
 FRICTIONS = 0.1 * 13.0 ** np.linspace(0.0, 1.0, 17)
 STRAIGHT = np.array([0.0, 0.3, 15.0, 0.0, 0.0, 0.0, 0.0])
 
@@ -86,7 +86,8 @@ def test_certificates_give_each_identity_its_own_keys(tmp_path: Path) -> None:
         for name, file in files.items():
             with client(endpoint, file) as session:
                 linked = name in allowed
-                assert (first(session, keys["ready"]) is not None) == linked, name
+                ready = first(session, keys["ready"], expected=linked)
+                assert (ready is not None) == linked, name
                 for what, key in keys.items():
                     assert answered(session, key) == (what in allowed.get(name, ())), (name, what)
                 tokens = [reply.ok for reply in session.liveliness().get("egp/v1/@live/*")]
@@ -227,9 +228,17 @@ def test_the_map_takes_reports_under_the_name_of_the_certificate_only(tmp_path: 
     config.write_text(f'zenoh_file = "{own / "map.json5"}"\n[zenoh]\n{listen}\n', encoding="utf-8")
     files = {name: own / "vehicles" / f"f@{name}.json5" for name in ("a", "b")}
 
-    def fleet_map(belief: RoadBelief, vehicle: str, file: str) -> FleetMap:
+    def fleet_map(
+        belief: RoadBelief, vehicle: str, file: str, timeout: float = PATIENCE
+    ) -> FleetMap:
         return FleetMap(
-            endpoint, belief, road="ring", vehicle=vehicle, fleet="f", zenoh_file=files[file]
+            endpoint,
+            belief,
+            road="ring",
+            vehicle=vehicle,
+            fleet="f",
+            timeout=timeout,
+            zenoh_file=files[file],
         )
 
     path = build_path(load_scenario("random"))
@@ -243,11 +252,11 @@ def test_the_map_takes_reports_under_the_name_of_the_certificate_only(tmp_path: 
         with fleet_map(RoadBelief(path), "b", "b") as other:
             assert other.fetch()
             assert set(other.origins) == {"a"}
-        with fleet_map(RoadBelief(path), "a", "b") as forged:
+        with fleet_map(RoadBelief(path), "a", "b", LINK_SECONDS) as forged:
             assert not forged.fetch()
         with client(endpoint, own / "operator.json5") as session:
             assert first(session, MAP_HEALTH_KEY) is not None
-            assert first(session, RoadKey("f", "a", "ring").tiles(0)) is None
+            assert first(session, RoadKey("f", "a", "ring").tiles(0), expected=False) is None
 
 
 def test_the_maps_certificate_does_not_answer_in_a_services_place(tmp_path: Path) -> None:
@@ -264,7 +273,8 @@ def test_the_maps_certificate_does_not_answer_in_a_services_place(tmp_path: Path
             client(endpoint, own / "vehicles" / "f@a.json5") as session,
         ):
             queryable = false.declare_queryable("egp/v1/r/**", forge, complete=True)
-            believed[name] = first(session, "egp/v1/r/main/ready") is not None
+            ready = first(session, "egp/v1/r/main/ready", expected=name == "service")
+            believed[name] = ready is not None
             del queryable
     assert believed == {"service": True, "map": False}
 

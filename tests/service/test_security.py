@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import shutil
+import socket
 import struct
 import time
 from contextlib import ExitStack, contextmanager
@@ -19,6 +20,7 @@ import pytest
 from security_programs import (
     GATE,
     LIBRARY,
+    PATIENCE,
     STEPS,
     client,
     drive,
@@ -40,7 +42,6 @@ if TYPE_CHECKING:
     from egp_service.control.step import Step
 
 KEY = "5e" * 32
-PATIENCE = 30.0
 
 
 @contextmanager
@@ -154,3 +155,15 @@ def test_a_signature_of_the_command_is_accepted_and_a_strangers_is_not(tmp_path:
     certificate = tmp_path / "own" / "ca.key"
     with pytest.raises(EgpError, match="expected an Ed25519 key"):
         sign_library(library, certificate)
+
+
+def test_a_connection_that_says_nothing_is_closed(tmp_path: Path) -> None:
+    """It would keep one of the places that zenoh has for connections that become sessions."""
+    endpoint = free_endpoint()
+    host, _, port = endpoint.rpartition("/")[2].partition(":")
+    with service(tmp_path, endpoint), client(endpoint) as session:
+        assert first(session, "egp/v1/r/main/health") is not None
+        with socket.create_connection((host, int(port))) as silent:
+            # Closed after 2 s; zenoh's own default is 10 s.
+            silent.settimeout(6.0)
+            assert silent.recv(1) == b""
