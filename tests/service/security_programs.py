@@ -52,9 +52,7 @@ def program(*command: str, folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def service(
-    folder: Path, endpoint: str, *lines: str, router: bool = False, replica: str = "main"
-) -> Iterator[None]:
+def service(folder: Path, endpoint: str, *lines: str, router: bool = False) -> Iterator[None]:
     """Run `egp serve` with these lines of configuration, behind a router at the endpoint or not."""
     zenoh_lines = [f'"listen/endpoints" = \'["{endpoint}"]\'']
     if router:
@@ -64,9 +62,9 @@ def service(
             f'"connect/endpoints" = \'["{endpoint}"]\'',
             "\"connect/timeout_ms\" = '20000'",
         ]
-    config = folder / f"{replica}.toml"
-    own = [f'library = "{LIBRARY}"', f'replica = "{replica}"', *lines]
-    config.write_text("\n".join([*own, "[zenoh]", *zenoh_lines]), encoding="utf-8")
+    config = folder / "service.toml"
+    own = [f'library = "{LIBRARY}"', *lines, "[zenoh]", *zenoh_lines]
+    config.write_text("\n".join(own), encoding="utf-8")
     with program("-m", "egp_service", "serve", "--config", str(config), folder=folder):
         yield
 
