@@ -14,23 +14,37 @@ from base64 import b64encode
 from typing import TYPE_CHECKING
 
 from egp_service._core import EgpError
+from egp_service.cli.access import (
+    MAP,
+    OPERATOR,
+    ROUTER,
+    SERVICE,
+    client_access,
+    listener_access,
+    size_limits,
+)
 from egp_service.cli.certificates import Authority, Identity
 from egp_service.cli.signing import new_signing_key
 from egp_service.files import replacing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
 _NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
-# Common names of the two certificates that are no vehicle's, whose names have a slash.
-SERVICE, OPERATOR = "service", "operator"
 # The length to which X.509 limits a common name.
 _LONGEST = 64
 _SCOUTING = {"multicast": {"enabled": False}}
 _RETRY = {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2}
-_FLOWS = ["ingress", "egress"]
-_LIVE = "egp/v1/@live/*"
+# Ports of the map service and of a router, which `egp map` and `egp router` have by default.
+_MAP_PORT, _ROUTER_PORT = 7448, 7449
+# Largest messages that a vehicle, and that a service or router receives, bytes.
+_LONGEST_AT_CLIENT, _LONGEST_AT_SERVICE = 1 << 20, 1 << 23
+# Sessions of each vehicle at a service or router (control, status, map and one that replaces a lost
+# one), and of operators and services together.
+_SESSIONS_OF_VEHICLE, _OTHER_SESSIONS = 4, 16
+# Time in which a connection must become a session, ms.
+_ACCEPT_MS = 2000
 
 
 def write_credentials(
@@ -60,12 +74,16 @@ def write_credentials(
         file = folder / "vehicles" / name.replace("/", "@")
         identity = authority.issue(name, days)
         _write(file.with_name(f"{file.name}.keys"), _key_lines({name: keys[name]}))
-        config = _client(authority, identity, endpoints)
+        config = _client(authority, identity, endpoints, name)
         _write(file.with_name(f"{file.name}.json5"), _text(config))
-    operator = _client(authority, authority.issue(OPERATOR, days), endpoints)
+    operator = _client(authority, authority.issue(OPERATOR, days), endpoints, OPERATOR)
     _write(folder / "operator.json5", _text(operator))
-    identity = authority.issue(SERVICE, days, hosts)
-    _write(folder / "service.json5", _text(_service(authority, identity, port, keys)))
+    # What vehicles publish is passed on to clients: services and routers leave it to two peers to
+    # have a link of their own.
+    _write(folder / "monitor.json5", _text(operator | {"mode": "client"}))
+    for end, at in ((SERVICE, port), (MAP, _MAP_PORT), (ROUTER, _ROUTER_PORT)):
+        identity = authority.issue(end, days, hosts)
+        _write(folder / f"{end}.json5", _text(_listener(authority, identity, end, at, keys)))
     # The list of the vehicles comes last: an interrupted call can be repeated.
     _write(ring, _key_lines(keys))
     return new
@@ -138,65 +156,35 @@ def _transport(tls: dict[str, object], longest: int) -> dict[str, object]:
 
 
 def _client(
-    authority: Authority, identity: Identity, endpoints: Sequence[str]
+    authority: Authority, identity: Identity, endpoints: Sequence[str], name: str
 ) -> dict[str, object]:
+    tls = _tls(authority, {"connect": identity})
     return {
         "mode": "peer",
         "scouting": _SCOUTING,
         "listen": {"endpoints": []},
         "connect": {"retry": _RETRY, "endpoints": list(endpoints)},
-        "transport": _transport(_tls(authority, {"connect": identity}), 1 << 20),
+        "transport": _transport(tls, _LONGEST_AT_CLIENT),
+        "access_control": client_access(name),
     }
 
 
-def _service(
-    authority: Authority, identity: Identity, port: int, vehicles: Iterable[str]
+def _listener(
+    authority: Authority, identity: Identity, name: str, port: int, vehicles: Collection[str]
 ) -> dict[str, object]:
     tls = _tls(authority, {"listen": identity, "connect": identity})
+    sessions = {
+        "max_sessions": _OTHER_SESSIONS + _SESSIONS_OF_VEHICLE * len(vehicles),
+        "accept_timeout": _ACCEPT_MS,
+    }
     return {
-        "mode": "peer",
+        "mode": "router" if name == ROUTER else "peer",
         "scouting": _SCOUTING,
         "connect": {"retry": _RETRY},
         "listen": {"endpoints": [f"tls/[::]:{port}"]},
-        "transport": _transport(tls, 1 << 23),
-        "access_control": _access(sorted(vehicles)),
-    }
-
-
-def _access(vehicles: Sequence[str]) -> dict[str, object]:
-    """Deny everything but: own steps and `ready` to a vehicle, state and load to an operator."""
-    questions = ["query", "reply"]
-    liveliness = ["liveliness_query", "liveliness_token", "declare_liveliness_subscriber"]
-    rules = [
-        _rule("live", liveliness, _LIVE),
-        _rule("ready", questions, "egp/v1/r/*/ready"),
-        _rule("served", ["declare_queryable"], "egp/v1/r/**", flows=["egress"]),
-        _rule("state", questions, "egp/v1/r/*/health", "egp/v1/r/*/metrics"),
-        _rule("load", ["put", "declare_subscriber"], "egp/v1/@load/*"),
-        *(_rule(name, questions, f"egp/v1/r/*/{name}/step") for name in vehicles),
-    ]
-    everyone = ["live", "ready", "served"]
-    return {
-        "enabled": True,
-        "default_permission": "deny",
-        "rules": rules,
-        "subjects": [{"id": name, "cert_common_names": [name]} for name in [OPERATOR, *vehicles]],
-        "policies": [
-            {"rules": [*everyone, "state", "load"], "subjects": [OPERATOR]},
-            *({"rules": [*everyone, name], "subjects": [name]} for name in vehicles),
-        ],
-    }
-
-
-def _rule(
-    name: str, messages: Sequence[str], *keys: str, flows: Sequence[str] = tuple(_FLOWS)
-) -> dict[str, object]:
-    return {
-        "id": name,
-        "messages": list(messages),
-        "flows": list(flows),
-        "permission": "allow",
-        "key_exprs": list(keys),
+        "transport": _transport(tls, _LONGEST_AT_SERVICE) | {"unicast": sessions},
+        "access_control": listener_access(name, vehicles),
+        "low_pass_filter": size_limits(),
     }
 
 

@@ -12,6 +12,7 @@ from egp_service.simulation.scene import vehicle_road
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
@@ -20,14 +21,20 @@ if TYPE_CHECKING:
 
 @contextmanager
 def publication(
-    scenario: Scenario, controller: StepController, endpoint: str | None, vehicle: str
+    scenario: Scenario,
+    controller: StepController,
+    endpoint: str | None,
+    vehicle: str,
+    zenoh_file: Path | None,
 ) -> Iterator[Callable[[Period], None]]:
     """Give what to call with each period; without an endpoint it does nothing."""
     if endpoint is None:
         yield lambda _: None
         return
     road = vehicle_road(build_path(scenario))
-    with StatusPublisher(controller, endpoint, vehicle=vehicle, road=road) as status:
+    with StatusPublisher(
+        controller, endpoint, vehicle=vehicle, road=road, zenoh_file=zenoh_file
+    ) as status:
 
         def publish(period: Period) -> None:
             truth = period.truth

@@ -24,6 +24,7 @@ from egp_service.control.client import direct, session_config
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from pathlib import Path
 
     from egp_service._core import RoadBelief
 
@@ -64,12 +65,14 @@ class FleetMap:
         fleet: str = "default",
         lifetime: float = 1800.0,
         timeout: float = 3.0,
+        zenoh_file: Path | None = None,
         zenoh_config: Mapping[str, object] | None = None,
     ) -> None:
         """Connect to the map service at `endpoint`, such as `tcp/127.0.0.1:7448`.
 
         All vehicles of a fleet name a road alike; `vehicle` must be unique in the fleet. `lifetime`
-        is that of the service: reports age while it is silent. Raises `InvalidArgumentError` for
+        is that of the service: reports age while it is silent. `zenoh_file` and `zenoh_config` are
+        as for `VehicleClient.connect`. Raises `InvalidArgumentError` for
         names or a configuration that cannot be used, and `EgpError` if zenoh opens no session.
         """
         self._keys = RoadKey(fleet, vehicle, road)
@@ -88,7 +91,9 @@ class FleetMap:
         self._exchanged = self._aged = time.monotonic()
         self._warned: set[str] = set()
         try:
-            self._session = zenoh.open(session_config([endpoint], timeout, zenoh_config or {}))
+            self._session = zenoh.open(
+                session_config([endpoint], timeout, zenoh_config or {}, zenoh_file)
+            )
         except zenoh.ZError as error:
             raise EgpError(f"zenoh cannot open a session with {endpoint}: {error}") from error
         self._subscriber = self._session.declare_subscriber(

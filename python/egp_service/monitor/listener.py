@@ -38,8 +38,9 @@ class Listener:
     ) -> None:
         """Connect to services or routers at `connect`, and let vehicles connect to `listen`.
 
-        Endpoints that cannot be reached are tried again and again. `zenoh_file` is a configuration
-        of zenoh in JSON5, whose endpoints are replaced by those that are given. Raises
+        Endpoints that cannot be reached are tried again and again, at the start in zenoh's mode
+        `peer` only. `zenoh_file` is a configuration of zenoh in JSON5, whose endpoints are replaced
+        by those that are given. Raises
         `InvalidArgumentError` for a configuration that cannot be used, and `EgpError` if zenoh
         opens no session.
         """
@@ -48,10 +49,12 @@ class Listener:
         try:
             self._session = zenoh.open(session_config(connect, _CONNECT_SECONDS, more, zenoh_file))
         except zenoh.ZError as error:
-            raise EgpError(
-                f"zenoh cannot open a session: {error}; is {', '.join(listen)} in use? "
-                "Choose another endpoint with --listen"
-            ) from error
+            hint = (
+                f"is {', '.join(listen)} in use? Choose another endpoint with --listen"
+                if listen
+                else "a session in zenoh's client mode needs a service or router that runs"
+            )
+            raise EgpError(f"zenoh cannot open a session: {error}; {hint}") from error
         direct = zenoh.handlers.Callback
         self._declared = [
             self._session.declare_subscriber(

@@ -28,8 +28,8 @@ impl NetworkError {
     }
 }
 
-/// The settings that differ from zenoh's defaults, each as its key and JSON5 value.
-const DEFAULTS: [(&str, &str); 6] = [
+/// The settings that differ from zenoh's defaults or are documented as limits, each as its key and JSON5 value.
+const DEFAULTS: [(&str, &str); 8] = [
     // The service is reachable from this machine only, unless an operator configures more (and access control).
     ("listen/endpoints", r#"["tcp/127.0.0.1:7447"]"#),
     ("scouting/multicast/enabled", "false"),
@@ -42,6 +42,10 @@ const DEFAULTS: [(&str, &str); 6] = [
     // A payload beyond the limit of a request gets an error, and one beyond this limit is dropped without an answer: it
     // must not fill the memory.
     ("transport/link/rx/max_message_size", "8388608"),
+    // Further sessions are closed, so that strangers fill a bounded part of the memory.
+    ("transport/unicast/max_sessions", "1000"),
+    // zenoh waits for 100 connections at once that have not yet become sessions; silent ones must soon make room.
+    ("transport/unicast/accept_timeout", "2000"),
     // The first control steps must not wait for a pool of shared memory.
     ("transport/shared_memory/enabled", "false"),
 ];

@@ -37,7 +37,9 @@ def drive(
     zenoh: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Configuration of zenoh (JSON5) for --connect, with TLS and keys."
+            metavar="FILE",
+            help="Configuration of zenoh (JSON5) for --connect, --fleet and --monitor, with TLS "
+            "and keys.",
         ),
     ] = None,
     plant: Annotated[
@@ -107,11 +109,11 @@ def drive(
         chosen = replace(chosen, seed=seed)
     belief = load_belief(chosen, road)
     with (
-        _fleet_map(console, chosen, belief, fleet, vehicle) as exchange,
+        _fleet_map(console, chosen, belief, fleet, vehicle, zenoh) as exchange,
         _controller(
             chosen, in_process=in_process, connect=connect, vehicle=vehicle, zenoh=zenoh, key=key
         ) as controller,
-        publication(chosen, controller, monitor, vehicle or "vehicle-1") as publish,
+        publication(chosen, controller, monitor, vehicle or "vehicle-1", zenoh) as publish,
     ):
         folder = new_folder(output, chosen.name)
         with StatusLine(console) as line:
@@ -163,6 +165,7 @@ def _fleet_map(
     belief: "RoadBelief",
     endpoint: str | None,
     vehicle: str | None,
+    zenoh: Path | None,
 ) -> "Iterator[Callable[[], None]]":
     """Give what to call in each period, and say at the end what the map contributed."""
     from egp_service.simulation.course import road_name
@@ -181,7 +184,9 @@ def _fleet_map(
     from egp_service.cli.tables import map_summary
     from egp_service.control.fleet_map import FleetMap
 
-    with FleetMap(endpoint, belief, road=road_name(scenario), vehicle=vehicle) as fleet:
+    with FleetMap(
+        endpoint, belief, road=road_name(scenario), vehicle=vehicle, zenoh_file=zenoh
+    ) as fleet:
         if not fleet.fetch():
             console.print(f"No map service answers at {endpoint}; start one with `egp map`")
         yield fleet.exchange

@@ -50,8 +50,13 @@ Service, in the file of `egp serve --config`:
   vehicle_keys = "{folder / "vehicles.keys"}"
   library_keys = "{folder / "library.pub"}"    (serves only what `egp sign` signed)
   zenoh_file = "{folder / "service.json5"}"
+Map service, in the file of `egp map --config`:
+  zenoh_file = "{folder / "map.json5"}"
 Vehicle, for instance:
-  egp drive --vehicle {vehicle[0]} --zenoh {own}.json5 --key {own}.keys""",
+  egp drive --vehicle {vehicle[0]} --zenoh {own}.json5 --key {own}.keys
+Live page, and a router if there is one:
+  egp monitor --zenoh {folder / "monitor.json5"}
+  egp router --zenoh {folder / "router.json5"}""",
         markup=False,
         highlight=False,
     )
