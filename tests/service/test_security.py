@@ -24,7 +24,8 @@ import zenoh
 from typer.testing import CliRunner
 
 from egp_service import EgpError, VehicleClient
-from egp_service._core import Discovery, Server, live_key
+from egp_service._core import Discovery, Server
+from egp_service._core.testing import live_key
 from egp_service.cli import app
 from egp_service.cli.signing import sign_library
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
