@@ -35,7 +35,8 @@ class Friction:
     """Posterior of the friction coefficient, from the last transitions and a uniform prior.
 
     `mean`, standard deviation `std`, the 5 and 95 % quantiles `lower` and `upper`, and the
-    `information` of the transitions, which is the divergence from the prior in nats.
+    `information` of the transitions, which is the divergence from the prior in nats. From 0.1 nats
+    on the transitions are `informed`; otherwise the posterior is hardly more than the prior.
     `log_likelihood` (17,) has the logarithms of the likelihoods of 0.1 * 13 ** (i / 16), relative
     to the largest.
     """
@@ -45,6 +46,7 @@ class Friction:
     lower: Final[float]
     upper: Final[float]
     information: Final[float]
+    informed: Final[bool]
     log_likelihood: Final[NDArray[np.float64]]
 
 @final

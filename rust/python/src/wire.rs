@@ -52,6 +52,8 @@ pub struct Friction {
     upper: f64,
     /// Information in the transitions, nats.
     information: f64,
+    /// Whether the transitions have information about the friction.
+    informed: bool,
     /// Logarithm of the likelihood of each friction coefficient of the wire's hypotheses, relative to the largest.
     log_likelihood: KeptVector,
 }
@@ -66,6 +68,7 @@ impl Friction {
                 lower: friction.lower,
                 upper: friction.upper,
                 information: friction.information,
+                informed: friction.informed(),
                 log_likelihood: vector(py, friction.log_likelihood).unbind(),
             };
             Py::new(py, friction)
