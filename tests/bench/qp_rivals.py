@@ -17,7 +17,8 @@ import numpy as np
 from qp_problems import Condensed, arguments
 from scipy import sparse
 
-from egp_service._core import ocp_to_qp, solve_ocp
+from egp_service._core import solve_ocp
+from egp_service._core.testing import ocp_to_qp
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from service_bench import Bench, free_endpoint, listens_at
 
-from egp_service._core import step_key
+from egp_service._core.testing import step_key
 from egp_service.control.recorded import read_recording
 
 ROOT = Path(__file__).parents[2]
@@ -52,7 +52,7 @@ def processor_time(process: subprocess.Popen[bytes]) -> float:
 def asked(
     program: str, endpoint: str, key: str, request: Path, process: subprocess.Popen[bytes]
 ) -> tuple[np.ndarray, float]:
-    """Return round trip, queue and step of each query in µs (n, 3), and the processor time of one."""
+    """Return round trip, queue and step in µs (n, 3), and the processor time of a query."""
     before = processor_time(process)
     output = subprocess.run(
         [program, "ask", endpoint, key, str(request), str(COUNT)], check=True, capture_output=True

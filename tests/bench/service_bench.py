@@ -19,7 +19,7 @@ import numpy as np
 import zenoh
 
 from egp_service import VehicleClient, shipped
-from egp_service._core import step_key
+from egp_service._core.testing import step_key
 from egp_service.control.recorded import read_recording
 from egp_service.simulation.scenario import gate_settings, load_scenario
 

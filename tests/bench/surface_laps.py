@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import Library, plant_initial_states, plant_step_batch
+from egp_service._core import Library
+from egp_service._core.testing import plant_initial_states, plant_step_batch
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, make
 from egp_service.evaluation.experiment import NOISE
 from egp_service.simulation.closed_loop import drive

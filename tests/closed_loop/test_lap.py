@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from typer.testing import CliRunner
 
-from egp_service import Controller
+from egp_service import Controller, Library
 from egp_service._core import write_library_subset
 from egp_service.cli import app
 from egp_service.control.recorded import RecordingError, read_recording
@@ -78,6 +78,23 @@ def test_the_weights_follow_the_surfaces_in_the_corners(lap: Lap) -> None:
     dry = np.mean(believed[cornering & (trace.friction == 1.1)])
     assert wet < 0.75
     assert dry > 0.95
+
+
+def test_the_friction_is_informed_where_the_car_uses_the_grip(lap: Lap) -> None:
+    found = [period.step.friction for period in lap.periods]
+    told = [friction for friction in found if friction is not None and friction.informed]
+    untold = [friction for friction in found if friction is not None and not friction.informed]
+    assert min(friction.information for friction in told) >= 0.1
+    assert max(friction.information for friction in untold) < 0.1
+    # Without information the 90 % interval is that of the prior, 1.08 wide.
+    assert min(friction.upper - friction.lower for friction in untold) > 0.8
+    assert np.median([friction.upper - friction.lower for friction in told]) < 0.6
+
+
+def test_a_controller_states_the_frictions_of_its_members() -> None:
+    file = library_path(SCENARIO)
+    with Controller(file, gate=gate_settings(SCENARIO)) as controller:
+        assert controller.frictions == [member.friction for member in Library.load(file).members]
 
 
 def test_the_summary_is_on_disk_as_json(lap: Lap) -> None:

@@ -19,7 +19,8 @@ import pytest
 import zenoh
 
 from egp_service import Controller
-from egp_service._core import LIVE_KEYS, Engine, decode_reply, step_key
+from egp_service._core import LIVE_KEYS, Engine, decode_reply
+from egp_service._core.testing import step_key
 from egp_service.control.service_process import ServiceProcess
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.scenario import (

@@ -25,6 +25,7 @@ import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from egp_service import _core
+from egp_service._core import testing
 
 LIBRARY = str(files("egp_service") / "shipped" / "demo-library.safetensors")
 
@@ -161,7 +162,7 @@ def serve(name: str, endpoint: str, script: Script) -> None:
 
     def on_query(query: Any) -> None:  # noqa: ANN401
         key = str(query.key_expr)
-        if key == _core.ready_key(name):
+        if key == testing.ready_key(name):
             query.reply(key, replica.ready())
             return
         answer = replica.answer(query.payload.to_bytes())
@@ -176,7 +177,7 @@ def serve(name: str, endpoint: str, script: Script) -> None:
     answering = zenoh.handlers.Callback(on_query, indirect=True)
     # Both declarations end when they are garbage-collected.
     queryable = session.declare_queryable(f"egp/v1/r/{name}/**", answering, complete=True)
-    token = session.liveliness().declare_token(_core.live_key(name))
+    token = session.liveliness().declare_token(testing.live_key(name))
     print("serving", flush=True)
     threading.Event().wait()
     del queryable, token

@@ -7,11 +7,11 @@ import pytest
 from egp_service._core import (
     EgpError,
     Engine,
-    Gate,
     InProcessDriver,
     InvalidArgumentError,
     VehicleParameters,
 )
+from egp_service._core.testing import Gate
 from egp_service.shipped import DEMO_LIBRARY
 
 LIMITS = VehicleParameters.commonroad(1).gate_limits()

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import pkgutil
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import egp_service
+from egp_service import _core
 
 # Libraries that take long to import or come with an extra.
 WATCHED = {
@@ -99,6 +102,24 @@ def test_every_room_has_its_own_rule() -> None:
 @pytest.mark.parametrize("rule", MODULES)
 def test_a_room_loads_only_what_it_needs(rule: str) -> None:
     assert loaded_by(MODULES[rule]) <= MAY_LOAD[rule]
+
+
+def test_the_extension_has_what_the_package_uses_and_the_rest_is_marked_as_for_tests() -> None:
+    package = Path(egp_service.__file__).parent
+    product = "".join(file.read_text(encoding="utf-8") for file in package.rglob("*.py"))
+    assert "_core.testing" not in product
+    core = package / "_core"
+    defined = {
+        file.stem: re.findall(r"(?m)^(?:class |def )?(\w+)[(:]", file.read_text(encoding="utf-8"))
+        for file in core.glob("*.pyi")
+    }
+    marked = set(defined.pop("testing"))
+    # What a function or a class of a stub mentions, such as the type of a result, is used, too.
+    stubs = "".join((core / f"{stem}.pyi").read_text(encoding="utf-8") for stem in defined)
+    for name in {name for names in defined.values() for name in names}:
+        assert re.search(rf"\b{name}\b", product) or len(re.findall(rf"\b{name}\b", stubs)) > 1
+    assert len(marked) > 5
+    assert not [name for name in marked if hasattr(_core, name)]
 
 
 @pytest.mark.parametrize("name", egp_service.__all__)

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from egp_service import SpeedProfile, VehicleParameters, shipped
-from egp_service._core import EgpError, Engine, Gate, MapServer, Server
+from egp_service._core import EgpError, Engine, Server
+from egp_service._core.testing import Gate, MapServer
 from egp_service.simulation.scenario import Scenario
 from library_example import write_example
 

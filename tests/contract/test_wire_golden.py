@@ -11,6 +11,7 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from egp_service import _core
+from egp_service._core import testing
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -185,7 +186,7 @@ def test_the_extension_reads_the_small_messages() -> None:
     assert ready.vehicle is not None
     assert ready.vehicle.fields() == VEHICLE
     assert ready.vehicle == _core.VehicleParameters(**VEHICLE)
-    assert _core.decode_timing(golden("timing")) == (120, 2400)
+    assert testing.decode_timing(golden("timing")) == (120, 2400)
 
 
 def test_a_client_in_another_language_is_told_which_field_is_wrong() -> None:

@@ -14,15 +14,8 @@ from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
 from egp_service import EgpError
-from egp_service._core import (
-    FrictionMap,
-    Path,
-    Plant,
-    plant_derivative,
-    plant_initial_states,
-    plant_step_batch,
-    surface_friction,
-)
+from egp_service._core import Path, Plant, surface_friction
+from egp_service._core.testing import plant_derivative, plant_initial_states, plant_step_batch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -210,11 +203,12 @@ def test_batch_is_the_single_plants_bit_for_bit() -> None:
 
 
 def test_split_friction_enters_by_wheel() -> None:
-    """Ice on the left: braking turns the vehicle to the right, in the map as wheel by wheel."""
+    """Ice on the left: braking turns the vehicle to the right, on a path as wheel by wheel."""
     plant = Plant()
     plant.reset(0.0, 0.0, 0.0, 20.0)
     brake = np.array([-6.0 * plant.mass, 0.0])
-    split = FrictionMap(np.array([[1.0], [0.2]]), (0.0, -100.0), 100.0)
+    points = np.column_stack([np.linspace(-100.0, 100.0, 41), np.zeros(41)])
+    split = Path.from_points(points, closed=False).with_friction([(0.0, 0.2, 1.0)])
     plant.step(brake, 0.2, split)
     assert plant.vehicle_state[5] < -0.05
 

@@ -14,7 +14,8 @@ import piqp
 import pytest
 from scipy import sparse
 
-from egp_service._core import EgpError, OcpBounds, OcpWeights, ocp_to_qp, solve_ocp
+from egp_service._core import EgpError, OcpBounds, OcpWeights, solve_ocp
+from egp_service._core.testing import ocp_to_qp
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

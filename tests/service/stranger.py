@@ -22,6 +22,7 @@ import zenoh
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from egp_service import _core
+from egp_service._core import testing
 
 LIBRARY = str(files("egp_service") / "shipped" / "demo-library.safetensors")
 GENUINE = 3
@@ -83,7 +84,7 @@ def main(mode: str, name: str, listen: str, connect: str) -> None:
     answering = zenoh.handlers.Callback(answer, indirect=True)
     # Both declarations end when they are garbage-collected.
     queryable = front.declare_queryable(f"egp/v1/r/{name}/**", answering, complete=True)
-    token = front.liveliness().declare_token(_core.live_key(name))
+    token = front.liveliness().declare_token(testing.live_key(name))
     threading.Event().wait()
     del queryable, token
 

@@ -24,7 +24,8 @@ from security_programs import (
 )
 
 from egp_service import StatusPublisher, VehicleClient
-from egp_service._core import MAP_HEALTH_KEY, RoadBelief, RoadKey, live_key, vehicle_key
+from egp_service._core import RoadBelief, RoadKey, vehicle_key
+from egp_service._core.testing import MAP_HEALTH_KEY, live_key
 from egp_service.control.fleet_map import FleetMap
 from egp_service.monitor.listener import Listener
 from egp_service.simulation.course import build_path

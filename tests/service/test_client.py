@@ -15,7 +15,7 @@ import pytest
 import zenoh
 
 from egp_service import Controller, InvalidArgumentError, VehicleClient
-from egp_service._core import live_key
+from egp_service._core.testing import live_key
 from egp_service.control.client import Network, ServiceUnreachableError
 from egp_service.control.service_process import ServiceProcess, ServiceStartError
 from egp_service.simulation.closed_loop import drive

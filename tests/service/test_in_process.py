@@ -15,6 +15,7 @@ import pytest
 import zenoh
 
 from egp_service import _core
+from egp_service._core import testing
 from egp_service.shipped import DEMO_LIBRARY
 from library_example import write_example
 
@@ -72,12 +73,12 @@ def test_the_service_replies_with_the_engines_bytes(endpoint: str, client: Any) 
     request = first_request(engine)
     with _core.Server(toml(endpoint)):
         wait_until_alive(client)
-        (reply,) = list(client.get(_core.step_key("main", "fleet", "car"), payload=request))
-        (ready,) = list(client.get(_core.ready_key("main")))
+        (reply,) = list(client.get(testing.step_key("main", "fleet", "car"), payload=request))
+        (ready,) = list(client.get(testing.ready_key("main")))
     data = reply.ok.payload.to_bytes()
     assert data == engine.step(request)
     assert _core.decode_reply(data).status == "solved"
-    assert _core.decode_timing(reply.ok.attachment.to_bytes())[1] > 0
+    assert testing.decode_timing(reply.ok.attachment.to_bytes())[1] > 0
     served = _core.decode_ready(ready.ok.payload.to_bytes())
     assert (served.ready, served.library) == (True, engine.library_id)
     assert (served.dt, served.horizon, served.history) == (
@@ -91,7 +92,7 @@ def test_the_service_replies_with_the_engines_bytes(endpoint: str, client: Any) 
 def test_refusals_are_typed(endpoint: str, client: Any) -> None:  # noqa: ANN401
     with _core.Server(toml(endpoint)):
         wait_until_alive(client)
-        (reply,) = list(client.get(_core.step_key("main", "fleet", "car"), payload=b"noise"))
+        (reply,) = list(client.get(testing.step_key("main", "fleet", "car"), payload=b"noise"))
     refusal = _core.decode_error(reply.err.payload.to_bytes())
     assert (refusal.code, refusal.retryable) == ("malformed", False)
 

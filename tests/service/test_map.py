@@ -17,16 +17,14 @@ import pytest
 import zenoh
 
 from egp_service._core import (
-    MAP_HEALTH_KEY,
-    MAP_METRICS_KEY,
     EgpError,
-    MapServer,
     RoadBelief,
     RoadKey,
     decode_error,
     decode_road_tiles,
     encode_tile_evidence,
 )
+from egp_service._core.testing import MAP_HEALTH_KEY, MAP_METRICS_KEY, MapServer
 from egp_service.control.client import session_config
 from egp_service.control.fleet_map import FleetMap
 from egp_service.simulation.course import build_path, road_name

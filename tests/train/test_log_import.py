@@ -320,6 +320,28 @@ def test_a_known_wheelbase_sharpens_the_checks(tmp_path: Path) -> None:
         import_log(tmp_path / "drive.csv", columns, provenance(), mass=MASS, wheelbase=1.0)
 
 
+def test_the_summary_counts_the_gaps_of_all_logs(tmp_path: Path) -> None:
+    arguments = ["collect", "--friction", "0.5", "--dt", "0.05", "--mass", str(MASS)]
+    arguments += ["-o", str(tmp_path / "data.parquet")]
+    for quantity, column in COLUMNS.items():
+        arguments += ["--column", f"{quantity}={column}"]
+    log = _log(seconds=30.0)
+    _write(tmp_path / "whole.csv", log)
+    command = [*arguments, "--from-log", str(tmp_path / "whole.csv")]
+    whole = CliRunner().invoke(app, command)
+    assert whole.exit_code == 0, whole.output
+    assert "in total" not in whole.output
+    # A log with gaps of 1.5 and 2.5 s, beside one with a gap of 1.5 s.
+    for name, ends in (("a.csv", ((5.0, 6.5), (12.0, 14.5))), ("b.csv", ((5.0, 6.5),))):
+        time = np.asarray(log["t"])
+        kept = np.all([(time <= first) | (time >= last) for first, last in ends], axis=0)
+        _write(tmp_path / name, {column: np.asarray(log[column])[kept] for column in log})
+        arguments += ["--from-log", str(tmp_path / name)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "3 gaps of 5.5 s in total, the longest of 2.5 s" in result.output
+
+
 def test_several_logs_and_what_they_cover(tmp_path: Path) -> None:
     arguments = ["collect", "--friction", "0.5", "--dt", "0.05", "--mass", str(MASS)]
     for name, seconds in (("a.csv", 30.0), ("b.csv", 20.0)):

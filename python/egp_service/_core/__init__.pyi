@@ -2,6 +2,7 @@
 
 A name that the package's public interface can reach has its documentation here, from where
 `rust/python/build.rs` copies it for `help()`. All other names are documented in `rust/python/src`.
+`testing`, which has what only tests call, is not imported here.
 """
 
 from egp_service._core.belief import *

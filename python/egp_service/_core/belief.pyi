@@ -41,7 +41,7 @@ class RoadBelief:
         Raises `EgpError` if the data are no stored belief, are damaged, or are about another road;
         the belief is then unchanged.
 
-        >>> from egp_service import Path
+        >>> from egp_service import Path, RoadBelief
         >>> path = Path.rounded_rectangle()
         >>> RoadBelief(path).recall(RoadBelief(path).to_bytes())
         """
@@ -69,7 +69,8 @@ class RoadBelief:
     def quantiles(self, s: NDArray[np.float64], share: float) -> NDArray[np.float64]:
         """Return the friction below which that at arc lengths (n,) lies with probability `share`.
 
-        >>> from egp_service import Path
+        >>> import numpy as np
+        >>> from egp_service import Path, RoadBelief
         >>> road = RoadBelief(Path.rounded_rectangle())
         >>> road.quantiles(np.array([10.0]), 0.5).round(2).tolist()  # nothing is known
         [0.7]
@@ -109,7 +110,8 @@ def merge_tiles(
     in `lifetime` s (1800). The result does not depend on the order. Raises `EgpError` if bytes are
     not those of a tile, or a setting is not positive.
 
-    >>> from egp_service import Path
+    >>> from egp_service import Path, RoadBelief
+    >>> from egp_service._core import merge_tiles
     >>> empty = RoadBelief(Path.rounded_rectangle()).tile(0)
     >>> merge_tiles([(empty, 0.0), (empty, 60.0)]) == empty
     True

@@ -1,6 +1,6 @@
-"""The driver's state machine and the gate."""
+"""The driver's state machine."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final, Literal, final
 
 import numpy as np
@@ -100,20 +100,3 @@ class Discovery:
     def error(self) -> str: ...
     @property
     def unusable(self) -> dict[str, str]: ...
-
-@final
-class Command:
-    u: Final[tuple[float, float]]
-    mode: Final[Literal["normal", "tail", "stop", "waiting"]]
-    limited: Final[bool]
-
-@final
-class Gate:
-    def __new__(cls, dt: float, settings: Mapping[str, float]) -> Gate: ...
-    def accept(
-        self, tick: int, plan_u: Sequence[tuple[float, float]] | NDArray[np.float64]
-    ) -> None: ...
-    def command(self, tick: int, v_x: float, delta: float) -> Command: ...
-    def reset(self) -> None: ...
-    @property
-    def mode(self) -> Literal["normal", "tail", "stop", "waiting"]: ...

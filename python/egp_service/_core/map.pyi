@@ -1,23 +1,6 @@
 """The map service, its messages and its keys."""
 
-from types import TracebackType
-from typing import Final, Self, final
-
-MAP_HEALTH_KEY: str
-MAP_METRICS_KEY: str
-
-@final
-class MapServer:
-    def __new__(cls, config_toml: str) -> MapServer: ...
-    def stop(self) -> None: ...
-    def __enter__(self) -> Self: ...
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-        /,
-    ) -> None: ...
+from typing import Final, final
 
 @final
 class RoadKey:

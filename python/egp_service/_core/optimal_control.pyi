@@ -188,20 +188,3 @@ def predict_residual(
     >>> mean[-1].round(4).tolist()
     [0.0196, 0.015, 0.0]
     """
-
-def ocp_to_qp(
-    A: ArrayLike,
-    B: ArrayLike,
-    c: ArrayLike,
-    x0: ArrayLike,
-    u_prev: ArrayLike,
-    reference: ArrayLike,
-    weights: OcpWeights,
-    bounds: OcpBounds,
-) -> tuple[
-    tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
-    NDArray[np.float64],
-    tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
-    NDArray[np.float64],
-    NDArray[np.float64],
-]: ...

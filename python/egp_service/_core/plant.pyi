@@ -36,14 +36,14 @@ class Plant:
         self,
         u: NDArray[np.float64],
         dt: float,
-        friction: _Surface | FrictionMap | Path,
+        friction: _Surface | Path,
         hint: float | None = None,
     ) -> None:
         """Drive `dt` seconds with the constant input `u = [F_x, delta_dot]` (N, rad/s).
 
-        The surface is the same everywhere, or that of the map's cell or of the path's zone under
-        each wheel. Wheels are located on a path as by `Path.project`: pass the last projection's
-        `s` as `hint`, or each call searches the whole path.
+        The surface is the same everywhere, or that of the path's zone under each wheel. Wheels are
+        located on a path as by `Path.project`: pass the last projection's `s` as `hint`, or each
+        call searches the whole path.
 
         Raises `EgpError` for invalid input, and if the vehicle has spun; the state is then
         unchanged.
@@ -66,34 +66,6 @@ class Plant:
     def lateral_acceleration(self) -> float:
         """Lateral acceleration of the body in m/s²."""
 
-@final
-class FrictionMap:
-    """Friction coefficients `values` (rows along +y, columns along +x) in square cells.
-
-    `origin` is the lower left corner of the grid, `cell` the side of a cell in m. Outside the grid
-    the friction is that of the nearest cell.
-    """
-
-    def __new__(
-        cls, values: NDArray[np.float64], origin: tuple[float, float], cell: float
-    ) -> FrictionMap: ...
-
-def plant_derivative(
-    state: NDArray[np.float64],
-    u: NDArray[np.float64],
-    friction: float | NDArray[np.float64],
-    vehicle: int = 1,
-) -> NDArray[np.float64]: ...
-def plant_initial_states(
-    vehicle_states: NDArray[np.float64], vehicle: int = 1
-) -> NDArray[np.float64]: ...
-def plant_step_batch(
-    states: NDArray[np.float64],
-    u: NDArray[np.float64],
-    dt: float,
-    friction: NDArray[np.float64] | _Surface,
-    vehicle: int = 1,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
 def surface_friction(surface: _Surface) -> float:
     """Return the friction coefficient of a surface: longitudinal peak force over load.
 

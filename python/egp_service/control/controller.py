@@ -43,6 +43,7 @@ class Controller(StepController):
         text = _text(settings)
         engine = Engine(str(library), text)
         self.library, self.members = engine.library_id, engine.members
+        self.frictions = engine.frictions
         self.dt, self.horizon = engine.dt, engine.horizon
         self.settings = tomllib.loads(engine.settings_toml)
         self.stated_settings = tomllib.loads(text)

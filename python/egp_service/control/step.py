@@ -79,7 +79,8 @@ class Step:
     sigma: NDArray[np.float64] | None
     """Standard deviations (T+1, 3) of `[v_x, v_y, omega]` along the plan, if requested."""
     friction: Friction | None
-    """Posterior of the friction coefficient from the last transitions; `None` without a reply."""
+    """Posterior of the friction coefficient from the last transitions; `None` without a reply.
+    Whether they tell anything about it is its `informed`."""
     timings: Timings
     replica: str
     """Name of the replica that replied or was asked last; empty if none was asked."""
@@ -153,6 +154,9 @@ class StepController(ABC):
     """Inputs in a plan, T."""
     members: Sequence[str]
     """Surfaces, in the order of the weights."""
+    frictions: Sequence[float] | None = None
+    """Nominal friction coefficients of the members, no unit, in the order of the weights; `None` if
+    they are not known, as with a service."""
     settings: Mapping[str, object] | None = None
     """Every setting that the control step uses; `None` if they are not known, as with a service."""
     stated_settings: Mapping[str, object] = MappingProxyType({})

@@ -35,6 +35,8 @@ class Coverage:
     seconds: float
     """Time of all transitions."""
     trajectories: int
+    gaps: tuple[float, ...]
+    """Lengths in s of the gaps of the imported logs."""
     ranges: dict[str, tuple[float, float, str]]
     """Smallest and largest value of each GP input, and its unit."""
     time: NDArray[np.float64]
@@ -54,6 +56,7 @@ class Coverage:
         return cls(
             seconds=dt * len(dataset),
             trajectories=len(np.unique(dataset.trajectory)),
+            gaps=dataset.gaps,
             ranges={
                 name: (float(z[name].min()), float(z[name].max()), unit)
                 for name, unit in GP_INPUT.items()
@@ -65,6 +68,12 @@ class Coverage:
     def lines(self) -> Iterator[str]:
         """Say what is covered, and what is too thin to train on."""
         yield f"{self.seconds:.0f} s in {self.trajectories} pieces without gaps"
+        if self.gaps:
+            noun = "gap" if len(self.gaps) == 1 else "gaps"
+            yield (
+                f"{len(self.gaps)} {noun} of {sum(self.gaps):.3g} s in total, "
+                f"the longest of {max(self.gaps):.3g} s"
+            )
         yield ", ".join(
             f"{name} {low:.3g} to {high:.3g} {unit}"
             for name, (low, high, unit) in self.ranges.items()

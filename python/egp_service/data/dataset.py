@@ -57,13 +57,18 @@ class Provenance:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Dataset:
-    """Transitions `z` (n, 6) to `y` (n, 3) with their trajectory and step, in SI units."""
+    """Transitions `z` (n, 6) to `y` (n, 3) with their trajectory and step, in SI units.
+
+    `gaps` has the lengths in s of the gaps between trajectories of an imported log; the file does
+    not state them.
+    """
 
     z: NDArray[np.float64]
     y: NDArray[np.float64]
     trajectory: NDArray[np.uint32]
     step: NDArray[np.uint32]
     provenance: Provenance
+    gaps: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes and values; users of a dataset need no further checks."""
@@ -98,6 +103,7 @@ class Dataset:
             y=self.y[rows],
             trajectory=self.trajectory[rows],
             step=self.step[rows],
+            gaps=(),
         )
 
     def digest(self) -> str:
@@ -191,6 +197,7 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
         provenance=dataclasses.replace(
             first, method=" + ".join(dict.fromkeys(d.provenance.method for d in datasets))
         ),
+        gaps=tuple(gap for dataset in datasets for gap in dataset.gaps),
     )
 
 

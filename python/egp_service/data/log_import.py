@@ -132,7 +132,7 @@ def import_log(
 def _transitions(
     log: Mapping[str, NDArray[np.float64]], columns: Mapping[str, Column], provenance: Provenance
 ) -> Dataset:
-    pieces, every = _pieces(log["time"], provenance.dt)
+    pieces, every, gaps = _pieces(log["time"], provenance.dt)
     z, y, trajectory, step = [], [], [], []
     for number, (first, last) in enumerate(pieces):
         ends = np.arange(first, last, every)
@@ -151,6 +151,7 @@ def _transitions(
         trajectory=np.concatenate(trajectory),
         step=np.concatenate(step),
         provenance=provenance,
+        gaps=gaps,
     )
 
 
@@ -226,13 +227,18 @@ def _read(
     return log
 
 
-def _pieces(time: NDArray[np.float64], dt: float) -> tuple[list[tuple[int, int]], int]:
-    """Split at gaps and by length; return row ranges [first, last) and the rows per dt."""
+def _pieces(
+    time: NDArray[np.float64], dt: float
+) -> tuple[list[tuple[int, int]], int, tuple[float, ...]]:
+    """Split at gaps and by length.
+
+    Returns row ranges [first, last), the rows per dt, and the lengths of the gaps in s.
+    """
     if len(time) < 2:  # noqa: PLR2004
         raise EgpError(f"the log has {len(time)} rows: expected at least two")
-    gaps = np.diff(time)
-    period = float(np.median(gaps))
-    if period <= 0.0 or gaps.min() <= 0.0:
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    if period <= 0.0 or steps.min() <= 0.0:
         raise EgpError("time does not increase: sort the log and remove duplicate rows")
     every = max(1, round(dt / period))
     if abs(every * period - dt) > 0.02 * dt:
@@ -240,7 +246,7 @@ def _pieces(time: NDArray[np.float64], dt: float) -> tuple[list[tuple[int, int]]
             f"the log's period is {period:.6g} s: dt {dt:g} s is no multiple of it; "
             "choose another dt or resample the log"
         )
-    steady = np.abs(gaps - period) < 0.2 * period
+    steady = np.abs(steps - period) < 0.2 * period
     if steady.mean() < 0.9:  # noqa: PLR2004
         raise EgpError(
             f"only {100 * steady.mean():.0f} % of the time steps are within 20 % of the median "
@@ -255,7 +261,7 @@ def _pieces(time: NDArray[np.float64], dt: float) -> tuple[list[tuple[int, int]]
     ]
     if not pieces:
         raise EgpError(f"no unbroken stretch of the log is longer than dt {dt:g} s")
-    return pieces, every
+    return pieces, every, tuple(steps[steps >= 1.2 * period].tolist())
 
 
 def _check_rate(change: NDArray[np.float64], logged: NDArray[np.float64], column: Column) -> None:

@@ -3,6 +3,9 @@
 /// Smallest and largest friction coefficient of a road; before anything is known, all between are equally likely.
 pub const FRICTION_RANGE: (f64, f64) = (0.1, 1.3);
 
+/// Information about the friction in nats (divergence of the posterior from the prior) from which transitions are informed.
+pub const FRICTION_INFORMED: f64 = 0.1;
+
 /// Number of hypotheses about the friction coefficient.
 pub const FRICTION_HYPOTHESES: usize = 17;
 

@@ -11,7 +11,8 @@ mod surface;
 mod vehicle;
 
 pub use friction::{
-    FRICTION_HYPOTHESES, FRICTION_RANGE, friction_hypotheses, interpolate_hypotheses,
+    FRICTION_HYPOTHESES, FRICTION_INFORMED, FRICTION_RANGE, friction_hypotheses,
+    interpolate_hypotheses,
 };
 pub use surface::{ForceCurve, Surface, SurfaceError};
 pub use vehicle::{ParameterError, VehicleParameters};

@@ -37,17 +37,6 @@ pub enum PlantError {
         /// The given value.
         value: f64,
     },
-    /// A friction map that is not a grid.
-    #[error("expected rows x columns = {expected} friction values in at least one cell, got {got}")]
-    MapShape {
-        /// Rows times columns.
-        expected: usize,
-        /// Number of given values.
-        got: usize,
-    },
-    /// A cell size that is not positive.
-    #[error("expected a cell size > 0 in metres, got {0}")]
-    MapCell(f64),
     /// A negative speed, for which the tyre equations do not hold.
     #[error("expected a forward speed v_x >= 0, got {0} m/s; the vehicle only drives forward")]
     Backward(f64),

@@ -44,7 +44,7 @@ pub use batch::{BatchItem, step_batch};
 pub use disturbances::Disturbances;
 pub use dynamics::{KINEMATIC_SPEED, derivative};
 pub use error::PlantError;
-pub use friction::{Friction, Map, Uniform};
+pub use friction::{Friction, Uniform};
 pub use integrator::{MAX_SUBSTEP, longest_substep};
 pub use limits::ActuatorLimits;
 pub use parameters::{Axle, Joint, Parameters, SprungMass, VehicleId, Wheel};

@@ -3,7 +3,7 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use egp_plant::{
-    BatchItem, Contact, Friction, GRAVITY, MAX_SUBSTEP, Map, Plant, PlantError, Surface, Uniform,
+    BatchItem, Contact, Friction, GRAVITY, MAX_SUBSTEP, Plant, PlantError, Surface, Uniform,
     VehicleId, VehicleState, derivative, initial_state, longest_substep, step_batch,
 };
 use proptest::prelude::*;
@@ -166,11 +166,25 @@ fn brakes_stop_and_hold_and_the_vehicle_drives_away_again() {
     }
 }
 
+/// Friction coefficients to the left (y > 0) and to the right of the x axis.
+struct Split {
+    left: f64,
+    right: f64,
+}
+
+impl Friction for Split {
+    fn surface(&self, [_, y]: [f64; 2]) -> Surface {
+        if y > 0.0 { self.left } else { self.right }.into()
+    }
+}
+
 #[test]
 fn braking_with_ice_on_the_left_turns_the_vehicle_right() {
-    // This checks the wheel order: y is to the left. Cells are 1 km wide.
-    let split = Map::new([-1000.0, -1000.0], 1000.0, [2, 2], vec![1.0, 1.0, 0.2, 0.2]).unwrap();
-    assert_eq!(split.surface([0.0, 0.7]).friction(), 0.2);
+    // This checks the wheel order: y is to the left.
+    let split = Split {
+        left: 0.2,
+        right: 1.0,
+    };
     for vehicle in VEHICLES {
         let mut plant = plant(vehicle, at_speed(20.0));
         let brake = [-6.0 * plant.parameters().mass, 0.0];
@@ -184,15 +198,18 @@ fn braking_with_ice_on_the_left_turns_the_vehicle_right() {
 }
 
 #[test]
-fn a_uniform_map_is_a_uniform_surface() {
-    let map = Map::new([0.0, 0.0], 1.0, [1, 1], vec![0.7]).unwrap();
-    let mut on_map = plant(VehicleId::FordEscort, at_speed(15.0));
-    let mut uniform = on_map.clone();
-    on_map.step([-2000.0, 0.3], 0.5, &map).unwrap();
+fn the_same_surface_on_both_sides_is_a_uniform_surface() {
+    let split = Split {
+        left: 0.7,
+        right: 0.7,
+    };
+    let mut on_split = plant(VehicleId::FordEscort, at_speed(15.0));
+    let mut uniform = on_split.clone();
+    on_split.step([-2000.0, 0.3], 0.5, &split).unwrap();
     uniform
         .step([-2000.0, 0.3], 0.5, &Uniform::new(0.7).unwrap())
         .unwrap();
-    assert_eq!(on_map.state(), uniform.state());
+    assert_eq!(on_split.state(), uniform.state());
 }
 
 #[test]

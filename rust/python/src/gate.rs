@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 use crate::error::{EgpError, raise};
 
 /// The command of one period.
-#[pyclass(frozen, get_all, module = "egp_service._core")]
+#[pyclass(frozen, get_all, module = "egp_service._core.testing")]
 #[derive(Clone)]
 pub struct Command {
     /// Force [N] and steering rate [rad/s].
@@ -24,7 +24,7 @@ pub struct Command {
 /// Every command lies inside hard limits of value and slew. Periods have `dt` s. `settings` holds all limits, as
 /// `VehicleParameters.gate_limits` gives them, and may hold `max_tail_ticks` (25) and `stop_deceleration` (3 m/s²).
 /// Raises `EgpError` for a limit that is missing or has the wrong sign, and for an unknown name.
-#[pyclass(module = "egp_service._core")]
+#[pyclass(module = "egp_service._core.testing")]
 pub struct Gate(egp_gate::Gate);
 
 /// Limits, tail and deceleration of a gate. All limits must be stated; unknown names are errors.

@@ -22,6 +22,7 @@ mod programs;
 mod residual;
 mod service;
 mod surface;
+mod testing;
 mod wire;
 
 /// The private extension module behind `egp_service`; each submodule has a stub of its name.
@@ -39,8 +40,6 @@ mod _core {
     mod driver {
         #[pymodule_export]
         use crate::driver::{Decision, Discover, Driver, Query};
-        #[pymodule_export]
-        use crate::gate::{Command, Gate};
     }
 
     #[pymodule]
@@ -60,20 +59,16 @@ mod _core {
     #[pymodule]
     mod map {
         #[pymodule_export]
-        const MAP_HEALTH_KEY: &str = egp_wire::road_keys::HEALTH;
-        #[pymodule_export]
-        const MAP_METRICS_KEY: &str = egp_wire::road_keys::METRICS;
-        #[pymodule_export]
         use crate::map::{
-            Keys, MapServer, RoadTile, decode_road_tiles, decode_tiles_changed,
-            encode_tile_evidence, serve_map,
+            Keys, RoadTile, decode_road_tiles, decode_tiles_changed, encode_tile_evidence,
+            serve_map,
         };
     }
 
     #[pymodule]
     mod optimal_control {
         #[pymodule_export]
-        use crate::ocp::{OcpResult, ocp_to_qp, solve_ocp, solve_weights};
+        use crate::ocp::{OcpResult, solve_ocp, solve_weights};
         #[pymodule_export]
         use crate::problem::{OcpBounds, OcpWeights};
         #[pymodule_export]
@@ -89,9 +84,9 @@ mod _core {
     #[pymodule]
     mod plant {
         #[pymodule_export]
-        use crate::plant::{Plant, plant_derivative, plant_initial_states, plant_step_batch};
+        use crate::plant::Plant;
         #[pymodule_export]
-        use crate::surface::{FrictionMap, surface_friction};
+        use crate::surface::surface_friction;
     }
 
     #[pymodule]
@@ -107,6 +102,21 @@ mod _core {
         #[pymodule_export]
         use crate::service::{
             Engine, InProcessDriver, Server, check_settings, serve, vector_instructions,
+        };
+    }
+
+    #[pymodule]
+    mod testing {
+        #[pymodule_export]
+        const MAP_HEALTH_KEY: &str = egp_wire::road_keys::HEALTH;
+        #[pymodule_export]
+        const MAP_METRICS_KEY: &str = egp_wire::road_keys::METRICS;
+        #[pymodule_export]
+        use crate::gate::{Command, Gate};
+        #[pymodule_export]
+        use crate::testing::{
+            MapServer, decode_timing, live_key, ocp_to_qp, plant_derivative, plant_initial_states,
+            plant_step_batch, ready_key, step_key,
         };
     }
 
@@ -131,22 +141,23 @@ mod _core {
         #[pymodule_export]
         use crate::wire::{
             Friction, Refusal, Replica, Reply, Request, decode_error, decode_ready, decode_reply,
-            decode_request, decode_timing, file_descriptor_set, health_key, live_key, metrics_key,
-            publishing_vehicle, ready_key, replica_of_live, replica_of_load, step_key, vehicle_key,
-            vehicle_road_key,
+            decode_request, file_descriptor_set, publishing_vehicle, replica_of_live,
+            replica_of_load, vehicle_key, vehicle_road_key,
         };
     }
 
-    /// Makes the submodules importable, and their names also names of this module.
+    /// Makes the submodules importable, and the names of all but `testing` also names of this module.
     #[pymodule_init]
     fn init(core: &Bound<'_, PyModule>) -> PyResult<()> {
         let loaded = core.py().import("sys")?.getattr("modules")?;
         for submodule in core.index()? {
             let name: String = submodule.extract()?;
             let submodule = core.getattr(&name)?.cast_into::<PyModule>()?;
-            for name in submodule.index()? {
-                let name: String = name.extract()?;
-                core.setattr(&name, submodule.getattr(&name)?)?;
+            if name != "testing" {
+                for name in submodule.index()? {
+                    let name: String = name.extract()?;
+                    core.setattr(&name, submodule.getattr(&name)?)?;
+                }
             }
             submodule.delattr("__all__")?;
             loaded.set_item(format!("egp_service._core.{name}"), submodule)?;

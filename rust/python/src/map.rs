@@ -1,7 +1,6 @@
 //! The map service, its messages and its keys.
 
 use std::borrow::Cow;
-use std::sync::{Mutex, PoisonError};
 
 use egp_service::map::MapConfig;
 use egp_wire::keys::Name;
@@ -19,39 +18,6 @@ pub fn serve_map(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     py.detach(|| egp_service::map::serve_map(&config))
         .map_err(raise)?;
     after_signal(py)
-}
-
-/// A map service that runs in this process until it is stopped; a context manager.
-#[pyclass(module = "egp_service._core", frozen)]
-pub struct MapServer(Mutex<Option<egp_service::map::MapServer>>);
-
-#[pymethods]
-impl MapServer {
-    #[new]
-    fn new(py: Python<'_>, config_toml: &str) -> PyResult<Self> {
-        let config = MapConfig::from_toml(config_toml).map_err(raise)?;
-        let server = py
-            .detach(|| egp_service::map::MapServer::start(&config))
-            .map_err(raise)?;
-        Ok(Self(Mutex::new(Some(server))))
-    }
-
-    /// Answer the queries that wait, write what is not yet written, and close.
-    fn stop(&self, py: Python<'_>) {
-        let server = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(server) = server {
-            py.detach(|| server.stop());
-        }
-    }
-
-    fn __enter__(slf: Py<Self>) -> Py<Self> {
-        slf
-    }
-
-    #[pyo3(signature = (*_exception))]
-    fn __exit__(&self, py: Python<'_>, _exception: &Bound<'_, pyo3::types::PyTuple>) {
-        self.stop(py);
-    }
 }
 
 /// The keys of a road of a fleet for one vehicle. Raises `InvalidArgumentError` for a text that is no name.

@@ -113,6 +113,13 @@ impl Engine {
         self.served.members.clone()
     }
 
+    /// Nominal friction coefficients of the members, in the order of the weights.
+    #[getter]
+    fn frictions(&self) -> Vec<f64> {
+        let members = self.inner.library().members().iter();
+        members.map(|member| member.friction()).collect()
+    }
+
     /// Bytes of the Ready message of a replica with this engine.
     #[getter]
     fn ready<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {

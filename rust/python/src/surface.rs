@@ -1,12 +1,11 @@
-//! Surfaces for a plant: one surface, a map, or a path with zones of surfaces.
+//! Surfaces for a plant: one surface, or a path with zones of surfaces.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
 
-use egp_plant::{Friction, Map, Surface, Uniform};
+use egp_plant::{Friction, Surface, Uniform};
 use pyo3::prelude::*;
 
-use crate::array::Matrix;
 use crate::error::raise;
 use crate::path::Path;
 
@@ -73,29 +72,11 @@ pub fn surface_friction(surface: SurfaceValue) -> PyResult<f64> {
     Ok(surface.friction())
 }
 
-#[doc = doc!(FrictionMap)]
-#[pyclass(module = "egp_service._core", frozen)]
-pub struct FrictionMap(Map);
-
-#[pymethods]
-impl FrictionMap {
-    #[new]
-    fn new(values: Matrix<'_>, origin: (f64, f64), cell: f64) -> PyResult<Self> {
-        let values = values.as_array();
-        let (rows, columns) = values.dim();
-        let values = values.iter().copied().collect();
-        Map::new([origin.0, origin.1], cell, [rows, columns], values)
-            .map(Self)
-            .map_err(raise)
-    }
-}
-
 /// The `friction` argument of a step.
 #[derive(FromPyObject)]
 pub enum Road<'py> {
-    // The members are tried in this order, and each failed attempt makes an exception: the usual ones come first.
+    // The variants are tried in this order, and each failed attempt makes an exception: the usual ones come first.
     Friction(f64),
-    Map(Bound<'py, FrictionMap>),
     Path(Bound<'py, Path>),
     Surface(SurfaceValue),
 }
@@ -109,7 +90,6 @@ impl Road<'_> {
         Ok(match self {
             Self::Friction(mu) => Box::new(Uniform::new(*mu).map_err(raise)?),
             Self::Surface(value) => Box::new(Uniform::new(value.surface()?).map_err(raise)?),
-            Self::Map(map) => Box::new(&map.get().0),
             Self::Path(path) => Box::new(OnPath {
                 path: &path.get().0,
                 last: Cell::new(hint),

@@ -3,7 +3,6 @@
 use std::borrow::Cow;
 
 use egp_wire::{MessageLimits, Predictions, keys};
-use prost::Message as _;
 use pyo3::prelude::*;
 
 use crate::array::{KeptCube, KeptMatrix, KeptVector, NewCube, NewMatrix, array, vector};
@@ -53,6 +52,8 @@ pub struct Friction {
     upper: f64,
     /// Information in the transitions, nats.
     information: f64,
+    /// Whether the transitions have information about the friction.
+    informed: bool,
     /// Logarithm of the likelihood of each friction coefficient of the wire's hypotheses, relative to the largest.
     log_likelihood: KeptVector,
 }
@@ -67,6 +68,7 @@ impl Friction {
                 lower: friction.lower,
                 upper: friction.upper,
                 information: friction.information,
+                informed: friction.informed(),
                 log_likelihood: vector(py, friction.log_likelihood).unbind(),
             };
             Py::new(py, friction)
@@ -209,51 +211,14 @@ pub fn decode_ready(py: Python<'_>, data: &[u8]) -> PyResult<Replica> {
     })
 }
 
-/// Read a Timing: microseconds in the queue and in the step.
-#[pyfunction]
-pub fn decode_timing(data: &[u8]) -> PyResult<(u32, u32)> {
-    let timing = egp_wire::Timing::decode(data).map_err(raise)?;
-    Ok((timing.queue_us, timing.step_us))
-}
-
 /// The serialised google.protobuf.FileDescriptorSet of the messages.
 #[pyfunction]
 pub fn file_descriptor_set() -> Cow<'static, [u8]> {
     egp_wire::FILE_DESCRIPTOR_SET.into()
 }
 
-fn name(text: &str) -> PyResult<keys::Name> {
+pub fn name(text: &str) -> PyResult<keys::Name> {
     text.parse().map_err(raise)
-}
-
-/// The key on which a vehicle asks a replica for a control step.
-#[pyfunction]
-pub fn step_key(replica: &str, fleet: &str, vehicle: &str) -> PyResult<String> {
-    Ok(keys::step(&name(replica)?, &name(fleet)?, &name(vehicle)?))
-}
-
-/// The key on which a replica answers what it serves.
-#[pyfunction]
-pub fn ready_key(replica: &str) -> PyResult<String> {
-    name(replica).map(|replica| keys::ready(&replica))
-}
-
-/// The key on which a replica answers whether it is alive.
-#[pyfunction]
-pub fn health_key(replica: &str) -> PyResult<String> {
-    name(replica).map(|replica| keys::health(&replica))
-}
-
-/// The key on which a replica answers its OpenMetrics text.
-#[pyfunction]
-pub fn metrics_key(replica: &str) -> PyResult<String> {
-    name(replica).map(|replica| keys::metrics(&replica))
-}
-
-/// The liveliness token of a replica.
-#[pyfunction]
-pub fn live_key(replica: &str) -> PyResult<String> {
-    name(replica).map(|replica| keys::live(&replica))
 }
 
 /// Name of the replica whose liveliness token this is, or None.

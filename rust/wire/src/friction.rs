@@ -1,6 +1,6 @@
 //! The friction that a step found.
 
-use egp_parameters::FRICTION_HYPOTHESES;
+use egp_parameters::{FRICTION_HYPOTHESES, FRICTION_INFORMED};
 
 use crate::Invalid;
 use crate::fields::{Fields, once};
@@ -32,6 +32,11 @@ const LOG_LIKELIHOOD: u32 = 6;
 const FIELD: &str = "friction";
 
 impl Friction {
+    /// Whether the transitions have information about the friction: at least [`FRICTION_INFORMED`].
+    pub fn informed(&self) -> bool {
+        self.information >= FRICTION_INFORMED
+    }
+
     /// The numbers, in the order of their tags.
     pub(crate) fn values(&self) -> [f64; 5] {
         [

@@ -17,8 +17,8 @@
 mod hypothesis;
 
 use egp_parameters::{
-    FRICTION_HYPOTHESES as HYPOTHESES, FRICTION_RANGE as RANGE, friction_hypotheses,
-    interpolate_hypotheses,
+    FRICTION_HYPOTHESES as HYPOTHESES, FRICTION_INFORMED as INFORMED, FRICTION_RANGE as RANGE,
+    friction_hypotheses, interpolate_hypotheses,
 };
 use hypothesis::Hypothesis;
 
@@ -34,8 +34,6 @@ const TEMPERATURE: f64 = 1.6;
 const POINTS: usize = 121;
 /// Probabilities of the interval's ends.
 const INTERVAL: (f64, f64) = (0.05, 0.95);
-/// Information in nats from which a window is informed.
-const INFORMED: f64 = 0.1;
 
 /// Posterior of the friction coefficient.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,7 +54,7 @@ pub struct FrictionEstimate {
 }
 
 impl FrictionEstimate {
-    /// Whether the window has information about the friction: at least 0.1 nats.
+    /// Whether the window has information about the friction: at least [`egp_parameters::FRICTION_INFORMED`].
     pub fn informed(&self) -> bool {
         self.information >= INFORMED
     }

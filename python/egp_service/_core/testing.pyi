@@ -1,0 +1,84 @@
+"""What only tests and benchmarks call: parts of plant, solver, gate and wire by themselves.
+
+Its names are not those of `egp_service._core`, and may change at any time.
+"""
+
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import Final, Literal, Self, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from egp_service._core.optimal_control import OcpBounds, OcpWeights
+from egp_service._core.path import _Surface
+
+MAP_HEALTH_KEY: str
+MAP_METRICS_KEY: str
+
+@final
+class Command:
+    u: Final[tuple[float, float]]
+    mode: Final[Literal["normal", "tail", "stop", "waiting"]]
+    limited: Final[bool]
+
+@final
+class Gate:
+    def __new__(cls, dt: float, settings: Mapping[str, float]) -> Gate: ...
+    def accept(
+        self, tick: int, plan_u: Sequence[tuple[float, float]] | NDArray[np.float64]
+    ) -> None: ...
+    def command(self, tick: int, v_x: float, delta: float) -> Command: ...
+    def reset(self) -> None: ...
+    @property
+    def mode(self) -> Literal["normal", "tail", "stop", "waiting"]: ...
+
+@final
+class MapServer:
+    def __new__(cls, config_toml: str) -> MapServer: ...
+    def stop(self) -> None: ...
+    def __enter__(self) -> Self: ...
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+        /,
+    ) -> None: ...
+
+def ocp_to_qp(
+    A: ArrayLike,
+    B: ArrayLike,
+    c: ArrayLike,
+    x0: ArrayLike,
+    u_prev: ArrayLike,
+    reference: ArrayLike,
+    weights: OcpWeights,
+    bounds: OcpBounds,
+) -> tuple[
+    tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
+    NDArray[np.float64],
+    tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]: ...
+def plant_derivative(
+    state: NDArray[np.float64],
+    u: NDArray[np.float64],
+    friction: float | NDArray[np.float64],
+    vehicle: int = 1,
+) -> NDArray[np.float64]: ...
+def plant_initial_states(
+    vehicle_states: NDArray[np.float64], vehicle: int = 1
+) -> NDArray[np.float64]: ...
+def plant_step_batch(
+    states: NDArray[np.float64],
+    u: NDArray[np.float64],
+    dt: float,
+    friction: NDArray[np.float64] | _Surface,
+    vehicle: int = 1,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
+def decode_timing(data: bytes) -> tuple[int, int]: ...
+def step_key(replica: str, fleet: str, vehicle: str) -> str: ...
+def ready_key(replica: str) -> str: ...
+def live_key(replica: str) -> str: ...

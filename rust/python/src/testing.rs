@@ -1,0 +1,266 @@
+//! What only tests and benchmarks call: parts of plant, solver and wire by themselves.
+
+use std::sync::{Mutex, PoisonError};
+
+use egp_core::qp::{Csc, SparseQp};
+use egp_plant::{
+    BatchItem, NX, Parameters, StateVector, Surface, Uniform, VehicleId, VehicleState,
+};
+use egp_service::map::MapConfig;
+use egp_wire::keys;
+use prost::Message as _;
+use pyo3::prelude::*;
+
+use crate::array::{ArrayLike, Matrix, NewMatrix, NewVector, Vector, VectorLike};
+use crate::array::{array, fixed, rows, vector};
+use crate::error::{EgpError, raise};
+use crate::problem::{Arrays, OcpBounds, OcpWeights};
+use crate::surface::SurfaceValue;
+use crate::wire::name;
+
+/// A batch after one period: the states, and which plants completed it.
+type Stepped<'py> = (NewMatrix<'py>, NewVector<'py, bool>);
+
+/// Values, row indices and column starts of a sparse matrix.
+type Sparse<'py> = (NewVector<'py>, NewVector<'py, i64>, NewVector<'py, i64>);
+/// `P` (upper triangle), `q`, `A`, `l`, `u`.
+type SparseProblem<'py> = (
+    Sparse<'py>,
+    NewVector<'py>,
+    Sparse<'py>,
+    NewVector<'py>,
+    NewVector<'py>,
+);
+
+fn sparse<'py>(py: Python<'py>, matrix: &Csc) -> Sparse<'py> {
+    // Indices of matrices that fit into memory fit into i64.
+    #[allow(clippy::cast_possible_wrap)]
+    let indices = |of: &[usize]| vector(py, of.iter().map(|&index| index as i64));
+    (
+        vector(py, matrix.values.iter().copied()),
+        indices(&matrix.row_index),
+        indices(&matrix.column_start),
+    )
+}
+
+/// Write an optimal control problem as `min 1/2 z'Pz + q'z` subject to `l <= Az <= u`.
+///
+/// Returns P (upper triangle), q, A, l, u; matrices as (values, row indices, column starts). `z` holds, stage by stage,
+/// `u_t`, `x_{t+1} - reference_{t+1}` and the slacks. Arguments as of `solve_ocp`.
+#[pyfunction]
+#[pyo3(signature = (A, B, c, x0, u_prev, reference, weights, bounds))]
+#[allow(non_snake_case, clippy::too_many_arguments)] // the paper's symbols
+pub fn ocp_to_qp<'py>(
+    py: Python<'py>,
+    A: ArrayLike<'py>,
+    B: ArrayLike<'py>,
+    c: ArrayLike<'py>,
+    x0: VectorLike<'py>,
+    u_prev: VectorLike<'py>,
+    reference: ArrayLike<'py>,
+    weights: &OcpWeights,
+    bounds: &OcpBounds,
+) -> PyResult<SparseProblem<'py>> {
+    let arrays = Arrays {
+        a: &A,
+        b: &B,
+        c: &c,
+        x0: &x0,
+        u_prev: &u_prev,
+        reference: &reference,
+        weights,
+        bounds,
+    };
+    let qp = SparseQp::new(&arrays.problem()?);
+    Ok((
+        sparse(py, &qp.p),
+        vector(py, qp.q.iter().copied()),
+        sparse(py, &qp.a),
+        vector(py, qp.l.iter().copied()),
+        vector(py, qp.u.iter().copied()),
+    ))
+}
+
+/// One coefficient, or one for each wheel.
+#[derive(FromPyObject)]
+pub enum WheelFriction<'py> {
+    Uniform(f64),
+    Wheels(Vector<'py>),
+}
+
+/// A friction coefficient for each vehicle of a batch, or one surface for all.
+#[derive(FromPyObject)]
+pub enum BatchSurface<'py> {
+    Each(Vector<'py>),
+    One(SurfaceValue),
+}
+
+impl BatchSurface<'_> {
+    fn surfaces(&self, count: usize) -> PyResult<Vec<Surface>> {
+        match self {
+            Self::Each(frictions) => Ok(frictions.as_array().iter().map(|&mu| mu.into()).collect()),
+            Self::One(value) => Ok(vec![value.surface()?; count]),
+        }
+    }
+}
+
+/// Right-hand side of the 29 differential equations.
+///
+/// `friction` is one coefficient or four: front -y, front +y, rear -y, rear +y, with y to the left.
+#[pyfunction]
+#[pyo3(signature = (state, u, friction, vehicle = 1))]
+pub fn plant_derivative<'py>(
+    py: Python<'py>,
+    state: Vector<'py>,
+    u: Vector<'py>,
+    friction: WheelFriction<'py>,
+    vehicle: u32,
+) -> PyResult<NewVector<'py>> {
+    let friction: [f64; 4] = match friction {
+        WheelFriction::Uniform(mu) => [mu; 4],
+        WheelFriction::Wheels(mu) => fixed("friction", &mu)?,
+    };
+    egp_plant::derivative(
+        &parameters(vehicle)?,
+        &fixed("state", &state)?,
+        fixed("u", &u)?,
+        &friction.map(Surface::from),
+    )
+    .map(|slope| vector(py, slope))
+    .map_err(raise)
+}
+
+/// Full states (n, 29) for `[p_x, p_y, v_x, psi, v_y, omega, delta]` rows (n, 7).
+#[pyfunction]
+#[pyo3(signature = (vehicle_states, vehicle = 1))]
+pub fn plant_initial_states<'py>(
+    py: Python<'py>,
+    vehicle_states: Matrix<'py>,
+    vehicle: u32,
+) -> PyResult<NewMatrix<'py>> {
+    let parameters = parameters(vehicle)?;
+    let states = rows::<7>("vehicle_states", &vehicle_states)?
+        .into_iter()
+        .map(|row| {
+            egp_plant::initial_state(&parameters, &VehicleState::from_array(row)).map_err(raise)
+        })
+        .collect::<PyResult<Vec<_>>>()?;
+    matrix(py, states)
+}
+
+/// Drive n vehicles `dt` seconds on all cores without the GIL.
+///
+/// States (n, 29), inputs (n, 2), friction (n,) or one surface for all. Returns the new states and which vehicles
+/// completed the period; one that spun keeps its state.
+#[pyfunction]
+#[pyo3(signature = (states, u, dt, friction, vehicle = 1))]
+pub fn plant_step_batch<'py>(
+    py: Python<'py>,
+    states: Matrix<'py>,
+    u: Matrix<'py>,
+    dt: f64,
+    friction: BatchSurface<'py>,
+    vehicle: u32,
+) -> PyResult<Stepped<'py>> {
+    let parameters = parameters(vehicle)?;
+    let states = rows::<NX>("states", &states)?;
+    let inputs = rows::<2>("u", &u)?;
+    let surfaces = friction.surfaces(states.len())?;
+    for (name, count) in [("u", inputs.len()), ("friction", surfaces.len())] {
+        if count != states.len() {
+            let expected = states.len();
+            return Err(EgpError::new_err(format!(
+                "expected {expected} rows of {name}, one per state, got {count}"
+            )));
+        }
+    }
+    let mut items = (states.iter().zip(inputs).zip(surfaces))
+        .map(|((state, input), surface)| {
+            let mut plant = egp_plant::Plant::new(parameters.clone());
+            plant.set_state(state)?;
+            Ok(BatchItem {
+                plant,
+                input,
+                friction: Uniform::new(surface)?,
+            })
+        })
+        .collect::<Result<Vec<_>, egp_plant::PlantError>>()
+        .map_err(raise)?;
+    let results = py
+        .detach(|| egp_plant::step_batch(&mut items, dt))
+        .map_err(raise)?;
+    let completed: Vec<bool> = results.iter().map(Result::is_ok).collect();
+    Ok((
+        matrix(py, items.iter().map(|item| *item.plant.state()).collect())?,
+        vector(py, completed),
+    ))
+}
+
+fn parameters(vehicle: u32) -> PyResult<Parameters> {
+    VehicleId::try_from(vehicle)
+        .map(VehicleId::parameters)
+        .map_err(raise)
+}
+
+fn matrix(py: Python<'_>, states: Vec<StateVector>) -> PyResult<NewMatrix<'_>> {
+    let count = states.len();
+    array(py, states.into_flattened(), [count, NX])
+}
+
+/// Read a Timing: microseconds in the queue and in the step.
+#[pyfunction]
+pub fn decode_timing(data: &[u8]) -> PyResult<(u32, u32)> {
+    let timing = egp_wire::Timing::decode(data).map_err(raise)?;
+    Ok((timing.queue_us, timing.step_us))
+}
+
+/// A map service that runs in this process until it is stopped; a context manager.
+#[pyclass(module = "egp_service._core.testing", frozen)]
+pub struct MapServer(Mutex<Option<egp_service::map::MapServer>>);
+
+#[pymethods]
+impl MapServer {
+    #[new]
+    fn new(py: Python<'_>, config_toml: &str) -> PyResult<Self> {
+        let config = MapConfig::from_toml(config_toml).map_err(raise)?;
+        let server = py
+            .detach(|| egp_service::map::MapServer::start(&config))
+            .map_err(raise)?;
+        Ok(Self(Mutex::new(Some(server))))
+    }
+
+    /// Answer the queries that wait, write what is not yet written, and close.
+    fn stop(&self, py: Python<'_>) {
+        let server = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(server) = server {
+            py.detach(|| server.stop());
+        }
+    }
+
+    fn __enter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    #[pyo3(signature = (*_exception))]
+    fn __exit__(&self, py: Python<'_>, _exception: &Bound<'_, pyo3::types::PyTuple>) {
+        self.stop(py);
+    }
+}
+
+/// The key on which a vehicle asks a replica for a control step.
+#[pyfunction]
+pub fn step_key(replica: &str, fleet: &str, vehicle: &str) -> PyResult<String> {
+    Ok(keys::step(&name(replica)?, &name(fleet)?, &name(vehicle)?))
+}
+
+/// The key on which a replica answers what it serves.
+#[pyfunction]
+pub fn ready_key(replica: &str) -> PyResult<String> {
+    name(replica).map(|replica| keys::ready(&replica))
+}
+
+/// The liveliness token of a replica.
+#[pyfunction]
+pub fn live_key(replica: &str) -> PyResult<String> {
+    name(replica).map(|replica| keys::live(&replica))
+}
