@@ -39,6 +39,7 @@ _BARS: Final = (
     ("E(ABD)", "T", 1),
     ("E(ABCD)", "T", 1),
 )
+_NEAR: Final = 0.02  # points of lap times this close share a label
 
 
 def colours(contenders: Sequence[str]) -> dict[str, str]:
@@ -62,12 +63,19 @@ def draw_risk(groups: Sequence[Group], path: Path) -> Path:
             lost = [100.0 * (1.0 - g.share.value) for g in own]
             time = [g.time_regret.value for g in own]
             ax.plot(time, lost, "o-", color=colour, label=name)
+            # The sources' curves are close: labels of one are below it.
+            below = any(g.contender.startswith(HERE) for g in own)
+            labels: dict[tuple[float, float], list[str]] = {}
             for g, x, y in zip(own, time, lost, strict=True):
-                # The sources' curves are close: labels of one are below it.
-                below = g.contender.startswith(HERE)
-                label = "" if g.contender == ORACLE else g.contender.split(", ", 1)[-1]
+                if g.contender != ORACLE:
+                    # Of two points in one place the first has both labels.
+                    near = (p for p in labels if abs(p[0] - x) < _NEAR and p[1] == y)
+                    labels.setdefault(next(near, (x, y)), []).append(
+                        unknown_roads.label(g.contender)
+                    )
+            for (x, y), names in labels.items():
                 ax.annotate(
-                    label,
+                    "; ".join(names),
                     (x, y),
                     (3, -3) if below else (3, 3),
                     textcoords="offset points",

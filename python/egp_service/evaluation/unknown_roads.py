@@ -161,6 +161,12 @@ def departure_rows(groups: Sequence[Group], experiment: str) -> list[tuple[str, 
     ]
 
 
+def label(contender: str) -> str:
+    """Return what tells a contender from the others of its source, for pictures."""
+    text = contender.split(", ", 1)[-1]
+    return text.replace(" of it, at most 1.1", "").replace("100% of it, at", "at")
+
+
 def kind(contender: str) -> str:
     """Return the source of the friction, for legends."""
     for prefix, text in (
