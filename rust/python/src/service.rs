@@ -118,7 +118,7 @@ impl Engine {
     #[getter]
     fn frictions(&self) -> Vec<f64> {
         let members = self.inner.library().members().iter();
-        members.map(|member| member.friction()).collect()
+        members.map(egp_core::Member::friction).collect()
     }
 
     /// Bytes of the Ready message of a replica with this engine.
