@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
+import tomllib
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,13 +39,18 @@ def failure(*arguments: str) -> str:
 
 
 def commands() -> list[str]:
+    """Return the names of all commands, those of a group behind its name."""
     group: Group = get_command(app)  # type: ignore[assignment]
-    return sorted(group.commands)
+    names = []
+    for name, command in group.commands.items():
+        names.append(name)
+        names += [f"{name} {inner}" for inner in getattr(command, "commands", ())]
+    return sorted(names)
 
 
 @pytest.mark.parametrize("name", commands())
 def test_help_fits_80_columns_and_has_an_example(name: str) -> None:
-    text = RUNNER.invoke(app, [name, "--help"], env={"COLUMNS": "80"}).output
+    text = RUNNER.invoke(app, [*name.split(), "--help"], env={"COLUMNS": "80"}).output
     assert max(len(line) for line in text.splitlines()) <= 80
     # The line of the usage begins with another word.
     assert re.search(rf"(?m)^ +(For example: )?egp {name}\b", text)
@@ -165,3 +171,52 @@ def test_files_of_another_kind_are_named(tmp_path: Path) -> None:
     parquet.write_bytes(b"PAR1" + bytes(100))
     with pytest.raises(EgpError, match=r"this is a Parquet file.*egp train"):
         Library.load(parquet)
+
+
+def test_serve_has_the_options_of_the_server_in_the_same_words() -> None:
+    source = (DOCUMENT.parents[1] / "rust/service/src/bin/egp-server.rs").read_text("utf-8")
+    told = re.findall(r"/// (.+)\n    #\[arg\(long.*\)\]\n    (\w+): ", source)
+    group: Group = get_command(app)  # type: ignore[assignment]
+    options = {
+        option.name: getattr(option, "help", None) for option in group.commands["serve"].params
+    }
+    assert {name: options[name] for _, name in told} == {name: text for text, name in told}
+    assert len(told) > 8
+
+
+def test_options_of_serve_override_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    configurations: list[str] = []
+    monkeypatch.setattr("egp_service._core.serve", configurations.append)
+    file = tmp_path / "service.toml"
+    file.write_text(
+        'library = "a"\nworkers = 1\nlog = "warn"\n'
+        '[zenoh]\n"listen/endpoints" = "[]"\n"scouting/multicast/enabled" = "true"\n'
+    )
+    given = ["--workers=2", "--http=127.0.0.1:9464", "--connect=tcp/127.0.0.1:7448", "--log-json"]
+    result = RUNNER.invoke(app, ["serve", LIBRARY, "--config", str(file), *given])
+    assert result.exit_code == 0, result.output
+    assert tomllib.loads(configurations[0]) == {
+        "library": LIBRARY,
+        "workers": 2,
+        "log": "warn",
+        "http": "127.0.0.1:9464",
+        "log_json": True,
+        "zenoh": {
+            "listen/endpoints": "[]",
+            "scouting/multicast/enabled": "true",
+            "connect/endpoints": '["tcp/127.0.0.1:7448"]',
+        },
+    }
+
+
+def test_serve_checks_what_it_would_serve(tmp_path: Path) -> None:
+    result = RUNNER.invoke(app, ["serve", LIBRARY, "--check", "--workers", "1"])
+    assert result.exit_code == 0, result.output
+    labels = ", ".join(member.label for member in Library.load(LIBRARY).members)
+    assert result.output == f"surfaces: {labels}\nperiod 0.02 s, horizon 40, window 25\n"
+    assert "nonsense" in failure("serve", LIBRARY, "--check", "--http", "nonsense")
+    file = tmp_path / "service.toml"
+    file.write_text(f'library = "{LIBRARY}"\nlog = "egp=nonsense"\n')
+    assert "nonsense" in failure("serve", "--config", str(file), "--check")

@@ -23,16 +23,24 @@ if TYPE_CHECKING:
 MOTION_NAMES: Final = tuple(list(STATE)[column] for column in MOTION)
 
 
+def narrow_table(*heads: str, wrapped: Sequence[str] = (), title: str | None = None) -> Table:
+    """Return an empty table for 80 columns, whose rows have no line breaks but in `wrapped`."""
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for head in heads:
+        table.add_column(head, no_wrap=head not in wrapped)
+    return table
+
+
 def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
     """Return a table with a row for each run: result, errors and times."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("run", no_wrap=True)
-    table.add_column("result", min_width=len("completed"))
+    table.add_column("run", overflow="fold")
+    table.add_column("result", width=len("completed"))
     for header in (
         "time\ns",
-        "lateral, m\nmax / RMS",
-        "speed, m/s\nmean / error",
-        "step, ms\np50 / p99",
+        "lateral, m\nmax/RMS",
+        "speed, m/s\nmean/error",
+        "step, ms\np50/p99",
         "late",
     ):
         table.add_column(header, justify="right", no_wrap=True)
@@ -45,9 +53,9 @@ def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
             label,
             result,
             f"{ending.time:.1f}",
-            f"{summary.lateral_error.max:.2f} / {summary.lateral_error.rms:.2f}",
-            f"{summary.mean_speed:.1f} / {summary.speed_error.rms:.2f}",
-            f"{summary.step_time_ms['p50']:.1f} / {summary.step_time_ms['p99']:.1f}",
+            f"{summary.lateral_error.max:.2f}/{summary.lateral_error.rms:.2f}",
+            f"{summary.mean_speed:.1f}/{summary.speed_error.rms:.2f}",
+            f"{summary.step_time_ms['p50']:.1f}/{summary.step_time_ms['p99']:.1f}",
             f"{summary.deadline_misses}",
         )
     return table
@@ -55,16 +63,9 @@ def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
 
 def validation_table(matrix: list[list[Cell]]) -> Table:
     """Return the matrix for the terminal, a row for each member, surface and output."""
-    table = Table(
-        "member",
-        "on surface",
-        "output",
-        "RMSE",
-        "NLPD",
-        "in 95 %",
-        f"after {ROLLOUT:g} s",
-        title="Validation on held-out trajectories (m/s, rad/s)",
-        box=box.SIMPLE_HEAD,
+    heads = ("member", "on surface", "output", "RMSE", "NLPD", "in 95 %", f"after {ROLLOUT:g} s")
+    table = narrow_table(
+        *heads, wrapped=heads[:2], title="Validation on held-out trajectories (m/s, rad/s)"
     )
     for row in matrix:
         for cell in row:
@@ -87,6 +88,14 @@ def validation_table(matrix: list[list[Cell]]) -> Table:
     return table
 
 
+def headline_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Return a table of the best controllers, a row for each condition of an experiment."""
+    table = narrow_table(*heads, wrapped=("condition", "best baseline"))
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
 def map_summary(origins: Mapping[str, float], trust: float | None) -> str:
     """Say whose evidence about the road was used, how old it is, and whether it fits the road."""
     if not origins or trust is None:
@@ -101,14 +110,10 @@ def vehicle_table(label: str, vehicle: FittedVehicle) -> Table:
     `from prior` is the distance from the vehicle file, or from vehicles in general, in standard
     deviations of the prior.
     """
-    table = Table(
-        "parameter",
-        "value",
-        "95 % interval",
-        "from prior",
-        "",
+    table = narrow_table(
+        *("parameter", "value", "95 % interval", "from prior", ""),
+        wrapped=("",),
         title=f"{label}: the fitted vehicle",
-        box=box.SIMPLE_HEAD,
     )
     for parameter in vehicle.parameters:
         remarks = []
@@ -131,13 +136,11 @@ def skill_table(label: str, skill: Skill) -> Table:
 
     The predictors' errors are RMS values in m/s and rad/s; those above no change's are red.
     """
-    table = Table(
-        "predictor",
-        "output",
-        *(f"{duration:g} s" for duration in skill.durations),
+    table = narrow_table(
+        *("predictor", "output", *(f"{duration:g} s" for duration in skill.durations)),
         "likelihood",
+        wrapped=("predictor",),
         title=f"{label}: errors on held-out data after",
-        box=box.SIMPLE_HEAD,
     )
     for name, errors in skill.rms.items():
         cells = (name, f"{skill.likelihood[name]:+.2f}")

@@ -101,7 +101,8 @@ mod _core {
         const SETTINGS_DOCUMENT: &str = include_str!("../../../docs/settings.md");
         #[pymodule_export]
         use crate::service::{
-            Engine, InProcessDriver, Server, check_settings, serve, vector_instructions,
+            Engine, InProcessDriver, Server, check_service, check_settings, serve,
+            vector_instructions,
         };
     }
 

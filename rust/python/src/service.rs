@@ -19,6 +19,7 @@ use crate::driver::{Decision, driver_config, measurement};
 use crate::error::{InvalidArgumentError, RefusedError, raise};
 use crate::gate::mode_name;
 use crate::parameters::VehicleParameters;
+use crate::wire::Replica;
 
 /// The control step of the service in this process: the same request gives the same bytes of a reply.
 ///
@@ -117,7 +118,7 @@ impl Engine {
     #[getter]
     fn frictions(&self) -> Vec<f64> {
         let members = self.inner.library().members().iter();
-        members.map(|member| member.friction()).collect()
+        members.map(egp_core::Member::friction).collect()
     }
 
     /// Bytes of the Ready message of a replica with this engine.
@@ -268,6 +269,14 @@ pub fn serve(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
     py.detach(|| egp_service::serve(&config)).map_err(raise)?;
     after_signal(py)
+}
+
+/// Check all that a service needs to start, as `egp-server --check` does, and return what it would serve.
+#[pyfunction]
+pub fn check_service(py: Python<'_>, config_toml: &str) -> PyResult<Replica> {
+    let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
+    let ready = (py.detach(|| egp_service::check(&config))).map_err(raise)?;
+    Replica::of(py, ready)
 }
 
 /// Discards the exception that Python's own handler of a signal raises once a service has ended because of the signal.

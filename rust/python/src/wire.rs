@@ -131,6 +131,25 @@ pub struct Replica {
     vehicle: Option<Py<VehicleParameters>>,
 }
 
+impl Replica {
+    /// What a Ready says.
+    pub fn of(py: Python<'_>, ready: egp_wire::Ready) -> PyResult<Self> {
+        Ok(Self {
+            ready: ready.ready,
+            library: ready.library.to_vec().into(),
+            dt: ready.dt,
+            horizon: ready.horizon,
+            history: ready.history,
+            members: ready.members,
+            envelope: ready.envelope,
+            vehicle: (ready
+                .vehicle
+                .map(|vehicle| Py::new(py, VehicleParameters(vehicle))))
+            .transpose()?,
+        })
+    }
+}
+
 /// Read and validate a StepRequest. Raises `EgpError` naming the field at fault.
 #[pyfunction]
 pub fn decode_request(py: Python<'_>, data: &[u8]) -> PyResult<Request> {
@@ -196,19 +215,7 @@ pub fn decode_error(data: &[u8]) -> PyResult<Refusal> {
 #[pyfunction]
 pub fn decode_ready(py: Python<'_>, data: &[u8]) -> PyResult<Replica> {
     let ready = egp_wire::Ready::decode(data, &MessageLimits::default()).map_err(raise)?;
-    Ok(Replica {
-        ready: ready.ready,
-        library: ready.library.to_vec().into(),
-        dt: ready.dt,
-        horizon: ready.horizon,
-        history: ready.history,
-        members: ready.members,
-        envelope: ready.envelope,
-        vehicle: (ready
-            .vehicle
-            .map(|vehicle| Py::new(py, VehicleParameters(vehicle))))
-        .transpose()?,
-    })
+    Replica::of(py, ready)
 }
 
 /// The serialised google.protobuf.FileDescriptorSet of the messages.

@@ -91,6 +91,7 @@ def evaluate(
     import shlex
     import sys
 
+    from egp_service.cli.tables import headline_table
     from egp_service.evaluation import disturbances
     from egp_service.evaluation.batch import finish
     from egp_service.evaluation.campaign import Campaign, require_members
@@ -100,7 +101,7 @@ def evaluate(
         OBSTACLE_AVOIDANCE,
         on_track,
     )
-    from egp_service.evaluation.summary_report import headline, write_report
+    from egp_service.evaluation.summary_report import HEADLINE, headline, write_report
 
     console = Console()
     if _on_logs(console, log, vehicle, output):
@@ -156,7 +157,7 @@ def evaluate(
             drives=shown,
         )
     if rows := headline(outcomes):
-        _print(console, rows)
+        console.print(headline_table(HEADLINE, rows))
     console.print(f"Look at {report}", highlight=False)
 
 
@@ -320,17 +321,3 @@ def _progress(console: Console) -> "Progress":
         TimeRemainingColumn(),
         console=console,
     )
-
-
-def _print(console: Console, rows: list[tuple[str, ...]]) -> None:
-    from rich import box
-    from rich.table import Table
-
-    from egp_service.evaluation.summary_report import HEADLINE
-
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for head in HEADLINE:
-        table.add_column(head)
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)

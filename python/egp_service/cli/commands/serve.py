@@ -2,71 +2,135 @@
 
 import json
 import signal
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from egp_service._core import Ready
 
 
 def serve(
     *,
     library: Annotated[
         Path | None,
-        typer.Argument(help="Library file, unless --config is given.", show_default=False),
+        typer.Argument(help="Library file, made by `egp train`.", show_default=False),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="Configuration file (TOML).")
+    ] = None,
+    replica: Annotated[str | None, typer.Option(help="Name of this replica.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Threads that run control steps.")
     ] = None,
     listen: Annotated[
         list[str] | None,
-        typer.Option(help="Endpoint to listen on, such as tcp/0.0.0.0:7447; repeat for more."),
+        typer.Option(
+            help="Endpoint to listen on, as tcp/0.0.0.0:7447; may be given more than once."
+        ),
     ] = None,
-    config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Service configuration (TOML).")
-    ] = None,
-    replica: Annotated[
-        str | None, typer.Option(help="Name of this replica, unique in the fleet.")
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Endpoint of a router or peer to connect to; may be given more than once."
+        ),
     ] = None,
     settings: Annotated[
-        Path | None, typer.Option(help="Settings of the control step (TOML).")
+        Path | None,
+        typer.Option(help="Settings of the control step (TOML), in place of the file's."),
     ] = None,
     watch: Annotated[
         bool,
-        typer.Option("--watch", help="Load the library again when its file changes."),
+        typer.Option(
+            "--watch", help="Load the library again when its file changes, and not only on SIGHUP."
+        ),
+    ] = False,
+    http: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Address for /health, /ready and /metrics over HTTP, as 127.0.0.1:9464.",
+        ),
+    ] = None,
+    log_json: Annotated[
+        bool, typer.Option("--log-json", help="Log one JSON object a line.")
+    ] = False,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check",
+            help="Check configuration, library and network settings, print what would be served, "
+            "and end.",
+        ),
     ] = False,
 ) -> None:
-    """Serve control steps to vehicles until SIGTERM or Ctrl-C, then drain and exit.
+    """Answer the control steps of vehicles over zenoh, until SIGTERM or Ctrl-C.
 
-    SIGHUP loads the library again, beside the old one: vehicles that start get the new one, and
-    those that drive keep theirs. A file that cannot be used changes nothing.
+    Options of the command line override the configuration file, which
+    section 2 of docs/settings.md describes. It also has what has no option here:
+    keys of vehicles, queue, zenoh settings. Plans are made for the vehicle that
+    the library states.
+
+    Without an endpoint to listen on it listens on tcp/127.0.0.1:7447 only. A
+    service that other machines reach needs keys, TLS and access control (see
+    `egp keys`): others could answer in its place, and command the cars.
+
+    On SIGHUP, or with --watch when the file changes, it loads and checks the
+    library again beside the old one. Vehicles that start from then on get the
+    new library; those that drive keep theirs, which is still served. A file that
+    cannot be used changes nothing. On SIGTERM it drains: it withdraws its
+    announcement, answers the requests that wait, and ends with status 0.
 
     For example:
       egp serve library.safetensors --listen tcp/0.0.0.0:7447
       egp serve --config service.toml
+      egp serve --config service.toml --check
     """
-    from egp_service._core import EgpError
+    from egp_service._core import EgpError, check_service
     from egp_service._core import serve as serve_until_signal
     from egp_service.cli.settings_file import read_service, read_settings
-    from egp_service.control.endpoints import check_free
+    from egp_service.control.endpoints import check_endpoints, check_free
     from egp_service.control.toml_text import dumps
 
+    table: dict[str, object] = {}
     if config is not None:
-        if any(value is not None for value in (library, listen, replica, settings)) or watch:
-            raise typer.BadParameter("--config excludes other options: put them into the file")
         table = _with_folder(read_service(config), config.parent)
-    elif library is not None:
-        table = {"library": str(library)}
-        if watch:
-            table["watch_ms"] = 500
-        if replica is not None:
-            table["replica"] = replica
-        check_free(listen or ["tcp/127.0.0.1:7447"])
-        if listen:
-            table["zenoh"] = {"listen/endpoints": json.dumps(listen)}
-        if settings is not None:
-            table["settings"] = read_settings(settings)
-    else:
+    elif library is None:
         raise EgpError("nothing to serve: give a library file, or --config service.toml")
+    given: dict[str, object] = {"replica": replica, "workers": workers, "http": http}
+    given["library"] = None if library is None else str(library)
+    given["settings"] = None if settings is None else read_settings(settings)
+    given["log_json"] = log_json or None
+    table |= {name: value for name, value in given.items() if value is not None}
+    if watch and not table.get("watch_ms"):
+        table["watch_ms"] = 500
+    check_endpoints([*(listen or []), *(connect or [])])
+    _add_endpoints(table, {"listen/endpoints": listen, "connect/endpoints": connect})
+    if check:
+        _show(check_service(dumps(table)))
+        return
+    if config is None or listen:
+        check_free(listen or ["tcp/127.0.0.1:7447"])
     # The service has a handler of its own for SIGHUP; Python's would end the command.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     serve_until_signal(dumps(table))
+
+
+def _add_endpoints(table: dict[str, object], endpoints: Mapping[str, Sequence[str] | None]) -> None:
+    """Put endpoints of the command line in place of those of a configuration."""
+    stated = {key: json.dumps(values) for key, values in endpoints.items() if values}
+    zenoh = table.get("zenoh", {})
+    # A value that is no table is an error of the service.
+    if stated and isinstance(zenoh, dict):
+        table["zenoh"] = zenoh | stated
+
+
+def _show(served: "Ready") -> None:
+    """Print what would be served."""
+    typer.echo(f"surfaces: {', '.join(served.members)}")
+    typer.echo(f"period {served.dt:g} s, horizon {served.horizon}, window {served.history}")
 
 
 def _with_folder(table: dict[str, object], folder: Path) -> dict[str, object]:

@@ -55,7 +55,7 @@ def settings(
             table.add_column("key", overflow="fold", min_width=16)
             table.add_column("default", overflow="fold", max_width=20)
             table.add_column("unit", max_width=12)
-            table.add_column("meaning", ratio=1)
+            table.add_column("meaning", ratio=1, overflow="fold")
         # The texts have brackets that are no markup.
         table.add_row(
             *(

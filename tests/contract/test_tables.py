@@ -1,0 +1,149 @@
+"""The tables that commands print fit a terminal of 80 columns, with their words in one piece."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from egp_service import shipped
+from egp_service.cli import app
+from egp_service.cli.inspect_library import inspect
+from egp_service.cli.tables import (
+    headline_table,
+    skill_table,
+    summary_table,
+    validation_table,
+    vehicle_table,
+)
+from egp_service.evaluation.experiments import EXPERIMENTS
+from egp_service.evaluation.logs import OURS, PAPER, VEHICLE
+from egp_service.evaluation.summary_report import HEADLINE
+from egp_service.simulation.summary import Ending, Error, Summary
+from egp_service.training.open_loop import LINEAR, NO_CHANGE, Skill
+from egp_service.training.prior_mean import PARAMETERS
+from egp_service.training.validation import Cell
+from egp_service.training.vehicle_fit import FittedParameter, FittedVehicle
+from library_example import write_example
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from rich.table import Table
+
+SURFACES = ("friction 0.5", "friction 0.8", "friction 1.1")
+
+
+def printed(*tables: Table, width: int = 80) -> list[str]:
+    """Print tables as a terminal of some width shows them."""
+    console = Console(file=io.StringIO(), width=width)
+    console.print(*tables)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue().splitlines()
+
+
+def check(lines: list[str]) -> None:
+    """Assert that lines fit and that no cell is cut off."""
+    assert len(lines) > 3
+    assert max(map(len, lines)) <= 80
+    assert "…" not in "".join(lines)
+
+
+def check_table(table: Table) -> None:
+    """Assert that a table fits, and that all of its words are in one piece."""
+    lines = printed(table)
+    check(lines)
+    words = Counter(" ".join(printed(table, width=400)).split())
+    words -= Counter(" ".join(lines).split())
+    assert not [word for word in words if not word.startswith("─")], "\n".join(lines)
+
+
+def summary(reason: str = "completed", p99: float = 65.4) -> Summary:
+    """Return a summary of a long and slow run."""
+    ending = Ending(reason == "completed", reason, 987.6, 23456.7, (0.0, 0.0))
+    times = {"p50": 12.3, "p90": 25.6, "p99": p99, "max": 200.0}
+    return Summary(
+        scenario="rounded-rectangle",
+        library="",
+        members=SURFACES,
+        ending=ending,
+        periods=10_000,
+        dt=0.02,
+        lateral_error=Error(3.45, 1.23),
+        speed_error=Error(6.54, 3.21),
+        mean_speed=22.2,
+        step_time_ms=times,
+        deadline_misses=123,
+        tail_ticks=0,
+        stop_ticks=0,
+        solver_statuses={},
+    )
+
+
+def test_summaries_of_runs_fit() -> None:
+    left = "left the track: 3.21 m from the path"
+    rows = [("rounded-rectangle", summary()), ("told, μ 1.1", summary(left))]
+    check_table(summary_table(rows))
+    # Where the numbers need more columns, the name of the run has fewer.
+    lines = printed(summary_table([("rounded-rectangle", summary(p99=1234.5))]))
+    check(lines)
+    assert re.search(r"12\.3/1234\.5 +123\b", "".join(lines))
+
+
+def test_validation_of_a_library_fits() -> None:
+    values = np.array([0.1234, 12.3456, 0.0123])
+    cells = [
+        [Cell(member, surface, values, -10.0 * values, values, 10.0 * values)
+         for surface in SURFACES] for member in SURFACES
+    ]  # fmt: skip
+    check_table(validation_table(cells))
+
+
+@pytest.mark.parametrize("determined", [False, True])
+def test_a_fitted_vehicle_fits(determined: bool) -> None:  # noqa: FBT001
+    parameters = [
+        FittedParameter(name, 1234.5678, 1.234e-5, 4321.0, -12.3, determined, at_bound=True)
+        for name in PARAMETERS
+    ]
+    table = vehicle_table("friction 0.5", FittedVehicle(tuple(parameters)))
+    check_table(table)
+
+
+def test_skill_on_a_log_fits() -> None:
+    names = (NO_CHANGE, OURS, PAPER, VEHICLE, LINEAR, f"member of {SURFACES[0]}")
+    rms = {name: np.full((5, 3), 10.0 + k) for k, name in enumerate(names)}
+    likelihood = dict.fromkeys(names, -12.345)
+    table = skill_table(SURFACES[0], Skill((0.04, 0.2, 0.5, 1.0, 2.0), rms, likelihood))
+    check_table(table)
+
+
+def test_the_best_controllers_of_all_experiments_fit() -> None:
+    cell = "20/20, 0.022 m"
+    rows = [
+        (experiment.name, condition, cell, f"{cell} fitted single-track", cell)
+        for experiment in EXPERIMENTS
+        for condition, _ in experiment.conditions
+    ]
+    check_table(headline_table(HEADLINE, rows))
+
+
+def test_the_content_of_libraries_fits(tmp_path: Path) -> None:
+    example = tmp_path / "library.safetensors"
+    noise = np.array([0.0071, 0.0017, 0.0008])
+    write_example(example, measurement_noise=noise, measurement_delay=0.056)
+    for path in (example, shipped.DEMO_LIBRARY):
+        console = Console(file=io.StringIO(), width=80)
+        inspect(path, console)
+        assert isinstance(console.file, io.StringIO)
+        check(console.file.getvalue().splitlines())
+
+
+@pytest.mark.parametrize("command", ["settings", "doctor"])
+def test_settings_and_the_state_of_the_machine_fit(command: str) -> None:
+    check(CliRunner().invoke(app, [command], env={"COLUMNS": "80"}).output.splitlines())
