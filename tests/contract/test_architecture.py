@@ -40,7 +40,7 @@ ALLOWED = {
     "egp-vehicle": {VEHICLE, "egp-driver", "egp-wire", "egp-gate"},
     "egp-simulator": {"egp-wire", "egp-gate", "egp-path", "egp-plant", "egp-vehicle"},
     "egp-load": {"egp-wire", "egp-vehicle", "egp-simulator"},
-    "egp-testing": {VEHICLE, "egp-core", "egp-wire"},
+    "egp-testing": {VEHICLE, "egp-core", "egp-map", "egp-path", "egp-wire"},
     "egp-bench": set(),
     "egp-python": {
         VEHICLE,

@@ -1,25 +1,22 @@
-//! One warm control step for instruction counters: 2 members of 700 points, horizon 20, window 10.
+//! One warm control step for instruction counters, and what a vehicle computes beside it: 2 members, one kernel.
 //!
-//! `instructions write FILE` writes the library, and `instructions FILE` runs the step with it.
-//! `tests/bench/instructions.py` runs the latter under callgrind, which counts instructions inside `counted_step` only,
-//! not those of loading and warming up.
+//! `instructions write FILE POINTS` writes a library whose members have so many points. `instructions FILE HORIZON WINDOW`
+//! runs the step with it, then plans the speed of a period for the friction that is believed, first without and then with
+//! reports of other vehicles, and last runs the step with the friction of the road ahead in its request.
+//! `tests/bench/instructions.py` runs this under callgrind, which counts the instructions of each call of `counted`, not
+//! those of loading and warming up.
 #![allow(clippy::unwrap_used)]
 
 use std::{env, fs};
 
-use egp_core::{Kernel, Library, Settings, Status, StepReply, StepRequest, Workspace, step};
+use egp_core::{Kernel, Library, Status, StepReply, StepRequest, Workspace, step};
+use egp_testing::planning::Planning;
 use egp_testing::{libraries, requests};
 
-/// The function whose instructions are counted; its symbol name must stay.
+/// Instructions are counted inside this function; its symbol name must stay.
 #[inline(never)]
-fn counted_step(
-    library: &Library,
-    settings: &Settings,
-    request: &StepRequest,
-    ws: &mut Workspace,
-    reply: &mut StepReply,
-) {
-    step(library, settings, request, ws, reply).unwrap();
+fn counted(work: &mut dyn FnMut()) {
+    work();
 }
 
 fn main() {
@@ -30,25 +27,43 @@ fn main() {
         .collect::<Vec<_>>()
         .as_slice()
     {
-        ["write", path] => {
-            let spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 700, 3);
+        ["write", path, points] => {
+            let spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], points.parse().unwrap(), 3);
             fs::write(path, egp_core::library::encode(&spec).unwrap()).unwrap();
         }
-        [path] => warm_step(&Library::from_bytes(&fs::read(path).unwrap()).unwrap()),
-        _ => eprintln!("usage: instructions [write] FILE; try `instructions write /tmp/library`"),
+        [path, horizon, window] => {
+            let library = Library::from_bytes(&fs::read(path).unwrap()).unwrap();
+            period(&library, horizon.parse().unwrap(), window.parse().unwrap());
+        }
+        _ => {
+            eprintln!("usage: instructions write FILE POINTS, or instructions FILE HORIZON WINDOW");
+        }
     }
 }
 
-fn warm_step(library: &Library) {
-    let settings = requests::settings();
+fn period(library: &Library, horizon: u32, window: u32) {
+    let mut settings = requests::settings();
+    settings.horizon = Some(horizon as usize);
+    settings.weights.window = Some(window as usize);
     let mut ws = Workspace::new(library, &settings).unwrap();
     let mut reply = StepReply::default();
-    let mut request = requests::Request::circle();
+    let mut request = requests::Request::circle_of(horizon, window);
     step(library, &settings, &request.borrow(), &mut ws, &mut reply).unwrap();
     request.carry(&reply);
     request.history_f.drain(..6); // the newest transition is new
-    counted_step(library, &settings, &request.borrow(), &mut ws, &mut reply);
-    assert_eq!(reply.status, Status::Solved);
+    let mut solve = |request: StepRequest| {
+        counted(&mut || step(library, &settings, &request, &mut ws, &mut reply).unwrap());
+        assert_eq!(reply.status, Status::Solved);
+    };
+    solve(request.borrow());
+    for reports in [false, true] {
+        let mut planning = Planning::new(horizon as usize, reports);
+        counted(&mut || {
+            planning.period();
+        });
+        request.road_friction = planning.preview().as_flattened().to_vec();
+    }
+    solve(request.borrow());
     println!("tier {}", tier());
 }
 

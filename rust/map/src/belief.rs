@@ -5,7 +5,7 @@ use std::mem::take;
 
 use egp_parameters::FRICTION_HYPOTHESES;
 
-use crate::grid::{Grid, Row, interpolate, normalise, to_probabilities};
+use crate::grid::{Grid, Row, interpolate, pass_backward, pass_forward};
 use crate::layer::Layer;
 use crate::recent::Recent;
 use crate::reported::Reported;
@@ -300,30 +300,25 @@ impl RoadBelief {
     pub(crate) fn smooth(&mut self, layer: Layer, first: i64, last: i64, reach: f64) {
         let reach = (reach / self.cell).ceil().min(self.evidence.len() as f64) as i64;
         let change = 1.0 - (-self.cell / self.settings.change_distance).exp();
-        let prior = self.grid.prior;
         let (mut forward, mut backward) = (take(&mut self.forward), take(&mut self.backward));
-        forward.clear();
-        let mut message = prior;
-        for index in first - reach..=last {
-            if index >= first {
-                forward.push(message);
-            }
-            self.weigh(layer, index, &mut message);
-            to_probabilities(&mut message);
-            (message.iter_mut().zip(&prior)).for_each(|(m, p)| *m += change * (p - *m));
+        let cells = (last - first + 1) as usize;
+        for messages in [&mut forward, &mut backward] {
+            messages.resize(cells.max(messages.len()), [0.0; _]);
         }
-        backward.resize(forward.len(), [0.0; _]);
-        let mut message: Row = [1.0; _];
-        for index in (first..=last + reach).rev() {
-            if index <= last {
-                backward[(index - first) as usize] = message;
+        let prior = &self.grid.prior;
+        let (mut from_behind, mut from_ahead): (Row, Row) = (*prior, [1.0; _]);
+        // Neither recursion depends on the other one, so that a processor computes both at once.
+        for (behind, ahead) in (first - reach..=last).zip((first..=last + reach).rev()) {
+            if behind >= first {
+                forward[(behind - first) as usize] = from_behind;
             }
-            self.weigh(layer, index, &mut message);
-            let mean: f64 = message.iter().zip(&prior).map(|(m, p)| m * p).sum();
-            for m in &mut message {
-                *m += change * (mean - *m);
+            if ahead <= last {
+                backward[(ahead - first) as usize] = from_ahead;
             }
-            normalise(&mut message);
+            self.weigh(layer, behind, &mut from_behind);
+            self.weigh(layer, ahead, &mut from_ahead);
+            pass_forward(&mut from_behind, prior, change);
+            pass_backward(&mut from_ahead, prior, change);
         }
         (self.forward, self.backward) = (forward, backward);
     }

@@ -63,19 +63,101 @@ pub(crate) fn interpolate(hypotheses: &[f64; FRICTION_HYPOTHESES]) -> Row {
     std::array::from_fn(|i| interpolate_hypotheses(hypotheses, i as f64 / FINER as f64))
 }
 
-/// Divides by the largest value, so that products of many rows neither overflow nor vanish.
-pub(crate) fn normalise(row: &mut Row) {
-    let most = row.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-    let scale = most.recip();
+/// Divides by the sum.
+pub(crate) fn to_probabilities(row: &mut Row) {
+    let scale = one_over_sum(row);
     for value in row {
         *value *= scale;
     }
 }
 
-/// Divides by the sum.
-pub(crate) fn to_probabilities(row: &mut Row) {
-    let scale = row.iter().sum::<f64>().max(f64::MIN_POSITIVE).recip();
-    for value in row {
-        *value *= scale;
+/// Multiplies each value by that of another row.
+pub(crate) fn multiply(row: &mut Row, by: &Row) {
+    combine(row, by, |value, by| value * by);
+}
+
+/// The forward recursion from one cell to the next: divides by the sum, and mixes the prior in with the probability `change`
+/// that the surface changes.
+pub(crate) fn pass_forward(row: &mut Row, prior: &Row, change: f64) {
+    let scale = one_over_sum(row);
+    combine(row, prior, |value, prior| {
+        let value = value * scale;
+        value + change * (prior - value)
+    });
+}
+
+/// The backward recursion from one cell to the one before it. The result is divided by its largest value, so that products
+/// of many rows neither overflow nor vanish.
+pub(crate) fn pass_backward(row: &mut Row, prior: &Row, change: f64) {
+    let mut weighted = *row;
+    multiply(&mut weighted, prior);
+    let mean: f64 = weighted.iter().sum();
+    let mut most = [f64::MIN_POSITIVE; LANES];
+    let larger = |a: f64, b: f64| if b > a { b } else { a };
+    let (lanes, rest) = row.as_chunks_mut::<LANES>();
+    for lane in lanes {
+        *lane = lane.map(|value| value + change * (mean - value));
+        most = std::array::from_fn(|i| larger(most[i], lane[i]));
+    }
+    for (value, most) in rest.iter_mut().zip(&mut most) {
+        *value += change * (mean - *value);
+        *most = larger(*most, *value);
+    }
+    let scale = most.into_iter().fold(0.0, larger).recip();
+    combine(row, prior, |value, _| value * scale);
+}
+
+/// Values that are computed together. The compiler uses vector instructions for such parts of a row, which it does not for
+/// a loop over a whole one.
+const LANES: usize = 8;
+
+/// Replaces each value by that of `f` for it and the one of another row.
+pub(crate) fn combine(row: &mut Row, other: &Row, f: impl Fn(f64, f64) -> f64) {
+    let (lanes, rest) = row.as_chunks_mut::<LANES>();
+    let (others, others_rest) = other.as_chunks::<LANES>();
+    for (lane, other) in lanes.iter_mut().zip(others) {
+        *lane = std::array::from_fn(|i| f(lane[i], other[i]));
+    }
+    for (value, other) in rest.iter_mut().zip(others_rest) {
+        *value = f(*value, *other);
+    }
+}
+
+fn one_over_sum(row: &Row) -> f64 {
+    row.iter().sum::<f64>().max(f64::MIN_POSITIVE).recip()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A row without order.
+    fn row(seed: usize) -> Row {
+        std::array::from_fn(|i| 0.1 + ((7 * i + seed) % 13) as f64)
+    }
+
+    #[test]
+    fn messages_are_those_of_the_transition_matrix() {
+        let (prior, change) = (Grid::new().prior, 0.3);
+        // From one coefficient to another in the next cell.
+        let transition = |from: usize, to: usize| {
+            change * prior[to] + if from == to { 1.0 - change } else { 0.0 }
+        };
+        let (before, mut forward) = (row(1), row(1));
+        pass_forward(&mut forward, &prior, change);
+        let (after, mut backward) = (row(2), row(2));
+        pass_backward(&mut backward, &prior, change);
+        let sum: f64 = before.iter().sum();
+        let ahead = |h: usize| {
+            (0..LEVELS)
+                .map(|k| transition(h, k) * after[k])
+                .sum::<f64>()
+        };
+        let most = (0..LEVELS).map(ahead).fold(0.0, f64::max);
+        for h in 0..LEVELS {
+            let behind: f64 = (0..LEVELS).map(|k| before[k] * transition(k, h)).sum();
+            assert!((forward[h] - behind / sum).abs() < 1e-12, "{h}");
+            assert!((backward[h] - ahead(h) / most).abs() < 1e-12, "{h}");
+        }
     }
 }

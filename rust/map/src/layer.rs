@@ -1,7 +1,7 @@
 //! The posterior from the vehicle's own evidence and from what others reported.
 
 use crate::RoadBelief;
-use crate::grid::{Row, to_probabilities};
+use crate::grid::{Row, combine, multiply, to_probabilities};
 use crate::reported::Reported;
 
 /// The evidence that a posterior uses.
@@ -30,7 +30,7 @@ impl RoadBelief {
         for (own, mut both) in own.iter_mut().zip(both) {
             to_probabilities(own);
             to_probabilities(&mut both);
-            (own.iter_mut().zip(both)).for_each(|(own, both)| *own += trust * (both - *own));
+            combine(own, &both, |own, both| own + trust * (both - own));
         }
         own
     }
@@ -50,10 +50,12 @@ impl RoadBelief {
         (first..=last)
             .zip(messages)
             .map(|(index, (forward, backward))| {
-                let mut masses: Row =
-                    std::array::from_fn(|h| forward[h] + committed * (prior[h] - forward[h]));
+                let mut masses = *forward;
+                combine(&mut masses, prior, |mass, prior| {
+                    mass + committed * (prior - mass)
+                });
                 self.weigh(layer, index, &mut masses);
-                (masses.iter_mut().zip(backward)).for_each(|(mass, b)| *mass *= b);
+                multiply(&mut masses, backward);
                 masses
             })
             .collect()
@@ -64,7 +66,6 @@ impl RoadBelief {
         let Some(cell) = self.stored(index) else {
             return;
         };
-        let multiply = |row: &mut Row, by: &Row| row.iter_mut().zip(by).for_each(|(r, l)| *r *= l);
         if layer != Layer::Reported {
             multiply(row, &self.likelihood[cell]);
             let recent = self.recent.as_ref();

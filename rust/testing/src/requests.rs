@@ -53,10 +53,15 @@ pub struct Request {
 }
 
 impl Request {
-    /// A cold request with a full history and a track of 6 m width.
+    /// A cold request with a full history and a track of 6 m width, for [`settings`].
     pub fn circle() -> Self {
+        Self::circle_of(20, 10)
+    }
+
+    /// The same for a horizon of `horizon` stages and a history of `window` transitions.
+    pub fn circle_of(horizon: u32, window: u32) -> Self {
         let (radius, speed, dt) = (60.0, 14.0, 0.05);
-        let reference = (0..=20).flat_map(|t| {
+        let reference = (0..=horizon).flat_map(|t| {
             let angle = speed * dt * f64::from(t) / radius;
             [
                 radius * angle.sin(),
@@ -82,13 +87,13 @@ impl Request {
             plan_x: vec![],
             plan_u: vec![],
             plan_shift: 1,
-            history_z: (0..10).flat_map(history).collect(),
-            history_y: (0..10)
+            history_z: (0..window).flat_map(history).collect(),
+            history_y: (0..window)
                 .flat_map(|i| [0.01, 0.02 - 0.001 * f64::from(i), 0.005])
                 .collect(),
             history_f: vec![],
             reference: reference.collect(),
-            widths: [3.0, 3.0].repeat(21),
+            widths: [3.0, 3.0].repeat(horizon as usize + 1),
             road_friction: vec![],
         }
     }
