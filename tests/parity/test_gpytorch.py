@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+import functools
+from typing import TYPE_CHECKING, get_args
 
 import gpytorch
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import torch
 
 from egp_service._core import Library, MemberData, VehicleParameters, write_library
+from egp_service.training.kernel import KernelName
 from library_example import CENTRE, HALF_WIDTH, change
 
 if TYPE_CHECKING:
@@ -25,6 +27,11 @@ MEAN_TOLERANCE = 1e-9
 # Of the output's variance; measured 2e-13.
 VARIANCE_TOLERANCE = 1e-8
 
+KERNELS = {
+    "rbf": gpytorch.kernels.RBFKernel,
+    "matern52": functools.partial(gpytorch.kernels.MaternKernel, nu=2.5),
+}
+
 
 class ExactGp(gpytorch.models.ExactGP):  # type: ignore[misc]
     """Constant mean, scaled ARD kernel, Gaussian noise."""
@@ -32,12 +39,8 @@ class ExactGp(gpytorch.models.ExactGP):  # type: ignore[misc]
     def __init__(self, x: torch.Tensor, y: torch.Tensor, kernel: str) -> None:
         """Build on z-scored data; hyperparameters are set afterwards."""
         super().__init__(x, y, gpytorch.likelihoods.GaussianLikelihood())
-        base = (
-            gpytorch.kernels.RBFKernel(ard_num_dims=6)
-            if kernel == "rbf"
-            else gpytorch.kernels.MaternKernel(nu=2.5, ard_num_dims=6)
-        )
         self.mean_module = gpytorch.means.ConstantMean()
+        base = KERNELS[kernel](ard_num_dims=6)
         self.covar_module = gpytorch.kernels.ScaleKernel(base)
         self.double()
 
@@ -152,7 +155,7 @@ def queries(rng: np.random.Generator, x: Array) -> Array:
     )
 
 
-@pytest.mark.parametrize("kernel", ["rbf", "matern52"])
+@pytest.mark.parametrize("kernel", get_args(KernelName))
 @pytest.mark.parametrize("n", [200, 700])
 def test_predictions_match_gpytorch(tmp_path: Path, kernel: str, n: int) -> None:
     oracle, member = build(kernel, n, seed=n)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from egp_service.data.alignment import Delays
 from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
 from egp_service.training.export import export
+from egp_service.training.kernel import KernelName
 from egp_service.training.train import FitProgress, TrainingSettings, split, train
 from egp_service.training.validation import rollout_error, validate
 from egp_service.training.validation_report import draw_validation
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from egp_service.training.gaussian_process import KernelName
     from egp_service.training.trained import TrainedMember
 
 # The law of `surfaces` is no vehicle's.
@@ -59,7 +59,7 @@ def test_beats_a_linear_fit_on_unseen_data(members: list[TrainedMember]) -> None
         assert np.all(ours < 0.6 * theirs)
 
 
-@pytest.mark.parametrize("kernel", ["rbf", "matern52"])
+@pytest.mark.parametrize("kernel", get_args(KernelName))
 def test_same_seed_same_bytes(tmp_path: Path, kernel: KernelName) -> None:
     settings = dataclasses.replace(SETTINGS, kernel=kernel, max_iterations=10, restarts=1)
     for name in ("first", "second"):

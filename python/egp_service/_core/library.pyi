@@ -27,7 +27,7 @@ class Library:
         """Period over which the outputs change, s."""
     @property
     def kernel(self) -> str:
-        """Name of the kernel, "rbf" or "matern52"."""
+        """Name of the kernel, such as "matern52"."""
     @property
     def vehicle(self) -> str:
         """Name of the vehicle that the data come from."""

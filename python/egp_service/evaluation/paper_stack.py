@@ -39,6 +39,7 @@ from egp_service.quantities import (
     gp_input,
 )
 from egp_service.training import prior_mean
+from egp_service.training.kernel import gpytorch_kernel
 
 with warnings.catch_warnings():  # linear_operator uses torch.jit.script when it is imported
     warnings.filterwarnings("ignore", ".torch.jit.script. is ", FutureWarning)
@@ -76,9 +77,7 @@ class ExactGP(gpytorch.models.ExactGP):  # type: ignore[misc]
         super().__init__(x, y, likelihood)
         self.mean_module = gpytorch.means.ConstantMean(batch_shape=y.shape[:-1])
         self.covar_module = gpytorch.kernels.ScaleKernel(
-            gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[-1])
-            if kernel == "rbf"
-            else gpytorch.kernels.MaternKernel(nu=2.5, ard_num_dims=x.shape[-1])
+            gpytorch_kernel(kernel, ard_num_dims=x.shape[-1])
         )
 
     def forward(self, x: torch.Tensor) -> Any:  # noqa: ANN401

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from egp_service.data.dataset import Dataset
-    from egp_service.training.gaussian_process import KernelName
+    from egp_service.training.kernel import KernelName
     from egp_service.training.train import TrainingSettings
 
 SMOOTH: Final = Bounds(noise=1e-3, lengthscale=0.5, outputscale=math.inf)

@@ -9,11 +9,12 @@ import contextlib
 import dataclasses
 import math
 import warnings
-from typing import TYPE_CHECKING, Final, Literal, cast
+from typing import TYPE_CHECKING, Final, cast
 
 import torch
 
 from egp_service._core import EgpError
+from egp_service.training.kernel import gpytorch_kernel
 
 with warnings.catch_warnings():  # linear_operator uses torch.jit.script when it is imported
     warnings.filterwarnings("ignore", ".torch.jit.script. is ", FutureWarning)
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
     from botorch.optim.core import OptimizationResult
 
-KernelName = Literal["rbf", "matern52"]
+    from egp_service.training.kernel import KernelName
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,7 +96,7 @@ class Hyperparameters:
 class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[misc]
     """`y = f(z) + e`, f ~ GP(constant, outputscale · k(z, z')), e ~ N(0, noise).
 
-    `k` is the RBF kernel or the Matérn kernel of smoothness 5/2, one lengthscale per input.
+    `k` is the kernel of the given name with one lengthscale per input.
     """
 
     num_outputs = 1
@@ -109,14 +110,8 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
         )
         super().__init__(z, y, likelihood)
         lengthscales = gpytorch.constraints.Interval(bounds.lengthscale, MAX_LENGTHSCALE)
-        base = (
-            gpytorch.kernels.RBFKernel(
-                ard_num_dims=z.shape[-1], lengthscale_constraint=lengthscales
-            )
-            if kernel == "rbf"
-            else gpytorch.kernels.MaternKernel(
-                nu=2.5, ard_num_dims=z.shape[-1], lengthscale_constraint=lengthscales
-            )
+        base = gpytorch_kernel(
+            kernel, ard_num_dims=z.shape[-1], lengthscale_constraint=lengthscales
         )
         self.mean_module = gpytorch.means.ConstantMean()
         outputscale = (

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 import torch
@@ -23,6 +23,7 @@ from egp_service.quantities import GP_INPUT, GP_OUTPUT, NZ
 from egp_service.training.choice import KINDS, best_member
 from egp_service.training.delays import find_delays
 from egp_service.training.exact_member import exact_member, spread
+from egp_service.training.kernel import KernelName
 from egp_service.training.vehicle_fit import fit_vehicle
 from egp_service.vehicle import simulated_vehicle
 
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from egp_service._core import VehicleParameters
-    from egp_service.training.gaussian_process import KernelName
     from egp_service.training.trained import TrainedMember
     from egp_service.training.vehicle_fit import FittedVehicle
 
@@ -42,7 +42,7 @@ class TrainingSettings:
     """Settings of training. The same data, settings and machine give the same bytes."""
 
     kernel: KernelName = "matern52"
-    """Covariance function of every process: "rbf" or "matern52"."""
+    """Covariance function of every process."""
     mean: Literal["single-track", "constant", "best"] = "single-track"
     """Prior mean of the GPs: a vehicle fitted to the surface, or constants as in the paper.
 
@@ -67,8 +67,9 @@ class TrainingSettings:
 
     def __post_init__(self) -> None:
         """Check the ranges of the settings."""
-        if self.kernel not in ("rbf", "matern52"):
-            raise EgpError(f"kernel is {self.kernel!r}: expected 'rbf' or 'matern52'")
+        if self.kernel not in get_args(KernelName):
+            known = ", ".join(get_args(KernelName))
+            raise EgpError(f"kernel is {self.kernel!r}: expected one of {known}")
         if self.mean not in ("single-track", "constant", "best"):
             raise EgpError(f"mean is {self.mean!r}: expected 'single-track', 'constant' or 'best'")
         least = 2 * NZ

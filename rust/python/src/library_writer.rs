@@ -115,7 +115,7 @@ fn exactly<T, const N: usize>(name: &str, rows: Vec<T>) -> PyResult<[T; N]> {
 
 /// Write a whole library file or nothing, after verifying that it can be loaded.
 ///
-/// `dt` in s, `kernel` "rbf" or "matern52"; `vehicle` and `parameters` are name and parameters of the vehicle that the
+/// `dt` in s, `kernel` a name such as "matern52"; `vehicle` and `parameters` are name and parameters of the vehicle that the
 /// data come from; `measurement_noise` (3,) are the standard deviations of the noise of the measured
 /// `[v_x, v_y, omega]`, and `measurement_delay` the time in s by which these are late, if they are known. The same arguments give the same bytes. Raises `LibraryError` for content that fails a check,
 /// `OSError` if writing fails.

@@ -7,6 +7,7 @@ import typer
 from rich.console import Console
 
 from egp_service.cli.options import Cluster
+from egp_service.training.kernel import KernelName
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,9 +29,7 @@ def train(
         Path | None,
         typer.Option(help="TOML file of the vehicle; needed unless the data are simulated."),
     ] = None,
-    kernel: Annotated[
-        Literal["rbf", "matern52"], typer.Option(help="Covariance function.")
-    ] = "matern52",
+    kernel: Annotated[KernelName, typer.Option(help="Covariance function.")] = "matern52",
     mean: Annotated[
         Literal["single-track", "constant", "best"],
         typer.Option(help="Prior mean of the GPs; best tries vehicles and constants, also alone."),

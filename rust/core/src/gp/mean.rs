@@ -1,7 +1,7 @@
 //! Loops over training points: mean, Jacobian and covariances.
 
 use super::{Covariance, Gp};
-use crate::kernel::{Kernel, Lanes, Matern52, Metric, Points, Profile, Query, Rbf};
+use crate::kernel::{ForKernel, Kernel, Lanes, Metric, Points, Profile, Query};
 use crate::simd::{Simd, Wide, wide};
 use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
 
@@ -11,7 +11,9 @@ pub(super) struct Mean<'a> {
     pub z: &'a GpInput,
 }
 
-impl Mean<'_> {
+impl ForKernel for Mean<'_> {
+    type Output = GpOutput;
+
     /// All outputs in one loop over the points.
     #[inline(always)]
     fn with<P: Profile, S: Simd>(self, simd: S) -> GpOutput {
@@ -50,10 +52,7 @@ impl Wide for Mean<'_> {
 
     #[inline(always)]
     fn compute<S: Simd>(self, simd: S) -> GpOutput {
-        match self.gp.kernel {
-            Kernel::Rbf => self.with::<Rbf, S>(simd),
-            Kernel::Matern52 => self.with::<Matern52, S>(simd),
-        }
+        self.gp.kernel.run(self, simd)
     }
 }
 
@@ -113,7 +112,9 @@ struct WeightedSums<'a, const N: usize> {
 /// Blocks of points whose kernel values are stored between the passes.
 const CHUNK: usize = 16;
 
-impl<const N: usize> WeightedSums<'_, N> {
+impl<const N: usize> ForKernel for WeightedSums<'_, N> {
+    type Output = [[f64; SUMS]; N];
+
     #[inline(always)]
     fn with<P: Profile, S: Simd>(self, simd: S) -> [[f64; SUMS]; N] {
         let mut sums = [[simd.splat(0.0); SUMS]; N];
@@ -137,7 +138,9 @@ impl<const N: usize> WeightedSums<'_, N> {
         }
         totals
     }
+}
 
+impl<const N: usize> WeightedSums<'_, N> {
     /// Kernel values and `Σ w φ` for some blocks of points, then the other sums of all outputs over these blocks: both
     /// passes have registers for their sums, and the first for several blocks of independent operations.
     #[allow(clippy::needless_range_loop)] // the loops read like the sums
@@ -223,10 +226,7 @@ impl<const N: usize> Wide for WeightedSums<'_, N> {
 
     #[inline(always)]
     fn compute<S: Simd>(self, simd: S) -> Self::Output {
-        match self.kernel {
-            Kernel::Rbf => self.with::<Rbf, S>(simd),
-            Kernel::Matern52 => self.with::<Matern52, S>(simd),
-        }
+        self.kernel.run(self, simd)
     }
 }
 
@@ -241,7 +241,9 @@ pub(super) struct CovarianceRow<'a> {
     pub row: &'a mut [Lanes],
 }
 
-impl CovarianceRow<'_> {
+impl ForKernel for CovarianceRow<'_> {
+    type Output = ();
+
     #[inline(always)]
     fn with<P: Profile, S: Simd>(self, simd: S) {
         let points = self.points.blocks().iter().zip(self.norms);
@@ -257,10 +259,7 @@ impl Wide for CovarianceRow<'_> {
 
     #[inline(always)]
     fn compute<S: Simd>(self, simd: S) {
-        match self.kernel {
-            Kernel::Rbf => self.with::<Rbf, S>(simd),
-            Kernel::Matern52 => self.with::<Matern52, S>(simd),
-        }
+        self.kernel.run(self, simd);
     }
 }
 
@@ -291,7 +290,7 @@ mod tests {
 
     #[test]
     fn instruction_sets_and_numbers_of_passes_agree_bit_by_bit() {
-        for kernel in [Kernel::Rbf, Kernel::Matern52] {
+        for kernel in Kernel::ALL {
             let (one, three) = (sums::<1>(kernel), sums::<3>(kernel));
             let bits = |sums: [f64; SUMS]| sums.map(f64::to_bits);
             let portable = three[0].map(bits);

@@ -3,16 +3,16 @@
 //! `k(z, x) = outputscale · φ(r²)` with `r² = Σ_d (z_d - x_d)² / ℓ_d²`. A kernel is defined by its profile
 //! `φ`; distances, sums over training points and gradients by the chain rule are shared by all kernels.
 //!
-//! To add a kernel, write a file that implements `Profile` and add a variant and its name to [`Kernel`].
+//! To add a kernel, write a file that implements `Profile` and add it to the list and the functions of [`Kernel`].
 
 mod exp;
 mod matern52;
 mod points;
 mod rbf;
 
-pub(crate) use matern52::Matern52;
+use matern52::Matern52;
 pub(crate) use points::{Metric, Points, Query, in_blocks};
-pub(crate) use rbf::Rbf;
+use rbf::Rbf;
 
 use crate::simd::Simd;
 
@@ -36,6 +36,14 @@ pub(crate) trait Profile {
     fn value<S: Simd>(simd: S, t: S::V) -> S::V;
     /// `φ` and `dφ/d(r²) / SLOPE` for a block of points; they share the exponential.
     fn value_slope<S: Simd>(simd: S, t: S::V) -> (S::V, S::V);
+}
+
+/// A computation that is compiled for each kernel and each instruction set.
+pub(crate) trait ForKernel {
+    /// Result of the computation.
+    type Output;
+    /// Runs the computation with the kernel `P`. Implementations must be `#[inline(always)]`.
+    fn with<P: Profile, S: Simd>(self, simd: S) -> Self::Output;
 }
 
 /// The kernels a library may use.
@@ -62,6 +70,15 @@ impl Kernel {
     /// The kernel with this name, if it exists.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kernel| kernel.name() == name)
+    }
+
+    /// Runs `computation` with this kernel.
+    #[inline(always)]
+    pub(crate) fn run<C: ForKernel, S: Simd>(self, computation: C, simd: S) -> C::Output {
+        match self {
+            Self::Rbf => computation.with::<Rbf, S>(simd),
+            Self::Matern52 => computation.with::<Matern52, S>(simd),
+        }
     }
 
     /// [`Profile::SCALE`] of this kernel.

@@ -2,6 +2,8 @@
 
 use egp_parameters::ParameterError;
 
+use crate::Kernel;
+
 /// Why a library file was refused; the running library, if any, stays.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LibraryError {
@@ -77,7 +79,10 @@ pub enum LibraryError {
         expected: String,
     },
     /// A kernel that is not built in.
-    #[error("kernel is \"{found}\", known are \"rbf\" and \"matern52\"; train with one of these")]
+    #[error(
+        "kernel is \"{found}\", known are {}; train with one of these",
+        Kernel::ALL.map(Kernel::name).join(", ")
+    )]
     UnknownKernel {
         /// Name in the file.
         found: String,
