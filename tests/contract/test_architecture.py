@@ -41,6 +41,7 @@ ALLOWED = {
     "egp-simulator": {"egp-wire", "egp-gate", "egp-path", "egp-plant", "egp-vehicle"},
     "egp-load": {"egp-wire", "egp-vehicle", "egp-simulator"},
     "egp-testing": {VEHICLE, "egp-core", "egp-map", "egp-path", "egp-wire"},
+    "egp-interleavings": {"egp-core", "egp-engine", "egp-testing", "egp-wire"},
     "egp-bench": set(),
     "egp-python": {
         VEHICLE,
@@ -107,6 +108,17 @@ def test_a_library_is_named_in_one_file(folder: str, library: str) -> None:
         if named.search(path.read_text())
     )
     assert len(files) == 1, f"{library} is named in {files}"
+
+
+def test_what_threads_share_comes_from_one_file() -> None:
+    """The files that run under chosen interleavings of threads name no lock and no thread of their own."""
+    folder = ROOT / "rust/interleavings/src"
+    hosted = re.findall(r'#\[path = "([^"]+)"\]', (folder / "lib.rs").read_text())
+    assert len(hosted) > 1
+    own = re.compile(r"\bstd::(?:sync|thread)\b(?!::available_parallelism)")
+    for name in hosted:
+        code, _, _ = (folder / name).read_text().partition("#[cfg(test)]")
+        assert not own.search(code), f"{name} must use crate::sync"
 
 
 def test_the_architecture_says_the_same() -> None:

@@ -1,15 +1,13 @@
 //! Cores that steps share: each has one, and borrows those that are idle.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::thread;
-
 use egp_core::Executor;
-use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+
+use crate::sync::atomic::{AtomicUsize, Ordering};
+use crate::sync::{Arc, ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
 /// The number of cores that this process may use, at least 1.
 pub fn available_cores() -> usize {
-    thread::available_parallelism().map_or(1, usize::from)
+    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// A number of cores, and how many of them are in use.
@@ -105,6 +103,7 @@ impl Executor for Cores {
 mod tests {
     use std::panic::{AssertUnwindSafe, catch_unwind};
     use std::sync::Barrier;
+    use std::thread;
 
     use super::*;
 

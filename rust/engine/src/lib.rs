@@ -7,6 +7,7 @@ mod cores;
 mod engine;
 mod error;
 mod file;
+mod sync;
 
 pub use cores::available_cores;
 pub use engine::{Engine, EngineWorkspace};

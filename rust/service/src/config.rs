@@ -5,6 +5,7 @@ use std::{
     fs,
     net::SocketAddr,
     path::{Path, PathBuf},
+    time::Duration,
 };
 
 use egp_core::{Settings, SettingsError};
@@ -167,6 +168,11 @@ impl ServiceConfig {
         self.workers.unwrap_or_else(available_cores)
     }
 
+    /// The time between looks at the library file; none if it is loaded again on command only.
+    pub(crate) fn watch(&self) -> Option<Duration> {
+        (self.watch_ms > 0).then(|| Duration::from_millis(self.watch_ms))
+    }
+
     /// Reads and validates a configuration.
     ///
     /// # Errors
@@ -253,6 +259,14 @@ mod tests {
                 .to_string()
                 .contains("library")
         );
+    }
+
+    #[test]
+    fn the_library_file_is_watched_if_the_configuration_says_how_often() {
+        let mut config = ServiceConfig::new("a.safetensors");
+        assert_eq!(config.watch(), None);
+        config.watch_ms = 20;
+        assert_eq!(config.watch(), Some(Duration::from_millis(20)));
     }
 
     #[test]

@@ -2,13 +2,13 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
 
 use egp_wire::keys::Name;
 use egp_wire::{Code, KeyFileError, KeyRing, Seal, Tag, VehicleKey, WireError};
 use prometheus_client::metrics::counter::Counter;
 
 use crate::query::Query;
+use crate::sync::{Mutex, PoisonError};
 
 /// Runs of a vehicle's client that are remembered; a vehicle that starts more often than this while the service runs is
 /// answered, but copies of questions from before could be repeated.
@@ -126,5 +126,123 @@ impl Guard {
             runs.push_back((seal.run, seal.number));
         }
         (new, new && twice)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use crate::query::recorded::{Recorded, name};
+
+    /// A guard with the keys of the vehicles `a` and `b`, and the key of `a`.
+    fn guard() -> (Guard, VehicleKey) {
+        let text = format!("fleet/a {}\nfleet/b {}\n", "a1".repeat(32), "b2".repeat(32));
+        let ring = KeyRing::parse(&text).unwrap();
+        let key = ring.get(&name("fleet"), &name("a")).unwrap().clone();
+        (Guard::new(ring), key)
+    }
+
+    /// A request of `a` that is sealed with this key.
+    fn sealed(key: &VehicleKey, run: u64, number: u64) -> Recorded {
+        let mut query = Recorded::request("a", 1, 1_000);
+        let seal = Seal {
+            vehicle: (name("fleet"), name("a")),
+            run,
+            number,
+            tag: key.question(&query.key, run, number, &query.payload),
+        };
+        query.attachment = seal.encode();
+        query
+    }
+
+    /// Checks a request of the vehicle `a`; the reason if it is not accepted.
+    fn accept(guard: &Guard, query: &Recorded) -> Result<Sealed, String> {
+        guard
+            .request(query, &name("fleet"), &name("a"))
+            .map_err(|error| {
+                assert_eq!(error.code, Code::Unauthenticated);
+                error.detail
+            })
+    }
+
+    #[test]
+    fn the_sender_needs_the_key_of_the_vehicle() {
+        let (guard, key) = guard();
+        let mut query = sealed(&key, 7, 1);
+        let tag = accept(&guard, &query).ok().unwrap().tag(b"reply");
+        let question = Seal::decode(&query.attachment).unwrap().tag;
+        assert!(key.is_answer(&question, b"reply", &tag));
+        let unknown = guard.request(&query, &name("fleet"), &name("c"));
+        assert_eq!(unknown.err().unwrap().code, Code::Unauthenticated);
+        query.attachment.clear();
+        assert!(accept(&guard, &query).err().unwrap().contains("no seal"));
+        let foreign = guard.keys.get(&name("fleet"), &name("b")).unwrap();
+        let forged = accept(&guard, &sealed(foreign, 7, 2)).err().unwrap();
+        assert!(forged.contains("was not made with"), "{forged}");
+    }
+
+    #[test]
+    fn a_question_that_anybody_may_ask_is_answered_with_a_proof_to_a_vehicle_only() {
+        let (guard, key) = guard();
+        let query = sealed(&key, 7, 1);
+        let question = Seal::decode(&query.attachment).unwrap().tag;
+        let tag = guard.question(&query).unwrap().tag(b"answer");
+        assert!(key.is_answer(&question, b"answer", &tag));
+        let foreign = guard.keys.get(&name("fleet"), &name("b")).unwrap();
+        assert!(guard.question(&sealed(foreign, 7, 1)).is_none());
+    }
+
+    #[test]
+    fn a_request_counts_once_and_the_newest_of_a_run_ends_the_older_ones() {
+        let (guard, key) = guard();
+        for (number, new) in [
+            (5, true),
+            (5, false),
+            (4, false),
+            (6, true),
+            (9, true),
+            (6, false),
+        ] {
+            let outcome = accept(&guard, &sealed(&key, 7, number));
+            assert_eq!(outcome.is_ok(), new, "number {number}");
+            if let Err(reason) = outcome {
+                assert!(reason.contains("came before"), "{reason}");
+            }
+        }
+        assert_eq!(guard.twice().get(), 0);
+    }
+
+    #[test]
+    fn two_clients_with_one_key_are_counted_at_each_turn() {
+        let (guard, key) = guard();
+        // The second run takes the place of the first, as after a restart of the vehicle.
+        for (run, number, twice) in [
+            (7, 1, 0),
+            (8, 1, 0),
+            (8, 2, 0),
+            (7, 2, 1),
+            (8, 3, 2),
+            (8, 4, 2),
+        ] {
+            assert!(accept(&guard, &sealed(&key, run, number)).is_ok());
+            assert_eq!(guard.twice().get(), twice, "run {run}, number {number}");
+        }
+        // A copy of an old request is no turn.
+        assert!(accept(&guard, &sealed(&key, 7, 1)).is_err());
+        assert_eq!(guard.twice().get(), 2);
+    }
+
+    #[test]
+    fn so_many_runs_are_remembered() {
+        let (guard, key) = guard();
+        let runs = u64::try_from(RUNS).unwrap();
+        for run in 0..runs {
+            assert!(accept(&guard, &sealed(&key, run, 1)).is_ok());
+        }
+        assert!(accept(&guard, &sealed(&key, 0, 1)).is_err());
+        assert!(accept(&guard, &sealed(&key, runs, 1)).is_ok());
+        let seen = guard.seen.lock().unwrap();
+        assert_eq!(seen.values().map(VecDeque::len).sum::<usize>(), RUNS);
     }
 }

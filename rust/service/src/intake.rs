@@ -1,6 +1,5 @@
 //! From a query to the queue. Runs on the network's receive thread, so it decodes headers only.
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use egp_wire::keys::{self, Name, Target};
@@ -12,6 +11,7 @@ use crate::guard::{Guard, Sealed};
 use crate::metrics::{Metrics, micros};
 use crate::query::Query;
 use crate::queue::{Queue, Refused};
+use crate::sync::atomic::{AtomicBool, Ordering};
 
 /// The part of a budget that is left for the way of request and answer through network and threads, which the service
 /// does not see. Without it, a service with too many requests computes answers that are late by little.
@@ -183,4 +183,169 @@ fn no_such_key(key: &str) -> WireError {
          egp/v1/r/REPLICA/health, ready or metrics"
     );
     WireError::permanent(Code::Malformed, detail)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::panic)]
+pub(crate) mod tests {
+    use egp_testing::messages;
+    use egp_wire::KeyRing;
+
+    use super::*;
+    use crate::query::recorded::{Recorded, Sent, at, name};
+
+    /// What a service with a queue of two vehicles shares. A step is expected to take 7 ms.
+    pub(crate) fn shared(workers: usize) -> Shared<Recorded> {
+        let metrics = Metrics::new(&[], workers);
+        metrics.stepped(Duration::from_millis(7));
+        Shared {
+            replica: name("main"),
+            describe: Box::new(messages::ready),
+            workers,
+            queue: Queue::new(2),
+            metrics,
+            draining: AtomicBool::new(false),
+            guard: None,
+        }
+    }
+
+    /// Takes a request that arrives at `start`.
+    fn take(shared: &Shared<Recorded>, start: Instant, vehicle: &str, budget_us: u32) -> Recorded {
+        let query = Recorded::request(vehicle, 1, budget_us);
+        shared.take(query.clone(), start);
+        query
+    }
+
+    #[test]
+    fn a_request_waits_if_its_answer_is_expected_within_seven_eighths_of_the_budget() {
+        let (shared, start) = (shared(1), Instant::now());
+        shared.metrics.busy.inc();
+        // One step runs, so the answer is expected after two steps, 14 ms.
+        let late = take(&shared, start, "a", 15_999).error().unwrap();
+        assert_eq!((late.code, late.retryable), (Code::TooLate, true));
+        assert_eq!(late.retry_after_us, 14_000);
+        assert!(late.detail.contains("within 15999 us"), "{late}");
+        assert_eq!(take(&shared, start, "a", 16_000).sent(), None);
+        let job = shared.queue.pop().unwrap();
+        assert_eq!(job.deadline, at(start, 16.0));
+        assert_eq!((job.arrived, job.sequence), (start, 1));
+    }
+
+    #[test]
+    fn an_idle_worker_tries_however_long_a_step_is_expected_to_take() {
+        let (shared, start) = (shared(2), Instant::now());
+        shared.metrics.busy.inc();
+        assert_eq!(take(&shared, start, "a", 1_000).sent(), None);
+        // The request that waits occupies the other worker.
+        assert_eq!(take(&shared, start, "b", 2_000).code(), Some(Code::TooLate));
+    }
+
+    #[test]
+    fn workers_share_what_waits() {
+        let (shared, start) = (shared(2), Instant::now());
+        shared.metrics.busy.set(2);
+        assert_eq!(take(&shared, start, "a", 16_000).sent(), None);
+        // Three steps are before this one, which therefore ends with the second round of the two workers, too.
+        assert_eq!(take(&shared, start, "b", 16_001).sent(), None);
+        let load = Load {
+            queued: 2,
+            busy: 2,
+            workers: 2,
+            step_us: 7_000,
+        };
+        assert_eq!(shared.load(), load);
+        let full = take(&shared, start, "c", 90_000).error().unwrap();
+        assert_eq!((full.code, full.retry_after_us), (Code::Overloaded, 21_000));
+        assert!(full.detail.contains("2 vehicles"), "{full}");
+    }
+
+    #[test]
+    fn a_newer_request_and_a_closed_queue_are_told_to_the_vehicle() {
+        let (shared, start) = (shared(1), Instant::now());
+        let old = take(&shared, start, "a", 20_000);
+        let new = take(&shared, start, "a", 20_000);
+        assert_eq!((old.code(), new.sent()), (Some(Code::Superseded), None));
+        shared.queue.close();
+        assert_eq!(
+            take(&shared, start, "b", 20_000).code(),
+            Some(Code::Draining)
+        );
+        let text = shared.metrics.text(0);
+        assert!(text.contains("{outcome=\"superseded\"} 1"), "{text}");
+        assert!(text.contains("{outcome=\"draining\"} 1"), "{text}");
+    }
+
+    #[test]
+    fn requests_of_another_replica_and_too_large_ones_are_not_read() {
+        let (shared, start) = (shared(1), Instant::now());
+        let asked = |change: &dyn Fn(&mut Recorded)| {
+            let mut query = Recorded::request("a", 1, 20_000);
+            change(&mut query);
+            shared.take(query.clone(), start);
+            query.error()
+        };
+        let other = asked(&|query| query.key = query.key.replace("/main/", "/other/")).unwrap();
+        assert_eq!(other.code, Code::Malformed);
+        assert!(other.detail.contains("no key of this replica"), "{other}");
+        let none = asked(&|query| query.key = "egp/v1/r/main/speed".to_owned()).unwrap();
+        assert!(none.detail.contains("egp/v1/r/main/speed"), "{none}");
+        let limit = MessageLimits::default().message_bytes;
+        let large = asked(&|query| query.length = limit + 1).unwrap();
+        assert!(large.detail.contains("at most"), "{large}");
+        assert_eq!(asked(&|query| query.length = limit), None);
+        assert_eq!(
+            asked(&|query| query.payload.clear()).unwrap().code,
+            Code::Malformed
+        );
+    }
+
+    /// Payload of the answer, and its tag if it has an attachment.
+    fn answer(query: &Recorded, expected: &str) -> (Vec<u8>, Option<Vec<u8>>) {
+        match query.sent() {
+            Some(Sent::Answer {
+                key,
+                payload,
+                timing,
+            }) => {
+                assert_eq!(key, expected);
+                (payload, timing.map(|timing| timing.tag))
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_replica_describes_itself() {
+        let (mut shared, start) = (shared(1), Instant::now());
+        let ring = KeyRing::parse(&format!("fleet/a {}", "a1".repeat(32))).unwrap();
+        let key = ring.get(&name("fleet"), &name("a")).unwrap().clone();
+        shared.guard = Some(Guard::new(ring));
+        let seal = |about: &str| egp_wire::Seal {
+            vehicle: (name("fleet"), name("a")),
+            run: 1,
+            number: 1,
+            tag: key.question(about, 1, 1, &[]),
+        };
+        let ask = |about: &str, seal: Option<egp_wire::Seal>| {
+            let mut query = Recorded::new(&format!("egp/v1/r/main/{about}"), Vec::new());
+            query.attachment = seal.map_or_else(Vec::new, |seal| seal.encode());
+            shared.take(query.clone(), start);
+            query
+        };
+        let health = answer(&ask("health", None), "egp/v1/r/main/health");
+        assert_eq!(health, (b"ok".to_vec(), None));
+        let (metrics, _) = answer(&ask("metrics", None), "egp/v1/r/main/metrics");
+        assert!(String::from_utf8(metrics).unwrap().contains("egp_queued 0"));
+        let ready = "egp/v1/r/main/ready";
+        let (described, tag) = answer(&ask("ready", None), ready);
+        assert!(Ready::decode(&described).unwrap().ready && tag.is_none());
+        shared.draining.store(true, Ordering::Relaxed);
+        let (described, tag) = answer(&ask("ready", Some(seal(ready))), ready);
+        assert!(!Ready::decode(&described).unwrap().ready);
+        let question = seal(ready).tag;
+        assert!(key.is_answer(&question, &described, &tag.unwrap()));
+        // A stranger gets the same answer without a proof.
+        let (_, tag) = answer(&ask("ready", Some(seal("another key"))), ready);
+        assert_eq!(tag, None);
+    }
 }

@@ -27,6 +27,7 @@ mod replica;
 mod serve;
 mod server;
 mod signature;
+mod sync;
 mod worker;
 
 pub use config::{ConfigError, ServiceConfig};

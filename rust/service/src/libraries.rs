@@ -1,8 +1,6 @@
 //! The libraries that one service serves, and their replacement while it runs.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use egp_core::{Settings, library};
@@ -13,6 +11,8 @@ use thiserror::Error;
 use crate::config::ServiceConfig;
 use crate::handler::Handler;
 use crate::signature::{SignatureError, Signers};
+use crate::sync::atomic::{AtomicU64, Ordering};
+use crate::sync::{Arc, Mutex, PoisonError, RwLock};
 
 /// A library that was asked for within this time is not removed, because a vehicle would lose its service.
 const IN_USE: Duration = Duration::from_secs(60);

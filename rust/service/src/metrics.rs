@@ -1,6 +1,5 @@
 //! The metrics of the service, as OpenMetrics text.
 
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use egp_core::library;
@@ -12,6 +11,8 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
+
+use crate::sync::atomic::{AtomicU32, Ordering};
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Outcome {

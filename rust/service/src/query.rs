@@ -30,3 +30,161 @@ pub trait Query {
     /// Replies with an error.
     fn refuse(&self, error: &WireError);
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+pub(crate) mod recorded {
+    //! Queries and a handler for the unit tests of this crate.
+
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::sync::{Arc, Mutex};
+    use std::time::{Duration, Instant};
+
+    use egp_testing::messages;
+    use egp_wire::keys::{self, Name};
+    use egp_wire::{Code, Header, MessageLimits, Ready, Status, Timing};
+    use prost::Message as _;
+
+    use super::{Cow, Query, WireError};
+    use crate::handler::Handler;
+
+    /// What was sent as the answer to a query.
+    #[derive(Clone, Debug, PartialEq)]
+    pub(crate) enum Sent {
+        Answer {
+            key: String,
+            payload: Vec<u8>,
+            timing: Option<Timing>,
+        },
+        Error(WireError),
+    }
+
+    /// A query that keeps its answers. Clones are the same query.
+    #[derive(Clone)]
+    pub(crate) struct Recorded {
+        pub(crate) key: String,
+        pub(crate) payload: Vec<u8>,
+        pub(crate) attachment: Vec<u8>,
+        /// The length that the network states.
+        pub(crate) length: usize,
+        sent: Arc<Mutex<Vec<Sent>>>,
+    }
+
+    pub(crate) fn name(text: &str) -> Name {
+        text.parse().unwrap()
+    }
+
+    /// `ms` milliseconds after `start`.
+    pub(crate) fn at(start: Instant, ms: f64) -> Instant {
+        start + Duration::from_secs_f64(ms * 1e-3)
+    }
+
+    impl Recorded {
+        pub(crate) fn new(key: &str, payload: Vec<u8>) -> Self {
+            Self {
+                key: key.to_owned(),
+                length: payload.len(),
+                payload,
+                attachment: Vec::new(),
+                sent: Arc::default(),
+            }
+        }
+
+        /// A request of a vehicle of `fleet` to the replica `main`, with a budget in microseconds.
+        pub(crate) fn request(vehicle: &str, sequence: u64, budget_us: u32) -> Self {
+            let mut request = messages::cold_request();
+            (request.sequence, request.budget_us) = (sequence, budget_us);
+            let key = keys::step(&name("main"), &name("fleet"), &name(vehicle));
+            Self::new(&key, request.encode())
+        }
+
+        /// The only answer; none if there is no answer yet.
+        pub(crate) fn sent(&self) -> Option<Sent> {
+            let sent = self.sent.lock().unwrap();
+            assert!(sent.len() < 2, "{sent:?}");
+            sent.first().cloned()
+        }
+
+        /// The error that was sent.
+        pub(crate) fn error(&self) -> Option<WireError> {
+            match self.sent() {
+                Some(Sent::Error(error)) => Some(error),
+                _ => None,
+            }
+        }
+
+        /// The code of the error that was sent.
+        pub(crate) fn code(&self) -> Option<Code> {
+            self.error().map(|error| error.code)
+        }
+    }
+
+    impl Query for Recorded {
+        fn key(&self) -> &str {
+            &self.key
+        }
+
+        fn length(&self) -> usize {
+            self.length
+        }
+
+        fn payload(&self) -> Cow<'_, [u8]> {
+            Cow::Borrowed(&self.payload)
+        }
+
+        fn attachment(&self) -> Cow<'_, [u8]> {
+            Cow::Borrowed(&self.attachment)
+        }
+
+        fn answer(
+            &self,
+            key: &str,
+            payload: Vec<u8>,
+            _encoding: &'static str,
+            attachment: Option<Vec<u8>>,
+        ) {
+            let timing = attachment.map(|bytes| Timing::decode(&*bytes).unwrap());
+            self.sent.lock().unwrap().push(Sent::Answer {
+                key: key.to_owned(),
+                payload,
+                timing,
+            });
+        }
+
+        fn refuse(&self, error: &WireError) {
+            self.sent.lock().unwrap().push(Sent::Error(error.clone()));
+        }
+    }
+
+    /// Replies with the number of the workspace, counted from 0, and the sequence number. It panics at [`Echo::PANICS`].
+    #[derive(Default)]
+    pub(crate) struct Echo(AtomicUsize);
+
+    impl Echo {
+        pub(crate) const PANICS: u64 = 13;
+    }
+
+    impl Handler for Echo {
+        type Workspace = usize;
+
+        fn describe(&self) -> Ready {
+            messages::ready()
+        }
+
+        fn workspace(&self) -> Result<usize, WireError> {
+            Ok(self.0.fetch_add(1, Ordering::Relaxed))
+        }
+
+        fn step(
+            &self,
+            workspace: &mut usize,
+            request: &[u8],
+            reply: &mut Vec<u8>,
+        ) -> Result<Status, WireError> {
+            let sequence = Header::decode(request, &MessageLimits::default())?.sequence;
+            assert_ne!(sequence, Self::PANICS, "on purpose");
+            *reply = format!("{workspace}:{sequence}").into_bytes();
+            Ok(Status::IterationLimit)
+        }
+    }
+}

@@ -5,8 +5,9 @@
 //! requests from delaying the others.
 
 use std::collections::{BTreeMap, HashMap};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
+
+use crate::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Orders the queue; the ticket separates equal deadlines.
 type Place = (Instant, u64);
@@ -157,6 +158,17 @@ mod tests {
             [queue.pop(), queue.pop(), queue.pop()],
             [Some("b"), Some("c"), Some("a")]
         );
+    }
+
+    #[test]
+    fn equal_deadlines_are_served_in_the_order_of_arrival() {
+        let (queue, start) = (Queue::new(8), Instant::now());
+        for vehicle in ["c", "a", "b"] {
+            queue.push(vehicle.to_owned(), start, vehicle, FITS);
+        }
+        assert_eq!(queue.len(), 3);
+        let order = std::iter::from_fn(|| queue.try_pop());
+        assert_eq!(order.collect::<Vec<_>>(), ["c", "a", "b"]);
     }
 
     #[test]

@@ -2,14 +2,14 @@
 
 use std::fs;
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
-use std::thread::{self, JoinHandle};
 use std::time::{Duration, SystemTime};
 
 use egp_wire::LibraryId;
 
 use crate::libraries::{Libraries, ReloadError, Reloaded};
+use crate::sync::Arc;
+use crate::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
+use crate::sync::thread::{self, JoinHandle};
 
 /// How a reload ended, and all libraries that are served now.
 pub(crate) type Outcome = Result<(Reloaded, Vec<LibraryId>), ReloadError>;

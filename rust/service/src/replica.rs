@@ -104,3 +104,80 @@ impl<H: Handler, Q: Query> Replica<H, Q> {
         self.shared.queue.len()
     }
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use egp_wire::Code;
+
+    use super::*;
+    use crate::query::recorded::{Echo, Recorded, Sent, at, name};
+
+    fn replica(workers: usize) -> Replica<Echo, Recorded> {
+        Replica::new(name("main"), Echo::default(), workers, 2).unwrap()
+    }
+
+    fn taken(replica: &Replica<Echo, Recorded>, vehicle: &str, now: Instant) -> Recorded {
+        let query = Recorded::request(vehicle, 5, 1_000_000);
+        replica.take(query.clone(), now);
+        query
+    }
+
+    #[test]
+    fn idle_workers_begin_what_waits_and_answer_when_they_end() {
+        let (mut replica, start) = (replica(2), Instant::now());
+        assert_eq!(replica.begin(start), None);
+        let [a, b] = ["a", "b"].map(|vehicle| taken(&replica, vehicle, start));
+        assert_eq!(replica.waiting(), 2);
+        assert_eq!(
+            [replica.begin(start), replica.begin(start)],
+            [Some(0), Some(1)]
+        );
+        let c = taken(&replica, "c", start);
+        assert_eq!((replica.begin(start), replica.waiting()), (None, 1));
+        assert_eq!((a.sent(), b.sent()), (None, None));
+        replica.end(1, at(start, 3.0));
+        assert_eq!(a.sent(), None);
+        let Some(Sent::Answer {
+            payload,
+            timing: Some(timing),
+            ..
+        }) = b.sent()
+        else {
+            unreachable!("{:?}", b.sent());
+        };
+        assert_eq!((payload.as_slice(), timing.step_us), (&b"1:5"[..], 3_000));
+        assert_eq!(replica.begin(start), Some(1));
+        replica.end(1, start);
+        assert!(c.sent().is_some());
+    }
+
+    #[test]
+    fn a_request_whose_time_has_passed_is_not_begun() {
+        let (mut replica, start) = (replica(1), Instant::now());
+        let late = taken(&replica, "a", start);
+        assert_eq!(replica.begin(at(start, 1_001.0)), None);
+        assert_eq!(late.code(), Some(Code::TooLate));
+    }
+
+    #[test]
+    fn a_replica_that_drains_serves_until_it_is_closed() {
+        let (mut replica, start) = (replica(1), Instant::now());
+        replica.drain();
+        assert!(replica.shared.draining.load(Ordering::Relaxed));
+        let served = taken(&replica, "a", start);
+        replica.close();
+        assert_eq!(taken(&replica, "b", start).code(), Some(Code::Draining));
+        assert_eq!(replica.begin(start), Some(0));
+        replica.end(0, start);
+        assert!(matches!(served.sent(), Some(Sent::Answer { .. })));
+    }
+
+    #[test]
+    fn a_replica_with_keys_answers_sealed_requests_only() {
+        let ring = KeyRing::parse(&format!("fleet/a {}", "a1".repeat(32))).unwrap();
+        let replica = replica(1).with_keys(ring);
+        let query = taken(&replica, "a", Instant::now());
+        assert_eq!(query.code(), Some(Code::Unauthenticated));
+    }
+}

@@ -79,8 +79,8 @@ impl Server {
         config.validate()?;
         let libraries = Arc::new(Libraries::load(config)?);
         let mut server = Self::start_shared(config, &libraries)?;
-        let watch = (config.watch_ms > 0).then(|| Duration::from_millis(config.watch_ms));
-        let (shared, reloader) = (server.shared.clone(), Reloader::new(libraries, watch));
+        let reloader = Reloader::new(libraries, config.watch());
+        let shared = server.shared.clone();
         server.reloader = Some(reloader.start(move |reloaded| note(&shared.metrics, reloaded))?);
         Ok(server)
     }
@@ -259,5 +259,30 @@ fn note(metrics: &Metrics, reloaded: Outcome) {
 fn join(thread: JoinHandle<()>) {
     if thread.join().is_err() {
         tracing::error!("a thread of the service ended by a panic");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn metrics_tell_how_reloads_ended_and_what_is_served() {
+        let (old, new) = ([1; 32], [2; 32]);
+        let metrics = Metrics::new(&[old], 1);
+        note(&metrics, Ok((Reloaded::Same(old), vec![old])));
+        note(&metrics, Err(ReloadError::NoFile));
+        let served = |id| format!("{{sha256=\"{}\"}} 1", library::hex(&id));
+        assert!(!metrics.text(0).contains(&served(new)));
+        note(&metrics, Ok((Reloaded::Changed(new), vec![new, old])));
+        let text = metrics.text(0);
+        for outcome in ["same", "failed", "changed"] {
+            let line = format!("egp_reloads_total{{outcome=\"{outcome}\"}} 1");
+            assert!(text.contains(&line), "{line}: {text}");
+        }
+        assert!(
+            text.contains(&served(old)) && text.contains(&served(new)),
+            "{text}"
+        );
     }
 }

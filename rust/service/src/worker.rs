@@ -121,3 +121,119 @@ impl<W> Worker<W> {
         Err(WireError::permanent(Code::Internal, detail))
     }
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::panic)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::intake::tests::shared;
+    use crate::query::recorded::{Echo, Recorded, Sent, at};
+
+    /// A request that arrived at `start` with a budget of 16 ms; its step should begin after 7 ms at the latest.
+    fn taken(
+        shared: &Shared<Recorded>,
+        start: Instant,
+        vehicle: &str,
+    ) -> (Recorded, Job<Recorded>) {
+        let query = Recorded::request(vehicle, 5, 16_000);
+        shared.take(query.clone(), start);
+        (query, shared.queue.pop().unwrap())
+    }
+
+    /// Whether a step is begun `ms` milliseconds after the request came, while another request waits or none does.
+    fn begins(ms: f64, another: bool) -> bool {
+        let (shared, start) = (shared(1), Instant::now());
+        let (query, job) = taken(&shared, start, "a");
+        if another {
+            shared.take(Recorded::request("b", 1, 90_000), start);
+        }
+        let begun = shared.begin(job, at(start, ms)).is_some();
+        assert_eq!(shared.metrics.busy_workers(), usize::from(begun));
+        let error = query.error();
+        assert_eq!(error.is_none(), begun);
+        if let Some(error) = error {
+            assert_eq!(error.code, Code::TooLate);
+            assert!(error.detail.contains("within 16000 us"), "{error}");
+        }
+        let text = shared.metrics.text(0);
+        let waited = format!("egp_queue_seconds_sum {}", ms * 1e-3);
+        assert!(text.contains(&waited), "{text}");
+        begun
+    }
+
+    #[test]
+    fn a_step_that_would_end_too_late_makes_room_for_another() {
+        assert!(begins(7.0, true));
+        assert!(!begins(7.5, true));
+    }
+
+    #[test]
+    fn the_last_request_is_tried_until_its_deadline() {
+        assert!(begins(7.5, false));
+        assert!(begins(16.0, false));
+        assert!(!begins(16.5, false));
+        assert!(!begins(16.5, true));
+    }
+
+    #[test]
+    fn the_answer_says_how_long_request_and_step_took() {
+        let (shared, start) = (shared(1), Instant::now());
+        let (handler, mut worker) = (Echo::default(), Worker::new(4));
+        let (query, job) = taken(&shared, start, "a");
+        let begun = shared.begin(job, at(start, 2.0)).unwrap();
+        let outcome = worker.compute(&shared, &handler, &begun);
+        assert_eq!(outcome, Ok(Status::IterationLimit));
+        shared.finish(begun, outcome, &worker.reply, at(start, 5.0));
+        let timing = Timing {
+            queue_us: 2_000,
+            step_us: 3_000,
+            tag: Vec::new(),
+        };
+        let answer = Sent::Answer {
+            key: query.key.clone(),
+            payload: b"4:5".to_vec(),
+            timing: Some(timing),
+        };
+        assert_eq!(query.sent(), Some(answer));
+        assert_eq!(shared.metrics.busy_workers(), 0);
+        let text = shared.metrics.text(0);
+        assert!(text.contains("{outcome=\"iteration_limit\"} 1"), "{text}");
+    }
+
+    #[test]
+    fn a_panic_is_an_error_and_replaces_the_memory() {
+        let (shared, start) = (shared(1), Instant::now());
+        let (handler, mut worker) = (Echo::default(), Worker::new(4));
+        let bad = Recorded::request("a", Echo::PANICS, 16_000);
+        shared.take(bad.clone(), start);
+        let begun = shared.begin(shared.queue.pop().unwrap(), start).unwrap();
+        let outcome = worker.compute(&shared, &handler, &begun);
+        shared.finish(begun, outcome, &worker.reply, start);
+        assert_eq!(bad.code(), Some(Code::Internal));
+        assert!(shared.metrics.text(0).contains("egp_panics_total 1"));
+        let (_, job) = taken(&shared, start, "a");
+        let begun = shared.begin(job, start).unwrap();
+        worker.compute(&shared, &handler, &begun).unwrap();
+        assert_eq!(worker.reply, b"0:5");
+    }
+
+    #[test]
+    fn a_worker_serves_what_waits_and_ends_with_the_queue() {
+        let shared = shared(1);
+        let queries = ["a", "b"].map(|vehicle| {
+            let query = Recorded::request(vehicle, 5, 1_000_000);
+            // The time of arrival is ahead, so that no answer is late on a machine that is busy.
+            shared.take(query.clone(), Instant::now() + Duration::from_secs(3600));
+            query
+        });
+        shared.queue.close();
+        work(&shared, &Echo::default(), 4);
+        for query in queries {
+            assert!(
+                matches!(query.sent(), Some(Sent::Answer { payload, .. }) if payload == b"4:5")
+            );
+        }
+    }
+}

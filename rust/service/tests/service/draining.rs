@@ -5,13 +5,15 @@ use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
 
 use crate::common::{
     Client, Outcome, config, engine, first_request, free_endpoint, library_file, step_key,
 };
-use egp_service::Server;
-use egp_wire::keys;
+use egp_engine::{Engine, EngineWorkspace};
+use egp_service::{Handler, ReloadError, Server};
+use egp_wire::{Ready, Status, WireError, keys};
 use zenoh::{Wait, sample::SampleKind};
 
 #[test]
@@ -53,6 +55,61 @@ fn no_query_sent_while_the_replica_is_announced_stays_unanswered() {
         .map(|vehicle| vehicle.join().unwrap())
         .sum();
     assert!(answered > 20, "only {answered} answers");
+}
+
+/// An engine that says when a step has begun, which then takes a while, and when its last worker has ended.
+struct Slow {
+    engine: Engine,
+    begun: Sender<()>,
+    ended: Arc<AtomicBool>,
+}
+
+impl Drop for Slow {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Release);
+    }
+}
+
+impl Handler for Slow {
+    type Workspace = EngineWorkspace;
+
+    fn describe(&self) -> Ready {
+        self.engine.describe()
+    }
+
+    fn workspace(&self) -> Result<EngineWorkspace, WireError> {
+        self.engine.workspace()
+    }
+
+    fn step(
+        &self,
+        workspace: &mut EngineWorkspace,
+        request: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Result<Status, WireError> {
+        self.begun.send(()).unwrap();
+        std::thread::sleep(Duration::from_millis(300));
+        self.engine.step(workspace, request, reply)
+    }
+}
+
+#[test]
+fn a_service_that_is_dropped_ends_its_steps_and_threads_before() {
+    let endpoint = free_endpoint();
+    let ((begun, steps), ended) = (channel(), Arc::new(AtomicBool::new(false)));
+    let slow = Slow {
+        engine: engine(),
+        begun,
+        ended: ended.clone(),
+    };
+    let server = Server::start_with(&config(&endpoint), slow).unwrap();
+    assert!(matches!(server.reload(), Err(ReloadError::NoFile)));
+    let client = Client::connect(&endpoint);
+    let answer = client.start(&step_key("car"), &first_request().encode());
+    steps.recv().unwrap();
+    drop(server);
+    assert!(ended.load(Ordering::Acquire));
+    assert!(matches!(answer(), Outcome::Answer { .. }));
 }
 
 #[test]
