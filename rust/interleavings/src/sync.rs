@@ -16,6 +16,11 @@ pub(crate) struct ThreadPoolBuilder {
     threads: usize,
 }
 
+#[allow(
+    clippy::unused_self,
+    clippy::unnecessary_wraps,
+    reason = "the signatures are rayon's"
+)]
 impl ThreadPoolBuilder {
     pub(crate) fn new() -> Self {
         Self::default()
@@ -47,6 +52,9 @@ pub(crate) struct ThreadPool {
     most: AtomicUsize,
 }
 
+/// The argument of a job, which `cores.rs` does not use.
+pub(crate) struct Worker;
+
 /// Jobs that end before the call of [`ThreadPool::in_place_scope`] returns.
 pub(crate) struct Scope<'scope, 'env> {
     threads: &'scope thread::Scope<'scope, 'env>,
@@ -72,12 +80,12 @@ impl ThreadPool {
 }
 
 impl<'scope> Scope<'scope, '_> {
-    pub(crate) fn spawn(&self, job: impl FnOnce(&()) + Send + 'scope) {
+    pub(crate) fn spawn(&self, job: impl FnOnce(&Worker) + Send + 'scope) {
         let pool = self.pool;
         let jobs = 1 + pool.jobs.fetch_add(1, Ordering::Relaxed);
         pool.most.fetch_max(jobs, Ordering::Relaxed);
         self.threads.spawn(move || {
-            job(&());
+            job(&Worker);
             pool.jobs.fetch_sub(1, Ordering::Relaxed);
         });
     }

@@ -272,7 +272,7 @@ mod tests {
         let metrics = Metrics::new(&[old], 1);
         note(&metrics, Ok((Reloaded::Same(old), vec![old])));
         note(&metrics, Err(ReloadError::NoFile));
-        let served = |id| format!("{{sha256=\"{}\"}} 1", library::hex(&id));
+        let served = |id: [u8; 32]| format!("{{sha256=\"{}\"}} 1", library::hex(&id));
         assert!(!metrics.text(0).contains(&served(new)));
         note(&metrics, Ok((Reloaded::Changed(new), vec![new, old])));
         let text = metrics.text(0);

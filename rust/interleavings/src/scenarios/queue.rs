@@ -108,7 +108,7 @@ fn push(queue: &Queue<Item>, log: &Log, vehicle: &str, item: Item, capacity: usi
             assert!(capacity < 2, "{item:?} has no place beside one vehicle");
             log.note(Event::Refused(item));
         }
-        Err(other) => panic!("{other:?}"),
+        Err(other) => unreachable!("{other:?}"),
     }
     assert!(queue.len() <= capacity);
 }
