@@ -294,7 +294,7 @@ pub(crate) mod tests {
         assert!(large.detail.contains("at most"), "{large}");
         assert_eq!(asked(&|query| query.length = limit), None);
         assert_eq!(
-            asked(&|query| query.payload.clear()).unwrap().code,
+            asked(&|query| query.payload = vec![0xff]).unwrap().code,
             Code::Malformed
         );
     }
@@ -336,14 +336,21 @@ pub(crate) mod tests {
         assert_eq!(health, (b"ok".to_vec(), None));
         let (metrics, _) = answer(&ask("metrics", None), "egp/v1/r/main/metrics");
         assert!(String::from_utf8(metrics).unwrap().contains("egp_queued 0"));
-        let limits = MessageLimits::default();
-        let ready_of = |bytes: &[u8]| Ready::decode(bytes, &limits).unwrap().ready;
         let ready = "egp/v1/r/main/ready";
         let (described, tag) = answer(&ask("ready", None), ready);
-        assert!(ready_of(&described) && tag.is_none());
+        assert!(
+            Ready::decode(&described, &MessageLimits::default())
+                .unwrap()
+                .ready
+                && tag.is_none()
+        );
         shared.draining.store(true, Ordering::Relaxed);
         let (described, tag) = answer(&ask("ready", Some(seal(ready))), ready);
-        assert!(!ready_of(&described));
+        assert!(
+            !Ready::decode(&described, &MessageLimits::default())
+                .unwrap()
+                .ready
+        );
         let question = seal(ready).tag;
         assert!(key.is_answer(&question, &described, &tag.unwrap()));
         // A stranger gets the same answer without a proof.

@@ -264,15 +264,17 @@ fn join(thread: JoinHandle<()>) {
 
 #[cfg(test)]
 mod tests {
+    use egp_wire::LibraryId;
+
     use super::*;
 
     #[test]
     fn metrics_tell_how_reloads_ended_and_what_is_served() {
-        let (old, new) = ([1; 32], [2; 32]);
+        let (old, new): (LibraryId, LibraryId) = ([1; 32], [2; 32]);
         let metrics = Metrics::new(&[old], 1);
         note(&metrics, Ok((Reloaded::Same(old), vec![old])));
         note(&metrics, Err(ReloadError::NoFile));
-        let served = |id: [u8; 32]| format!("{{sha256=\"{}\"}} 1", library::hex(&id));
+        let served = |id: LibraryId| format!("{{sha256=\"{}\"}} 1", library::hex(&id));
         assert!(!metrics.text(0).contains(&served(new)));
         note(&metrics, Ok((Reloaded::Changed(new), vec![new, old])));
         let text = metrics.text(0);
