@@ -111,7 +111,7 @@ def test_a_library_is_named_in_one_file(folder: str, library: str) -> None:
 
 
 def test_what_threads_share_comes_from_one_file() -> None:
-    """The files that run under chosen interleavings of threads name no lock and no thread of their own."""
+    """Files that run under chosen interleavings of threads name no lock and no thread."""
     folder = ROOT / "rust/interleavings/src"
     hosted = re.findall(r'#\[path = "([^"]+)"\]', (folder / "lib.rs").read_text())
     assert len(hosted) > 1
