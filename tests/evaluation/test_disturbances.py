@@ -20,6 +20,7 @@ from egp_service.evaluation.disturbances import (
     FITTED,
     GENTLE,
     NAME,
+    WITH_RESIDUAL,
     compare,
     rows,
 )
@@ -51,7 +52,8 @@ def test_members_are_trained_with_the_disturbance_and_drive_with_it(tmp_path: Pa
         if trial.condition == FIRST
     ]
     assert [t.contender.name for t in trials] == [
-        name + where for where in ("", ELSEWHERE) for name in (ENSEMBLE, FITTED)
+        *(name + where for where in ("", ELSEWHERE) for name in (ENSEMBLE, FITTED)),
+        ENSEMBLE + ELSEWHERE + WITH_RESIDUAL,
     ]
     assert all(t.scenario.disturbances == DISTURBED[FIRST] for t in trials)
     assert trials[0].scenario.track == CUSTOM_TRACK
@@ -73,8 +75,17 @@ def test_members_are_trained_with_the_disturbance_and_drive_with_it(tmp_path: Pa
     assert all(outcome.completed for outcome in batch.results())
     # Each contender has the library of its own vehicle, with or without Gaussian processes.
     members = [Library.load(trial.scenario.library).members for trial in batch.parts.values()]
-    assert [found[0].n_points for found in members] == [40, 0, 400, 0]
-    assert [found[0].dataset == own[0].dataset for found in members] == [True, True, False, False]
+    assert [found[0].n_points for found in members] == [40, 0, 400, 0, 400]
+    assert [found[0].dataset == own[0].dataset for found in members] == [
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
+    # The residual changes the drive.
+    errors = {outcome.contender: outcome.lateral_rms for outcome in batch.results()}
+    assert errors[ENSEMBLE + ELSEWHERE + WITH_RESIDUAL] != errors[ENSEMBLE + ELSEWHERE]
     # The same library serves the conditions with less grip.
     gentle = replace(trials[0], condition=FIRST + GENTLE)
     (of_gentle,) = campaign.runs([gentle], lambda _: None).parts.values()
@@ -85,7 +96,7 @@ def test_members_are_trained_with_the_disturbance_and_drive_with_it(tmp_path: Pa
     other.disturbed_library(FIRST).parent.mkdir()
     other.disturbed_library(FIRST).write_bytes(DEMO_LIBRARY.read_bytes())
     second = list(other.runs(trials, lambda _: None).parts)
-    assert [a == b for a, b in zip(first, second, strict=True)] == [False, False, True, True]
+    assert [a == b for a, b in zip(first, second, strict=True)] == [False, False, True, True, True]
 
 
 def test_libraries_of_disturbances_need_no_members_of_the_evaluation() -> None:
@@ -139,9 +150,13 @@ def test_differences_are_paired_by_seed() -> None:
     assert not comparison.closer
     assert compare(found, FITTED, ENSEMBLE)[0].gain.value == pytest.approx(-0.0005)
     assert compare(found, ENSEMBLE, FITTED, GENTLE) == []
-    assert rows(found) == [(FIRST, "+0.50 (+0.50 to +0.50)", "-")]
+    assert rows(found) == [(FIRST, "+0.50 (+0.50 to +0.50)", "-", "-")]
     found += runs(FIRST, ENSEMBLE + ELSEWHERE, 0.002)
-    assert rows(found) == [(FIRST, "+0.50 (+0.50 to +0.50)", "+2.00 (+2.00 to +2.00)")]
+    gains = (FIRST, "+0.50 (+0.50 to +0.50)", "+2.00 (+2.00 to +2.00)")
+    assert rows(found) == [(*gains, "-")]
+    # The residual takes a part of what the undisturbed members lack.
+    found += runs(FIRST, ENSEMBLE + ELSEWHERE + WITH_RESIDUAL, 0.0012)
+    assert rows(found) == [(*gains, "+0.80 (+0.80 to +0.80)")]
 
 
 def test_the_claim_needs_half_of_the_disturbances() -> None:

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from egp_service.data.collect import CollectionSettings, collect
+from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.experiment import Experiment
+from egp_service.data.exploration import ExplorationSettings
+from egp_service.training.exact_member import exact_member
 from egp_service.training.gaussian_process import WHOLE_CHANGES, Hyperparameters, OutputProcess
-from egp_service.training.subset import select
+from egp_service.training.subset import select, spikes
+from egp_service.training.train import TrainingSettings
 
 
 def _processes(z: torch.Tensor) -> list[OutputProcess]:
@@ -81,3 +87,55 @@ def test_follows_its_seed() -> None:
 def test_keeps_all_of_little() -> None:
     z = _clustered()[:15]
     assert select(z, _processes(z), 15, np.random.default_rng(0)).tolist() == list(range(15))
+
+
+def _measured(size: float) -> tuple[Dataset, np.ndarray]:
+    """Four drives of 40 s in which 5 % of the measured v_y are off by `size` m/s, and which."""
+    rng = np.random.default_rng(0)
+    time = 0.04 * np.arange(1001)
+    states, known = [], []
+    for _ in range(4):
+        waves = [
+            [np.sin(2.0 * np.pi * (f * (1.0 + 0.1 * j) * time + rng.random())) for j in range(6)]
+            for f in (0.05, 0.13, 0.31)
+        ]
+        state = np.sum(waves, axis=0).T
+        outlying = np.append(rng.random(1000) < 0.05, False)
+        state[:, 1] += size * outlying * rng.choice([-1.0, 1.0], 1001)
+        states.append(state)
+        known.append(outlying[:-1])
+    data = Dataset(
+        z=np.concatenate([state[:-1] for state in states]),
+        y=np.concatenate([np.diff(state[:, :3], axis=0) for state in states]),
+        trajectory=np.repeat(np.arange(4, dtype=np.uint32), 1000),
+        step=np.tile(np.arange(1000, dtype=np.uint32), 4),
+        provenance=Provenance(0.04, "toy", "dry", 1.0, 0, "formula", "test"),
+    )
+    return data, np.concatenate(known)
+
+
+def test_does_not_collect_the_noisiest() -> None:
+    data, noisy = _measured(4.0)
+    z = torch.tensor((data.z - data.z.mean(axis=0)) / data.z.std(axis=0))
+    process = _processes(z)[1]
+    found = spikes(data)
+    # Two spikes in a row are not told from one motion.
+    assert np.mean(found[noisy]) > 0.85
+    assert not np.any(found[~noisy & ~np.roll(noisy, -1) & ~np.roll(noisy, 1)])
+    plain, careful = (
+        select(z, [process], 400, np.random.default_rng(1), left_out) for left_out in (None, found)
+    )
+    assert noisy[plain].mean() > 1.5 * noisy.mean()
+    assert noisy[careful].mean() < noisy.mean()
+    # A member is trained on this choice.
+    settings = TrainingSettings(max_points=400, first_points=50, max_iterations=3, restarts=0)
+    member = exact_member((data, data), None, settings, np.random.default_rng(1), lambda *_: None)
+    kept = (member.inputs[:, None, 1] == data.z[noisy, 1]).any(axis=1)
+    assert kept.mean() < noisy.mean()
+
+
+def test_motion_of_the_simulated_car_is_no_spike() -> None:
+    settings = CollectionSettings(runs=2, samples=50, exploration=ExplorationSettings(episodes=5))
+    for friction in (0.5, 1.1):
+        data = collect(Experiment(friction, "road", 1, 0.02, 1), settings, jobs=1)
+        assert not spikes(data).any()

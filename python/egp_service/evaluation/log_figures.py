@@ -71,8 +71,11 @@ def draw_log(outcome: LogOutcome, path: Path) -> Path:
         ax = figure.add_subplot(axes[5, 0].get_gridspec()[5, :])
         for row in axes[5]:
             row.remove()
-        ax.plot(held.provenance.dt * np.arange(len(held)), outcome.weights, lw=0.8)
-        ax.set(xlabel="s of held-out driving", ylabel="weights of the other logs' members")
+        time = held.provenance.dt * np.arange(len(held))
+        for name, weight in zip(outcome.others, outcome.weights.T, strict=True):
+            ax.plot(time, weight, lw=0.8, label=f"member of {name}")
+        ax.set(xlabel="s of held-out driving", ylabel="weight", title="weights of other members")
+        ax.legend(fontsize="small", loc="upper right")
     figure.suptitle(f"{outcome.name}: held-out blocks above {MOVING:g} m/s")
     figure.savefig(path, dpi=110)
     return path

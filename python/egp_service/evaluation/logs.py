@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 OURS: Final = "member"
 PAPER: Final = "paper's GPs"
 VEHICLE: Final = "single-track alone"
+OTHER: Final = "member of {}"
+"""Name of the predictor that is trained on another log."""
 LAST_CHANGE: Final = "linear and last change"
 _QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
 _WINDOW: Final = 0.5  # s, from which weights are estimated
@@ -68,9 +70,11 @@ class LogOutcome:
     """The member's predictions of the held-out changes (n, 3)."""
     deviation: NDArray[np.float64]
     """Standard deviations (n, 3) of the same, with noise."""
+    others: tuple[str, ...]
+    """Names of the other logs, whose members predict this one, too."""
     weights: NDArray[np.float64] | None
-    """Weights (n, N) of the other logs' members at the held-out transitions, NaN where the window
-    is not full; None with fewer than two other logs."""
+    """Weights (n, N) of the other logs' members at the held-out transitions, in the order of
+    `others`, NaN where the window is not full; None with fewer than two other logs."""
 
 
 def evaluate_logs(
@@ -135,7 +139,7 @@ def _outcome(
         alone = average_member(part, PriorMean(single_track=body), settings, rng, None)
         predictors[VEHICLE] = alone.predict_mean
     predictors[LINEAR] = linear(member.dataset, axles)
-    predictors |= {f"member of {m.dataset.provenance.surface}": m.predict_mean for m in others}
+    predictors |= {OTHER.format(m.dataset.provenance.surface): m.predict_mean for m in others}
     predicted, _, variance = member.predict(held.z)
     deviation = np.sqrt(variance + member.noise_variance)
     residual = fit_residual(member.predict_mean, member.dataset)
@@ -155,6 +159,7 @@ def _outcome(
         coverage=inside[moving].mean(axis=0) if moving.any() else np.full(NY, np.nan),
         predicted=predicted,
         deviation=deviation,
+        others=tuple(m.dataset.provenance.surface for m in others),
         weights=_weights(held, others) if len(others) > 1 else None,
     )
 

@@ -95,7 +95,8 @@ the vehicle <i>came too fast</i>, and only a more careful reference speed avoids
 
 
 _DISTURBANCES = """ The second table has the mean difference to the ensemble, paired by seed, with
-its bootstrap interval; it is positive where the ensemble is closer to the path."""
+its bootstrap interval; it is positive where the ensemble is closer to the path. In the last column
+both have the members of the undisturbed vehicle, and it is positive where the residual helps."""
 
 
 def write_report(
@@ -212,6 +213,7 @@ def _section(
             "lateral RMS, mm farther off",
             "without Gaussian processes",
             "with members of the undisturbed vehicle",
+            "the latter, without a residual",
         )
         tables.append(plain_table(heads, disturbances.rows(outcomes)))
         text += _DISTURBANCES

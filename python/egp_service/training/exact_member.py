@@ -20,7 +20,7 @@ from egp_service.training.gaussian_process import (
     fit,
     share_kernel,
 )
-from egp_service.training.subset import select
+from egp_service.training.subset import select, spikes
 from egp_service.training.trained import TrainedMember
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def exact_member(
 
     first_rows = np.sort(rng.permutation(len(data))[: settings.first_points])
     first = fit_all(first_rows, [[START] * NY], 0, "first")
-    rows = select(z, first, settings.max_points, rng)
+    rows = select(z, first, settings.max_points, rng, spikes(data))
     starts = [
         [process.hyperparameters for process in first],
         *([_random_start(rng) for _ in range(NY)] for _ in range(settings.restarts)),

@@ -1,0 +1,110 @@
+"""Members of logs on the logs of other roads: their errors, and their weights over time."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from egp_service.data.collect import CollectionSettings, collect
+from egp_service.data.experiment import Experiment
+from egp_service.data.sensors import Sensors, measure
+from egp_service.evaluation.log_figures import draw_log
+from egp_service.evaluation.logs import OTHER, LogOutcome, evaluate_logs
+from egp_service.training.open_loop import NO_CHANGE
+from egp_service.training.train import TrainingSettings
+from egp_service.vehicle import known_vehicle
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from egp_service.data.dataset import Dataset
+
+DT = 0.04  # 25 Hz
+SETTINGS = TrainingSettings(max_points=60, first_points=60, restarts=0, max_iterations=5)
+
+
+def log(name: str, friction: float, track: str, seed: int) -> Dataset:
+    """Return a drive on one track as the sensors of a real car measure it, in blocks of 4 s."""
+    settings = CollectionSettings(tracks=(track,), runs=1, samples=0)
+    found = collect(Experiment(friction, name, seed, DT, 1), settings, jobs=1)
+    block = np.cumsum(
+        np.concatenate([[0], np.diff(found.trajectory) != 0]) | (found.step % 100 == 0)
+    )
+    found = dataclasses.replace(found, trajectory=block.astype(np.uint32))
+    return measure(found, Sensors(), np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def outcomes() -> dict[str, LogOutcome]:
+    """Of three frictions, and of two tracks of the same friction."""
+    logs = [
+        log("ice", 0.4, "rounded-rectangle", 1),
+        log("wet", 0.7, "rounded-rectangle", 2),
+        log("dry", 1.1, "rounded-rectangle", 3),
+        log("dry elsewhere", 1.1, "random", 4),
+    ]
+    found = evaluate_logs(logs, known_vehicle("commonroad-1"), SETTINGS)
+    return {outcome.name: outcome for outcome in found}
+
+
+@pytest.mark.parametrize(("name", "other"), [("dry", "dry elsewhere"), ("dry elsewhere", "dry")])
+def test_members_of_each_track_predict_the_other_no_worse_than_no_change(
+    outcomes: dict[str, LogOutcome], name: str, other: str
+) -> None:
+    rms = outcomes[name].skill.rms
+    # Over one period and after a second; measured at most 0.88.
+    for duration in (DT, 1.0):
+        row = outcomes[name].skill.durations.index(duration)
+        assert np.all(rms[OTHER.format(other)][row] <= rms[NO_CHANGE][row])
+
+
+@pytest.mark.parametrize(
+    ("name", "nearest"), [("ice", "wet"), ("dry", "dry elsewhere"), ("dry elsewhere", "dry")]
+)
+def test_weights_over_time_are_those_of_the_nearest_friction(
+    outcomes: dict[str, LogOutcome], name: str, nearest: str
+) -> None:
+    outcome = outcomes[name]
+    assert outcome.weights is not None
+    assert outcome.weights.shape == (len(outcome.member.validation), 3)
+    known = np.asarray(np.isfinite(outcome.weights).all(axis=1))
+    weights = outcome.weights[known]
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-6)
+    assert weights.min() > -1e-9
+    # The first 0.5 s of each block of 4 s have no full window.
+    held = outcome.member.validation
+    starts = np.flatnonzero(np.diff(held.trajectory, prepend=held.trajectory[0] + 1))
+    for start in starts:
+        assert not known[start : start + 12].any()
+    assert np.mean(known) > 0.8
+    # Measured 0.84, 0.73 and 0.92.
+    mean = weights.mean(axis=0)
+    assert mean[outcome.others.index(nearest)] > 0.6
+
+
+def test_the_picture_names_the_members_whose_weights_it_shows(
+    outcomes: dict[str, LogOutcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+
+    def keep(figure: Figure, path: Path, **_: object) -> None:
+        drawn.append(figure)
+        path.touch()
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    draw_log(outcomes["wet"], tmp_path / "wet.png")
+    axes = drawn[0].axes[-1]
+    assert axes.get_title() == "weights of other members"
+    legend = axes.get_legend()
+    assert legend is not None
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert labels == [OTHER.format(name) for name in ("ice", "dry", "dry elsewhere")]
+    lines = axes.get_lines()
+    weights = outcomes["wet"].weights
+    assert weights is not None
+    for line, weight in zip(lines, weights.T, strict=True):
+        np.testing.assert_array_equal(line.get_ydata(), weight)
