@@ -153,7 +153,8 @@ def test_actuator_limits(vehicle: int) -> None:
 
     power = limits.longitudinal.a_max * limits.longitudinal.v_switch / 20.0 * limits.m
     force = limits.longitudinal.a_max * limits.m
-    np.testing.assert_allclose(state_after(1e6, 9.0, 1e-3), state_after(power, 0.4, 1e-3))
+    # So short that the limit of the force, which decreases with speed, stays that of the start.
+    np.testing.assert_allclose(state_after(1e6, 9.0, 1e-4), state_after(power, 0.4, 1e-4))
     np.testing.assert_allclose(state_after(-1e6, -9.0, 1e-3), state_after(-force, -0.4, 1e-3))
     assert state_after(0.0, 9.0, 4.0)[2] == limits.steering.max
 
@@ -317,8 +318,8 @@ def test_refusals_keep_the_state() -> None:
         plant.step(coast, 0.05, 1.0, math.nan)
     with pytest.raises(EgpError, match="only drives forward"):
         plant.reset(0.0, 0.0, 0.0, -1.0)
-    with pytest.raises(EgpError, match="vehicle 1 or 2, got 3"):
-        Plant(3)
+    with pytest.raises(EgpError, match=r"vehicles 1, 2.*, got 0"):
+        Plant(0)
     with pytest.raises(EgpError, match="rows of friction"):
         plant_step_batch(np.array([before]), np.zeros((1, 2)), 0.05, np.ones(2))
     np.testing.assert_array_equal(plant.state, before)

@@ -94,7 +94,7 @@ def solve_ocp(
     itself; rows v_x, v_y and omega of B, and delta's at the steering rate.
 
     `solver` is called first; if its answer fails the check of the residual, "clarabel" is called
-    after "riccati". `guess` (T, 2) holds inputs to start from, such as those of the last plan,
+    after it. `guess` (T, 2) holds inputs to start from, such as those of the last plan,
     shifted. The problem is solved `repeat` times to measure `seconds`; each solve starts from the
     arguments only. Raises `EgpError` for a wrong shape, numbers that are not finite, or bounds that
     cross.

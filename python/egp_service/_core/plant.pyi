@@ -13,8 +13,8 @@ from egp_service._core.vehicle import VehicleParameters
 class Plant:
     """A simulated vehicle: the 29-state multi-body vehicle of the CommonRoad benchmarks.
 
-    `vehicle` is its CommonRoad number: 1 is a Ford Escort, 2 is a BMW 320i. It starts at rest in
-    the origin. `disturbances` are those of `egp_service.simulation.scenario.Disturbances` by name,
+    `vehicle` is its number as for `VehicleParameters.commonroad`. It starts at rest in the origin.
+    `disturbances` are those of `egp_service.simulation.scenario.Disturbances` by name,
     0 unless stated. Raises `EgpError` if a name is unknown or a value out of its range.
     """
 

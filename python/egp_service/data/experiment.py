@@ -63,7 +63,7 @@ class Experiment:
     dt: float = 0.02
     """Control period, s."""
     vehicle: int = 1
-    """CommonRoad's number: 1 Ford Escort, 2 BMW 320i."""
+    """CommonRoad's number, as for `VehicleParameters.commonroad`."""
     disturbances: Mapping[str, float] = dataclasses.field(default_factory=dict)
     """What the vehicle has beyond a single-track model, by the names of the table `disturbances` of
     a scenario; 0 unless stated."""

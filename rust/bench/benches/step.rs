@@ -245,7 +245,7 @@ fn weights(c: &mut Criterion, library: &Library) {
 
 fn all(c: &mut Criterion) {
     let library = libraries::library(Kernel::Rbf, &[0.5, 1.1], 700, 3);
-    for kind in [SolverKind::Riccati, SolverKind::Clarabel] {
+    for kind in SolverKind::ALL {
         whole(c, &library, kind);
     }
     phases(c, &library);

@@ -3,11 +3,17 @@
 use egp_parameters::SurfaceError;
 use thiserror::Error;
 
+use crate::VehicleId;
+
 /// An invalid input or a failed step. The state is then unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum PlantError {
     /// An unknown vehicle number.
-    #[error("expected CommonRoad vehicle 1 or 2, got {0}")]
+    #[error(
+        "expected the number of one of the CommonRoad vehicles {}, got {}",
+        VehicleId::ALL.map(|id| id.number().to_string()).join(", "),
+        .0
+    )]
     UnknownVehicle(u32),
     /// A number that is not finite.
     #[error("expected a finite {name}, got {value}")]

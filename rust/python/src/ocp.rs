@@ -7,6 +7,9 @@ use egp_core::solver::{solve_with_fallback, solvers};
 use egp_core::weights::{WeightEstimator, WindowNoise};
 use egp_core::{GpOutput, Input, NU, NX, NY, OcpSolution, Status};
 use pyo3::prelude::*;
+use serde::Deserialize as _;
+use serde::de::IntoDeserializer as _;
+use serde::de::value::Error;
 
 use crate::array::{ArrayLike, MatrixLike, VectorLike, array, fixed, rows, vector, wrong_shape};
 use crate::array::{Cube, KeptMatrix, Matrix, NewVector, Vector};
@@ -62,15 +65,8 @@ pub fn solve_ocp<'py>(
         bounds,
     };
     let qp = arrays.problem()?;
-    let kind = match solver {
-        "riccati" => SolverKind::Riccati,
-        "clarabel" => SolverKind::Clarabel,
-        other => {
-            return Err(EgpError::new_err(format!(
-                "solver must be \"riccati\" or \"clarabel\", got {other:?}"
-            )));
-        }
-    };
+    let kind = SolverKind::deserialize(solver.into_deserializer())
+        .map_err(|error: Error| EgpError::new_err(format!("solver: {error}")))?;
     let settings = SolverSettings {
         kind,
         ..SolverSettings::default()

@@ -6,6 +6,10 @@
     reason = "a panic here fails the test that asked for the data"
 )]
 
+// `cargo bolero` builds this crate's own, empty test program too, which then needs the symbols of the fuzzer.
+#[cfg(test)]
+use bolero as _;
+
 pub mod drives;
 pub mod libraries;
 pub mod messages;

@@ -137,7 +137,7 @@ def collect(
         dataset = merge(parts)
     else:
         if not vehicle.isdecimal():
-            raise EgpError(f"vehicle {vehicle}: expected a CommonRoad number, 1 or 2")
+            raise EgpError(f"vehicle {vehicle}: expected a CommonRoad number such as 1")
         settings = CollectionSettings(runs=runs, samples=samples)
         if track:
             settings = CollectionSettings(tuple(track), runs, samples)

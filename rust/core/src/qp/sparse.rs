@@ -4,7 +4,7 @@
 //! objective is the tracking cost without a large constant, which relative tolerances require. The pattern is fixed at
 //! construction; [`SparseQp::update`] replaces values in place.
 
-use super::{A_PATTERN, B_PATTERN, OcpQp, Q_PATTERN, SOFT_PATTERN};
+use super::{A_PATTERN, B_PATTERN, OcpQp, OcpSolution, Q_PATTERN, SOFT_PATTERN};
 use crate::{Input, NU, NX};
 
 /// A matrix in compressed sparse columns with sorted rows.
@@ -74,7 +74,7 @@ pub struct SparseQp {
 
 /// Indices of the variables and rows of a stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Layout {
+struct Layout {
     n_soft: usize,
 }
 
@@ -86,7 +86,7 @@ impl Layout {
         NX + 2 * NU + 3 * self.n_soft
     }
     /// Column of `u_t[i]`.
-    pub(crate) fn input(self, t: usize, i: usize) -> usize {
+    fn input(self, t: usize, i: usize) -> usize {
         t * self.variables() + i
     }
     /// Column of `e_{t+1}[i]`.
@@ -102,15 +102,15 @@ impl Layout {
         t * self.rows() + i
     }
     /// Row of the bound on `u_t[i]`.
-    pub(crate) fn input_row(self, t: usize, i: usize) -> usize {
+    fn input_row(self, t: usize, i: usize) -> usize {
         t * self.rows() + NX + i
     }
     /// Row of the bound on `u_t[i] - u_{t-1}[i]`.
-    pub(crate) fn rate_row(self, t: usize, i: usize) -> usize {
+    fn rate_row(self, t: usize, i: usize) -> usize {
         t * self.rows() + NX + NU + i
     }
     /// Rows of soft bound `j` of `x_{t+1}`: lower, upper, slack.
-    pub(crate) fn soft_row(self, t: usize, j: usize, side: usize) -> usize {
+    fn soft_row(self, t: usize, j: usize, side: usize) -> usize {
         t * self.rows() + NX + 2 * NU + 3 * j + side
     }
 }
@@ -162,9 +162,28 @@ impl SparseQp {
         self.update_vectors(qp);
     }
 
-    /// Indices of variables and rows.
-    pub(crate) fn layout(&self) -> Layout {
-        self.layout
+    /// Writes inputs and multipliers of a solution `z` to `out`. `multiplier(row, side)` is the multiplier, at least 0, of the
+    /// lower bound (side 0) or the upper bound (side 1) of a row of `A`.
+    pub(crate) fn read(
+        &self,
+        z: &[f64],
+        multiplier: impl Fn(usize, usize) -> f64,
+        out: &mut OcpSolution,
+    ) {
+        let layout = self.layout;
+        for (t, (u, multipliers)) in out.u.iter_mut().zip(&mut out.multipliers).enumerate() {
+            for i in 0..NU {
+                u[i] = z[layout.input(t, i)];
+                multipliers.u_lower[i] = multiplier(layout.input_row(t, i), 0);
+                multipliers.u_upper[i] = multiplier(layout.input_row(t, i), 1);
+                multipliers.du_lower[i] = multiplier(layout.rate_row(t, i), 0);
+                multipliers.du_upper[i] = multiplier(layout.rate_row(t, i), 1);
+            }
+            for j in 0..layout.n_soft {
+                multipliers.soft_lower[j] = multiplier(layout.soft_row(t, j, 0), 0);
+                multipliers.soft_upper[j] = multiplier(layout.soft_row(t, j, 1), 1);
+            }
+        }
     }
 
     fn update_vectors(&mut self, qp: &OcpQp) {

@@ -126,6 +126,11 @@ pub enum SolverKind {
     Clarabel,
 }
 
+impl SolverKind {
+    /// Every choice.
+    pub const ALL: [Self; 2] = [Self::Riccati, Self::Clarabel];
+}
+
 /// QP solver and the check every solution must pass.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

@@ -12,9 +12,9 @@ use clarabel::solver::{
 };
 
 use super::{QpSolver, SolverSetupError, Status};
+use crate::Input;
 use crate::qp::{Csc, OcpQp, OcpSolution, SparseQp};
 use crate::settings::SolverSettings;
-use crate::{Input, NU};
 
 const NAME: &str = "clarabel 0.11";
 
@@ -108,23 +108,10 @@ impl ClarabelSolver {
     }
 
     /// Copies inputs and multipliers from Clarabel's vectors.
-    fn read(&self, qp: &OcpQp, out: &mut OcpSolution) {
+    fn read(&self, out: &mut OcpSolution) {
         let (x, z) = (&self.solver.solution.x, &self.solver.solution.z);
-        let layout = self.sparse.layout();
         let multiplier = |row: usize, side: usize| self.row_of[row][side].map_or(0.0, |k| z[k]);
-        for (t, (u, multipliers)) in out.u.iter_mut().zip(&mut out.multipliers).enumerate() {
-            for i in 0..NU {
-                u[i] = x[layout.input(t, i)];
-                multipliers.u_lower[i] = multiplier(layout.input_row(t, i), 0);
-                multipliers.u_upper[i] = multiplier(layout.input_row(t, i), 1);
-                multipliers.du_lower[i] = multiplier(layout.rate_row(t, i), 0);
-                multipliers.du_upper[i] = multiplier(layout.rate_row(t, i), 1);
-            }
-            for j in 0..qp.n_soft() {
-                multipliers.soft_lower[j] = multiplier(layout.soft_row(t, j, 0), 0);
-                multipliers.soft_upper[j] = multiplier(layout.soft_row(t, j, 1), 1);
-            }
-        }
+        self.sparse.read(x, multiplier, out);
     }
 }
 
@@ -135,7 +122,7 @@ impl QpSolver for ClarabelSolver {
             return Status::NumericalError;
         }
         self.solver.solve();
-        self.read(qp, out);
+        self.read(out);
         out.iterations = self.solver.solution.iterations;
         match self.solver.solution.status {
             SolverStatus::Solved | SolverStatus::AlmostSolved => Status::Solved,

@@ -55,8 +55,9 @@ pub fn solvers(
     settings: &SolverSettings,
 ) -> Result<Vec<Box<dyn QpSolver + Send>>, SolverSetupError> {
     let mut solvers: Vec<Box<dyn QpSolver + Send>> = Vec::new();
-    if settings.kind == SolverKind::Riccati {
-        solvers.push(Box::new(RiccatiSolver::new(qp.horizon(), settings)));
+    match settings.kind {
+        SolverKind::Riccati => solvers.push(Box::new(RiccatiSolver::new(qp.horizon(), settings))),
+        SolverKind::Clarabel => {}
     }
     solvers.push(Box::new(ClarabelSolver::new(qp, settings)?));
     Ok(solvers)

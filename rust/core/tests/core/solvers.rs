@@ -1,10 +1,10 @@
-//! The Riccati solver on random drives: KKT residuals and agreement with Clarabel.
+//! The Riccati solver on random drives: KKT residuals and agreement with Clarabel. Every solver: repeatability.
 #![allow(clippy::unwrap_used)]
 
 use egp_core::Input;
 use egp_core::qp::{MAX_SOFT, OcpQp, OcpSolution};
-use egp_core::settings::SolverSettings;
-use egp_core::solver::{ClarabelSolver, QpSolver, RiccatiSolver, Status, solve_checked};
+use egp_core::settings::{SolverKind, SolverSettings};
+use egp_core::solver::{ClarabelSolver, RiccatiSolver, Status, solve_checked, solvers};
 use egp_testing::drives::{Drive, shifted};
 
 /// Consecutive problems of a drive.
@@ -144,12 +144,15 @@ fn a_wrong_guess_does_not_change_the_solution() {
 #[test]
 fn the_result_depends_on_problem_and_guess_alone() {
     let (one, other) = (Drive::new(7).problem(20), Drive::new(8).problem(20));
-    let mut solver = RiccatiSolver::new(20, &settings());
     let (mut first, mut second) = (OcpSolution::new(20), OcpSolution::new(20));
-    for guess in [vec![], vec![Input::new(1.0, 0.1); 20]] {
-        solver.solve(&one, &guess, &mut first);
-        solver.solve(&other, &guess, &mut second);
-        solver.solve(&one, &guess, &mut second);
-        assert_eq!(first, second);
+    for kind in SolverKind::ALL {
+        let settings = SolverSettings { kind, ..settings() };
+        let mut solver = solvers(&one, &settings).unwrap().remove(0);
+        for guess in [vec![], vec![Input::new(1.0, 0.1); 20]] {
+            solver.solve(&one, &guess, &mut first);
+            solver.solve(&other, &guess, &mut second);
+            solver.solve(&one, &guess, &mut second);
+            assert_eq!(first, second, "{}", solver.name());
+        }
     }
 }

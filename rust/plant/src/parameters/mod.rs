@@ -19,6 +19,14 @@ pub enum VehicleId {
 }
 
 impl VehicleId {
+    /// Every vehicle.
+    pub const ALL: [Self; 2] = [Self::FordEscort, Self::Bmw320i];
+
+    /// The vehicle's CommonRoad number.
+    pub const fn number(self) -> u32 {
+        self as u32
+    }
+
     /// The vehicle's parameters.
     pub fn parameters(self) -> Parameters {
         match self {
@@ -40,11 +48,10 @@ impl TryFrom<u32> for VehicleId {
     type Error = PlantError;
 
     fn try_from(number: u32) -> Result<Self, PlantError> {
-        match number {
-            1 => Ok(Self::FordEscort),
-            2 => Ok(Self::Bmw320i),
-            other => Err(PlantError::UnknownVehicle(other)),
-        }
+        Self::ALL
+            .into_iter()
+            .find(|id| id.number() == number)
+            .ok_or(PlantError::UnknownVehicle(number))
     }
 }
 
