@@ -5,7 +5,7 @@ use std::mem::take;
 
 use egp_parameters::FRICTION_HYPOTHESES;
 
-use crate::grid::{Grid, Row, interpolate, pass_backward, pass_forward};
+use crate::grid::{Grid, Row, pass_backward, pass_forward, told_apart};
 use crate::layer::Layer;
 use crate::recent::Recent;
 use crate::reported::Reported;
@@ -184,9 +184,7 @@ impl RoadBelief {
             if self.track.len() > window {
                 let (from, to) = (self.track[window / 3], self.track[2 * window / 3]);
                 self.compare_with_reports(log_likelihood);
-                let indifference = self.settings.indifference;
-                let log_likelihood =
-                    interpolate(log_likelihood).map(|value| (value + indifference).min(0.0));
+                let log_likelihood = told_apart(log_likelihood, self.settings.indifference);
                 self.add(from, to, &log_likelihood);
                 self.recent = self.between(from, s).map(|(from, to)| {
                     Recent::new(self.index(from), self.index(to), &log_likelihood)

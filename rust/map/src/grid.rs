@@ -63,6 +63,11 @@ pub(crate) fn interpolate(hypotheses: &[f64; FRICTION_HYPOTHESES]) -> Row {
     std::array::from_fn(|i| interpolate_hypotheses(hypotheses, i as f64 / FINER as f64))
 }
 
+/// The same, of which differences from the largest value, 0, count only beyond `indifference`.
+pub(crate) fn told_apart(hypotheses: &[f64; FRICTION_HYPOTHESES], indifference: f64) -> Row {
+    interpolate(hypotheses).map(|value| (value + indifference).min(0.0))
+}
+
 /// Divides by the sum.
 pub(crate) fn to_probabilities(row: &mut Row) {
     let scale = one_over_sum(row);

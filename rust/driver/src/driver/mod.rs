@@ -73,6 +73,15 @@ struct Running {
     lost: Option<Lost>,
 }
 
+impl Running {
+    /// Waits no longer for the queries that `ended` names; returns whether there was one.
+    fn end(&mut self, ended: impl Fn(QueryId, &Name) -> bool) -> bool {
+        let before = self.awaited.len();
+        self.awaited.retain(|(id, replica)| !ended(*id, replica));
+        self.awaited.len() < before
+    }
+}
+
 /// The vehicle's side of the control loop; see the crate's documentation for an example.
 #[derive(Clone, Debug)]
 pub struct Driver {
@@ -171,12 +180,9 @@ impl Driver {
     /// A replica withdrew its announcement or was lost. A request that waits for it goes to the next one.
     pub fn replica_gone(&mut self, now: Time, replica: &Name) {
         self.replicas.gone(replica);
-        let Some(run) = self.running.as_mut() else {
-            return;
-        };
-        let before = run.awaited.len();
-        run.awaited.retain(|(_, name)| name != replica);
-        if run.awaited.len() < before {
+        if let Some(run) = &mut self.running
+            && run.end(|_, name| name == replica)
+        {
             self.ask_next(now);
         }
     }
@@ -308,7 +314,7 @@ impl Driver {
         match self.running.as_mut().filter(current) {
             Some(run) => {
                 run.outcome = Outcome::Replied(reply.status);
-                run.awaited.retain(|(awaited, _)| *awaited != id);
+                run.end(|awaited, _| awaited == id);
                 run.replica = Some(pending.replica);
                 let timing = Timing::decode(attachment).ok();
                 let answer = Answer {

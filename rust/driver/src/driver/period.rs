@@ -77,12 +77,9 @@ impl Driver {
 
     /// Notes the end of a query; if the open period waited for it, asks the next replica.
     pub(super) fn failed(&mut self, now: Time, id: QueryId, outcome: Outcome) {
-        let Some(run) = self.running.as_mut() else {
-            return;
-        };
-        let before = run.awaited.len();
-        run.awaited.retain(|(awaited, _)| *awaited != id);
-        if run.awaited.len() < before {
+        if let Some(run) = &mut self.running
+            && run.end(|awaited, _| awaited == id)
+        {
             run.outcome = outcome;
             self.ask_next(now);
         }

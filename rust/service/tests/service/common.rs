@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 
 use egp_core::{Kernel, Library, Settings};
 use egp_driver::Carry;
-use egp_engine::Engine;
-use egp_service::ServiceConfig;
+use egp_engine::{Engine, EngineWorkspace};
+use egp_service::{Handler, ServiceConfig};
 use egp_testing::libraries;
-use egp_wire::{LibraryId, Request, Timing, WireError, keys};
+use egp_wire::{Header, LibraryId, MessageLimits, Ready, Request, Status, Timing, WireError, keys};
 use prost::Message as _;
 use zenoh::Wait;
 
@@ -44,6 +44,34 @@ pub fn engine() -> Engine {
 
 pub fn library_id() -> LibraryId {
     engine().library().id()
+}
+
+/// An engine that calls a function with the sequence number of each request before its step.
+pub struct Watched<F> {
+    pub engine: Engine,
+    pub before: F,
+}
+
+impl<F: Fn(u64) + Send + Sync + 'static> Handler for Watched<F> {
+    type Workspace = EngineWorkspace;
+
+    fn describe(&self) -> Ready {
+        self.engine.describe()
+    }
+
+    fn workspace(&self) -> Result<EngineWorkspace, WireError> {
+        self.engine.workspace()
+    }
+
+    fn step(
+        &self,
+        workspace: &mut EngineWorkspace,
+        request: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Result<Status, WireError> {
+        (self.before)(Header::decode(request, &MessageLimits::default())?.sequence);
+        self.engine.step(workspace, request, reply)
+    }
 }
 
 /// An endpoint that is not in use.

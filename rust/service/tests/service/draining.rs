@@ -5,15 +5,14 @@ use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use crate::common::{
-    Client, Outcome, config, engine, first_request, free_endpoint, library_file, step_key,
+    Client, Outcome, Watched, config, engine, first_request, free_endpoint, library_file, step_key,
 };
-use egp_engine::{Engine, EngineWorkspace};
-use egp_service::{Handler, ReloadError, Server};
-use egp_wire::{Ready, Status, WireError, keys};
+use egp_service::{ReloadError, Server};
+use egp_wire::keys;
 use zenoh::{Wait, sample::SampleKind};
 
 #[test]
@@ -57,39 +56,12 @@ fn no_query_sent_while_the_replica_is_announced_stays_unanswered() {
     assert!(answered > 20, "only {answered} answers");
 }
 
-/// An engine that says when a step has begun, which then takes a while, and when its last worker has ended.
-struct Slow {
-    engine: Engine,
-    begun: Sender<()>,
-    ended: Arc<AtomicBool>,
-}
+/// Notes that it is dropped, with the engine that holds it.
+struct Ended(Arc<AtomicBool>);
 
-impl Drop for Slow {
+impl Drop for Ended {
     fn drop(&mut self) {
-        self.ended.store(true, Ordering::Release);
-    }
-}
-
-impl Handler for Slow {
-    type Workspace = EngineWorkspace;
-
-    fn describe(&self) -> Ready {
-        self.engine.describe()
-    }
-
-    fn workspace(&self) -> Result<EngineWorkspace, WireError> {
-        self.engine.workspace()
-    }
-
-    fn step(
-        &self,
-        workspace: &mut EngineWorkspace,
-        request: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Result<Status, WireError> {
-        self.begun.send(()).unwrap();
-        std::thread::sleep(Duration::from_millis(300));
-        self.engine.step(workspace, request, reply)
+        self.0.store(true, Ordering::Release);
     }
 }
 
@@ -97,10 +69,14 @@ impl Handler for Slow {
 fn a_service_that_is_dropped_ends_its_steps_and_threads_before() {
     let endpoint = free_endpoint();
     let ((begun, steps), ended) = (channel(), Arc::new(AtomicBool::new(false)));
-    let slow = Slow {
+    let last = Ended(ended.clone());
+    let slow = Watched {
         engine: engine(),
-        begun,
-        ended: ended.clone(),
+        before: move |sequence| {
+            assert!(!last.0.load(Ordering::Acquire));
+            begun.send(sequence).unwrap();
+            std::thread::sleep(Duration::from_millis(300));
+        },
     };
     let server = Server::start_with(&config(&endpoint), slow).unwrap();
     assert!(matches!(server.reload(), Err(ReloadError::NoFile)));

@@ -4,36 +4,19 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use crate::common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
-use egp_engine::{Engine, EngineWorkspace};
+use crate::common::{
+    Client, Outcome, Watched, config, engine, first_request, free_endpoint, step_key,
+};
 use egp_service::{Handler, Server};
-use egp_wire::{Code, Header, MessageLimits, Ready, Request, Status, WireError};
-
-/// An engine that panics on one sequence number.
-struct Fragile(Engine);
+use egp_wire::{Code, Request};
 
 const POISON: u64 = 666;
 
-impl Handler for Fragile {
-    type Workspace = EngineWorkspace;
-
-    fn describe(&self) -> Ready {
-        self.0.describe()
-    }
-
-    fn workspace(&self) -> Result<EngineWorkspace, WireError> {
-        self.0.workspace()
-    }
-
-    fn step(
-        &self,
-        workspace: &mut EngineWorkspace,
-        request: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Result<Status, WireError> {
-        let header = Header::decode(request, &MessageLimits::default())?;
-        assert!(header.sequence != POISON, "this panic is part of a test");
-        self.0.step(workspace, request, reply)
+/// An engine that panics on one sequence number.
+fn fragile() -> impl Handler {
+    Watched {
+        engine: engine(),
+        before: |sequence| assert!(sequence != POISON, "this panic is part of a test"),
     }
 }
 
@@ -116,7 +99,7 @@ fn cases() -> Vec<(&'static str, Vec<u8>, Code, &'static str)> {
 #[test]
 fn bad_requests_get_typed_errors_while_another_vehicle_is_served() {
     let endpoint = free_endpoint();
-    let server = Server::start_with(&config(&endpoint), Fragile(engine())).unwrap();
+    let server = Server::start_with(&config(&endpoint), fragile()).unwrap();
     let (stop, served) = (
         Arc::new(AtomicBool::new(false)),
         Arc::new(AtomicU32::new(0)),

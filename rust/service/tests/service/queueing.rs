@@ -5,44 +5,13 @@ use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-use crate::common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
-use egp_engine::{Engine, EngineWorkspace};
-use egp_service::{Handler, Server, ServiceConfig};
-use egp_wire::{Code, Header, MessageLimits, Ready, Reply, Status, WireError};
+use crate::common::{
+    Client, Outcome, Watched, config, engine, first_request, free_endpoint, step_key,
+};
+use egp_service::{Server, ServiceConfig};
+use egp_wire::{Code, MessageLimits, Reply, WireError};
 
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// An engine that reports when it begins a step and then waits for permission.
-struct Held {
-    engine: Engine,
-    begun: Sender<u64>,
-    leave: Mutex<Receiver<()>>,
-}
-
-impl Handler for Held {
-    type Workspace = EngineWorkspace;
-
-    fn describe(&self) -> Ready {
-        self.engine.describe()
-    }
-
-    fn workspace(&self) -> Result<EngineWorkspace, WireError> {
-        self.engine.workspace()
-    }
-
-    fn step(
-        &self,
-        workspace: &mut EngineWorkspace,
-        request: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Result<Status, WireError> {
-        self.begun
-            .send(Header::decode(request, &MessageLimits::default())?.sequence)
-            .unwrap();
-        self.leave.lock().unwrap().recv().unwrap();
-        self.engine.step(workspace, request, reply)
-    }
-}
 
 struct Setup {
     // This field is dropped first, so that a failing test releases the worker before the server waits for it.
@@ -59,10 +28,14 @@ fn setup(change: impl FnOnce(&mut ServiceConfig)) -> Setup {
     change(&mut config);
     let (begun_in, begun) = channel();
     let (leave, leave_out) = channel();
-    let held = Held {
+    let leave_out = Mutex::new(leave_out);
+    // The engine reports when it begins a step, and then waits for permission.
+    let held = Watched {
         engine: engine(),
-        begun: begun_in,
-        leave: Mutex::new(leave_out),
+        before: move |sequence| {
+            begun_in.send(sequence).unwrap();
+            leave_out.lock().unwrap().recv().unwrap();
+        },
     };
     let server = Server::start_with(&config, held).unwrap();
     Setup {
