@@ -9,11 +9,15 @@
 #![allow(unsafe_code)]
 
 mod elementary;
+#[cfg(target_arch = "aarch64")]
+mod neon;
+#[cfg(any(test, not(target_arch = "aarch64")))]
 mod portable;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
 pub(crate) use elementary::{atan, sin_cos};
+#[cfg(any(test, not(target_arch = "aarch64")))]
 use portable::Portable;
 
 use crate::kernel::Lanes;
@@ -113,6 +117,9 @@ pub(crate) fn wide<C: Wide>(computation: C) -> C::Output {
             return unsafe { avx2(computation, simd) };
         }
     }
+    #[cfg(target_arch = "aarch64")]
+    return computation.compute(neon::Neon);
+    #[cfg(not(target_arch = "aarch64"))]
     computation.compute(Portable)
 }
 
@@ -125,10 +132,12 @@ pub(crate) fn with_each<C: Wide + Copy>(computation: C) -> Vec<C::Output> {
         results.extend(x86::Avx2::detect().map(|simd| computation.compute(simd)));
         results.extend(x86::Avx512::detect().map(|simd| computation.compute(simd)));
     }
+    #[cfg(target_arch = "aarch64")]
+    results.push(computation.compute(neon::Neon));
     results
 }
 
-/// Name of the vector instructions that this machine's Gaussian processes use: `AVX-512`, `AVX2` or `none`.
+/// Name of the vector instructions that this machine's Gaussian processes use: `AVX-512`, `AVX2`, `NEON` or `none`.
 ///
 /// Results of machines whose names differ may differ by rounding.
 pub fn vector_instructions() -> &'static str {

@@ -1,4 +1,4 @@
-//! Plain Rust, for machines without AVX2.
+//! Plain Rust, for x86-64 machines without AVX2 and for processors of other kinds.
 
 use super::Simd;
 use crate::kernel::{LANES, Lanes};
