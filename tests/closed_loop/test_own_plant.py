@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import sys
 from dataclasses import replace
@@ -28,6 +29,24 @@ class Lost(Short):
 
 class Empty:
     pass
+"""
+# A vehicle without slip, of the shipped libraries' mass and axle distance.
+ON_RAILS = """
+import math
+
+class Car:
+    state = [0.0] * 7
+
+    def reset(self, x):
+        self.state = [*x[:4], 0.0, x[5], x[6]]
+
+    def step(self, u, dt, friction):
+        p_x, p_y, v, yaw, _, _, delta = self.state
+        v, delta = v + u[0] / 1225.9 * dt, delta + u[1] * dt
+        omega = v * math.tan(delta) / 2.578
+        yaw += omega * dt
+        self.state = [p_x + v * math.cos(yaw) * dt, p_y + v * math.sin(yaw) * dt, v, yaw, 0.0,
+                      omega, delta]
 """
 
 
@@ -75,3 +94,19 @@ def test_what_is_wrong_with_a_simulator_is_named(folder: Path) -> None:
             drive(own, controller, lambda _: None)
         with pytest.raises(ScenarioError, match="disturbances have no effect"):
             parse_scenario(own.toml().replace("load = 0.0", "load = 100.0"), Path(), "own.toml")
+
+
+def test_the_evaluation_drives_a_simulator_of_ones_own(folder: Path) -> None:
+    (folder / "rails_car.py").write_text(ON_RAILS)
+    command = ["evaluate", "-e", "lane-change", "--plant", "rails_car:Car", "-o", "out"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    rows = list(csv.DictReader((folder / "out/runs.csv").read_text(encoding="utf-8").splitlines()))
+    assert {row["completed"] for row in rows} == {"True"}
+    # On the built-in car the contenders' errors differ by more than twice.
+    errors = [float(row["lateral_rms"]) for row in rows]
+    assert max(errors) < 0.05
+    missing = CliRunner().invoke(app, ["evaluate", "-e", "lane-change", "--plant", "rails_car:Van"])
+    assert isinstance(missing.exception, PlantError)
+    disturbed = CliRunner().invoke(app, [*command, "-e", "disturbances"])
+    assert "without --plant" in str(disturbed.exception)

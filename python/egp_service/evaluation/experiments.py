@@ -88,7 +88,7 @@ def _varying_speed() -> ClosedLoopExperiment:
         ),
         _ALL_OF_TWO,
         seeds=20,
-        quick_seeds=2,
+        quick_seeds=1,
     )
 
 
@@ -116,7 +116,7 @@ def _lane_change() -> ClosedLoopExperiment:
         (("15 m/s", _steady(repeated, zones, 15.0)),),
         _ALL_OF_TWO,
         seeds=20,
-        quick_seeds=2,
+        quick_seeds=1,
     )
 
 
@@ -274,6 +274,14 @@ def _narrow_track() -> ClosedLoopExperiment:
         seeds=20,
         quick_seeds=1,
     )
+
+
+def on_plant(experiment: ClosedLoopExperiment, plant: str) -> ClosedLoopExperiment:
+    """Return the experiment with one's own simulator `module:Class` in place of the vehicle."""
+    conditions = tuple(
+        (condition, replace(scenario, plant=plant)) for condition, scenario in experiment.conditions
+    )
+    return replace(experiment, conditions=conditions)
 
 
 def on_track(experiment: ClosedLoopExperiment, file: Path, scale: float) -> ClosedLoopExperiment:

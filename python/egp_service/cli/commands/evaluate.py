@@ -51,6 +51,12 @@ def evaluate(
     scale: Annotated[
         float, typer.Option(help="Scale of the track's lengths; 10 for tracks of 1:10 cars.")
     ] = 1.0,
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODULE:CLASS", help="Your simulator of the vehicle, as for egp drive."
+        ),
+    ] = None,
     log: Annotated[
         list[Path] | None,
         typer.Option(
@@ -78,6 +84,9 @@ def evaluate(
     linear models, the paper's GPs and a vehicle alone. The log is a dataset of
     `egp collect --from-log`; the pictures go to the output folder.
 
+    With --plant all runs but those of disturbances are driven by your simulator.
+    Runs are kept by its name: choose another --output after changing it.
+
     The same command resumes an interrupted evaluation. Requires the extras train
     and viz; with the extra paper, step-times includes the paper's stack.
 
@@ -86,6 +95,7 @@ def evaluate(
       egp evaluate --full -o runs/full
       egp evaluate --full -e varying-speed -e random-roads
       egp evaluate -e unseen-track --track Interlagos_centerline.csv --scale 10
+      egp evaluate --plant my_simulator:Car --library my_library.safetensors
       egp evaluate --log data/oval.parquet --log data/road.parquet --vehicle car.toml
     """
     import shlex
@@ -115,10 +125,12 @@ def evaluate(
         for e in EXPERIMENTS
         if e.name in chosen and (full or e.quick_seeds)
     ]
+    apart = [e for e in (OBSTACLE_AVOIDANCE, HIDDEN_ICE) if e.name in chosen]
     if disturbances.NAME in chosen and not full:
         console.print("disturbances trains six libraries and is driven with --full only.")
+    if plant is not None:
+        driven, apart = (_on_plant(part, plant, experiment) for part in (driven, apart))
     source = _train(console, output, cluster) if train else library or EVALUATION_LIBRARY
-    apart = [e for e in (OBSTACLE_AVOIDANCE, HIDDEN_ICE) if e.name in chosen]
     require_members(source, [*driven, *apart])
     campaign = Campaign(output, source)
     if campaign.of_another_build:
@@ -129,8 +141,12 @@ def evaluate(
     with _progress(console) as progress:
         predictions = _predictions(progress, output, full=full) if "prediction" in chosen else None
         runs = _runs(progress, campaign, driven, full=full)
-        speeds = _entry_speeds(progress, campaign, full=full) if avoidance in chosen else None
-        ice = _ice(progress, campaign, full=full) if HIDDEN_ICE.name in chosen else None
+        cones, patches = (
+            next((e for e in apart if e.name == name), None)
+            for name in (avoidance, HIDDEN_ICE.name)
+        )
+        speeds = _entry_speeds(progress, campaign, cones, full=full) if cones else None
+        ice = _ice(progress, campaign, patches, full=full) if patches else None
         try:
             finish(
                 [part for part in (predictions, runs, speeds, ice) if part is not None],
@@ -182,6 +198,24 @@ def _check_track(track: Path | None, scale: float, chosen: list[str]) -> None:
         raise EgpError("--track is used by unseen-track: add -e unseen-track")
     if scale != 1.0 and not track:
         raise EgpError("--scale requires --track: give both")
+
+
+def _on_plant(
+    experiments: "list[ClosedLoopExperiment]", plant: str, named: list[str] | None
+) -> "list[ClosedLoopExperiment]":
+    """Let a simulator drive the experiments; raises `EgpError` if one of those named needs ours."""
+    from egp_service._core import EgpError
+    from egp_service.evaluation import disturbances
+    from egp_service.evaluation.experiments import on_plant
+    from egp_service.simulation.plant import load_simulator
+
+    if disturbances.NAME in (named or []):
+        raise EgpError(
+            f"{disturbances.NAME} changes the built-in vehicle, which {plant} replaces: run it "
+            "without --plant"
+        )
+    load_simulator(plant)  # reports a class that cannot be made before the runs start
+    return [on_plant(e, plant) for e in experiments if e.name != disturbances.NAME]
 
 
 def _chosen(experiment: list[str] | None, known: list[str]) -> list[str]:
@@ -258,15 +292,14 @@ def _runs(
 
 
 def _entry_speeds(
-    progress: "Progress", campaign: "Campaign", *, full: bool
+    progress: "Progress", campaign: "Campaign", cones: "ClosedLoopExperiment", *, full: bool
 ) -> "Batch[Any, EntrySpeed]":
     from egp_service.evaluation.entry_speed import EntrySpeed, find
-    from egp_service.evaluation.experiments import OBSTACLE_AVOIDANCE
 
-    last = OBSTACLE_AVOIDANCE.conditions[-1][0]
-    seeds = range(OBSTACLE_AVOIDANCE.seeds if full else OBSTACLE_AVOIDANCE.quick_seeds)
-    trials = [t for t in OBSTACLE_AVOIDANCE.trials(seeds) if full or t.condition == last]
-    name = f"{OBSTACLE_AVOIDANCE.name}: bisecting entry speeds"
+    last = cones.conditions[-1][0]
+    seeds = range(cones.seeds if full else cones.quick_seeds)
+    trials = [t for t in cones.trials(seeds) if full or t.condition == last]
+    name = f"{cones.name}: bisecting entry speeds"
     task = progress.add_task(name, start=False, total=len(trials))
 
     def report(_: EntrySpeed) -> None:
@@ -276,19 +309,20 @@ def _entry_speeds(
     return campaign.batch("entry-speeds", trials, find, EntrySpeed, report)
 
 
-def _ice(progress: "Progress", campaign: "Campaign", *, full: bool) -> "Batch[Any, IceOutcome]":
+def _ice(
+    progress: "Progress", campaign: "Campaign", patches: "ClosedLoopExperiment", *, full: bool
+) -> "Batch[Any, IceOutcome]":
     from egp_service.evaluation import hidden_ice
-    from egp_service.evaluation.experiments import HIDDEN_ICE
 
-    seeds = range(HIDDEN_ICE.seeds if full else HIDDEN_ICE.quick_seeds)
-    trials = [t for t in HIDDEN_ICE.trials(seeds) if full or t.condition == HIDDEN_ICE.compared]
-    task = progress.add_task(HIDDEN_ICE.name, start=False, total=len(trials))
+    seeds = range(patches.seeds if full else patches.quick_seeds)
+    trials = [t for t in patches.trials(seeds) if full or t.condition == patches.compared]
+    task = progress.add_task(patches.name, start=False, total=len(trials))
 
     def report(_: "IceOutcome") -> None:
         progress.start_task(task)
         progress.advance(task)
 
-    return campaign.batch(HIDDEN_ICE.name, trials, hidden_ice.run, hidden_ice.IceOutcome, report)
+    return campaign.batch(patches.name, trials, hidden_ice.run, hidden_ice.IceOutcome, report)
 
 
 def _step_times(console: Console, library: Path, *, full: bool) -> "list[StepTime]":
