@@ -36,6 +36,7 @@ from egp_service.simulation.scenario import (
     library_path,
     load_scenario,
 )
+from outcome_example import OUTCOME
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,26 +62,17 @@ KINDS = {
 def outcome(
     contender: str, seed: int, *, completed: bool = True, rms: float = 0.1, time: float = 30.0
 ) -> Outcome:
-    return Outcome(
-        experiment="varying-speed",
-        condition="90% of grip",
+    return replace(
+        OUTCOME,
         contender=contender,
         seed=seed,
         completed=completed,
         reason="completed" if completed else "left the road",
         time=time,
-        distance=400.0,
         lap_times=(time,),
         lateral_max=3 * rms,
         lateral_rms=rms,
-        speed_rms=0.1,
-        off_track=0.0,
         settling=(0.2,),
-        resolution=None,
-        avoidable=None,
-        misses=0,
-        late=0,
-        step_ms=0.3,
     )
 
 

@@ -28,6 +28,7 @@ from egp_service.evaluation.disturbed_library import train
 from egp_service.evaluation.experiment import CUSTOM_TRACK
 from egp_service.shipped import DEMO_LIBRARY, DISTURBANCE_RECIPE, EVALUATION_LIBRARY
 from egp_service.training.recipe import Displays
+from outcome_example import OUTCOME
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -108,26 +109,13 @@ def test_libraries_of_disturbances_need_no_members_of_the_evaluation() -> None:
 
 
 def outcome(condition: str, contender: str, seed: int, rms: float) -> Outcome:
-    return Outcome(
+    return replace(
+        OUTCOME,
         experiment=NAME,
         condition=condition,
         contender=contender,
         seed=seed,
-        completed=True,
-        reason="completed",
-        time=30.0,
-        distance=400.0,
-        lap_times=(30.0,),
-        lateral_max=0.1,
         lateral_rms=rms,
-        speed_rms=0.1,
-        off_track=0.0,
-        settling=(),
-        resolution=None,
-        avoidable=None,
-        misses=0,
-        late=0,
-        step_ms=0.3,
     )
 
 

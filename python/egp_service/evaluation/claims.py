@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.evaluation import disturbances, fleet_roads, unknown_roads
+from egp_service.evaluation import disturbances, road_claims
+from egp_service.evaluation.claim import Claim
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.evaluation.experiments import EXACT, NARROW, REPLAYED
-from egp_service.evaluation.hidden_ice import LARGEST_ERROR
+from egp_service.evaluation.experiments import EXACT, NARROW
 from egp_service.evaluation.statistics import grouped, mean
-from egp_service.evaluation.unknown_roads import ASSUMED, BELIEF, HERE, RISKS
 from egp_service.quantities import MOTION_LABELS
 
 if TYPE_CHECKING:
@@ -36,21 +34,10 @@ MIXED: Final = ("varying-speed", "unseen-track", "lane-change", "four-members", 
 _SHARE: Final = 0.95
 _REGRET: Final = 1.2
 _SETTLED: Final = 0.5  # s
-_FIVE_LAPS: Final = 1.12
 _TIGHTENED: Final = 0.2
-_SECOND_CAR: Final = 1.06
 _EXCITED: Final = tuple(
     f"{acceleration} m/s² lateral{sensors}" for sensors in ("", EXACT) for acceleration in (2, 3, 4)
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Claim:
-    """A claim and whether the outcomes support it; None if they do not have what it is about."""
-
-    text: str
-    holds: bool | None
-    evidence: str
 
 
 def check(
@@ -65,12 +52,9 @@ def check(
         *_regret(outcomes),
         *_best(outcomes),
         *_settling(outcomes),
-        *_unknown(outcomes),
         *_narrow(outcomes),
-        *_fleet(outcomes),
-        *_departures(outcomes),
         *_disturbances(outcomes),
-        *_ice(ice),
+        *road_claims.check(outcomes, ice),
     ]
     if predictions:
         claims += _ordering(predictions)
@@ -140,68 +124,6 @@ def _narrow(outcomes: Sequence[Outcome]) -> list[Claim]:
     ]
 
 
-def _unknown(outcomes: Sequence[Outcome]) -> list[Claim]:
-    groups = grouped(outcomes)
-    claims = []
-    for source, name, fewer in (
-        (ASSUMED, "the best assumed friction", 0.0),
-        (HERE, "a reference that is told the friction under the vehicle", 2.0 / 30.0),
-    ):
-        gap = unknown_roads.frontier_gap(groups, source)
-        if gap is not None:
-            runs = max(g.runs for g in groups if g.experiment == unknown_roads.FIRST)
-            text = f", or at most {fewer:.0%} of all runs fewer" if fewer else ""
-            claims.append(
-                Claim(
-                    f"On a first lap it completes at least as many runs as {name} at equal time"
-                    f"{text}",
-                    gap[0] >= -fewer * runs,
-                    f"at worst {gap[0]:+.1f} of {runs} ({gap[1]})",
-                )
-            )
-    careful = f"{BELIEF}{RISKS[0]:.0%}"
-    for group in groups:
-        if (group.experiment, group.contender) == (unknown_roads.LATER, careful):
-            laps = unknown_roads.lap_ratios(outcomes, careful)
-            claims.append(
-                Claim(
-                    f"Five laps from a cold start at a risk of {RISKS[0]:.0%} are completed, in at "
-                    f"most {_FIVE_LAPS} times the oracle's time",
-                    group.completed == group.runs and group.time_regret.value <= _FIVE_LAPS,
-                    f"{group.completed} of {group.runs}, {group.time_regret.value:.3f}; laps "
-                    + ", ".join(f"{lap.value:.3f}" for lap in laps),
-                )
-            )
-    return claims
-
-
-def _departures(outcomes: Sequence[Outcome]) -> list[Claim]:
-    claims = []
-    for experiment in REPLAYED:
-        own = [
-            o
-            for o in outcomes
-            if o.experiment == experiment
-            and (o.contender.startswith(BELIEF) or experiment == fleet_roads.FLEET)
-            and o.contender != ORACLE
-        ]
-        replayed = [o for o in own if o.avoidable is not None]
-        avoidable = [o for o in replayed if o.avoidable]
-        if own:
-            where = ", ".join(f"{o.contender}, seed {o.seed}" for o in avoidable)
-            claims.append(
-                Claim(
-                    f"No departure of {experiment} at a speed from what control steps found would "
-                    "have been avoided by a controller that is told everything from the last "
-                    "border on",
-                    not avoidable,
-                    f"{len(avoidable)} of {len(replayed)} departures in {len(own)} runs"
-                    + (f": {where}" if where else ""),
-                )
-            )
-    return claims
-
-
 def _disturbances(outcomes: Sequence[Outcome]) -> list[Claim]:
     found = disturbances.compare(outcomes, ENSEMBLE, disturbances.FITTED)
     if not found:
@@ -216,25 +138,6 @@ def _disturbances(outcomes: Sequence[Outcome]) -> list[Claim]:
             "of the mean difference",
             2 * len(closer) >= len(found),
             "; ".join(f"{text}: {', '.join(names)}" for text, names in evidence if names),
-        )
-    ]
-
-
-def _ice(outcomes: Sequence[IceOutcome]) -> list[Claim]:
-    own = [o for o in outcomes if o.contender.startswith(BELIEF)]
-    errors = [error for o in own for error in o.errors_after]
-    if not errors:
-        return []
-    within = sum(error <= LARGEST_ERROR for error in errors)
-    on_first = sum(any(o.found[1:2]) for o in own)
-    return [
-        Claim(
-            "On the laps after a hidden patch of ice was found, the vehicle is never more than "
-            f"{LARGEST_ERROR:g} m from the path",
-            within == len(errors),
-            f"{within} of {len(errors)} laps, at worst {max(errors):.2f} m; found on the first lap "
-            f"in {on_first} of {len(own)} runs; "
-            f"{sum(not o.completed for o in own)} runs were not completed",
         )
     ]
 
@@ -309,34 +212,6 @@ def _settling(outcomes: Sequence[Outcome]) -> list[Claim]:
                 f"Weights settle within {_SETTLED} s of a friction step under {condition}",
                 holds,
                 found,
-            )
-        )
-    return claims
-
-
-def _fleet(outcomes: Sequence[Outcome]) -> list[Claim]:
-    """Claim what a map is worth to the second car, and that honest cars outvote a lying one."""
-    own = [o for o in outcomes if o.experiment == fleet_roads.FLEET]
-    groups = {group.contender: group for group in grouped(own)}
-    claims = []
-    if second := groups.get(fleet_roads.SECOND):
-        time = second.time_regret
-        claims.append(
-            Claim(
-                f"The second car completes every first lap, in at most {_SECOND_CAR} times the "
-                "time of a reference that is told all zones",
-                second.completed == second.runs and time.value <= _SECOND_CAR,
-                f"{second.completed} of {second.runs}, {time.value:.3f} "
-                f"({time.low:.3f} to {time.high:.3f})",
-            )
-        )
-    outvoted, alone = groups.get(fleet_roads.OUTVOTED), groups.get(fleet_roads.ALONE)
-    if outvoted and alone:
-        claims.append(
-            Claim(
-                "A lying map that two honest cars outvote costs no completed lap",
-                outvoted.completed >= alone.completed,
-                f"{outvoted.completed} of {outvoted.runs}, without a map {alone.completed}",
             )
         )
     return claims

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from egp_service.evaluation.claims import Claim
+    from egp_service.evaluation.claim import Claim
     from egp_service.evaluation.statistics import Group, Interval
 
 _STYLE = """
