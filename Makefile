@@ -5,7 +5,7 @@ RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name 
 	$(wildcard python/egp_service/_core/*.pyi)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench fmt lint lint-rust lint-python deny rust-test python-test browser site wheel wheel-test instructions soak clean
+.PHONY: help demo test bench fmt lint lint-rust lint-python deny rust-test python-test browser site wheel wheel-test arm-test instructions soak clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -72,6 +72,13 @@ wheel: .venv/bin/python ## Build a wheel for Linux with glibc 2.17 or newer: mak
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/maturin build --release --locked --zig --target $(TARGET) \
 		--compatibility manylinux2014 --interpreter $(BIN)/python --out target/wheels
 
+ARM := aarch64-unknown-linux-gnu
+ARM_CRATES := core wire engine driver gate map path plant simulate
+arm-test: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER := aarch64-linux-gnu-gcc
+arm-test: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER := qemu-aarch64 -L /usr/aarch64-linux-gnu
+arm-test: ## Pass the Rust tests for 64-bit Arm in an emulator; needs qemu-user and gcc-aarch64-linux-gnu
+	cargo test --release --locked --target $(ARM) $(addprefix --package egp-,$(ARM_CRATES))
+
 wheel-test: wheel ## Install the wheel from `make wheel` in a fresh environment, and pass the stories there
 	$(BIN)/python tests/stories/fresh.py target/wheels/egp_service-*x86_64.whl
 browser: ## Install Chromium on Debian or Ubuntu (as root), for the tests of the live page
@@ -89,17 +96,19 @@ EXTRAS_docs := viz,docs
 EXTRAS_bench := train,viz,paper,cluster,dev,bench
 
 # One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension. The crates are
-# compiled while pip installs the packages; the second maturin then waits for the first one and finds them built. Python
-# compiles a module when it is first imported, which few of those of the packages are.
+# compiled while uv installs the packages; the second maturin then waits for the first one and finds them built. Where uv
+# cannot reach the index, pip tries with its own configuration.
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed, found $$($(PYTHON) --version). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	@command -v cargo >/dev/null || { echo "A Rust toolchain is needed: see https://rustup.rs"; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint constraints.txt maturin
+	$(BIN)/pip install --quiet --constraint constraints.txt maturin uv
 
 .venv/built-%: .venv/bin/python pyproject.toml constraints.txt $(RUST)
-	export VIRTUAL_ENV=$(CURDIR)/.venv PIP_CONSTRAINT=$(CURDIR)/constraints.txt PIP_NO_COMPILE=1; \
-	$(BIN)/maturin develop --release --locked --quiet --skip-install & \
-	$(BIN)/maturin develop --release --locked --extras $(EXTRAS_$*); status=$$?; wait; exit $$status
+	export VIRTUAL_ENV=$(CURDIR)/.venv PATH="$(CURDIR)/$(BIN):$$PATH" UV_SYSTEM_CERTS=true \
+		UV_CONSTRAINT=$(CURDIR)/constraints.txt PIP_CONSTRAINT=$(CURDIR)/constraints.txt PIP_NO_COMPILE=1; \
+	build="maturin develop --release --locked"; \
+	$$build --quiet --skip-install & \
+	$$build --extras $(EXTRAS_$*) --uv || $$build --extras $(EXTRAS_$*); status=$$?; wait; exit $$status
 	@touch $@

@@ -12,6 +12,7 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, NoReturn
 
+import numpy as np
 import pytest
 from loky.process_executor import ShutdownExecutorError
 
@@ -77,9 +78,14 @@ def test_results_cut_off_in_the_middle_hold_nobody_up() -> None:
 
 @contextmanager
 def evaluation(folder: Path) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "egp_service", "evaluate", "-e", "friction-step"]
+    """Drive twelve laps of 190 m."""
+    track = folder / "circle.csv"
+    angle = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    rows = np.column_stack([30.0 * np.cos(angle), 30.0 * np.sin(angle), np.full((60, 2), 4.0)])
+    np.savetxt(track, rows, delimiter=",", header="x_m,y_m,w_tr_right_m,w_tr_left_m")
+    command = [sys.executable, "-m", "egp_service", "evaluate", "-e", "unseen-track"]
     process = subprocess.Popen(
-        [*command, "-o", str(folder)],
+        [*command, "--track", str(track), "-o", str(folder)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
