@@ -155,3 +155,14 @@ def test_baselines_of_the_reference_speed(speed: Speed, planned: set[float]) -> 
     found = set(np.unique(run.trace.friction_planned).tolist())
     assert found <= planned
     assert 0.35 not in planned - found
+
+
+def test_the_weights_friction_as_a_baseline() -> None:
+    speed = Speed(knows="weights", grip=0.6, v_max=25.0)
+    scenario = replace(BLIND, speed=speed, leave_distance=50.0)
+    with in_process_controller(scenario) as controller:
+        run = drive(scenario, controller, lambda _: None)
+    planned, blended = run.trace.friction_planned, run.trace.weights @ run.frictions
+    assert planned[0] == pytest.approx(run.frictions.mean())
+    assert planned[1:] == pytest.approx(blended[:-1])
+    assert np.ptp(planned) > 0.2

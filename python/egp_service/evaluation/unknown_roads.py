@@ -21,11 +21,12 @@ if TYPE_CHECKING:
 
 FIRST: Final = "unknown-roads"
 LATER: Final = "remembered-roads"
-# Sources of the reference speed's friction: what control steps found, one value everywhere, and the
-# friction under the vehicle.
+# Sources of the reference speed's friction: what control steps found, one value everywhere, the
+# friction under the vehicle, and that of the members as the weights blend them.
 BELIEF: Final = "found, risk "
 ASSUMED: Final = "assumed "
 HERE: Final = "told here, "
+WEIGHTED: Final = "weights, "
 RISKS: Final = (0.03, 0.05, 0.1, 0.2)
 
 
@@ -61,6 +62,15 @@ def first_lap() -> ClosedLoopExperiment:
                     speed={"knows": "here", "friction": most, "grip": 0.9 * share},
                 )
                 for share, most in ((1.0, 1.1), (0.8, 1.1), (0.8, 0.5), (1.0, 0.4))
+            ),
+            *(
+                Contender(
+                    f"{WEIGHTED}{share:.0%} of it",
+                    "ensemble",
+                    TWO,
+                    speed={"knows": "weights", "grip": 0.9 * share},
+                )
+                for share in (1.0, 0.8)
             ),
         ),
         seeds=30,
@@ -173,6 +183,7 @@ def kind(contender: str) -> str:
         (BELIEF, "found by the control steps"),
         (ASSUMED, "one friction assumed everywhere"),
         (HERE, "told the friction under the vehicle"),
+        (WEIGHTED, "friction of the weights, no interval"),
     ):
         if contender.startswith(prefix):
             return text

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 FIRST_DEADLINE = 2.0
 # A run ends after this multiple of the time of the reference that knows all zones. A reference that
 # knows less is slower.
-PATIENCE = {"zones": 2.0, "here": 4.0, "nothing": 4.0}
+PATIENCE = {"zones": 2.0, "here": 4.0, "weights": 4.0, "nothing": 4.0}
 STANDSTILL = 0.3
 TOO_LONG = "took too long"
 
@@ -175,7 +175,7 @@ class _Loop:
             ),
             deadline=FIRST_DEADLINE if self._ticks == 0 else None,
         )
-        self._speed.found(step.friction)
+        self._speed.found(step)
         return Period(truth, measured, step)
 
     def advance(self, period: Period) -> Ending | None:

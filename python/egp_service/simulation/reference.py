@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import EgpError, RoadBelief, SpeedPlanner
+from egp_service._core import EgpError, Library, RoadBelief, SpeedPlanner
 from egp_service.files import replacing
 from egp_service.simulation.course import build_path, build_profile, tyre_grips
-from egp_service.simulation.scenario import ScenarioError, vehicle_parameters
+from egp_service.simulation.scenario import ScenarioError, library_path, vehicle_parameters
 
 if TYPE_CHECKING:
     from pathlib import Path as FilePath
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from egp_service._core import Friction, Path, SpeedProfile
+    from egp_service.control.step import Step
     from egp_service.simulation.scenario import Scenario
 
 
@@ -40,7 +41,7 @@ class SpeedReference(ABC):
         """Return what is known about the road at `places` (n,), as rows for the control step."""
         return None
 
-    def found(self, friction: Friction | None) -> None:  # noqa: B027 - most references learn nothing
+    def found(self, step: Step) -> None:  # noqa: B027 - most references learn nothing
         """Take note of what the last control step found."""
 
 
@@ -86,8 +87,8 @@ class _Believed(_Planned):
         self._belief = belief
         self._found: Friction | None = None
 
-    def found(self, friction: Friction | None) -> None:
-        self._found = friction
+    def found(self, step: Step) -> None:
+        self._found = step.friction
 
     def road_friction(self, places: NDArray[np.float64]) -> NDArray[np.float64] | None:
         return self._belief.preview(places) if self._preview else None
@@ -108,6 +109,28 @@ class _Here(_Planned):
 
     def _friction(self, s: float, places: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.full_like(places, min(self._most, _friction_at(self._path, s)))
+
+
+class _Weighted(_Planned):
+    """The members' friction coefficients, blended with the last weights, everywhere."""
+
+    def __init__(self, scenario: Scenario, path: Path) -> None:
+        super().__init__(scenario, path)
+        members = Library.load(library_path(scenario)).members
+        self._frictions = np.array([member.friction for member in members])
+        self._most = scenario.speed.friction or float("inf")
+        self._blended = float(self._frictions.mean())  # the first step begins with equal weights
+
+    def found(self, step: Step) -> None:
+        if step.weights.size:
+            self._blended = float(step.weights @ self._frictions)
+
+    def _friction(
+        self,
+        s: float,  # noqa: ARG002
+        places: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        return np.full_like(places, min(self._most, self._blended))
 
 
 class _Assumed(_Planned):
@@ -165,6 +188,8 @@ def speed_reference(
         return _Given(scenario, path)
     if speed.knows == "here":
         return _Here(scenario, path)
+    if speed.knows == "weights":
+        return _Weighted(scenario, path)
     if speed.friction is not None:
         return _Assumed(scenario, path, speed.friction)
     return _Believed(scenario, path, RoadBelief(path) if belief is None else belief)

@@ -26,7 +26,7 @@ MAX_DELAY = 100
 MAX_NAME = 50
 # A run's folder has the name, so a name holds nothing that would lead to another folder.
 _NAME = re.compile(rf"\w[\w .-]{{0,{MAX_NAME - 1}}}")
-KNOWLEDGE = ("zones", "here", "nothing")
+KNOWLEDGE = ("zones", "here", "weights", "nothing")
 
 
 class ScenarioError(ConfigurationError):
@@ -92,13 +92,14 @@ class Speed:
     sides."""
     knows: str = "zones"
     """What the reference speed depends on: `zones`, the friction of all zones; `here`, the friction
-    under the vehicle, as if it were the same everywhere; `nothing`, what the control steps found.
-    The controller's model is not told the zones in any case."""
+    under the vehicle, as if it were the same everywhere; `weights`, that of the members,
+    blended with the last step's weights; `nothing`, what the control steps found. The controller's
+    model is not told the zones in any case."""
     risk: float = 0.05
     """With `nothing`: probability that a place has less friction than its speed is planned for."""
     friction: float | None = None
-    """With `nothing`: a friction assumed everywhere, in place of what was found. With `here`: the
-    largest friction to plan for."""
+    """With `nothing`: a friction assumed everywhere, in place of what was found. With `here` and
+    `weights`: the largest friction to plan for."""
     preview: bool = True
     """With `nothing`: whether the model of each stage follows what was found about the road there;
     otherwise it is that of the last transitions at all stages."""

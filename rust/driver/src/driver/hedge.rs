@@ -27,11 +27,11 @@ impl HedgeAllowance {
         }
     }
 
-    /// A control period begins: when a second replica is to be asked in it; none if that is not allowed.
+    /// A control period begins: when a second replica is to be asked in it; none if that is not allowed. If the part is
+    /// the whole time, the deadline decides the period first.
     pub(super) fn open(&mut self, now: Time, deadline: Time) -> Option<Time> {
         self.tokens = (self.tokens + SHARE).min(BURST);
-        let allowed = self.tokens >= 1.0 && self.part < 1.0;
-        allowed.then(|| now + deadline.saturating_sub(now).mul_f64(self.part))
+        (self.tokens >= 1.0).then(|| now + deadline.saturating_sub(now).mul_f64(self.part))
     }
 
     /// A second question is asked.

@@ -7,7 +7,7 @@ use egp_wire::{Code, Ready};
 
 use crate::world::{
     LISTEN, PERIOD, answered_period, asked, decided, driver, error, ms, name, probed, served,
-    solved, tick,
+    solved, tick, without_hedge,
 };
 
 /// A driver of two replicas, of which the one that is asked first was silent in the period from 20 to 36 ms; with that
@@ -46,6 +46,26 @@ fn a_replica_is_probed_after_a_second_and_asked_first_again_once_it_answers() {
     assert_eq!(answered_period(&mut driver, ms(1046)), second);
     driver.replied(ms(1056), probe.id, &served().encode(), b"");
     assert_eq!(answered_period(&mut driver, ms(1066)), failed.replica);
+}
+
+#[test]
+fn of_replicas_that_failed_the_one_that_has_answered_since_is_asked_first() {
+    for (at, recovered) in [(ms(56), false), (ms(57), true)] {
+        let mut driver = without_hedge(&["a", "b"]);
+        let mut silent = |begun| {
+            tick(&mut driver, begun);
+            let query = asked(&mut driver);
+            driver.wake(begun + ms(16));
+            decided(&mut driver);
+            query
+        };
+        let (earlier, later) = (silent(ms(20)), silent(ms(40)));
+        assert_ne!(earlier.replica, later.replica);
+        driver.replied(at, later.id, &solved(&later).encode(), b"");
+        tick(&mut driver, ms(60));
+        let first = if recovered { later } else { earlier };
+        assert_eq!(asked(&mut driver).replica, first.replica);
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! With a key, only answers of a service that has the same key have an effect.
 
-use egp_driver::{Driver, DriverConfig, Outcome, Query, RunKey};
+use egp_driver::{Discovery, Driver, DriverConfig, Outcome, Query, RunKey};
 use egp_gate::Mode;
 use egp_wire::{Code, Invalid, KeyRing, Seal, Timing, VehicleKey};
 use prost::Message as _;
@@ -125,6 +125,43 @@ fn an_error_that_anybody_can_send_does_not_keep_the_answer_out() {
     driver.ended(ms(41), next.id);
     let step = decided(&mut driver);
     assert_eq!((step.late.len(), step.command.mode), (1, Mode::Tail));
+}
+
+#[test]
+fn the_end_of_a_query_that_was_answered_with_an_error_is_no_further_failure() {
+    let mut driver = driver(&["a", "b"]);
+    tick(&mut driver, ms(20));
+    let first = asked(&mut driver);
+    driver.refused(ms(21), first.id, &error(Code::Internal));
+    let second = asked(&mut driver);
+    driver.refused(ms(22), second.id, &error(Code::Internal));
+    decided(&mut driver);
+    tick(&mut driver, ms(40));
+    let query = asked(&mut driver);
+    assert_eq!(query.replica, first.replica);
+    let reply = solved(&query).encode();
+    let own = attached(&key("1f"), &query, &reply);
+    driver.replied(ms(41), query.id, &reply, &own);
+    decided(&mut driver);
+    driver.ended(ms(50), first.id);
+    tick(&mut driver, ms(60));
+    assert_eq!(asked(&mut driver).replica, first.replica);
+}
+
+#[test]
+fn questions_of_a_discovery_have_numbers_apart_from_those_of_its_driver() {
+    let key = Some(RunKey {
+        key: key("1f"),
+        run: 77,
+    });
+    let mut discovery = Discovery::new(&DriverConfig { key, ..config() }).unwrap();
+    for replica in ["a", "b"] {
+        discovery.replica_appeared(name(replica));
+    }
+    for number in [(1 << 63) + 1, (1 << 63) + 2] {
+        let question = discovery.next_question().unwrap();
+        assert_eq!(Seal::decode(&question.attachment).unwrap().number, number);
+    }
 }
 
 #[test]

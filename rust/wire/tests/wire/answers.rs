@@ -245,3 +245,19 @@ fn a_friction_is_accepted_up_to_its_limits() {
         assert_eq!(refused_reply(&reply), Some("friction"));
     }
 }
+
+#[test]
+fn a_friction_is_informed_from_a_tenth_of_a_nat_on() {
+    let informed = |information| {
+        let friction = messages::solved_reply().friction.unwrap();
+        Friction {
+            information,
+            ..friction
+        }
+        .informed()
+    };
+    assert_eq!(
+        [0.0, 0.1 - 1e-9, 0.1, 3.0].map(informed),
+        [false, false, true, true]
+    );
+}

@@ -7,4 +7,5 @@ mod golden;
 mod properties;
 mod protobuf;
 mod refusals;
+mod road;
 mod seals;

@@ -101,3 +101,22 @@ fn a_text_without_keys_is_an_error_that_shows_none() {
     let missing = none.get(&name("depot"), &name("car-7"));
     assert!(missing.unwrap_err().to_string().contains("depot/car-7"));
 }
+
+#[test]
+fn a_file_of_keys_is_read_and_no_key_is_shown() {
+    let file = std::env::temp_dir().join(format!("egp-wire-{}.keys", std::process::id()));
+    std::fs::write(&file, format!("depot/car-7 {}\n", "0b".repeat(32))).unwrap();
+    let ring = KeyRing::read(&file);
+    std::fs::write(&file, "depot/car-7 0b\n").unwrap();
+    let short = KeyRing::read(&file).unwrap_err().to_string();
+    std::fs::remove_file(&file).unwrap();
+    assert_eq!(
+        ring.unwrap().get(&name("depot"), &name("car-7")),
+        Ok(&key())
+    );
+    let file = file.display().to_string();
+    assert!(short.starts_with(&file), "{short}");
+    let missing = KeyRing::read(file.as_ref()).unwrap_err().to_string();
+    assert!(missing.contains(&file), "{missing}");
+    assert_eq!(format!("{:?}", key()), "VehicleKey(..)");
+}
