@@ -54,6 +54,11 @@ def test_help_fits_80_columns_and_has_an_example(name: str) -> None:
     assert max(len(line) for line in text.splitlines()) <= 80
     # The line of the usage begins with another word.
     assert re.search(rf"(?m)^ +(For example: )?egp {name}\b", text)
+    # No line of the description is so long that its last word has a line of its own.
+    group = get_command(app)
+    for part in name.split():
+        group = group.commands[part]  # type: ignore[attr-defined]
+    assert [line for line in (group.help or "").split("\n")[1:] if len(line) > 78] == []
 
 
 def test_version_and_completion() -> None:
@@ -149,6 +154,32 @@ def test_training_does_not_begin_with_what_fails_at_its_end(tmp_path: Path) -> N
     assert "expected a file in a folder" in told
 
 
+def test_a_drive_that_cannot_begin_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "expected MODULE:CLASS" in failure("drive", "--plant", "my_simulator", "--in-process")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dataset_is_a_parquet_file_of_a_positive_period(tmp_path: Path) -> None:
+    file = str(tmp_path / "wet.csv")
+    assert "wet.parquet" in failure("collect", "--friction", "0.5", "-o", file)
+    file = str(tmp_path / "wet.parquet")
+    assert "--dt" in failure("collect", "--friction", "0.5", "-o", file, "--dt", "0")
+
+
+def test_keys_shows_the_command_of_a_vehicle_that_it_made_a_key_for(tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="the extra `security` is not installed")
+    folder = str(tmp_path / "secrets")
+    for vehicles in (["car-1"], ["car-1", "car-2"]):
+        options = [option for name in vehicles for option in ("--vehicle", name)]
+        result = RUNNER.invoke(app, ["keys", folder, *options, "--host", "127.0.0.1"])
+        last = vehicles[-1]
+        shown = f"--vehicle {last} --zenoh {folder}/vehicles/default@{last}.json5"
+        assert shown in result.output, result.output
+
+
 def test_files_of_another_kind_are_named(tmp_path: Path) -> None:
     settings, log = tmp_path / "soft.toml", tmp_path / "log.csv"
     settings.write_text("[cost]\nlaterall = 20.0\n")
@@ -162,7 +193,8 @@ def test_files_of_another_kind_are_named(tmp_path: Path) -> None:
     log.write_text("t,v\n0,1\n0.02,1\n")
     assert "`egp collect --from-log`" in failure("train", str(log), "-o", str(tmp_path / "l"))
     missing = failure(
-        *("collect", "-o", str(log), "--friction", "0.5", "--from-csv", str(log)),
+        *("collect", "-o", str(log.with_suffix(".parquet")), "--friction", "0.5"),
+        *("--from-csv", str(log)),
         *("--column", "time=t:s"),
     )
     assert "no column is named for v_x, v_y, omega, delta, F_x or a_x" in missing
@@ -214,8 +246,13 @@ def test_options_of_serve_override_its_file(
 def test_serve_checks_what_it_would_serve(tmp_path: Path) -> None:
     result = RUNNER.invoke(app, ["serve", LIBRARY, "--check", "--workers", "1"])
     assert result.exit_code == 0, result.output
-    labels = ", ".join(member.label for member in Library.load(LIBRARY).members)
-    assert result.output == f"surfaces: {labels}\nperiod 0.02 s, horizon 40, window 25\n"
+    library = Library.load(LIBRARY)
+    assert result.output.splitlines() == [
+        f"library {library.id}",
+        f"surfaces: {', '.join(member.label for member in library.members)}",
+        "period 0.02 s, horizon 40, window 25",
+        "Configuration, library and network settings are valid.",
+    ]
     assert "nonsense" in failure("serve", LIBRARY, "--check", "--http", "nonsense")
     file = tmp_path / "service.toml"
     file.write_text(f'library = "{LIBRARY}"\nlog = "egp=nonsense"\n')

@@ -111,7 +111,7 @@ def test_a_fitted_vehicle_fits(determined: bool) -> None:  # noqa: FBT001
         FittedParameter(name, 1234.5678, 1.234e-5, 4321.0, -12.3, determined, at_bound=True)
         for name in PARAMETERS
     ]
-    table = vehicle_table("friction 0.5", FittedVehicle(tuple(parameters)))
+    table = vehicle_table("friction 0.5", FittedVehicle(tuple(parameters)).summary())
     check_table(table)
 
 

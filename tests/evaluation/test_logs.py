@@ -281,6 +281,6 @@ def test_the_mass_of_the_oval_agrees_with_its_prior(oval: LogOutcome) -> None:
 def test_without_a_prior_the_report_says_that_the_mass_is_not_determined(oval: LogOutcome) -> None:
     (found,) = fit_vehicle([oval.member.dataset], None, [np.random.default_rng(0)])
     console = Console(width=200, record=True, file=io.StringIO())
-    console.print(vehicle_table("oval", found))
+    console.print(vehicle_table("oval", found.summary()))
     (row,) = re.findall(r"(?m)^ *m  .*$", console.export_text())
     assert "not determined by the data" in row

@@ -2,7 +2,7 @@
 
 As a program it publishes a fleet until it is ended, for looking at the page and for measurements:
 
-    python tests/monitor/simulated_fleet.py --vehicles 50 --endpoint tcp/127.0.0.1:7449
+    python tests/monitor/simulated_fleet.py --vehicles 50 --endpoint tcp/127.0.0.1:7450
 """
 
 from __future__ import annotations

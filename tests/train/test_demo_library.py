@@ -69,3 +69,6 @@ def test_recipe_refuses_unknown_fields(tmp_path: Path) -> None:
     (tmp_path / "recipe.toml").write_text("dt = [")
     with pytest.raises(EgpError, match=r"recipe\.toml"):
         Recipe.read(tmp_path / "recipe.toml")
+    (tmp_path / "recipe.toml").write_text("dt = 0.02")
+    with pytest.raises(EgpError, match=r"no table 'surface'; .*demo-recipe\.toml is an example"):
+        Recipe.read(tmp_path / "recipe.toml")

@@ -53,10 +53,10 @@ The paper's experiments, with baselines:
   egp evaluate --quick
 
 Repeat a recorded run, or see what other settings would have changed:
-  egp replay runs/*/run.mcap
+  egp replay runs/RUN/run.mcap
 
 Look at a recorded run on a map and in curves:
-  egp view runs/*/run.mcap
+  egp view runs/RUN/run.mcap
 
 As a service for vehicles:
   egp serve library.safetensors --listen tcp/0.0.0.0:7447

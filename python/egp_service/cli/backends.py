@@ -6,7 +6,7 @@ import tomllib
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from egp_service._core import Engine
+from egp_service._core import Engine, Library
 from egp_service.control.client import VehicleClient
 from egp_service.control.service_process import ServiceProcess
 from egp_service.control.toml_text import dumps
@@ -28,15 +28,22 @@ def remote_controller(
     zenoh_file: Path | None = None,
     key_file: Path | None = None,
 ) -> VehicleClient:
-    """Ask a running service, which uses its own library and settings instead of the scenario's."""
+    """Ask a running service, which uses its own library and settings instead of the scenario's.
+
+    The controller's `library_file` is the scenario's library if the service has the same one.
+    """
     endpoints = [] if endpoint is None else [endpoint]
-    return VehicleClient.connect(
+    client = VehicleClient.connect(
         endpoints,
         vehicle=vehicle,
         gate=gate_settings(scenario),
         zenoh_file=zenoh_file,
         key_file=key_file,
     )
+    file = library_path(scenario).absolute()
+    if Library.load(file).id == client.library.hex():
+        client.library_file = file
+    return client
 
 
 @contextmanager

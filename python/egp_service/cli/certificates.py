@@ -41,6 +41,15 @@ class Identity:
         }
 
 
+def listening_hosts(certificate: bytes) -> list[str]:
+    """Return the hosts at which the owner of a certificate (PEM) may listen."""
+    from cryptography import x509
+
+    read = x509.load_pem_x509_certificate(certificate)
+    names = read.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    return [str(name.value) for name in names]
+
+
 class Authority:
     """A certificate authority."""
 

@@ -23,7 +23,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-PORTS: Final = {"egp serve": "tcp/127.0.0.1:7447", "egp map": "tcp/127.0.0.1:7448"}
+PORTS: Final = {
+    "egp serve": "tcp/127.0.0.1:7447",
+    "egp map": "tcp/127.0.0.1:7448",
+    "egp router": "tcp/127.0.0.1:7449",
+    "egp monitor": "tcp/127.0.0.1:7450",
+}
 STEPS: Final = 60
 _SHARE: Final = 0.5
 """Share of the control period from which a step counts as slow."""

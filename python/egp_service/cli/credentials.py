@@ -10,7 +10,7 @@ import json
 import os
 import re
 import secrets
-from base64 import b64encode
+from base64 import b64decode, b64encode
 from typing import TYPE_CHECKING
 
 from egp_service._core import EgpError
@@ -23,7 +23,7 @@ from egp_service.cli.access import (
     listener_access,
     size_limits,
 )
-from egp_service.cli.certificates import Authority, Identity
+from egp_service.cli.certificates import Authority, Identity, listening_hosts
 from egp_service.cli.signing import new_signing_key
 from egp_service.files import replacing
 
@@ -58,6 +58,9 @@ def write_credentials(
 ) -> list[str]:
     """Write or complete the files of a fleet in `folder`; return the vehicles that are new.
 
+    The new files connect to `hosts`. The certificates of service, map and router are also valid for
+    the hosts of earlier calls, to which the files of earlier vehicles connect.
+
     Raises `EgpError` for a name that cannot be used, or if the folder has an authority without its
     private key.
     """
@@ -82,8 +85,9 @@ def write_credentials(
     # have a link of their own.
     _write(folder / "monitor.json5", _text(operator | {"mode": "client"}))
     for end, at in ((SERVICE, port), (MAP, _MAP_PORT), (ROUTER, _ROUTER_PORT)):
-        identity = authority.issue(end, days, hosts)
-        _write(folder / f"{end}.json5", _text(_listener(authority, identity, end, at, keys)))
+        file = folder / f"{end}.json5"
+        identity = authority.issue(end, days, list(dict.fromkeys([*_hosts(file), *hosts])))
+        _write(file, _text(_listener(authority, identity, end, at, keys)))
     # The list of the vehicles comes last: an interrupted call can be repeated.
     _write(ring, _key_lines(keys))
     return new
@@ -126,6 +130,19 @@ def _read_keys(file: Path) -> dict[str, str]:
         return {}
     lines = (line.split() for line in file.read_text(encoding="utf-8").splitlines())
     return {line[0]: line[1] for line in lines if line and not line[0].startswith("#")}
+
+
+def _hosts(file: Path) -> list[str]:
+    """Return the hosts in the certificate of a configuration that an earlier call wrote."""
+    if not file.exists():
+        return []
+    try:
+        tls = json.loads(file.read_text(encoding="utf-8"))["transport"]["link"]["tls"]
+        return listening_hosts(b64decode(tls["listen_certificate_base64"]))
+    except (ValueError, KeyError, TypeError) as error:
+        raise EgpError(
+            f"{file} is not as `egp keys` wrote it ({error}): move it away, and name all hosts"
+        ) from error
 
 
 def _key_lines(keys: dict[str, str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import TYPE_CHECKING, Final
 
@@ -10,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from egp_service._core import Library
+from egp_service.cli.tables import vehicle_table
 from egp_service.quantities import GP_INPUT, GP_OUTPUT
 
 if TYPE_CHECKING:
@@ -41,6 +43,19 @@ def inspect(path: Path, console: Console | None = None) -> None:
         for parameters in (member.single_track, member.kinematic):
             if parameters is not None:
                 console.print(*vehicle(member.label, parameters))
+    for label, fitted in _fitted(library.provenance.get("members", "{}")).items():
+        console.print(vehicle_table(label, fitted))
+
+
+def _fitted(members: str) -> dict[str, dict[str, dict[str, float | bool]]]:
+    """Return the fitted vehicles of what training wrote about the members; empty if unreadable."""
+    wanted = {"value", "low", "high", "distance", "determined", "at_bound"}
+    try:
+        vehicles = {label: found.get("vehicle", {}) for label, found in json.loads(members).items()}
+        complete = all(wanted <= row.keys() for own in vehicles.values() for row in own.values())
+    except (ValueError, AttributeError):
+        return {}
+    return {label: own for label, own in vehicles.items() if own} if complete else {}
 
 
 def summary(path: Path, library: Library) -> Table:
@@ -61,7 +76,8 @@ def summary(path: Path, library: Library) -> Table:
         "vehicle": library.vehicle,
         "parameters": ", ".join(f"{n} = {v:g}" for n, v in library.parameters.fields().items()),
         **sensors,
-        **library.provenance,
+        # The fitted vehicles are shown in tables of their own.
+        **{name: text for name, text in library.provenance.items() if name != "members"},
     }
     for name, value in rows.items():
         table.add_row(name, value)

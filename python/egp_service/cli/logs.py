@@ -63,7 +63,7 @@ def _show(console: Console, outcome: LogOutcome) -> None:
     )
     console.print(delay_sentence(outcome.delays), highlight=False)
     if outcome.member.vehicle is not None:
-        console.print(vehicle_table(outcome.name, outcome.member.vehicle))
+        console.print(vehicle_table(outcome.name, outcome.member.vehicle.summary()))
     console.print(skill_table(outcome.name, outcome.skill))
     values = ", ".join(f"{error:.4f}" for error in outcome.last_change)
     console.print(f"{LAST_CHANGE}, after one period: {values}", highlight=False)

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from egp_service.simulation.summary import Summary
     from egp_service.training.open_loop import Skill
     from egp_service.training.validation import Cell
-    from egp_service.training.vehicle_fit import FittedVehicle
 
 MOTION_NAMES: Final = tuple(list(STATE)[column] for column in MOTION)
 
@@ -104,8 +103,8 @@ def map_summary(origins: Mapping[str, float], trust: float | None) -> str:
     return f"The fleet's map has evidence of {vehicles}; it describes the road with {trust:.0%}"
 
 
-def vehicle_table(label: str, vehicle: FittedVehicle) -> Table:
-    """Return a table with a row for each parameter of a fitted vehicle.
+def vehicle_table(label: str, parameters: Mapping[str, Mapping[str, float | bool]]) -> Table:
+    """Return a table with a row for each parameter of a fitted vehicle, of `FittedVehicle.summary`.
 
     `from prior` is the distance from the vehicle file, or from vehicles in general, in standard
     deviations of the prior.
@@ -115,17 +114,17 @@ def vehicle_table(label: str, vehicle: FittedVehicle) -> Table:
         wrapped=("",),
         title=f"{label}: the fitted vehicle",
     )
-    for parameter in vehicle.parameters:
+    for name, found in parameters.items():
         remarks = []
-        if not parameter.determined:
+        if not found["determined"]:
             remarks.append("not determined by the data")
-        if parameter.at_bound:
+        if found["at_bound"]:
             remarks.append("[yellow]at the end of the range[/]")
         table.add_row(
-            parameter.name,
-            f"{parameter.value:.4g}",
-            f"{parameter.low:.3g} to {parameter.high:.3g}",
-            f"{parameter.distance:+.1f}",
+            name,
+            f"{found['value']:.4g}",
+            f"{found['low']:.4g} to {found['high']:.4g}",
+            f"{found['distance']:+.1f}",
             ", ".join(remarks),
         )
     return table

@@ -35,7 +35,7 @@ INTERVAL: Final = 0.1
 """Least time between two messages, s."""
 _KEPT_TIMES: Final = 64
 _ENCODING: Final = "application/protobuf;egp.v1."
-MONITOR_ENDPOINT: Final = "tcp/127.0.0.1:7449"
+MONITOR_ENDPOINT: Final = "tcp/127.0.0.1:7450"
 """Where `egp monitor` listens unless an option says otherwise."""
 
 
@@ -44,7 +44,7 @@ class StatusPublisher:
 
     It works with every controller, in a session of its own::
 
-        with StatusPublisher(controller, "tcp/127.0.0.1:7449", vehicle="car-7") as status:
+        with StatusPublisher(controller, "tcp/127.0.0.1:7450", vehicle="car-7") as status:
             while driving:
                 step = controller.step(x, reference, widths)
                 vehicle.apply(step.u)

@@ -20,6 +20,7 @@ from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.experiment import Experiment, tool
 from egp_service.data.exploration import ExplorationSettings
 from egp_service.data.sampling import SamplingBounds
+from egp_service.shipped import DEMO_RECIPE
 from egp_service.training.export import export
 from egp_service.training.on_policy import OnPolicySettings, drive_laps
 from egp_service.training.train import TrainingSettings, train
@@ -65,8 +66,12 @@ class Recipe:
             )
             surfaces = content.pop("surface")
             experiments = tuple(Experiment(**content, **surface) for surface in surfaces)
-        except (TypeError, KeyError) as error:
-            raise EgpError(f"{path}: not a valid recipe: {error}") from error
+        except (AttributeError, TypeError, KeyError) as error:
+            reason = f"no table {error}" if isinstance(error, KeyError) else str(error)
+            raise EgpError(
+                f"{path}: not a valid recipe: {reason.replace('.__init__()', '')}; "
+                f"{DEMO_RECIPE} is an example"
+            ) from error
         return Recipe(experiments, settings, training, on_policy)
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _WIDTH: Final = 1.8
 _REACHED: Final = 0.995
 """Quantile that counts as the largest value in a log; beyond it are outliers."""
+_REACHED_TEXT: Final = f"reached in the logs, outliers of {1.0 - _REACHED:.1%} left out"
 # Share of the longitudinal grip that speed profiles use, so that grip is left for cornering, as
 # for the simulated car (docs/settings.md, section 7).
 _RESERVE: Final = 0.65
@@ -149,11 +150,11 @@ def _limits(
     }
     advice = "the vehicle's own limit may be larger"
     lines = [
-        Line(name, _rounded(max(value, _LEAST[name])), "largest in the logs", advice)
+        Line(name, _rounded(max(value, _LEAST[name])), _REACHED_TEXT, advice)
         for name, value in reached.items()
     ]
     braking = min(float(np.quantile(a, 1.0 - _REACHED)), -1.0)
-    lines.append(Line("a_min", _rounded(braking), "largest in the logs", advice))
+    lines.append(Line("a_min", _rounded(braking), _REACHED_TEXT, advice))
     if width is None:
         lines.append(Line("width", _WIDTH, "assumed", "state it with --width"))
     else:

@@ -201,15 +201,19 @@ pub(crate) struct Network {
     session: zenoh::Session,
     queryable: Option<zenoh::query::Queryable<()>>,
     token: Option<zenoh::liveliness::LivelinessToken>,
+    /// The endpoints that it listens on, as a list in JSON.
+    pub(crate) listen: String,
 }
 
 impl Network {
     /// Opens a session; nothing is declared yet.
     pub(crate) fn open(config: Config) -> Result<Self, NetworkError> {
+        let listen = config.get_json("listen/endpoints").unwrap_or_default();
         let session = zenoh::open(config)
             .wait()
             .map_err(|e| NetworkError::new("cannot open the zenoh session", &e))?;
         Ok(Self {
+            listen,
             session,
             queryable: None,
             token: None,

@@ -147,6 +147,7 @@ impl Server {
             replica = %replica,
             workers,
             library = library::hex(&description.library),
+            listen = server.network.listen,
             "serving"
         );
         Ok(server)

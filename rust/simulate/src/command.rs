@@ -152,7 +152,13 @@ fn report(seed: u64, run: &Run) -> bool {
             violation.detail
         );
     }
-    println!("seed {seed}: trace {:016x}", run.hash);
+    println!(
+        "seed {seed}: trace {:016x}, {} of {} periods with a reply, {} oracles violated",
+        run.hash,
+        run.replied,
+        run.periods,
+        run.violations.len()
+    );
     run.violations.is_empty()
 }
 

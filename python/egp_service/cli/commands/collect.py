@@ -77,11 +77,12 @@ def collect(
     """Collect drive data of one surface into a dataset.
 
     Drives the simulated car on tracks, at increasing speed and with exploration
-    noise, and from random states. With --from-log it imports a log instead, which
-    must contain time, v_x, v_y, omega, delta, and F_x or a_x. Columns that contradict
-    each other are errors: wrong units and signs, swapped columns, stuck sensors.
-    In MCAP files and ROS bags (extra ros2) the time is that of the messages' headers.
-    It prints what the data cover and what is too thin to train on.
+    noise, and from random states. With --from-log it imports a log instead,
+    which must contain time, v_x, v_y, omega, delta, and F_x or a_x. Columns that
+    contradict each other are errors: wrong units and signs, swapped columns,
+    stuck sensors. In MCAP files and ROS bags (extra ros2) the time is that of
+    the messages' headers. It prints what the data cover and what is too thin to
+    train on.
 
     For example:
       egp collect -o data/wet.parquet --friction 0.5 --surface wet
@@ -106,6 +107,10 @@ def collect(
     from egp_service.vehicle import read_vehicle
 
     console = Console()
+    if not dt > 0.0:
+        raise EgpError(f"--dt must be positive, got {dt:g} s")
+    if output.suffix != ".parquet":
+        raise EgpError(f"{output}: a dataset is a Parquet file; name it {output.stem}.parquet")
     road = parse_surface(friction)
     mu = surface_friction(road)
     label = surface or (road if isinstance(road, str) else f"mu {road:g}")

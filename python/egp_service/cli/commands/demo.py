@@ -18,7 +18,7 @@ def demo(
         typer.Option(
             "--train",
             help="Collect data and train a library first, instead of using the "
-            "shipped one. This takes minutes and requires the [train] extra.",
+            "shipped one. This takes minutes and requires the extra train.",
         ),
     ] = False,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
@@ -27,10 +27,10 @@ def demo(
 ) -> None:
     """Drive laps over three surfaces whose friction nobody tells.
 
-    The control steps find the friction, and each lap is planned with what the laps
-    before found. Then the same lap is driven by a car that is told the friction of
-    all zones: with the library's ensemble, and with each of its two members alone.
-    A service in its own process computes every control step.
+    The control steps find the friction, and each lap is planned with what the
+    laps before found. Then the same lap is driven by a car that is told the
+    friction of all zones: with the library's ensemble, and with each of its two
+    members alone. A service in its own process computes every control step.
 
     For example: egp demo
     """

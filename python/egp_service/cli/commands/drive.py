@@ -69,7 +69,7 @@ def drive(
     ] = None,
     monitor: Annotated[
         str | None,
-        typer.Option(help="Endpoint of a live page (`egp monitor`), such as tcp/127.0.0.1:7449."),
+        typer.Option(help="Endpoint of a live page (`egp monitor`), such as tcp/127.0.0.1:7450."),
     ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
         "runs"
@@ -89,11 +89,12 @@ def drive(
       egp drive --plant my_simulator:Car
       egp drive -s random --road random.road    (and once more: faster)
       egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-2
-      egp drive --monitor tcp/127.0.0.1:7449    (with `egp monitor` running)
+      egp drive --monitor tcp/127.0.0.1:7450    (with `egp monitor` running)
     """
     from egp_service.cli.publication import publication
     from egp_service.cli.status_line import StatusLine
     from egp_service.cli.tables import summary_table
+    from egp_service.simulation.plant import load_simulator
     from egp_service.simulation.reference import load_belief, store_belief
     from egp_service.simulation.runs import new_folder, record_run
     from egp_service.simulation.scenario import check_seed, load_scenario
@@ -107,6 +108,8 @@ def drive(
     if seed is not None:
         check_seed(seed, "--seed")
         chosen = replace(chosen, seed=seed)
+    if chosen.plant is not None:
+        load_simulator(chosen.plant)  # reports a class that cannot be made before a folder is
     belief = load_belief(chosen, road)
     with (
         _fleet_map(console, chosen, belief, fleet, vehicle, zenoh) as exchange,
@@ -115,6 +118,12 @@ def drive(
         ) as controller,
         publication(chosen, controller, monitor, vehicle or "vehicle-1", zenoh) as publish,
     ):
+        if controller.library_file is None:
+            console.print(
+                f"The service has library {controller.library.hex()[:12]}…, which is not the "
+                f"scenario's ({chosen.library}).",
+                highlight=False,
+            )
         folder = new_folder(output, chosen.name)
         with StatusLine(console) as line:
 

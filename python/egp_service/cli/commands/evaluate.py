@@ -96,7 +96,8 @@ def evaluate(
       egp evaluate --full -e varying-speed -e random-roads
       egp evaluate -e unseen-track --track Interlagos_centerline.csv --scale 10
       egp evaluate --plant my_simulator:Car --library my_library.safetensors
-      egp evaluate --log data/oval.parquet --log data/road.parquet --vehicle car.toml
+      egp evaluate --log data/oval.parquet --log data/road.parquet
+          --vehicle car.toml
     """
     import shlex
     import sys

@@ -30,10 +30,13 @@ def keys(
         ),
     ] = 365,
 ) -> None:
-    """Make secret keys, certificates and network configurations that close a service to strangers.
+    """Make keys, certificates and configurations that close a service to strangers.
 
-    Called again for other vehicles, it keeps what is there and adds what is missing. Keep ca.key
-    and library.key where no service and no vehicle is; all other files go where their name says.
+    Called again for other vehicles, it keeps what is there and adds what is
+    missing; start the service again with its new file then. Another --host is
+    for the new vehicles; those that there are reach the service as before. Keep
+    ca.key and library.key where no service and no vehicle is; all other files go
+    where their name says.
 
     For example:
       egp keys secrets --vehicle car-1 --vehicle car-2 --host control.example
@@ -43,7 +46,8 @@ def keys(
     console = Console(soft_wrap=True)
     new = write_credentials(folder, fleet, vehicle, hosts=host, port=port, days=days)
     console.print(f"New vehicles: {', '.join(new) or 'none'}")
-    own = folder / "vehicles" / (new or [f"{fleet}/{vehicle[0]}"])[0].replace("/", "@")
+    shown = (new or [f"{fleet}/{vehicle[0]}"])[0]
+    own = folder / "vehicles" / shown.replace("/", "@")
     console.print(
         f"""
 Service, in the file of `egp serve --config`:
@@ -53,7 +57,7 @@ Service, in the file of `egp serve --config`:
 Map service, in the file of `egp map --config`:
   zenoh_file = "{folder / "map.json5"}"
 Vehicle, for instance:
-  egp drive --vehicle {vehicle[0]} --zenoh {own}.json5 --key {own}.keys
+  egp drive --vehicle {shown.partition("/")[2]} --zenoh {own}.json5 --key {own}.keys
 Live page, and a router if there is one:
   egp monitor --zenoh {folder / "monitor.json5"}
   egp router --zenoh {folder / "router.json5"}""",

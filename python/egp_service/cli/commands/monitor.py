@@ -16,7 +16,7 @@ def monitor(
     ] = None,
     listen: Annotated[
         list[str] | None,
-        typer.Option(help="Endpoint for vehicles that connect. By default tcp/127.0.0.1:7449."),
+        typer.Option(help="Endpoint for vehicles that connect. By default tcp/127.0.0.1:7450."),
     ] = None,
     *,
     zenoh: Annotated[
@@ -39,7 +39,7 @@ def monitor(
 
     For example:
       egp monitor          (then open http://127.0.0.1:8642)
-      egp drive --monitor tcp/127.0.0.1:7449 --vehicle car-1
+      egp drive --monitor tcp/127.0.0.1:7450 --vehicle car-1
     """
     from egp_service.control.endpoints import check_free
     from egp_service.control.status import MONITOR_ENDPOINT

@@ -90,8 +90,9 @@ def _library(recorded: "Recorded", given: Path | None) -> Path:
         if file.is_file() and sha256(file.read_bytes()).hexdigest() == recorded.about["library"]:
             return file
     raise RecordingError(
-        f"the recorded library {recorded.about['library'][:12]}… is not at "
-        f"{named or 'a known place'} any more: give it, or another one, with --library"
+        f"the recorded library {recorded.about['library'][:12]}… is not "
+        f"{f'at {named} any more' if named else 'known here, because a service had it'}: give it, "
+        "or another one, with --library"
     )
 
 

@@ -30,8 +30,9 @@ def router(
 ) -> None:
     """Route between vehicles and services until SIGTERM or Ctrl-C.
 
-    Vehicles and services connect to it and need not reach each other. It routes as zenohd does,
-    and is meant for tests and small fleets; docs/security.md has a configuration for zenohd.
+    Vehicles and services connect to it and need not reach each other. It routes
+    as zenohd does, and is meant for tests and small fleets; docs/security.md has
+    a configuration for zenohd.
 
     For example:
       egp router --listen tcp/0.0.0.0:7449

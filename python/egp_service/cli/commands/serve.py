@@ -129,8 +129,10 @@ def _add_endpoints(table: dict[str, object], endpoints: Mapping[str, Sequence[st
 
 def _show(served: "Ready") -> None:
     """Print what would be served."""
+    typer.echo(f"library {served.library.hex()}")
     typer.echo(f"surfaces: {', '.join(served.members)}")
     typer.echo(f"period {served.dt:g} s, horizon {served.horizon}, window {served.history}")
+    typer.echo("Configuration, library and network settings are valid.")
 
 
 def _with_folder(table: dict[str, object], folder: Path) -> dict[str, object]:

@@ -52,7 +52,7 @@ def settings(
                 console.print(table)
             section = setting.section
             table = Table(title=section, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-            table.add_column("key", overflow="fold", min_width=16)
+            table.add_column("key", no_wrap=True)
             table.add_column("default", overflow="fold", max_width=20)
             table.add_column("unit", max_width=12)
             table.add_column("meaning", ratio=1, overflow="fold")

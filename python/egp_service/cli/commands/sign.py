@@ -14,8 +14,9 @@ def sign(
 ) -> None:
     """Sign a library, so that services with the public key serve it.
 
-    The signature is written beside the library. Services with library_keys in their configuration
-    serve no library without one. Put the signature in place before the library that it is for.
+    The signature is written beside the library. Services with library_keys in
+    their configuration serve no library without one. Put the signature in place
+    before the library that it is for.
 
     For example:
       egp sign library.safetensors --key secrets/library.key

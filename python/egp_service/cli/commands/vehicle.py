@@ -70,7 +70,7 @@ def fit(
     lines, fitted = vehicle_lines(merged, before, width, seed)
     write_text(output, vehicle_toml(lines))
     for label, found in zip(surfaces, fitted, strict=True):
-        console.print(vehicle_table(label, found))
+        console.print(vehicle_table(label, found.summary()))
     for line in lines:
         if line.warning:
             console.print(f"[yellow]{line.name}[/] = {line.value:g}: {line.warning}")
