@@ -62,7 +62,10 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         (("friction = 0.8", 'friction = "wet"'), r"zones\[0\]: friction must be float"),
         (("friction = 0.8", "friction = 0.8\nright = 0"), r"zones\[0\].right must be positive"),
         (("[track]", "[speed]\ngirp = 0.9\n[track]"), "speed: unknown field 'girp'"),
-        (("[track]", '[speed]\nknows = "all"\n[track]'), "one of zones, here, weights, nothing, got 'all'"),
+        (
+            ("[track]", '[speed]\nknows = "all"\n[track]'),
+            "one of zones, here, weights, nothing, got 'all'",
+        ),
         (("[track]", "[speed]\nrisk = 1.0\n[track]"), "speed.risk must be between 0 and 1"),
         (("[track]", "[speed]\nfriction = 0.0\n[track]"), "speed.friction must be positive"),
         (("[track]", "laps = true\n[track]"), "laps must be float"),

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from egp_service.training.open_loop import Skill
     from egp_service.training.validation import Cell
 
+_SYMBOLS: Final = """\
+m in kg; l_f, l_r, height h in m; k² = I_z / m in m²; D, B, C: peak, stiffness
+and shape of the front (f) and rear (r) tyres' lateral force; D_d, D_b: friction
+for drive and braking; e: how much these reduce the lateral force. From prior: in
+standard deviations of the prior (docs/your-car.md)."""
 MOTION_NAMES: Final = tuple(list(STATE)[column] for column in MOTION)
 
 
@@ -114,6 +119,8 @@ def vehicle_table(label: str, parameters: Mapping[str, Mapping[str, float | bool
         wrapped=("",),
         title=f"{label}: the fitted vehicle",
     )
+    table.caption = _SYMBOLS
+    table.caption_justify = "left"
     for name, found in parameters.items():
         remarks = []
         if not found["determined"]:
