@@ -39,6 +39,11 @@ fn evidence_is_read_as_it_was_written() {
         age_ms: 17,
         rows: rows(),
     };
+    assert_eq!(
+        evidence.rows.len(),
+        3136,
+        "64 cells of 49 bytes (docs/map.md)"
+    );
     assert_eq!(TileEvidence::decode(&evidence.encode()), Ok(evidence));
     for length in [0, TILE_BYTES - 1, TILE_BYTES + 1] {
         let other = TileEvidence {
