@@ -73,7 +73,7 @@ wheel: .venv/bin/python ## Build a wheel for Linux with glibc 2.17 or newer: mak
 		--compatibility manylinux2014 --interpreter $(BIN)/python --out target/wheels
 
 ARM := aarch64-unknown-linux-gnu
-ARM_CRATES := core wire engine driver gate map path plant simulate
+ARM_CRATES := core wire engine driver gate map path plant
 arm-test: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER := aarch64-linux-gnu-gcc
 arm-test: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER := qemu-aarch64 -L /usr/aarch64-linux-gnu
 arm-test: ## Pass the Rust tests for 64-bit Arm in an emulator; needs qemu-user and gcc-aarch64-linux-gnu
