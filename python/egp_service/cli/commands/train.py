@@ -75,8 +75,9 @@ def train(
     1); lateral_grip, braking_grip and driving_grip (reachable share of
     friction times gravity). `egp inspect` shows those of a library.
 
-    A recipe (TOML) states what is collected and how it is trained; the file that
-    made the demo's library is demo-recipe.toml in the package's folder shipped.
+    A recipe (TOML) states what is collected and how it is trained
+    (docs/your-data.md); demo-recipe.toml in the package's folder shipped made the
+    demo's library.
 
     For example:
       egp train data/*.parquet -o library.safetensors
