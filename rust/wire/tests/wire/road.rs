@@ -6,7 +6,7 @@ use egp_wire::{
 };
 
 fn rows() -> Vec<u8> {
-    (0..TILE_BYTES).map(|k| (k % 251) as u8).collect()
+    (0..=250).cycle().take(TILE_BYTES).collect()
 }
 
 fn tile(index: u32, origins: usize) -> RoadTile {
@@ -61,7 +61,7 @@ fn evidence_is_read_as_it_was_written() {
 #[test]
 fn the_largest_answer_of_the_map_service_is_read() {
     let last = ROAD_TILES - 1;
-    let first = ROAD_TILES - TILES_AT_ONCE as u32;
+    let first = ROAD_TILES - u32::try_from(TILES_AT_ONCE).unwrap();
     let full = RoadTiles {
         tiles: (first..=last)
             .map(|index| tile(index, TILE_ORIGINS))
@@ -80,7 +80,7 @@ fn tiles_are_in_order_on_the_road_and_not_too_many() {
     assert!(reason(&tiles([3, 2])).contains("tile 3 stands before tile 2"));
     assert!(reason(&tiles([1, 2, 2])).contains("tile 2 stands before tile 2"));
     assert!(reason(&tiles([ROAD_TILES])).contains("the longest road"));
-    let many = TILES_AT_ONCE as u32 + 1;
+    let many = u32::try_from(TILES_AT_ONCE).unwrap() + 1;
     assert!(reason(&tiles(0..many)).contains("expected at most 32, got 33"));
     let crowded = RoadTiles {
         tiles: vec![tile(0, TILE_ORIGINS + 1)],
@@ -97,7 +97,7 @@ fn messages_beyond_their_size_are_not_read() {
         let rest = length - bytes.len() - 4;
         let septets = [rest & 0x7f | 0x80, rest >> 7 & 0x7f | 0x80, rest >> 14];
         bytes.push(0x7a);
-        bytes.extend(septets.map(|septet| septet as u8));
+        bytes.extend(septets.map(|septet| u8::try_from(septet).unwrap()));
         bytes.resize(length, 0);
         bytes
     };
