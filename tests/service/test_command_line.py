@@ -130,6 +130,33 @@ print("not reached")
     assert not done.stderr
 
 
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_in_the_callback_of_a_weak_reference_is_raised_after_it(
+    sent: signal.Signals,
+) -> None:
+    code = f"""
+import os, weakref
+from egp_service.cli import signals
+
+class Referenced:
+    pass
+
+signals.install()
+referenced = Referenced()
+reference = weakref.ref(referenced, lambda _: os.kill(os.getpid(), {int(sent)}))
+del referenced
+print("back")
+signals.check()
+print("not reached")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=PATIENCE
+    )
+    assert done.stdout.splitlines() == ["back"], done.stderr
+    assert "ignored" not in done.stderr
+    assert done.returncode == (-sent if sent == signal.SIGINT else 128 + sent)
+
+
 def test_the_status_line_has_a_style_for_every_mode() -> None:
     assert set(MODE_STYLES) == {"normal", "tail", "stop", "waiting"}
 

@@ -20,6 +20,7 @@ def install() -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _end)
     signal.signal(signal.SIGINT, _interrupt)
+    sys.unraisablehook = _report_unraisable
 
 
 def check() -> None:
@@ -29,6 +30,15 @@ def check() -> None:
     """
     if _received:
         _raise(_received[-1])
+
+
+def _report_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
+    """Report what Python cannot raise, such as in a callback of a weak reference, as usual.
+
+    The exception of a signal is not reported, because `check` raises it again.
+    """
+    if not (_received and issubclass(unraisable.exc_type, (SystemExit, KeyboardInterrupt))):
+        sys.__unraisablehook__(unraisable)
 
 
 def _end(number: int, frame: FrameType | None) -> None:
