@@ -103,7 +103,7 @@ def test_the_evaluation_drives_a_simulator_of_ones_own(folder: Path) -> None:
     assert result.exit_code == 0, result.output
     rows = list(csv.DictReader((folder / "out/runs.csv").read_text(encoding="utf-8").splitlines()))
     assert {row["completed"] for row in rows} == {"True"}
-    # On the built-in car the contenders' errors differ by more than twice.
+    # A car that never slides follows the path on every surface, whatever the contender believes.
     errors = [float(row["lateral_rms"]) for row in rows]
     assert max(errors) < 0.05
     missing = CliRunner().invoke(app, ["evaluate", "-e", "lane-change", "--plant", "rails_car:Van"])

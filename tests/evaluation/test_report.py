@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from egp_service.evaluation.campaign import Outcome
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.summary_report import HEADLINE, headline, write_report
+from outcome_example import OUTCOME
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from playwright.sync_api import Browser
+
+    from egp_service.evaluation.campaign import Outcome
 
 WIDTH = 1280
 BASELINE = "fitted single-track"
@@ -29,26 +31,16 @@ ERRORS = {
 
 
 def outcome(experiment: str, contender: str, error: float, seed: int = 0) -> Outcome:
-    return Outcome(
+    return replace(
+        OUTCOME,
         experiment=experiment,
         condition="95% of grip",
         contender=contender,
         seed=seed,
-        completed=True,
-        reason="completed",
         time=21.125,
-        distance=300.0,
         lap_times=(21.125,),
         lateral_max=3.0 * error,
         lateral_rms=error,
-        speed_rms=0.125,
-        off_track=0.0,
-        settling=(),
-        resolution=None,
-        avoidable=None,
-        misses=0,
-        late=0,
-        step_ms=0.5,
     )
 
 

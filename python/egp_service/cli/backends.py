@@ -32,6 +32,8 @@ def remote_controller(
 
     The controller's `library_file` is the scenario's library if the service has the same one.
     """
+    file = library_path(scenario).absolute()
+    own = Library.load(file).id
     endpoints = [] if endpoint is None else [endpoint]
     client = VehicleClient.connect(
         endpoints,
@@ -40,8 +42,7 @@ def remote_controller(
         zenoh_file=zenoh_file,
         key_file=key_file,
     )
-    file = library_path(scenario).absolute()
-    if Library.load(file).id == client.library.hex():
+    if own == client.library.hex():
         client.library_file = file
     return client
 

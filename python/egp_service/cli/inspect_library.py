@@ -43,19 +43,39 @@ def inspect(path: Path, console: Console | None = None) -> None:
         for parameters in (member.single_track, member.kinematic):
             if parameters is not None:
                 console.print(*vehicle(member.label, parameters))
-    for label, fitted in _fitted(library.provenance.get("members", "{}")).items():
+    for label, fitted in _fitted(library).items():
         console.print(vehicle_table(label, fitted))
 
 
-def _fitted(members: str) -> dict[str, dict[str, dict[str, float | bool]]]:
-    """Return the fitted vehicles of what training wrote about the members; empty if unreadable."""
-    wanted = {"value", "low", "high", "distance", "determined", "at_bound"}
+def _found(library: Library) -> dict[str, dict[str, dict[str, dict[str, float | bool]]]]:
+    """Return what training wrote about each member; empty if there is nothing or other text."""
     try:
-        vehicles = {label: found.get("vehicle", {}) for label, found in json.loads(members).items()}
-        complete = all(wanted <= row.keys() for own in vehicles.values() for row in own.values())
-    except (ValueError, AttributeError):
+        found = json.loads(library.provenance.get("members", "{}"))
+    except ValueError:
         return {}
-    return {label: own for label, own in vehicles.items() if own} if complete else {}
+    valid = isinstance(found, dict) and all(isinstance(own, dict) for own in found.values())
+    return found if valid else {}
+
+
+def _fitted(library: Library) -> dict[str, dict[str, dict[str, float | bool]]]:
+    """Return the parameters of the members' fitted vehicles, of those members that have one."""
+    wanted = {"value", "low", "high", "distance", "determined", "at_bound"}
+    vehicles = {label: own["vehicle"] for label, own in _found(library).items() if "vehicle" in own}
+    try:
+        complete = all(wanted <= row.keys() for own in vehicles.values() for row in own.values())
+    except AttributeError:
+        return {}
+    return vehicles if complete else {}
+
+
+def _kinds(library: Library) -> dict[str, str]:
+    """Return what else training wrote about each member: its kind and the likelihoods of all."""
+    return {
+        f"{label}, {name}": json.dumps(value, ensure_ascii=False).strip('"')
+        for label, own in _found(library).items()
+        for name, value in own.items()
+        if name != "vehicle"
+    }
 
 
 def summary(path: Path, library: Library) -> Table:
@@ -78,6 +98,7 @@ def summary(path: Path, library: Library) -> Table:
         **sensors,
         # The fitted vehicles are shown in tables of their own.
         **{name: text for name, text in library.provenance.items() if name != "members"},
+        **_kinds(library),
     }
     for name, value in rows.items():
         table.add_row(name, value)

@@ -88,7 +88,7 @@ def _varying_speed() -> ClosedLoopExperiment:
         ),
         _ALL_OF_TWO,
         seeds=20,
-        quick_seeds=1,
+        quick_seeds=2,
     )
 
 
@@ -116,7 +116,7 @@ def _lane_change() -> ClosedLoopExperiment:
         (("15 m/s", _steady(repeated, zones, 15.0)),),
         _ALL_OF_TWO,
         seeds=20,
-        quick_seeds=1,
+        quick_seeds=2,
     )
 
 

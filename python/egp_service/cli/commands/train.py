@@ -62,7 +62,7 @@ def train(
 
     Delays of a log are estimated, and its inputs are moved by them before
     training; the command says by how much. With best, training takes minutes for
-    each member; single-track and constant are three to ten times faster.
+    each member; single-track and constant, which try nothing else, are faster.
 
     Of more than --max-points transitions, half are selected uniformly and half
     by the variance of a first fit.
