@@ -65,7 +65,8 @@ def scenario() -> Scenario:
 
 
 def test_the_documents_simulator_is_driven(folder: Path) -> None:
-    code, _ = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    text = DOCUMENT.read_text(encoding="utf-8")
+    (code,) = re.findall(r'```python title="drift_car.py"\n(.*?)```', text, re.DOTALL)
     (folder / "drift_car.py").write_text(code)
     own = replace(scenario(), plant="drift_car:DriftCar", laps=0.15)
     (folder / "own.toml").write_text(own.toml())

@@ -90,6 +90,29 @@ def test_a_signal_ends_a_drive_with_its_service_and_its_files(
         process.wait()
 
 
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
+def test_a_server_that_is_asked_to_end_has_status_0(sent: signal.Signals) -> None:
+    for command in (
+        ["serve", str(LIBRARY), "--listen", "tcp/127.0.0.1:0"],
+        ["map", "--listen", "tcp/127.0.0.1:0"],
+        ["router", "--listen", "tcp/127.0.0.1:0"],
+        ["monitor", "--listen", "tcp/127.0.0.1:0", "--port", "0"],
+    ):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "egp_service", *command],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        )
+        assert process.stdout is not None
+        # The first line says that it has started, and the signal handlers are in place.
+        first = process.stdout.readline()
+        process.send_signal(sent)
+        rest, _ = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, (command, first, rest)
+        assert b"Traceback" not in rest
+
+
 @pytest.mark.parametrize(
     ("number", "raised"), [(signal.SIGTERM, SystemExit), (signal.SIGINT, KeyboardInterrupt)]
 )
