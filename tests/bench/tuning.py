@@ -1,20 +1,24 @@
-"""Draws what single settings of the control step change, for docs/tuning.md.
+"""Draws what single settings change, for docs/tuning.md.
 
-    python tests/bench/tuning.py
+    python tests/bench/tuning.py [NAME ...]
 
-Drives the first 40 % of the demo's lap, whose zones the reference speed is told, with measured
-states that are noisy, and writes docs/tuning-NAME.png.
+Drives the first 40 % of the demo's lap with measured states that are noisy, and writes
+docs/tuning-NAME.png for the settings of these names, or for all. The reference speed is told the
+zones, but for `risk`, which plans it for what the control steps found.
 """
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image
 
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
@@ -28,33 +32,47 @@ NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0
 COLOURS: Final = ("#0072B2", "#000000", "#D55E00")
 ZONE: Final = 0.33  # part of the lap where the friction changes from 0.5 to 1.1
 STYLES: Final = ("--", "-", ":")
+COLOURS_OF_A_FILE: Final = 48
+STEERING, SPEED = "steering rate\n[rad/s]", "speed [m/s]"
+SPEED_ERROR, WEIGHT = "speed error [m/s]", "weight\nof the member μ 0.5"
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A setting, three values of it, and what is drawn below the lateral error."""
+    """A setting, three values of it, and what is drawn below the lateral error.
+
+    The table `speed` is that of a scenario, the others are those of the control step.
+    """
 
     table: str
     key: str
     values: tuple[object, object, object]
-    below: str
+    below: str = STEERING
 
 
 COMPARISONS: Final = (
-    Comparison("cost", "lateral", (6.0, 60.0, 600.0), "steering rate"),
-    Comparison("cost", "rate", ([0.05, 1.0], [0.05, 10.0], [0.05, 100.0]), "steering rate"),
-    Comparison("", "horizon", (15, 40, 60), "steering rate"),
-    Comparison("weights", "window", (5, 25, 60), "weight"),
+    Comparison("cost", "lateral", (6.0, 60.0, 600.0)),
+    Comparison("cost", "rate", ([0.05, 1.0], [0.05, 10.0], [0.05, 100.0])),
+    Comparison("cost", "psi", (1.0, 10.0, 1000.0)),
+    Comparison("cost", "v_x", (0.02, 2.0, 200.0), SPEED_ERROR),
+    Comparison("", "horizon", (15, 40, 60)),
+    Comparison("weights", "window", (5, 25, 60), WEIGHT),
+    Comparison("speed", "grip", (0.7, 0.9, 1.0), SPEED),
+    Comparison("speed", "risk", (0.01, 0.1, 0.5), SPEED),
 )
 
 
 def lap(comparison: Comparison, value: object) -> Run:
     """Drive with one value of the setting."""
     control: dict[str, object] = {comparison.key: value}
-    if comparison.table:
-        control = {comparison.table: control}
-    scenario = told_zones(load_scenario("rounded-rectangle"))
+    scenario = load_scenario("rounded-rectangle")
+    if comparison.key != "risk":
+        scenario = told_zones(scenario)
     speed = replace(scenario.speed, grip=0.9)
+    if comparison.table == "speed":
+        speed, control = replace(speed, **control), {}  # type: ignore[arg-type]
+    elif comparison.table:
+        control = {comparison.table: control}
     scenario = replace(scenario, laps=0.4, speed=speed, measurement=NOISE, control=control)
     with in_process_controller(scenario) as controller:
         return drive(scenario, controller, lambda _: None)
@@ -68,26 +86,36 @@ def draw(comparison: Comparison) -> None:
         run = lap(comparison, value)
         trace = run.trace
         rms = 100.0 * float(np.sqrt(np.mean(trace.lateral_error**2)))
-        label = f"{value}: {rms:.1f} cm RMS"
+        label = f"{value}: {rms:.1f} cm RMS, {trace.time[-1]:.1f} s"
+        below = {
+            STEERING: trace.u[:, 1],
+            SPEED: trace.x[:, 2],
+            SPEED_ERROR: trace.speed_error,
+            WEIGHT: trace.weights[:, 0],
+        }
         line = {"color": colour, "linestyle": style, "linewidth": 1.1}
         top.plot(trace.distance, trace.lateral_error, label=label, **line)
-        below = trace.weights[:, 0] if comparison.below == "weight" else trace.u[:, 1]
-        bottom.plot(trace.distance, below, **line)
+        bottom.plot(trace.distance, below[comparison.below], **line)
         print(f"{name} = {label}")
     for ax in (top, bottom):
         ax.axvline(ZONE * run.path.length, color="#888888", linewidth=0.8)
         ax.grid(visible=True, linewidth=0.3)
-    unit = "of the member μ 0.5" if comparison.below == "weight" else "[rad/s]"
     top.set(ylabel="beside the path [m]")
-    bottom.set(ylabel=f"{comparison.below}\n{unit}", xlabel="distance [m]")
+    bottom.set(ylabel=comparison.below, xlabel="distance [m]")
     handles, labels = top.get_legend_handles_labels()
     figure.legend(handles, labels, title=name, loc="outside right upper", frameon=False)
-    figure.savefig(DOCS / f"tuning-{comparison.key}.png", dpi=90)
+    drawn = BytesIO()
+    figure.savefig(drawn, dpi=90)
     plt.close(figure)
+    # A palette makes the file a third as large.
+    few = Image.open(drawn).convert("RGB").quantize(COLOURS_OF_A_FILE)
+    few.save(DOCS / f"tuning-{comparison.key}.png", optimize=True)
 
 
 if __name__ == "__main__":
     mpl.use("Agg")
     mpl.rcParams["figure.constrained_layout.use"] = True
+    chosen = sys.argv[1:] or [each.key for each in COMPARISONS]
     for each in COMPARISONS:
-        draw(each)
+        if each.key in chosen:
+            draw(each)

@@ -44,7 +44,7 @@ def test_a_seed_makes_the_track() -> None:
 
 def test_the_documents_example_drives(capsys: pytest.CaptureFixture[str]) -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
-    _, example = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     exec(example, {})  # noqa: S102 - the document's own code
     s, friction = map(float, capsys.readouterr().out.split())
     assert s > 3.0

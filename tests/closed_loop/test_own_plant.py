@@ -35,7 +35,11 @@ ON_RAILS = """
 import math
 
 class Car:
+    made = 0
     state = [0.0] * 7
+
+    def __init__(self):
+        Car.made += 1
 
     def reset(self, x):
         self.state = [*x[:4], 0.0, x[5], x[6]]
@@ -65,7 +69,8 @@ def scenario() -> Scenario:
 
 
 def test_the_documents_simulator_is_driven(folder: Path) -> None:
-    code, _ = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    text = DOCUMENT.read_text(encoding="utf-8")
+    (code,) = re.findall(r'```python title="drift_car.py"\n(.*?)```', text, re.DOTALL)
     (folder / "drift_car.py").write_text(code)
     own = replace(scenario(), plant="drift_car:DriftCar", laps=0.15)
     (folder / "own.toml").write_text(own.toml())
@@ -96,11 +101,20 @@ def test_what_is_wrong_with_a_simulator_is_named(folder: Path) -> None:
             parse_scenario(own.toml().replace("load = 0.0", "load = 100.0"), Path(), "own.toml")
 
 
+@pytest.mark.parametrize("command", ["drive", "evaluate"])
+def test_the_help_says_what_a_simulator_needs(command: str) -> None:
+    text = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "80"}).output
+    for needed in ("reset(x)", "step(u, dt, friction)", "state", "docs/simulator.md"):
+        assert needed in text
+
+
 def test_the_evaluation_drives_a_simulator_of_ones_own(folder: Path) -> None:
     (folder / "rails_car.py").write_text(ON_RAILS)
     command = ["evaluate", "-e", "lane-change", "--plant", "rails_car:Car", "-o", "out"]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
+    # The runs are driven in other processes.
+    assert sys.modules["rails_car"].Car.made == 1
     rows = list(csv.DictReader((folder / "out/runs.csv").read_text(encoding="utf-8").splitlines()))
     assert {row["completed"] for row in rows} == {"True"}
     # A car that never slides follows the path on every surface, whatever the contender believes.

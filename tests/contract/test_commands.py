@@ -80,6 +80,26 @@ def test_settings_are_those_of_the_document() -> None:
     assert "no setting has 'nonsense'" in failure("settings", "nonsense")
 
 
+def test_evaluate_is_full_or_quick() -> None:
+    assert "--full and --quick exclude each other" in failure("evaluate", "--full", "--quick")
+
+
+def test_settings_say_where_to_find_what_they_refer_to() -> None:
+    shown = RUNNER.invoke(app, ["settings", "vehicle_file"], env={"COLUMNS": "80"}).output
+    assert "TOML file of a vehicle (section 7)" in " ".join(shown.split())
+    assert "Section 7 is 'Vehicle': `egp settings --section 7` shows it." in shown
+    vehicle = RUNNER.invoke(app, ["settings", "--section", "7"], env={"COLUMNS": "80"}).output
+    assert "7. Vehicle" in vehicle
+    assert "peak_slip" in vehicle
+    assert "cost.lateral" not in vehicle
+    assert "sections are 1 to 8" in failure("settings", "--section", "9")
+    everything = RUNNER.invoke(app, ["settings"], env={"COLUMNS": "200"}).output
+    assert "(docs/problem.md, section 8)" in " ".join(everything.split())
+    titles = re.findall(r"^ *(\d)\. [A-Z]", everything, re.MULTILINE)
+    assert titles == [*"12345678"]
+    assert "shows it" not in everything
+
+
 def test_the_doctor_checks_machine_and_library(tmp_path: Path) -> None:
     checks = {check.name: check for check in run_checks()}
     assert checks["library"].verdict == checks["zenoh"].verdict == "ok"

@@ -1,4 +1,4 @@
-"""The documents' Python examples run as they stand, and the commands that documents name exist.
+"""Python examples of the documents run as they stand; the commands and options they name exist.
 
 The shipped library takes the place of the examples' library file.
 """
@@ -6,7 +6,12 @@ The shipped library takes the place of the examples' library file.
 from __future__ import annotations
 
 import re
+import shlex
+import subprocess
+import sys
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,6 +19,9 @@ from typer.main import get_command
 
 from egp_service.cli import app
 from egp_service.simulation.scenario import library_path, load_scenario
+
+if TYPE_CHECKING:
+    from click import Command
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -57,6 +65,53 @@ def test_the_laps_drive() -> None:
     assert f"friction {found.lower:.2f} to {found.upper:.2f}" in line  # type: ignore[attr-defined]
 
 
+def commands(text: str) -> list[str]:
+    """Return the commands of `egp` in blocks and between backticks, without comments."""
+    text = text.replace("\\\n", " ")
+    in_blocks = re.findall(r"^egp [^\n#]+", text, re.MULTILINE)
+    outside = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.MULTILINE | re.DOTALL)
+    return in_blocks + [" ".join(found.split()) for found in re.findall(r"`(egp [^`]+)`", outside)]
+
+
+def unknown(command: str) -> list[str]:
+    """Return those words of a command that are neither options of it nor what they are given."""
+    words = shlex.split(command)[1:]
+    inner = get_command(app)
+    if words[0].isupper():  # stands for any command
+        return []
+    while words and hasattr(inner, "commands") and not words[0].startswith("-"):
+        if words[0] not in inner.commands:
+            return [words[0]]
+        inner = inner.commands[words.pop(0)]
+    known = options(inner)
+    options_given = [word.partition("=")[0] for word in words if re.match(r"--?[a-z]", word)]
+    return [word for word in options_given if word not in known]
+
+
+@cache
+def options(command: Command) -> set[str]:
+    """Return the names of all options, of a program of the extension those that its help lists."""
+    own = {name for parameter in command.params for name in parameter.opts}
+    own |= {name for parameter in command.params for name in parameter.secondary_opts}
+    if command.name in {"load", "simulate"}:
+        arguments = [sys.executable, "-m", "egp_service", command.name, "--", "--help"]
+        text = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
+        own |= set(re.findall(r"^ +(?:-\w, )?(--[a-z-]+)", text, re.MULTILINE))
+    return own | {"--help"}
+
+
+def test_unknown_commands_and_options_are_found() -> None:
+    assert unknown("egp drive -s random --no-pictures --plant=a:B") == []
+    assert unknown("egp drive --scenery random") == ["--scenery"]
+    assert unknown("egp vehicle fit --known car.toml -x 1") == ["-x"]
+    assert unknown("egp vehicle guess") == ["guess"]
+    assert unknown("egp simulate --seeds 0..3 --seedling 4") == ["--seedling"]
+    assert commands("see `egp drive\n-s random`\n```sh\negp load \\\n  --json a # b\n```\n") == [
+        "egp load    --json a ",
+        "egp drive -s random",
+    ]
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.name)
 def test_every_command_it_names_exists(document: Path) -> None:
     text = document.read_text(encoding="utf-8")
@@ -65,6 +120,8 @@ def test_every_command_it_names_exists(document: Path) -> None:
     assert named <= known
     if document == README:
         assert {"collect", "train", "drive", "serve", "evaluate"} <= named
+    for command in commands(text):
+        assert unknown(command) == [], command
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for target in re.findall(r"`make ([a-z-]+)`", text):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target

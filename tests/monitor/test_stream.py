@@ -99,7 +99,7 @@ def monitor() -> Iterator[MonitorProcess]:
     found = MonitorProcess(f"tcp/127.0.0.1:{free_port()}")  # nothing listens there
     found.start()
     yield found
-    assert found.end(signal.SIGTERM) == 128 + signal.SIGTERM
+    assert found.end(signal.SIGTERM) == 0
 
 
 def request(monitor: MonitorProcess, path: str, **headers: str) -> http.client.HTTPResponse:

@@ -13,14 +13,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 for name in ("rosbags", "ruamel.yaml", "xxhash", "pycdr2"):
     pytest.importorskip(name, reason=f"{name} comes with `make setup`")
 
 from egp_service import Controller, Plant, shipped
-from egp_service._core import InvalidArgumentError
+from egp_service._core import EgpError, InvalidArgumentError
+from egp_service.cli import app
 from egp_service.control.router import Router
-from egp_service.ros2 import messages
+from egp_service.ros2 import messages, node
 from egp_service.ros2.autoware import AutowareError, map_parameters, read_parameters
 from egp_service.ros2.conversion import Command, PathError, message_of, path_of, state_of
 from egp_service.ros2.rmw_zenoh import (
@@ -158,6 +160,18 @@ def test_parameters_of_autoware_become_settings(tmp_path: Path) -> None:
         file.write_text(text)
         with pytest.raises(AutowareError, match=str(file)):
             read_parameters(file)
+
+
+def test_a_missing_router_is_told_at_once_and_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(node, "_CONNECT_SECONDS", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        endpoint = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+    result = CliRunner().invoke(app, ["ros2", "--router", endpoint])
+    assert f"Nobody listens at {endpoint}" in " ".join(result.output.split())
+    assert isinstance(result.exception, EgpError)
+    message = str(result.exception)
+    assert f"no router of rmw_zenoh at {endpoint}" in message
+    assert "orchestrator" not in message  # the place in zenoh's source
 
 
 def test_a_vehicle_of_rmw_zenoh_is_driven_and_stopped_in_silence() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -18,6 +19,7 @@ from typer.testing import CliRunner
 from egp_service._core import EgpError
 from egp_service.cli import app, signals
 from egp_service.cli.status_line import MODE_STYLES
+from egp_service.control.endpoints import why_unreachable
 from egp_service.control.service_process import ServiceProcess
 from egp_service.simulation.scenario import library_path, load_scenario
 
@@ -88,6 +90,44 @@ def test_a_signal_ends_a_drive_with_its_service_and_its_files(
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+
+
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
+def test_a_server_that_is_asked_to_end_has_status_0(sent: signal.Signals) -> None:
+    for command in (
+        ["serve", str(LIBRARY), "--listen", "tcp/127.0.0.1:0"],
+        ["map", "--listen", "tcp/127.0.0.1:0"],
+        ["router", "--listen", "tcp/127.0.0.1:0"],
+        ["monitor", "--listen", "tcp/127.0.0.1:0", "--port", "0"],
+    ):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "egp_service", *command],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        )
+        assert process.stdout is not None
+        # The first line says that it has started, and the signal handlers are in place.
+        first = process.stdout.readline()
+        process.send_signal(sent)
+        rest, _ = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, (command, first, rest)
+        assert b"Traceback" not in rest
+
+
+def test_a_drive_says_that_nobody_listens_where_it_publishes(tmp_path: Path) -> None:
+    scenario = tmp_path / "short.toml"
+    scenario.write_text(LONG.replace("50.0", "0.02"), encoding="utf-8")
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        endpoint = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+        assert why_unreachable(endpoint) is None
+    command = ["drive", "-s", str(scenario), "--in-process", "--no-pictures", "-o", str(tmp_path)]
+    result = CliRunner().invoke(app, [*command, "--monitor", endpoint])
+    assert result.exit_code == 0, result.output
+    shown = " ".join(result.output.split())
+    assert f"Nobody listens at {endpoint} (Connection refused)" in shown
+    assert f"start `egp monitor --listen {endpoint}`" in shown
+    assert "Nobody" not in CliRunner().invoke(app, command).output
 
 
 @pytest.mark.parametrize(

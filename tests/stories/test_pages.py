@@ -1,8 +1,9 @@
-"""Every program and command of the guides for users runs, in the order of the page.
+"""Every program and command of the documents runs, in the order of the page.
 
-Blocks with a title are files, `python` blocks of a page share their names, lines of `sh` blocks run
-one after another, and those that end with `&` run until the page is done. Blocks marked `minutes`,
-which train, run only if the environment variable `EGP_EVERY_COMMAND` is set.
+Blocks with a title are files, `python` blocks of a page share their names, and lines of `sh` blocks
+run one after another; those that end with `&` run until the page is done. Blocks marked `minutes`
+run only if the environment variable `EGP_EVERY_COMMAND` is set. What a page assumes to be there is
+made by a function of `tests/stories/page_inputs.py`.
 """
 
 from __future__ import annotations
@@ -16,84 +17,177 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Final
 
+import page_inputs
 import pytest
 
 from egp_service import shipped
 
-DOCS = Path(__file__).parents[2] / "docs"
-EVERY = "EGP_EVERY_COMMAND" in os.environ
-BLOCK = re.compile(
-    r'^```(\w+)(?: (minutes))?(?: title="([^"]+)")?\n(.*?)^```', re.MULTILINE | re.DOTALL
+ROOT: Final = Path(__file__).parents[2]
+DOCUMENTS: Final = {path.stem: path for path in [*ROOT.glob("docs/*.md"), ROOT / "README.md"]}
+EVERY: Final = "EGP_EVERY_COMMAND" in os.environ
+BLOCK: Final = re.compile(
+    r'^ *```(\w*)(?: (minutes))?(?: title="([^"]+)")?\n(.*?)^ *```$', re.MULTILINE | re.DOTALL
 )
-# Of these pages all blocks run in another test: tests/closed_loop, tests/contract/test_readme.py.
-GUIDES = ["first-drive", "your-data", "your-car", "your-track", "client"]
+# Languages of the blocks that are executed.
+EXECUTED: Final = ("sh", "python", "toml")
+# Of these pages all such blocks run here, but those of ELSEWHERE.
+PAGES: Final = [
+    *("client", "deploying", "first-drive", "logs", "map", "monitor", "README", "recordings"),
+    *("security", "simulation", "simulator", "surfaces", "your-car", "your-data", "your-track"),
+]
+# Page and language of blocks without a title that another test executes.
+ELSEWHERE: Final = {
+    ("README", "python"): "contract/test_readme.py",
+    ("python", "python"): "contract/test_readme.py",
+    ("simulator", "python"): "closed_loop/test_environment.py",
+}
+# Blocks without a language are not executed. tests/contract/test_readme.py looks up the commands
+# and options in them.
+NOT_EXECUTED: Final = {
+    "README": "The commands of make run the tests; columns of the log are left out.",
+    "deploying": "Needs Docker and a cluster.",
+    "monitor": "Needs hosts with names; tests/service/test_certificates.py does the same here.",
+    "recordings": "Installs a package and opens a window.",
+    "reference": "Compiles; `make rust-test` does the same without opening a browser.",
+    "ros2": "Needs ROS 2.",
+    "security": "Needs hosts with names; tests/service/test_certificates.py does the same here.",
+    "wire": "Is a formula.",
+    "your-data": "Needs a bag of ROS; tests/train/test_recording.py imports one.",
+}
+# Ports that the pages name and the commands listen on unless told otherwise.
+PORTS: Final = {"serve": 7447, "map": 7448, "router": 7449, "monitor": 7450}
 
 
-def blocks(text: str) -> list[tuple[str, str, str]]:
-    """Language, title and content of the blocks to run."""
-    found = [block for block in BLOCK.findall(text) if EVERY or not block[1]]
-    return [(language, title, content) for language, _, title, content in found]
+def blocks(page: str) -> list[tuple[str, str, str, str]]:
+    """Language, mark, title and content of all fenced blocks."""
+    text = DOCUMENTS[page].read_text(encoding="utf-8")
+    found = BLOCK.findall(text)
+    assert len(re.findall(r"^ *```", text, re.MULTILINE)) == 2 * len(found), page
+    return found
 
 
-def matching(word: str) -> list[str]:
+def expanded(word: str) -> list[str]:
     """Return the files that a pattern stands for, as in a shell; otherwise the word itself."""
     found = sorted(map(str, Path().glob(word))) if "*" in word else []
     return found or [word]
 
 
-def run(line: str, running: list[subprocess.Popen[bytes]]) -> None:
-    """Run one command of `egp`, in the background if it ends with an ampersand."""
-    words = shlex.split(line.removesuffix("&"))
-    assert words[0] == "egp", line
-    expanded = [path for word in words[1:] for path in matching(word)]
-    command = [sys.executable, "-m", "egp_service", *expanded]
-    if line.endswith("&"):
-        running.append(subprocess.Popen(command))
-    else:
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
-
-
-def wait_for(port: int) -> None:
-    """Wait until somebody listens on the port."""
-    deadline = time.monotonic() + 20.0
+def wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
+    """Wait until the process listens on the port."""
+    deadline = time.monotonic() + 60.0
     while True:
         with socket.socket() as asked:
             if asked.connect_ex(("127.0.0.1", port)) == 0:
                 return
+        assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize("page", GUIDES)
-def test_every_block_of_a_guide_runs(
+class Shell:
+    """Runs the commands of a page, each default port being another one that is free."""
+
+    def __init__(self) -> None:
+        """Choose the ports."""
+        self.running: dict[str, subprocess.Popen[bytes]] = {}
+        self.ports: dict[int, int] = {}
+        free = [socket.create_server(("127.0.0.1", 0)) for _ in PORTS]
+        for port, listener in zip(PORTS.values(), free, strict=True):
+            self.ports[port] = listener.getsockname()[1]
+            listener.close()
+
+    def with_ports(self, text: str) -> str:
+        """Return a text with the chosen ports."""
+        for port, chosen in self.ports.items():
+            text = text.replace(f"127.0.0.1:{port}", f"127.0.0.1:{chosen}")
+        return text
+
+    def run(self, content: str) -> None:
+        """Run the lines of a block, those with an ampersand in the background."""
+        for line in content.replace("\\\n", " ").splitlines():
+            words = shlex.split(line, comments=True)
+            background = words[-1] == "&"
+            program, *arguments = (found for word in words for found in expanded(word))
+            assert program in {"egp", "python"}, line
+            command = [sys.executable, *(["-m", "egp_service"] if program == "egp" else [])]
+            if background:
+                self.start(command, arguments[:-1])
+                continue
+            done = subprocess.run(
+                [*command, *arguments], capture_output=True, text=True, check=False
+            )
+            assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+
+    def start(self, command: list[str], arguments: list[str]) -> None:
+        """Start a server in place of an earlier one of its kind, and wait until it listens."""
+        name = arguments[0]
+        port = self.ports[PORTS[name]]
+        if not {"--listen", "--config"} & set(arguments):
+            arguments = [*arguments, "--listen", f"tcp/127.0.0.1:{port}"]
+        if name == "monitor":
+            arguments += ["--port", "0"]
+        self.stop(name)
+        self.running[name] = subprocess.Popen([*command, *arguments])
+        if (name, "--config" in arguments) != ("serve", True):  # which may be a router's client
+            wait_for(port, self.running[name])
+
+    def stop(self, *names: str) -> None:
+        """Stop servers that run in the background, which must end with status 0."""
+        for name in names:
+            if (process := self.running.pop(name, None)) is not None:
+                process.terminate()
+                assert process.wait(timeout=20) == 0
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_block_of_a_page_runs(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if page == "first-drive" and not EVERY:
         pytest.skip("a whole lap, which tests/closed_loop drives too: set EGP_EVERY_COMMAND=1")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
     shutil.copy(shipped.DEMO_LIBRARY, "library.safetensors")
-    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    running: list[subprocess.Popen[bytes]] = []
-    names: dict[str, object] = {}
-    found = blocks(text.replace("127.0.0.1:7447", f"127.0.0.1:{port}"))
-    assert found
+    shell = Shell()
+    names: dict[str, object] = page_inputs.make(page, shell.with_ports)
     try:
-        for language, title, content in found:
+        for language, mark, title, content in blocks(page):
+            if mark and not EVERY:
+                continue
+            text = shell.with_ports(content)
             if title:
-                Path(title).write_text(content, encoding="utf-8")
+                Path(title).write_text(text, encoding="utf-8")
+            elif (page, language) in ELSEWHERE or language not in EXECUTED:
+                continue
             elif language == "sh":
-                for line in content.splitlines():
-                    run(line, running)
-                if running:
-                    wait_for(port)
+                shell.run(text)
             else:
                 assert language == "python"
-                exec(content, names)  # noqa: S102
+                exec(text, names)  # noqa: S102
     finally:
-        for process in running:
-            process.terminate()
-            process.wait(timeout=20)
+        page_inputs.end(names)
+        shell.stop(*PORTS)
+
+
+@pytest.mark.parametrize("page", sorted(DOCUMENTS))
+def test_every_block_is_executed_by_a_test(page: str) -> None:
+    found = blocks(page)
+    commands = "".join(content for language, _, _, content in found if language == "sh")
+    for language, _, title, content in found:
+        if title:
+            # A file that no command uses is executed by nothing.
+            assert page in PAGES, title
+            assert Path(title).stem in commands, title
+        elif language in EXECUTED:
+            assert page in PAGES or (page, language) in ELSEWHERE, content
+            assert language != "toml", f"a file without a title: {content}"
+        elif language != "math":
+            assert not language, f"a language that no test executes: {language}"
+            assert page in NOT_EXECUTED, content
+    for (other, language), test in ELSEWHERE.items():
+        if other == page:
+            assert language in {block[0] for block in found}
+            assert f"{page}.md" in (ROOT / "tests" / test).read_text(encoding="utf-8")
+    assert (page in NOT_EXECUTED) == ("" in {block[0] for block in found})

@@ -148,6 +148,9 @@ def test_the_file_of_a_vehicle_from_logs(tmp_path: Path) -> None:
     ]
     assert interval[0] < found.mass < interval[1]
     assert "CHECK" in lines["steering_angle"]
+    # What the intervals are not is said where they are shown.
+    assert "the error of the single-track" in file.read_text(encoding="utf-8")
+    assert "the error of the single-track" in " ".join(result.output.split())
     # The steering angle of the data is uniform up to 0.1 rad.
     assert found.steering_angle == pytest.approx(0.1, rel=0.02)
     assert found.a_max == pytest.approx(6000.0 / found.mass, rel=0.02)

@@ -237,6 +237,12 @@ def test_without_a_display_the_error_names_the_option_and_nothing_is_reported_ho
 ) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET", "CI", "FORCE_RERUN_ANALYTICS"):
         monkeypatch.delenv(name, raising=False)
+    message = failure(run)
+    assert message.startswith("there is no display")
+    assert "--save FILE.rrd" in message
+    assert not capfd.readouterr().err
+    # The viewer starts if a display is named, which does not exist here.
+    monkeypatch.setenv("DISPLAY", ":987")
     monkeypatch.setenv("RUST_LOG", "debug")
     assert "--save FILE.rrd" in failure(run)
     assert "Analytics disabled" in capfd.readouterr().err

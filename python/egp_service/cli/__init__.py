@@ -134,7 +134,7 @@ def main() -> None:
     """Run the command line; errors give one line on stderr and an exit code.
 
     SIGTERM and SIGHUP end a command as an exception does, so that it stops its service and removes
-    its temporary files. `egp serve` and `egp map` drain and end with status 0.
+    its temporary files. Servers end with status 0; `egp serve` and `egp map` drain before.
     """
     signals.install()
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from egp_service.control.endpoints import check_endpoints, why_unreachable
 from egp_service.control.status import StatusPublisher
 from egp_service.simulation.course import build_path
 from egp_service.simulation.recording import plant_truth
@@ -13,6 +14,8 @@ from egp_service.simulation.scene import vehicle_road
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from rich.console import Console
 
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
@@ -24,13 +27,25 @@ def publication(
     scenario: Scenario,
     controller: StepController,
     endpoint: str | None,
+    *,
     vehicle: str,
     zenoh_file: Path | None,
+    console: Console,
 ) -> Iterator[Callable[[Period], None]]:
-    """Give what to call with each period; without an endpoint it does nothing."""
+    """Give what to call with each period; without an endpoint it does nothing.
+
+    Says if nobody listens at the endpoint. A monitor that is started later shows the rest.
+    """
     if endpoint is None:
         yield lambda _: None
         return
+    check_endpoints([endpoint])
+    if reason := why_unreachable(endpoint):
+        console.print(
+            f"Nobody listens at {endpoint} ({reason}), so that no page shows this drive; start "
+            f"`egp monitor --listen {endpoint}`",
+            highlight=False,
+        )
     road = vehicle_road(build_path(scenario))
     with StatusPublisher(
         controller, endpoint, vehicle=vehicle, road=road, zenoh_file=zenoh_file

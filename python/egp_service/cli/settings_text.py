@@ -11,7 +11,7 @@ from egp_service._core import SETTINGS_DOCUMENT
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_SECTION: Final = re.compile(r"^## \d+\. (.+)$")
+_SECTION: Final = re.compile(r"^## (\d+)\. (.+)$")
 _SUBSECTION: Final = re.compile(r"^### (.+)$")
 # LaTeX of the document and the text for a terminal.
 _MATH: Final = {
@@ -36,6 +36,8 @@ _MATH: Final = {
 class Setting:
     """One row of the document."""
 
+    number: int
+    """Of the section; meanings refer to sections by it."""
     section: str
     group: str
     """Heading within the section; empty if there is none."""
@@ -47,15 +49,16 @@ class Setting:
 
 def read_settings_document(text: str = SETTINGS_DOCUMENT) -> Iterator[Setting]:
     """Give the settings in the document's order."""
-    section = group = ""
+    number, section, group = 0, "", ""
     for line in text.splitlines():
         if found := _SECTION.match(line):
-            section, group = found[1], ""
+            number, section, group = int(found[1]), found[2], ""
         elif found := _SUBSECTION.match(line):
             group = found[1].partition(",")[0]
         elif line.startswith("| `"):
             key, default, unit, meaning, *_ = (cell.strip() for cell in _cells(line))
-            yield Setting(section, group, key.strip("`"), *map(_plain, (default, unit, meaning)))
+            texts = map(_plain, (default, unit, meaning))
+            yield Setting(number, section, group, key.strip("`"), *texts)
 
 
 def _cells(line: str) -> list[str]:
@@ -72,4 +75,5 @@ def _plain(text: str) -> str:
         return inner
 
     text = re.sub(r"\$([^$]*)\$", math, text)
+    text = re.sub(r"\[([^\]]*\.md)\]\([^)]*\)", r"docs/\1", text)
     return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text).replace("`", "")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import signal
 import sys
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, NoReturn
 
 from egp_service import callbacks
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from types import FrameType
 
 # The signals that came, the newest last.
@@ -30,6 +32,16 @@ def check() -> None:
     """
     if _received:
         _raise(_received[-1])
+
+
+@contextmanager
+def until_signal() -> Iterator[None]:
+    """Run a server, which a signal ends with status 0 because that was asked for."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        if not _received:
+            raise
 
 
 def _report_unraisable(unraisable: sys.UnraisableHookArgs) -> None:

@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _FORM: Final = re.compile(r"[a-z][a-z-]*/.+")
-_TCP: Final = re.compile(r"tcp/\[?(?P<host>[^\]/]*)\]?:(?P<port>\d+)([?#].*)?")
+_REACH_SECONDS: Final = 1.0
+_TCP: Final = re.compile(r"(?:tcp|tls)/\[?(?P<host>[^\]/]*)\]?:(?P<port>\d+)([?#].*)?")
 
 
 def check_endpoints(endpoints: Sequence[str]) -> None:
@@ -45,6 +46,18 @@ def check_free(endpoints: Sequence[str]) -> None:
                 f"cannot listen on {endpoint}: {reason}; stop the other program, or choose another "
                 "endpoint with --listen, such as tcp/127.0.0.1:7450"
             )
+
+
+def why_unreachable(endpoint: str) -> str | None:
+    """Say why nobody can be reached at an endpoint; `None` if somebody can, or if it is not TCP."""
+    found = _TCP.fullmatch(endpoint)
+    if found is None:
+        return None
+    try:
+        socket.create_connection((found["host"], int(found["port"])), _REACH_SECONDS).close()
+    except (OSError, OverflowError) as error:
+        return (error.strerror if isinstance(error, OSError) else None) or str(error)
+    return None
 
 
 def why_not_free(endpoint: str) -> str | None:

@@ -65,7 +65,10 @@ class ServiceProcess:
             if self._process.poll() is not None or time.monotonic() > deadline:
                 self.kill()
                 said = log_file.read_text(encoding="utf-8", errors="replace").strip()
-                last = said[-2000:].removeprefix("egp: ")
+                last = said[-2000:].removeprefix("egp: ") or (
+                    f"it did not listen within {START_SECONDS:g} s, and said nothing; "
+                    "see whether the machine is busy, and try again"
+                )
                 raise ServiceStartError(f"the service did not start: {last}")
             time.sleep(0.02)
 

@@ -72,9 +72,11 @@ class Node:
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
+            # What follows is the place in zenoh's source.
+            reason = str(error).partition(" at /")[0].rstrip(".")
             raise EgpError(
-                f"no router of rmw_zenoh at {endpoint}: {error}; start one with "
-                "`ros2 run rmw_zenoh_cpp rmw_zenohd` or `egp router`"
+                f"no router of rmw_zenoh at {endpoint}: {reason}; start one with "
+                "`ros2 run rmw_zenoh_cpp rmw_zenohd` or `egp router`, or name another --router"
             ) from error
         self._name, self._domain = name, domain
         self._id = str(self._session.zid())

@@ -101,7 +101,12 @@ def vehicle_toml(lines: Sequence[Line]) -> str:
         VehicleParameters(**{line.name: line.value for line in lines})
     except (EgpError, TypeError) as error:
         raise EgpError(f"the logs give no vehicle: {error}; state it with --known") from error
-    text = ["# A vehicle for `egp train --vehicle`; SI units. Check the lines with CHECK.", ""]
+    text = [
+        "# A vehicle for `egp train --vehicle`; SI units. Check the lines with CHECK.",
+        "# Intervals tell how well the logs determine a value; the error of the single-track",
+        "# equations is not in them.",
+        "",
+    ]
     for line in lines:
         remark = f"{line.origin}; CHECK: {line.warning}" if line.warning else line.origin
         text.append(f"{line.name} = {line.value!r}  # {remark}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -22,6 +23,12 @@ QUIET: Final = {"CI": "1", "ALL_PROXY": "http://127.0.0.1:9"}
 """With `CI` the viewer sends no usage data. It has no option against asking GitHub whether there is
 a newer version; behind a proxy on a port where nothing listens, the question stays on this machine.
 """
+_DISPLAYS: Final = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+"""Variables of the environment, one of which names the display on Linux."""
+_WITHOUT_DISPLAY: Final = (
+    "without a display, write a file with --save FILE.rrd and open it with `rerun FILE.rrd` on "
+    "another machine"
+)
 _ARGUMENTS: Final = ("--new", "--bind=127.0.0.1", "--hide-welcome-screen")
 
 
@@ -50,11 +57,13 @@ def show(path: Path) -> None:
     Only this machine reaches the viewer's port. Raises `EgpError` if the viewer fails, for instance
     because there is no display.
     """
+    if sys.platform == "linux" and not any(map(os.environ.get, _DISPLAYS)):
+        raise EgpError(
+            "there is no display for the viewer's window: none of the variables "
+            f"{', '.join(_DISPLAYS)} is set; {_WITHOUT_DISPLAY}"
+        )
     program = Path(rerun_cli.__file__).with_name("rerun")
     environment = {"RUST_LOG": "error"} | os.environ | QUIET
     code = subprocess.run([program, path, *_ARGUMENTS], env=environment, check=False).returncode
     if code != 0:
-        raise EgpError(
-            f"the viewer of Rerun ended with status {code}; without a display, write a file with "
-            "--save FILE.rrd and open it with `rerun FILE.rrd` on another machine"
-        )
+        raise EgpError(f"the viewer of Rerun ended with status {code}; {_WITHOUT_DISPLAY}")

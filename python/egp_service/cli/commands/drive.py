@@ -44,7 +44,7 @@ def drive(
     ] = None,
     plant: Annotated[
         str | None,
-        typer.Option(help="MODULE:CLASS of a simulator in place of the built-in car."),
+        typer.Option(metavar="MODULE:CLASS", help="Your simulator in place of the built-in car."),
     ] = None,
     key: Annotated[
         Path | None,
@@ -79,8 +79,13 @@ def drive(
     """Drive a simulated car; results go to runs/<time>-<scenario>/.
 
     By default a service in its own process computes the control steps; see
-    --in-process and --connect. A class for --plant has reset(x),
-    step(u, dt, friction) and state (docs/simulator.md).
+    --in-process and --connect.
+
+    A class for --plant takes no arguments and has reset(x), which puts the car
+    into a state, step(u, dt, friction), which drives dt seconds, and state, the
+    present one. A state is [p_x, p_y, v_x, psi, v_y, omega, delta] in m, m/s and
+    rad, and u is [force in N, steering rate in rad/s]. docs/simulator.md has an
+    example, and `help(egp_service.simulation.plant.Simulator)` the same contract.
 
     For example:
       egp drive
@@ -116,7 +121,14 @@ def drive(
         _controller(
             chosen, in_process=in_process, connect=connect, vehicle=vehicle, zenoh=zenoh, key=key
         ) as controller,
-        publication(chosen, controller, monitor, vehicle or "vehicle-1", zenoh) as publish,
+        publication(
+            chosen,
+            controller,
+            monitor,
+            vehicle=vehicle or "vehicle-1",
+            zenoh_file=zenoh,
+            console=console,
+        ) as publish,
     ):
         if controller.library_file is None:
             console.print(

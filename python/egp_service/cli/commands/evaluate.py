@@ -28,8 +28,9 @@ _QUICK_MEMBERS = (1, 2, 4, 8)
 
 def evaluate(
     *,
-    full: Annotated[
-        bool, typer.Option("--full/--quick", help="All seeds (hours), or a few (minutes).")
+    full: Annotated[bool, typer.Option("--full", help="Run all seeds (hours).")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Run a few seeds (minutes), as without --full.")
     ] = False,
     experiment: Annotated[
         list[str] | None, typer.Option("--experiment", "-e", help="Experiment; repeat for more.")
@@ -54,7 +55,7 @@ def evaluate(
     plant: Annotated[
         str | None,
         typer.Option(
-            metavar="MODULE:CLASS", help="Your simulator of the vehicle, as for egp drive."
+            metavar="MODULE:CLASS", help="Your simulator of the vehicle, as for `egp drive`."
         ),
     ] = None,
     log: Annotated[
@@ -84,8 +85,10 @@ def evaluate(
     linear models, the paper's GPs and a vehicle alone. The log is a dataset of
     `egp collect --from-log`; the pictures go to the output folder.
 
-    With --plant all runs but those of disturbances are driven by your simulator.
-    Runs are kept by its name: choose another --output after changing it.
+    With --plant all runs but those of disturbances are driven by your simulator,
+    a class with reset(x), step(u, dt, friction) and state: `egp drive --help`
+    says what these are, and docs/simulator.md has an example. Runs are kept by
+    its name: choose another --output after changing it.
 
     The same command resumes an interrupted evaluation. Requires the extras train
     and viz; with the extra paper, step-times includes the paper's stack.
@@ -120,7 +123,7 @@ def evaluate(
     avoidance = OBSTACLE_AVOIDANCE.name
     known = ["prediction", *(e.name for e in EXPERIMENTS), HIDDEN_ICE.name, avoidance, "step-times"]
     chosen = _chosen(experiment, known)
-    _check_track(track, scale, chosen)
+    _check_options(track, scale, chosen, full_and_quick=full and quick)
     driven = [
         on_track(e, track, scale) if track and e.name == "unseen-track" else e
         for e in EXPERIMENTS
@@ -130,7 +133,7 @@ def evaluate(
     if disturbances.NAME in chosen and not full:
         console.print("disturbances trains six libraries and is driven with --full only.")
     if plant is not None:
-        driven, apart = (_on_plant(part, plant, experiment) for part in (driven, apart))
+        driven, apart = _on_plant((driven, apart), plant, experiment)
     source = _train(console, output, cluster) if train else library or EVALUATION_LIBRARY
     require_members(source, [*driven, *apart])
     campaign = Campaign(output, source)
@@ -192,9 +195,13 @@ def _on_logs(console: Console, logs: list[Path] | None, vehicle: Path | None, ou
     return True
 
 
-def _check_track(track: Path | None, scale: float, chosen: list[str]) -> None:
+def _check_options(
+    track: Path | None, scale: float, chosen: list[str], *, full_and_quick: bool
+) -> None:
     from egp_service._core import EgpError
 
+    if full_and_quick:
+        raise EgpError("--full and --quick exclude each other: give one of them")
     if track and "unseen-track" not in chosen:
         raise EgpError("--track is used by unseen-track: add -e unseen-track")
     if scale != 1.0 and not track:
@@ -202,8 +209,8 @@ def _check_track(track: Path | None, scale: float, chosen: list[str]) -> None:
 
 
 def _on_plant(
-    experiments: "list[ClosedLoopExperiment]", plant: str, named: list[str] | None
-) -> "list[ClosedLoopExperiment]":
+    parts: "tuple[list[ClosedLoopExperiment], ...]", plant: str, named: list[str] | None
+) -> "list[list[ClosedLoopExperiment]]":
     """Let a simulator drive the experiments; raises `EgpError` if one of those named needs ours."""
     from egp_service._core import EgpError
     from egp_service.evaluation import disturbances
@@ -216,7 +223,7 @@ def _on_plant(
             "without --plant"
         )
     load_simulator(plant)  # reports a class that cannot be made before the runs start
-    return [on_plant(e, plant) for e in experiments if e.name != disturbances.NAME]
+    return [[on_plant(e, plant) for e in part if e.name != disturbances.NAME] for part in parts]
 
 
 def _chosen(experiment: list[str] | None, known: list[str]) -> list[str]:

@@ -35,12 +35,13 @@ def monitor(
     The page has the state of the fleet and, for one vehicle, map, grip, weights,
     times, commands and errors (docs/monitor.md). It shows whatever publishes to
     the endpoints, loads nothing from elsewhere, and controls nothing. It runs
-    until Ctrl-C or SIGTERM.
+    until Ctrl-C or SIGTERM, and then ends with status 0.
 
     For example:
       egp monitor          (then open http://127.0.0.1:8642)
       egp drive --monitor tcp/127.0.0.1:7450 --vehicle car-1
     """
+    from egp_service.cli.signals import until_signal
     from egp_service.control.endpoints import check_free
     from egp_service.control.status import MONITOR_ENDPOINT
     from egp_service.monitor.web import bind, serve
@@ -49,7 +50,7 @@ def monitor(
     connected = connect or ([] if given else ["tcp/127.0.0.1:7447"])
     listening = listen or ([] if given else [MONITOR_ENDPOINT])
     check_free(listening)
-    with bind(host, port) as bound:
+    with until_signal(), bind(host, port) as bound:
         from egp_service.monitor.listener import Listener
 
         with Listener(connected, listening, zenoh) as listener:

@@ -94,6 +94,7 @@ def ros2(
     if autoware_parameters is not None:
         _write_settings(autoware_parameters, loaded.dt)
         return
+    from egp_service.control.endpoints import check_endpoints, why_unreachable
     from egp_service.ros2.driving import Drive, Vehicle
     from egp_service.ros2.node import Node
     from egp_service.vehicle import read_vehicle
@@ -113,6 +114,12 @@ def ros2(
         control=control or None,
     )
     console = Console(stderr=True)
+    check_endpoints([router])
+    if reason := why_unreachable(router):
+        console.print(
+            f"Nobody listens at {router} ({reason}); waiting for rmw_zenoh's router there",
+            highlight=False,
+        )
     with (
         _controller(library, settings, connect, car) as controller,
         Node(node, domain, router, zenoh) as ros,

@@ -1,7 +1,6 @@
 """`egp router`."""
 
 import signal
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -39,16 +38,14 @@ def router(
       egp serve --config service.toml    (with connect/endpoints of the router)
       egp drive --connect tcp/127.0.0.1:7449
     """
+    from egp_service.cli.signals import until_signal
     from egp_service.control.endpoints import check_free
     from egp_service.control.router import Router
 
     endpoints = listen or ([] if zenoh else ["tcp/127.0.0.1:7449"])
     check_free(endpoints)
     # The signal may come while the session opens, which lets vehicles in before it returns.
-    with (
-        suppress(KeyboardInterrupt, SystemExit),
-        Router(endpoints, connect or (), zenoh) as running,
-    ):
+    with until_signal(), Router(endpoints, connect or (), zenoh) as running:
         Console(soft_wrap=True).print(f"Routing on {', '.join(running.endpoints)}.")
         while True:
             signal.pause()

@@ -35,9 +35,12 @@ def fit(
     """Fit a vehicle to logs, and write the file that describes it.
 
     Mass, axles, yaw inertia and tyres are fitted to the datasets of all
-    surfaces, with 95 % intervals. Logs do not tell the limits of the
-    actuators: the file has the largest values in the logs. Every line of the
-    file says where its value comes from, and CHECK where to look at it.
+    surfaces, with 95 % intervals. These tell how well the data determine a
+    value; the error of the single-track equations and delays of the sensors are
+    not in them, and can be larger (docs/your-car.md): state in --known what you
+    can measure or look up, such as mass and axles. Logs do not tell the limits
+    of the actuators: the file has the largest values in the logs. Every line of
+    the file says where its value comes from, and CHECK where to look at it.
 
     With a_x and --mass instead of a measured force, the logs say nothing new
     about the mass: the fit then finds the mass that was given.
