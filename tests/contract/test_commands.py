@@ -277,3 +277,14 @@ def test_serve_checks_what_it_would_serve(tmp_path: Path) -> None:
     file = tmp_path / "service.toml"
     file.write_text(f'library = "{LIBRARY}"\nlog = "egp=nonsense"\n')
     assert "nonsense" in failure("serve", "--config", str(file), "--check")
+
+
+def test_serve_checks_a_service_behind_a_router(tmp_path: Path) -> None:
+    file = tmp_path / "service.toml"
+    network = '[zenoh]\n"mode" = \'"client"\'\n"listen/endpoints" = "[]"\n'
+    file.write_text(f'library = "{LIBRARY}"\n{network}')
+    connect = ("--connect", "tcp/127.0.0.1:7449")  # nobody needs to listen there
+    command = ["serve", "--config", str(file), "--check", "--workers", "1"]
+    result = RUNNER.invoke(app, [*command, *connect])
+    assert result.exit_code == 0, result.output
+    assert "zenoh" in failure(*command)

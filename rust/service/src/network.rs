@@ -76,7 +76,8 @@ pub(crate) fn configuration(
 }
 
 /// Opens a session with this configuration and closes it again, to see whether a service could start: listeners take a
-/// free port in place of their own, on which a service may be running, and no router or peer is contacted.
+/// free port in place of their own, on which a service may be running, and no router or peer is contacted. A client with
+/// endpoints to connect to is opened as a peer, because zenoh opens no client that connects to nothing.
 ///
 /// # Errors
 /// [`NetworkError`] if zenoh opens no session, or a file that the configuration names cannot be read.
@@ -91,7 +92,13 @@ pub(crate) fn rehearse(mut config: Config) -> Result<(), NetworkError> {
     }
     let mut listen = json(&config, "listen/endpoints")?;
     free_ports(&mut listen);
+    let connects = json(&config, "connect/endpoints")? != Value::Array(Vec::new());
+    let mode = match json(&config, "mode")? {
+        Value::String(mode) if mode == "client" && connects => Value::from("peer"),
+        mode => mode,
+    };
     for (key, value) in [
+        ("mode", mode.to_string().as_str()),
         ("listen/endpoints", listen.to_string().as_str()),
         ("connect/endpoints", "[]"),
         ("scouting/multicast/enabled", "false"),
