@@ -25,6 +25,7 @@ ALLOWED = {
     "egp-path": {VEHICLE},
     "egp-map": {VEHICLE},
     "egp-engine": {"egp-core", "egp-wire"},
+    "egp-trace": set(),
     "egp-service": {"egp-core", "egp-engine", "egp-map", "egp-wire"},
     "egp-driver": {VEHICLE, "egp-wire", "egp-gate"},
     "egp-simulate": {
