@@ -67,6 +67,9 @@ struct Arguments {
     /// Log one JSON object a line.
     #[arg(long)]
     log_json: bool,
+    /// File to which the spans of requests are appended as JSON lines of OpenTelemetry.
+    #[arg(long, value_name = "FILE")]
+    traces: Option<PathBuf>,
     /// Check configuration, library and network settings, print what would be served, and end.
     #[arg(long)]
     check: bool,
@@ -87,6 +90,7 @@ impl Arguments {
         config.http = self.http.or(config.http);
         config.workers = self.workers.or(config.workers);
         config.log_json |= self.log_json;
+        config.traces = self.traces.or(config.traces);
         if self.watch && config.watch_ms == 0 {
             config.watch_ms = 500;
         }
