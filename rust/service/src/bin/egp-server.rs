@@ -22,6 +22,7 @@ In production, write a TOML file and pass it as --config; options of the command
     queue = 256                        # vehicles that may wait at a time
     http = "127.0.0.1:9464"            # /health, /ready and /metrics; default: none
     log_json = true
+    traces = "traces.jsonl"            # spans of requests, for OpenTelemetry; default: none
     [settings.cost]                    # the control step; every field has a default
     lateral = 30.0
     [zenoh]                            # any zenoh setting: its key path and its JSON5 value
