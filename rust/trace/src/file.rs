@@ -1,5 +1,4 @@
-//! The file of spans: a line of JSON for each `TracesData` of OTLP, as the specification of the OTLP file exporter has it
-//! (<https://opentelemetry.io/docs/specs/otel/protocol/file-exporter/>).
+//! The file of spans, which a thread of its own writes.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write as _};
@@ -10,10 +9,10 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, s
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use serde::Serialize;
 use thiserror::Error;
 
-use crate::span::{Attribute, Span};
+use crate::line::{Resource, line};
+use crate::span::Span;
 
 /// Time between two looks at what is to be written. Nobody wakes the thread, because that would cost a control step more
 /// than all else that is done for its spans.
@@ -37,15 +36,6 @@ pub enum TraceError {
     /// The system could not start a thread.
     #[error("cannot start the thread that writes traces: {0}")]
     Thread(io::Error),
-}
-
-/// The program whose spans a file has.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Resource {
-    /// What the program is: `egp-server` or `egp-vehicle`.
-    pub service: &'static str,
-    /// Which one it is: the replica, or fleet and vehicle.
-    pub instance: String,
 }
 
 /// Numbers of spans by what became of them. Clones count the same spans.
@@ -197,7 +187,8 @@ impl Writer {
     }
 
     fn write(&mut self, spans: &[Span]) {
-        let written = line(&self.resource, spans).and_then(|line| {
+        let line = line(&self.resource, spans).map_err(io::Error::from);
+        let written = line.and_then(|line| {
             let mut file = append(&self.path)?;
             let before = file.metadata()?.len();
             // A part of a line, as a full disk leaves it, would spoil the next line, too.
@@ -222,62 +213,6 @@ impl Writer {
 /// Opens a file to append to it.
 fn append(path: &Path) -> io::Result<File> {
     OpenOptions::new().append(true).create(true).open(path)
-}
-
-/// Spans as one `TracesData` of OTLP with its newline.
-fn line(resource: &Resource, spans: &[Span]) -> io::Result<Vec<u8>> {
-    #[derive(Serialize)]
-    #[serde(rename_all = "camelCase")]
-    struct TracesData<'a> {
-        resource_spans: [ResourceSpans<'a>; 1],
-    }
-    #[derive(Serialize)]
-    #[serde(rename_all = "camelCase")]
-    struct ResourceSpans<'a> {
-        resource: Attributes<'a>,
-        scope_spans: [ScopeSpans<'a>; 1],
-    }
-    #[derive(Serialize)]
-    struct Attributes<'a> {
-        attributes: &'a [Attribute],
-    }
-    #[derive(Serialize)]
-    struct ScopeSpans<'a> {
-        scope: Scope,
-        spans: &'a [Span],
-    }
-    #[derive(Serialize)]
-    struct Scope {
-        name: &'static str,
-        version: &'static str,
-    }
-    let version = env!("CARGO_PKG_VERSION");
-    let attributes = [
-        ("service.name", resource.service),
-        ("service.instance.id", &resource.instance),
-        ("service.version", version),
-    ]
-    .map(|(key, value)| Attribute {
-        key,
-        value: value.into(),
-    });
-    let data = TracesData {
-        resource_spans: [ResourceSpans {
-            resource: Attributes {
-                attributes: &attributes,
-            },
-            scope_spans: [ScopeSpans {
-                scope: Scope {
-                    name: "egp-trace",
-                    version,
-                },
-                spans,
-            }],
-        }],
-    };
-    let mut line = serde_json::to_vec(&data)?;
-    line.push(b'\n');
-    Ok(line)
 }
 
 #[cfg(test)]

@@ -21,10 +21,12 @@
 
 mod file;
 mod id;
+mod line;
 mod moment;
 mod span;
 
-pub use file::{Counts, Resource, TraceError, TraceFile};
+pub use file::{Counts, TraceError, TraceFile};
 pub use id::{Share, ShareError, SpanId, StepIds, TraceId};
+pub use line::Resource;
 pub use moment::Moment;
 pub use span::{Attribute, Failure, Kind, Span, Value, name};
