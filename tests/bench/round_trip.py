@@ -3,9 +3,9 @@
 One client in Rust asks a bare queryable, which answers with as many bytes as the service at once,
 and then the service with one worker, for the same recorded request. The round trip without the step
 is what is left when the time that the service states for the step is subtracted. Processor time is
-that of the whole answering process.
+that of the whole answering process. The last rows are services that write traces.
 
-    python tests/bench/round_trip.py          # half a minute; nothing else should run
+    python tests/bench/round_trip.py          # a minute; nothing else should run
 """
 
 from __future__ import annotations
@@ -87,6 +87,12 @@ def main() -> None:
                 "bare query": asked(program, bare_at, "bare", file, bare),
                 "service": asked(program, served_at, key, file, service),
             }
+            for name, share in (("traced", 1.0), ("unchosen", 0.0)):
+                traces = str(Path(folder) / f"{name}.jsonl")
+                at, key = free_endpoint(), step_key(name, "bench", "car")
+                traced = bench.serve(name, listen=at, workers=1, traces=traces, traces_share=share)
+                label = f"service, {100 * share:g} % of the traces"
+                rows[label] = asked(program, at, key, file, traced)
     print(f"request of {len(request)} B, reply of {len(reply)} B, {COUNT} queries, µs")
     for name, (times, processor) in rows.items():
         middle, tail = np.quantile(times[:, 0], [0.5, 0.99])

@@ -25,7 +25,8 @@ ALLOWED = {
     "egp-path": {VEHICLE},
     "egp-map": {VEHICLE},
     "egp-engine": {"egp-core", "egp-wire"},
-    "egp-service": {"egp-core", "egp-engine", "egp-map", "egp-wire"},
+    "egp-trace": set(),
+    "egp-service": {"egp-core", "egp-engine", "egp-map", "egp-trace", "egp-wire"},
     "egp-driver": {VEHICLE, "egp-wire", "egp-gate"},
     "egp-simulate": {
         "egp-core",
@@ -37,11 +38,11 @@ ALLOWED = {
         "egp-service",
         "egp-wire",
     },
-    "egp-vehicle": {VEHICLE, "egp-driver", "egp-wire", "egp-gate"},
+    "egp-vehicle": {VEHICLE, "egp-driver", "egp-trace", "egp-wire", "egp-gate"},
     "egp-simulator": {"egp-wire", "egp-gate", "egp-path", "egp-plant", "egp-vehicle"},
     "egp-load": {"egp-wire", "egp-vehicle", "egp-simulator"},
     "egp-testing": {VEHICLE, "egp-core", "egp-map", "egp-path", "egp-wire"},
-    "egp-interleavings": {"egp-core", "egp-engine", "egp-testing", "egp-wire"},
+    "egp-interleavings": {"egp-core", "egp-engine", "egp-testing", "egp-trace", "egp-wire"},
     "egp-bench": set(),
     "egp-python": {
         VEHICLE,
@@ -55,6 +56,7 @@ ALLOWED = {
         "egp-engine",
         "egp-service",
         "egp-simulate",
+        "egp-vehicle",
         "egp-load",
     },
 }

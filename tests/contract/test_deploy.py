@@ -227,3 +227,16 @@ def test_a_vehicle_reaches_a_replica_through_a_router(
         assert vehicle.step(x, reference, deadline=5.0).status == "solved"
         with urllib.request.urlopen(f"http://127.0.0.1:{http}/metrics") as answer:
             assert 'egp_requests_total{outcome="solved"} 1\n' in answer.read().decode()
+
+
+def test_the_collector_reads_traces() -> None:
+    """Every part that is defined is used, and every part that is used is defined."""
+    collector = yaml.safe_load((ROOT / "deploy/collector.yaml").read_text(encoding="utf-8"))
+    service = collector["service"]
+    (pipeline,) = service["pipelines"].values()
+    for kind in ("receivers", "exporters"):
+        assert set(pipeline[kind]) == collector[kind].keys()
+    assert set(service["extensions"]) == collector["extensions"].keys()
+    receiver = collector["receivers"]["otlp_json_file"]
+    assert receiver["storage"] in collector["extensions"]
+    assert all(pattern.endswith(".jsonl") for pattern in receiver["include"])

@@ -19,7 +19,7 @@ CHOSEN = re.compile(r"NAME|Name")
 FLOWS = [
     *(
         f"rust/{crate}/src"
-        for crate in ("parameters", "core", "wire", "driver", "gate", "engine", "service")
+        for crate in ("parameters", "core", "wire", "driver", "gate", "engine", "trace", "service")
     ),
     "clients/vehicle/src",
     *(f"python/egp_service/{room}" for room in ("control", "data", "training", "simulation")),

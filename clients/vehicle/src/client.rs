@@ -1,10 +1,11 @@
 //! The client of one vehicle, which carries out the driver's actions over zenoh.
 
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use egp_driver::{
-    Action, Discovery, DiscoveryError, Driver, DriverError, InvalidArgument, Measurement, Step,
-    Time,
+    Action, Discovery, DiscoveryError, Driver, DriverConfig, DriverError, InvalidArgument,
+    Measurement, Step, Time,
 };
 use egp_gate::Mode;
 use egp_wire::{ReferenceRow, State, WidthRow};
@@ -14,6 +15,7 @@ use thiserror::Error;
 use crate::config::VehicleConfig;
 use crate::network::{Event, Network, NetworkError, What};
 use crate::status::{Constants, Period, Status};
+use crate::traces::{StepTraces, StepTracesError};
 
 /// Why a client cannot connect, or a control period cannot be opened.
 #[derive(Debug, Error)]
@@ -37,6 +39,9 @@ pub enum ClientError {
     /// Budget, limits or gate settings are out of range.
     #[error(transparent)]
     Driver(#[from] DriverError),
+    /// The spans of control steps cannot be written.
+    #[error(transparent)]
+    Traces(#[from] StepTracesError),
     /// No request can be made of the reference or the widths.
     #[error(transparent)]
     Argument(#[from] InvalidArgument),
@@ -48,6 +53,7 @@ pub struct VehicleClient {
     driver: Driver,
     epoch: Instant,
     status: Option<Status>,
+    traces: Option<StepTraces>,
 }
 
 impl VehicleClient {
@@ -58,6 +64,11 @@ impl VehicleClient {
     /// [`ClientError`], above all when no replica gives a usable answer in time.
     pub fn connect(config: &VehicleConfig) -> Result<Self, ClientError> {
         let discovery = Discovery::new(&config.driver)?;
+        let open = |path: &PathBuf| {
+            let DriverConfig { fleet, vehicle, .. } = &config.driver;
+            StepTraces::open(path, config.traces_share, fleet, vehicle)
+        };
+        let traces = config.traces.as_ref().map(open).transpose()?;
         let (epoch, network) = (Instant::now(), Network::open(config)?);
         let driver = discover(discovery, &network, config, epoch)?;
         let status = if config.publish_status {
@@ -79,6 +90,7 @@ impl VehicleClient {
             driver,
             epoch,
             status,
+            traces,
         })
     }
 
@@ -187,9 +199,21 @@ impl VehicleClient {
         loop {
             while let Some(action) = self.driver.next_action() {
                 match action {
-                    Action::Command(step) => return Ok(*step),
+                    Action::Command(step) => {
+                        if let Some(traces) = &mut self.traces {
+                            let epoch = self.epoch;
+                            traces.decided(now, epoch.elapsed(), &step, || epoch.elapsed());
+                        }
+                        return Ok(*step);
+                    }
                     // A query that cannot be sent ends at once, and the driver goes on to the next replica.
-                    Action::Ask(query) | Action::Probe(query) => self.network.ask(query),
+                    Action::Ask(query) => {
+                        if let Some(traces) = &mut self.traces {
+                            traces.asked(self.epoch.elapsed(), &query);
+                        }
+                        self.network.ask(query);
+                    }
+                    Action::Probe(query) => self.network.ask(query),
                 }
             }
             let wake = self.driver.next_wake().unwrap_or(due);
@@ -203,6 +227,14 @@ impl VehicleClient {
 
     fn tell(&mut self, event: Event) {
         let at = self.time(event.at);
+        if let Some(traces) = &mut self.traces {
+            match &event.what {
+                What::Replied(id, ..) => traces.replied(at, *id),
+                What::Refused(id, error) => traces.refused(at, *id, error),
+                What::Ended(id) => traces.ended(at, *id),
+                What::Appeared(_) | What::Gone(_) => {}
+            }
+        }
         match event.what {
             What::Appeared(replica) => self.driver.replica_appeared(at, replica),
             What::Gone(replica) => self.driver.replica_gone(at, &replica),

@@ -43,6 +43,10 @@ pub struct VehicleConfig {
     pub zenoh_file: Option<PathBuf>,
     /// Whether the client publishes how the vehicle drives, for `egp monitor` and other displays. Default false.
     pub publish_status: bool,
+    /// File to which the spans of control steps are appended, which `docs/deploying.md` describes. Default none.
+    pub traces: Option<PathBuf>,
+    /// Share of the traces that is written, from 0 to 1. A service with the same share writes the same traces. Default 1.
+    pub traces_share: f64,
     /// Single zenoh settings, key path to JSON5 value; they override the defaults or the file.
     pub zenoh: BTreeMap<String, String>,
 }
@@ -64,6 +68,8 @@ impl VehicleConfig {
             patience: Duration::from_secs(10),
             zenoh_file: None,
             publish_status: false,
+            traces: None,
+            traces_share: 1.0,
             zenoh: BTreeMap::new(),
         })
     }

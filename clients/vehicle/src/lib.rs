@@ -23,6 +23,7 @@ mod client;
 mod config;
 mod network;
 mod status;
+mod traces;
 
 pub use client::{ClientError, VehicleClient};
 pub use config::{VehicleConfig, VehicleKeyError};
@@ -31,3 +32,4 @@ pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use egp_parameters::VehicleParameters;
 pub use egp_wire::set_receive_threads;
 pub use network::{NetworkError, open_session};
+pub use traces::{StepTraces, StepTracesError};

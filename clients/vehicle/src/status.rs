@@ -162,7 +162,7 @@ fn milliseconds(time: Duration) -> f64 {
 }
 
 /// The mode as all interfaces spell it.
-fn mode_name(mode: Mode) -> &'static str {
+pub(crate) fn mode_name(mode: Mode) -> &'static str {
     match mode {
         Mode::Normal => "normal",
         Mode::Tail => "tail",

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
 use std::net::TcpListener;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use egp_service::{Server, ServiceConfig};
@@ -12,6 +12,7 @@ use egp_vehicle::{
 use egp_wire::keys;
 use egp_wire::proto::VehicleStatus;
 use prost::Message as _;
+use serde_json::Value;
 use zenoh::Wait as _;
 
 const LIBRARY: &str = concat!(
@@ -293,4 +294,57 @@ fn with_a_key_only_a_service_that_has_the_same_key_is_driven_with() {
     let _server = sealed(&endpoint, Some(&own));
     vehicle.client.reset();
     vehicle.step_until_solved();
+}
+
+/// The spans of a file.
+fn spans(path: &Path) -> Vec<Value> {
+    let text = std::fs::read_to_string(path).unwrap();
+    std::fs::remove_file(path).unwrap();
+    let of_line = |line| {
+        let data: Value = serde_json::from_str(line).unwrap();
+        let spans = &data["resourceSpans"][0]["scopeSpans"][0]["spans"];
+        spans.as_array().unwrap().clone()
+    };
+    text.lines().flat_map(of_line).collect()
+}
+
+#[test]
+fn client_and_service_write_spans_of_the_same_traces() {
+    let (endpoint, folder) = (free_endpoint(), Path::new(env!("CARGO_TARGET_TMPDIR")));
+    let [ours, theirs] = ["car.jsonl", "server.jsonl"].map(|name| folder.join(name));
+    let mut config = service("main", &endpoint);
+    config.traces = Some(theirs.clone());
+    let server = Server::start(&config).unwrap();
+    let mut config = VehicleConfig::new("test", "car", limits(), &[&endpoint]).unwrap();
+    config.traces = Some(folder.join("missing/car.jsonl"));
+    let refused = VehicleClient::connect(&config)
+        .err()
+        .map(|error| error.to_string());
+    assert!(refused.is_some_and(|message| message.contains("cannot write traces")));
+    config.traces = Some(ours.clone());
+    let mut vehicle = Vehicle {
+        client: VehicleClient::connect(&config).unwrap(),
+        p_x: 0.0,
+        u: [0.0; 2],
+    };
+    for _ in 0..3 {
+        vehicle.step_until_solved();
+    }
+    drop((vehicle, server));
+    let (ours, theirs) = (spans(&ours), spans(&theirs));
+    let steps: Vec<_> = (ours.iter())
+        .filter(|span| span["name"] == "egp.step")
+        .collect();
+    assert!(steps.len() >= 3);
+    let newest = steps.last().unwrap();
+    let same = |span: &&Value| span["traceId"] == newest["traceId"];
+    let asked: Vec<_> = (ours.iter().filter(same))
+        .filter(|span| span["name"] == "egp.ask")
+        .collect();
+    let answered: Vec<_> = (theirs.iter().filter(same))
+        .filter(|span| span["name"] == "egp.request")
+        .collect();
+    assert_eq!((asked.len(), answered.len()), (1, 1));
+    assert_eq!(asked[0]["parentSpanId"], newest["spanId"]);
+    assert_eq!(answered[0]["parentSpanId"], asked[0]["spanId"]);
 }

@@ -27,6 +27,7 @@ def remote_controller(
     vehicle: str = "vehicle-1",
     zenoh_file: Path | None = None,
     key_file: Path | None = None,
+    traces: Path | None = None,
 ) -> VehicleClient:
     """Ask a running service, which uses its own library and settings instead of the scenario's.
 
@@ -41,6 +42,7 @@ def remote_controller(
         gate=gate_settings(scenario),
         zenoh_file=zenoh_file,
         key_file=key_file,
+        traces=traces,
     )
     if own == client.library.hex():
         client.library_file = file

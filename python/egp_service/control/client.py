@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import queue
 import time
+import warnings
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
@@ -93,6 +94,8 @@ class VehicleClient(StepController):
         key_file: Path | None = None,
         zenoh_file: Path | None = None,
         zenoh_config: Mapping[str, object] | None = None,
+        traces: Path | None = None,
+        traces_share: float = 1.0,
     ) -> Self:
         """Connect to zenoh at `endpoints`, such as `tcp/127.0.0.1:7447`, and ask for the library.
 
@@ -108,8 +111,11 @@ class VehicleClient(StepController):
         is asked as well if none has answered; with 1 they are asked only one after the other. At
         most one period in twenty asks twice in the long run.
         `zenoh_config` holds more of zenoh's configuration by path, such as
-        `{"transport/link/tls/root_ca_certificate": "ca.pem"}`. Raises `InvalidArgumentError` for
-        names, gate settings or a configuration that cannot be used, and `ServiceUnreachableError`
+        `{"transport/link/tls/root_ca_certificate": "ca.pem"}`.
+        `traces` is a file to which the spans of all steps are appended as JSON lines of
+        OpenTelemetry, or those of the share `traces_share` of the steps (docs/deploying.md).
+        Raises `InvalidArgumentError` for names, gate settings, a configuration or a file of traces
+        that cannot be used, and `ServiceUnreachableError`
         when no replica gives a usable answer within `timeout` seconds. A replica is passed over if
         its description is not valid, or if the gate allows more than the vehicle that this replica
         plans for can do; the error names each replica with the reason.
@@ -132,6 +138,8 @@ class VehicleClient(StepController):
                 hedge=hedge,
                 want_sigma=want_sigma,
                 keys=keys,
+                traces=traces,
+                traces_share=traces_share,
             )
             for replica in discovery.live:
                 driver.replica_appeared(time.monotonic(), replica)
@@ -157,8 +165,10 @@ class VehicleClient(StepController):
                 happened(self._driver)
 
     def close(self) -> None:
-        """Close the zenoh session."""
+        """Close the zenoh session, and write the spans that wait."""
         self._network.close()
+        if lost := self._driver.finish_traces():
+            warnings.warn(f"{lost} spans of traces could not be written", stacklevel=2)
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,8 @@ mod queue;
 mod reloader;
 #[path = "../../service/src/signature.rs"]
 mod signature;
+#[path = "../../service/src/traces.rs"]
+mod traces;
 #[path = "../../service/src/worker.rs"]
 mod worker;
 

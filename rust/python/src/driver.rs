@@ -2,15 +2,17 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::time::Duration;
 
-use egp_driver::{Action, Discovery, DriverConfig, Measurement, QueryId, RunKey};
+use egp_driver::{Action, DriverConfig, Measurement, QueryId, RunKey};
 use egp_wire::{KeyRing, Ready};
 use pyo3::prelude::*;
 
 use crate::array::{KeptMatrix, KeptVector, Matrix, NewVector, Vector, fixed, rows, vector};
 use crate::error::{InvalidArgumentError, raise};
 use crate::gate::{configure, mode_name};
+use crate::traces::Tracing;
 use crate::wire::{Friction, matrix};
 
 /// A question to a replica, to be sent as it is. The driver is told the answer with the query's `id`.
@@ -182,16 +184,19 @@ fn time(seconds: f64) -> PyResult<Duration> {
 /// run backwards, and its actions are to be carried out. `ready` is a replica's answer on its `ready` key, `gate` the
 /// settings of the gate, `budget` the part of the control period that an answer may take, `hedge` the part of the time
 /// until the deadline after which a second replica is asked, `keys` the text of a file of secret keys with that of this
-/// vehicle. Raises `InvalidArgumentError` for values out of range, and if there is no key.
+/// vehicle. `traces` is a file for the spans of control steps, `traces_share` the share of the traces that is written; the
+/// driver's clock must then be `time.monotonic`. Raises `InvalidArgumentError` for values out of range, if there is no key,
+/// and if the file cannot be written.
 #[pyclass(module = "egp_service._core")]
-pub struct Driver(egp_driver::Driver);
+pub struct Driver(egp_driver::Driver, Option<Tracing>);
 
 #[pymethods]
 impl Driver {
     #[new]
-    #[pyo3(signature = (ready, *, fleet, vehicle, gate, budget = 0.8, hedge = 0.5, want_sigma = false, keys = None))]
+    #[pyo3(signature = (ready, *, fleet, vehicle, gate, budget = 0.8, hedge = 0.5, want_sigma = false, keys = None, traces = None, traces_share = 1.0))]
     #[allow(clippy::too_many_arguments)] // the settings of a driver
     fn new(
+        py: Python<'_>,
         ready: &[u8],
         fleet: &str,
         vehicle: &str,
@@ -200,11 +205,15 @@ impl Driver {
         hedge: f64,
         want_sigma: bool,
         keys: Option<&str>,
+        traces: Option<PathBuf>,
+        traces_share: f64,
     ) -> PyResult<Self> {
         let config = driver_config(fleet, vehicle, gate, budget, hedge, want_sigma, keys)?;
         let ready = Ready::decode(ready, &egp_wire::MessageLimits::default()).map_err(raise)?;
+        let open = |file| Tracing::open(py, file, traces_share, &config);
+        let traces = traces.map(open).transpose()?;
         egp_driver::Driver::new(config, ready)
-            .map(Self)
+            .map(|driver| Self(driver, traces))
             .map_err(InvalidArgumentError::raise)
     }
 
@@ -237,6 +246,9 @@ impl Driver {
         road_friction: Option<Matrix<'_>>,
     ) -> PyResult<()> {
         let measurement = measurement(&x, &reference, widths.as_ref(), road_friction.as_ref())?;
+        if let Some(traces) = &mut self.1 {
+            traces.began(time(now)?);
+        }
         let ticked = self.0.tick(time(now)?, time(deadline)?, measurement);
         ticked.map_err(InvalidArgumentError::raise)
     }
@@ -257,26 +269,41 @@ impl Driver {
 
     /// Note a reply and its attachment.
     fn replied(&mut self, now: f64, query: u64, payload: &[u8], attachment: &[u8]) -> PyResult<()> {
-        self.0
-            .replied(time(now)?, QueryId(query), payload, attachment);
+        let (now, query) = (time(now)?, QueryId(query));
+        if let Some(traces) = &mut self.1 {
+            traces.steps.replied(now, query);
+        }
+        self.0.replied(now, query, payload, attachment);
         Ok(())
     }
 
     /// Note an error reply.
     fn refused(&mut self, now: f64, query: u64, error: &[u8]) -> PyResult<()> {
-        self.0.refused(time(now)?, QueryId(query), error);
+        let (now, query) = (time(now)?, QueryId(query));
+        if let Some(traces) = &mut self.1 {
+            traces.steps.refused(now, query, error);
+        }
+        self.0.refused(now, query, error);
         Ok(())
     }
 
     /// Note that no more answers to a query come.
     fn ended(&mut self, now: f64, query: u64) -> PyResult<()> {
-        self.0.ended(time(now)?, QueryId(query));
+        let (now, query) = (time(now)?, QueryId(query));
+        if let Some(traces) = &mut self.1 {
+            traces.steps.ended(now, query);
+        }
+        self.0.ended(now, query);
         Ok(())
     }
 
     /// Return the next action: a query to send, or the period's decision.
     fn next_action(&mut self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
-        Ok(match self.0.next_action() {
+        let action = self.0.next_action();
+        if let (Some(traces), Some(action)) = (&mut self.1, &action) {
+            traces.acted(py, action);
+        }
+        Ok(match action {
             None => None,
             Some(Action::Command(step)) => Some(Py::new(py, Decision::new(py, *step)?)?.into_any()),
             Some(Action::Ask(query) | Action::Probe(query)) => {
@@ -291,6 +318,12 @@ impl Driver {
                 Some(Py::new(py, query)?.into_any())
             }
         })
+    }
+
+    /// Write the spans that wait and no more, and return how many could not be written.
+    fn finish_traces(&mut self, py: Python<'_>) -> u64 {
+        let traces = self.1.take();
+        traces.map_or(0, |traces| traces.finish(py))
     }
 
     /// Seconds that an answer may take unless a period states its deadline.
@@ -320,80 +353,5 @@ impl Driver {
     /// Leave STOP and forget history, weights, plan and outstanding requests.
     fn reset(&mut self) {
         self.0.reset();
-    }
-}
-
-/// Finds a replica that is ready by asking those that announce themselves in turn.
-#[pyclass(name = "Discovery", module = "egp_service._core")]
-pub struct Discover(Discovery);
-
-#[pymethods]
-impl Discover {
-    #[new]
-    #[pyo3(signature = (*, fleet, vehicle, gate, budget = 0.8, hedge = 0.5, keys = None))]
-    fn new(
-        fleet: &str,
-        vehicle: &str,
-        gate: BTreeMap<String, f64>,
-        budget: f64,
-        hedge: f64,
-        keys: Option<&str>,
-    ) -> PyResult<Self> {
-        let config = driver_config(fleet, vehicle, gate, budget, hedge, false, keys)?;
-        Discovery::new(&config)
-            .map(Self)
-            .map_err(InvalidArgumentError::raise)
-    }
-
-    /// Note that a replica announces itself.
-    fn replica_appeared(&mut self, replica: &str) -> PyResult<()> {
-        self.0.replica_appeared(replica.parse().map_err(raise)?);
-        Ok(())
-    }
-
-    /// Note that a replica withdrew its announcement or was lost.
-    fn replica_gone(&mut self, replica: &str) -> PyResult<()> {
-        self.0.replica_gone(&replica.parse().map_err(raise)?);
-        Ok(())
-    }
-
-    /// The replicas that announce themselves.
-    #[getter]
-    fn live(&self) -> Vec<String> {
-        self.0.live().map(ToString::to_string).collect()
-    }
-
-    /// Return a replica to ask, the key, and the bytes to attach, or None if all were asked in this round.
-    fn next_question(&mut self) -> Option<(String, String, Cow<'static, [u8]>)> {
-        let question = self.0.next_question()?;
-        Some((
-            question.replica.to_string(),
-            question.key,
-            question.attachment.into(),
-        ))
-    }
-
-    /// Whether an answer describes a replica that can be used; otherwise the reason is kept.
-    ///
-    /// A replica can be used if its description is valid and says that it is ready, if the gate allows no more than the
-    /// vehicle that the replica plans for can do, and if the attachment has the tag of the vehicle's key, if there is one.
-    fn is_usable(&mut self, replica: &str, answer: &[u8], attachment: &[u8]) -> PyResult<bool> {
-        let replica = replica.parse().map_err(raise)?;
-        Ok(self.0.answered(&replica, answer, attachment).is_some())
-    }
-
-    /// Why no replica can be used, in one sentence.
-    #[getter]
-    fn error(&self) -> String {
-        self.0.error().to_string()
-    }
-
-    /// The live replicas, each with the reason why it cannot be used.
-    #[getter]
-    fn unusable(&self) -> BTreeMap<String, String> {
-        let reasons = self.0.error().0.into_iter();
-        reasons
-            .map(|(replica, reason)| (replica.to_string(), reason.to_string()))
-            .collect()
     }
 }

@@ -7,6 +7,7 @@ include!(concat!(env!("OUT_DIR"), "/doc.rs"));
 
 mod array;
 mod belief;
+mod discovery;
 mod driver;
 mod error;
 mod gate;
@@ -23,6 +24,7 @@ mod residual;
 mod service;
 mod surface;
 mod testing;
+mod traces;
 mod wire;
 
 /// The private extension module behind `egp_service`; each submodule has a stub of its name.
@@ -39,7 +41,9 @@ mod _core {
     #[pymodule]
     mod driver {
         #[pymodule_export]
-        use crate::driver::{Decision, Discover, Driver, Query};
+        use crate::discovery::Discover;
+        #[pymodule_export]
+        use crate::driver::{Decision, Driver, Query};
     }
 
     #[pymodule]

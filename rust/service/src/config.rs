@@ -10,6 +10,7 @@ use std::{
 
 use egp_core::{Settings, SettingsError};
 use egp_engine::available_cores;
+use egp_trace::{Share, ShareError};
 use egp_wire::{Ready, keys::Name};
 use serde::Deserialize;
 use thiserror::Error;
@@ -67,6 +68,12 @@ pub struct ServiceConfig {
     /// Whether each log line is a JSON object instead of text. Default false.
     #[serde(default)]
     pub log_json: bool,
+    /// File to which the spans of requests are appended, which `docs/deploying.md` describes. Default: none.
+    #[serde(default)]
+    pub traces: Option<PathBuf>,
+    /// Share of the traces that is written, from 0 to 1. Vehicles with the same share write the same traces. Default 1.
+    #[serde(default = "default_traces_share")]
+    pub traces_share: f64,
     /// Settings of the control step.
     #[serde(default)]
     pub settings: Settings,
@@ -110,6 +117,10 @@ fn default_log() -> String {
     "info,zenoh=warn".to_owned()
 }
 
+fn default_traces_share() -> f64 {
+    1.0
+}
+
 /// Why a configuration cannot be used.
 #[derive(Debug, Error)]
 pub enum ConfigError {
@@ -127,6 +138,9 @@ pub enum ConfigError {
     /// A number out of range under `[settings]`.
     #[error("[settings] is not valid: {0}")]
     Settings(#[from] SettingsError),
+    /// The share of traces is out of range.
+    #[error(transparent)]
+    Share(#[from] ShareError),
     /// A value out of range.
     #[error("`{field}` must be {expected}, got {got}")]
     Range {
@@ -155,6 +169,8 @@ impl ServiceConfig {
             http: None,
             log: default_log(),
             log_json: false,
+            traces: None,
+            traces_share: default_traces_share(),
             settings: Settings::default(),
             vehicle_keys: None,
             library_keys: None,
@@ -171,6 +187,14 @@ impl ServiceConfig {
     /// The time between looks at the library file; none if it is loaded again on command only.
     pub(crate) fn watch(&self) -> Option<Duration> {
         (self.watch_ms > 0).then(|| Duration::from_millis(self.watch_ms))
+    }
+
+    /// The share of the traces that is written.
+    ///
+    /// # Errors
+    /// [`ConfigError::Share`].
+    pub(crate) fn share(&self) -> Result<Share, ConfigError> {
+        Ok(Share::new(self.traces_share)?)
     }
 
     /// Reads and validates a configuration.
@@ -200,6 +224,7 @@ impl ServiceConfig {
             }
             config.vehicle_keys = config.vehicle_keys.map(|file| folder.join(file));
             config.library_keys = config.library_keys.map(|file| folder.join(file));
+            config.traces = config.traces.map(|file| folder.join(file));
             config.zenoh_file = config.zenoh_file.map(|file| folder.join(file));
         }
         Ok(config)
@@ -208,7 +233,7 @@ impl ServiceConfig {
     /// Checks every value.
     ///
     /// # Errors
-    /// [`ConfigError::Range`] or [`ConfigError::Settings`] for the first one at fault.
+    /// [`ConfigError::Range`], [`ConfigError::Share`] or [`ConfigError::Settings`] for the first one at fault.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let range = |field, expected, got: &dyn ToString| {
             Err(ConfigError::Range {
@@ -240,6 +265,7 @@ impl ServiceConfig {
         if !(10..=3_600_000).contains(&self.load_ms) {
             return range("load_ms", "in 10..=3600000", &self.load_ms);
         }
+        self.share()?;
         Ok(self.settings.validate()?)
     }
 }
@@ -280,6 +306,7 @@ mod tests {
                 "`max_libraries` must be",
             ),
             ("library = \"a\"\nwatch_ms = 1", "`watch_ms` must be"),
+            ("library = \"a\"\ntraces_share = 2.0", "from 0 to 1, got 2"),
             ("library = \"a\"\nhttp = \"9464\"", "socket address"),
             ("library = \"a\"\n[settings]\nhorizn = 3", "horizn"),
             ("library = \"a\"\n[settings]\nmass = -1.0", "mass"),

@@ -12,6 +12,7 @@ use crate::metrics::{Metrics, micros};
 use crate::query::Query;
 use crate::queue::{Queue, Refused};
 use crate::sync::atomic::{AtomicBool, Ordering};
+use crate::traces::Traces;
 
 /// The part of a budget that is left for the way of request and answer through network and threads, which the service
 /// does not see. Without it, a service with too many requests computes answers that are late by little.
@@ -23,6 +24,8 @@ pub(crate) struct Job<Q> {
     pub(crate) sequence: u64,
     pub(crate) arrived: Instant,
     pub(crate) deadline: Instant,
+    /// When it was put into the queue; none if no traces are written.
+    pub(crate) queued: Option<Instant>,
     /// The proof of the sender, if the service has keys.
     pub(crate) sealed: Option<Sealed>,
 }
@@ -45,6 +48,8 @@ pub(crate) struct Shared<Q> {
     pub(crate) draining: AtomicBool,
     /// The keys of the vehicles; without them every sender is served.
     pub(crate) guard: Option<Guard>,
+    /// The spans of requests, if they are written.
+    pub(crate) traces: Option<Traces>,
 }
 
 impl<Q: Query> Shared<Q> {
@@ -110,6 +115,7 @@ impl<Q: Query> Shared<Q> {
             sequence: header.sequence,
             arrived,
             deadline,
+            queued: self.traces.as_ref().map(|_| Instant::now()),
             sealed,
         };
         // An idle worker tries in any case, because only computed steps correct the estimate.
@@ -155,11 +161,15 @@ impl<Q: Query> Shared<Q> {
 
     /// Answers a request that was queued with an error.
     pub(crate) fn refuse_job(&self, job: &Job<Q>, error: &WireError) {
+        let traced = self.traces.as_ref().map(|traces| (traces, Instant::now()));
         self.refuse(&job.query, Some(job.sequence), error);
+        if let Some((traces, ended)) = traced {
+            traces.answered(&self.replica, job, None, ended, Err(error));
+        }
     }
 
     /// Sends an error and counts it.
-    fn refuse(&self, query: &Q, sequence: Option<u64>, error: &WireError) {
+    pub(crate) fn refuse(&self, query: &Q, sequence: Option<u64>, error: &WireError) {
         self.metrics.refused(error.code);
         events::refused(query.key(), sequence, error);
         query.refuse(error);
@@ -206,6 +216,7 @@ pub(crate) mod tests {
             metrics,
             draining: AtomicBool::new(false),
             guard: None,
+            traces: None,
         }
     }
 

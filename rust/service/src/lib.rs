@@ -28,6 +28,7 @@ mod serve;
 mod server;
 mod signature;
 mod sync;
+mod traces;
 mod worker;
 
 pub use config::{ConfigError, ServiceConfig};

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use egp_core::library;
+use egp_trace::Counts;
 use egp_wire::{Code, LibraryId, Status};
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::encoding::text::encode;
@@ -36,6 +37,8 @@ pub(crate) struct Metrics {
     step_us: AtomicU32,
     libraries: Family<Sha256, Gauge>,
     reloads: Family<Outcome, Counter>,
+    /// Spans by what became of them, and where they are counted; none if no traces are written.
+    spans: Option<(Family<Outcome, Counter>, Counts)>,
 }
 
 impl Metrics {
@@ -53,6 +56,7 @@ impl Metrics {
             step_us: AtomicU32::new(0),
             libraries: Family::default(),
             reloads: Family::default(),
+            spans: None,
         };
         let registry = &mut metrics.registry;
         registry.register(
@@ -86,6 +90,14 @@ impl Metrics {
     pub(crate) fn show_twice(&mut self, twice: Counter) {
         let help = "Turns of several clients with the key of one vehicle";
         self.registry.register("identity_twice", help, twice);
+    }
+
+    /// Shows what becomes of spans.
+    pub(crate) fn show_spans(&mut self, counts: Counts) {
+        let family = Family::<Outcome, Counter>::default();
+        let help = "Spans of traces by what became of them";
+        self.registry.register("spans", help, family.clone());
+        self.spans = Some((family, counts));
     }
 
     /// Shows the libraries that are served from now on.
@@ -148,6 +160,17 @@ impl Metrics {
     /// The OpenMetrics text.
     pub(crate) fn text(&self, queued: usize) -> String {
         self.queued.set(i64::try_from(queued).unwrap_or(i64::MAX));
+        if let Some((family, counts)) = &self.spans {
+            for (outcome, count) in [
+                ("written", counts.written()),
+                ("dropped", counts.dropped()),
+                ("failed", counts.failed()),
+            ] {
+                let outcome = outcome.to_owned();
+                let shown = family.get_or_create(&Outcome { outcome });
+                shown.inc_by(count.saturating_sub(shown.get()));
+            }
+        }
         let mut text = String::new();
         match encode(&mut text, &self.registry) {
             Ok(()) => text,

@@ -47,6 +47,7 @@ impl<H: Handler, Q: Query> Replica<H, Q> {
                 queue: Queue::new(queue),
                 draining: AtomicBool::new(false),
                 guard: None,
+                traces: None,
             },
             handler,
             workers: workers_memory,
@@ -85,7 +86,7 @@ impl<H: Handler, Q: Query> Replica<H, Q> {
     pub fn end(&mut self, index: usize, now: Instant) {
         let computed = self.running.get_mut(index).and_then(Option::take);
         if let (Some((begun, outcome)), Some(worker)) = (computed, self.workers.get(index)) {
-            self.shared.finish(begun, outcome, &worker.reply, now);
+            self.shared.finish(begun, &outcome, &worker.reply, now);
         }
     }
 

@@ -1,5 +1,6 @@
 //! A service as a whole process: `egp-server` and `egp serve`.
 
+use egp_trace::TraceFile;
 use egp_wire::Ready;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -27,8 +28,8 @@ pub enum ServeError {
     Start(#[from] StartError),
 }
 
-/// Checks all that a service needs to start, and returns what it would serve: the log filter, library and settings, and
-/// a zenoh session, which listens on free ports and connects to nothing.
+/// Checks all that a service needs to start, and returns what it would serve: the log filter, library, settings, the file
+/// of traces, and a zenoh session, which listens on free ports and connects to nothing.
 ///
 /// # Errors
 /// [`ServeError`] as [`serve`] would report it.
@@ -38,6 +39,8 @@ pub fn check(config: &ServiceConfig) -> Result<Ready, ServeError> {
     let libraries = Libraries::load(config).map_err(StartError::from)?;
     let keys = config.vehicle_keys.as_deref().map(Guard::load);
     keys.transpose().map_err(StartError::from)?;
+    let traces = config.traces.as_deref().map(TraceFile::check);
+    traces.transpose().map_err(StartError::from)?;
     configuration(config.zenoh_file.as_deref(), &config.zenoh)
         .and_then(rehearse)
         .map_err(StartError::from)?;

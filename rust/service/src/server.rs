@@ -8,6 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use egp_core::library;
+use egp_trace::TraceError;
 use egp_wire::keys::{self, Name, NameError};
 use egp_wire::{KeyFileError, WireError};
 use prost::Message as _;
@@ -23,6 +24,7 @@ use crate::metrics::Metrics;
 use crate::network::{Network, NetworkError, Publisher, Received, configuration};
 use crate::queue::Queue;
 use crate::reloader::{Outcome, Reloader, Running};
+use crate::traces::Traces;
 use crate::worker::work;
 
 /// Why a service did not start.
@@ -54,6 +56,9 @@ pub enum StartError {
     /// The keys of the vehicles cannot be used.
     #[error(transparent)]
     Keys(#[from] KeyFileError),
+    /// The file of traces cannot be written.
+    #[error(transparent)]
+    Traces(#[from] TraceError),
     /// An operation of zenoh that failed.
     #[error(transparent)]
     Network(#[from] NetworkError),
@@ -110,6 +115,10 @@ impl Server {
         if let Some(guard) = &guard {
             metrics.show_twice(guard.twice());
         }
+        let traces = Traces::open(config, config.share()?)?;
+        if let Some(traces) = &traces {
+            metrics.show_spans(traces.counts());
+        }
         let shared = Arc::new(Shared {
             replica: replica.clone(),
             metrics,
@@ -118,6 +127,7 @@ impl Server {
             queue: Queue::new(config.queue),
             draining: AtomicBool::new(false),
             guard,
+            traces,
         });
         let http = config.http.map(HttpListener::bind).transpose()?;
         let network = Network::open(configuration(config.zenoh_file.as_deref(), &config.zenoh)?)?;

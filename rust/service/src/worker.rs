@@ -18,7 +18,7 @@ pub(crate) fn work<H: Handler, Q: Query>(shared: &Shared<Q>, handler: &H, worksp
     while let Some(job) = shared.queue.pop() {
         if let Some(begun) = shared.begin(job, Instant::now()) {
             let outcome = worker.compute(shared, handler, &begun);
-            shared.finish(begun, outcome, &worker.reply, Instant::now());
+            shared.finish(begun, &outcome, &worker.reply, Instant::now());
         }
     }
 }
@@ -49,11 +49,12 @@ impl<Q: Query> Shared<Q> {
     pub(crate) fn finish(
         &self,
         begun: Begun<Q>,
-        outcome: Result<Status, WireError>,
+        outcome: &Result<Status, WireError>,
         reply: &[u8],
         ended: Instant,
     ) {
         let Begun { job, started } = begun;
+        let outcome = outcome.as_ref().copied();
         match outcome {
             Ok(status) => {
                 let took = ended - started;
@@ -73,7 +74,10 @@ impl<Q: Query> Shared<Q> {
                 job.query
                     .answer(job.query.key(), reply.to_vec(), encoding, attachment);
             }
-            Err(error) => self.refuse_job(&job, &error),
+            Err(error) => self.refuse(&job.query, Some(job.sequence), error),
+        }
+        if let Some(traces) = &self.traces {
+            traces.answered(&self.replica, &job, Some(started), ended, outcome);
         }
         self.metrics.busy.dec();
     }
@@ -185,7 +189,7 @@ mod tests {
         let begun = shared.begin(job, at(start, 2.0)).unwrap();
         let outcome = worker.compute(&shared, &handler, &begun);
         assert_eq!(outcome, Ok(Status::IterationLimit));
-        shared.finish(begun, outcome, &worker.reply, at(start, 5.0));
+        shared.finish(begun, &outcome, &worker.reply, at(start, 5.0));
         let timing = Timing {
             queue_us: 2_000,
             step_us: 3_000,
@@ -210,7 +214,7 @@ mod tests {
         shared.take(bad.clone(), start);
         let begun = shared.begin(shared.queue.pop().unwrap(), start).unwrap();
         let outcome = worker.compute(&shared, &handler, &begun);
-        shared.finish(begun, outcome, &worker.reply, start);
+        shared.finish(begun, &outcome, &worker.reply, start);
         assert_eq!(bad.code(), Some(Code::Internal));
         assert!(shared.metrics.text(0).contains("egp_panics_total 1"));
         let (_, job) = taken(&shared, start, "a");

@@ -52,6 +52,14 @@ def drive(
             metavar="FILE", help="Secret key of the car for --connect, made by `egp keys`."
         ),
     ] = None,
+    traces: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="File to which the spans of the steps are appended, for --connect "
+            "(docs/deploying.md).",
+        ),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed in place of the scenario's.")] = None,
     road: Annotated[
         Path | None,
@@ -119,7 +127,13 @@ def drive(
     with (
         _fleet_map(console, chosen, belief, fleet, vehicle, zenoh) as exchange,
         _controller(
-            chosen, in_process=in_process, connect=connect, vehicle=vehicle, zenoh=zenoh, key=key
+            chosen,
+            in_process=in_process,
+            connect=connect,
+            vehicle=vehicle,
+            zenoh=zenoh,
+            key=key,
+            traces=traces,
         ) as controller,
         publication(
             chosen,
@@ -165,18 +179,22 @@ def _controller(
     vehicle: str | None,
     zenoh: Path | None,
     key: Path | None,
+    traces: Path | None,
 ) -> "AbstractContextManager[StepController]":
     from egp_service.cli.backends import remote_controller, service_controller
     from egp_service.simulation.in_process import in_process_controller
 
     if connect is None and zenoh is None:
-        if key is not None:
-            raise typer.BadParameter("--key has no use without --connect or --zenoh")
+        for option, value in (("--key", key), ("--traces", traces)):
+            if value is not None:
+                raise typer.BadParameter(f"{option} has no use without --connect or --zenoh")
         return in_process_controller(scenario) if in_process else service_controller(scenario)
     if in_process:
         raise typer.BadParameter("--in-process excludes --connect and --zenoh")
     name = vehicle or "vehicle-1"
-    return remote_controller(scenario, connect, vehicle=name, zenoh_file=zenoh, key_file=key)
+    return remote_controller(
+        scenario, connect, vehicle=name, zenoh_file=zenoh, key_file=key, traces=traces
+    )
 
 
 @contextmanager

@@ -57,6 +57,13 @@ def serve(
     log_json: Annotated[
         bool, typer.Option("--log-json", help="Log one JSON object a line.")
     ] = False,
+    traces: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="File to which the spans of requests are appended as JSON lines of OpenTelemetry.",
+        ),
+    ] = None,
     check: Annotated[
         bool,
         typer.Option(
@@ -103,6 +110,7 @@ def serve(
     given["library"] = None if library is None else str(library)
     given["settings"] = None if settings is None else read_settings(settings)
     given["log_json"] = log_json or None
+    given["traces"] = None if traces is None else str(traces)
     table |= {name: value for name, value in given.items() if value is not None}
     if watch and not table.get("watch_ms"):
         table["watch_ms"] = 500
@@ -139,7 +147,7 @@ def _with_folder(table: dict[str, object], folder: Path) -> dict[str, object]:
     """Let the relative paths of a configuration start at its folder."""
     paths: dict[str, object] = {
         name: str(folder / path)
-        for name in ("library", "vehicle_keys", "library_keys", "zenoh_file")
+        for name in ("library", "traces", "vehicle_keys", "library_keys", "zenoh_file")
         if isinstance(path := table.get(name), str)
     }
     if isinstance(libraries := table.get("libraries"), list):

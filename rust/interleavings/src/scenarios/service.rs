@@ -81,6 +81,7 @@ impl Service {
             queue: Queue::new(3),
             draining: AtomicBool::new(false),
             guard,
+            traces: None,
         });
         let workers = (0..WORKERS).map(|_| {
             let shared = shared.clone();

@@ -22,6 +22,7 @@ In production, write a TOML file and pass it as --config; options of the command
     queue = 256                        # vehicles that may wait at a time
     http = "127.0.0.1:9464"            # /health, /ready and /metrics; default: none
     log_json = true
+    traces = "traces.jsonl"            # spans of requests, for OpenTelemetry; default: none
     [settings.cost]                    # the control step; every field has a default
     lateral = 30.0
     [zenoh]                            # any zenoh setting: its key path and its JSON5 value
@@ -67,6 +68,9 @@ struct Arguments {
     /// Log one JSON object a line.
     #[arg(long)]
     log_json: bool,
+    /// File to which the spans of requests are appended as JSON lines of OpenTelemetry.
+    #[arg(long, value_name = "FILE")]
+    traces: Option<PathBuf>,
     /// Check configuration, library and network settings, print what would be served, and end.
     #[arg(long)]
     check: bool,
@@ -87,6 +91,7 @@ impl Arguments {
         config.http = self.http.or(config.http);
         config.workers = self.workers.or(config.workers);
         config.log_json |= self.log_json;
+        config.traces = self.traces.or(config.traces);
         if self.watch && config.watch_ms == 0 {
             config.watch_ms = 500;
         }

@@ -1,0 +1,358 @@
+"""The spans of vehicle and service join into one trace for each step, in the form of OTLP."""
+
+from __future__ import annotations
+
+import base64
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from google.protobuf import json_format
+from typer.testing import CliRunner
+
+from egp_service import InvalidArgumentError, VehicleClient
+from egp_service._core import EgpError
+from egp_service.cli import app
+from egp_service.control.service_process import ServiceProcess
+from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from egp_service.control.step import Step
+
+trace_pb2 = pytest.importorskip(
+    "opentelemetry.proto.trace.v1.trace_pb2", reason="comes with the extra dev"
+)
+
+SCENARIO = load_scenario("rounded-rectangle")
+LIBRARY = library_path(SCENARIO)
+GATE = gate_settings(SCENARIO)
+EGP = [sys.executable, "-m", "egp_service"]
+# Each process reads its clock and the time of day within 20 us; a busy machine may interrupt it.
+CLOCKS_NS = 200_000
+PATIENCE = 60.0
+
+
+@dataclass(frozen=True)
+class Span:
+    """A span as a file has it."""
+
+    instance: str
+    trace: str
+    id: str
+    parent: str
+    name: str
+    kind: int
+    start: int
+    end: int
+    failed: bool
+    attributes: dict[str, Any]
+
+    def within(self, other: Span, tolerance: int = 0) -> bool:
+        """Tell whether this span is a part of another one in time."""
+        return other.start - tolerance <= self.start <= self.end <= other.end + tolerance
+
+
+def with_base64_ids(value: Any) -> Any:  # noqa: ANN401 - any JSON
+    """Give JSON as protobuf has it: OTLP writes the bytes of ids as hexadecimal digits."""
+    if isinstance(value, list):
+        return [with_base64_ids(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    ids = {"traceId", "spanId", "parentSpanId"}
+    return {
+        key: base64.b64encode(bytes.fromhex(item)).decode() if key in ids else with_base64_ids(item)
+        for key, item in value.items()
+    }
+
+
+def read(path: Path) -> list[Span]:
+    """Read a file by the schema of OTLP; an unknown field and a wrong type are errors."""
+    spans = []
+    text = path.read_text(encoding="utf-8")
+    assert text.endswith("\n")
+    for line in text.splitlines():
+        data = json_format.ParseDict(with_base64_ids(json.loads(line)), trace_pb2.TracesData())
+        for group in data.resource_spans:
+            about = attributes(group.resource.attributes)
+            assert about.keys() == {"service.name", "service.instance.id", "service.version"}
+            for scope in group.scope_spans:
+                spans += [of_message(about["service.instance.id"], span) for span in scope.spans]
+    return spans
+
+
+def of_message(instance: str, span: Any) -> Span:  # noqa: ANN401 - a message of protobuf
+    assert (len(span.trace_id), len(span.span_id)) == (16, 8)
+    assert len(span.parent_span_id) in {0, 8}
+    return Span(
+        instance,
+        span.trace_id.hex(),
+        span.span_id.hex(),
+        span.parent_span_id.hex(),
+        span.name,
+        span.kind,
+        span.start_time_unix_nano,
+        span.end_time_unix_nano,
+        span.status.code == trace_pb2.Status.STATUS_CODE_ERROR,
+        attributes(span.attributes),
+    )
+
+
+def attributes(stated: Any) -> dict[str, Any]:  # noqa: ANN401 - messages of protobuf
+    return {each.key: getattr(each.value, each.value.WhichOneof("value")) for each in stated}
+
+
+def traces_of(spans: list[Span]) -> dict[str, list[Span]]:
+    """Give the spans of each trace."""
+    traces: dict[str, list[Span]] = defaultdict(list)
+    for span in spans:
+        traces[span.trace].append(span)
+    return traces
+
+
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@contextmanager
+def serving(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run `egp serve`, and drain it at the end."""
+    process = subprocess.Popen([*EGP, "serve", *arguments])
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.terminate()
+        assert process.wait(PATIENCE) == 0
+
+
+def wait_until_listening(endpoint: str) -> None:
+    host, _, port = endpoint.removeprefix("tcp/").partition(":")
+    end = time.monotonic() + PATIENCE
+    while True:
+        with socket.socket() as probe:
+            if probe.connect_ex((host, int(port))) == 0:
+                return
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+class Standstill:
+    """Steps of a vehicle that always measures the same state on a straight road."""
+
+    def __init__(self, client: VehicleClient) -> None:
+        """Use this client."""
+        self.client = client
+        s = 15.0 * client.dt * np.arange(client.horizon + 1)
+        self.reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
+
+    def step(self, deadline: float = 5.0) -> Step:
+        """Take the next step."""
+        x = np.array([0.0, 0.3, 15.0, 0.0, 0.0, 0.0, 0.0])
+        return self.client.step(x, self.reference, deadline=deadline)
+
+
+def test_vehicle_and_service_write_one_trace_for_each_step(tmp_path: Path) -> None:
+    endpoint, ours, theirs = free_endpoint(), tmp_path / "car.jsonl", tmp_path / "server.jsonl"
+    with (
+        serving(str(LIBRARY), "--listen", endpoint, "--traces", str(theirs)),
+        VehicleClient.connect(
+            endpoint, fleet="depot", vehicle="car-7", gate=GATE, timeout=30.0, traces=ours
+        ) as client,
+    ):
+        vehicle = Standstill(client)
+        steps = [vehicle.step() for _ in range(20)]
+    assert all(step.status == "solved" for step in steps)
+    assert {span.instance for span in read(ours)} == {"depot/car-7"}
+    assert {span.instance for span in read(theirs)} == {"main"}
+    traces = traces_of(read(ours) + read(theirs))
+    assert len(traces) == len(steps)
+    sequences = set()
+    for spans in traces.values():
+        by_name = {span.name: span for span in spans}
+        names = {"step", "ask", "request", "receive", "queue", "solve"}
+        assert by_name.keys() == {f"egp.{name}" for name in names}
+        assert len(spans) == len(names) == len({span.id for span in spans})
+        root, ask, request = by_name["egp.step"], by_name["egp.ask"], by_name["egp.request"]
+        parts = [by_name[f"egp.{part}"] for part in ("receive", "queue", "solve")]
+        assert (root.parent, ask.parent, request.parent) == ("", root.id, ask.id)
+        assert {part.parent for part in parts} == {request.id}
+        assert (root.kind, ask.kind, request.kind) == (1, 3, 2)
+        assert ask.within(root)
+        assert request.within(ask, CLOCKS_NS)
+        assert all(part.within(request) for part in parts)
+        assert parts[0].end == parts[1].start
+        assert parts[1].end == parts[2].start
+        assert abs(root.start - time.time_ns()) < 600e9
+        assert not any(span.failed for span in spans)
+        library = client.library.hex()
+        about = {"egp.fleet": "depot", "egp.vehicle": "car-7", "egp.library": library}
+        about["egp.sequence"] = root.attributes["egp.sequence"]
+        expected = {"egp.outcome": "solved", "egp.mode": "normal", "egp.replica": "main"}
+        assert root.attributes == about | expected
+        assert request.attributes == about | {"egp.status": "solved"}
+        assert ask.attributes == {"egp.replica": "main", "egp.answer": "reply"}
+        sequences.add(root.attributes["egp.sequence"])
+    assert len(sequences) == len(steps)
+
+
+def test_both_sides_choose_the_same_share(tmp_path: Path) -> None:
+    endpoint, ours = free_endpoint(), tmp_path / "car.jsonl"
+    config = tmp_path / "service.toml"
+    config.write_text(
+        f'library = "{LIBRARY}"\ntraces = "server.jsonl"\ntraces_share = 0.3\n', encoding="utf-8"
+    )
+    with (
+        serving("--config", str(config), "--listen", endpoint),
+        VehicleClient.connect(
+            endpoint, gate=GATE, timeout=30.0, traces=ours, traces_share=0.3
+        ) as client,
+    ):
+        vehicle = Standstill(client)
+        for _ in range(60):
+            assert vehicle.step().status == "solved"
+    chosen = traces_of(read(ours)).keys()
+    assert chosen == traces_of(read(tmp_path / "server.jsonl")).keys()
+    assert 0 < len(chosen) < 60
+
+
+def test_a_request_to_two_replicas_is_one_trace(tmp_path: Path) -> None:
+    ours, replicas = tmp_path / "car.jsonl", ["a", "b"]
+    endpoints = {name: free_endpoint() for name in replicas}
+    files = {name: tmp_path / f"{name}.jsonl" for name in replicas}
+    options = {
+        name: ["--replica", name, "--listen", endpoints[name], "--traces", str(files[name])]
+        for name in replicas
+    }
+    with serving(str(LIBRARY), *options["a"]) as a, serving(str(LIBRARY), *options["b"]) as b:
+        processes = {"a": a, "b": b}
+        connect = [endpoints[name] for name in replicas]
+        with VehicleClient.connect(
+            connect, gate=GATE, timeout=30.0, hedge=0.2, traces=ours
+        ) as client:
+            vehicle = Standstill(client)
+            for endpoint in connect:
+                wait_until_listening(endpoint)
+            time.sleep(1.0)  # until the vehicle is linked to both
+            first = vehicle.step().replica
+            processes[first].send_signal(signal.SIGSTOP)
+            step = vehicle.step()
+            assert (step.status, step.replica) == ("solved", {"a": "b", "b": "a"}[first])
+            processes[first].send_signal(signal.SIGCONT)
+            time.sleep(2.0)
+    *_, newest = (span for span in read(ours) if span.name == "egp.step")
+    (spans,) = [
+        spans
+        for trace, spans in traces_of(read(ours) + read(files["a"]) + read(files["b"])).items()
+        if trace == newest.trace
+    ]
+    asks = {span.attributes["egp.replica"]: span for span in spans if span.name == "egp.ask"}
+    requests = {span.instance: span for span in spans if span.name == "egp.request"}
+    assert asks.keys() == requests.keys() == set(replicas)
+    assert {asks[name].id for name in replicas} == {requests[name].parent for name in replicas}
+    assert all(requests[name].parent == asks[name].id for name in replicas)
+    assert asks[first].attributes["egp.answer"] == "late"
+    assert asks[first].failed
+    assert not newest.failed
+
+
+def test_a_step_without_a_service_says_why_it_has_no_plan(tmp_path: Path) -> None:
+    ours = tmp_path / "car.jsonl"
+    with (
+        ServiceProcess(LIBRARY, {}) as service,
+        VehicleClient.connect(service.endpoint, gate=GATE, traces=ours) as client,
+    ):
+        vehicle, end = Standstill(client), time.monotonic() + PATIENCE
+        assert vehicle.step().status == "solved"
+        service.kill()
+        while vehicle.step(deadline=0.5).status != "unreachable":
+            assert time.monotonic() < end
+    *_, newest = (span for span in read(ours) if span.name == "egp.step")
+    assert newest.failed
+    assert newest.attributes["egp.outcome"] == "unreachable"
+    assert newest.attributes["egp.mode"] in {"tail", "stop"}
+
+
+def test_a_stranger_takes_no_space_on_the_disk_of_a_service_with_keys(tmp_path: Path) -> None:
+    endpoint, ours = free_endpoint(), tmp_path / "car.jsonl"
+    (tmp_path / "vehicles.keys").write_text(f"default/vehicle-1 {'5a' * 32}\n", encoding="utf-8")
+    config = tmp_path / "service.toml"
+    config.write_text(
+        f'library = "{LIBRARY}"\nvehicle_keys = "vehicles.keys"\ntraces = "server.jsonl"\n',
+        encoding="utf-8",
+    )
+    with (
+        serving("--config", str(config), "--listen", endpoint),
+        VehicleClient.connect(endpoint, gate=GATE, timeout=30.0, traces=ours) as client,
+    ):
+        assert Standstill(client).step().status == "refused"
+    assert not (tmp_path / "server.jsonl").read_text(encoding="utf-8")
+    ask, root = read(ours)
+    assert ask.attributes["egp.answer"] == root.attributes["egp.outcome"] == "refused"
+    assert {span.attributes["egp.error_code"] for span in (ask, root)} == {"unauthenticated"}
+    assert ask.failed
+    assert root.failed
+
+
+def test_a_drive_writes_its_traces(tmp_path: Path) -> None:
+    scenario = tmp_path / "short.toml"
+    scenario.write_text(
+        'name = "short"\nlaps = 0.02\n[track]\nkind = "circle"\n[[zones]]\nstart = 0.0\n'
+        "friction = 1.0\n",
+        encoding="utf-8",
+    )
+    traces = tmp_path / "car.jsonl"
+    drive = ["drive", "-s", str(scenario), "--no-pictures", "-o", str(tmp_path / "runs")]
+    with ServiceProcess(LIBRARY, {}) as service:
+        options = ["--connect", service.endpoint, "--traces", str(traces)]
+        result = CliRunner().invoke(app, [*drive, *options])
+    assert result.exit_code == 0, result.output
+    assert {span.instance for span in read(traces)} == {"default/vehicle-1"}
+    result = CliRunner().invoke(app, [*drive, "--traces", str(traces)])
+    assert result.exit_code == 2
+    assert "no use without" in result.output
+
+
+def test_a_file_that_cannot_be_written_is_named_at_the_start(tmp_path: Path) -> None:
+    missing = tmp_path / "missing" / "traces.jsonl"
+    serve = ["serve", str(LIBRARY), "--listen", free_endpoint(), "--traces", str(missing)]
+    result = CliRunner().invoke(app, [*serve, "--check"])
+    assert isinstance(result.exception, EgpError)
+    assert f"cannot write traces to {missing}" in str(result.exception)
+    done = subprocess.run(
+        [*EGP, *serve], capture_output=True, text=True, check=False, timeout=PATIENCE
+    )
+    assert done.returncode != 0
+    assert "cannot write traces" in done.stderr
+    with ServiceProcess(LIBRARY, {}) as service:
+        with pytest.raises(InvalidArgumentError, match="cannot write traces"):
+            VehicleClient.connect(service.endpoint, gate=GATE, traces=missing)
+        with pytest.raises(InvalidArgumentError, match="from 0 to 1"):
+            VehicleClient.connect(
+                service.endpoint, gate=GATE, traces=tmp_path / "a", traces_share=2.0
+            )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="writes to /dev/full")
+def test_a_full_disk_does_not_stop_control() -> None:
+    full, endpoint = Path("/dev/full"), free_endpoint()
+    with serving(str(LIBRARY), "--listen", endpoint, "--traces", str(full)):
+        client = VehicleClient.connect(endpoint, gate=GATE, timeout=30.0, traces=full)
+        vehicle, end = Standstill(client), time.monotonic() + 1.0
+        while time.monotonic() < end:
+            assert vehicle.step().status == "solved"
+        with pytest.warns(UserWarning, match="spans of traces could not be written"):
+            client.close()
