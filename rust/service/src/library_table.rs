@@ -197,3 +197,119 @@ impl<H: Handler> LibraryTable<H> {
 fn millis(now: Duration) -> u64 {
     u64::try_from(now.as_millis()).unwrap_or(u64::MAX - 1) + 1
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use egp_testing::messages;
+
+    use super::*;
+
+    /// A library whose hash is this number 32 times, and whose workspace and reply are the number.
+    struct Fake(u8);
+
+    impl Handler for Fake {
+        type Workspace = u8;
+
+        fn describe(&self) -> Ready {
+            Ready {
+                library: [self.0; 32],
+                ..messages::ready()
+            }
+        }
+
+        fn workspace(&self) -> Result<u8, WireError> {
+            Ok(self.0)
+        }
+
+        fn step(
+            &self,
+            workspace: &mut u8,
+            _request: &[u8],
+            reply: &mut Vec<u8>,
+        ) -> Result<Status, WireError> {
+            *reply = vec![self.0, *workspace];
+            Ok(Status::Solved)
+        }
+    }
+
+    struct Tried {
+        table: LibraryTable<Fake>,
+        memory: TableWorkspace<u8>,
+    }
+
+    impl Tried {
+        fn new(further: &[u8], limit: usize) -> Self {
+            let further = further.iter().map(|&number| Fake(number));
+            let table = LibraryTable::new(Fake(1), further, limit);
+            let memory = table.workspace().unwrap();
+            Self { table, memory }
+        }
+
+        fn ids(&self) -> Vec<u8> {
+            self.table.ids().iter().map(|id| id[0]).collect()
+        }
+
+        /// Replaces the file at a time in seconds: the libraries after it, or the error.
+        fn replace(&self, number: u8, at: u64) -> Result<Vec<u8>, TableFull> {
+            let now = Duration::from_secs(at);
+            let load = |_: &Fake| Ok::<_, TableFull>(Fake(number));
+            self.table.replace([number; 32], now, load)?;
+            Ok(self.ids())
+        }
+
+        /// Asks for a library at a time in seconds: the reply, or the code of the error.
+        fn ask(&mut self, number: u8, at: u64) -> Result<Vec<u8>, Code> {
+            let mut request = messages::cold_request();
+            request.library = [number; 32];
+            let (now, mut reply) = (Duration::from_secs(at), Vec::new());
+            let ended = self
+                .table
+                .step(&mut self.memory, &request.encode(), &mut reply, now);
+            ended.map(|_| reply).map_err(|error| error.code)
+        }
+    }
+
+    #[test]
+    fn a_library_that_was_not_asked_for_makes_room_first() {
+        let mut tried = Tried::new(&[], 2);
+        assert_eq!(tried.ask(1, 1), Ok(vec![1, 1]));
+        assert_eq!(tried.replace(2, 2), Ok(vec![2, 1]));
+        assert_eq!(tried.replace(3, 3), Ok(vec![3, 1]));
+        assert_eq!(tried.ask(2, 4), Err(Code::UnknownLibrary));
+        assert_eq!(tried.ask(1, 4), Ok(vec![1, 1]));
+        assert_eq!(tried.ask(3, 5), Ok(vec![3, 3]));
+    }
+
+    #[test]
+    fn a_library_makes_room_a_minute_after_it_was_asked_for() {
+        let mut tried = Tried::new(&[2, 1], 2);
+        assert_eq!(tried.ids(), [1, 2]);
+        assert_eq!(
+            (tried.ask(1, 0), tried.ask(2, 10)),
+            (Ok(vec![1, 1]), Ok(vec![2, 2]))
+        );
+        let full = Err(TableFull { limit: 2 });
+        assert_eq!(tried.replace(3, 59), full);
+        assert_eq!(tried.ids(), [1, 2]);
+        assert_eq!(tried.replace(3, 60), Ok(vec![3, 2]));
+        assert_eq!(tried.ask(3, 61), Ok(vec![3, 3]));
+        assert_eq!(tried.replace(4, 69), full);
+        // The library that is described is not excepted once another one is.
+        assert_eq!(tried.replace(2, 69), Ok(vec![2, 3]));
+        assert_eq!(tried.replace(4, 70), Ok(vec![4, 3]));
+    }
+
+    #[test]
+    fn a_library_that_cannot_be_loaded_changes_nothing() {
+        let tried = Tried::new(&[], 2);
+        let full = TableFull { limit: 0 };
+        let load = |_: &Fake| Err(full);
+        assert_eq!(
+            tried.table.replace([9; 32], Duration::ZERO, load),
+            Err(full)
+        );
+        assert_eq!(tried.ids(), [1]);
+        assert!(tried.table.describe().others.is_empty());
+    }
+}
