@@ -2,6 +2,7 @@
 
     python tests/bench/schedules.py                  # 200 schedules, about 20 minutes
     python tests/bench/schedules.py --count 20
+    python tests/bench/schedules.py --partitions     # as root
 
 A schedule kills, freezes, restarts or drains two replicas while two vehicles drive. For real these
 are processes with SIGKILL, SIGSTOP, SIGCONT and SIGTERM, and sessions of zenoh over loopback;
@@ -10,6 +11,9 @@ outcomes. Outcomes of a vehicle: whether it stopped, and which replica answered 
 each interval of more than a second without a fault that begins or ends. A schedule with different
 outcomes is run for real once more, alone: a busy machine lets an answer come late, and then a
 vehicle asks another replica for a while.
+
+With `--partitions` other schedules are drawn, which also cut the link between one vehicle and one
+replica: for real each replica then runs in a network namespace of its own (`namespaces.py`).
 """
 
 from __future__ import annotations
@@ -28,12 +32,17 @@ from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory, mkdtemp
 from threading import Thread
+from typing import TYPE_CHECKING
 
+from namespaces import Place, enter, missing
 from rich.console import Console
 from rich.progress import Progress
 from service_bench import BESIDE, EGP, GATE, Bench, free_endpoint, line
 
 from egp_service import VehicleClient
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 SECONDS = 12.0
 FIRST = 2.0  # when faults begin
@@ -44,6 +53,7 @@ LONG, SHORT = (1.6, 2.6), (0.1, 0.25)
 VEHICLES = ("car-0", "car-1")
 REPLICAS = 2
 KINDS = ("kill", "freeze", "restart", "drain")
+LASTING = ("kill", "freeze")
 # The duration of faults that have none of their own: until the replica is back.
 BACK = 1.2
 
@@ -56,10 +66,13 @@ class Fault:
     replica: int
     begin: float
     length: float
+    vehicle: int = 0
+    """The vehicle whose link to the replica is cut."""
 
     def __str__(self) -> str:
         """Return it as `egp simulate --fault` reads it."""
-        return f"{self.kind}:r{self.replica}@{self.begin:.3f}+{self.length:.3f}"
+        link = f"{VEHICLES[self.vehicle]}:" if self.kind == "partition" else ""
+        return f"{self.kind}:{link}r{self.replica}@{self.begin:.3f}+{self.length:.3f}"
 
     @property
     def end(self) -> float:
@@ -67,31 +80,34 @@ class Fault:
         return self.begin + self.length
 
 
-def schedule(seed: int) -> list[Fault]:
+def schedule(seed: int, *, partitions: bool) -> list[Fault]:
     """Draw faults: one, two in turn, or two at once, of which the second is long or short."""
     rng = Random(seed)  # noqa: S311 - no secret
+    more = ("partition",) if partitions else ()
+    kinds, lasting = KINDS + more, LASTING + more
 
     def draw(
         begin: float, replica: int, kinds: tuple[str, ...], length: tuple[float, float]
     ) -> Fault:
         kind = rng.choice(kinds)
-        takes = rng.uniform(*length) if kind in {"kill", "freeze"} else BACK
-        return Fault(kind, replica, begin, takes)
+        takes = rng.uniform(*length) if kind in lasting else BACK
+        vehicle = rng.randrange(len(VEHICLES)) if kind == "partition" else 0
+        return Fault(kind, replica, begin, takes, vehicle)
 
     replica = rng.randrange(REPLICAS)
     shape = rng.choice(("one", "in turn", "both for long", "both for a moment"))
     if shape == "one":
-        return [draw(FIRST, replica, KINDS, LONG)]
+        return [draw(FIRST, replica, kinds, LONG)]
     if shape == "in turn":
-        first = draw(FIRST, replica, KINDS, LONG)
-        return [first, draw(first.end + 1.5, rng.randrange(REPLICAS), KINDS, LONG)]
+        first = draw(FIRST, replica, kinds, LONG)
+        return [first, draw(first.end + 1.5, rng.randrange(REPLICAS), kinds, LONG)]
     # The first one lasts over all of the second.
     within = draw(
         FIRST + 1.6,
         1 - replica,
-        *((("kill", "freeze"), LONG) if "long" in shape else (("freeze",), SHORT)),
+        *((lasting, LONG) if "long" in shape else (("freeze",), SHORT)),
     )
-    around = Fault(rng.choice(("kill", "freeze")), replica, FIRST, within.end + 1.6 - FIRST)
+    around = Fault(rng.choice(LASTING), replica, FIRST, within.end + 1.6 - FIRST)
     return [around, within]
 
 
@@ -119,6 +135,7 @@ PERIOD = re.compile(r"^ *([\d.]+) (car-\d) (\w+) F .*, (\w+) of (\w+)$", re.MULT
 def simulated(seed: int, faults: list[Fault]) -> tuple[list[str], list[Seen]]:
     """Simulate a schedule; return the command and what each vehicle saw."""
     command = ["simulate", f"--seed={seed}", f"--seconds={SECONDS}", f"--replicas={REPLICAS}"]
+    command += ["--routers=0"]
     command += [f"--vehicles={len(VEHICLES)}", *(f"--fault={fault}" for fault in faults)]
     done = subprocess.run([*EGP, *command], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -130,16 +147,29 @@ def simulated(seed: int, faults: list[Fault]) -> tuple[list[str], list[Seen]]:
     return command, list(seen.values())
 
 
-def real(folder: Path, faults: list[Fault]) -> list[Seen]:
+def real(folder: Path, faults: list[Fault], *, partitions: bool) -> list[Seen]:
     """Run a schedule with processes; return what each vehicle saw."""
     bench = Bench(folder, 1.0)
     with bench.running:
-        endpoints = [free_endpoint() for _ in range(REPLICAS)]
-        replicas = [bench.serve(f"r{r}", listen=endpoints[r], workers=1) for r in range(REPLICAS)]
+        if partitions:
+            places = [Place.make(len(VEHICLES)) for _ in range(REPLICAS)]
+            for place in places:
+                bench.running.callback(place.remove)
+            endpoints = [[place.reached[v] for place in places] for v in range(len(VEHICLES))]
+        else:
+            places = []
+            endpoints = [[free_endpoint() for _ in range(REPLICAS)]] * len(VEHICLES)
+
+        def serve(r: int) -> subprocess.Popen[bytes]:
+            where = {"place": places[r]} if places else {"listen": endpoints[0][r]}
+            started: subprocess.Popen[bytes] = bench.serve(f"r{r}", workers=1, **where)
+            return started
+
+        replicas = [serve(r) for r in range(REPLICAS)]
         seen = [Seen([], stopped=False) for _ in VEHICLES]
         clients = [
-            VehicleClient.connect(endpoints, fleet="fleet", vehicle=name, gate=GATE, timeout=30.0)
-            for name in VEHICLES
+            VehicleClient.connect(own, fleet="fleet", vehicle=name, gate=GATE, timeout=30.0)
+            for name, own in zip(VEHICLES, endpoints, strict=True)
         ]
         time.sleep(1.0)  # the vehicles see both replicas
         begun = time.monotonic()
@@ -148,24 +178,38 @@ def real(folder: Path, faults: list[Fault]) -> list[Seen]:
         ]
         for thread in threads:
             thread.start()
-        edges = [(fault.begin, False, fault) for fault in faults]
-        edges += [(fault.end, True, fault) for fault in faults if fault.kind in {"kill", "freeze"}]
-        for t, ends, fault in sorted(edges, key=lambda edge: edge[0]):
-            time.sleep(max(0.0, begun + t - time.monotonic()))
-            r = fault.replica
-            if fault.kind == "freeze":
-                replicas[r].send_signal(signal.SIGCONT if ends else signal.SIGSTOP)
-                continue
-            if not ends:
-                replicas[r].send_signal(signal.SIGTERM if fault.kind == "drain" else signal.SIGKILL)
-                replicas[r].wait()
-            if ends or fault.kind != "kill":
-                replicas[r] = bench.serve(f"r{r}", listen=endpoints[r], workers=1)
+        disturb(faults, begun, replicas, places, serve)
         for thread in threads:
             thread.join()
         for client in clients:
             client.close()
     return seen
+
+
+def disturb(
+    faults: list[Fault],
+    begun: float,
+    replicas: list[subprocess.Popen[bytes]],
+    places: list[Place],
+    serve: Callable[[int], subprocess.Popen[bytes]],
+) -> None:
+    """Let the faults of a drive that has begun happen to its replicas."""
+    edges = [(fault.begin, False, fault) for fault in faults]
+    edges += [(f.end, True, f) for f in faults if f.kind in (*LASTING, "partition")]
+    for t, ends, fault in sorted(edges, key=lambda edge: edge[0]):
+        time.sleep(max(0.0, begun + t - time.monotonic()))
+        r = fault.replica
+        if fault.kind == "partition":
+            places[r].cut(fault.vehicle, heal=ends)
+            continue
+        if fault.kind == "freeze":
+            replicas[r].send_signal(signal.SIGCONT if ends else signal.SIGSTOP)
+            continue
+        if not ends:
+            replicas[r].send_signal(signal.SIGTERM if fault.kind == "drain" else signal.SIGKILL)
+            replicas[r].wait()
+        if ends or fault.kind != "kill":
+            replicas[r] = serve(r)
 
 
 def drive(client: VehicleClient, seen: Seen, begun: float) -> None:
@@ -184,6 +228,7 @@ class Compared:
     """A schedule and its outcomes, simulated and for real, of each vehicle."""
 
     faults: list[Fault]
+    partitions: bool
     command: list[str]
     simulated: list[tuple[str, ...]]
     real: list[tuple[str, ...]]
@@ -196,14 +241,16 @@ class Compared:
     def drive(self, folder: Path) -> Compared:
         """Run the schedule for real, in a new folder inside `folder`."""
         own = Path(mkdtemp(dir=folder))
-        return replace(self, real=[seen.outcome(self.faults) for seen in real(own, self.faults)])
+        seen = real(own, self.faults, partitions=self.partitions)
+        return replace(self, real=[one.outcome(self.faults) for one in seen])
 
 
-def compare(seed: int, folder: Path) -> Compared:
+def compare(seed: int, folder: Path, *, partitions: bool) -> Compared:
     """Run a schedule in both ways."""
-    faults = schedule(seed)
+    faults = schedule(seed, partitions=partitions)
     command, seen = simulated(seed, faults)
-    return Compared(faults, command, [s.outcome(faults) for s in seen], []).drive(folder)
+    outcomes = [s.outcome(faults) for s in seen]
+    return Compared(faults, partitions, command, outcomes, []).drive(folder)
 
 
 def main() -> None:
@@ -214,7 +261,14 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200, help="schedules")
     parser.add_argument("--first", type=int, default=0, help="seed of the first schedule")
     parser.add_argument("--jobs", type=int, default=2, help="schedules at the same time")
+    parser.add_argument(
+        "--partitions", action="store_true", help="also cut links, in network namespaces (root)"
+    )
     options = parser.parse_args()
+    if options.partitions:
+        if reason := missing():
+            raise SystemExit(f"no schedule was run, because links cannot be cut here: {reason}")
+        enter()
     seeds = range(options.first, options.first + options.count)
     console = Console()
     with (
@@ -223,7 +277,7 @@ def main() -> None:
         Progress(console=Console(stderr=True)) as progress,
     ):
         folder = Path(name)
-        results = pool.map(lambda seed: compare(seed, folder), seeds)
+        results = pool.map(lambda seed: compare(seed, folder, partitions=options.partitions), seeds)
         first = list(progress.track(results, total=len(seeds), description="comparing"))
         unlike = [one for one in first if not one.same]
         again = [one.drive(folder) for one in progress.track(unlike, description="comparing again")]

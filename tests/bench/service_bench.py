@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zenoh
+from namespaces import PORT
 
 from egp_service import VehicleClient, shipped
 from egp_service._core.testing import step_key
@@ -24,8 +25,10 @@ from egp_service.control.recorded import read_recording
 from egp_service.simulation.scenario import gate_settings, load_scenario
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
+
+    from namespaces import Place
 
 EGP = [sys.executable, "-m", "egp_service"]
 LIBRARIES = (shipped.DEMO_LIBRARY, shipped.DEMO_LIBRARY.with_name("evaluation-library.safetensors"))
@@ -47,10 +50,10 @@ class Bench:
         """Return a number of repetitions, or of seconds, times the share that was asked for."""
         return max(1, round(number * self.share))
 
-    def start(self, *command: str) -> subprocess.Popen[bytes]:
-        """Start a command of `egp`, whose output goes to `log.txt`."""
+    def start(self, *command: str, inside: Sequence[str] = ()) -> subprocess.Popen[bytes]:
+        """Start a command of `egp`, behind the words `inside`; its output goes to `log.txt`."""
         with (self.folder / "log.txt").open("a", encoding="utf-8") as log:
-            process = subprocess.Popen([*EGP, *command], stdout=log, stderr=log)
+            process = subprocess.Popen([*inside, *EGP, *command], stdout=log, stderr=log)
         self.running.callback(process.wait)
         self.running.callback(process.kill)
         # A process that is suspended is continued first, so that it can end.
@@ -58,12 +61,28 @@ class Bench:
         return process
 
     def serve(
-        self, name: str = "main", *, listen: str = "", route: str = "", **options: object
+        self,
+        name: str = "main",
+        *,
+        listen: str = "",
+        route: str | Sequence[str] = "",
+        place: Place | None = None,
+        **options: object,
     ) -> Any:  # noqa: ANN401
-        """Start a service; it listens at `listen`, or is a client of the router at `route`."""
+        """Start a service; it listens at `listen`, or is a client of the routers at `route`.
+
+        With a place it runs in that namespace and listens there.
+        """
+        reached = listen
+        if place is not None:
+            listen, reached = f"tcp/0.0.0.0:{PORT}", place.reached[0]
         zenoh: dict[str, object] = {"listen/endpoints": [listen] if listen else []}
         if route:
-            zenoh |= {"mode": "client", "connect/endpoints": [route], "connect/timeout_ms": 20000}
+            zenoh |= {
+                "mode": "client",
+                "connect/endpoints": [route] if isinstance(route, str) else list(route),
+                "connect/timeout_ms": 20000,
+            }
         table = {"library": str(LIBRARIES[0]), "replica": name, **options}
         lines = [f"{key} = {json.dumps(value)}" for key, value in table.items()]
         lines += [
@@ -72,8 +91,9 @@ class Bench:
         ]
         config = self.folder / f"{name}.toml"
         config.write_text("\n".join(lines), encoding="utf-8")
-        process = self.start("serve", "--config", str(config))
-        while listen and not listens_at(listen):
+        inside = () if place is None else place.inside
+        process = self.start("serve", "--config", str(config), inside=inside)
+        while reached and not listens_at(reached):
             if process.poll() is not None:
                 raise SystemExit((self.folder / "log.txt").read_text(encoding="utf-8"))
             time.sleep(0.05)

@@ -27,6 +27,8 @@ mod handler;
 mod intake;
 #[path = "../../service/src/libraries.rs"]
 mod libraries;
+#[path = "../../service/src/library_table.rs"]
+mod library_table;
 #[path = "../../service/src/metrics.rs"]
 mod metrics;
 #[path = "../../service/src/query.rs"]

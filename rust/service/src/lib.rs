@@ -16,6 +16,7 @@ mod handler;
 mod http;
 mod intake;
 mod libraries;
+mod library_table;
 mod logging;
 pub mod map;
 mod metrics;
@@ -33,7 +34,8 @@ mod worker;
 
 pub use config::{ConfigError, ServiceConfig};
 pub use handler::Handler;
-pub use libraries::{Libraries, LibrariesWorkspace, ReloadError, Reloaded};
+pub use libraries::{Libraries, ReloadError};
+pub use library_table::{LibraryTable, Reloaded, TableFull, TableWorkspace};
 pub use logging::init_logging;
 pub use network::NetworkError;
 pub use query::Query;

@@ -1,21 +1,18 @@
-//! The libraries that one service serves, and their replacement while it runs.
+//! The libraries of one service, loaded from files at the start and again while it runs.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use egp_core::{Settings, library};
 use egp_engine::{Engine, EngineError, EngineWorkspace, read_library};
-use egp_wire::{Code, Header, LibraryId, MessageLimits, Ready, Status, WireError};
+use egp_wire::{LibraryId, Ready, Status, WireError};
 use thiserror::Error;
 
 use crate::config::ServiceConfig;
 use crate::handler::Handler;
+use crate::library_table::{LibraryTable, Reloaded, TableFull, TableWorkspace};
 use crate::signature::{SignatureError, Signers};
-use crate::sync::atomic::{AtomicU64, Ordering};
-use crate::sync::{Arc, Mutex, PoisonError, RwLock};
-
-/// A library that was asked for within this time is not removed, because a vehicle would lose its service.
-const IN_USE: Duration = Duration::from_secs(60);
+use crate::sync::{Mutex, PoisonError};
 
 /// Why a library was not loaded. What was served before is still served.
 #[derive(Debug, Error)]
@@ -40,26 +37,9 @@ pub enum ReloadError {
     NoFile,
 }
 
-/// What a loading did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reloaded {
-    /// Vehicles that start now get another library than before.
-    Changed(LibraryId),
-    /// The file holds the library that was served before.
-    Same(LibraryId),
-}
-
-/// A library that is served.
-struct Served {
-    engine: Engine,
-    description: Ready,
-    /// When a request last asked for it, milliseconds after the start.
-    asked: AtomicU64,
-}
-
-impl Served {
-    fn id(&self) -> LibraryId {
-        self.description.library
+impl From<TableFull> for ReloadError {
+    fn from(TableFull { limit }: TableFull) -> Self {
+        Self::Full { limit }
     }
 }
 
@@ -71,16 +51,11 @@ pub struct Libraries {
     file: PathBuf,
     settings: Settings,
     signers: Option<Signers>,
-    limit: usize,
     started: Instant,
-    /// At least one.
-    served: RwLock<Arc<[Arc<Served>]>>,
+    table: LibraryTable<Engine>,
     /// One reload at a time.
     loading: Mutex<()>,
 }
-
-/// Memory of one worker for each library that it computed a step with.
-pub struct LibrariesWorkspace(Vec<(LibraryId, EngineWorkspace)>);
 
 impl Libraries {
     /// Loads the libraries of a configuration.
@@ -95,20 +70,15 @@ impl Libraries {
             .transpose()?;
         let load = |file: &Path| load(file, &config.settings, signers.as_ref());
         let first = load(&config.library)?.with_cores(config.workers())?;
-        let mut served = vec![Arc::new(Served::new(first))];
-        for file in &config.libraries {
-            let engine = load(file)?.with_cores_of(&served[0].engine);
-            if served.iter().all(|one| one.id() != engine.library().id()) {
-                served.push(Arc::new(Served::new(engine)));
-            }
-        }
+        let further = config.libraries.iter();
+        let further = further.map(|file| Ok(load(file)?.with_cores_of(&first)));
+        let further = further.collect::<Result<Vec<_>, ReloadError>>()?;
         Ok(Self {
             file: config.library.clone(),
             settings: config.settings.clone(),
             signers,
-            limit: config.max_libraries,
             started: Instant::now(),
-            served: RwLock::new(served.into()),
+            table: LibraryTable::new(first, further, config.max_libraries),
             loading: Mutex::new(()),
         })
     }
@@ -120,7 +90,7 @@ impl Libraries {
 
     /// The hashes of all libraries, in the order of [`Ready`].
     pub fn ids(&self) -> Vec<LibraryId> {
-        self.served().iter().map(|one| one.id()).collect()
+        self.table.ids()
     }
 
     /// Loads and checks the library file again, and lets `ready` describe its library from now on. Libraries from before are
@@ -131,52 +101,14 @@ impl Libraries {
     /// [`ReloadError`] if the file cannot be used or no library can be removed; nothing changes then.
     pub fn reload(&self) -> Result<Reloaded, ReloadError> {
         let _one = self.loading.lock().unwrap_or_else(PoisonError::into_inner);
-        let before = self.served();
         let bytes = read(&self.file, self.signers.as_ref())?;
-        // A library that is served was checked when it was loaded.
+        // A library that is served was checked when it was loaded, and is not made again.
+        let load = |described: &Engine| {
+            let engine = Engine::from_bytes(&self.file, &bytes, self.settings.clone())?;
+            Ok(engine.with_cores_of(described))
+        };
         let id = library::hash(&bytes);
-        let known = before.iter().position(|one| one.id() == id);
-        let mut after: Vec<_> = before.to_vec();
-        match known {
-            Some(0) => return Ok(Reloaded::Same(id)),
-            Some(index) => after[..=index].rotate_right(1),
-            None => {
-                let engine = Engine::from_bytes(&self.file, &bytes, self.settings.clone())?;
-                let engine = match before.first() {
-                    Some(first) => engine.with_cores_of(&first.engine),
-                    None => engine,
-                };
-                after.insert(0, Arc::new(Served::new(engine)));
-                if after.len() > self.limit {
-                    after.remove(self.removable(&after)?);
-                }
-            }
-        }
-        *self.served.write().unwrap_or_else(PoisonError::into_inner) = after.into();
-        Ok(Reloaded::Changed(id))
-    }
-
-    /// The index of the library that was not asked for the longest time; the new one at index 0 is excepted.
-    fn removable(&self, all: &[Arc<Served>]) -> Result<usize, ReloadError> {
-        let now = self.now();
-        let in_use =
-            |asked: u64| asked > 0 && Duration::from_millis(now.saturating_sub(asked)) < IN_USE;
-        let ages = all.iter().enumerate().skip(1);
-        ages.map(|(index, one)| (one.asked.load(Ordering::Relaxed), index))
-            .min()
-            .filter(|(asked, _)| !in_use(*asked))
-            .map(|(_, index)| index)
-            .ok_or(ReloadError::Full { limit: self.limit })
-    }
-
-    /// Milliseconds since the start, at least 1.
-    fn now(&self) -> u64 {
-        u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX - 1) + 1
-    }
-
-    fn served(&self) -> Arc<[Arc<Served>]> {
-        let served = self.served.read();
-        served.unwrap_or_else(PoisonError::into_inner).clone()
+        self.table.replace(id, self.started.elapsed(), load)
     }
 }
 
@@ -202,71 +134,24 @@ fn read(file: &Path, signers: Option<&Signers>) -> Result<Vec<u8>, ReloadError> 
     Ok(bytes)
 }
 
-impl Served {
-    fn new(engine: Engine) -> Self {
-        Self {
-            description: engine.describe(),
-            engine,
-            asked: AtomicU64::new(0),
-        }
-    }
-}
-
 impl Handler for Libraries {
-    type Workspace = LibrariesWorkspace;
+    type Workspace = TableWorkspace<EngineWorkspace>;
 
     fn describe(&self) -> Ready {
-        let served = self.served();
-        let (first, others) = (&served[0], &served[1..]);
-        Ready {
-            others: others.iter().map(|one| one.id()).collect(),
-            ..first.description.clone()
-        }
+        self.table.describe()
     }
 
-    fn workspace(&self) -> Result<LibrariesWorkspace, WireError> {
-        let served = self.served();
-        let memory = served
-            .iter()
-            .map(|one| Ok((one.id(), one.engine.workspace()?)));
-        Ok(LibrariesWorkspace(
-            memory.collect::<Result<_, WireError>>()?,
-        ))
+    fn workspace(&self) -> Result<Self::Workspace, WireError> {
+        self.table.workspace()
     }
 
     fn step(
         &self,
-        LibrariesWorkspace(memory): &mut LibrariesWorkspace,
+        workspace: &mut Self::Workspace,
         request: &[u8],
         reply: &mut Vec<u8>,
     ) -> Result<Status, WireError> {
-        let asked = Header::decode(request, &MessageLimits::default())?.library;
-        let served = self.served();
-        let Some(one) = served.iter().find(|one| one.id() == asked) else {
-            return Err(self.unknown(&asked));
-        };
-        one.asked.store(self.now(), Ordering::Relaxed);
-        if memory.len() > served.len() {
-            memory.retain(|(id, _)| served.iter().any(|one| one.id() == *id));
-        }
-        let known = memory.iter().position(|(id, _)| *id == asked);
-        let index = known.unwrap_or(memory.len());
-        if known.is_none() {
-            memory.push((asked, one.engine.workspace()?));
-        }
-        one.engine.step(&mut memory[index].1, request, reply)
-    }
-}
-
-impl Libraries {
-    fn unknown(&self, asked: &LibraryId) -> WireError {
-        let ids: Vec<_> = self.ids().iter().map(|id| library::hex(id)).collect();
-        let detail = format!(
-            "this replica serves library {}, the request states {}; ask `ready` what a replica serves",
-            ids.join(" and "),
-            library::hex(asked)
-        );
-        // Another replica may serve it.
-        WireError::retryable(Code::UnknownLibrary, 0, detail)
+        let now = self.started.elapsed();
+        self.table.step(workspace, request, reply, now)
     }
 }

@@ -6,7 +6,8 @@ use std::time::{Duration, SystemTime};
 
 use egp_wire::LibraryId;
 
-use crate::libraries::{Libraries, ReloadError, Reloaded};
+use crate::libraries::{Libraries, ReloadError};
+use crate::library_table::Reloaded;
 use crate::sync::Arc;
 use crate::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
 use crate::sync::thread::{self, JoinHandle};

@@ -6,17 +6,15 @@ use std::path::PathBuf;
 
 use clap::Parser;
 
-use crate::{
-    Config, Mutant, Oracle, Run, Scene, ScheduledFault, SimulationError, repeat, simulate,
-};
+use crate::{Config, Run, Scene, ScheduledFault, SimulationError, planted, repeat};
 
-/// Simulate vehicles, replicas and the network between them in virtual time, with faults drawn from a seed.
+/// Simulate vehicles, replicas, routers and the network between them in virtual time, with faults drawn from a seed.
 #[derive(Parser)]
 #[command(version, max_term_width = 80)]
 struct Options {
     /// Library that vehicles ask for.
     library: PathBuf,
-    /// Another library, which a replica serves after a reload.
+    /// Another library, which a replica serves after a reload and which some vehicles ask for.
     #[arg(long)]
     other: PathBuf,
     /// Replay this seed and print its trace.
@@ -29,8 +27,9 @@ struct Options {
     #[arg(long)]
     planted: bool,
     /// With --seed: this fault in place of those of the seed; may be given more than once. WHAT:WHERE@BEGIN+LENGTH, s:
-    /// kill:r0@1.5+2 kills replica 0 and starts it again after 2 s, and so freeze, slow, restart, drain, reload, hostile,
-    /// disorder, flood and replica-clock; partition:car-0:r1@1+0.5 cuts a link, half-open loses its answers;
+    /// kill:r0@1.5+2 kills replica 0 and starts it again after 2 s, and so freeze, slow, restart, drain, reload,
+    /// other-library, hostile, disorder, flood and replica-clock; router-kill:router-0@1+2, router-restart and router-freeze
+    /// are those of a router; partition:car-0:r1@1+0.5 cuts a link, half-open loses its answers;
     /// vehicle-clock:car-0@1+0 lets a clock jump.
     #[arg(long, value_name = "FAULT", requires = "seed")]
     fault: Vec<ScheduledFault>,
@@ -40,6 +39,9 @@ struct Options {
     /// Number of vehicles, 1 to 100.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=100))]
     vehicles: u8,
+    /// Number of routers, 0 to 2; by default as the seed has it, and none in three of five seeds.
+    #[arg(long, value_parser = clap::value_parser!(u8).range(0..=2))]
+    routers: Option<u8>,
     /// Number of replicas, 1 to 100.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=100))]
     replicas: u8,
@@ -81,11 +83,14 @@ fn run(options: &Options) -> Result<bool, SimulationError> {
         seconds: options.seconds,
         vehicles: options.vehicles.into(),
         replicas: options.replicas.into(),
+        routers: options
+            .routers
+            .map_or(Config::new(seed).routers, usize::from),
         faults: options.fault.clone(),
         ..Config::new(seed)
     };
     if options.planted {
-        return planted(&scene);
+        return planted::print(&scene);
     }
     if let Some(seed) = options.seed {
         let run = repeat(
@@ -160,41 +165,4 @@ fn report(seed: u64, run: &Run) -> bool {
         run.violations.len()
     );
     run.violations.is_empty()
-}
-
-/// Seeds that are tried for each planted fault.
-const TRIED: u64 = 100;
-
-fn planted(scene: &Scene) -> Result<bool, SimulationError> {
-    println!("| planted fault | oracle | found with seed |\n|---|---|---|");
-    let mut found = 0;
-    for &mutant in Mutant::ALL {
-        let seed = first_seed(scene, mutant)?;
-        found += usize::from(seed.is_some());
-        let seed = seed.map_or("none".to_owned(), |seed| seed.to_string());
-        println!("| {} | {:?} | {seed} |", mutant.text(), mutant.oracle());
-    }
-    println!(
-        "\n{found} of {} planted faults were found by their oracle.",
-        Mutant::ALL.len()
-    );
-    Ok(found == Mutant::ALL.len())
-}
-
-fn first_seed(scene: &Scene, mutant: Mutant) -> Result<Option<u64>, SimulationError> {
-    for seed in 0..TRIED {
-        let config = Config {
-            mutant: Some(mutant),
-            ..Config::new(seed)
-        };
-        let run = if mutant.oracle() == Oracle::Repeat {
-            repeat(scene, &config)?
-        } else {
-            simulate(scene, &config)?
-        };
-        if run.violations.iter().any(|v| v.oracle == mutant.oracle()) {
-            return Ok(Some(seed));
-        }
-    }
-    Ok(None)
 }

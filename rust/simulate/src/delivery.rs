@@ -4,7 +4,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use egp_driver::{Query, QueryId};
-use egp_wire::{Code, MessageLimits, Reply, WireError};
+use egp_wire::{Code, MessageLimits, WireError};
 use rand::RngExt;
 
 use crate::event::{Event, Message};
@@ -12,10 +12,15 @@ use crate::link::latency;
 use crate::mutant::Mutant;
 use crate::oracle::{Oracle, typed};
 use crate::replica::{Exchange, Received};
+use crate::tampering::real_micros;
 use crate::world::World;
 
 /// Time after its arrival within which a running replica answers a query.
 const ANSWERED: Duration = Duration::from_secs(1);
+/// Time within which a replica without a fault begins a step if requests wait, even while it loads a library.
+const PROMPT: Duration = Duration::from_millis(50);
+/// Time in which an idle worker wakes, µs.
+const WAKE: std::ops::Range<u64> = 20..300;
 /// Time of a step, µs.
 const STEP: std::ops::Range<u64> = 800..2500;
 
@@ -41,11 +46,17 @@ impl World<'_> {
             return;
         }
         let process = &self.replicas[r];
-        if process.machine.is_none() || !process.declared() {
-            self.agenda
-                .add(self.now + delay, Event::Deliver(v, query.id, Message::End));
+        let end = Event::Deliver(v, query.id, Message::End);
+        let routes = self.routers.routes(v, r).len();
+        if routes == 0 {
+            self.agenda.add(self.now + delay, end);
             return;
         }
+        if process.machine.is_none() || !process.declared() {
+            self.send((v, r), delay, std::iter::once(end));
+            return;
+        }
+        let incarnation = process.incarnation;
         let exchange = Exchange {
             key: query.key,
             payload: query.payload,
@@ -53,11 +64,14 @@ impl World<'_> {
             asker: Some((v, query.id)),
             outbox: self.outbox.clone(),
             answers: Rc::default(),
+            copies: Rc::default(),
         };
-        self.agenda.add(
-            self.now + delay,
-            Event::Arrive(r, process.incarnation, exchange),
-        );
+        let mut copies: Vec<Exchange> = (1..routes).map(|_| exchange.copy()).collect();
+        copies.push(exchange);
+        let arrivals = copies
+            .into_iter()
+            .map(|copy| Event::Arrive(r, incarnation, copy));
+        self.send((v, r), delay, arrivals);
     }
 
     /// A query reaches a replica.
@@ -103,7 +117,8 @@ impl World<'_> {
         }
         let at = self.now;
         process.received.push(Received { at, answers });
-        self.work(r);
+        let due = at + Duration::from_micros(self.rng.random_range(WAKE));
+        self.agenda.add(due, Event::Work(r, incarnation));
     }
 
     /// Lets idle workers of a replica begin steps.
@@ -113,10 +128,18 @@ impl World<'_> {
             return;
         }
         let now = self.epoch + self.now + process.clock;
+        if process.loading && self.config.mutant == Some(Mutant::BlockingReload) {
+            return;
+        }
+        let uptime = (self.now + process.clock).saturating_sub(process.started);
+        if let Some(shelf) = &process.shelf {
+            shelf.uptime.set(uptime);
+        }
         let Some(machine) = &mut process.machine else {
             return;
         };
         while let Some(worker) = machine.begin(now) {
+            process.progress = self.now;
             let slow = if process.slow > 0 { 12 } else { 1 };
             let mut micros = slow * self.rng.random_range(STEP);
             match self.config.mutant {
@@ -174,18 +197,8 @@ impl World<'_> {
             let outstanding = &self.vehicles[v].outstanding;
             let asked = outstanding.iter().find(|(own, ..)| *own == id);
             let r = asked.map_or(r, |(_, asked, _)| *asked);
+            self.judge_library(v, r, &message);
             self.travel(v, r, id, message);
-        }
-    }
-
-    /// Plants a fault into an error.
-    fn plant_error(&self, message: Message) -> Message {
-        match (message, self.config.mutant) {
-            (Message::Error(_), Some(Mutant::UntypedError)) => Message::Error(b"\xff".to_vec()),
-            (Message::Error(_), Some(Mutant::ErrorWithoutCode)) => {
-                Message::Error(WireError::permanent(Code::Unspecified, "planted").encode())
-            }
-            (message, _) => message,
         }
     }
 
@@ -224,59 +237,21 @@ impl World<'_> {
             other => other,
         };
         // The end of a query does not overtake its answer.
-        let mut due = self.now + delay;
+        let Some(route) = self.routers.routes(v, r).first().copied() else {
+            return;
+        };
+        let hops: Duration = (0..route.hops).map(|_| latency(&mut self.rng)).sum();
+        let mut due = self.now + delay + hops;
         let mut asked = self.vehicles[v].outstanding.iter_mut();
         if let Some((_, _, last)) = asked.find(|(own, ..)| *own == id) {
             due = due.max(*last);
             *last = due;
         }
-        self.agenda.add(due, Event::Deliver(v, id, message));
-    }
-
-    /// What a hostile or broken replica sends in place of a reply. Without the keys of vehicles, a reply that is changed and
-    /// still valid cannot be told from a true one, and is not sent.
-    fn corrupt(&mut self, mut payload: Vec<u8>, old: Option<&Message>) -> Vec<u8> {
-        let kinds = if self.config.keys { 6 } else { 4 };
-        match (self.rng.random_range(0..kinds), old) {
-            (0, _) => payload.truncate(payload.len() / 2),
-            (1, _) => payload
-                .iter_mut()
-                .for_each(|byte| *byte = self.rng.random()),
-            (2, Some(Message::Reply(bytes, _))) => payload.clone_from(bytes),
-            (4, _) => payload = changed(payload, halve),
-            (5, _) => payload = changed(payload, |reply| reply.weights.reverse()),
-            _ => payload = vec![0; 2 << 20],
+        let event = Event::Deliver(v, id, message);
+        match route.frozen {
+            Some(k) => self.routers.each[k].held.push((v, r, event)),
+            None => self.agenda.add(due, event),
         }
-        payload
-    }
-
-    /// Plants a fault into a reply.
-    fn plant(&mut self, v: usize, payload: Vec<u8>, old: Option<&Message>) -> Vec<u8> {
-        let (Some(mutant), 0) = (self.config.mutant, v) else {
-            return payload;
-        };
-        let limits = MessageLimits::default();
-        let Ok(mut reply) = Reply::decode(&payload, &limits) else {
-            return payload;
-        };
-        let old = match old {
-            Some(Message::Reply(bytes, _)) => Reply::decode(bytes, &limits).ok(),
-            _ => None,
-        };
-        match mutant {
-            Mutant::ChangedWeights => reply.weights.reverse(),
-            Mutant::ChangedPlan => halve(&mut reply),
-            Mutant::StaleReply => {
-                let Some(other) = old.filter(|other| other.plan_x.len() == reply.plan_x.len())
-                else {
-                    return payload;
-                };
-                reply.plan_u = other.plan_u;
-                reply.weights = other.weights;
-            }
-            _ => return payload,
-        }
-        reply.encode()
     }
 
     /// A message reaches a vehicle.
@@ -323,6 +298,12 @@ impl World<'_> {
         if process.frozen > 0 || process.machine.is_none() {
             return;
         }
+        let waits = process.machine.as_ref().is_some_and(|m| m.waiting() > 0);
+        if !waits {
+            process.progress = now;
+        }
+        let progress = process.sound_since.map(|since| since.max(process.progress));
+        let stuck = progress.is_some_and(|last| now.saturating_sub(last) > PROMPT);
         let waited = |received: &Received| now.saturating_sub(received.at) > ANSWERED;
         let wrong = process
             .received
@@ -330,6 +311,10 @@ impl World<'_> {
             .filter(|received| waited(received) && received.answers.get() != 1)
             .count();
         process.received.retain(|received| !waited(received));
+        if stuck {
+            let detail = format!("r{r} is sound and begins no step for {PROMPT:?}");
+            self.broken(Oracle::Answered, detail);
+        }
         if wrong > 0 {
             self.broken(
                 Oracle::Answered,
@@ -337,24 +322,4 @@ impl World<'_> {
             );
         }
     }
-}
-
-/// The bytes of a reply after a change, or the bytes as they were if they are no reply.
-fn changed(payload: Vec<u8>, change: impl Fn(&mut Reply)) -> Vec<u8> {
-    let Ok(mut reply) = Reply::decode(&payload, &MessageLimits::default()) else {
-        return payload;
-    };
-    change(&mut reply);
-    reply.encode()
-}
-
-/// Halves the forces of a plan.
-fn halve(reply: &mut Reply) {
-    reply.plan_u.iter_mut().for_each(|u| u[0] *= 0.5);
-}
-
-/// Microseconds of the real clock, for planted faults.
-fn real_micros() -> u64 {
-    let elapsed = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    elapsed.map_or(0, |time| u64::from(time.subsec_micros() % 100))
 }

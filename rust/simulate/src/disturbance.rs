@@ -3,24 +3,21 @@
 use std::rc::Rc;
 use std::time::Duration;
 
-use egp_service::Replica;
-use egp_wire::keys::{self, Name};
+use egp_wire::keys;
 use egp_wire::{MessageLimits, Request};
 use rand::RngExt;
 
 use crate::event::Event;
 use crate::fault::Fault;
-use crate::ledger::NotedEngine;
-use crate::link::{lease, token_delay};
-use crate::mutant::Mutant;
-use crate::oracle::Oracle;
+use crate::library::File;
+use crate::lifecycle::name;
+use crate::link::lease;
 use crate::replica::{Exchange, Stage};
 use crate::scene::SimulationError;
-use crate::world::{QUEUE, World};
+use crate::world::World;
 
 /// Time from the start of a process to its announcement, and from the withdrawal to the end of a drain.
 const START: Duration = Duration::from_millis(300);
-const DRAIN: Duration = Duration::from_millis(50);
 /// Time between two requests of a flood, and the number of names that it uses.
 const FLOOD: Duration = Duration::from_millis(1);
 const NAMES: u32 = 64;
@@ -38,10 +35,24 @@ impl World<'_> {
                 self.agenda.add(self.now + START, Event::Start(r));
             }
             Fault::Reload(r) => {
+                let file = match self.rng.random_range(0..4) {
+                    0 => File::Broken,
+                    1 => File::Library(1),
+                    _ => File::Library(2),
+                };
+                self.replace_file(r, file);
+            }
+            Fault::OtherLibrary(r) => {
                 self.kill(r);
-                self.replicas[r].other_library = true;
+                self.replicas[r].file = File::Library(1);
                 self.start(r)?;
             }
+            Fault::RouterKill(k) => self.kill_router(k),
+            Fault::RouterRestart(k) => {
+                self.kill_router(k);
+                self.agenda.add(self.now + START, Event::StartRouter(k));
+            }
+            Fault::RouterFreeze(k) => self.freeze_router(k),
             Fault::Freeze(r) => {
                 self.replicas[r].frozen += 1;
                 for v in 0..self.vehicles.len() {
@@ -56,12 +67,16 @@ impl World<'_> {
                 self.agenda.add(self.now, Event::Flood(r, 0));
             }
             Fault::Partition(v, r) => {
-                self.links[v][r].cut += 1;
-                self.fall_silent(v, r);
+                for r in self.behind(r) {
+                    self.links[v][r].cut += 1;
+                    self.fall_silent(v, r);
+                }
             }
             Fault::HalfOpen(v, r) => {
-                self.links[v][r].half += 1;
-                self.fall_silent(v, r);
+                for r in self.behind(r) {
+                    self.links[v][r].half += 1;
+                    self.fall_silent(v, r);
+                }
             }
             Fault::VehicleClock(v) => {
                 let jump = self.jump();
@@ -81,25 +96,33 @@ impl World<'_> {
         self.note(&format!("{fault:?} ends"));
         match fault {
             Fault::Kill(r) => self.start(r)?,
-            Fault::Reload(r) => {
+            Fault::Reload(r) => self.replace_file(r, File::Library(0)),
+            Fault::OtherLibrary(r) => {
                 self.kill(r);
-                self.replicas[r].other_library = false;
+                self.replicas[r].file = File::Library(0);
                 self.start(r)?;
             }
+            Fault::RouterKill(k) => self.start_router(k),
+            Fault::RouterFreeze(k) => self.thaw_router(k),
             Fault::Freeze(r) => self.thaw(r),
             Fault::Slow(r) => self.replicas[r].slow -= 1,
             Fault::Hostile(r) => self.replicas[r].hostile -= 1,
             Fault::Disorder(r) => self.replicas[r].disorder -= 1,
             Fault::Flood(r) => self.replicas[r].flood -= 1,
             Fault::Partition(v, r) => {
-                self.links[v][r].cut -= 1;
-                self.heal(v, r);
+                for r in self.behind(r) {
+                    self.links[v][r].cut -= 1;
+                    self.heal(v, r);
+                }
             }
             Fault::HalfOpen(v, r) => {
-                self.links[v][r].half -= 1;
-                self.heal(v, r);
+                for r in self.behind(r) {
+                    self.links[v][r].half -= 1;
+                    self.heal(v, r);
+                }
             }
             Fault::Restart(_)
+            | Fault::RouterRestart(_)
             | Fault::VehicleClock(_)
             | Fault::ReplicaClock(_)
             | Fault::Drain(_) => {}
@@ -108,156 +131,17 @@ impl World<'_> {
         Ok(())
     }
 
+    /// The replicas whose link to a vehicle is cut with that to replica `r`: with routers it is the vehicle's own link.
+    fn behind(&self, r: usize) -> std::ops::Range<usize> {
+        if self.routers.direct() {
+            r..r + 1
+        } else {
+            0..self.replicas.len()
+        }
+    }
+
     fn jump(&mut self) -> Duration {
         Duration::from_micros(self.rng.random_range(1000..500_000))
-    }
-
-    /// Notes since when each replica has been sound.
-    fn judge_replicas(&mut self) {
-        let now = self.now;
-        for process in &mut self.replicas {
-            process.sound_since = process.sound().then(|| process.sound_since.unwrap_or(now));
-        }
-    }
-
-    /// Starts a replica that does not run, or that has drained.
-    pub(crate) fn start(&mut self, r: usize) -> Result<(), SimulationError> {
-        let process = &mut self.replicas[r];
-        if process.machine.is_some() && process.declared() {
-            return Ok(());
-        }
-        let missed = process
-            .received
-            .iter()
-            .filter(|received| received.answers.get() != 1)
-            .count();
-        if missed > 0 {
-            self.broken(
-                Oracle::Answered,
-                format!("r{r} drained and left {missed} queries"),
-            );
-        }
-        let process = &mut self.replicas[r];
-        let engine = if process.other_library {
-            &self.scene.other
-        } else {
-            &self.scene.engine
-        };
-        let handler = NotedEngine {
-            engine: engine.clone(),
-            ledger: self.ledger.clone(),
-        };
-        let queue = match self.config.mutant {
-            Some(Mutant::UnboundedQueue) => 10 * QUEUE,
-            _ => QUEUE,
-        };
-        let machine = Replica::new(name(r)?, handler, 1 + r % 2, queue)?;
-        process.machine = Some(match &self.keys {
-            Some(keys) => machine.with_keys(keys.clone()),
-            None => machine,
-        });
-        process.incarnation += 1;
-        process.stage = Stage::Serving;
-        process.received.clear();
-        process.waiting.clear();
-        process.ended.clear();
-        self.note(&format!("r{r} starts"));
-        for v in 0..self.vehicles.len() {
-            self.announce(v, r);
-        }
-        self.judge_replicas();
-        Ok(())
-    }
-
-    fn announce(&mut self, v: usize, r: usize) {
-        let delay = token_delay(&mut self.rng);
-        if self.config.mutant != Some(Mutant::LostTokens) || self.now.is_zero() {
-            self.agenda.add(self.now + delay, Event::Token(v, r, true));
-        }
-    }
-
-    fn kill(&mut self, r: usize) {
-        let process = &mut self.replicas[r];
-        process.machine = None;
-        process.stage = Stage::Closed;
-        process.incarnation += 1;
-        process.received.clear();
-        process.waiting.clear();
-        process.ended.clear();
-        for v in 0..self.vehicles.len() {
-            self.end_queries(v, r);
-            let delay = token_delay(&mut self.rng);
-            self.agenda.add(self.now + delay, Event::Token(v, r, false));
-        }
-    }
-
-    /// A frozen process continues: what waited in its sockets is processed.
-    fn thaw(&mut self, r: usize) {
-        let process = &mut self.replicas[r];
-        process.frozen -= 1;
-        if process.frozen > 0 {
-            return;
-        }
-        let (now, incarnation) = (self.now, process.incarnation);
-        for received in &mut process.received {
-            received.at = now;
-        }
-        let waiting = std::mem::take(&mut process.waiting);
-        for worker in std::mem::take(&mut process.ended) {
-            self.step_ends(r, incarnation, worker);
-        }
-        for exchange in waiting {
-            self.arrive(r, incarnation, exchange);
-        }
-        self.work(r);
-        for v in 0..self.vehicles.len() {
-            self.announce(v, r);
-        }
-        if self.replicas[r].stage == Stage::Terminated {
-            self.replicas[r].stage = Stage::Serving;
-            self.drain(r);
-        }
-    }
-
-    /// Drains a replica; one that is frozen begins when it continues, as a stopped process receives SIGTERM.
-    fn drain(&mut self, r: usize) {
-        let process = &mut self.replicas[r];
-        if process.stage != Stage::Serving {
-            return;
-        }
-        if process.frozen > 0 {
-            process.stage = Stage::Terminated;
-            return;
-        }
-        if let Some(machine) = &process.machine {
-            machine.drain();
-        }
-        process.stage = Stage::Draining;
-        let incarnation = process.incarnation;
-        for v in 0..self.vehicles.len() {
-            self.agenda.add(self.now, Event::Token(v, r, false));
-        }
-        self.agenda
-            .add(self.now + DRAIN, Event::Undeclare(r, incarnation));
-    }
-
-    /// A draining replica receives no more queries; those that wait are still served.
-    pub(crate) fn undeclare(&mut self, r: usize, incarnation: u32) {
-        let drops = self.config.mutant == Some(Mutant::DroppingDrain);
-        let process = &mut self.replicas[r];
-        if process.incarnation != incarnation {
-            return;
-        }
-        process.stage = Stage::Closed;
-        if let Some(machine) = &process.machine {
-            machine.close();
-        }
-        if drops {
-            process.machine = None;
-        }
-        self.agenda
-            .add(self.now + Duration::from_secs(1), Event::Start(r));
-        self.judge_replicas();
     }
 
     /// A link on which nothing arrives is closed when its lease has passed.
@@ -277,7 +161,8 @@ impl World<'_> {
         let link = self.links[v][r];
         let silent = process.frozen > 0 || !link.asks_pass() || !link.answers_pass();
         let announced = matches!(process.stage, Stage::Serving | Stage::Terminated);
-        let there = process.machine.is_some() && announced && !silent;
+        let routed = !self.routers.routes(v, r).is_empty();
+        let there = process.machine.is_some() && announced && !silent && routed;
         let seen = alive.then_some(process.incarnation);
         if there != alive || link.seen == seen {
             return;
@@ -327,11 +212,8 @@ impl World<'_> {
             asker: None,
             outbox: self.outbox.clone(),
             answers: Rc::default(),
+            copies: Rc::default(),
         };
         self.arrive(r, incarnation, exchange);
     }
-}
-
-fn name(r: usize) -> Result<Name, keys::NameError> {
-    format!("r{r}").parse()
 }

@@ -7,7 +7,9 @@ use std::time::Duration;
 use egp_driver::QueryId;
 
 use crate::fault::Fault;
+use crate::library::File;
 use crate::replica::Exchange;
+use crate::router::{Attempt, Node};
 
 /// What a network delivers to a vehicle for one of its queries.
 #[derive(Clone, Debug)]
@@ -28,6 +30,8 @@ pub(crate) enum Event {
     Wake(usize),
     /// A query reaches a replica, if the replica is still in this incarnation.
     Arrive(usize, u32, Exchange),
+    /// An idle worker of a replica wakes.
+    Work(usize, u32),
     /// The step of a replica's worker has taken its time.
     StepEnds(usize, u32, usize),
     /// A message reaches a vehicle.
@@ -44,6 +48,14 @@ pub(crate) enum Event {
     Start(usize),
     /// A request of a flood.
     Flood(usize, u32),
+    /// A replica in this incarnation has read and checked its library file.
+    Loaded(usize, u32, File),
+    /// A vehicle or a replica tries to connect to a router.
+    Connect(Attempt),
+    /// The lease of a link to a router has passed, if the router has stood still since this turn.
+    Lease(Node, usize, u32),
+    /// A router begins to listen.
+    StartRouter(usize),
 }
 
 struct Entry {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// A fault of one replica, or of the link between a vehicle and a replica.
+/// A fault of one replica, of one router, or of the link between a vehicle and a replica.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// The process ends; its links close at once. A new one starts when the fault ends.
@@ -15,9 +15,9 @@ pub enum Fault {
     Freeze(usize),
     /// Steps take twelve times as long.
     Slow(usize),
-    /// Nothing passes between a vehicle and a replica.
+    /// Nothing passes between a vehicle and a replica; with routers, between a vehicle and its routers.
     Partition(usize, usize),
-    /// Questions of a vehicle reach a replica, and its answers are lost.
+    /// Questions of a vehicle reach a replica, and its answers are lost; with routers, those of all replicas.
     HalfOpen(usize, usize),
     /// The process restarts at once.
     Restart(usize),
@@ -31,10 +31,18 @@ pub enum Fault {
     Disorder(usize),
     /// A sender asks a replica a thousand times a second under 64 names.
     Flood(usize),
-    /// The replica restarts with another library until the fault ends.
+    /// The replica's library file is replaced and loaded while the replica serves, and again when the fault ends.
     Reload(usize),
+    /// The replica restarts with another library until the fault ends.
+    OtherLibrary(usize),
     /// The replica drains and restarts.
     Drain(usize),
+    /// A router's process ends; its links close at once. A new one starts when the fault ends.
+    RouterKill(usize),
+    /// A router's process restarts at once.
+    RouterRestart(usize),
+    /// A router's process stops and later continues.
+    RouterFreeze(usize),
 }
 
 /// A fault with its time, as `kill:r0@1.5+2`: what, of which replica, when and for how long, s. A fault of a link names
@@ -47,8 +55,8 @@ pub struct ScheduledFault {
 }
 
 impl ScheduledFault {
-    /// Whether the vehicle and the replica that are named take part in a run of so many.
-    pub(crate) fn fits(&self, vehicles: usize, replicas: usize) -> bool {
+    /// Whether the vehicle and the router or replica that are named take part in a run of so many.
+    pub(crate) fn fits(&self, vehicles: usize, replicas: usize, routers: usize) -> bool {
         match self.fault {
             Fault::Partition(v, r) | Fault::HalfOpen(v, r) => v < vehicles && r < replicas,
             Fault::VehicleClock(v) => v < vehicles,
@@ -61,7 +69,9 @@ impl ScheduledFault {
             | Fault::Disorder(r)
             | Fault::Flood(r)
             | Fault::Reload(r)
+            | Fault::OtherLibrary(r)
             | Fault::Drain(r) => r < replicas,
+            Fault::RouterKill(k) | Fault::RouterRestart(k) | Fault::RouterFreeze(k) => k < routers,
         }
     }
 }
@@ -87,6 +97,7 @@ impl FromStr for ScheduledFault {
 
 fn fault_of(text: &str) -> Option<Fault> {
     let replica = |text: &str| text.strip_prefix('r')?.parse().ok();
+    let router = |text: &str| text.strip_prefix("router-")?.parse().ok();
     let vehicle = |text: &str| text.strip_prefix("car-")?.parse().ok();
     let link = |text: &str| {
         let (v, r) = text.split_once(':')?;
@@ -106,15 +117,34 @@ fn fault_of(text: &str) -> Option<Fault> {
         "disorder" => replica(place).map(Fault::Disorder),
         "flood" => replica(place).map(Fault::Flood),
         "reload" => replica(place).map(Fault::Reload),
+        "other-library" => replica(place).map(Fault::OtherLibrary),
         "drain" => replica(place).map(Fault::Drain),
+        "router-kill" => router(place).map(Fault::RouterKill),
+        "router-restart" => router(place).map(Fault::RouterRestart),
+        "router-freeze" => router(place).map(Fault::RouterFreeze),
         _ => None,
     }
 }
 
-/// Draws a fault and its duration.
-pub(crate) fn draw(rng: &mut ChaCha8Rng, vehicles: usize, replicas: usize) -> (Fault, Duration) {
+/// Draws a fault and its duration. In runs with routers one fault in four is a router's.
+pub(crate) fn draw(
+    rng: &mut ChaCha8Rng,
+    vehicles: usize,
+    replicas: usize,
+    routers: usize,
+) -> (Fault, Duration) {
     let (v, r) = (rng.random_range(0..vehicles), rng.random_range(0..replicas));
-    let fault = match rng.random_range(0..13) {
+    let length = Duration::from_micros(rng.random_range(10_000..3_000_000));
+    if routers > 0 && rng.random_range(0..4) == 0 {
+        let k = rng.random_range(0..routers);
+        let fault = match rng.random_range(0..3) {
+            0 => Fault::RouterKill(k),
+            1 => Fault::RouterRestart(k),
+            _ => Fault::RouterFreeze(k),
+        };
+        return (fault, length);
+    }
+    let fault = match rng.random_range(0..15) {
         0 => Fault::Kill(r),
         1 => Fault::Freeze(r),
         2 => Fault::Slow(r),
@@ -126,11 +156,9 @@ pub(crate) fn draw(rng: &mut ChaCha8Rng, vehicles: usize, replicas: usize) -> (F
         8 => Fault::Hostile(r),
         9 => Fault::Disorder(r),
         10 => Fault::Flood(r),
-        11 => Fault::Reload(r),
+        11 | 12 => Fault::Reload(r),
+        13 => Fault::OtherLibrary(r),
         _ => Fault::Drain(r),
     };
-    (
-        fault,
-        Duration::from_micros(rng.random_range(10_000..3_000_000)),
-    )
+    (fault, length)
 }

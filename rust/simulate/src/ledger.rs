@@ -6,7 +6,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use egp_engine::{Engine, EngineWorkspace};
 use egp_service::Handler;
-use egp_wire::{Ready, Status, WireError};
+use egp_wire::{Header, MessageLimits, Ready, Status, WireError};
+
+use crate::library::{Uptime, Uses};
 
 /// The hash of some bytes.
 pub(crate) fn hash(bytes: &[u8]) -> u64 {
@@ -40,6 +42,8 @@ impl Ledger {
 pub(crate) struct NotedEngine {
     pub(crate) engine: Arc<Engine>,
     pub(crate) ledger: Ledger,
+    pub(crate) uptime: Uptime,
+    pub(crate) uses: Uses,
 }
 
 impl Handler for NotedEngine {
@@ -60,7 +64,13 @@ impl Handler for NotedEngine {
         reply: &mut Vec<u8>,
     ) -> Result<Status, WireError> {
         let status = self.engine.step(workspace, request, reply)?;
-        self.ledger.note(request, reply);
+        let id = self.engine.library().id();
+        let stated = Header::decode(request, &MessageLimits::default());
+        // A reply of another library than the one that the request states is no reply to it.
+        if stated.is_ok_and(|header| header.library == id) {
+            self.ledger.note(request, reply);
+        }
+        self.uses.note(id, self.uptime.get());
         Ok(status)
     }
 }

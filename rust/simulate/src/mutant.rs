@@ -76,6 +76,16 @@ mutants! {
     LostTokens => Starvation,
     /// Answers to one vehicle are lost.
     LostAnswers => Starvation,
+    /// Vehicles and replicas wait twenty times as long before they connect to a router again.
+    SlowReturn => Starvation,
+    /// A router that starts again passes on no announcements.
+    MuteRouter => Outage,
+    /// A reload drops the libraries from before.
+    ForgottenLibrary => Library,
+    /// A request is computed with the library that was loaded last, and its reply states the request's.
+    ExchangedLibrary => Match,
+    /// Steps wait while a library is loaded.
+    BlockingReload => Answered,
     /// A worker does not end its first step.
     StuckWorker => Answered,
     /// A request is dropped without an answer.

@@ -22,8 +22,12 @@ pub enum Oracle {
     Match,
     /// A vehicle that reaches a sound replica gets replies.
     Starvation,
-    /// A replica that runs answers each query exactly once.
+    /// A vehicle gets replies a second after all replicas and routers are sound.
+    Outage,
+    /// A replica that runs answers each query exactly once, and does not pause without a fault.
     Answered,
+    /// A replica serves a library as long as vehicles ask it for the library.
+    Library,
     /// Each error that a replica sends is an `egp.v1.Error` with a code.
     Typed,
     /// Queues and outstanding queries are bounded.

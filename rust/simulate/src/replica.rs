@@ -2,15 +2,16 @@
 
 use std::borrow::Cow;
 use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
 use std::rc::Rc;
 use std::time::Duration;
 
 use egp_driver::QueryId;
 use egp_service::{Query, Replica};
-use egp_wire::WireError;
+use egp_wire::{LibraryId, WireError};
 
 use crate::event::Message;
-use crate::ledger::NotedEngine;
+use crate::library::{File, Shelf};
 
 /// Who asked, and with which query; a flood's queries have no vehicle.
 pub(crate) type Asker = Option<(usize, QueryId)>;
@@ -27,9 +28,24 @@ pub(crate) struct Exchange {
     pub(crate) outbox: Outbox,
     /// Answers sent on this query, to be counted by the oracle.
     pub(crate) answers: Rc<Cell<u32>>,
+    /// Shared by the copies of one query that take different routes; the query ends with the last of them.
+    pub(crate) copies: Rc<()>,
 }
 
 impl Exchange {
+    /// The same query, as it arrives by another route.
+    pub(crate) fn copy(&self) -> Self {
+        Self {
+            key: self.key.clone(),
+            payload: self.payload.clone(),
+            attachment: self.attachment.clone(),
+            asker: self.asker,
+            outbox: self.outbox.clone(),
+            answers: Rc::default(),
+            copies: self.copies.clone(),
+        }
+    }
+
     fn send(&self, message: Message) {
         self.answers.set(self.answers.get() + 1);
         self.outbox.borrow_mut().push((self.asker, message));
@@ -38,7 +54,9 @@ impl Exchange {
 
 impl Drop for Exchange {
     fn drop(&mut self) {
-        self.outbox.borrow_mut().push((self.asker, Message::End));
+        if Rc::strong_count(&self.copies) == 1 {
+            self.outbox.borrow_mut().push((self.asker, Message::End));
+        }
     }
 }
 
@@ -96,7 +114,7 @@ pub(crate) enum Stage {
 /// A replica's process.
 pub(crate) struct Process {
     /// Intake, queue and workers; none while the process does not run.
-    pub(crate) machine: Option<Replica<NotedEngine, Exchange>>,
+    pub(crate) machine: Option<Replica<Shelf, Exchange>>,
     /// Counts the starts, so that what belongs to an earlier process is recognised.
     pub(crate) incarnation: u32,
     pub(crate) frozen: u32,
@@ -105,8 +123,19 @@ pub(crate) struct Process {
     pub(crate) disorder: u32,
     pub(crate) flood: u32,
     pub(crate) stage: Stage,
-    /// Whether it serves the other library.
-    pub(crate) other_library: bool,
+    /// Its library file, which it loads when it starts and on command.
+    pub(crate) file: File,
+    /// The libraries that it serves; those of the last process while none runs.
+    pub(crate) shelf: Option<Shelf>,
+    /// Since when it has served each library.
+    pub(crate) served: BTreeMap<LibraryId, Duration>,
+    /// When the process started, on its own clock.
+    pub(crate) started: Duration,
+    /// Whether it was commanded to load its file again, and whether it does so at present.
+    pub(crate) commanded: bool,
+    pub(crate) loading: bool,
+    /// What was loaded while it was frozen.
+    pub(crate) loaded: Option<File>,
     /// How far its clock is ahead.
     pub(crate) clock: Duration,
     /// What waits while it is frozen.
@@ -114,6 +143,8 @@ pub(crate) struct Process {
     /// Steps that ended while it was frozen.
     pub(crate) ended: Vec<usize>,
     pub(crate) received: Vec<Received>,
+    /// When a worker last began a step, or no request waited.
+    pub(crate) progress: Duration,
     /// A recent answer, for replay.
     pub(crate) old_answer: Option<Message>,
     /// Since when it has been sound.
@@ -131,11 +162,18 @@ impl Process {
             disorder: 0,
             flood: 0,
             stage: Stage::Closed,
-            other_library: false,
+            file: File::Library(0),
+            shelf: None,
+            served: BTreeMap::new(),
+            started: Duration::ZERO,
+            commanded: false,
+            loading: false,
+            loaded: None,
             clock: Duration::ZERO,
             waiting: Vec::new(),
             ended: Vec::new(),
             received: Vec::new(),
+            progress: Duration::ZERO,
             old_answer: None,
             sound_since: None,
         }
@@ -150,7 +188,6 @@ impl Process {
     pub(crate) fn sound(&self) -> bool {
         self.machine.is_some()
             && self.declared()
-            && !self.other_library
             && self.frozen + self.slow + self.hostile + self.disorder + self.flood == 0
     }
 }

@@ -40,9 +40,10 @@ pub enum SimulationError {
     /// The keys of the vehicles cannot be used.
     #[error(transparent)]
     Key(#[from] egp_wire::KeyError),
-    /// A scheduled fault is one of a vehicle or a replica that does not take part.
+    /// A scheduled fault is one of a vehicle, a replica or a router that does not take part.
     #[error(
-        "{0:?} is a fault of a vehicle or a replica that the run does not have; see --vehicles and --replicas"
+        "{0:?} is a fault of a vehicle, a replica or a router that the run does not have; see --vehicles, --replicas and \
+         --routers"
     )]
     Schedule(Fault),
     /// A vehicle's measurement is not accepted.
@@ -52,10 +53,9 @@ pub enum SimulationError {
 
 /// Engines and course; making one loads and verifies the libraries.
 pub struct Scene {
-    /// The engine that vehicles ask.
-    pub(crate) engine: Arc<Engine>,
-    /// An engine with another library, which a replica may serve after a reload.
-    pub(crate) other: Arc<Engine>,
+    /// Engines with the library that vehicles ask for, another one, and a part of the other one with as many members as
+    /// the first if it has so many.
+    pub(crate) engines: [Arc<Engine>; 3],
     pub(crate) path: Path,
     pub(crate) profile: SpeedProfile,
 }
@@ -63,7 +63,7 @@ pub struct Scene {
 impl Scene {
     /// Control period, s.
     pub fn period(&self) -> f64 {
-        self.engine.library().dt()
+        self.engines[0].library().dt()
     }
 
     /// Loads the library that vehicles ask for, and another one.
@@ -77,9 +77,22 @@ impl Scene {
             grip: 0.6,
             ..SpeedLimits::of(&CAR.vehicle())
         };
+        let first = Engine::load(library, Settings::default())?;
+        let second = Engine::load(other, Settings::default())?;
+        let members = |engine: &Engine| engine.library().members().len();
+        let taken: Vec<usize> = (0..members(&first).min(members(&second))).collect();
+        let part = |source| EngineError::Library {
+            path: other.display().to_string(),
+            source,
+        };
+        let bytes = egp_engine::read_library(other).map_err(|source| EngineError::Read {
+            path: other.display().to_string(),
+            source,
+        })?;
+        let bytes = egp_core::library::subset(&bytes, &taken).map_err(part)?;
+        let third = Engine::from_bytes(other, &bytes, Settings::default())?;
         Ok(Self {
-            engine: Arc::new(Engine::load(library, Settings::default())?),
-            other: Arc::new(Engine::load(other, Settings::default())?),
+            engines: [first, second, third].map(Arc::new),
             profile: SpeedProfile::new(&path, &limits)?,
             path,
         })

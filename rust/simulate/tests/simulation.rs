@@ -143,6 +143,8 @@ fn faults_that_are_not_understood_are_errors() {
         "partition:r0:car-0@1+1",
         "partition:car-0@1+1",
         "explode:r0@1+1",
+        "router-kill:r0@1+1",
+        "freeze:router-0@1+1",
     ] {
         let error = text.parse::<ScheduledFault>().unwrap_err();
         assert!(error.contains("such as kill:r0@1.5+2"), "{text}: {error}");
@@ -151,6 +153,8 @@ fn faults_that_are_not_understood_are_errors() {
         "half-open:car-1:r2@0+0.5",
         "vehicle-clock:car-0@1+0",
         "replica-clock:r1@1e0+0",
+        "other-library:r1@1+1",
+        "router-restart:router-1@1+0",
     ] {
         assert!(text.parse::<ScheduledFault>().is_ok(), "{text}");
     }

@@ -4,12 +4,12 @@ import typer
 
 
 def simulate(context: typer.Context) -> None:
-    """Simulate vehicles, replicas and network with faults drawn from a seed.
+    """Simulate vehicles, replicas, routers and network with faults from a seed.
 
     --seed N replays one seed with its trace, --seeds A..B hunts over many,
     --planted shows which oracle finds each planted fault, --vehicles,
-    --replicas and --seconds set the size; `egp simulate -- --help` lists all
-    options. The libraries are those of the demo and the evaluation.
+    --replicas, --routers and --seconds set the size; `egp simulate -- --help`
+    lists all options. The libraries are those of the demo and the evaluation.
 
     For example:
       egp simulate --seeds 0..100

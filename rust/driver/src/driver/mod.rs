@@ -41,6 +41,8 @@ struct Pending {
     counted: bool,
     /// Whether another replica's answer decided the period.
     redundant: bool,
+    /// An error that may concern one of two copies of the question only.
+    refusal: Option<WireError>,
 }
 
 /// A question what a replica serves.
@@ -333,12 +335,25 @@ impl Driver {
 
     /// A replica answered with an error, given as the bytes of an `egp.v1.Error`. Bytes that are no such
     /// message count as [`Driver::ended`]. With a key, a reply to the same query is still used, because errors have no tag.
+    ///
+    /// Two routers deliver a question twice, and the service answers one of the copies with an error. An error that says
+    /// so has no effect before the end of the query, and none if a reply comes before.
     pub fn refused(&mut self, now: Time, id: QueryId, error: &[u8]) {
-        let Some(pending) = self.pending.remove(&id) else {
+        let Some(mut pending) = self.pending.remove(&id) else {
             self.probes.remove(&id);
             return;
         };
-        if pending.tag.is_some() {
+        let error = WireError::decode(error);
+        let sealed = pending.tag.is_some();
+        let copied = |error: &WireError| {
+            error.code == Code::Superseded || (sealed && error.code == Code::Unauthenticated)
+        };
+        if let Some(error) = error.as_ref().ok().filter(|error| copied(error)) {
+            pending.refusal = Some(error.clone());
+            self.pending.insert(id, pending);
+            return;
+        }
+        if sealed {
             let counted = true; // the end of the query, which follows, is no further failure
             let kept = Pending {
                 counted,
@@ -346,25 +361,20 @@ impl Driver {
             };
             self.pending.insert(id, kept);
         }
-        let Ok(error) = WireError::decode(error) else {
-            return self.vanished(now, id, &pending);
-        };
-        // Errors of load and of leaving pass; those that a sound replica would not send do not.
-        let passing = matches!(
-            error.code,
-            Code::Overloaded | Code::TooLate | Code::Draining | Code::Superseded
-        );
-        if !passing {
-            self.demote(now, &pending);
+        match error {
+            Ok(error) => self.reject(now, id, &pending, error),
+            Err(_) => self.vanished(now, id, &pending),
         }
-        self.failed(now, id, Outcome::Refused(error));
     }
 
     /// A query ended without an answer: the replica is not there, or the network does not let the query through.
     pub fn ended(&mut self, now: Time, id: QueryId) {
         self.probes.remove(&id);
-        if let Some(pending) = self.pending.remove(&id) {
-            self.vanished(now, id, &pending);
+        if let Some(mut pending) = self.pending.remove(&id) {
+            match pending.refusal.take() {
+                Some(error) => self.reject(now, id, &pending, error),
+                None => self.vanished(now, id, &pending),
+            }
         }
     }
 }

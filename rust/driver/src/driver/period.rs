@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use egp_wire::keys;
-use egp_wire::{Invalid, MessageLimits, Ready, Reply, Timing};
+use egp_wire::{Code, Invalid, MessageLimits, Ready, Reply, Timing, WireError};
 
 use super::{Driver, Pending, Probe, Time};
 use crate::action::{Action, Query, QueryId};
@@ -65,6 +65,7 @@ impl Driver {
             forged: false,
             counted: false,
             redundant: false,
+            refusal: None,
         };
         run.awaited.push((id, replica.clone()));
         run.replica = Some(replica);
@@ -116,6 +117,19 @@ impl Driver {
         if !pending.counted {
             self.replicas.demote(&pending.replica, now);
         }
+    }
+
+    /// A replica answered with an error.
+    pub(super) fn reject(&mut self, now: Time, id: QueryId, pending: &Pending, error: WireError) {
+        // Errors of load and of leaving pass; those that a sound replica would not send do not.
+        let passing = matches!(
+            error.code,
+            Code::Overloaded | Code::TooLate | Code::Draining | Code::Superseded
+        );
+        if !passing {
+            self.demote(now, pending);
+        }
+        self.failed(now, id, Outcome::Refused(error));
     }
 
     /// A replica that announces itself gave no answer at all.

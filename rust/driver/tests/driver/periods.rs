@@ -187,7 +187,10 @@ fn the_next_replica_is_asked_after_any_answer_that_brings_no_plan() {
             "overloaded" => driver.refused(now, id, &error(Code::Overloaded)),
             "too late" => driver.refused(now, id, &error(Code::TooLate)),
             "draining" => driver.refused(now, id, &error(Code::Draining)),
-            "superseded" => driver.refused(now, id, &error(Code::Superseded)),
+            "superseded" => {
+                driver.refused(now, id, &error(Code::Superseded));
+                driver.ended(now, id);
+            }
             "internal" => driver.refused(now, id, &error(Code::Internal)),
             "noise in an error" => driver.refused(now, id, &[0xff; 9]),
             "noise" => driver.replied(now, id, &[0xff; 9], b""),

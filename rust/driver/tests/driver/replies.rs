@@ -1,9 +1,9 @@
 //! Replies that do not answer the request or do not fit the library are not used.
 
 use egp_driver::Outcome;
-use egp_wire::{Invalid, Predictions, Reply};
+use egp_wire::{Code, Invalid, Predictions, Reply};
 
-use crate::world::{answered_period, asked, decided, driver, infeasible, ms, solved, tick};
+use crate::world::{answered_period, asked, decided, driver, error, infeasible, ms, solved, tick};
 
 /// Lets a replica answer the third period, whose request has two transitions, with a changed reply. Gives the field that
 /// is named when the reply is not used.
@@ -91,4 +91,24 @@ fn a_reply_without_a_plan_needs_none() {
     let step = decided(&mut driver);
     assert_eq!(step.outcome.name(), "infeasible");
     assert!(step.reply.is_some());
+}
+
+/// Two routers deliver a question twice; the service answers the copy that comes first with `SUPERSEDED`.
+#[test]
+fn a_copy_that_is_superseded_does_not_end_the_question() {
+    let mut driver = driver(&["a"]);
+    tick(&mut driver, ms(20));
+    let query = asked(&mut driver);
+    driver.refused(ms(21), query.id, &error(Code::Superseded));
+    assert!(driver.next_action().is_none());
+    driver.replied(ms(22), query.id, &solved(&query).encode(), b"");
+    let step = decided(&mut driver);
+    assert_eq!((step.outcome.name(), step.asked), ("solved", 1));
+    driver.ended(ms(23), query.id);
+    // Another client has the vehicle's key: the question ends without a reply.
+    tick(&mut driver, ms(40));
+    let query = asked(&mut driver);
+    driver.refused(ms(41), query.id, &error(Code::Superseded));
+    driver.ended(ms(41), query.id);
+    assert_eq!(decided(&mut driver).outcome.name(), "refused");
 }

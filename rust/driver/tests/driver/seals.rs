@@ -127,6 +127,30 @@ fn an_error_that_anybody_can_send_does_not_keep_the_answer_out() {
     assert_eq!((step.late.len(), step.command.mode), (1, Mode::Tail));
 }
 
+/// Two routers deliver a question twice; a service with keys answers the second copy with `UNAUTHENTICATED`.
+#[test]
+fn a_copy_that_came_before_demotes_nobody() {
+    let mut driver = driver(&["a", "b"]);
+    tick(&mut driver, ms(20));
+    let query = asked(&mut driver);
+    driver.refused(ms(21), query.id, &error(Code::Unauthenticated));
+    assert!(driver.next_action().is_none());
+    let reply = solved(&query).encode();
+    let own = attached(&key("1f"), &query, &reply);
+    driver.replied(ms(22), query.id, &reply, &own);
+    assert_eq!(decided(&mut driver).asked, 1);
+    driver.ended(ms(23), query.id);
+    tick(&mut driver, ms(40));
+    let next = asked(&mut driver);
+    assert_eq!(next.replica, query.replica);
+    // The vehicle's key is not that of the service: the question ends without a reply.
+    driver.refused(ms(41), next.id, &error(Code::Unauthenticated));
+    driver.ended(ms(41), next.id);
+    assert_ne!(asked(&mut driver).replica, next.replica);
+    tick(&mut driver, ms(60));
+    assert_ne!(asked(&mut driver).replica, next.replica);
+}
+
 #[test]
 fn the_end_of_a_query_that_was_answered_with_an_error_is_no_further_failure() {
     let mut driver = driver(&["a", "b"]);

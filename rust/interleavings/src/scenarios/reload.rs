@@ -11,7 +11,8 @@ use egp_wire::{Code, LibraryId, MessageLimits, Reply};
 
 use crate::config::ServiceConfig;
 use crate::handler::Handler as _;
-use crate::libraries::{Libraries, Reloaded};
+use crate::libraries::Libraries;
+use crate::library_table::Reloaded;
 use crate::reloader::Reloader;
 use crate::sync::{Arc, mpsc, thread};
 
