@@ -10,6 +10,7 @@ import sys
 import time
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
@@ -99,6 +100,10 @@ def evaluation(folder: Path) -> Iterator[subprocess.Popen[str]]:
         process.wait()
 
 
+def _is_longer(file: Path, size: int) -> bool:
+    return file.exists() and file.stat().st_size > size
+
+
 def test_an_evaluation_ends_with_its_processes_and_goes_on(tmp_path: Path) -> None:
     log = tmp_path / "runs.jsonl"
     finished = ""
@@ -107,9 +112,8 @@ def test_an_evaluation_ends_with_its_processes_and_goes_on(tmp_path: Path) -> No
         (os.kill, signal.SIGINT, 128 + signal.SIGINT),
         (os.kill, signal.SIGKILL, -signal.SIGKILL),
     ):
-        before = len(finished)
         with evaluation(tmp_path) as process:
-            wait_until(lambda size=before: log.exists() and log.stat().st_size > size)
+            wait_until(partial(_is_longer, log, len(finished)))
             send(process.pid, sent)
             output, _ = process.communicate(timeout=PATIENCE)  # until all have closed it
         assert process.returncode == code, output
