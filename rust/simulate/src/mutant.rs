@@ -76,8 +76,8 @@ mutants! {
     LostTokens => Starvation,
     /// Answers to one vehicle are lost.
     LostAnswers => Starvation,
-    /// Vehicles and replicas wait twenty times as long before they connect to a router again.
-    SlowReturn => Starvation,
+    /// Vehicles and replicas wait a minute before they try again to connect to a router.
+    SlowReturn => Outage,
     /// A router that starts again passes on no announcements.
     MuteRouter => Outage,
     /// A reload drops the libraries from before.

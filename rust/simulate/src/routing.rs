@@ -8,6 +8,9 @@ use crate::mutant::Mutant;
 use crate::router::{Attempt, Node, handshake};
 use crate::world::World;
 
+/// The wait of a planted fault.
+const MINUTE: Duration = Duration::from_secs(60);
+
 impl World<'_> {
     /// Connects all vehicles to all routers.
     pub(crate) fn connect_vehicles(&mut self) {
@@ -53,8 +56,8 @@ impl World<'_> {
         let runs = |k: &usize| self.routers.each[*k].runs;
         let Some(k) = router.filter(runs) else {
             let slow = self.config.mutant == Some(Mutant::SlowReturn);
-            let factor = if slow { 20 } else { 1 };
-            let due = self.now + factor * attempt.wait();
+            let wait = if slow { MINUTE } else { attempt.wait() };
+            let due = self.now + wait;
             self.agenda.add(due, Event::Connect(attempt.next()));
             return;
         };

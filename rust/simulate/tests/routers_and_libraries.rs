@@ -141,7 +141,7 @@ fn a_question_that_comes_twice_is_answered() {
 fn faults_of_routers_and_libraries_that_are_planted_are_found() {
     let scene = scene();
     for (mutant, routers, keys, faults) in [
-        (Mutant::SlowReturn, 1, false, "router-kill:router-0@1+3.1"),
+        (Mutant::SlowReturn, 1, false, "router-kill:router-0@1+0.5"),
         (Mutant::MuteRouter, 1, false, "router-kill:router-0@1+0.5"),
         (Mutant::ForgottenLibrary, 0, true, "reload:r0@1+3"),
         (Mutant::ExchangedLibrary, 0, true, "reload:r0@1+3"),
@@ -154,7 +154,6 @@ fn faults_of_routers_and_libraries_that_are_planted_are_found() {
                 routers,
                 keys,
                 mutant: Some(mutant),
-                seconds: 8.0,
                 ..config(&[faults])
             };
             let run = simulate(&scene, &config).unwrap();
