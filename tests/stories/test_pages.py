@@ -47,7 +47,7 @@ ELSEWHERE: Final = {
 # and options in them.
 NOT_EXECUTED: Final = {
     "README": "The commands of make run the tests; columns of the log are left out.",
-    "deploying": "Needs Docker and a cluster.",
+    "deploying": "Needs Docker, a cluster, or the Collector of OpenTelemetry.",
     "monitor": "Needs hosts with names; tests/service/test_certificates.py does the same here.",
     "recordings": "Installs a package and opens a window.",
     "reference": "Compiles; `make rust-test` does the same without opening a browser.",
