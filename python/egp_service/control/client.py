@@ -235,6 +235,8 @@ class Network:
                 attachment=query.attachment or None,
                 encoding=REQUEST_ENCODING,
                 timeout=query.listen,
+                # zenoh would wait for up to five seconds while a link to a silent replica is full.
+                congestion_control=zenoh.CongestionControl.DROP,
             )
         except zenoh.ZError:
             end()
