@@ -90,14 +90,15 @@ instructions: .venv/bin/python ## Check the instructions of a control step again
 clean: ## Remove what these commands built
 	rm -rf .venv target
 
+COMMA := ,
 EXTRAS_viz := viz
 EXTRAS_dev := train,viz,paper,cluster,dev
 EXTRAS_docs := viz,docs
 EXTRAS_bench := train,viz,paper,cluster,dev,bench
 
 # One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension. The crates are
-# compiled while uv installs the packages; the second maturin then waits for the first one and finds them built. Where uv
-# cannot reach the index, pip tries with its own configuration.
+# compiled while uv installs the packages; maturin then finds both done. Where uv cannot reach the index, pip tries with
+# its own configuration.
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed, found $$($(PYTHON) --version). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
@@ -110,5 +111,6 @@ EXTRAS_bench := train,viz,paper,cluster,dev,bench
 		UV_CONSTRAINT=$(CURDIR)/constraints.txt PIP_CONSTRAINT=$(CURDIR)/constraints.txt PIP_NO_COMPILE=1; \
 	build="maturin develop --release --locked"; \
 	$$build --quiet --skip-install & \
-	$$build --extras $(EXTRAS_$*) --uv || $$build --extras $(EXTRAS_$*); status=$$?; wait; exit $$status
+	uv pip install --requirement pyproject.toml $(patsubst %,--extra %,$(subst $(COMMA), ,$(EXTRAS_$*))); \
+	wait; $$build --extras $(EXTRAS_$*) --uv || $$build --extras $(EXTRAS_$*)
 	@touch $@
