@@ -10,7 +10,12 @@ from egp_service.data.dataset import Dataset, Provenance
 from egp_service.data.experiment import Experiment
 from egp_service.data.exploration import ExplorationSettings
 from egp_service.training.exact_member import exact_member
-from egp_service.training.gaussian_process import WHOLE_CHANGES, Hyperparameters, OutputProcess
+from egp_service.training.gaussian_process import (
+    WHOLE_CHANGES,
+    Hyperparameters,
+    OutputProcess,
+    share_kernel,
+)
 from egp_service.training.subset import select, spikes
 from egp_service.training.train import TrainingSettings
 
@@ -73,6 +78,18 @@ def test_blocks_do_not_change_the_probabilities() -> None:
         expected[_one_by_one(K, noise, 6, np.random.default_rng(draws + seed))] += 1 / draws
     # Five standard deviations of a difference of two frequencies.
     assert np.all(np.abs(ours - expected) < 5.0 * np.sqrt(2.0 * 0.25 / draws))
+
+
+def test_outputs_that_share_a_kernel_count_as_often_as_they_are() -> None:
+    z = _clustered()
+    narrow, wide = _processes(z)
+    separate = [narrow, *(_processes(z)[1] for _ in range(2))]
+    share_kernel(shared := [wide, *(_processes(z)[1] for _ in range(1))])
+    rows = [
+        select(z, processes, 60, np.random.default_rng(1)).tolist()
+        for processes in (separate, [narrow, *shared])
+    ]
+    assert rows[0] == rows[1]
 
 
 def test_follows_its_seed() -> None:

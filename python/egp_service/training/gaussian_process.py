@@ -11,6 +11,7 @@ import math
 import warnings
 from typing import TYPE_CHECKING, Final, cast
 
+import numpy as np
 import torch
 
 from egp_service._core import EgpError
@@ -21,13 +22,16 @@ with warnings.catch_warnings():  # linear_operator uses torch.jit.script when it
     import gpytorch
     from botorch.models.gpytorch import GPyTorchModel
     from botorch.models.model_list_gp_regression import ModelListGP
+    from botorch.optim.closures import ForwardBackwardClosure, NdarrayOptimizationClosure
     from botorch.optim.fit import fit_gpytorch_mll_scipy
+    from botorch.optim.utils import get_parameters_and_bounds
     from gpytorch import settings as gpytorch_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from botorch.optim.core import OptimizationResult
+    from numpy.typing import NDArray
 
     from egp_service.training.kernel import KernelName
 
@@ -165,12 +169,51 @@ class FitStep:
 def share_kernel(processes: Sequence[OutputProcess]) -> None:
     """Make all processes share the first one's kernel and noise when they are assigned or fitted.
 
+    Their inputs must be equal.
+
     In the experiment above with 20 seeds the errors were 0.030 and 0.107 m with one kernel, and
     0.032 and 0.112 m with a kernel per output.
     """
     for process in processes[1:]:
         process.covar_module = processes[0].covar_module
         process.likelihood = processes[0].likelihood
+
+
+def shared_loss(processes: Sequence[OutputProcess]) -> torch.Tensor:
+    """Return the negative log marginal likelihood, averaged over processes and points.
+
+    The m processes share inputs, kernel and noise, so that one factorisation of K + s I serves all
+    of them: with residuals R (n, m) from their constants, the sum of their likelihoods is
+    -(tr(Rᵀ (K + s I)⁻¹ R) + m log det(K + s I) + m n log 2π) / 2 (Rasmussen and Williams, Gaussian
+    Processes for Machine Learning, equation 2.30).
+    """
+    first = processes[0]
+    prior = first.likelihood(first.forward(first.inputs))
+    means = [process.mean_module(process.inputs) for process in processes]
+    targets = [cast("torch.Tensor", process.train_targets) for process in processes]
+    residuals = torch.stack(targets, dim=-1) - torch.stack(means, dim=-1)
+    fits, log_det = prior.lazy_covariance_matrix.inv_quad_logdet(residuals, logdet=True)
+    n, m = residuals.shape
+    loss: torch.Tensor = (fits / m + log_det + n * math.log(2.0 * math.pi)) / (2 * n)
+    return loss
+
+
+class _EachPointOnce(NdarrayOptimizationClosure):
+    """Loss and gradient, which are computed once where L-BFGS-B and then botorch ask for them.
+
+    After each iteration botorch's callback asks for the loss at the point that was evaluated last.
+    """
+
+    _last: tuple[NDArray[np.float64], tuple[NDArray[np.float64], NDArray[np.float64]]] | None = None
+
+    def __call__(
+        self, state: NDArray[np.float64] | None = None, **_: object
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        at = np.array(self.state if state is None else state)
+        if self._last is None or not np.array_equal(at, self._last[0]):
+            value, gradient = super().__call__(at)
+            self._last = at, (value, gradient.copy())
+        return self._last[1]
 
 
 def fit(
@@ -181,7 +224,8 @@ def fit(
 ) -> None:
     """Maximise the sum of the log marginal likelihoods by L-BFGS-B; keep the best start.
 
-    A start consists of the hyperparameters of each process.
+    The processes share inputs, kernel and noise; see `share_kernel`. A start consists of the
+    hyperparameters of each process.
 
     Raises:
         EgpError: if no start ends at a finite loss.
@@ -189,6 +233,11 @@ def fit(
     """
     models = ModelListGP(*processes)
     mll = gpytorch.mlls.SumMarginalLogLikelihood(models.likelihood, models)
+    parameters, _ = get_parameters_and_bounds(mll)
+
+    def loss() -> torch.Tensor:
+        return shared_loss(processes)
+
     best_loss, best = math.inf, models.state_dict()
     with exact():
         for number, start in enumerate(starts):
@@ -201,8 +250,12 @@ def fit(
             ) -> None:
                 report(FitStep(number, result.step or 0, float(result.fval)))
 
+            once = _EachPointOnce(ForwardBackwardClosure(loss, parameters), parameters)
             result = fit_gpytorch_mll_scipy(
-                mll, options={"maxiter": max_iterations, "ftol": 1e-5}, callback=on_step
+                mll,
+                closure=once,  # type: ignore[arg-type] # what botorch would wrap it in
+                options={"maxiter": max_iterations, "ftol": 1e-5},
+                callback=on_step,
             )
             if result.fval < best_loss:
                 best_loss = float(result.fval)

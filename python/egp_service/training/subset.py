@@ -19,6 +19,7 @@ the second half. They are therefore left out of it (`spikes`).
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,14 +40,14 @@ _SPIKE = 8.0
 
 
 class _Remaining:
-    """The variance of one output that remains, given noisy observations at the points so far.
+    """The variance that remains of outputs that share a kernel, given noisy observations so far.
 
     With points P so far and noise variance s, `factor` is F = K(z, P) L⁻ᵀ, where L is the Cholesky
     factor of K(P, P) + s I, so that the covariance that remains is K - F Fᵀ.
     """
 
-    def __init__(self, process: OutputProcess, z: torch.Tensor, count: int) -> None:
-        self.kernel, self.z = process.covar_module, z
+    def __init__(self, process: OutputProcess, outputs: int, z: torch.Tensor, count: int) -> None:
+        self.kernel, self.outputs, self.z = process.covar_module, outputs, z
         self.noise = float(process.likelihood.noise[0])
         self.size = 0
         self.factor = z.new_zeros(len(z), count)
@@ -80,27 +81,33 @@ def select(
     """Choose `count` rows of the z-scored inputs `z` (n, 6); return them in ascending order.
 
     The outputs share their inputs, so the remaining variances given noisy observations are summed
-    over all `processes`. Targets are z-scored, so the sum is the expected squared error in standard
+    over all `processes`; those that share a kernel and its noise have the same variances, which are
+    computed once. Targets are z-scored, so the sum is the expected squared error in standard
     deviations. Rows of `left_out` (n,) are drawn uniformly only.
     """
     n = len(z)
     if n <= count:
         return np.arange(n)
     chosen = rng.choice(n, count // 2, replace=False)
+    sharing = Counter(process.covar_module for process in processes)
+    kinds = {process.covar_module: process for process in processes}
     with torch.no_grad():
-        outputs = [_Remaining(process, z, count) for process in processes]
+        groups = [
+            _Remaining(kinds[kernel], outputs, z, count) for kernel, outputs in sharing.items()
+        ]
         for k in range(0, len(chosen), _BLOCK):
-            for output in outputs:
-                output.observe(chosen[k : k + _BLOCK])
+            for group in groups:
+                group.observe(chosen[k : k + _BLOCK])
         while len(chosen) < count:
-            weight = sum(output.variance for output in outputs).cpu().numpy().clip(0.0)
+            expected = sum(group.outputs * group.variance for group in groups)
+            weight = expected.cpu().numpy().clip(0.0)
             weight[chosen] = 0.0
             if left_out is not None:
                 weight[left_out] = 0.0
             proposed = rng.choice(n, _BLOCK, p=weight / weight.sum())
-            accepted = _accepted(proposed, weight, outputs, rng)[: count - len(chosen)]
-            for output in outputs:
-                output.observe(accepted)
+            accepted = _accepted(proposed, weight, groups, rng)[: count - len(chosen)]
+            for group in groups:
+                group.observe(accepted)
             chosen = np.concatenate([chosen, accepted])
     return np.sort(chosen)
 
@@ -120,16 +127,17 @@ def spikes(data: Dataset) -> NDArray[np.bool_]:
 def _accepted(
     proposed: NDArray[np.int64],
     weight: NDArray[np.float64],
-    outputs: Sequence[_Remaining],
+    groups: Sequence[_Remaining],
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
     """Accept each row with the ratio of its variance, given those accepted, to its `weight`."""
-    inner = np.stack([output.covariance(proposed, proposed).cpu().numpy() for output in outputs])
-    noise = np.array([output.noise for output in outputs])
+    inner = np.stack([group.covariance(proposed, proposed).cpu().numpy() for group in groups])
+    noise = np.array([group.noise for group in groups])
+    outputs = np.array([group.outputs for group in groups])
     accepted: list[int] = []
     for i, row in enumerate(proposed.tolist()):
         remaining = inner[:, i, i]
-        if row in accepted or rng.random() * weight[row] >= remaining.sum():
+        if row in accepted or rng.random() * weight[row] >= outputs @ remaining:
             continue
         accepted.append(row)
         column = inner[:, :, i] / np.sqrt(remaining + noise)[:, None]
