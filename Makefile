@@ -56,11 +56,12 @@ deny: ## Check licences, sources and advisories of the Rust crates, with cargo-d
 rust-test: .venv/built-dev ## Run the Rust tests
 	cargo test --release --locked --workspace --exclude egp-bench
 
-# Tests of the service have deadlines to keep, so they run alone; all others share the cores.
-ALONE := tests/service tests/conformance tests/monitor
+# Tests of the service have deadlines to keep. They mostly wait, so two files of them run beside each other, but nothing else;
+# all other tests share the cores.
+ALONE := tests/conformance tests/service tests/monitor
 python-test: .venv/built-dev ## Run the Python tests
 	$(BIN)/pytest --numprocesses auto --dist loadfile --no-loadscope-reorder $(addprefix --ignore ,$(ALONE))
-	$(BIN)/pytest $(ALONE)
+	$(BIN)/pytest --numprocesses auto --maxprocesses 2 --dist loadfile --no-loadscope-reorder $(ALONE)
 
 site: .venv/built-docs ## Build the documentation site in target/site
 	$(BIN)/mkdocs build
