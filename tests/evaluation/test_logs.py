@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from egp_service import EgpError
 from egp_service._core import VehicleParameters
 from egp_service.cli import app
-from egp_service.cli.tables import vehicle_table
+from egp_service.cli.tables import delay_sentence, vehicle_table
 from egp_service.control.toml_text import dumps
 from egp_service.data.alignment import Delays, align
 from egp_service.data.channels import channels
@@ -27,6 +27,7 @@ from egp_service.data.experiment import Experiment
 from egp_service.data.log_import import Column, import_log
 from egp_service.data.sensors import Sensors, measure
 from egp_service.evaluation.logs import OURS, PAPER, LogOutcome, evaluate_logs
+from egp_service.training.delays import find_delays
 from egp_service.training.open_loop import LINEAR, NO_CHANGE
 from egp_service.training.train import TrainingSettings
 from egp_service.training.vehicle_fit import fit_vehicle
@@ -105,6 +106,58 @@ def test_aligned_inputs_are_those_that_caused_what_was_measured(exact: Dataset) 
     np.testing.assert_allclose(half.z[row, 3], late.z[49:51, 3].mean())
     with pytest.raises(EgpError, match="longer trajectories"):
         align(late, Delays(1000.0, 0.0))
+
+
+def filtered(data: Dataset, mass: float, time: float) -> Dataset:
+    """Return the drive with a force from its own changes of v_x through a first-order filter."""
+    share = DT / time
+    z, before = data.z.copy(), 0.0
+    for row, change in enumerate(data.y[:, 0]):
+        z[row, 4] = mass * before
+        before += share * (change / DT - before)
+    return dataclasses.replace(data, z=z)
+
+
+def test_the_filter_of_a_force_is_taken_back() -> None:
+    n, time = 300, 0.8
+    acceleration = np.sin(0.1 * np.arange(n))
+    z, y = np.zeros((n, 6)), np.zeros((n, 3))
+    z[:, 0], y[:, 0] = 15.0, DT * acceleration
+    provenance = Provenance(DT, "toy", "dry", 1.0, 0, "log", "test")
+    steps = np.arange(n, dtype=np.uint32)
+    data = Dataset(z, y, np.zeros(n, dtype=np.uint32), steps, provenance)
+    late = filtered(data, 1000.0, time)
+    # Differences of the filter's output belong to the middle between two of its samples.
+    found = align(late, Delays(0.0, -0.5 * DT, time))
+    kept = np.isin(steps, found.step)
+    assert len(found) == n - 1
+    rest = found.z[:, 4] / 1000.0 - acceleration[kept]
+    assert np.abs(rest).max() < 0.03  # half a period's change of the filtered acceleration
+    assert np.abs(late.z[kept, 4] / 1000.0 - acceleration[kept]).max() > 0.5
+    # Without a delay the derivative needs a neighbour on both sides.
+    assert len(align(late, Delays(0.0, 0.0, time))) == n - 2
+
+
+def test_the_filter_of_a_force_is_found(exact: Dataset) -> None:
+    car = known_vehicle("commonroad-1")
+    sensors = Sensors(noise=(0.01, 0.002, 0.001), quantum=(1e-9,) * 3, cutoff=1e6, delay=0)
+    data = measure(exact, sensors, np.random.default_rng(0))
+    log = dataclasses.replace(
+        filtered(data, car.mass, 1.5),
+        provenance=dataclasses.replace(exact.provenance, vehicle="own car"),
+    )
+    delays = find_delays([log], car)
+    assert delays.force_filter == pytest.approx(1.5, rel=0.05)
+    assert delays.force == pytest.approx(-0.5 * DT, abs=1e-6)
+    (found,) = fit_vehicle([align(log, delays)], car, [np.random.default_rng(0)])
+    mass = found.parameters[0]
+    assert mass.value == pytest.approx(car.mass, rel=0.03)
+    # The mass is the one with which the force was computed, whatever the car's is.
+    assert not mass.determined
+    assert "low-pass filter of 1.48 s" in delay_sentence(delays)
+    # A force that was commanded has no filter.
+    for commanded in (exact, measure(exact, Sensors(), np.random.default_rng(0))):
+        assert find_delays([commanded], car).force_filter == 0.0
 
 
 def test_a_member_of_a_measured_drive_has_skill(exact: Dataset) -> None:
