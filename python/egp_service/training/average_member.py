@@ -146,9 +146,7 @@ def widening_on(member: TrainedMember) -> NDArray[np.float64]:
     return np.clip(np.quantile(scaled, 0.95, axis=0) / _QUANTILE, 1.0, 2.0)
 
 
-def _without_outliers(
-    z: torch.Tensor, y: torch.Tensor, moving: NDArray[np.int64]
-) -> torch.Tensor:
+def _without_outliers(z: torch.Tensor, y: torch.Tensor, moving: NDArray[np.int64]) -> torch.Tensor:
     """Return targets (n, 3) whose distances from a robust linear model in z are limited.
 
     The likelihood that the hyperparameters maximise is Gaussian. With the jumps of a sensor among
