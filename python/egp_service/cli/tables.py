@@ -170,9 +170,16 @@ def delay_sentence(delays: Delays | None) -> str:
         return "the data are simulated: inputs are used as they are"
     if delays == Delays():
         return "the log tells no delay: its inputs are used as they are"
-    return (
+    moved = (
         f"inputs are moved before training: steering by {delays.measurement:+.3f} s, because the "
         f"measured states are late, and the force by {delays.force:+.3f} s"
+    )
+    if delays.force_filter == 0.0:
+        return moved
+    return (
+        f"{moved}; the force has passed a low-pass filter of {delays.force_filter:.2f} s, which is "
+        "taken back. It was made from a measured acceleration: errors of v_x are not those of a "
+        "prediction, and the mass is the one that the import assumed"
     )
 
 

@@ -28,6 +28,9 @@ class Delays:
     force: float = 0.0
     """Time by which the measured `v_x` is later than the force; negative if the log's force is
     later than `v_x`, for instance a filtered measurement of the acceleration."""
+    force_filter: float = 0.0
+    """Time constant `T` in s of a first-order low-pass filter that the log's force has passed, as a
+    force that was made from a filtered acceleration: `F = F_log + T dF_log/dt` acted."""
 
 
 def align(dataset: Dataset, delays: Delays) -> Dataset:
@@ -35,8 +38,9 @@ def align(dataset: Dataset, delays: Delays) -> Dataset:
 
     A transition from `t` to `t + dt` gets `delta(t - d)` and the mean inputs between `t - d` and
     `t + dt - d`, with the delay `d` of each column. Steering angles are linear between the ends of
-    periods, and forces are constant. States and changes stay as they were measured. Transitions
-    whose inputs lie outside their trajectory are left out.
+    periods, and forces are constant. The derivative that takes a filter back is that of forces that
+    are linear between the middles of periods. States and changes stay as they were measured.
+    Transitions whose inputs lie outside their trajectory are left out.
 
     Raises:
         EgpError: if no transition is left.
@@ -46,7 +50,9 @@ def align(dataset: Dataset, delays: Delays) -> Dataset:
         return dataset
     dt = dataset.provenance.dt
     late, late_force = delays.measurement / dt, delays.force / dt
-    earliest, latest = max(late, late_force, 0.0), max(-late, -late_force, 0.0)
+    middle = 0.5 if delays.force_filter > 0.0 else 0.0
+    earliest = max(late, late_force + middle, 0.0)
+    latest = max(-late, middle - late_force, 0.0)
     kept, inputs = [], []
     for rows in consecutive(dataset):
         n = len(rows)
@@ -62,6 +68,9 @@ def align(dataset: Dataset, delays: Delays) -> Dataset:
         moved[:, FORCE] = np.interp(k + 1.0 - late_force, time, impulse) - np.interp(
             k - late_force, time, impulse
         )
+        if delays.force_filter > 0.0:
+            at = np.interp([k - late_force, k + 1.0 - late_force], time[:-1] + 0.5, z[:, FORCE])
+            moved[:, FORCE] += delays.force_filter / dt * (at[1] - at[0])
         kept.append(rows[inside])
         inputs.append(moved)
     rows = np.concatenate(kept)

@@ -20,8 +20,10 @@ import torch
 from scipy.optimize import least_squares
 
 from egp_service._core import EgpError
+from egp_service.data.channels import channels
 from egp_service.quantities import NY
 from egp_service.training.prior_mean import BODY, PARAMETERS, TYRES, change
+from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,6 +49,9 @@ _KNOWN_WIDTHS: Final = {"m": 0.03, "l_f": 0.02, "l_r": 0.02, "k²": 0.15}
 # The data determine a parameter if they narrow its prior to at most this share and, for one that a
 # vehicle's parameters give, tell it at least as well as these do.
 _DETERMINED: Final = 0.5
+# Share of the noise of the measured v_x below which errors of its changes tell that the force is no
+# measurement of its own.
+_NO_SENSOR: Final = 0.5
 _AT_BOUND: Final = 1e-3  # of the logarithm
 _LONGEST_LAG: Final = 50  # periods
 _LEAST_CORRELATION: Final = 0.05
@@ -73,7 +78,8 @@ class FittedParameter:
     """Distance of the logarithm from the prior's centre in standard deviations of the prior."""
     determined: bool
     """Whether the data narrow the prior to at most half of its width and, for mass, axle distances
-    and yaw inertia, tell it as well as a vehicle's file does (mass: to 3 %)."""
+    and yaw inertia, tell it as well as a vehicle's file does (mass: to 3 %). The mass is not
+    determined by a force that was computed from the measured speed."""
     at_bound: bool
     """Whether the value is an end of the range that is searched."""
 
@@ -150,15 +156,25 @@ class _Surface:
     y: torch.Tensor
     scale: torch.Tensor
     """Scale of the robust loss (3,)."""
+    noise: NDArray[np.float64]
+    """Standard deviations (3,) of the changes by the noise of measured states; zero for simulated
+    data. A force that was computed from the measured speed predicts its changes better than this,
+    which tells nothing about the vehicle."""
     weight: float = 1.0
     """Weight of a transition beside the priors."""
+    force_is_speed: bool = False
+    """Whether the force predicts the changes of `v_x` better than the noise of `v_x` lets any other
+    measurement: it was computed from this speed and an assumed mass."""
 
     @staticmethod
     def of(dataset: Dataset, rng: np.random.Generator) -> _Surface:
         """Choose at most `_FIT_POINTS` transitions."""
         rows = rng.permutation(len(dataset))[:_FIT_POINTS]
         z, y = torch.from_numpy(dataset.z[rows]), torch.from_numpy(dataset.y[rows])
-        return _Surface(dataset, z, y, torch.from_numpy(_OUTLIER * dataset.y.std(axis=0)))
+        noise = np.zeros(NY)
+        if simulated_vehicle(dataset.provenance.vehicle) is None:
+            noise = math.sqrt(2.0) * np.nan_to_num(channels(dataset).noise)
+        return _Surface(dataset, z, y, torch.from_numpy(_OUTLIER * dataset.y.std(axis=0)), noise)
 
     def weigh(self, parameters: torch.Tensor, disturbance: torch.Tensor) -> None:
         """Set scale and weight by the errors of a vehicle (17,) under a disturbance (3,)."""
@@ -167,6 +183,9 @@ class _Surface:
         predicted = change(torch.from_numpy(data.z), parameters, dt) + dt * disturbance
         errors = ((predicted - torch.from_numpy(data.y)) / self.scale).numpy()
         spread = _MAD * np.median(np.abs(errors), axis=0)
+        noise = self.noise / self.scale.numpy()
+        self.force_is_speed = bool(spread[0] < _NO_SENSOR * noise[0])
+        spread = np.maximum(spread, noise)
         self.scale = self.scale * torch.from_numpy(np.maximum(spread, 1.0))
         share = len(self.z) / len(data)
         repeated = 1.0 + 2.0 * share * autocorrelation(errors, data)
@@ -271,6 +290,7 @@ class _Problem:
         slopes = self._jacobian(x)
         spread = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
         at_bound = (x - self._low < _AT_BOUND) | (self._high - x < _AT_BOUND)
+        circular = any(surface.force_is_speed for surface in self.surfaces)
         found = []
         for number in range(len(self.surfaces)):
             columns = self._columns(number)[: len(PARAMETERS)]
@@ -287,6 +307,7 @@ class _Problem:
                             determined=bool(
                                 spread[i] <= _DETERMINED * self._width[i]
                                 and spread[i] <= _KNOWN_WIDTHS.get(name, np.inf)
+                                and not (circular and name == "m")
                             ),
                             at_bound=bool(at_bound[i]),
                         )
