@@ -10,6 +10,7 @@ use egp_vehicle::{GateLimits, VehicleConfig, open_session};
 use egp_wire::keys::{self, Name};
 use egp_wire::{MessageLimits, Ready, Request};
 use zenoh::bytes::ZBytes;
+use zenoh::qos::CongestionControl;
 use zenoh::{Session, Wait};
 
 use crate::counts::{Counts, Sent};
@@ -196,7 +197,8 @@ fn ask(session: &Session, key: &str, request: ZBytes, sent: Sent) {
         .get(key)
         .payload(request)
         .encoding("application/protobuf;egp.v1.StepRequest")
-        .express(true)
+        // As a vehicle's client does: zenoh would wait while the link is full, and all later requests would be late.
+        .congestion_control(CongestionControl::Drop)
         .timeout(PATIENCE)
         .callback(move |reply| match reply.into_result() {
             Ok(sample) => {

@@ -127,7 +127,6 @@ impl Network {
             .payload(query.payload)
             .attachment((!query.attachment.is_empty()).then_some(query.attachment))
             .encoding("application/protobuf;egp.v1.StepRequest")
-            .express(true)
             // zenoh would wait for up to five seconds while a link to a silent replica is full.
             .congestion_control(CongestionControl::Drop)
             .timeout(query.listen)

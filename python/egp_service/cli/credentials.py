@@ -45,6 +45,12 @@ _LONGEST_AT_CLIENT, _LONGEST_AT_SERVICE = 1 << 20, 1 << 23
 _SESSIONS_OF_VEHICLE, _OTHER_SESSIONS = 4, 16
 # Time in which a connection must become a session, ms.
 _ACCEPT_MS = 2000
+# A reply has the quality of service of its query, which waits for room on a link by default.
+_REPLIES_DO_NOT_WAIT = {
+    "messages": ["query"],
+    "flows": ["ingress"],
+    "overwrite": {"congestion_control": "drop", "express": False},
+}
 
 
 def write_credentials(
@@ -202,6 +208,7 @@ def _listener(
         "transport": _transport(tls, _LONGEST_AT_SERVICE) | {"unicast": sessions},
         "access_control": listener_access(name, vehicles),
         "low_pass_filter": size_limits(),
+        "qos": {"network": [_REPLIES_DO_NOT_WAIT]},
     }
 
 

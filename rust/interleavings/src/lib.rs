@@ -39,6 +39,8 @@ mod queue;
 mod reloader;
 #[path = "../../service/src/signature.rs"]
 mod signature;
+#[path = "../../service/src/standing.rs"]
+mod standing;
 #[path = "../../service/src/traces.rs"]
 mod traces;
 #[path = "../../service/src/worker.rs"]

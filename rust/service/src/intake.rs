@@ -11,6 +11,7 @@ use crate::guard::{Guard, Sealed};
 use crate::metrics::{Metrics, micros};
 use crate::query::Query;
 use crate::queue::{Queue, Refused};
+use crate::standing::Standing;
 use crate::sync::atomic::{AtomicBool, Ordering};
 use crate::traces::Traces;
 
@@ -35,6 +36,11 @@ impl<Q> Job<Q> {
     pub(crate) fn expected_by(&self) -> Instant {
         self.arrived + (self.deadline - self.arrived) * (TRANSIT - 1) / TRANSIT
     }
+
+    /// The budget in microseconds.
+    pub(crate) fn budget(&self) -> u32 {
+        micros(self.deadline - self.arrived)
+    }
 }
 
 /// The state that intake and workers share.
@@ -44,6 +50,7 @@ pub(crate) struct Shared<Q> {
     pub(crate) describe: Box<dyn Fn() -> Ready + Send + Sync>,
     pub(crate) workers: usize,
     pub(crate) queue: Queue<Job<Q>>,
+    pub(crate) standing: Standing,
     pub(crate) metrics: Metrics,
     pub(crate) draining: AtomicBool,
     /// The keys of the vehicles; without them every sender is served.
@@ -121,13 +128,30 @@ impl<Q: Query> Shared<Q> {
         // An idle worker tries in any case, because only computed steps correct the estimate.
         let idle = |ahead| ahead + self.metrics.busy_workers() < self.workers;
         let expected_by = job.expected_by();
-        let in_time = |ahead| idle(ahead) || arrived + self.time_to_answer(ahead) <= expected_by;
+        // Behind a queue that does not become short, half of the budget is left for the way.
+        let latest = || {
+            if self.standing.lasts(arrived) {
+                arrived + (deadline - arrived) / 2
+            } else {
+                expected_by
+            }
+        };
+        let in_time = |ahead| {
+            if idle(ahead) {
+                self.standing.short(arrived);
+                return true;
+            }
+            arrived + self.time_to_answer(ahead) <= latest()
+        };
         let pushed = self
             .queue
             .push(format!("{fleet}/{vehicle}"), deadline, job, in_time);
         if let Some(old) = pushed.superseded {
             let detail = "a newer request of this vehicle took the place of this one";
             self.refuse_job(&old, &WireError::permanent(Code::Superseded, detail));
+        }
+        if let Some(other) = pushed.displaced {
+            self.refuse_job(&other, &self.too_late(other.budget()));
         }
         match pushed.queued {
             Ok(()) => {}
@@ -141,7 +165,7 @@ impl<Q: Query> Shared<Q> {
     }
 
     /// The expected time of an answer behind `ahead` waiting requests, from the smoothed time of a step.
-    fn time_to_answer(&self, ahead: usize) -> Duration {
+    pub(crate) fn time_to_answer(&self, ahead: usize) -> Duration {
         let rounds = 1 + (ahead + self.metrics.busy_workers()) / self.workers;
         self.metrics.step_time() * u32::try_from(rounds).unwrap_or(u32::MAX)
     }
@@ -213,6 +237,7 @@ pub(crate) mod tests {
             describe: Box::new(messages::ready),
             workers,
             queue: Queue::new(2),
+            standing: Standing::default(),
             metrics,
             draining: AtomicBool::new(false),
             guard: None,

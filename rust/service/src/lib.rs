@@ -28,6 +28,7 @@ mod replica;
 mod serve;
 mod server;
 mod signature;
+mod standing;
 mod sync;
 mod traces;
 mod worker;

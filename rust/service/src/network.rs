@@ -29,7 +29,7 @@ impl NetworkError {
 }
 
 /// The settings that differ from zenoh's defaults or are documented as limits, each as its key and JSON5 value.
-const DEFAULTS: [(&str, &str); 8] = [
+const DEFAULTS: [(&str, &str); 9] = [
     // The service is reachable from this machine only, unless an operator configures more (and access control).
     ("listen/endpoints", r#"["tcp/127.0.0.1:7447"]"#),
     ("scouting/multicast/enabled", "false"),
@@ -46,6 +46,16 @@ const DEFAULTS: [(&str, &str); 8] = [
     ("transport/unicast/max_sessions", "1000"),
     // zenoh waits for 100 connections at once that have not yet become sessions; silent ones must soon make room.
     ("transport/unicast/accept_timeout", "2000"),
+    // A reply has the quality of service of its query. One that a link has no room for must be dropped: zenoh would otherwise
+    // let a worker wait for up to five seconds for a vehicle that does not read. An express reply takes two messages.
+    (
+        "qos/network",
+        r#"[{
+            messages: ["query"],
+            flows: ["ingress"],
+            overwrite: { congestion_control: "drop", express: false },
+        }]"#,
+    ),
     // The first control steps must not wait for a pool of shared memory.
     ("transport/shared_memory/enabled", "false"),
 ];

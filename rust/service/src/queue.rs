@@ -2,7 +2,8 @@
 //!
 //! A vehicle that asks again before it was served no longer needs the older answer, so its newest request takes the
 //! slot; a vehicle that sends too many requests displaces only its own. Serving the earliest deadline first keeps late
-//! requests from delaying the others.
+//! requests from delaying the others. If not all can be served, vehicles take turns: the request of a vehicle that was
+//! served longer ago takes the place of one whose vehicle was served last.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
@@ -12,11 +13,51 @@ use crate::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 /// Orders the queue; the ticket separates equal deadlines.
 type Place = (Instant, u64);
 
+/// Vehicles whose turns are remembered; beyond that number all turns are forgotten, so that senders that invent names fill
+/// a bounded part of the memory.
+const REMEMBERED: usize = 8192;
+
 struct Waiting<T> {
     by_place: BTreeMap<Place, (String, T)>,
     slots: HashMap<String, Place>,
     tickets: u64,
+    /// When each vehicle was served, counted in items that were taken out.
+    turns: HashMap<String, u64>,
+    /// Items that were taken out.
+    taken: u64,
     closed: bool,
+}
+
+impl<T> Waiting<T> {
+    /// When the vehicle was served. One that is new counts as served just now, so that a sender gains nothing by new names.
+    fn turn(&mut self, vehicle: &str) -> u64 {
+        if let Some(turn) = self.turns.get(vehicle) {
+            return *turn;
+        }
+        if self.turns.len() >= REMEMBERED {
+            self.turns.clear();
+        }
+        self.turns.insert(vehicle.to_owned(), self.taken);
+        self.taken
+    }
+
+    /// Of the items before `place`, that of the vehicle which was served last, if that was after `turn`.
+    fn served_after(&self, turn: u64, place: Place) -> Option<Place> {
+        let turns = self.by_place.range(..place).map(|(place, (vehicle, _))| {
+            let turn = self.turns.get(vehicle).copied();
+            (turn.unwrap_or(self.taken), *place)
+        });
+        turns
+            .max()
+            .filter(|(last, _)| *last > turn)
+            .map(|(_, place)| place)
+    }
+
+    fn remove(&mut self, place: Place) -> Option<T> {
+        let (vehicle, item) = self.by_place.remove(&place)?;
+        self.slots.remove(&vehicle);
+        Some(item)
+    }
 }
 
 /// Why an item was not queued; it is handed back.
@@ -35,6 +76,8 @@ pub(crate) enum Refused<T> {
 pub(crate) struct Pushed<T> {
     /// The same vehicle's older item, which is removed even if the new item is not queued.
     pub(crate) superseded: Option<T>,
+    /// The item of another vehicle, which had been served after this one, that gave up its place.
+    pub(crate) displaced: Option<T>,
     /// Whether the new item waits now.
     pub(crate) queued: Result<(), Refused<T>>,
 }
@@ -52,6 +95,8 @@ impl<T> Queue<T> {
             by_place: BTreeMap::new(),
             slots: HashMap::new(),
             tickets: 0,
+            turns: HashMap::new(),
+            taken: 0,
             closed: false,
         };
         Self {
@@ -67,28 +112,42 @@ impl<T> Queue<T> {
         vehicle: String,
         deadline: Instant,
         item: T,
-        in_time: impl FnOnce(usize) -> bool,
+        in_time: impl Fn(usize) -> bool,
     ) -> Pushed<T> {
         let mut waiting = self.lock();
-        let old = waiting.slots.remove(&vehicle);
-        let superseded = old
-            .and_then(|place| waiting.by_place.remove(&place))
-            .map(|(_, item)| item);
+        let old = waiting.slots.get(&vehicle).copied();
+        let superseded = old.and_then(|place| waiting.remove(place));
         let place = (deadline, waiting.tickets);
+        let turn = waiting.turn(&vehicle);
+        let ahead = waiting.by_place.range(..place).count();
+        let mut displaced = None;
         let queued = if waiting.closed {
             Err(Refused::Closed(item))
         } else if waiting.slots.len() >= self.capacity {
             Err(Refused::Full(item))
-        } else if !in_time(waiting.by_place.range(..place).count()) {
-            Err(Refused::Late(item))
         } else {
-            waiting.tickets += 1;
-            waiting.slots.insert(vehicle.clone(), place);
-            waiting.by_place.insert(place, (vehicle, item));
-            self.changed.notify_one();
-            Ok(())
+            let late = !in_time(ahead);
+            if late {
+                displaced = waiting
+                    .served_after(turn, place)
+                    .filter(|_| in_time(ahead - 1))
+                    .and_then(|other| waiting.remove(other));
+            }
+            if late && displaced.is_none() {
+                Err(Refused::Late(item))
+            } else {
+                waiting.tickets += 1;
+                waiting.slots.insert(vehicle.clone(), place);
+                waiting.by_place.insert(place, (vehicle, item));
+                self.changed.notify_one();
+                Ok(())
+            }
         };
-        Pushed { superseded, queued }
+        Pushed {
+            superseded,
+            displaced,
+            queued,
+        }
     }
 
     /// Waits for an item and returns that with the earliest deadline, or `None` once the queue is closed and empty.
@@ -116,6 +175,9 @@ impl<T> Queue<T> {
     fn take_first(waiting: &mut Waiting<T>) -> Option<T> {
         let (_, (vehicle, item)) = waiting.by_place.pop_first()?;
         waiting.slots.remove(&vehicle);
+        waiting.taken += 1;
+        let taken = waiting.taken;
+        waiting.turns.insert(vehicle, taken);
         Some(item)
     }
 
@@ -138,6 +200,7 @@ impl<T> Queue<T> {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
     use std::time::Duration;
 
     use super::*;
@@ -180,6 +243,7 @@ mod tests {
             push(2),
             Pushed {
                 superseded: Some(1),
+                displaced: None,
                 queued: Ok(())
             }
         );
@@ -202,13 +266,94 @@ mod tests {
         for (vehicle, ms) in [("a", 10), ("b", 20), ("c", 40)] {
             queue.push(vehicle.to_owned(), at(start, ms), vehicle, FITS);
         }
-        let mut ahead = 0;
+        let ahead = Cell::new(0);
         let refuse = |count| {
-            ahead = count;
+            ahead.set(count);
             false
         };
         let pushed = queue.push("d".to_owned(), at(start, 30), "d", refuse);
-        assert_eq!((ahead, pushed.queued), (2, Err(Refused::Late("d"))));
+        assert_eq!((ahead.get(), pushed.queued), (2, Err(Refused::Late("d"))));
+    }
+
+    /// A queue that served `a`, `b` and `c` in this order.
+    fn served(start: Instant) -> Queue<&'static str> {
+        let queue = Queue::new(8);
+        for vehicle in ["a", "b", "c"] {
+            queue.push(vehicle.to_owned(), start, vehicle, FITS);
+            queue.pop();
+        }
+        queue
+    }
+
+    #[test]
+    fn a_vehicle_that_was_served_earlier_takes_the_place_of_the_one_served_last() {
+        let start = Instant::now();
+        let queue = served(start);
+        let push = |vehicle: &'static str, ms| {
+            queue.push(vehicle.to_owned(), at(start, ms), vehicle, |ahead| {
+                ahead < 2
+            })
+        };
+        push("c", 10);
+        push("b", 20);
+        let pushed = push("a", 30);
+        assert_eq!((pushed.displaced, pushed.queued), (Some("c"), Ok(())));
+        // Of those that wait, none was served after it.
+        let pushed = push("c", 40);
+        assert_eq!(
+            (pushed.displaced, pushed.queued),
+            (None, Err(Refused::Late("c")))
+        );
+        assert_eq!(
+            [queue.pop(), queue.pop(), queue.try_pop()],
+            [Some("b"), Some("a"), None]
+        );
+        assert_eq!(queue.len(), 0);
+    }
+
+    #[test]
+    fn nothing_gives_up_its_place_for_a_request_that_is_late_nevertheless() {
+        let start = Instant::now();
+        let queue = served(start);
+        queue.push("c".to_owned(), at(start, 10), "c", FITS);
+        let pushed = queue.push("a".to_owned(), at(start, 20), "a", |_| false);
+        assert_eq!(
+            (pushed.displaced, pushed.queued),
+            (None, Err(Refused::Late("a")))
+        );
+        assert_eq!(queue.pop(), Some("c"));
+    }
+
+    #[test]
+    fn a_new_name_has_no_turn_before_others() {
+        let start = Instant::now();
+        let queue = served(start);
+        queue.push("a".to_owned(), at(start, 10), "a", FITS);
+        let alone = |ahead| ahead < 1;
+        for vehicle in ["new", "other"] {
+            let pushed = queue.push(vehicle.to_owned(), at(start, 20), vehicle, alone);
+            assert_eq!(
+                (pushed.displaced, pushed.queued),
+                (None, Err(Refused::Late(vehicle)))
+            );
+        }
+        // It is remembered from its first request on, so its turn comes when others have been served.
+        queue.pop();
+        queue.push("b".to_owned(), at(start, 20), "b", FITS);
+        queue.pop();
+        queue.push("b".to_owned(), at(start, 20), "b", FITS);
+        let pushed = queue.push("new".to_owned(), at(start, 30), "new", alone);
+        assert_eq!((pushed.displaced, pushed.queued), (Some("b"), Ok(())));
+    }
+
+    #[test]
+    fn the_names_that_are_remembered_are_bounded() {
+        let (queue, start) = (Queue::new(1), Instant::now());
+        for name in 0..=REMEMBERED {
+            queue.push(name.to_string(), start, name, |_| false);
+            assert!(queue.lock().turns.len() <= REMEMBERED);
+        }
+        assert_eq!(queue.lock().turns.len(), 1);
     }
 
     #[test]

@@ -13,6 +13,7 @@ use crate::intake::Shared;
 use crate::metrics::Metrics;
 use crate::query::Query;
 use crate::queue::Queue;
+use crate::standing::Standing;
 use crate::worker::{Begun, Worker};
 
 /// Intake, queue and workers of a service as one state machine; [`crate::Server`] runs the same code on threads.
@@ -45,6 +46,7 @@ impl<H: Handler, Q: Query> Replica<H, Q> {
                 describe: Box::new(move || described.describe()),
                 workers,
                 queue: Queue::new(queue),
+                standing: Standing::default(),
                 draining: AtomicBool::new(false),
                 guard: None,
                 traces: None,
@@ -180,5 +182,88 @@ mod tests {
         let replica = replica(1).with_keys(ring);
         let query = taken(&replica, "a", Instant::now());
         assert_eq!(query.code(), Some(Code::Unauthenticated));
+    }
+
+    const PERIOD: f64 = 20.0;
+    const STEP: f64 = 0.25;
+
+    /// What fraction of the worker's time went into answers in time, and the fraction of the requests of a vehicle that were
+    /// answered in time, at least and in the mean. Times are in ms.
+    struct Goodput {
+        used: f64,
+        least: f64,
+        mean: f64,
+    }
+
+    /// One worker with a step of 0.25 ms and vehicles at 50 Hz for two seconds, of which the second counts. Budgets are 16 ms
+    /// from when a request was sent; request and answer are each `transit` under way. Each vehicle's requests are up to 2 ms
+    /// early or late.
+    fn loaded(vehicles: u32, transit: f64) -> Goodput {
+        let mut replica =
+            Replica::new(name("main"), Echo::default(), 1, vehicles as usize).unwrap();
+        let start = Instant::now();
+        let mut arrivals = Vec::new();
+        let mut random = 1_u64;
+        for round in 0..100_u32 {
+            for vehicle in 0..vehicles {
+                random = random
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1);
+                let early = f64::from((random >> 33) as u32) / f64::from(1_u32 << 31) * 2.0;
+                let part = f64::from(vehicle) / f64::from(vehicles);
+                let sent = PERIOD * (f64::from(round) + part) + early;
+                arrivals.push((sent + transit, vehicle, u64::from(round) + 100));
+            }
+        }
+        arrivals.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (mut queries, mut ends): (Vec<(u32, f64, Recorded)>, Option<f64>) = (Vec::new(), None);
+        for (now, vehicle, sequence) in arrivals {
+            while let Some(end) = ends.filter(|end| *end <= now) {
+                replica.end(0, at(start, end));
+                ends = replica.begin(at(start, end)).map(|_| end + STEP);
+            }
+            let query = Recorded::request(&format!("car-{vehicle}"), sequence, 16_000);
+            replica.take(query.clone(), at(start, now));
+            if ends.is_none() {
+                ends = replica.begin(at(start, now)).map(|_| now + STEP);
+            }
+            queries.push((vehicle, now, query));
+        }
+        while let Some(end) = ends {
+            replica.end(0, at(start, end));
+            ends = replica.begin(at(start, end)).map(|_| end + STEP);
+        }
+        let mut counts = vec![(0_u32, 0_u32); vehicles as usize];
+        for (vehicle, _, query) in queries.iter().filter(|(_, now, _)| *now >= 1000.0) {
+            let count = &mut counts[*vehicle as usize];
+            count.0 += 1;
+            if let Some(Sent::Answer { timing, .. }) = query.sent() {
+                let timing = timing.unwrap();
+                let took = f64::from(timing.queue_us + timing.step_us) * 1e-3;
+                count.1 += u32::from(took + 2.0 * transit <= 16.0);
+            }
+        }
+        let fraction = |(all, in_time): (u32, u32)| f64::from(in_time) / f64::from(all);
+        let sum = counts.iter().fold((0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
+        Goodput {
+            used: f64::from(sum.1) * STEP / 1000.0,
+            least: counts.into_iter().map(fraction).fold(1.0, f64::min),
+            mean: fraction(sum),
+        }
+    }
+
+    #[test]
+    fn nine_tenths_of_what_a_worker_can_do_are_all_answered_in_time() {
+        let Goodput { used, least, .. } = loaded(72, 1.0);
+        assert!(used > 0.89 && least == 1.0, "{used} {least}");
+    }
+
+    #[test]
+    fn at_three_times_its_capacity_a_worker_answers_in_time_and_shares_equally() {
+        for transit in [0.1, 1.0, 3.0] {
+            let Goodput { used, least, mean } = loaded(240, transit);
+            assert!(used >= 0.95, "{transit}: {used}");
+            assert!(least >= 0.8 * mean, "{transit}: {least} of {mean}");
+        }
     }
 }

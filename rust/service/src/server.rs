@@ -25,6 +25,7 @@ use crate::metrics::Metrics;
 use crate::network::{Network, NetworkError, Publisher, Received, configuration};
 use crate::queue::Queue;
 use crate::reloader::{Outcome, Reloader, Running};
+use crate::standing::Standing;
 use crate::traces::Traces;
 use crate::worker::work;
 
@@ -126,6 +127,7 @@ impl Server {
             describe: Box::new(move || described.describe()),
             workers,
             queue: Queue::new(config.queue),
+            standing: Standing::default(),
             draining: AtomicBool::new(false),
             guard,
             traces,

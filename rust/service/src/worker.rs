@@ -33,12 +33,15 @@ impl<Q: Query> Shared<Q> {
     /// Begins the step of a request at `started`, or answers with an error if the step would end too late.
     pub(crate) fn begin(&self, job: Job<Q>, started: Instant) -> Option<Begun<Q>> {
         self.metrics.waited(started - job.arrived);
+        let next = self.time_to_answer(self.queue.len());
+        if next <= (job.deadline - job.arrived) / 4 {
+            self.standing.short(started);
+        }
         let hopeless = started + self.metrics.step_time() > job.expected_by();
         // The last request in the queue is tried even if it is likely to be late, because no other request waits for
         // the worker.
         if started > job.deadline || (hopeless && self.queue.len() > 0) {
-            let budget = micros(job.deadline - job.arrived);
-            self.refuse_job(&job, &self.too_late(budget));
+            self.refuse_job(&job, &self.too_late(job.budget()));
             return None;
         }
         self.metrics.busy.inc();

@@ -96,8 +96,9 @@ pub fn items_end_once_and_in_order(capacity: usize) {
 
 fn push(queue: &Queue<Item>, log: &Log, vehicle: &str, item: Item, capacity: usize) {
     let begin = log.tick();
-    let Pushed { superseded, queued } =
-        queue.push(vehicle.to_owned(), item.deadline, item, |_| true);
+    let Pushed {
+        superseded, queued, ..
+    } = queue.push(vehicle.to_owned(), item.deadline, item, |_| true);
     let call = Call(begin, log.tick());
     if let Some(old) = superseded {
         log.note(Event::Superseded(old, item, call));

@@ -11,6 +11,7 @@ use crate::intake::Shared;
 use crate::metrics::Metrics;
 use crate::question::{Answer, Question, name, request, step_key};
 use crate::queue::Queue;
+use crate::standing::Standing;
 use crate::sync::atomic::{AtomicBool, Ordering};
 use crate::sync::mpsc::Receiver;
 use crate::sync::thread::JoinHandle;
@@ -79,6 +80,7 @@ impl Service {
             describe: Box::new(messages::ready),
             workers: WORKERS,
             queue: Queue::new(3),
+            standing: Standing::default(),
             draining: AtomicBool::new(false),
             guard,
             traces: None,

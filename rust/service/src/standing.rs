@@ -1,0 +1,53 @@
+//! Whether requests wait although the queue had time to empty.
+//!
+//! A queue evens out requests that come at once. If it never becomes short, there are more requests than the workers can
+//! answer, and a long queue only makes the answers that are given late: each then spends most of its budget on waiting, and
+//! nothing is left for a network and a processor that have much to do as well. Nichols and Jacobson, "Controlling queue
+//! delay", ACM Queue 10(5), 2012, distinguish the two kinds of queue in the same way.
+
+use std::time::{Duration, Instant};
+
+use crate::sync::{Mutex, MutexGuard, PoisonError};
+
+/// A queue that was not short for this time is a standing one; several control periods.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// When the queue was last short.
+#[derive(Default)]
+pub(crate) struct Standing {
+    short: Mutex<Option<Instant>>,
+}
+
+impl Standing {
+    /// The queue is short at the time `now`.
+    pub(crate) fn short(&self, now: Instant) {
+        *self.lock() = Some(now);
+    }
+
+    /// Whether the queue was not short for a while. The first question counts as a moment at which it is short.
+    pub(crate) fn lasts(&self, now: Instant) -> bool {
+        let since = *self.lock().get_or_insert(now);
+        now.saturating_duration_since(since) > PATIENCE
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Option<Instant>> {
+        self.short.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::query::recorded::at;
+
+    #[test]
+    fn a_queue_stands_if_it_was_not_short_for_a_while() {
+        let (standing, start) = (Standing::default(), Instant::now());
+        assert!(!standing.lasts(at(start, 500.0)));
+        assert!(!standing.lasts(at(start, 600.0)));
+        assert!(standing.lasts(at(start, 600.1)));
+        standing.short(at(start, 650.0));
+        assert!(!standing.lasts(at(start, 750.0)));
+        assert!(standing.lasts(at(start, 750.1)));
+    }
+}

@@ -1,0 +1,100 @@
+"""A vehicle that reads no replies delays no other vehicle."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+import zenoh
+
+from egp_service import Controller, VehicleClient
+from egp_service._core.testing import step_key
+from egp_service.control.toml_text import dumps
+from egp_service.simulation.scenario import gate_settings, library_path, load_scenario, told_zones
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SCENARIO = told_zones(load_scenario("rounded-rectangle"))
+LIBRARY = library_path(SCENARIO)
+GATE = gate_settings(SCENARIO)
+BESIDE = np.array([0.0, 0.3, 15.0, 0.0, 0.0, 0.0, 0.0])
+# Names under which the vehicle that reads nothing asks 200 times a second.
+NAMES = 64
+PAUSE = 0.005
+SECONDS = 5.0
+
+
+def straight(controller: Controller | VehicleClient) -> np.ndarray:
+    """Return a straight reference at 15 m/s."""
+    s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+    return np.column_stack([s, 0.0 * s, 0.0 * s + 15.0, 0.0 * s])
+
+
+def served_beside_a_full_link(folder: Path, zenoh_settings: dict[str, str]) -> Counter[str]:
+    """Count the steps of a vehicle by status while another one does not read its replies.
+
+    The queries of the latter ask for zenoh's blocking congestion control, as `get` does by default.
+    """
+    with Controller(LIBRARY, gate=GATE) as controller:
+        request = controller.step(BESIDE, straight(controller), deadline=5.0).request
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    # Small buffers of the system fill up soon.
+    listen = {"listen/endpoints": json.dumps([f"{endpoint}#so_sndbuf=16384"])}
+    file = folder / "service.toml"
+    table = {"library": str(LIBRARY), "zenoh": listen | zenoh_settings}
+    file.write_text(dumps(table), encoding="utf-8")
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("connect/endpoints", json.dumps([f"{endpoint}#so_rcvbuf=16384"]))
+    reading, over, statuses = threading.Event(), threading.Event(), Counter[str]()
+
+    def wait(_: zenoh.Reply) -> None:
+        reading.wait()
+
+    def ask() -> None:
+        count = 0
+        while not over.wait(PAUSE):
+            key = step_key("main", "fleet", f"silent-{count % NAMES}")
+            # The callback keeps the thread that receives.
+            waiting = zenoh.handlers.Callback(wait, indirect=False)
+            silent.get(key, waiting, payload=request, timeout=30.0)
+            count += 1
+
+    command = [sys.executable, "-m", "egp_service", "serve", "--config", str(file)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as service:
+        try:
+            with (
+                VehicleClient.connect([endpoint], gate=GATE, timeout=30.0) as client,
+                zenoh.open(config) as silent,
+            ):
+                asking = threading.Thread(target=ask)
+                asking.start()
+                end = time.monotonic() + SECONDS
+                while time.monotonic() < end:
+                    step = client.step(BESIDE, straight(client))
+                    statuses[step.status] += 1
+                    if step.mode == "stop":
+                        client.reset()
+                    time.sleep(client.dt)
+                over.set()
+                reading.set()
+                asking.join()
+        finally:
+            service.kill()
+    return statuses
+
+
+def test_replies_that_a_link_has_no_room_for_hold_no_worker(tmp_path: Path) -> None:
+    statuses = served_beside_a_full_link(tmp_path, {})
+    assert statuses["solved"] >= 0.5 * statuses.total(), statuses
