@@ -4,7 +4,8 @@
 
 Drives the first 40 % of the demo's lap with measured states that are noisy, and writes
 docs/tuning-NAME.png for the settings of these names, or for all. The reference speed is told the
-zones, but for `risk`, which plans it for what the control steps found.
+zones, but for `risk`, which plans it for what the control steps found. The drives of
+`max_tail_ticks` and `budget` have replies that are missing or late, in simulated time.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
+from late_replies import LateReplies
 from PIL import Image
 
 from egp_service.simulation.closed_loop import drive
@@ -25,7 +27,12 @@ from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.scenario import Measurement, load_scenario, told_zones
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from egp_service.control.step import StepController
     from egp_service.simulation.closed_loop import Run
+    from egp_service.simulation.scenario import Scenario
+    from egp_service.simulation.trace import Trace
 
 DOCS: Final = Path(__file__).parents[2] / "docs"
 NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005)
@@ -35,13 +42,19 @@ STYLES: Final = ("--", "-", ":")
 COLOURS_OF_A_FILE: Final = 48
 STEERING, SPEED = "steering rate\n[rad/s]", "speed [m/s]"
 SPEED_ERROR, WEIGHT = "speed error [m/s]", "weight\nof the member μ 0.5"
+SINCE: Final = "periods since a\nplan came in time"
+PERIODS: Final = 5000  # more than a drive takes
+DT: Final = 0.02  # control period of the demo's library, s
+OUTAGE: Final = (8.0, 0.4)  # begin and length of the time without replies, s
+DEFAULTS: Final = {"budget": 0.8, "max_tail_ticks": 25}
 
 
 @dataclass(frozen=True)
 class Comparison:
     """A setting, three values of it, and what is drawn below the lateral error.
 
-    The table `speed` is that of a scenario, the others are those of the control step.
+    The table `speed` is that of a scenario, `client` that of a vehicle's client, and the others are
+    those of the control step.
     """
 
     table: str
@@ -59,6 +72,8 @@ COMPARISONS: Final = (
     Comparison("weights", "window", (5, 25, 60), WEIGHT),
     Comparison("speed", "grip", (0.7, 0.9, 1.0), SPEED),
     Comparison("speed", "risk", (0.01, 0.1, 0.5), SPEED),
+    Comparison("client", "max_tail_ticks", (5, 12, 25), SPEED),
+    Comparison("client", "budget", (0.2, 0.5, 0.8), SINCE),
 )
 
 
@@ -69,19 +84,51 @@ def lap(comparison: Comparison, value: object) -> Run:
     if comparison.key != "risk":
         scenario = told_zones(scenario)
     speed = replace(scenario.speed, grip=0.9)
-    if comparison.table == "speed":
+    if comparison.table == "client":
+        control = {}
+    elif comparison.table == "speed":
         speed, control = replace(speed, **control), {}  # type: ignore[arg-type]
     elif comparison.table:
         control = {comparison.table: control}
     scenario = replace(scenario, laps=0.4, speed=speed, measurement=NOISE, control=control)
-    with in_process_controller(scenario) as controller:
+    with controller_of(scenario, comparison, value) as controller:
         return drive(scenario, controller, lambda _: None)
+
+
+def controller_of(scenario: Scenario, comparison: Comparison, value: object) -> StepController:
+    """Compute the steps in this process, with the delays of the network for settings of clients."""
+    if comparison.table != "client":
+        return in_process_controller(scenario)
+    settings = DEFAULTS | {comparison.key: value}
+    return LateReplies(scenario, delays(comparison.key), **settings)  # type: ignore[arg-type]
+
+
+def delays(key: str) -> list[float]:
+    """Time from question to reply in each control period, s.
+
+    For `max_tail_ticks` none comes for a while. For `budget` it takes 2 ms and a time that is
+    exponentially distributed with a mean of 4 ms, as behind a service that others use.
+    """
+    if key == "budget":
+        random = np.random.default_rng(1)
+        found: list[float] = (0.002 + random.exponential(0.004, PERIODS)).tolist()
+        return found
+    begin, length = (round(time / DT) for time in OUTAGE)
+    return [np.inf if begin <= k < begin + length else 0.0 for k in range(PERIODS)]
+
+
+def since_in_time(trace: Trace) -> NDArray[np.int_]:
+    """Count the periods since the last one whose plan came in time."""
+    periods = np.arange(trace.status.size)
+    solved = np.maximum.accumulate(np.where(trace.status == "solved", periods, 0))
+    found: NDArray[np.int_] = periods - solved
+    return found
 
 
 def draw(comparison: Comparison) -> None:
     """Write the picture of one setting."""
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(8.0, 4.6), sharex=True)
-    name = f"{comparison.table}.{comparison.key}".removeprefix(".")
+    name = f"{comparison.table}.{comparison.key}".removeprefix("client").removeprefix(".")
     for value, colour, style in zip(comparison.values, COLOURS, STYLES, strict=True):
         run = lap(comparison, value)
         trace = run.trace
@@ -92,11 +139,13 @@ def draw(comparison: Comparison) -> None:
             SPEED: trace.x[:, 2],
             SPEED_ERROR: trace.speed_error,
             WEIGHT: trace.weights[:, 0],
+            SINCE: since_in_time(trace),
         }
         line = {"color": colour, "linestyle": style, "linewidth": 1.1}
         top.plot(trace.distance, trace.lateral_error, label=label, **line)
         bottom.plot(trace.distance, below[comparison.below], **line)
-        print(f"{name} = {label}")
+        late = np.mean(trace.status != "solved")
+        print(f"{name} = {label}, {100.0 * late:.1f} % late, {run.summary.ending.reason}")
     for ax in (top, bottom):
         ax.axvline(ZONE * run.path.length, color="#888888", linewidth=0.8)
         ax.grid(visible=True, linewidth=0.3)

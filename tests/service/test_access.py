@@ -50,10 +50,15 @@ def at(hub: str, rights: Iterable[Right]) -> set[Right]:
     if hub == "router":
         return set(rights)
     of_the_map = ("egp/v1/map/", "egp/v1/@map/")
+    between_services = "egp/v1/r/main/library/"
     return {
         right
         for right in rights
-        if right[0] not in {"service", "map"} and right[2].startswith(of_the_map) == (hub == "map")
+        if right[2].startswith(of_the_map) == (hub == "map")
+        and (
+            right[0] not in {"service", "map"}
+            or (right[0] == hub == "service" and right[2].startswith(between_services))
+        )
     }
 
 

@@ -47,7 +47,8 @@ ELSEWHERE: Final = {
 # and options in them.
 NOT_EXECUTED: Final = {
     "README": "The commands of make run the tests; columns of the log are left out.",
-    "deploying": "Needs Docker, a cluster, or the Collector of OpenTelemetry.",
+    "deploying": "Needs Docker, a cluster, the Collector of OpenTelemetry, or several machines; "
+    "tests/service/test_fetch.py does without those.",
     "monitor": "Needs hosts with names; tests/service/test_certificates.py does the same here.",
     "recordings": "Installs a package and opens a window.",
     "reference": "Compiles; `make rust-test` does the same without opening a browser.",

@@ -17,6 +17,7 @@ from egp_service.cli.commands.demo import demo
 from egp_service.cli.commands.doctor import doctor
 from egp_service.cli.commands.drive import drive
 from egp_service.cli.commands.evaluate import evaluate
+from egp_service.cli.commands.fetch import fetch
 from egp_service.cli.commands.inspect import inspect
 from egp_service.cli.commands.keys import keys
 from egp_service.cli.commands.load import load
@@ -60,6 +61,7 @@ Look at a recorded run on a map and in curves:
 
 As a service for vehicles:
   egp serve library.safetensors --listen tcp/0.0.0.0:7447
+  egp fetch SHA256 --connect tcp/10.0.0.5:7447 -o library.safetensors
 
 Watch vehicles and replicas in the browser:
   egp monitor
@@ -90,6 +92,7 @@ for command in (
     train,
     inspect,
     serve,
+    fetch,
     keys,
     sign,
     router,

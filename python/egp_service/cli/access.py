@@ -20,6 +20,7 @@ OPERATOR: Final = "operator"
 
 _LIVE, _LOAD = "egp/v1/@live/*", "egp/v1/@load/*"
 _REPLICAS, _READY = "egp/v1/r/**", "egp/v1/r/*/ready"
+_LIBRARIES = ("egp/v1/r/*/library/*", "egp/v1/r/*/library/*/*")
 _STATUS, _STATUS_ROAD = "egp/v1/@vehicle/*/*", "egp/v1/@vehicle/*/*/road"
 _MAP, _MAP_STATE = "egp/v1/map/**", ("egp/v1/map/health", "egp/v1/map/metrics")
 _REPLICA_STATE = ("egp/v1/r/*/health", "egp/v1/r/*/metrics")
@@ -82,7 +83,15 @@ def _mirrored(rights: Iterable[Right]) -> list[Right]:
 
 
 def _of_services() -> list[Right]:
-    return [*_answers(_REPLICAS), *_announces(_LIVE), *_publishes(_LOAD, _LOAD)]
+    """Give what a service may do at a router."""
+    own = [*_answers(_REPLICAS), *_announces(_LIVE), *_publishes(_LOAD, _LOAD)]
+    return [*own, *_asks(_REPLICAS, *_LIBRARIES)]
+
+
+def _between_services() -> list[Right]:
+    """Give what a service may do at another one: fetch libraries, and give its own."""
+    asks = _asks(_REPLICAS, *_LIBRARIES)
+    return [*asks, *_mirrored(asks)]
 
 
 def _of_maps() -> list[Right]:
@@ -95,7 +104,7 @@ def _of_client(name: str) -> dict[str, list[Right]]:
     if name == OPERATOR:
         return {
             SERVICE: [
-                *_asks(_REPLICAS, _READY, *_REPLICA_STATE),
+                *_asks(_REPLICAS, _READY, *_REPLICA_STATE, *_LIBRARIES),
                 *live,
                 *_subscribes(_LOAD, _STATUS),
                 *_asks(_STATUS_ROAD, _STATUS_ROAD),
@@ -136,12 +145,21 @@ def listener_access(name: str, vehicles: Iterable[str]) -> dict[str, object]:
         return _access({**both, SERVICE: _of_services(), MAP: _of_maps()})
     own = _of_services() if name == SERVICE else _of_maps()
     at_own = {client: found[name] for client, found in clients.items()}
+    if name == SERVICE:
+        at_own[SERVICE] = _between_services()
     return _access({**at_own, ROUTER: _mirrored(own)})
 
 
 def size_limits() -> list[dict[str, object]]:
     """Give zenoh's filters that drop messages larger than their keys ever need."""
-    states = (_READY, *_REPLICA_STATE, *_MAP_STATE, _STATUS_ROAD, "egp/v1/map/*/*/*/tiles/*")
+    states = (
+        _READY,
+        *_REPLICA_STATE,
+        *_LIBRARIES,
+        *_MAP_STATE,
+        _STATUS_ROAD,
+        "egp/v1/map/*/*/*/tiles/*",
+    )
     return [
         _size_limit("query", states, _SMALL),
         _size_limit("query", ("egp/v1/map/*/*/*/tile/*",), _TILE),

@@ -31,6 +31,8 @@ mod libraries;
 mod library_table;
 #[path = "../../service/src/metrics.rs"]
 mod metrics;
+#[path = "../../service/src/offer.rs"]
+mod offer;
 #[path = "../../service/src/query.rs"]
 mod query;
 #[path = "../../service/src/queue.rs"]

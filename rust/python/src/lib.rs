@@ -105,7 +105,7 @@ mod _core {
         const SETTINGS_DOCUMENT: &str = include_str!("../../../docs/settings.md");
         #[pymodule_export]
         use crate::service::{
-            Engine, InProcessDriver, Server, check_service, check_settings, serve,
+            Engine, InProcessDriver, Server, check_service, check_settings, fetch_library, serve,
             vector_instructions,
         };
     }

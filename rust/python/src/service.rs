@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use egp_core::Settings;
 use egp_engine::EngineWorkspace;
-use egp_service::ServiceConfig;
+use egp_service::{Fetched, ServiceConfig, Wanted};
 use egp_wire::{Ready, Timing, WireError};
 use pyo3::exceptions::{PyKeyboardInterrupt, PySystemExit};
 use pyo3::prelude::*;
@@ -269,6 +269,52 @@ pub fn serve(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
     py.detach(|| egp_service::serve(&config)).map_err(raise)?;
     after_signal(py)
+}
+
+/// Fetch the library with this SHA-256 (64 hexadecimal digits) from any replica that the zenoh settings of `network_toml`
+/// connect to, and return the replica's name; `None` if `path` holds the library already.
+///
+/// `network_toml` is the text of a service's configuration, of which only `zenoh_file` and `zenoh` are used. Hash, the
+/// signature if a file of public keys is given, and the library itself are checked before `path` is replaced. Raises
+/// `EgpError` with each replica's reason if none of them gave the library within `timeout` seconds.
+#[pyfunction]
+#[pyo3(signature = (sha256, path, network_toml, *, library_keys = None, timeout = 10.0))]
+pub fn fetch_library(
+    py: Python<'_>,
+    sha256: &str,
+    path: PathBuf,
+    network_toml: &str,
+    library_keys: Option<PathBuf>,
+    timeout: f64,
+) -> PyResult<Option<String>> {
+    let id = egp_wire::library_keys::library_id(sha256).ok_or_else(|| {
+        InvalidArgumentError::raise(format!(
+            "sha256: expected 64 hexadecimal digits, got {sha256:?}; `egp inspect` shows a library's"
+        ))
+    })?;
+    let patience = Duration::try_from_secs_f64(timeout).map_err(|_| {
+        InvalidArgumentError::raise(format!("timeout: expected seconds, got {timeout}"))
+    })?;
+    let network = ServiceConfig::from_toml(network_toml).map_err(raise)?;
+    let wanted = Wanted {
+        id,
+        file: &path,
+        keys: library_keys.as_deref(),
+    };
+    let mut signal = None;
+    let fetched = py.detach(|| {
+        let mut stopped = || {
+            signal = Python::attach(|py| py.check_signals().err());
+            signal.is_some()
+        };
+        wanted.fetch(&network, patience, &mut stopped)
+    });
+    match (fetched, signal) {
+        (_, Some(signal)) => Err(signal),
+        (Ok(Fetched::Already), None) => Ok(None),
+        (Ok(Fetched::From(replica)), None) => Ok(Some(replica.to_string())),
+        (Err(error), None) => Err(raise(error)),
+    }
 }
 
 /// Check all that a service needs to start, as `egp-server --check` does, and return what it would serve.

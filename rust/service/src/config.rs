@@ -11,7 +11,7 @@ use std::{
 use egp_core::{Settings, SettingsError};
 use egp_engine::available_cores;
 use egp_trace::{Share, ShareError};
-use egp_wire::{Ready, keys::Name};
+use egp_wire::{LibraryId, Ready, keys::Name, library_keys::library_id};
 use serde::Deserialize;
 use thiserror::Error;
 
@@ -37,6 +37,10 @@ pub struct ServiceConfig {
     /// Further library files, for requests that state their hash. Default none.
     #[serde(default)]
     pub libraries: Vec<PathBuf>,
+    /// SHA-256 of the library, as 64 hexadecimal digits. If `library` does not hold it at the start, it is fetched from the
+    /// replicas that the zenoh settings connect to, and replaces the file. Default: none.
+    #[serde(default)]
+    pub fetch: Option<String>,
     /// Libraries that are served at a time, those included that a reload replaced. Default 4.
     #[serde(default = "default_max_libraries")]
     pub max_libraries: usize,
@@ -159,6 +163,7 @@ impl ServiceConfig {
         Self {
             library: library.into(),
             libraries: Vec::new(),
+            fetch: None,
             max_libraries: default_max_libraries(),
             watch_ms: 0,
             replica: default_replica(),
@@ -187,6 +192,11 @@ impl ServiceConfig {
     /// The time between looks at the library file; none if it is loaded again on command only.
     pub(crate) fn watch(&self) -> Option<Duration> {
         (self.watch_ms > 0).then(|| Duration::from_millis(self.watch_ms))
+    }
+
+    /// The library that is to be in the file before it is served, if the configuration states one.
+    pub(crate) fn wanted(&self) -> Option<LibraryId> {
+        self.fetch.as_deref().and_then(library_id)
     }
 
     /// The share of the traces that is written.
@@ -247,6 +257,11 @@ impl ServiceConfig {
         }
         if let Some(workers) = self.workers.filter(|workers| !(1..=1024).contains(workers)) {
             return range("workers", "in 1..=1024", &workers);
+        }
+        if let Some(digits) = &self.fetch
+            && library_id(digits).is_none()
+        {
+            return range("fetch", "a SHA-256 as 64 hexadecimal digits", digits);
         }
         let (least, most) = (1 + self.libraries.len(), 1 + Ready::MAX_OTHERS);
         if !(least..=most).contains(&self.max_libraries) {

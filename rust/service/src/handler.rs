@@ -1,7 +1,18 @@
 //! The interface by which a worker answers a request.
 
 use egp_engine::{Engine, EngineWorkspace};
-use egp_wire::{Ready, Status, WireError};
+use egp_wire::{LibraryId, Ready, Status, WireError};
+
+use crate::sync::Arc;
+
+/// The file of a library that is served.
+#[derive(Clone)]
+pub struct LibraryContent {
+    /// Its bytes, whose SHA-256 is the library's id.
+    pub bytes: Arc<[u8]>,
+    /// The signature beside it, if there is one.
+    pub signature: Option<[u8; 64]>,
+}
 
 /// Turns the bytes of a request into those of a reply; in production an [`Engine`].
 pub trait Handler: Send + Sync + 'static {
@@ -28,6 +39,11 @@ pub trait Handler: Send + Sync + 'static {
         request: &[u8],
         reply: &mut Vec<u8>,
     ) -> Result<Status, WireError>;
+
+    /// The file of a library, for others who fetch it; none if it is not served, or was not loaded from a file.
+    fn content(&self, _library: &LibraryId) -> Option<LibraryContent> {
+        None
+    }
 }
 
 impl Handler for Engine {

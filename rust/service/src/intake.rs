@@ -9,6 +9,7 @@ use prost::Message as _;
 use crate::events;
 use crate::guard::{Guard, Sealed};
 use crate::metrics::{Metrics, micros};
+use crate::offer::Offer;
 use crate::query::Query;
 use crate::queue::{Queue, Refused};
 use crate::standing::Standing;
@@ -57,6 +58,8 @@ pub(crate) struct Shared<Q> {
     pub(crate) guard: Option<Guard>,
     /// The spans of requests, if they are written.
     pub(crate) traces: Option<Traces>,
+    /// The library files, for others who fetch them.
+    pub(crate) offer: Offer<Q>,
 }
 
 impl<Q: Query> Shared<Q> {
@@ -88,6 +91,7 @@ impl<Q: Query> Shared<Q> {
                 let encoding = "application/openmetrics-text;version=1.0.0";
                 query.answer(&keys::metrics(&self.replica), text, encoding, None);
             }
+            Some(Target::Library { id, part }) => self.offer.take(query, id, part),
             Some(Target::Step { fleet, vehicle }) => self.admit(query, arrived, &fleet, &vehicle),
             None => self.refuse(&query, None, &no_such_key(query.key())),
         }
@@ -214,7 +218,7 @@ impl<Q: Query> Shared<Q> {
 fn no_such_key(key: &str) -> WireError {
     let detail = format!(
         "{key} is no key of this replica: expected egp/v1/r/REPLICA/FLEET/VEHICLE/step or \
-         egp/v1/r/REPLICA/health, ready or metrics"
+         egp/v1/r/REPLICA/health, ready, metrics, library/SHA256 or library/SHA256/PART"
     );
     WireError::permanent(Code::Malformed, detail)
 }
@@ -242,6 +246,7 @@ pub(crate) mod tests {
             draining: AtomicBool::new(false),
             guard: None,
             traces: None,
+            offer: Offer::none(),
         }
     }
 

@@ -11,6 +11,8 @@
 
 mod config;
 mod events;
+mod fetch;
+mod fetch_error;
 mod guard;
 mod handler;
 mod http;
@@ -21,6 +23,7 @@ mod logging;
 pub mod map;
 mod metrics;
 mod network;
+mod offer;
 mod query;
 mod queue;
 mod reloader;
@@ -34,7 +37,9 @@ mod traces;
 mod worker;
 
 pub use config::{ConfigError, ServiceConfig};
-pub use handler::Handler;
+pub use fetch::{Fetched, Wanted};
+pub use fetch_error::{FetchError, FetchFailure};
+pub use handler::{Handler, LibraryContent};
 pub use libraries::{Libraries, ReloadError};
 pub use library_table::{LibraryTable, Reloaded, TableFull, TableWorkspace};
 pub use logging::init_logging;

@@ -9,10 +9,10 @@ use egp_wire::{LibraryId, Ready, Status, WireError};
 use thiserror::Error;
 
 use crate::config::ServiceConfig;
-use crate::handler::Handler;
+use crate::handler::{Handler, LibraryContent};
 use crate::library_table::{LibraryTable, Reloaded, TableFull, TableWorkspace};
-use crate::signature::{SignatureError, Signers};
-use crate::sync::{Mutex, PoisonError};
+use crate::signature::{SignatureError, Signers, signature_beside};
+use crate::sync::{Arc, Mutex, PoisonError};
 
 /// Why a library was not loaded. What was served before is still served.
 #[derive(Debug, Error)]
@@ -52,7 +52,7 @@ pub struct Libraries {
     settings: Settings,
     signers: Option<Signers>,
     started: Instant,
-    table: LibraryTable<Engine>,
+    table: LibraryTable<Loaded>,
     /// One reload at a time.
     loading: Mutex<()>,
 }
@@ -68,8 +68,12 @@ impl Libraries {
             .as_deref()
             .map(Signers::load)
             .transpose()?;
-        let load = |file: &Path| load(file, &config.settings, signers.as_ref());
-        let first = load(&config.library)?.with_cores(config.workers())?;
+        let load = |file: &Path| Loaded::from_file(file, &config.settings, signers.as_ref());
+        let first = load(&config.library)?;
+        let first = Loaded {
+            engine: first.engine.with_cores(config.workers())?,
+            ..first
+        };
         let further = config.libraries.iter();
         let further = further.map(|file| Ok(load(file)?.with_cores_of(&first)));
         let further = further.collect::<Result<Vec<_>, ReloadError>>()?;
@@ -101,29 +105,46 @@ impl Libraries {
     /// [`ReloadError`] if the file cannot be used or no library can be removed; nothing changes then.
     pub fn reload(&self) -> Result<Reloaded, ReloadError> {
         let _one = self.loading.lock().unwrap_or_else(PoisonError::into_inner);
-        let bytes = read(&self.file, self.signers.as_ref())?;
+        let content = read(&self.file, self.signers.as_ref())?;
+        let id = library::hash(&content.bytes);
         // A library that is served was checked when it was loaded, and is not made again.
-        let load = |described: &Engine| {
-            let engine = Engine::from_bytes(&self.file, &bytes, self.settings.clone())?;
-            Ok(engine.with_cores_of(described))
+        let load = |described: &Loaded| {
+            let loaded = Loaded::new(&self.file, content, &self.settings)?;
+            Ok(loaded.with_cores_of(described))
         };
-        let id = library::hash(&bytes);
         self.table.replace(id, self.started.elapsed(), load)
     }
 }
 
-/// An engine with the library of a file, whose signature is checked if there are signers.
-fn load(
-    file: &Path,
-    settings: &Settings,
-    signers: Option<&Signers>,
-) -> Result<Engine, ReloadError> {
-    let bytes = read(file, signers)?;
-    Ok(Engine::from_bytes(file, &bytes, settings.clone())?)
+/// An engine, and the file of its library for others who fetch it.
+struct Loaded {
+    engine: Engine,
+    content: LibraryContent,
 }
 
-/// The bytes of a library file, whose signature is checked if there are signers.
-fn read(file: &Path, signers: Option<&Signers>) -> Result<Vec<u8>, ReloadError> {
+impl Loaded {
+    /// Loads a file, whose signature is checked if there are signers.
+    fn from_file(
+        file: &Path,
+        settings: &Settings,
+        signers: Option<&Signers>,
+    ) -> Result<Self, ReloadError> {
+        Self::new(file, read(file, signers)?, settings)
+    }
+
+    fn new(file: &Path, content: LibraryContent, settings: &Settings) -> Result<Self, ReloadError> {
+        let engine = Engine::from_bytes(file, &content.bytes, settings.clone())?;
+        Ok(Self { engine, content })
+    }
+
+    fn with_cores_of(mut self, other: &Self) -> Self {
+        self.engine = self.engine.with_cores_of(&other.engine);
+        self
+    }
+}
+
+/// The content of a library file, whose signature is checked if there are signers.
+fn read(file: &Path, signers: Option<&Signers>) -> Result<LibraryContent, ReloadError> {
     let bytes = read_library(file).map_err(|source| EngineError::Read {
         path: file.display().to_string(),
         source,
@@ -131,7 +152,36 @@ fn read(file: &Path, signers: Option<&Signers>) -> Result<Vec<u8>, ReloadError> 
     if let Some(signers) = signers {
         signers.check(file, &bytes)?;
     }
-    Ok(bytes)
+    Ok(LibraryContent {
+        bytes: Arc::from(bytes),
+        // Who fetches the library may demand a signature although this service does not.
+        signature: signature_beside(file).ok(),
+    })
+}
+
+impl Handler for Loaded {
+    type Workspace = EngineWorkspace;
+
+    fn describe(&self) -> Ready {
+        self.engine.describe()
+    }
+
+    fn workspace(&self) -> Result<EngineWorkspace, WireError> {
+        self.engine.workspace()
+    }
+
+    fn step(
+        &self,
+        workspace: &mut EngineWorkspace,
+        request: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Result<Status, WireError> {
+        self.engine.step(workspace, request, reply)
+    }
+
+    fn content(&self, _library: &LibraryId) -> Option<LibraryContent> {
+        Some(self.content.clone())
+    }
 }
 
 impl Handler for Libraries {
@@ -153,5 +203,9 @@ impl Handler for Libraries {
     ) -> Result<Status, WireError> {
         let now = self.started.elapsed();
         self.table.step(workspace, request, reply, now)
+    }
+
+    fn content(&self, library: &LibraryId) -> Option<LibraryContent> {
+        self.table.content(library)
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use egp_core::library;
 use egp_wire::{Code, Header, LibraryId, MessageLimits, Ready, Status, WireError};
 
-use crate::handler::Handler;
+use crate::handler::{Handler, LibraryContent};
 use crate::sync::atomic::{AtomicU64, Ordering};
 use crate::sync::{Arc, PoisonError, RwLock};
 
@@ -179,6 +179,13 @@ impl<H: Handler> LibraryTable<H> {
             memory.push((asked, one.handler.workspace()?));
         }
         one.handler.step(&mut memory[index].1, request, reply)
+    }
+
+    /// The file of a library that is served.
+    pub fn content(&self, library: &LibraryId) -> Option<LibraryContent> {
+        let served = self.served();
+        let one = served.iter().find(|one| one.id() == *library)?;
+        one.handler.content(library)
     }
 
     fn unknown(&self, asked: &LibraryId) -> WireError {

@@ -37,6 +37,7 @@ pub(crate) struct Metrics {
     step_us: AtomicU32,
     libraries: Family<Sha256, Gauge>,
     reloads: Family<Outcome, Counter>,
+    offers: Family<Outcome, Counter>,
     /// Spans by what became of them, and where they are counted; none if no traces are written.
     spans: Option<(Family<Outcome, Counter>, Counts)>,
 }
@@ -56,6 +57,7 @@ impl Metrics {
             step_us: AtomicU32::new(0),
             libraries: Family::default(),
             reloads: Family::default(),
+            offers: Family::default(),
             spans: None,
         };
         let registry = &mut metrics.registry;
@@ -82,6 +84,8 @@ impl Metrics {
         registry.register("library_info", help, family);
         let (help, family) = ("Reloads of the library file", metrics.reloads.clone());
         registry.register("reloads", help, family);
+        let (help, family) = ("Questions for library files", metrics.offers.clone());
+        registry.register("library_questions", help, family);
         metrics.serve(libraries);
         metrics
     }
@@ -113,6 +117,12 @@ impl Metrics {
     pub(crate) fn reloaded(&self, outcome: &str) {
         let outcome = outcome.to_owned();
         self.reloads.get_or_create(&Outcome { outcome }).inc();
+    }
+
+    /// Counts a question for a library file or a part of it.
+    pub(crate) fn offered(&self, sent: bool) {
+        let outcome = if sent { "sent" } else { "refused" }.to_owned();
+        self.offers.get_or_create(&Outcome { outcome }).inc();
     }
 
     pub(crate) fn answered(&self, status: Status) {

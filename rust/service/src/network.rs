@@ -1,15 +1,18 @@
 //! Access to the network; no other file of this crate uses zenoh.
 
+use std::sync::mpsc::{self, Receiver};
+use std::time::Duration;
 use std::{borrow::Cow, collections::BTreeMap, fs::File, path::Path};
 
 use egp_wire::{WireError, keys::Name};
 use serde_json::Value;
 use thiserror::Error;
 use zenoh::bytes::ZBytes;
-use zenoh::qos::CongestionControl;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::{Config, Wait};
 
-use crate::query::Query;
+use crate::query::{Answer, Query};
 
 /// An operation of zenoh that failed.
 #[derive(Debug, Error)]
@@ -78,9 +81,7 @@ pub(crate) fn configuration(
         .iter()
         .map(|(key, value)| (key.as_str(), value.as_str()));
     for (key, value) in defaults.chain(given) {
-        config
-            .insert_json5(key, value)
-            .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))?;
+        insert(&mut config, key, value)?;
     }
     Ok(config)
 }
@@ -113,12 +114,16 @@ pub(crate) fn rehearse(mut config: Config) -> Result<(), NetworkError> {
         ("connect/endpoints", "[]"),
         ("scouting/multicast/enabled", "false"),
     ] {
-        config
-            .insert_json5(key, value)
-            .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))?;
+        insert(&mut config, key, value)?;
     }
     Network::open(config)?.close();
     Ok(())
+}
+
+fn insert(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkError> {
+    config
+        .insert_json5(key, value)
+        .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))
 }
 
 /// The value of a setting.
@@ -157,6 +162,27 @@ fn free_ports(endpoints: &mut Value) {
         Value::Object(modes) => modes.values_mut().for_each(free_ports),
         _ => {}
     }
+}
+
+/// The configuration of a session that only asks: it listens nowhere, and waits for its links at most `patience`.
+///
+/// # Errors
+/// [`NetworkError`] if it connects to nothing.
+pub(crate) fn asking(mut config: Config, patience: Duration) -> Result<Config, NetworkError> {
+    let nothing = json(&config, "connect/endpoints")? == Value::Array(Vec::new());
+    if nothing && json(&config, "scouting/multicast/enabled")? == Value::Bool(false) {
+        let reason = "no endpoint; name a replica or a router that has the library with --connect";
+        return Err(NetworkError::new("cannot ask other replicas", &reason));
+    }
+    let patience = patience.as_millis().to_string();
+    for (key, value) in [
+        ("listen/endpoints", "[]"),
+        ("connect/timeout_ms", patience.as_str()),
+        ("connect/exit_on_failure", "false"),
+    ] {
+        insert(&mut config, key, value)?;
+    }
+    Ok(config)
 }
 
 /// A query that zenoh delivered.
@@ -290,6 +316,37 @@ impl Network {
         if let Err(error) = self.session.close().wait() {
             tracing::warn!(%error, "zenoh session not closed cleanly");
         }
+    }
+
+    /// Asks all who answer `key`; the channel ends with the last answer, at the latest after `timeout`. Answers beyond those
+    /// that it holds are dropped. The question and its answers have the lowest priority on all links.
+    pub(crate) fn ask(
+        &self,
+        key: &str,
+        timeout: Duration,
+    ) -> Result<Receiver<Answer>, NetworkError> {
+        const HELD: usize = 64;
+        let (sender, answers) = mpsc::sync_channel(HELD);
+        self.session
+            .get(key)
+            .target(QueryTarget::All)
+            .consolidation(ConsolidationMode::None)
+            .priority(Priority::Background)
+            .timeout(timeout)
+            .callback(move |reply| {
+                let answer = match reply.result() {
+                    Ok(sample) => Some(Answer::reply(
+                        sample.key_expr(),
+                        &sample.payload().to_bytes(),
+                    )),
+                    Err(error) => Answer::error(&error.payload().to_bytes()),
+                };
+                // The receiver may have ended, or have enough answers.
+                let _ = answer.map(|answer| sender.try_send(answer));
+            })
+            .wait()
+            .map_err(|e| NetworkError::new(format!("cannot ask {key}"), &e))?;
+        Ok(answers)
     }
 
     /// Publishes on keys that are not known in advance.

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use egp_wire::WireError;
+use egp_wire::{Invalid, MessageLimits, WireError};
 
 /// A query that is answered exactly once, by a reply or by an error.
 pub trait Query {
@@ -29,6 +29,39 @@ pub trait Query {
 
     /// Replies with an error.
     fn refuse(&self, error: &WireError);
+}
+
+/// An answer to a question of this side.
+pub(crate) struct Answer {
+    /// The key of a reply; none if it is an error.
+    pub(crate) key: Option<String>,
+    /// The reply, or the error that was sent in its place.
+    pub(crate) content: Result<Vec<u8>, WireError>,
+}
+
+impl Answer {
+    /// A reply, whose payload is an error if it is larger than any message.
+    pub(crate) fn reply(key: &str, payload: &[u8]) -> Self {
+        let (limit, actual) = (MessageLimits::default().message_bytes, payload.len());
+        Self {
+            key: Some(key.to_owned()),
+            content: if actual > limit {
+                Err(Invalid::TooLarge { limit, actual }.into())
+            } else {
+                Ok(payload.to_vec())
+            },
+        }
+    }
+
+    /// An error; none if it is the network's own, for a question that nobody answered in time.
+    pub(crate) fn error(payload: &[u8]) -> Option<Self> {
+        let small = payload.len() <= MessageLimits::default().message_bytes;
+        let error = small.then(|| WireError::decode(payload).ok())?;
+        error.map(|error| Self {
+            key: None,
+            content: Err(error),
+        })
+    }
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ use crate::guard::Guard;
 use crate::handler::Handler;
 use crate::intake::Shared;
 use crate::metrics::Metrics;
+use crate::offer::Offer;
 use crate::query::Query;
 use crate::queue::Queue;
 use crate::standing::Standing;
@@ -50,6 +51,7 @@ impl<H: Handler, Q: Query> Replica<H, Q> {
                 draining: AtomicBool::new(false),
                 guard: None,
                 traces: None,
+                offer: Offer::none(),
             },
             handler,
             workers: workers_memory,

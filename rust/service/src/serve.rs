@@ -7,12 +7,13 @@ use signal_hook::iterator::Signals;
 use thiserror::Error;
 
 use crate::config::ServiceConfig;
+use crate::fetch_error::FetchError;
 use crate::guard::Guard;
 use crate::handler::Handler as _;
 use crate::libraries::Libraries;
 use crate::logging::{init_logging, log_filter};
 use crate::network::{configuration, rehearse};
-use crate::server::{Server, StartError};
+use crate::server::{Server, StartError, fetch, wanted};
 
 /// Why serving failed.
 #[derive(Debug, Error)]
@@ -36,6 +37,9 @@ pub enum ServeError {
 pub fn check(config: &ServiceConfig) -> Result<Ready, ServeError> {
     log_filter(&config.log).map_err(ServeError::Logging)?;
     config.validate().map_err(StartError::from)?;
+    if let Some(wanted) = wanted(config) {
+        wanted.check().map_err(StartError::from)?;
+    }
     let libraries = Libraries::load(config).map_err(StartError::from)?;
     let keys = config.vehicle_keys.as_deref().map(Guard::load);
     keys.transpose().map_err(StartError::from)?;
@@ -47,7 +51,7 @@ pub fn check(config: &ServiceConfig) -> Result<Ready, ServeError> {
     Ok(libraries.describe())
 }
 
-/// Serves until SIGTERM or SIGINT, then drains. SIGHUP loads the library file again.
+/// Fetches the library first if the configuration states one by its hash. Serves until SIGTERM or SIGINT, then drains. SIGHUP loads the library file again.
 ///
 /// # Errors
 /// [`ServeError`] if the service does not start.
@@ -55,6 +59,11 @@ pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
     init_logging(&config.log, config.log_json).map_err(ServeError::Logging)?;
     // Signals are registered before the start, so that an early one is not lost.
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).map_err(ServeError::Signals)?;
+    let mut stopped = || signals.pending().any(|signal| signal != SIGHUP);
+    match fetch(config, &mut stopped) {
+        Err(FetchError::Stopped { .. }) => return Ok(()),
+        fetched => fetched.map_err(StartError::from)?,
+    }
     let server = Server::start(config)?;
     for signal in signals.forever() {
         tracing::info!(signal, "signal received");

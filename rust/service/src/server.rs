@@ -15,6 +15,8 @@ use prost::Message as _;
 use thiserror::Error;
 
 use crate::config::{ConfigError, ServiceConfig};
+use crate::fetch::{Fetched, Wanted};
+use crate::fetch_error::FetchError;
 use crate::guard::Guard;
 use crate::handler::Handler;
 use crate::http::{HttpEndpoint, HttpListener};
@@ -23,6 +25,7 @@ use crate::libraries::{Libraries, ReloadError};
 use crate::library_table::Reloaded;
 use crate::metrics::Metrics;
 use crate::network::{Network, NetworkError, Publisher, Received, configuration};
+use crate::offer::{Offer, offer};
 use crate::queue::Queue;
 use crate::reloader::{Outcome, Reloader, Running};
 use crate::standing::Standing;
@@ -41,6 +44,9 @@ pub enum StartError {
     /// A library or the settings cannot be used.
     #[error(transparent)]
     Library(#[from] ReloadError),
+    /// The library was not fetched from another replica.
+    #[error(transparent)]
+    Fetch(#[from] FetchError),
     /// A worker could not be set up.
     #[error("cannot set up a worker: {0}")]
     Worker(#[from] WireError),
@@ -72,18 +78,20 @@ pub struct Server {
     network: Network,
     drain: Duration,
     workers: Vec<JoinHandle<()>>,
+    offerer: Option<JoinHandle<()>>,
     reporter: Option<(Sender<()>, JoinHandle<()>)>,
     reloader: Option<Running>,
     http: Option<HttpEndpoint>,
 }
 
 impl Server {
-    /// Loads the library and starts serving it.
+    /// Loads the library, which is fetched before if the configuration says so, and starts serving it.
     ///
     /// # Errors
     /// [`StartError`]; nothing keeps running then.
     pub fn start(config: &ServiceConfig) -> Result<Self, StartError> {
         config.validate()?;
+        fetch(config, &mut || false)?;
         let libraries = Arc::new(Libraries::load(config)?);
         let mut server = Self::start_shared(config, &libraries)?;
         let reloader = Reloader::new(libraries, config.watch());
@@ -121,6 +129,7 @@ impl Server {
         if let Some(traces) = &traces {
             metrics.show_spans(traces.counts());
         }
+        let (offering, questions) = Offer::new();
         let shared = Arc::new(Shared {
             replica: replica.clone(),
             metrics,
@@ -131,6 +140,7 @@ impl Server {
             draining: AtomicBool::new(false),
             guard,
             traces,
+            offer: offering,
         });
         let http = config.http.map(HttpListener::bind).transpose()?;
         let network = Network::open(configuration(config.zenoh_file.as_deref(), &config.zenoh)?)?;
@@ -139,11 +149,16 @@ impl Server {
             network,
             drain: Duration::from_millis(config.drain_ms),
             workers: Vec::with_capacity(workers),
+            offerer: None,
             reporter: None,
             reloader: None,
             http: None,
         };
         server.start_workers(handler)?;
+        let (shared, handler) = (server.shared.clone(), handler.clone());
+        let thread = thread::Builder::new().name("egp-offer".to_owned());
+        let offering = move || offer(&shared, &questions, |id| handler.content(id));
+        server.offerer = Some(thread.spawn(offering)?);
         let shared = server.shared.clone();
         server
             .network
@@ -216,8 +231,9 @@ impl Server {
         drop(self.reloader.take());
         self.network.undeclare();
         self.shared.queue.close();
-        for worker in self.workers.drain(..) {
-            join(worker);
+        self.shared.offer.close();
+        for thread in self.workers.drain(..).chain(self.offerer.take()) {
+            join(thread);
         }
         drop(self.http.take());
         if let Some((stop, reporter)) = self.reporter.take() {
@@ -233,6 +249,32 @@ impl Drop for Server {
         self.network.withdraw();
         self.stop();
     }
+}
+
+/// Fetches the library of a configuration if it states one by its hash. `stopped` tells whether to give up.
+pub(crate) fn fetch(
+    config: &ServiceConfig,
+    stopped: &mut dyn FnMut() -> bool,
+) -> Result<(), FetchError> {
+    /// Replicas that start together may need this time.
+    const PATIENCE: Duration = Duration::from_secs(30);
+    let Some(wanted) = wanted(config) else {
+        return Ok(());
+    };
+    if let Fetched::From(replica) = wanted.fetch(config, PATIENCE, stopped)? {
+        let library = library::hex(&wanted.id);
+        tracing::info!(library, %replica, file = %wanted.file.display(), "library fetched");
+    }
+    Ok(())
+}
+
+/// The library that a configuration states by its hash.
+pub(crate) fn wanted(config: &ServiceConfig) -> Option<Wanted<'_>> {
+    config.wanted().map(|id| Wanted {
+        id,
+        file: &config.library,
+        keys: config.library_keys.as_deref(),
+    })
 }
 
 /// Publishes the load until `stop` is dropped.

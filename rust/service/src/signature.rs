@@ -1,7 +1,7 @@
 //! Signatures of libraries (Ed25519): a service with public keys serves no library that others made.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use ring::digest::{SHA256, digest};
 use ring::signature::{ED25519, UnparsedPublicKey};
@@ -9,6 +9,9 @@ use thiserror::Error;
 
 /// Precedes the SHA-256 of the library in what is signed, so that a signature is of no use for anything else.
 const PURPOSE: &[u8] = b"egp.v1 library\0";
+
+/// An Ed25519 signature.
+pub(crate) type Signature = [u8; 64];
 
 /// Why a library is not accepted by its signature.
 #[derive(Debug, Error)]
@@ -71,14 +74,23 @@ impl Signers {
     /// # Errors
     /// [`SignatureError`] if there is no signature, or none of these bytes by one of the keys.
     pub(crate) fn check(&self, library: &Path, content: &[u8]) -> Result<(), SignatureError> {
-        let mut name = library.as_os_str().to_owned();
-        name.push(".sig");
-        let path = Path::new(&name);
-        let signature: [u8; 64] = bytes(path, read(path)?.trim())?;
+        self.accept(library, content, &signature_beside(library)?)
+    }
+
+    /// Checks the bytes of a library with a signature; `library` names it in the error.
+    ///
+    /// # Errors
+    /// [`SignatureError::Foreign`].
+    pub(crate) fn accept(
+        &self,
+        library: &Path,
+        content: &[u8],
+        signature: &Signature,
+    ) -> Result<(), SignatureError> {
         let signed = [PURPOSE, digest(&SHA256, content).as_ref()].concat();
         let by = |key: &[u8; 32]| {
             let key = UnparsedPublicKey::new(&ED25519, key);
-            key.verify(&signed, &signature).is_ok()
+            key.verify(&signed, signature).is_ok()
         };
         if self.0.iter().any(by) {
             return Ok(());
@@ -88,6 +100,22 @@ impl Signers {
             keys: self.0.len(),
         })
     }
+}
+
+/// The file in which the signature of a library is.
+pub(crate) fn signature_path(library: &Path) -> PathBuf {
+    let mut name = library.as_os_str().to_owned();
+    name.push(".sig");
+    name.into()
+}
+
+/// The signature in the file beside a library.
+///
+/// # Errors
+/// [`SignatureError`] if the file cannot be read or holds something else.
+pub(crate) fn signature_beside(library: &Path) -> Result<Signature, SignatureError> {
+    let path = signature_path(library);
+    bytes(&path, read(&path)?.trim())
 }
 
 fn read(path: &Path) -> Result<String, SignatureError> {

@@ -7,6 +7,8 @@ use std::{fmt, str::FromStr};
 
 use thiserror::Error;
 
+use crate::{LibraryId, library_keys};
+
 const PREFIX: &str = "egp/v1/r/";
 const LIVE: &str = "egp/v1/@live/";
 const LOAD: &str = "egp/v1/@load/";
@@ -137,6 +139,13 @@ pub enum Target {
     Ready,
     /// [`metrics`].
     Metrics,
+    /// [`library_keys::library`] or, with the number of a part, [`library_keys::library_part`].
+    Library {
+        /// SHA-256 of the library.
+        id: LibraryId,
+        /// Number of the part.
+        part: Option<u32>,
+    },
 }
 
 /// Reads the key of a query, or returns `None` for a key that a replica does not answer.
@@ -147,11 +156,18 @@ pub fn parse(key: &str) -> Option<Target> {
         "ready" => Some(Target::Ready),
         "metrics" => Some(Target::Metrics),
         _ => {
-            let (fleet, vehicle) = rest.strip_suffix(STEP)?.split_once('/')?;
-            Some(Target::Step {
-                fleet: fleet.parse().ok()?,
-                vehicle: vehicle.parse().ok()?,
-            })
+            let (first, behind) = rest.split_once('/')?;
+            if let Some(vehicle) = behind.strip_suffix(STEP) {
+                return Some(Target::Step {
+                    fleet: first.parse().ok()?,
+                    vehicle: vehicle.parse().ok()?,
+                });
+            }
+            if first != library_keys::LIBRARY {
+                return None;
+            }
+            let (id, part) = library_keys::parse(behind)?;
+            Some(Target::Library { id, part })
         }
     }
 }

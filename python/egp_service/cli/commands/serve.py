@@ -21,6 +21,14 @@ def serve(
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Configuration file (TOML).")
     ] = None,
+    fetch: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SHA256",
+            help="SHA-256 of the library; if the file does not hold it, it is fetched from the "
+            "replicas at --connect.",
+        ),
+    ] = None,
     replica: Annotated[str | None, typer.Option(help="Name of this replica.")] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Threads that run control steps.")
@@ -94,6 +102,7 @@ def serve(
       egp serve library.safetensors --listen tcp/0.0.0.0:7447
       egp serve --config service.toml
       egp serve --config service.toml --check
+      egp serve l.safetensors --fetch 6f1c... --connect tcp/10.0.0.5:7447
     """
     from egp_service._core import EgpError, check_service
     from egp_service._core import serve as serve_until_signal
@@ -107,6 +116,7 @@ def serve(
     elif library is None:
         raise EgpError("nothing to serve: give a library file, or --config service.toml")
     given: dict[str, object] = {"replica": replica, "workers": workers, "http": http}
+    given["fetch"] = fetch
     given["library"] = None if library is None else str(library)
     given["settings"] = None if settings is None else read_settings(settings)
     given["log_json"] = log_json or None

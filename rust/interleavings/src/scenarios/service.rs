@@ -9,6 +9,7 @@ use crate::guard::Guard;
 use crate::handler::Handler;
 use crate::intake::Shared;
 use crate::metrics::Metrics;
+use crate::offer::Offer;
 use crate::question::{Answer, Question, name, request, step_key};
 use crate::queue::Queue;
 use crate::standing::Standing;
@@ -84,6 +85,7 @@ impl Service {
             draining: AtomicBool::new(false),
             guard,
             traces: None,
+            offer: Offer::none(),
         });
         let workers = (0..WORKERS).map(|_| {
             let shared = shared.clone();

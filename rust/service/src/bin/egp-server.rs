@@ -47,6 +47,9 @@ struct Arguments {
     /// Library file, made by `egp train`.
     #[arg(long)]
     library: Option<PathBuf>,
+    /// SHA-256 of the library; if the file does not hold it, it is fetched from the replicas at --connect.
+    #[arg(long, value_name = "SHA256")]
+    fetch: Option<String>,
     /// Name of this replica.
     #[arg(long)]
     replica: Option<String>,
@@ -88,6 +91,7 @@ impl Arguments {
         if let Some(replica) = self.replica {
             config.replica = replica;
         }
+        config.fetch = self.fetch.or(config.fetch);
         config.http = self.http.or(config.http);
         config.workers = self.workers.or(config.workers);
         config.log_json |= self.log_json;

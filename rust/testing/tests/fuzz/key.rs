@@ -1,12 +1,13 @@
 //! Keys of queries.
 
 use egp_wire::keys::{self, Name, Target};
+use egp_wire::library_keys;
 
 use crate::edits::Words;
 use crate::fuzz;
 
 const WORDS: Words = Words::Texts(&[
-    "step", "health", "ready", "metrics", "*", "$*", "@live", "a/b", "", "/",
+    "step", "library", "0f", "health", "ready", "metrics", "*", "$*", "@live", "a/b", "", "/",
 ]);
 
 #[test]
@@ -20,6 +21,8 @@ fn a_key_names_what_it_was_made_from() {
         keys::metrics(&replica),
         keys::live(&replica),
         keys::load(&replica),
+        library_keys::library(&replica, &[0x7f; 32]),
+        library_keys::library_part(&replica, &[0x7f; 32], 12),
     ];
     let examples = examples.map(String::into_bytes);
     fuzz!(examples, WORDS, |bytes: Vec<u8>| {
@@ -37,6 +40,14 @@ fn a_key_names_what_it_was_made_from() {
             Target::Health => "health".to_owned(),
             Target::Ready => "ready".to_owned(),
             Target::Metrics => "metrics".to_owned(),
+            Target::Library { id, part } => {
+                let replica = name("main");
+                let mut made = match part {
+                    None => library_keys::library(&replica, &id),
+                    Some(part) => library_keys::library_part(&replica, &id, part),
+                };
+                made.split_off("egp/v1/r/main/".len())
+            }
         };
         assert_eq!(key, format!("egp/v1/r/{replica}/{rest}"));
     });

@@ -2,7 +2,8 @@
 
 use egp_testing::messages;
 use egp_wire::{
-    Header, KeyRing, MessageLimits, Ready, Reply, Request, Seal, Status, WireError, proto,
+    Header, KeyRing, LibraryFile, MessageLimits, Ready, Reply, Request, Seal, Status, WireError,
+    proto,
 };
 use prost::Message as _;
 
@@ -56,6 +57,22 @@ fn an_accepted_request_is_in_its_domain_and_encodes_to_itself() {
         );
         let second = proto::StepRequest::decode(&*bytes).unwrap().encode_to_vec();
         assert_eq!(Request::decode(&second, &limits).unwrap(), request);
+    });
+}
+
+#[test]
+fn an_accepted_library_file_encodes_to_itself() {
+    let examples = [None, Some([7; 64])].map(|signature| {
+        let bytes = 407_696;
+        LibraryFile { bytes, signature }.encode()
+    });
+    fuzz!(examples, Words::Doubles, |bytes: Vec<u8>| {
+        let limits = MessageLimits::default();
+        let Ok(file) = LibraryFile::decode(&bytes, &limits) else {
+            return;
+        };
+        assert!(file.bytes > 0 && file.parts() > 0);
+        assert_eq!(LibraryFile::decode(&file.encode(), &limits), Ok(file));
     });
 }
 

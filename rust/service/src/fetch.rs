@@ -1,0 +1,330 @@
+//! Fetching a library by its SHA-256 from any replica that has it.
+
+use std::fs::{self, File};
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use egp_core::library::{self, MAX_FILE_BYTES};
+use egp_engine::read_library;
+use egp_wire::keys::Name;
+use egp_wire::{Code, LIBRARY_PART_BYTES, LibraryFile, LibraryId, MessageLimits};
+use egp_wire::{WireError, library_keys};
+
+use crate::config::ServiceConfig;
+use crate::fetch_error::{FetchError, FetchFailure};
+use crate::network::{Network, asking, configuration};
+use crate::query::Answer;
+use crate::signature::{Signature, Signers, signature_path};
+
+/// How long all replicas may take to say whether they have a library.
+const QUESTION: Duration = Duration::from_secs(1);
+/// How long a replica may take to answer a part, and how often it is asked for one.
+const PART: Duration = Duration::from_secs(2);
+const ATTEMPTS: u32 = 3;
+/// What a transfer may take: this time, and one second for each of these bytes.
+const TRANSFER: Duration = Duration::from_secs(10);
+const SLOWEST: u64 = 4 << 20;
+/// Time between two rounds of questions, and between two looks whether to stop.
+const POLL: Duration = Duration::from_millis(50);
+/// Most failures that an error tells.
+const TOLD: usize = 16;
+
+/// A library that is to be in a file.
+pub struct Wanted<'a> {
+    /// Its SHA-256.
+    pub id: LibraryId,
+    /// The file. Its signature is in the file with `.sig` behind the name.
+    pub file: &'a Path,
+    /// File of the public keys of those who may sign libraries; without it no signature is demanded.
+    pub keys: Option<&'a Path>,
+}
+
+/// Where a library came from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Fetched {
+    /// The file had it already.
+    Already,
+    /// This replica sent it.
+    From(Name),
+}
+
+impl Wanted<'_> {
+    /// Fetches the library unless the file holds it. Replicas are asked until one of them gave it, or `patience` has passed;
+    /// a transfer that has begun then is completed. Hash, signature and the library itself are checked before the file is
+    /// replaced. `stopped` is called every 50 ms and tells whether to give up.
+    ///
+    /// `network` is used with its zenoh settings only: the session connects as a service with it would, and does not listen.
+    ///
+    /// # Errors
+    /// [`FetchError`].
+    pub fn fetch(
+        &self,
+        network: &ServiceConfig,
+        patience: Duration,
+        stopped: &mut dyn FnMut() -> bool,
+    ) -> Result<Fetched, FetchError> {
+        let signers = self.keys.map(Signers::load).transpose()?;
+        if self.is_there(signers.as_ref()) {
+            return Ok(Fetched::Already);
+        }
+        let (library, file) = (self.hex(), self.file.display());
+        tracing::info!(library, %file, "asking replicas for the library");
+        let config = configuration(network.zenoh_file.as_deref(), &network.zenoh)?;
+        let mut fetching = Fetching {
+            wanted: self,
+            signers,
+            network: Network::open(asking(config, patience)?)?,
+            failures: Vec::new(),
+            stopped,
+        };
+        let fetched = fetching.rounds(patience);
+        fetching.network.close();
+        fetched
+    }
+
+    /// Errors unless the file holds the library, without asking anybody.
+    ///
+    /// # Errors
+    /// [`FetchError::Absent`], or [`FetchError::Keys`].
+    pub(crate) fn check(&self) -> Result<(), FetchError> {
+        let signers = self.keys.map(Signers::load).transpose()?;
+        if self.is_there(signers.as_ref()) {
+            return Ok(());
+        }
+        Err(FetchError::Absent {
+            path: self.file.display().to_string(),
+            library: self.hex(),
+        })
+    }
+
+    fn is_there(&self, signers: Option<&Signers>) -> bool {
+        read_library(self.file).is_ok_and(|bytes| {
+            let signed = |signers: &Signers| signers.check(self.file, &bytes).is_ok();
+            library::hash(&bytes) == self.id && signers.is_none_or(signed)
+        })
+    }
+
+    fn hex(&self) -> String {
+        library::hex(&self.id)
+    }
+
+    /// Replaces the signature and then the library, so that a service that watches the library finds its signature.
+    fn write(&self, bytes: &[u8], signature: Option<Signature>) -> Result<(), FetchError> {
+        let beside = signature_path(self.file);
+        if let Some(signature) = signature {
+            replace(
+                &beside,
+                format!("{}\n", library::hex(&signature)).as_bytes(),
+            )?;
+        }
+        replace(self.file, bytes)?;
+        if signature.is_none() && beside.exists() {
+            // It is the signature of what the file held before.
+            fs::remove_file(&beside).map_err(|source| unwritten(&beside, source))?;
+        }
+        Ok(())
+    }
+}
+
+/// A session that fetches one library.
+struct Fetching<'a> {
+    wanted: &'a Wanted<'a>,
+    signers: Option<Signers>,
+    network: Network,
+    failures: Vec<(Option<Name>, FetchFailure)>,
+    stopped: &'a mut dyn FnMut() -> bool,
+}
+
+impl Fetching<'_> {
+    /// Asks all replicas for the library until one gave it or the patience ends.
+    fn rounds(&mut self, patience: Duration) -> Result<Fetched, FetchError> {
+        let (begun, key) = (Instant::now(), library_keys::any_library(&self.wanted.id));
+        loop {
+            let answers = self.network.ask(&key, QUESTION)?;
+            while let Some(answer) = self.next(&answers)? {
+                if let Some(replica) = self.take(answer)? {
+                    return Ok(Fetched::From(replica));
+                }
+            }
+            if begun.elapsed() > patience {
+                break;
+            }
+            thread::sleep(POLL);
+        }
+        let library = self.wanted.hex();
+        if self.failures.is_empty() {
+            let seconds = begun.elapsed().as_secs_f64();
+            return Err(FetchError::Nobody { library, seconds });
+        }
+        let failures = std::mem::take(&mut self.failures);
+        Err(FetchError::Failed { library, failures })
+    }
+
+    /// The next answer, or none after the last one.
+    fn next(&mut self, answers: &Receiver<Answer>) -> Result<Option<Answer>, FetchError> {
+        loop {
+            if (self.stopped)() {
+                let library = self.wanted.hex();
+                return Err(FetchError::Stopped { library });
+            }
+            match answers.recv_timeout(POLL) {
+                Ok(answer) => return Ok(Some(answer)),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return Ok(None),
+            }
+        }
+    }
+
+    /// Fetches from the replica of an answer, and writes the library: the replica, or none if it failed.
+    fn take(&mut self, Answer { key, content }: Answer) -> Result<Option<Name>, FetchError> {
+        let replica = key.as_deref().and_then(library_keys::replica_of_library);
+        let failed = match (content, replica) {
+            (Err(error), replica) => (replica, error.into()),
+            // A key that is no replica's cannot be asked for parts.
+            (Ok(_), None) => return Ok(None),
+            (Ok(_), Some(replica)) if self.is_final(&replica) => return Ok(None),
+            (Ok(message), Some(replica)) => match self.transfer(&replica, &message)? {
+                Ok((bytes, signature)) => {
+                    self.wanted.write(&bytes, signature)?;
+                    return Ok(Some(replica));
+                }
+                Err(failure) => (Some(replica), failure),
+            },
+        };
+        // A later failure of the same replica replaces the earlier one.
+        let text = failed.1.to_string();
+        let same = |(replica, failure): &(Option<Name>, FetchFailure)| {
+            *replica == failed.0 && (replica.is_some() || failure.to_string() == text)
+        };
+        self.failures.retain(|one| !same(one));
+        if self.failures.len() < TOLD {
+            self.failures.push(failed);
+        }
+        Ok(None)
+    }
+
+    /// Whether a replica failed in a way that asking again does not change.
+    fn is_final(&self, replica: &Name) -> bool {
+        self.failures.iter().any(|(failed, failure)| {
+            let again = matches!(
+                failure,
+                FetchFailure::Gone { .. } | FetchFailure::Refused(_)
+            );
+            failed.as_ref() == Some(replica) && !again
+        })
+    }
+
+    /// Fetches all parts from a replica, and checks them; `message` is its answer.
+    fn transfer(&mut self, replica: &Name, message: &[u8]) -> Result<Transferred, FetchError> {
+        let file = match LibraryFile::decode(message, &MessageLimits::default()) {
+            Ok(file) => file,
+            Err(invalid) => return Ok(Err(invalid.into())),
+        };
+        let size = usize::try_from(file.bytes).ok();
+        let size = size.filter(|size| *size <= MAX_FILE_BYTES);
+        let (Some(size), Ok(parts)) = (size, u32::try_from(file.parts())) else {
+            return Ok(Err(FetchFailure::TooLarge { bytes: file.bytes }));
+        };
+        let begun = Instant::now();
+        let late = begun + TRANSFER + Duration::from_secs(file.bytes / SLOWEST);
+        // Memory grows with what comes, not with what the replica states.
+        let mut bytes = Vec::new();
+        for part in 0..parts {
+            let key = library_keys::library_part(replica, &self.wanted.id, part);
+            let expected = LIBRARY_PART_BYTES.min(size - bytes.len());
+            match self.part(&key, late)? {
+                Ok(Some(content)) if content.len() == expected => bytes.extend(content),
+                Ok(Some(content)) => {
+                    let actual = content.len();
+                    return Ok(Err(FetchFailure::Part {
+                        part,
+                        expected,
+                        actual,
+                    }));
+                }
+                Ok(None) if Instant::now() > late => {
+                    return Ok(Err(FetchFailure::Slow {
+                        bytes: bytes.len(),
+                        seconds: begun.elapsed().as_secs_f64(),
+                    }));
+                }
+                Ok(None) => return Ok(Err(FetchFailure::Gone { part, parts })),
+                Err(error) => return Ok(Err(error.into())),
+            }
+        }
+        Ok(self
+            .accept(&bytes, file.signature)
+            .map(|()| (bytes, file.signature)))
+    }
+
+    /// Asks for a part: its content, the replica's error, or none if no answer came.
+    fn part(
+        &mut self,
+        key: &str,
+        late: Instant,
+    ) -> Result<Result<Option<Vec<u8>>, WireError>, FetchError> {
+        let mut left = ATTEMPTS;
+        while left > 0 && Instant::now() <= late {
+            let answers = self.network.ask(key, PART)?;
+            match self.next(&answers)?.map(|answer| answer.content) {
+                Some(Err(error)) if error.code == Code::Overloaded => {
+                    let wait = Duration::from_micros(error.retry_after_us.into());
+                    thread::sleep(wait.clamp(POLL / 10, POLL));
+                }
+                Some(content) => return Ok(content.map(Some)),
+                None => {
+                    left -= 1;
+                    thread::sleep(2 * POLL);
+                }
+            }
+        }
+        Ok(Ok(None))
+    }
+
+    /// Checks hash, signature, and the library itself.
+    fn accept(&self, bytes: &[u8], signature: Option<Signature>) -> Result<(), FetchFailure> {
+        let actual = library::hash(bytes);
+        if actual != self.wanted.id {
+            let actual = library::hex(&actual);
+            return Err(FetchFailure::Hash { actual });
+        }
+        if let Some(signers) = &self.signers {
+            let signature = signature.ok_or(FetchFailure::Unsigned)?;
+            let name = PathBuf::from(format!("library {}", self.wanted.hex()));
+            signers.accept(&name, bytes, &signature)?;
+        }
+        egp_core::Library::from_bytes(bytes)?;
+        Ok(())
+    }
+}
+
+/// What a replica sent, checked, or why it is not used.
+type Transferred = Result<(Vec<u8>, Option<Signature>), FetchFailure>;
+
+/// Writes a file beside the old one and then replaces it.
+fn replace(path: &Path, bytes: &[u8]) -> Result<(), FetchError> {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(format!(".{}.part", std::process::id()));
+    let beside = PathBuf::from(beside);
+    let written = File::create(&beside).and_then(|mut file| {
+        file.write_all(bytes)?;
+        file.sync_all()
+    });
+    written
+        .and_then(|()| fs::rename(&beside, path))
+        .map_err(|source| {
+            // The error that is reported says why; a file that was not made need not be removed.
+            let _ = fs::remove_file(&beside);
+            unwritten(path, source)
+        })
+}
+
+fn unwritten(path: &Path, source: io::Error) -> FetchError {
+    FetchError::Write {
+        path: path.display().to_string(),
+        source,
+    }
+}
