@@ -131,21 +131,18 @@ impl<Q: Query> Shared<Q> {
         };
         // An idle worker tries in any case, because only computed steps correct the estimate.
         let idle = |ahead| ahead + self.metrics.busy_workers() < self.workers;
-        let expected_by = job.expected_by();
         // Behind a queue that does not become short, half of the budget is left for the way.
-        let latest = || {
-            if self.standing.lasts(arrived) {
-                arrived + (deadline - arrived) / 2
-            } else {
-                expected_by
-            }
+        let latest = if self.standing.lasts(arrived) {
+            arrived + (deadline - arrived) / 2
+        } else {
+            job.expected_by()
         };
         let in_time = |ahead| {
             if idle(ahead) {
                 self.standing.short(arrived);
                 return true;
             }
-            arrived + self.time_to_answer(ahead) <= latest()
+            arrived + self.time_to_answer(ahead) <= latest
         };
         let pushed = self
             .queue
