@@ -47,6 +47,7 @@ MAY_LOAD = {
     "egp_service.simulation.environment": {"gymnasium", "mcap"},
     "egp_service.simulation.report": {"matplotlib"},
     "egp_service.simulation.replay_report": {"matplotlib", "mcap"},
+    "egp_service.simulation.load_figure": {"matplotlib"},
     "egp_service.data": {"polars", "loky", "mcap"},
     "egp_service.data.coverage_figure": {"polars", "loky", "matplotlib"},
     "egp_service.training": TRAINING | {"mcap"},

@@ -214,9 +214,16 @@ def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -
         (recording,) = (tmp_path / "runs").glob("*/run.mcap")
         report = tmp_path / "load.json"
         replay = ["load", "--replay", str(recording), "--connect", service.endpoint]
-        options = ["--vehicles", "2", "--seconds", "1", "--json", str(report)]
-        assert CliRunner().invoke(app, [*replay, *options]).exit_code == 0
-    assert json.loads(report.read_text())["rates"][0]["in_deadline"] > 0
+        options = ["--vehicles", "2", "--seconds", "1", "--ramp", "0.5", "--most", "3"]
+        figure = ["--figure", str(report.with_suffix(".png"))]
+        assert CliRunner().invoke(app, [*replay, *options, *figure]).exit_code == 0
+    rates = json.loads(report.read_text())["rates"]
+    assert [rate["vehicles"] for rate in rates] == [2, 3]
+    assert rates[0]["in_deadline"] > 0
+    assert report.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    result = CliRunner().invoke(app, ["load", *figure])
+    assert isinstance(result.exception, EgpError)
+    assert "give --replay run.mcap" in str(result.exception)
     zenoh.write_text("{conect: {}}", encoding="utf-8")
     result = CliRunner().invoke(app, [*arguments, "--zenoh", str(zenoh)])
     assert isinstance(result.exception, EgpError)
