@@ -56,8 +56,8 @@ deny: ## Check licences, sources and advisories of the Rust crates, with cargo-d
 rust-test: .venv/built-dev ## Run the Rust tests
 	cargo test --release --locked --workspace --exclude egp-bench
 
-# Tests of the service have deadlines to keep. They mostly wait, so two files of them run beside each other, but nothing else;
-# all other tests share the cores.
+# The tests in these folders have deadlines to keep, and mostly wait. Two files of them run at a time, and no other test runs
+# beside them. All other tests run before, one file on each core.
 ALONE := tests/conformance tests/service tests/monitor
 python-test: .venv/built-dev ## Run the Python tests
 	$(BIN)/pytest --numprocesses auto --dist loadfile --no-loadscope-reorder $(addprefix --ignore ,$(ALONE))

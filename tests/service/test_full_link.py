@@ -98,3 +98,9 @@ def served_beside_a_full_link(folder: Path, zenoh_settings: dict[str, str]) -> C
 def test_replies_that_a_link_has_no_room_for_hold_no_worker(tmp_path: Path) -> None:
     statuses = served_beside_a_full_link(tmp_path, {})
     assert statuses["solved"] >= 0.5 * statuses.total(), statuses
+
+
+def test_without_the_default_of_qos_network_they_do(tmp_path: Path) -> None:
+    """The test above fails where replies wait for room."""
+    statuses = served_beside_a_full_link(tmp_path, {"qos/network": "[]"})
+    assert statuses["solved"] < 0.5 * statuses.total(), statuses

@@ -6,7 +6,9 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from matplotlib import pyplot as plt
+from matplotlib.backend_bases import FigureCanvasBase
 
+from egp_service._core import EgpError
 from egp_service.files import replacing
 from egp_service.simulation.report import ALARM, FOUND, INK, MEMBER_COLOURS, MUTED, STYLE
 
@@ -17,6 +19,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _QUANTILES = (("p50", "median", INK), ("p99", "99 %", FOUND), ("p999", "99.9 %", MEMBER_COLOURS[1]))
+
+
+def check_picture(path: Path) -> None:
+    """Raise `EgpError` unless the ending of the file's name is that of a format for pictures."""
+    known = FigureCanvasBase.get_supported_filetypes()
+    if path.suffix.removeprefix(".").lower() not in known:
+        raise EgpError(
+            f"{path} does not name a picture: its ending is '{path.suffix}'; use .png, .svg or .pdf"
+        )
 
 
 def draw_load(report_file: Path, path: Path) -> Path:

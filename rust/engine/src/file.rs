@@ -1,7 +1,7 @@
-//! Reading a library's file.
+//! Reading a library's file, and replacing files.
 
 use std::fs::{self, File};
-use std::io::{self, Read as _};
+use std::io::{self, Read as _, Write as _};
 use std::path::Path;
 
 use egp_core::library::MAX_FILE_BYTES;
@@ -21,4 +21,30 @@ pub fn read_library(path: &Path) -> io::Result<Vec<u8>> {
         .take(MAX_FILE_BYTES as u64 + 1)
         .read_to_end(&mut bytes)?;
     Ok(bytes)
+}
+
+/// Replaces a file atomically: whoever opens the path gets the old bytes or the new ones, also after a crash. The new bytes
+/// are written into `NAME.PID.part` beside the file first.
+///
+/// # Errors
+/// [`io::Error`] if the file cannot be written. The path then has the old bytes, unless only the last step failed, which
+/// writes the folder's entry to the disk.
+pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".{}.part", std::process::id()));
+    let beside = path.with_file_name(name);
+    let written = File::create(&beside).and_then(|mut file| {
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        fs::rename(&beside, path)
+    });
+    if written.is_err() {
+        // The first error is the one to report, and a file that was not made need not be removed.
+        let _ = fs::remove_file(&beside);
+        return written;
+    }
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
 }

@@ -1,14 +1,12 @@
 //! `MemberData`, `write_library` and `write_library_subset`.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use egp_core::Kernel;
 use egp_core::library::{self, LibrarySpec};
 use egp_core::vehicle::ModelParameters;
-use egp_engine::read_library;
+use egp_engine::{read_library, replace_file};
 use pyo3::prelude::*;
 
 use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};
@@ -117,8 +115,8 @@ fn exactly<T, const N: usize>(name: &str, rows: Vec<T>) -> PyResult<[T; N]> {
 ///
 /// `dt` in s, `kernel` a name such as "matern52"; `vehicle` and `parameters` are name and parameters of the vehicle that the
 /// data come from; `measurement_noise` (3,) are the standard deviations of the noise of the measured
-/// `[v_x, v_y, omega]`, and `measurement_delay` the time in s by which these are late, if they are known. The same arguments give the same bytes. Raises `LibraryError` for content that fails a check,
-/// `OSError` if writing fails.
+/// `[v_x, v_y, omega]`, and `measurement_delay` the time in s by which these are late, if they are known. The same
+/// arguments give the same bytes. Raises `LibraryError` for content that fails a check, `OSError` if writing fails.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // all by name
 #[pyo3(signature = (path, *, dt, kernel, vehicle, parameters, members, provenance, measurement_noise = None, measurement_delay = None))]
@@ -156,7 +154,7 @@ pub fn write_library(
     };
     py.detach(|| {
         let bytes = library::encode(&spec).map_err(Failure::Refused)?;
-        replace(&path, &bytes).map_err(|error| os_error(&error, &path))
+        replace_file(&path, &bytes).map_err(|error| os_error(&error, &path))
     })
     .map_err(|failure| failure.raise(py))
 }
@@ -175,29 +173,7 @@ pub fn write_library_subset(
     py.detach(|| {
         let bytes = read_library(&source).map_err(|error| os_error(&error, &source))?;
         let bytes = library::subset(&bytes, &members).map_err(Failure::Refused)?;
-        replace(&path, &bytes).map_err(|error| os_error(&error, &path))
+        replace_file(&path, &bytes).map_err(|error| os_error(&error, &path))
     })
     .map_err(|failure| failure.raise(py))
-}
-
-/// Replaces a file atomically: a reader of the path gets the old bytes or the new ones, also after a crash.
-fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}.tmp", std::process::id()));
-    let beside = path.with_file_name(name);
-    let written = (|| {
-        let mut file = File::create(&beside)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        fs::rename(&beside, path)
-    })();
-    if written.is_err() {
-        // The first error is the one to report.
-        let _ = fs::remove_file(&beside);
-        return written;
-    }
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
-    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
 }

@@ -1,14 +1,13 @@
 //! Fetching a library by its SHA-256 from any replica that has it.
 
-use std::fs::{self, File};
-use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::thread;
 use std::time::{Duration, Instant};
+use std::{fs, io};
 
 use egp_core::library::{self, MAX_FILE_BYTES};
-use egp_engine::read_library;
+use egp_engine::{read_library, replace_file};
 use egp_wire::keys::Name;
 use egp_wire::{Code, LIBRARY_PART_BYTES, LibraryFile, LibraryId, MessageLimits};
 use egp_wire::{WireError, library_keys};
@@ -115,12 +114,10 @@ impl Wanted<'_> {
     fn write(&self, bytes: &[u8], signature: Option<Signature>) -> Result<(), FetchError> {
         let beside = signature_path(self.file);
         if let Some(signature) = signature {
-            replace(
-                &beside,
-                format!("{}\n", library::hex(&signature)).as_bytes(),
-            )?;
+            let line = format!("{}\n", library::hex(&signature));
+            replace_file(&beside, line.as_bytes()).map_err(|source| unwritten(&beside, source))?;
         }
-        replace(self.file, bytes)?;
+        replace_file(self.file, bytes).map_err(|source| unwritten(self.file, source))?;
         if signature.is_none() && beside.exists() {
             // It is the signature of what the file held before.
             fs::remove_file(&beside).map_err(|source| unwritten(&beside, source))?;
@@ -303,24 +300,6 @@ impl Fetching<'_> {
 
 /// What a replica sent, checked, or why it is not used.
 type Transferred = Result<(Vec<u8>, Option<Signature>), FetchFailure>;
-
-/// Writes a file beside the old one and then replaces it.
-fn replace(path: &Path, bytes: &[u8]) -> Result<(), FetchError> {
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(format!(".{}.part", std::process::id()));
-    let beside = PathBuf::from(beside);
-    let written = File::create(&beside).and_then(|mut file| {
-        file.write_all(bytes)?;
-        file.sync_all()
-    });
-    written
-        .and_then(|()| fs::rename(&beside, path))
-        .map_err(|source| {
-            // The error that is reported says why; a file that was not made need not be removed.
-            let _ = fs::remove_file(&beside);
-            unwritten(path, source)
-        })
-}
 
 fn unwritten(path: &Path, source: io::Error) -> FetchError {
     FetchError::Write {

@@ -13,7 +13,7 @@ use crate::handler::Handler as _;
 use crate::libraries::Libraries;
 use crate::logging::{init_logging, log_filter};
 use crate::network::{configuration, rehearse};
-use crate::server::{Server, StartError, fetch, wanted};
+use crate::server::{Server, StartError, wanted};
 
 /// Why serving failed.
 #[derive(Debug, Error)]
@@ -51,7 +51,8 @@ pub fn check(config: &ServiceConfig) -> Result<Ready, ServeError> {
     Ok(libraries.describe())
 }
 
-/// Fetches the library first if the configuration states one by its hash. Serves until SIGTERM or SIGINT, then drains. SIGHUP loads the library file again.
+/// Fetches the library first if the configuration states one by its hash. Serves until SIGTERM or SIGINT, then drains.
+/// SIGHUP loads the library file again.
 ///
 /// # Errors
 /// [`ServeError`] if the service does not start.
@@ -60,11 +61,10 @@ pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
     // Signals are registered before the start, so that an early one is not lost.
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).map_err(ServeError::Signals)?;
     let mut stopped = || signals.pending().any(|signal| signal != SIGHUP);
-    match fetch(config, &mut stopped) {
-        Err(FetchError::Stopped { .. }) => return Ok(()),
-        fetched => fetched.map_err(StartError::from)?,
-    }
-    let server = Server::start(config)?;
+    let server = match Server::start_unless(config, &mut stopped) {
+        Err(StartError::Fetch(FetchError::Stopped { .. })) => return Ok(()),
+        started => started?,
+    };
     for signal in signals.forever() {
         tracing::info!(signal, "signal received");
         if signal != SIGHUP {

@@ -90,8 +90,17 @@ impl Server {
     /// # Errors
     /// [`StartError`]; nothing keeps running then.
     pub fn start(config: &ServiceConfig) -> Result<Self, StartError> {
+        Self::start_unless(config, &mut || false)
+    }
+
+    /// As [`Server::start`], but gives up fetching the library, with [`FetchError::Stopped`], as soon as `stopped` returns
+    /// true.
+    pub(crate) fn start_unless(
+        config: &ServiceConfig,
+        stopped: &mut dyn FnMut() -> bool,
+    ) -> Result<Self, StartError> {
         config.validate()?;
-        fetch(config, &mut || false)?;
+        fetch(config, stopped)?;
         let libraries = Arc::new(Libraries::load(config)?);
         let mut server = Self::start_shared(config, &libraries)?;
         let reloader = Reloader::new(libraries, config.watch());
@@ -252,10 +261,7 @@ impl Drop for Server {
 }
 
 /// Fetches the library of a configuration if it states one by its hash. `stopped` tells whether to give up.
-pub(crate) fn fetch(
-    config: &ServiceConfig,
-    stopped: &mut dyn FnMut() -> bool,
-) -> Result<(), FetchError> {
+fn fetch(config: &ServiceConfig, stopped: &mut dyn FnMut() -> bool) -> Result<(), FetchError> {
     /// Replicas that start together may need this time.
     const PATIENCE: Duration = Duration::from_secs(30);
     let Some(wanted) = wanted(config) else {

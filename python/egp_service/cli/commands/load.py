@@ -48,13 +48,14 @@ def load(
 
     arguments = list(context.args)
     if figure is not None:
-        from egp_service.simulation.load_figure import draw_load
+        from egp_service.simulation.load_figure import check_picture, draw_load
 
         if replay is None:
             raise EgpError(
                 "a picture shows rates of recorded requests: give --replay run.mcap, and "
                 "--ramp 0.99 for rising rates"
             )
+        check_picture(figure)
         report = report or figure.with_suffix(".json")
     if report is not None:
         arguments += ["--json", str(report)]

@@ -1,9 +1,10 @@
 //! The roads' files: one `egp.v1.StoredRoad` for each road of each fleet.
 
 use std::fs::{self, File};
-use std::io::{self, Read as _, Write as _};
+use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
+use egp_engine::replace_file;
 use egp_map::Tile;
 use egp_wire::keys::Name;
 use egp_wire::road_keys::RoadKey;
@@ -141,14 +142,7 @@ pub(crate) fn save(
         road: name.to_string(),
         evidence: evidence.collect(),
     };
-    let beside = path.with_extension("part");
-    let written = File::create(&beside).and_then(|mut file| {
-        file.write_all(&stored.encode_to_vec())?;
-        file.sync_all()
-    });
-    written
-        .and_then(|()| fs::rename(&beside, &path))
-        .map_err(system)
+    replace_file(&path, &stored.encode_to_vec()).map_err(system)
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a cast of floats saturates
