@@ -69,9 +69,23 @@ class Library:
         >>> z = np.array([[15.0, 0.1, 0.2, 0.03, 500.0, 0.0]])
         >>> mean, jacobian, variance = library.predict(z)
         >>> step = np.array([[0.0, 0.0, 0.0, 1e-5, 0.0, 0.0]])
-        >>> slope = (library.predict(z + step)[0] - library.predict(z - step)[0]) / 2e-5
+        >>> slope = (library.predict_mean(z + step) - library.predict_mean(z - step)) / 2e-5
         >>> bool(np.allclose(jacobian[:, :, 3], slope)), bool((variance > 0.0).all())
         (True, True)
+        """
+    def predict_mean(self, z: NDArray[np.float64], member: int = 0) -> NDArray[np.float64]:
+        """Mean (n, 3) of one member at GP inputs `z` (n, 6), in physical units.
+
+        It is that of `predict` up to rounding, and takes a fraction of the time, because the
+        variance needs M² operations a point and the mean M, for M points of the member.
+
+        >>> import numpy as np
+        >>> from egp_service import Library
+        >>> from egp_service.simulation.scenario import library_path, load_scenario
+        >>> library = Library.load(library_path(load_scenario("rounded-rectangle")))
+        >>> z = np.array([[15.0, 0.1, 0.2, 0.03, 500.0, 0.0]])
+        >>> bool(np.allclose(library.predict_mean(z), library.predict(z)[0], rtol=1e-10))
+        True
         """
 
 @final

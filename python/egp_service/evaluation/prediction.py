@@ -230,7 +230,7 @@ def _weights(
     """
     n, window = z.shape[:2]
     flat = np.ascontiguousarray(z.reshape(-1, NZ))
-    predicted = np.stack([library.predict(flat, m)[0] for m in members], axis=1)
+    predicted = np.stack([library.predict_mean(flat, m) for m in members], axis=1)
     predicted = predicted.reshape(n, window, len(members), NY)
     paper = window == 1
     noise = np.ones(3) if paper else model_noise([library.members[m] for m in members])

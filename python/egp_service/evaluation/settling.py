@@ -77,7 +77,7 @@ def resolution(run: Run) -> float:
     )
     root = np.linalg.inv(np.linalg.cholesky(noise))
     z = gp_input(trace.x, trace.u)
-    first, second = (library.predict(z, member)[0] for member in range(2))
+    first, second = (library.predict_mean(z, member) for member in range(2))
     windows = sliding_window_view(second - first, root.shape[-1], axis=0)
     information = np.sum(np.einsum("okj,noj->nok", root, windows) ** 2, axis=(1, 2))
     return float(np.ptp(run.frictions) / np.sqrt(np.median(information)))

@@ -95,7 +95,7 @@ def rollout_error(
     start = starts(dataset, periods, _EVERY)
     if len(start) == 0:
         return np.full(NY, np.nan)
-    error = rollout(lambda z: library.predict(z, index)[0], dataset, start, periods)
+    error = rollout(lambda z: library.predict_mean(z, index), dataset, start, periods)
     return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
 
@@ -110,7 +110,7 @@ def member_skill(library: Library, index: int, member: TrainedMember) -> Skill:
     return skill(
         {
             LINEAR: linear(member.dataset, (vehicle.l_f, vehicle.l_r)),
-            label: lambda z: library.predict(z, index)[0],
+            label: lambda z: library.predict_mean(z, index),
         },
         member.validation,
     )

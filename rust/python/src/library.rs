@@ -105,12 +105,7 @@ impl Library {
         z: Matrix<'py>,
         member: usize,
     ) -> PyResult<Prediction<'py>> {
-        let Some(member) = self.0.members().get(member) else {
-            let count = self.0.members().len();
-            return Err(PyIndexError::new_err(format!(
-                "member {member} of a library of {count}"
-            )));
-        };
+        let member = self.member(member)?;
         let z = rows::<NZ>("z", &z)?;
         let n = z.len();
         let (means, jacobians, variances) = py.detach(|| predict(member, &z));
@@ -119,6 +114,31 @@ impl Library {
             array(py, jacobians, [n, NY, NZ])?,
             array(py, variances, [n, NY])?,
         ))
+    }
+
+    #[doc = doc!(Library.predict_mean)]
+    #[pyo3(signature = (z, member = 0))]
+    fn predict_mean<'py>(
+        &self,
+        py: Python<'py>,
+        z: Matrix<'py>,
+        member: usize,
+    ) -> PyResult<NewMatrix<'py>> {
+        let member = self.member(member)?;
+        let z = rows::<NZ>("z", &z)?;
+        let mean = |z: &[f64; NZ]| <[f64; NY]>::from(member.mean(&GpInput::from(*z)));
+        let means: Vec<f64> = py.detach(|| z.iter().flat_map(mean).collect());
+        array(py, means, [z.len(), NY])
+    }
+}
+
+impl Library {
+    fn member(&self, index: usize) -> PyResult<&egp_core::Member> {
+        let members = self.0.members();
+        members.get(index).ok_or_else(|| {
+            let count = members.len();
+            PyIndexError::new_err(format!("member {index} of a library of {count}"))
+        })
     }
 }
 
