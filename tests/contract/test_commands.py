@@ -59,6 +59,8 @@ def test_help_fits_80_columns_and_has_an_example(name: str) -> None:
     for part in name.split():
         group = group.commands[part]  # type: ignore[attr-defined]
     assert [line for line in (group.help or "").split("\n")[1:] if len(line) > 78] == []
+    # Nothing of it is lost as markup, which text in brackets would be.
+    assert " ".join((group.help or "").split()) in " ".join(text.split())
 
 
 def test_version_and_completion() -> None:
@@ -115,6 +117,9 @@ def test_the_doctor_checks_machine_and_library(tmp_path: Path) -> None:
 def test_programs_of_the_extension_get_the_options(capfd: pytest.CaptureFixture[str]) -> None:
     assert RUNNER.invoke(app, ["load", "--vehicles", "0"]).exit_code == 2
     assert "0 is not in 1..=2000" in capfd.readouterr().err
+    assert RUNNER.invoke(app, ["load", "--json", "nowhere/load.json"]).exit_code == 1
+    assert "cannot write the report nowhere/load.json: No such file" in capfd.readouterr().err
+    assert "give --replay run.mcap" in failure("load", "--ramp", "0.99")
     assert RUNNER.invoke(app, ["simulate", "--seed", "7", "--seconds", "0.2"]).exit_code == 0
     assert "seed 7: trace " in capfd.readouterr().out
     for program in ("load", "simulate"):

@@ -224,9 +224,13 @@ def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -
     result = CliRunner().invoke(app, ["load", *figure])
     assert isinstance(result.exception, EgpError)
     assert "give --replay run.mcap" in str(result.exception)
-    result = CliRunner().invoke(app, [*replay, "--figure", str(report)])
-    assert isinstance(result.exception, EgpError)
-    assert "load.json does not name a picture" in str(result.exception)
+    for name, expected in (
+        (report, "load.json does not name a picture"),
+        (tmp_path / "nowhere" / "knee.png", "there is no folder"),
+    ):
+        result = CliRunner().invoke(app, [*replay, "--figure", str(name)])
+        assert isinstance(result.exception, EgpError)
+        assert expected in str(result.exception)
     zenoh.write_text("{conect: {}}", encoding="utf-8")
     result = CliRunner().invoke(app, [*arguments, "--zenoh", str(zenoh)])
     assert isinstance(result.exception, EgpError)

@@ -11,10 +11,10 @@ mod tally;
 
 use std::ffi::OsString;
 use std::fmt::Display;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::thread;
 use std::time::{Duration, Instant};
+use std::{fs, io, thread};
 
 use clap::Parser;
 use egp_simulator::{Course, Track};
@@ -130,6 +130,12 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
             .map_err(|_| format!("{value} is not a number of seconds"))
     };
     let (warm_up, measured) = (seconds(arguments.warm_up)?, seconds(arguments.seconds)?);
+    // A measurement is not lost because its report cannot be written.
+    if let Some(path) = &arguments.json
+        && let Some(folder) = path.parent().filter(|folder| *folder != Path::new(""))
+    {
+        fs::metadata(folder).map_err(|error| unwritten(path, &error))?;
+    }
     match &arguments.requests {
         Some(file) => {
             let mut replay = Replay::new(arguments, recording::read(file)?)?;
@@ -143,9 +149,15 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
 fn report(arguments: &Arguments, result: &(impl Display + Serialize)) -> Result<(), Failure> {
     println!("{result}");
     if let Some(path) = &arguments.json {
-        std::fs::write(path, serde_json::to_vec_pretty(result)?)?;
+        let json = serde_json::to_vec_pretty(result)?;
+        fs::write(path, json).map_err(|error| unwritten(path, &error))?;
     }
     Ok(())
+}
+
+fn unwritten(path: &Path, error: &io::Error) -> String {
+    let path = path.display();
+    format!("cannot write the report {path}: {error}; choose another file for --json")
 }
 
 /// Drives simulated vehicles.

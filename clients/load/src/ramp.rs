@@ -63,7 +63,8 @@ pub(crate) struct Ramp {
     seconds: f64,
     /// The fraction in the deadline down to which a rate holds; without one, a single rate was measured.
     hold: Option<f64>,
-    /// Vehicles of the fastest rate that held; absent if none did, or none was asked for.
+    /// Vehicles of the fastest rate that held; absent if none did, or none was asked for. If it is the last rate, the knee
+    /// is beyond it.
     knee_vehicles: Option<usize>,
     rates: Vec<Rate>,
 }
@@ -136,11 +137,15 @@ impl fmt::Display for Ramp {
             (None, _) => write!(f, "one rate was measured; --ramp 0.99 looks for the knee"),
             (Some(hold), None) => write!(f, "no rate held {:.1} %", hold * 100.0),
             (Some(hold), Some(knee)) => {
-                write!(
-                    f,
-                    "{knee} vehicles is the most that held {:.1} %",
-                    hold * 100.0
-                )
+                let hold = hold * 100.0;
+                if self.rates.last().is_some_and(|rate| rate.vehicles == knee) {
+                    write!(
+                        f,
+                        "every rate held {hold:.1} %: the knee is beyond {knee} vehicles; raise --most"
+                    )
+                } else {
+                    write!(f, "{knee} vehicles is the most that held {hold:.1} %")
+                }
             }
         }
     }

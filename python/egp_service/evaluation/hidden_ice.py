@@ -83,7 +83,9 @@ def experiment() -> ClosedLoopExperiment:
         "A patch of ice on a dry lap (beyond the paper)",
         f"A patch of friction {_ICE:g} on a road of {_DRY:g}, at another place for each seed. The "
         "reference speed is not told. Is the patch found on the first lap, and how far from the "
-        "path is the vehicle on the laps after that? The oracle is told all zones.",
+        "path is the vehicle on the laps after that? The oracle is told all zones. Speeds in bends "
+        "are limited to what the members' tyres transmit, but for the controller whose speed "
+        "follows the friction alone.",
         tuple(
             (f"{length:g} m {where}", _with_patch(path, middle, length))
             for length in _LENGTHS
@@ -93,6 +95,12 @@ def experiment() -> ClosedLoopExperiment:
             Contender(ORACLE, "oracle", TWO),
             Contender(
                 f"{BELIEF}{_RISK:.0%}", "ensemble", TWO, speed={"knows": "nothing", "risk": _RISK}
+            ),
+            Contender(
+                f"friction alone, risk {_RISK:.0%}",
+                "ensemble",
+                TWO,
+                speed={"knows": "nothing", "risk": _RISK, "tyres": False},
             ),
         ),
         seeds=20,
@@ -182,7 +190,8 @@ HEADS: Final = (
 
 def _with_patch(path: Path, middle: float, length: float) -> Scenario:
     base = on_surfaces(CUSTOM_TRACK, ((0.0, _DRY),), 0.9)
-    return replace(base, zones=_zones(path, middle, length), laps=3.0)
+    speed = replace(base.speed, tyres=True)
+    return replace(base, zones=_zones(path, middle, length), laps=3.0, speed=speed)
 
 
 def _zones(path: Path, middle: float, length: float) -> tuple[Zone, ...]:

@@ -22,7 +22,9 @@ _QUANTILES = (("p50", "median", INK), ("p99", "99 %", FOUND), ("p999", "99.9 %",
 
 
 def check_picture(path: Path) -> None:
-    """Raise `EgpError` unless the ending of the file's name is that of a format for pictures."""
+    """Raise `EgpError` unless a picture can get this name: by its ending, and in its folder."""
+    if not path.parent.is_dir():
+        raise EgpError(f"{path}: there is no folder {path.parent}; make it, or choose another one")
     known = FigureCanvasBase.get_supported_filetypes()
     if path.suffix.removeprefix(".").lower() not in known:
         raise EgpError(
@@ -41,17 +43,28 @@ def draw_load(report_file: Path, path: Path) -> Path:
         figure, (share, latency) = plt.subplots(2, 1, sharex=True, figsize=(7.0, 5.6))
         _share(share, report)
         _latency(latency, report)
-        knee = report["knee_vehicles"]
         for rate in report["rates"]:
-            if rate["vehicles"] == knee:
-                offered = rate["requests_per_second"]
+            if rate["vehicles"] == report["knee_vehicles"]:
                 for ax in (share, latency):
+                    offered = rate["requests_per_second"]
                     ax.axvline(offered, color=MUTED, linewidth=0.9, linestyle="--")
-                share.set_title(f"Knee: {knee} vehicles, {offered:.0f} requests a second")
+        share.set_title(_title(report))
         with replacing(path) as beside:
             figure.savefig(beside)
         plt.close(figure)
     return path
+
+
+def _title(report: Mapping[str, Any]) -> str:
+    if report["hold"] is None:
+        return "One rate was measured"
+    last, knee = report["rates"][-1], report["knee_vehicles"]
+    if knee is None:
+        return "No rate held: the knee is below the first one"
+    if last["vehicles"] == knee:
+        return f"Every rate held: the knee is beyond {knee} vehicles"
+    (offered,) = (r["requests_per_second"] for r in report["rates"] if r["vehicles"] == knee)
+    return f"Knee: {knee} vehicles, {offered:.0f} requests a second"
 
 
 def _share(ax: Axes, report: Mapping[str, Any]) -> None:
@@ -66,7 +79,7 @@ def _share(ax: Axes, report: Mapping[str, Any]) -> None:
     if report["hold"] is not None:
         ax.axhline(100.0 * report["hold"], color=ALARM, linewidth=0.9)
         ax.text(offered[0], 100.0 * report["hold"] - 6.0, "demanded", color=ALARM)
-    ax.set(ylabel="in time [%]", ylim=(0.0, 104.0), title="No knee was found")
+    ax.set(ylabel="in time [%]", ylim=(0.0, 104.0))
     ax.legend(loc="lower left")
 
 

@@ -261,7 +261,11 @@ impl ServiceConfig {
         if let Some(digits) = &self.fetch
             && library_id(digits).is_none()
         {
-            return range("fetch", "a SHA-256 as 64 hexadecimal digits", digits);
+            return range(
+                "fetch",
+                "a SHA-256 as 64 hexadecimal digits, as `egp inspect` shows it",
+                digits,
+            );
         }
         let (least, most) = (1 + self.libraries.len(), 1 + Ready::MAX_OTHERS);
         if !(least..=most).contains(&self.max_libraries) {

@@ -25,7 +25,12 @@ def drive(
         str, typer.Option("--scenario", "-s", help="Name of a built-in scenario, or a TOML file.")
     ] = "rounded-rectangle",
     library: Annotated[
-        Path | None, typer.Option("--library", "-l", help="Library in place of the scenario's.")
+        Path | None,
+        typer.Option(
+            "--library",
+            "-l",
+            help="Library in place of the scenario's; built-in scenarios have a shipped one.",
+        ),
     ] = None,
     *,
     in_process: Annotated[
@@ -91,8 +96,8 @@ def drive(
 
     A class for --plant takes no arguments and has reset(x), which puts the car
     into a state, step(u, dt, friction), which drives dt seconds, and state, the
-    present one. A state is [p_x, p_y, v_x, psi, v_y, omega, delta] in m, m/s and
-    rad, and u is [force in N, steering rate in rad/s]. docs/simulator.md has an
+    present one. A state is (p_x, p_y, v_x, psi, v_y, omega, delta) in m, m/s and
+    rad, and u is (force in N, steering rate in rad/s). docs/simulator.md has an
     example, and `help(egp_service.simulation.plant.Simulator)` the same contract.
 
     For example:

@@ -26,12 +26,15 @@ def serve(
         typer.Option(
             metavar="SHA256",
             help="SHA-256 of the library; if the file does not hold it, it is fetched from the "
-            "replicas at --connect.",
+            "replicas at --connect, which have 30 s to answer.",
         ),
     ] = None,
-    replica: Annotated[str | None, typer.Option(help="Name of this replica.")] = None,
+    replica: Annotated[
+        str | None, typer.Option(help="Name that no other replica has; `main` by default.")
+    ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Threads that run control steps.")
+        int | None,
+        typer.Option(min=1, help="Threads that run control steps; one a core by default."),
     ] = None,
     listen: Annotated[
         list[str] | None,

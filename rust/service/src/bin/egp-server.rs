@@ -47,13 +47,13 @@ struct Arguments {
     /// Library file, made by `egp train`.
     #[arg(long)]
     library: Option<PathBuf>,
-    /// SHA-256 of the library; if the file does not hold it, it is fetched from the replicas at --connect.
+    /// SHA-256 of the library; if the file does not hold it, it is fetched from the replicas at --connect, which have 30 s to answer.
     #[arg(long, value_name = "SHA256")]
     fetch: Option<String>,
-    /// Name of this replica.
+    /// Name that no other replica has; `main` by default.
     #[arg(long)]
     replica: Option<String>,
-    /// Threads that run control steps.
+    /// Threads that run control steps; one a core by default.
     #[arg(long)]
     workers: Option<usize>,
     /// Endpoint to listen on, as tcp/0.0.0.0:7447; may be given more than once.
