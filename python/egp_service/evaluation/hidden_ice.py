@@ -84,7 +84,7 @@ def experiment() -> ClosedLoopExperiment:
         f"A patch of friction {_ICE:g} on a road of {_DRY:g}, at another place for each seed. The "
         "reference speed is not told. Is the patch found on the first lap, and how far from the "
         "path is the vehicle on the laps after that? The oracle is told all zones. Speeds in bends "
-        "are limited to what the members' tyres transmit, but for the controller whose speed "
+        "are limited to what the members' tyres transmit, except for the controller whose speed "
         "follows the friction alone.",
         tuple(
             (f"{length:g} m {where}", _with_patch(path, middle, length))
