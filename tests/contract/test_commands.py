@@ -120,6 +120,9 @@ def test_programs_of_the_extension_get_the_options(capfd: pytest.CaptureFixture[
     assert RUNNER.invoke(app, ["load", "--json", "nowhere/load.json"]).exit_code == 1
     assert "cannot write the report nowhere/load.json: No such file" in capfd.readouterr().err
     assert "give --replay run.mcap" in failure("load", "--ramp", "0.99")
+    assert "give --replay run.mcap" in failure("load", "--ramp=0.99")
+    assert RUNNER.invoke(app, ["load", "--ramp=0.9", "--requests=nowhere.bin"]).exit_code == 1
+    assert "nowhere.bin" in capfd.readouterr().err
     assert RUNNER.invoke(app, ["simulate", "--seed", "7", "--seconds", "0.2"]).exit_code == 0
     assert "seed 7: trace " in capfd.readouterr().out
     for program in ("load", "simulate"):

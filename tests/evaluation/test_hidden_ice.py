@@ -40,6 +40,18 @@ def test_patches_have_their_length_and_lie_in_bends_or_on_straights() -> None:
     assert len(places) > 2 * len(HIDDEN_ICE.conditions)  # another place for most seeds
 
 
+def test_only_the_controller_of_the_friction_alone_has_no_limit_by_the_tyres() -> None:
+    limited = {
+        trial.contender.name: {"tyres": trial.scenario.speed.tyres, **(trial.contender.speed or {})}
+        for trial in TRIALS
+    }
+    assert {name: speed["tyres"] for name, speed in limited.items()} == {
+        "oracle": True,
+        f"{BELIEF}5%": True,
+        "friction alone, risk 5%": False,
+    }
+
+
 def with_library(trial: Trial, path: Path) -> Trial:
     speed = replace(trial.scenario.speed, **(trial.contender.speed or {}))
     return replace(

@@ -101,6 +101,6 @@ def test_replies_that_a_link_has_no_room_for_hold_no_worker(tmp_path: Path) -> N
 
 
 def test_without_the_default_of_qos_network_they_do(tmp_path: Path) -> None:
-    """The test above fails where replies wait for room."""
+    """Replies that wait for room, as zenoh sends them by default, make the test above fail."""
     statuses = served_beside_a_full_link(tmp_path, {"qos/network": "[]"})
     assert statuses["solved"] < 0.5 * statuses.total(), statuses

@@ -60,7 +60,8 @@ def load(
     if report is not None:
         arguments += ["--json", str(report)]
     if replay is None:
-        if any(a.startswith("--ramp") for a in arguments) and "--requests" not in arguments:
+        stated = {argument.partition("=")[0] for argument in arguments}
+        if "--ramp" in stated and "--requests" not in stated:
             raise EgpError("--ramp raises the rate of recorded requests: give --replay run.mcap")
         raise typer.Exit(run_program(run_load, arguments))
     # The file has no name, so that nothing is left behind if a signal ends the program.
