@@ -36,35 +36,36 @@ def draw_load(report_file: Path, path: Path) -> Path:
     """Draw the share of requests in time and quantiles of the latency over the offered load.
 
     `report_file` is the JSON of `egp load --replay`. The knee, the most vehicles that held the
-    fraction of `--ramp`, is a vertical line. Latencies in ms count from when a request was due.
+    fraction of `--ramp`, is a vertical line if a rate beyond it was measured. Latencies in ms count
+    from when a request was due.
     """
     report = json.loads(report_file.read_text(encoding="utf-8"))
     with plt.style.context(STYLE):
         figure, (share, latency) = plt.subplots(2, 1, sharex=True, figsize=(7.0, 5.6))
         _share(share, report)
         _latency(latency, report)
-        for rate in report["rates"]:
-            if rate["vehicles"] == report["knee_vehicles"]:
-                for ax in (share, latency):
-                    offered = rate["requests_per_second"]
-                    ax.axvline(offered, color=MUTED, linewidth=0.9, linestyle="--")
-        share.set_title(_title(report))
+        title, knee = _knee(report)
+        share.set_title(title)
+        if knee is not None:
+            for ax in (share, latency):
+                ax.axvline(knee, color=MUTED, linewidth=0.9, linestyle="--")
         with replacing(path) as beside:
             figure.savefig(beside)
         plt.close(figure)
     return path
 
 
-def _title(report: Mapping[str, Any]) -> str:
+def _knee(report: Mapping[str, Any]) -> tuple[str, float | None]:
+    """Say what was found, and return the requests a second at the knee if it was."""
     if report["hold"] is None:
-        return "One rate was measured"
-    last, knee = report["rates"][-1], report["knee_vehicles"]
-    if knee is None:
-        return "No rate held: the knee is below the first one"
-    if last["vehicles"] == knee:
-        return f"Every rate held: the knee is beyond {knee} vehicles"
-    (offered,) = (r["requests_per_second"] for r in report["rates"] if r["vehicles"] == knee)
-    return f"Knee: {knee} vehicles, {offered:.0f} requests a second"
+        return "One rate was measured", None
+    held = [r for r in report["rates"] if r["vehicles"] <= (report["knee_vehicles"] or 0)]
+    if not held:
+        return "No rate held: the knee is below the first one", None
+    vehicles, offered = held[-1]["vehicles"], held[-1]["requests_per_second"]
+    if len(held) == len(report["rates"]):
+        return f"Every rate held: the knee is beyond {vehicles} vehicles", None
+    return f"Knee: {vehicles} vehicles, {offered:.0f} requests a second", offered
 
 
 def _share(ax: Axes, report: Mapping[str, Any]) -> None:
