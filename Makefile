@@ -5,7 +5,7 @@ RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name 
 	$(wildcard python/egp_service/_core/*.pyi)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench fmt lint lint-rust lint-python deny rust-test python-test browser site wheel wheel-test arm-test instructions soak clean
+.PHONY: help demo test bench fmt lint lint-rust lint-python deny rust-test python-test timed-tests busy-tests browser site wheel wheel-test arm-test instructions soak clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -13,10 +13,12 @@ help: ## List these commands
 demo: .venv/built-viz ## Set up, then drive a lap over three surfaces and draw it
 	$(BIN)/egp demo
 
-# What needs one core runs beside what uses several; tests have the machine to themselves.
+# Compilers have the machine to themselves. Then tests that mostly wait and have deadlines to keep run beside tests that need
+# the processor, which get only what the former leave (`nice`).
 test: .venv/built-dev ## Set up and pass every check: format, lint, types, Rust and Python tests
 	$(MAKE) --jobs=2 lint instructions
-	$(MAKE) rust-test python-test
+	$(CARGO_TEST) --no-run
+	$(MAKE) --jobs=2 timed-tests busy-tests
 
 bench: .venv/built-bench ## Run the benchmarks
 	cargo bench -p egp-bench
@@ -30,10 +32,11 @@ fmt: .venv/built-dev ## Format Rust and Python
 
 lint: lint-rust lint-python ## Check format, lints, types, stubs and import rules
 
+# With the examples the documentation needs the development's dependencies, so that it reads what clippy has checked.
 lint-rust: .venv/built-dev
 	cargo fmt --all --check
-	cargo clippy --release --workspace --all-targets --locked -- -D warnings
-	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps --locked
+	cargo clippy --release --locked --workspace --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps --lib --bin egp-server --examples
 
 lint-python: .venv/built-dev
 	$(BIN)/ruff format --check python tests
@@ -53,15 +56,22 @@ deny: ## Check licences, sources and advisories of the Rust crates, with cargo-d
 
 # The same profile as the extension, and without criterion, which changes the features of zenoh's dependencies: what the
 # extension was built with is not compiled again.
+CARGO_TEST := MAKEFLAGS= cargo test --release --locked --workspace --exclude egp-bench
 rust-test: .venv/built-dev ## Run the Rust tests
-	cargo test --release --locked --workspace --exclude egp-bench
+	$(CARGO_TEST)
 
-# The tests in these folders have deadlines to keep, and mostly wait. Two files of them run at a time, and no other test runs
-# beside them. All other tests run before, one file on each core.
-ALONE := tests/conformance tests/service tests/monitor
+# The tests in these folders have deadlines to keep, and mostly wait: two files of them run at a time.
+TIMED := tests/conformance tests/service tests/monitor
+PYTEST := $(BIN)/pytest --dist loadfile --no-loadscope-reorder
 python-test: .venv/built-dev ## Run the Python tests
-	$(BIN)/pytest --numprocesses auto --dist loadfile --no-loadscope-reorder $(addprefix --ignore ,$(ALONE))
-	$(BIN)/pytest --numprocesses auto --maxprocesses 2 --dist loadfile --no-loadscope-reorder $(ALONE)
+	$(PYTEST) --numprocesses auto $(addprefix --ignore ,$(TIMED))
+	$(PYTEST) --numprocesses auto --maxprocesses 2 $(TIMED)
+
+timed-tests: rust-test
+	$(PYTEST) --numprocesses auto --maxprocesses 2 $(TIMED)
+
+busy-tests: .venv/built-dev
+	nice -n 19 $(PYTEST) --numprocesses auto $(addprefix --ignore ,$(TIMED))
 
 site: .venv/built-docs ## Build the documentation site in target/site
 	$(BIN)/mkdocs build

@@ -57,8 +57,10 @@ def run(*command: str | Path) -> str:
 
 def count(cargo: str, valgrind: str, size: Size) -> tuple[str, list[int]]:
     """Build the example and run it under callgrind; return the tier and the counts of `PARTS`."""
-    example = ("--package", "egp-core", "--example", "instructions", "--features", "baseline-qp")
-    run(cargo, "build", "--release", "--locked", "--quiet", *example)
+    # All crates that the tests are built of, so that their dependencies are not compiled again.
+    crates = ("--workspace", "--exclude", "egp-bench", "--features", "egp-core/baseline-qp")
+    built = ("--example", "instructions", *crates)
+    run(cargo, "build", "--release", "--locked", "--quiet", *built)
     program, library = TARGET / "release/examples/instructions", TARGET / "instructions.library"
     run(program, "write", library, str(size.points))
     stored = TARGET / "instructions.callgrind"
