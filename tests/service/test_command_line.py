@@ -115,6 +115,27 @@ def test_a_server_that_is_asked_to_end_has_status_0(sent: signal.Signals) -> Non
         assert b"Traceback" not in rest
 
 
+def test_a_service_warns_if_another_one_has_its_name() -> None:
+    with ServiceProcess(LIBRARY, {}) as first:
+        connected = ["--connect", first.endpoint, "--listen", "tcp/127.0.0.1:0"]
+        for name, warned in (("main", True), ("other", False)):
+            command = ["serve", str(LIBRARY), "--replica", name, *connected]
+            process = subprocess.Popen(
+                [sys.executable, "-m", "egp_service", *command],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+            )
+            assert process.stdout is not None
+            said = b""
+            while b" serving " not in said:
+                line = process.stdout.readline()
+                assert line, said
+                said += line
+            process.terminate()
+            process.communicate(timeout=PATIENCE)
+            assert (b"another service has this name" in said) == warned, said
+
+
 def test_a_drive_says_that_nobody_listens_where_it_publishes(tmp_path: Path) -> None:
     scenario = tmp_path / "short.toml"
     scenario.write_text(LONG.replace("50.0", "0.02"), encoding="utf-8")

@@ -4,7 +4,7 @@ use std::sync::mpsc::{self, Receiver};
 use std::time::Duration;
 use std::{borrow::Cow, collections::BTreeMap, fs::File, path::Path};
 
-use egp_wire::{WireError, keys::Name};
+use egp_wire::{WireError, keys, keys::Name};
 use serde_json::Value;
 use thiserror::Error;
 use zenoh::bytes::ZBytes;
@@ -280,9 +280,16 @@ impl Network {
         Ok(())
     }
 
+    /// Whether routers and peers that are connected know a replica of this name; waits for them for a second at most.
+    pub(crate) fn announced(&self, replica: &Name) -> bool {
+        let (tokens, patience) = (self.session.liveliness(), Duration::from_secs(1));
+        let asked = tokens.get(keys::live(replica)).timeout(patience).wait();
+        asked.is_ok_and(|found| found.into_iter().any(|reply| reply.result().is_ok()))
+    }
+
     /// Announces the replica to clients.
     pub(crate) fn announce(&mut self, replica: &Name) -> Result<(), NetworkError> {
-        let key = egp_wire::keys::live(replica);
+        let key = keys::live(replica);
         let token = self
             .session
             .liveliness()

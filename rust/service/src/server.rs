@@ -175,6 +175,12 @@ impl Server {
                 shared.take(query, Instant::now());
             })?;
         server.start_reporter(Duration::from_millis(config.load_ms))?;
+        if server.network.announced(&replica) {
+            tracing::warn!(
+                %replica,
+                "another service has this name: both answer each request; give one of them another --replica"
+            );
+        }
         // The announcement comes last, because clients ask as soon as they see it.
         server.network.announce(&replica)?;
         server.http = http
