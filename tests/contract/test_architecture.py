@@ -65,7 +65,7 @@ ALLOWED = {
 ONE_FILE = {
     "rust/core/src": ["clarabel", "safetensors"],
     "rust/python/src": ["numpy"],
-    "rust/service/src": ["zenoh", "tiny_http"],
+    "rust/service/src": ["zenoh", "hyper"],
     "clients/vehicle/src": ["zenoh"],
 }
 

@@ -4,7 +4,7 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::common::{Client, Outcome, first_request, free_endpoint, library_file, step_key};
 use serde_json::Value;
@@ -120,6 +120,41 @@ fn pages_and_log_follow_a_process_from_start_to_drain() {
     assert_eq!(refused["vehicle"], "stranger");
     assert_eq!(refused["code"], "CODE_MALFORMED");
     assert_eq!(event("drained")["level"], "INFO");
+}
+
+#[test]
+fn requests_that_announce_a_body_or_never_end_harm_nobody() {
+    let (endpoint, http) = (free_endpoint(), free_address());
+    let mut process = start("bodies.safetensors", &endpoint, http);
+    Client::connect(&endpoint);
+    let open = |text: &str| {
+        let mut stream = TcpStream::connect(http).unwrap();
+        stream.write_all(text.as_bytes()).unwrap();
+        stream
+    };
+    let announced = ["2000", "1000000000000000", "9223372036854775808"].map(|length| {
+        open(&format!(
+            "GET /health HTTP/1.1\r\nHost: egp\r\nContent-Length: {length}\r\n\r\n"
+        ))
+    });
+    let endless = open("GET /health HTTP/1.1\r\nX: ");
+    let silent = open("");
+    for _ in 0..3 {
+        assert_eq!(ask(http, "GET", "/health").unwrap().0, 200);
+    }
+    for mut stream in announced {
+        let mut answer = String::new();
+        // The connection may be reset behind the answer, because the body is not read.
+        let _ = stream.read_to_string(&mut answer);
+        assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+    }
+    let pid = process.id().to_string();
+    let asked = Instant::now();
+    let kill = Command::new("kill").args(["-TERM", &pid]).status();
+    assert!(kill.unwrap().success());
+    assert!(process.wait().unwrap().success());
+    assert!(asked.elapsed() < Duration::from_secs(4));
+    drop((endless, silent));
 }
 
 #[test]
