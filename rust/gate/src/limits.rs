@@ -156,13 +156,20 @@ impl Limits {
     /// The steering rate nearest to `wanted` that the limits allow at angle `delta` after `previous`.
     ///
     /// From the returned rate, the slew limit can still reduce the rate to zero before the angle exceeds its limit. The
-    /// slew limit takes precedence, as for the force.
+    /// slew limit takes precedence, as for the force. Beyond a limit the wheels return, at a rate that can be reduced to zero
+    /// before the other limit.
     pub(crate) fn steering_rate(&self, wanted: f64, previous: f64, delta: f64, dt: f64) -> f64 {
         let step = self.steering_slew * dt;
         let left = self.approach_rate(self.steering_angle - delta, step, dt);
         let right = -self.approach_rate(self.steering_angle + delta, step, dt);
-        wanted
-            .clamp(right, left)
+        let allowed = if right <= left {
+            wanted.clamp(right, left)
+        } else if right.abs() < left.abs() {
+            right
+        } else {
+            left
+        };
+        allowed
             .clamp(previous - step, previous + step)
             .clamp(-self.steering_rate, self.steering_rate)
     }

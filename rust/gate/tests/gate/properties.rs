@@ -113,6 +113,24 @@ proptest! {
     }
 
     #[test]
+    fn whatever_the_limits_wheels_beyond_one_return_at_the_rate_of_the_other_side(
+        steering_angle in 0.01..1.5,
+        steering_rate in 0.05..5.0,
+        steering_slew in 0.02..50.0,
+        delta in 0.0..2.0,
+    ) {
+        let limits = Limits { steering_angle, steering_rate, steering_slew, ..LIMITS };
+        let rate_at = |delta: f64| {
+            let mut gate = Gate::new(limits, DT, 3, 3.0).unwrap();
+            (0..1000).map(|tick| gate.command(tick, 10.0, delta).u[1]).last().unwrap()
+        };
+        let (left, right) = (rate_at(delta), rate_at(-delta));
+        prop_assert_eq!(left, -right);
+        prop_assert!(left.abs() <= steering_rate);
+        prop_assert_eq!(left < 0.0, delta > steering_angle);
+    }
+
+    #[test]
     fn the_steering_angle_stays_inside_its_limit(
         wanted in prop::collection::vec(-1.0..1.0, 1..200),
         steering_slew in 0.05..10.0,
