@@ -100,8 +100,12 @@ impl Replicas {
 
     /// Notes that a replica failed.
     pub(crate) fn demote(&mut self, replica: &Name, now: Time) {
-        self.demoted
-            .retain(|_, demotion| now.saturating_sub(demotion.until) < FORGIVEN);
+        // A live replica that has not answered a probe since it failed may still be frozen.
+        let live = &self.live;
+        self.demoted.retain(|replica, demotion| {
+            (!demotion.over && live.contains(replica))
+                || now.saturating_sub(demotion.until) < FORGIVEN
+        });
         let before = self.demoted.get(replica);
         let length = before.map_or(MIN_DEMOTION, |demotion| {
             if demotion.over {
@@ -216,6 +220,19 @@ mod tests {
             assert_eq!(replicas.next_probe(before), None);
             assert!(replicas.next_probe(promoted).is_some());
         }
+    }
+
+    #[test]
+    fn a_replica_that_stays_frozen_is_not_forgiven_when_another_one_fails() {
+        let (mut replicas, usual) = three();
+        replicas.demote(&usual[0], seconds(0.0));
+        replicas.demote(&usual[1], seconds(90.0));
+        assert_eq!(replicas.order()[0], usual[2]);
+        // One that is gone is forgotten, so that names of the past do not fill the memory.
+        replicas.gone(&usual[0]);
+        replicas.demote(&usual[1], seconds(91.0));
+        replicas.appeared(usual[0].clone());
+        assert_eq!(replicas.order()[0], usual[0]);
     }
 
     #[test]

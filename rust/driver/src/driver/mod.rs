@@ -195,16 +195,19 @@ impl Driver {
     /// open is given up.
     ///
     /// # Errors
-    /// [`InvalidArgument`] when no request can be made of the measurement; the period is then not opened. A measured
-    /// state that cannot be used is no error: its command is a stop.
+    /// [`InvalidArgument`] when no request can be made of the measurement; the period is then not opened, but counts: plans
+    /// are a period older, and the history starts anew. A measured state that cannot be used is no error: its command is a
+    /// stop.
     pub fn tick(
         &mut self,
         now: Time,
         deadline: Time,
         measurement: Measurement,
     ) -> Result<(), InvalidArgument> {
-        measurement.check(self.served.horizon as usize)?;
         self.give_up(now);
+        measurement
+            .check(self.served.horizon as usize)
+            .inspect_err(|_| self.carry.skip())?;
         self.probe(now);
         let Measurement {
             x,

@@ -73,6 +73,26 @@ fn a_reference_or_widths_of_another_length_open_no_period() {
 }
 
 #[test]
+fn a_period_without_a_request_counts_and_leaves_a_gap_in_the_history() {
+    let mut driver = driver(&["a"]);
+    answered_period(&mut driver, ms(20));
+    answered_period(&mut driver, ms(40));
+    tick(&mut driver, ms(60));
+    let open = asked(&mut driver);
+    let mut short = measurement();
+    short.reference.pop();
+    driver.tick(ms(80), ms(96), short).unwrap_err();
+    // The period before is given up, so that its deadline decides nothing.
+    driver.wake(ms(96));
+    assert!(driver.next_action().is_none());
+    driver.replied(ms(97), open.id, &solved(&open).encode(), b"");
+    tick(&mut driver, ms(100));
+    let request = request(&asked(&mut driver));
+    assert_eq!((request.sequence, request.history_z.len()), (5, 0));
+    assert_eq!(request.plan_shift, 2);
+}
+
+#[test]
 fn a_yaw_must_point_along_the_reference_where_its_points_are_apart() {
     let mut driver = driver(&["a"]);
     let mut accepted = |spacing: [f64; 2], psi: f64| {
