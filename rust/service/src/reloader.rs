@@ -16,7 +16,7 @@ use crate::sync::thread::{self, JoinHandle};
 pub(crate) type Outcome = Result<(Reloaded, Vec<LibraryId>), ReloadError>;
 
 /// What tells one content of a file from another without reading it: time of the last change, and length.
-type Stamp = Option<(SystemTime, u64)>;
+pub(crate) type Stamp = Option<(SystemTime, u64)>;
 
 /// A reloader that was not started.
 pub(crate) struct Reloader {
@@ -33,12 +33,13 @@ pub(crate) struct Running {
 }
 
 impl Reloader {
-    /// Reloads on command, and when the file changed since the last look; looks are `watch` apart.
-    pub(crate) fn new(libraries: Arc<Libraries>, watch: Option<Duration>) -> Self {
+    /// Reloads on command, and when the file changed since the last look; looks are `watch` apart. `stamp` was taken before
+    /// the libraries were loaded, so that a change since then is seen.
+    pub(crate) fn new(libraries: Arc<Libraries>, watch: Option<Duration>, stamp: Stamp) -> Self {
         Self {
-            stamp: stamp(libraries.file()),
             libraries,
             watch,
+            stamp,
         }
     }
 
@@ -103,8 +104,8 @@ impl Drop for Running {
     }
 }
 
-/// None if the file is not there.
-fn stamp(file: &Path) -> Stamp {
+/// The stamp of a file; none if it is not there.
+pub(crate) fn stamp(file: &Path) -> Stamp {
     let metadata = fs::metadata(file).ok()?;
     Some((metadata.modified().ok()?, metadata.len()))
 }

@@ -27,7 +27,7 @@ use crate::metrics::Metrics;
 use crate::network::{Network, NetworkError, Publisher, Received, configuration};
 use crate::offer::{Offer, offer};
 use crate::queue::Queue;
-use crate::reloader::{Outcome, Reloader, Running};
+use crate::reloader::{Outcome, Reloader, Running, stamp};
 use crate::standing::Standing;
 use crate::traces::Traces;
 use crate::worker::work;
@@ -101,9 +101,10 @@ impl Server {
     ) -> Result<Self, StartError> {
         config.validate()?;
         fetch(config, stopped)?;
+        let stamp = stamp(&config.library);
         let libraries = Arc::new(Libraries::load(config)?);
         let mut server = Self::start_shared(config, &libraries)?;
-        let reloader = Reloader::new(libraries, config.watch());
+        let reloader = Reloader::new(libraries, config.watch(), stamp);
         let shared = server.shared.clone();
         server.reloader = Some(reloader.start(move |reloaded| note(&shared.metrics, reloaded))?);
         Ok(server)

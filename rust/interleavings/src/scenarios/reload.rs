@@ -86,7 +86,7 @@ pub fn libraries_change_between_steps(file: &Path) {
         .collect();
     let (outcomes, noted) = mpsc::channel();
     let note = loaded.clone();
-    let reloader = Reloader::new(libraries.clone(), None);
+    let reloader = Reloader::new(libraries.clone(), None, None);
     let running = reloader.start(move |outcome| {
         note.store(true, Ordering::Relaxed);
         let _ = outcomes.send(outcome.map_err(|error| error.to_string()));
