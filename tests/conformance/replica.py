@@ -36,12 +36,16 @@ READY_FAULTS = {"noise_in_ready", "draining", "weaker_vehicle"}
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A replica's answer: payload, error, or neither (silence); `ended` is a closed query."""
+    """A replica's answer: payload, error, or neither (silence).
+
+    `ended` is a closed query, and `unended` one that stays open behind its payload.
+    """
 
     payload: bytes = b""
     attachment: bytes = b""
     error: bytes = b""
     ended: bool = False
+    unended: bool = False
 
 
 def message(name: str) -> Any:  # noqa: ANN401 - classes made at run time
@@ -85,8 +89,8 @@ class ScriptedReplica:
         reply = self.engine.step(request)
         self._replies[sequence] = reply
         match fault:
-            case "":
-                return Answer(reply, _timing())
+            case "" | "unended":
+                return Answer(reply, _timing(), unended=bool(fault))
             case "silence":
                 return Answer()
             case "empty":
@@ -170,7 +174,7 @@ def serve(name: str, endpoint: str, script: Script) -> None:
             query.reply_err(answer.error)
         elif answer.payload:
             query.reply(key, answer.payload, attachment=answer.attachment or None)
-        elif not answer.ended:
+        if answer.unended or not (answer.error or answer.payload or answer.ended):
             kept.append(query)  # a query that is never dropped is never answered
 
     kept: list[Any] = []

@@ -7,7 +7,7 @@ use egp_driver::{Query, QueryId, Question};
 use egp_wire::keys::{self, Name};
 use thiserror::Error;
 use zenoh::qos::{CongestionControl, Priority};
-use zenoh::query::Reply;
+use zenoh::query::{ConsolidationMode, Reply};
 use zenoh::sample::SampleKind;
 use zenoh::{Config, Wait};
 
@@ -129,6 +129,8 @@ impl Network {
             .encoding("application/protobuf;egp.v1.StepRequest")
             // zenoh would wait for up to five seconds while a link to a silent replica is full.
             .congestion_control(CongestionControl::Drop)
+            // By default zenoh keeps a reply until all copies of the question have ended.
+            .consolidation(ConsolidationMode::None)
             .timeout(query.listen)
             .callback(move |reply| report(&end.1, answer(id, reply)))
             .wait();
@@ -150,6 +152,7 @@ impl Network {
             .session
             .get(&question.key)
             .attachment((!attachment.is_empty()).then(|| attachment.clone()))
+            .consolidation(ConsolidationMode::None)
             .timeout(patience)
             .wait()
             .map_err(|e| NetworkError::new(format!("cannot ask {}", question.key), &e))?;

@@ -237,6 +237,8 @@ class Network:
                 timeout=query.listen,
                 # zenoh would wait for up to five seconds while a link to a silent replica is full.
                 congestion_control=zenoh.CongestionControl.DROP,
+                # By default zenoh keeps a reply until all copies of the question have ended.
+                consolidation=zenoh.ConsolidationMode.NONE,
             )
         except zenoh.ZError:
             end()
@@ -245,7 +247,12 @@ class Network:
         self, key: str, attachment: bytes, patience: float
     ) -> Iterator[tuple[bytes, bytes]]:
         """Give payload and attachment of each answer that comes within `patience` seconds."""
-        for reply in self.session.get(key, attachment=attachment or None, timeout=patience):
+        for reply in self.session.get(
+            key,
+            attachment=attachment or None,
+            timeout=patience,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        ):
             if reply.ok is not None:
                 extra = reply.ok.attachment
                 yield reply.ok.payload.to_bytes(), b"" if extra is None else extra.to_bytes()
