@@ -9,7 +9,11 @@ import os
 import socket
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -25,6 +29,7 @@ from egp_service.control.router import Router
 from egp_service.ros2 import messages, node
 from egp_service.ros2.autoware import AutowareError, map_parameters, read_parameters
 from egp_service.ros2.conversion import Command, PathError, message_of, path_of, state_of
+from egp_service.ros2.driving import Drive, Vehicle
 from egp_service.ros2.rmw_zenoh import (
     Topic,
     decode_attachment,
@@ -34,6 +39,13 @@ from egp_service.ros2.rmw_zenoh import (
     node_token,
 )
 from ros2 import idl, vehicle
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from egp_service.control.step import Step
 
 TESTS = Path(__file__).parents[1]
 # From the design document of rmw_zenoh.
@@ -172,6 +184,74 @@ def test_a_missing_router_is_told_at_once_and_at_the_end(monkeypatch: pytest.Mon
     message = str(result.exception)
     assert f"no router of rmw_zenoh at {endpoint}" in message
     assert "orchestrator" not in message  # the place in zenoh's source
+
+
+class Topics:
+    """The topics of a vehicle without a network: `messages` are read, and commands are kept."""
+
+    def __init__(self) -> None:
+        self.messages: dict[str, Any] = {}
+        self.commands: list[Any] = []
+        self.arrived = threading.Event()
+
+    def subscribe(self, topic: str, kind: str) -> Any:  # noqa: ANN401
+        """Return what reads a topic."""
+        del kind
+
+        def take() -> tuple[Any, float] | None:
+            message = self.messages.pop(topic, None)
+            return None if message is None else (message, time.monotonic())
+
+        return SimpleNamespace(take=take)
+
+    def publisher(self, topic: str, kind: str) -> Callable[[object], None]:
+        """Return what keeps a command."""
+        del topic, kind
+        return self.commands.append
+
+
+def test_measurements_that_cannot_be_used_stop_the_vehicle_with_its_wheels_held() -> None:
+    car = Plant().parameters
+    topics = Topics()
+    state = np.array([0.0, 0.3, 8.0, 0.0, 0.0, 0.0, 0.1])
+    points = [(10.0 * k, 0.0) for k in range(20)]
+    header = idl.Header(idl.Time(), "map")
+    poses = [idl.PoseStamped(header, vehicle.pose(x, y, 0.0)) for x, y in points]
+    straight = messages.decode(idl.Path(header, poses).serialize(), messages.PATH)
+
+    def odometry(state: NDArray[np.float64]) -> object:
+        return messages.decode(vehicle.odometry(state, 1.0), messages.ODOMETRY)
+
+    settings = Drive(car, 1.0, odometry="odom", path="plan", steering="steering", control=None)
+    for topic, broken in (
+        *(("steering", SimpleNamespace(steering_tire_angle=a)) for a in (np.nan, np.inf, -5.0)),
+        *(("odom", odometry(np.where(np.arange(7) == k, bad, state)))
+          for k, bad in ((0, np.nan), (0, 1e300), (3, np.nan), (4, np.nan), (4, 1e300))),
+    ):  # fmt: skip
+        with Controller(shipped.DEMO_LIBRARY, gate=car.gate_limits()) as controller:
+            driven = Vehicle(topics, controller, settings)
+            topics.commands.clear()
+            modes: list[str | None] = []
+            topics.messages.update(
+                plan=straight, odom=odometry(np.full(7, np.nan)),
+                steering=SimpleNamespace(steering_tire_angle=0.1),
+            )  # fmt: skip
+
+            def observe(step: Step | None, modes: list[str | None] = modes) -> None:
+                modes.append(None if step is None else step.mode)
+
+            driven.run(observe, 0.01)
+            assert set(modes) == {None}, "without a usable state there is no reference"
+            topics.messages["odom"] = odometry(state)
+            driven.run(observe, 0.01)
+            topics.messages.update({"odom": odometry(state), topic: broken})
+            driven.run(observe, 0.01)
+        assert modes[-2:] == ["normal", "stop"], (topic, modes)
+        angles = [command.drive.steering_angle for command in topics.commands]
+        assert len(angles) == 2
+        assert np.isfinite(angles).all()
+        assert angles[-1] == pytest.approx(0.1, abs=0.02)
+        assert topics.commands[-1].drive.speed == 0.0
 
 
 def test_a_vehicle_of_rmw_zenoh_is_driven_and_stopped_in_silence() -> None:

@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 # Part of the period by which an odometry message may be early.
 _EARLY: Final = 0.25
 _FIRST_DEADLINE: Final = 2.0
+# rad; requests allow no larger steering angle.
+_LARGEST_ANGLE: Final = 1.6
+# m, m/s and so on; no state of a vehicle on a map has a larger component.
+_LARGEST: Final = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +61,11 @@ class Drive:
     control: str | None = "/control/command/control_cmd"
 
 
+def _usable(x: NDArray[np.float64]) -> bool:
+    """Whether all components are numbers that a vehicle can have, which NaN is not."""
+    return bool((np.abs(x) <= _LARGEST).all() and abs(x[DELTA]) <= _LARGEST_ANGLE)
+
+
 class Vehicle:
     """The vehicle behind the topics, driven by a controller in its periods."""
 
@@ -76,8 +85,11 @@ class Vehicle:
         self._profile: SpeedProfile | None = None
         self._s: float | None = None
         self._x = np.zeros(NX)
+        # The last state that was usable, from which the reference starts.
+        self._known: NDArray[np.float64] | None = None
         self._seen = -np.inf
-        self._delta = 0.0
+        # The steering angle as it was measured, and the last one that is an angle of wheels.
+        self._measured = self._delta = 0.0
         self._frame = ""
         self._first = True
         self.problem = ""
@@ -98,10 +110,12 @@ class Vehicle:
             now = time.monotonic()
             x = self._state(now, now - last)
             last = now
-            if x is None or self._path is None or self._profile is None:
+            if x is not None and _usable(x):
+                self._known = x
+            if x is None or self._known is None or self._path is None or self._profile is None:
                 observe(None)
                 continue
-            observe(self._period(x, self._path, self._profile))
+            observe(self._period(x, self._known, self._path, self._profile))
 
     def _wait(self, earliest: float, latest: float) -> None:
         """Return with the first message after `earliest`, or at `latest`."""
@@ -120,7 +134,9 @@ class Vehicle:
         """Read what has arrived; what cannot be used is named in `problem`."""
         try:
             if self._angles is not None and (angle := self._angles.take()) is not None:
-                self._delta = float(angle[0].steering_tire_angle)
+                self._measured = float(angle[0].steering_tire_angle)
+                if abs(self._measured) <= _LARGEST_ANGLE:
+                    self._delta = self._measured
             if (newest := self._paths.take()) is not None:
                 self._path = path_of(newest[0], self._drive.friction)
                 self._profile = SpeedProfile(
@@ -130,8 +146,8 @@ class Vehicle:
             if (odometry := self._odometry.take()) is not None:
                 message, self._seen = odometry
                 self._frame = message.child_frame_id
-                self._x = state_of(message, self._delta, self._drive.to_centre)
-                self.problem = ""
+                self._x = state_of(message, self._measured, self._drive.to_centre)
+                self.problem = "" if _usable(self._x) else "the measured state cannot be used"
         except (MessageError, PathError) as error:
             self.problem = str(error)
 
@@ -144,14 +160,22 @@ class Vehicle:
             return np.full(NX, np.nan)
         if age > self._controller.dt:
             self._x = extrapolated(self._x, elapsed)
-            self._x[DELTA] = self._delta
+            self._x[DELTA] = self._measured
         return self._x
 
-    def _period(self, x: NDArray[np.float64], path: Path, profile: SpeedProfile) -> Step:
-        """Compute the step of a period, and publish its command."""
+    def _period(
+        self,
+        x: NDArray[np.float64],
+        known: NDArray[np.float64],
+        path: Path,
+        profile: SpeedProfile,
+    ) -> Step:
+        """Compute the step of a period, and publish its command.
+
+        A state that cannot be used makes the driver stop; the reference of `known`, the last one
+        that could, then has no meaning. The commanded angle is that of the last angle of wheels.
+        """
         controller, drive = self._controller, self._drive
-        # A state that is not a number makes the driver stop; the reference then has no meaning.
-        known = x if np.isfinite(x).all() else self._x
         hint = path.project(known[POSITION]).s if self._s is None else self._s
         reference, widths, projection = horizon_reference(
             path, profile, known, controller.dt, controller.horizon, hint
@@ -165,7 +189,7 @@ class Vehicle:
         limit = drive.vehicle.steering_angle
         angle = float(np.clip(self._delta + rate * controller.dt, -limit, limit))
         if drive.steering is None:
-            self._delta = angle
+            self._measured = self._delta = angle
         speed = max(0.0, float(known[V_X]) + acceleration * controller.dt)
         command = Command(angle, rate, 0.0 if step.mode == "stop" else speed, acceleration)
         for kind, publish in self._publish:
