@@ -91,10 +91,14 @@ def ignore(_: zenoh.Reply) -> None:
 
 def measured(friction: float, metres: float = 150.0) -> RoadBelief:
     belief = RoadBelief(PATH)
+    measure(belief, friction, metres)
+    return belief
+
+
+def measure(belief: RoadBelief, friction: float, metres: float) -> None:
     row = -0.5 * (np.log(FRICTIONS / friction) / 0.05) ** 2
     for s in np.arange(0.0, metres, 0.2):
         belief.update(s, row - row.max())
-    return belief
 
 
 def lap_time(tmp_path: Path, endpoint: str, vehicle: str) -> tuple[float, str]:
@@ -190,6 +194,37 @@ def test_hostile_input_is_refused_and_the_service_goes_on() -> None:
         found = re.findall(r'egp_map_queries_total\{outcome="malformed"\} (\d+)', text.decode())
         assert int(found[0]) >= 6
         assert service.poll() is None
+
+
+def test_evidence_that_an_overloaded_service_refused_is_sent_again() -> None:
+    endpoint = free_endpoint()
+    config = zenoh.Config()
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    asked: list[str] = []
+
+    def answer(query: zenoh.Query) -> None:
+        key = str(query.key_expr)
+        asked.append(key)
+        if asked.count(key) == 1:
+            query.reply_err(bytes([0x08, 5, 0x10, 1]))  # code OVERLOADED, retryable
+        else:
+            query.reply(key, b"")
+
+    with zenoh.open(config) as session:
+        queryable = session.declare_queryable("egp/**", answer)
+        belief = RoadBelief(PATH)
+        with FleetMap(endpoint, belief, road="ring", vehicle="car") as fleet:
+            assert fleet.fetch()
+            measure(belief, 0.4, 150.0)
+            (question,) = set(asked)
+            assert len(asked) == 2
+            end = time.monotonic() + 20.0
+            while sorted(map(asked.count, set(asked) - {question})) != [2, 2]:
+                assert time.monotonic() < end, asked
+                fleet.exchange()
+                time.sleep(0.05)
+        queryable.undeclare()  # type: ignore[no-untyped-call]
 
 
 def test_fleets_share_nothing_and_a_vehicle_does_not_hear_itself() -> None:

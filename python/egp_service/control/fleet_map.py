@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import queue
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Self
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from egp_service._core import RoadBelief
+    from egp_service._core import Refusal, RoadBelief
 
 EVIDENCE_ENCODING = "application/protobuf;egp.v1.TileEvidence"
 # Time between two exchanges, and after which reports are aged again while the service is silent, s.
@@ -107,7 +108,7 @@ class FleetMap:
             self._ask(0)
             while self._asking and time.monotonic() < deadline:
                 self._handle(deadline)
-            if "no answer" not in self._warned:
+            if not self._asking and "no answer" not in self._warned:
                 return True
             self._warned.discard("no answer")
             time.sleep(0.05)  # the link may not be there yet
@@ -186,7 +187,8 @@ class FleetMap:
     def _ask(self, first: int) -> None:
         """Ask for the tiles from `first` on."""
         self._asking += 1
-        self._stale_from = None
+        if self._stale_from is not None and self._stale_from >= first:
+            self._stale_from = None
         self._query(self._keys.tiles(first), self._use, self._asked)
 
     def _asked(self, answered: bool) -> None:  # noqa: FBT001 - a callback
@@ -220,20 +222,24 @@ class FleetMap:
         end: Callable[[bool], None],
         payload: bytes | None = None,
     ) -> None:
-        """Send a query; `use` gets an answer, and `end` whether there was one, an error included.
+        """Send a query; `use` gets an answer, and `end` whether there was one.
 
-        Both are called by `exchange`.
+        An error that another attempt may not have is an answer. Both are called by `exchange`.
         """
         heard = []
 
         def deliver(reply: zenoh.Reply) -> None:
-            heard.append(True)
             if reply.ok is not None:
+                heard.append(True)
                 content = reply.ok.payload.to_bytes()
                 self._inbox.put(lambda: use(content))
             elif reply.err is not None:
                 content = reply.err.payload.to_bytes()
-                self._inbox.put(lambda: self._refused(content))
+                with suppress(EgpError):  # such as the text with which zenoh reports a timeout
+                    refusal = decode_error(content)
+                    if not refusal.retryable:
+                        heard.append(True)
+                    self._inbox.put(lambda: self._refused(refusal))
 
         def ended() -> None:
             answered = bool(heard)
@@ -258,12 +264,7 @@ class FleetMap:
             _log.info("no map service answers; driving goes on without it")
         end(answered)
 
-    def _refused(self, payload: bytes) -> None:
-        try:
-            refusal = decode_error(payload)
-        except EgpError as error:
-            self._warn(f"an error of the map service cannot be read: {error}")
-            return
+    def _refused(self, refusal: Refusal) -> None:
         self._warn(f"the map service does not accept evidence: {refusal.code}: {refusal.detail}")
 
     def _warn(self, text: str) -> None:
