@@ -29,9 +29,12 @@ use crate::tally::Tally;
 /// The text of `--help` behind the options.
 const HELP: &str = r"Loads a running service with simulated vehicles and reports answer times and errors.
 
-    egp-server --library surfaces.safetensors --workers 1
-    egp-load --vehicles 8 --seconds 20 --json load.json
-    egp-load --requests requests.bin --vehicles 32 --ramp 0.99 --seconds 5
+    egp serve library.safetensors --workers 1
+    egp load --vehicles 8 --seconds 20 --json load.json
+    egp load --replay run.mcap --vehicles 32 --ramp 0.99 --seconds 5
+
+Without Python the programs are egp-server and egp-load, and --requests takes
+the place of --replay.
 
 Each vehicle has its own zenoh session, the 29-state plant on a track of
 changing friction, and the gate. Requests are sent on a fixed schedule (every
