@@ -35,6 +35,7 @@ class LateReplies(StepController):
         self._engine = Engine(str(library_path(scenario)), dumps(scenario.control))
         self.library, self.members = self._engine.library_id, self._engine.members
         self.dt, self.horizon = self._engine.dt, self._engine.horizon
+        self.history = self._engine.history
         gate = gate_settings(scenario) | {"max_tail_ticks": max_tail_ticks}
         self._driver = Driver(
             self._engine.ready, fleet="f", vehicle="v", gate=gate, budget=budget, hedge=1.0

@@ -32,6 +32,15 @@ class RoadBelief:
         window: int | None = None,
         indifference: float | None = None,
     ) -> RoadBelief: ...
+    @property
+    def window(self) -> int:
+        """Number of transitions from which a step estimates the friction, 1 to 1000.
+
+        It has to be `history` of the controller whose steps are used. Setting another one forgets
+        where the vehicle was.
+        """
+    @window.setter
+    def window(self, window: int) -> None: ...
     def to_bytes(self) -> bytes:
         """Return the evidence of all cells, to be stored; equal beliefs give equal bytes."""
     def recall(self, data: bytes, age: float = 0.0) -> None:

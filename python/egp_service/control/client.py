@@ -75,7 +75,7 @@ class VehicleClient(StepController):
         """Use an open network; `ready` is a replica's answer on its `ready` key."""
         served = decode_ready(ready)
         self.library, self.members = served.library, served.members
-        self.dt, self.horizon = served.dt, served.horizon
+        self.dt, self.horizon, self.history = served.dt, served.horizon, served.history
         self._network = network
         self._driver = driver
 

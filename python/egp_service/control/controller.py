@@ -44,7 +44,7 @@ class Controller(StepController):
         engine = Engine(str(library), text)
         self.library, self.members = engine.library_id, engine.members
         self.frictions = engine.frictions
-        self.dt, self.horizon = engine.dt, engine.horizon
+        self.dt, self.horizon, self.history = engine.dt, engine.horizon, engine.history
         self.settings = tomllib.loads(engine.settings_toml)
         self.stated_settings = tomllib.loads(text)
         self.library_file = Path(library).absolute()

@@ -152,6 +152,8 @@ class StepController(ABC):
     """Control period in s."""
     horizon: int
     """Inputs in a plan, T."""
+    history: int
+    """Transitions from which a step estimates weights and friction, K."""
     members: Sequence[str]
     """Surfaces, in the order of the weights."""
     frictions: Sequence[float] | None = None

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import EgpError, Library, horizon_reference
+from egp_service._core import EgpError, Library, RoadBelief, horizon_reference
 from egp_service.quantities import NU, NX, POSITION, PSI, V_X
 from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.plant import make_plant
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from egp_service._core import Path, Projection, RoadBelief
+    from egp_service._core import Path, Projection
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Measurement, Scenario
 
@@ -113,6 +113,8 @@ class _Loop:
         self._scenario = scenario
         self._controller = controller
         self.path = build_path(scenario)
+        belief = RoadBelief(self.path) if belief is None else belief
+        belief.window = controller.history
         self._speed = speed_reference(scenario, self.path, belief)
         self._told_from = told_from
         self._noise = _noise(scenario.measurement)

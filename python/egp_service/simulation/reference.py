@@ -179,9 +179,7 @@ def told_reference(scenario: Scenario, path: Path) -> SpeedReference:
     return _Told(scenario, path)
 
 
-def speed_reference(
-    scenario: Scenario, path: Path, belief: RoadBelief | None = None
-) -> SpeedReference:
+def speed_reference(scenario: Scenario, path: Path, belief: RoadBelief) -> SpeedReference:
     """Return the reference speed of a scenario; `belief` is what is known from earlier runs."""
     speed = scenario.speed
     if speed.constant or speed.knows == "zones":
@@ -192,7 +190,7 @@ def speed_reference(
         return _Weighted(scenario, path)
     if speed.friction is not None:
         return _Assumed(scenario, path, speed.friction)
-    return _Believed(scenario, path, RoadBelief(path) if belief is None else belief)
+    return _Believed(scenario, path, belief)
 
 
 def load_belief(scenario: Scenario, file: FilePath | None) -> RoadBelief:

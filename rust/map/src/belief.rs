@@ -134,6 +134,24 @@ impl RoadBelief {
         })
     }
 
+    /// Number of transitions from which a control step estimates the friction.
+    pub fn window(&self) -> usize {
+        self.settings.window
+    }
+
+    /// Replaces the window; if it is another one, where the vehicle was is forgotten, and what was stored remains.
+    ///
+    /// # Errors
+    /// [`BeliefError`] unless it is 1 to 1000 transitions.
+    pub fn set_window(&mut self, window: usize) -> Result<(), BeliefError> {
+        at_most("window", window as f64, WINDOW, "1 to 1000 transitions")?;
+        if window != self.settings.window {
+            self.settings.window = window;
+            self.leave();
+        }
+        Ok(())
+    }
+
     /// Length in m of the road.
     pub fn length(&self) -> f64 {
         self.cell * self.evidence.len() as f64

@@ -114,6 +114,31 @@ fn differences_that_errors_of_the_models_explain_do_not_add_up() {
 }
 
 #[test]
+fn another_window_is_that_of_a_new_belief_and_the_same_one_changes_nothing() {
+    let with = |window| {
+        let settings = BeliefSettings {
+            window,
+            ..BeliefSettings::default()
+        };
+        RoadBelief::new(LENGTH, true, &settings).unwrap()
+    };
+    let (mut changed, mut new) = (belief(), with(10));
+    assert_eq!(changed.window(), 25);
+    drive(&mut changed, 0.0, 20.0, |_| None);
+    changed.set_window(10).unwrap();
+    assert_eq!(changed.window(), 10);
+    for belief in [&mut changed, &mut new] {
+        drive(belief, 100.0, 110.0, |_| Some(evidence(0.5)));
+        belief.set_window(10).unwrap();
+        drive(belief, 110.0, 120.0, |_| Some(evidence(0.5)));
+    }
+    assert_eq!(changed.to_bytes().unwrap(), new.to_bytes().unwrap());
+    for window in [0, 1001] {
+        assert!(changed.set_window(window).is_err());
+    }
+}
+
+#[test]
 fn new_evidence_contradicts_old() {
     let mut belief = belief();
     drive(&mut belief, 0.0, 20.0 * LENGTH, |_| Some(evidence(1.0)));

@@ -85,6 +85,17 @@ impl RoadBelief {
             .map_err(raise)
     }
 
+    #[doc = doc!(RoadBelief.window)]
+    #[getter]
+    fn window(&self) -> usize {
+        self.0.window()
+    }
+
+    #[setter]
+    fn set_window(&mut self, window: usize) -> PyResult<()> {
+        self.0.set_window(window).map_err(raise)
+    }
+
     #[doc = doc!(RoadBelief.recall)]
     #[pyo3(signature = (data, age = 0.0))]
     fn recall(&mut self, data: &[u8], age: f64) -> PyResult<()> {
