@@ -48,6 +48,33 @@ def states(fleet: Fleet, now: float) -> dict[str, str]:
     }
 
 
+def test_numbers_that_are_none_end_nothing_and_are_no_json() -> None:
+    fleet = Fleet()
+    message, nan = message_class("VehicleStatus").FromString(status()), float("nan")
+    for dt in (nan, float("inf"), 0.0, -0.05):
+        message.dt = dt
+        fleet.status("f/car", message.SerializeToString(), 10.0)
+    assert not fleet.vehicles
+    message.dt, message.deadline_ms = 0.05, nan
+    message.plan.extend([1.0, nan])
+    fleet.status("f/car", message.SerializeToString(), 10.0)
+    columns = {name: [0.0, nan] for name in ("left_x", "left_y", "right_x", "right_y", "friction")}
+    fleet.road("f/car", message_class("VehicleRoad")(**columns).SerializeToString())
+    car = fleet.vehicles["f/car"]
+    assert car.road is None
+    detail, _ = car.detail(0)
+    json.dumps([json.loads(fleet.snapshot(10.0)), detail], allow_nan=False)
+    assert "NaN" not in fleet.snapshot(10.0)
+
+
+def test_the_number_of_replicas_is_bounded() -> None:
+    fleet = Fleet()
+    for number in range(1001):
+        fleet.token(f"r{number}", 10.0, appeared=True)
+        fleet.load(f"l{number}", message_class("Load")(queued=1).SerializeToString(), 10.0)
+    assert len(fleet.replicas) == 1000
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_a_vehicle_has_the_state_of_its_newest_message_until_it_is_silent(mode: str) -> None:
     fleet = Fleet()

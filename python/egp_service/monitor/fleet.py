@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time as clock
 from collections import deque
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ _EVENTS: Final = 200
 _NAMED: Final = 3
 _MOST_VEHICLES: Final = 1000
 """Messages of further vehicles are ignored, so that strangers cannot fill the memory."""
+_MOST_REPLICAS: Final = 1000
+"""Messages of further replicas are ignored, too."""
 
 
 @dataclass(slots=True)
@@ -59,11 +62,16 @@ class Fleet:
         self._states: dict[tuple[str, str], str] = {}
 
     def status(self, name: str, payload: bytes, now: float) -> None:
-        """Keep a vehicle's message `VehicleStatus`; one that cannot be decoded is ignored."""
+        """Keep a vehicle's message `VehicleStatus`.
+
+        One that cannot be decoded, or has no control period, is ignored.
+        """
         status = message_class("VehicleStatus")()
         try:
             status.ParseFromString(payload)
         except DecodeError:
+            return
+        if not (math.isfinite(status.dt) and status.dt > 0.0):
             return
         known = self.vehicles.get(name)
         if known is not None:
@@ -72,7 +80,7 @@ class Fleet:
             self.vehicles[name] = VehicleRecord(name, status, now)
 
     def road(self, name: str, payload: bytes) -> None:
-        """Keep the road of a vehicle, a message `VehicleRoad`."""
+        """Keep the road of a vehicle, a message `VehicleRoad` of finite numbers."""
         road = message_class("VehicleRoad")()
         try:
             road.ParseFromString(payload)
@@ -82,7 +90,9 @@ class Fleet:
             name: [round(value, 2) for value in getattr(road, name)]
             for name in ("left_x", "left_y", "right_x", "right_y", "friction")
         }
-        if name in self.vehicles and len({len(column) for column in columns.values()}) == 1:
+        whole = len({len(column) for column in columns.values()}) == 1
+        finite = all(math.isfinite(value) for column in columns.values() for value in column)
+        if name in self.vehicles and whole and finite:
             self.vehicles[name].road = dict(columns)
 
     def load(self, name: str, payload: bytes, now: float) -> None:
@@ -92,7 +102,9 @@ class Fleet:
             load.ParseFromString(payload)
         except DecodeError:
             return
-        replica = self.replicas.setdefault(name, Replica(name, alive=True, last_seen=now, load={}))
+        replica = self._replica(name, now)
+        if replica is None:
+            return
         replica.alive, replica.last_seen = True, now
         replica.load = {
             "queued": load.queued,
@@ -103,8 +115,15 @@ class Fleet:
 
     def token(self, name: str, now: float, *, appeared: bool) -> None:
         """Note that a replica's liveliness token appeared or disappeared."""
-        replica = self.replicas.setdefault(name, Replica(name, appeared, now, {}))
-        replica.alive, replica.last_seen = appeared, now
+        replica = self._replica(name, now)
+        if replica is not None:
+            replica.alive, replica.last_seen = appeared, now
+
+    def _replica(self, name: str, now: float) -> Replica | None:
+        """Return the replica of this name, or None for one beyond the largest number."""
+        if name not in self.replicas and len(self.replicas) >= _MOST_REPLICAS:
+            return None
+        return self.replicas.setdefault(name, Replica(name, alive=True, last_seen=now, load={}))
 
     def update(self, now: float) -> None:
         """Note changes of state as events, and forget what was not seen for long."""

@@ -99,7 +99,7 @@ class VehicleRecord:
             "periods": kept,
             "tails": status.tails,
             "p99": number(self._p99, 1),
-            "deadline": round(status.deadline_ms, 1),
+            "deadline": number(status.deadline_ms, 1),
             "replica": status.step.replica,
         }
 
@@ -108,18 +108,19 @@ class VehicleRecord:
         status = self.status
         new = min(self.sampled - since, len(self.samples))
         samples = list(self.samples)[len(self.samples) - new :] if new else []
+        whole = all(map(math.isfinite, status.plan))
         detail: Json = {
             "id": self.name,
             "run": str(self._run),
             "members": list(status.members),
-            "deadline": round(status.deadline_ms, 1),
+            "deadline": number(status.deadline_ms, 1),
             "dt": status.dt,
             "status": status.step.status,
             "reason": status.step.detail,
             "limited": status.step.limited,
             "lost": status.step.lost,
             "envelope": number(status.step.envelope_distance, 2),
-            "plan": [round(value, 2) for value in status.plan],
+            "plan": [round(value, 2) for value in status.plan] if whole else [],
             "samples": samples,
         }
         return detail, self.sampled
