@@ -52,7 +52,11 @@ pub fn horizon_reference(
         });
     }
     let projection = path.project(position, hint);
-    let now = profile.time(projection.s);
+    // Behind a standing start no time is finite; the reference then begins at the start.
+    let now = match profile.time(projection.s) {
+        f64::NEG_INFINITY => 0.0,
+        time => time,
+    };
     let mut yaw = psi;
     for (stage, (row, edges)) in reference.iter_mut().zip(widths).enumerate() {
         // A profile that stops at the path's end reaches it after infinite time; the reference then stays there.

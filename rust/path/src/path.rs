@@ -81,6 +81,12 @@ impl Path {
         {
             return Err(PathError::RepeatedPoint(i));
         }
+        if let [first, .., last] = points
+            && closed
+            && distance(*first, *last) < SAME_POINT
+        {
+            return Err(PathError::RepeatedPoint(points.len() - 1));
+        }
         let ArcLengthSpline {
             pieces,
             step,

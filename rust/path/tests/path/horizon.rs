@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 
 use egp_parameters::VehicleParameters;
 use egp_path::tracks::RoundedRectangle;
-use egp_path::{Path, PathError, Projection, SpeedLimits, SpeedProfile, horizon_reference};
+use egp_path::{Path, PathError, Projection, SpeedLimits, SpeedProfile, Zone, horizon_reference};
 
 /// The speed limits of the simulated car.
 fn car() -> SpeedLimits {
@@ -155,4 +155,21 @@ fn errors_name_the_invalid_argument() {
             widths: 2
         }
     );
+}
+
+#[test]
+fn a_vehicle_behind_a_standing_start_is_led_on_to_the_path() {
+    let points: Vec<_> = (0..20).map(|i| [10.0 * f64::from(i), 0.0]).collect();
+    let path = Path::from_points(&points, false, None).unwrap();
+    let path = path.with_friction(&[Zone::new(0.0, 0.5)]).unwrap();
+    let limits = SpeedLimits {
+        start_speed: Some(0.0),
+        ..car()
+    };
+    let profile = SpeedProfile::new(&path, &limits).unwrap();
+    let (at_start, ..) = reference(&path, &profile, [0.0, 0.0], 0.0);
+    let (behind, _, found) = reference(&path, &profile, [-0.1, 0.0], 0.0);
+    assert!((found.s + 0.1).abs() < 1e-9);
+    assert_eq!(behind, at_start);
+    assert!(behind[40][0] > 1.0 && behind[40][2] > 1.0);
 }

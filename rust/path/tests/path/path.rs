@@ -224,6 +224,10 @@ fn a_repeated_closing_point_is_dropped() {
     square.push(square[0]);
     let with = Path::from_points(&square, true, Some(&[[1.0; 2]; 5])).unwrap();
     assert_eq!(without.length(), with.length());
+    // A second closing point is a repeated one.
+    square.push(square[0]);
+    let twice = Path::from_points(&square, true, None).unwrap_err();
+    assert_eq!(twice, PathError::RepeatedPoint(4));
 }
 
 #[test]
