@@ -166,16 +166,17 @@ impl Store {
         RoadTiles { tiles, more }
     }
 
-    /// Forgets what is too old to be of use.
+    /// Forgets what is too old to be of use; the tiles have then changed.
     pub fn expire(&mut self, now: f64) {
         let oldest = now - self.largest_age();
-        let (counts, total) = (&mut self.counts, &mut self.total);
-        self.roads.retain(|(fleet, _), tiles| {
-            tiles.retain(|_, vehicles| {
+        let (counts, total, changed) = (&mut self.counts, &mut self.total, &mut self.changed);
+        self.roads.retain(|road, tiles| {
+            tiles.retain(|index, vehicles| {
                 vehicles.retain(|vehicle, contribution| {
                     let keep = contribution.at >= oldest;
                     if !keep {
-                        forget(counts, total, fleet, vehicle);
+                        forget(counts, total, &road.0, vehicle);
+                        changed.entry(road.clone()).or_default().insert(*index);
                     }
                     keep
                 });
@@ -271,4 +272,44 @@ fn forget(
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a cast of floats saturates
 pub(crate) fn milliseconds(seconds: f64) -> u32 {
     (1e3 * seconds.max(0.0)) as u32
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use egp_map::TILE_BYTES;
+
+    use super::*;
+
+    #[test]
+    fn tiles_whose_evidence_expires_have_changed() {
+        let limits = MapLimits {
+            contributions: 10,
+            vehicles: 10,
+            tiles: 10,
+        };
+        let mut store = Store::new(MergeSettings::default(), limits);
+        let name = |text: &str| text.parse::<Name>().unwrap();
+        let mut add = |vehicle: &str, index, at| {
+            let key = RoadKey {
+                fleet: name("depot"),
+                vehicle: name(vehicle),
+                road: name("ring"),
+            };
+            let tile = Tile::from_bytes(&[0; TILE_BYTES]).unwrap();
+            store.add(&key, index, tile, at, at).unwrap();
+        };
+        add("a", 3, 0.0);
+        add("b", 3, 1e4);
+        add("a", 7, 1e4);
+        store.take_changed();
+        let road = (name("depot"), name("ring"));
+        for (index, kept, now) in [(3, true, 1.2e4), (7, false, 1e6)] {
+            store.expire(now);
+            assert!(store.take_changed()[&road].contains(&index));
+            assert_eq!(store.road(&road).is_some(), kept);
+        }
+        store.expire(2e6);
+        assert!(store.take_changed().is_empty());
+    }
 }
