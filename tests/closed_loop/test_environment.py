@@ -33,6 +33,16 @@ def test_progress_is_the_reward_until_the_road_is_left() -> None:
     assert info["friction"] > 0.0
 
 
+def test_a_standing_start_stands(tmp_path: Path) -> None:
+    file = tmp_path / "standing.toml"
+    speed = 'name = "standing"\n[speed]\nv_start = 0.0\n'
+    text = speed + '[track]\nkind = "circle"\n[[zones]]\nstart = 0.0\nfriction = 0.8\n'
+    file.write_text(text)
+    environment = TrackEnvironment(str(file))
+    _, info = environment.reset()
+    assert info["x"][2] == 0.0
+
+
 def test_a_seed_makes_the_track() -> None:
     environment = TrackEnvironment("random")
     first, _ = environment.reset(seed=1)

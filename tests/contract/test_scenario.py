@@ -104,6 +104,17 @@ def test_what_is_wrong_is_named(change: tuple[str, str], complaint: str) -> None
         parse(MINIMAL.replace(*change, 1))
 
 
+def test_a_scenario_by_a_relative_path_can_be_read_again_from_another_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = MINIMAL.replace("[track]", 'library = "own.safetensors"\n[track]', 1)
+    Path("own.toml").write_text(text)
+    scenario = load_scenario("own.toml")
+    assert scenario.library == str(tmp_path / "own.safetensors")
+    assert parse_scenario(scenario.toml(), tmp_path / "runs", "again") == scenario
+
+
 def test_a_split_road_has_its_own_friction_on_the_right() -> None:
     scenario = parse(MINIMAL.replace("friction = 0.8", "friction = 0.8\nright = 0.4"))
     assert scenario.zones[0].right == 0.4

@@ -90,7 +90,8 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         origin = np.zeros(1)
         x = np.zeros(NX)
         x[P_X], x[P_Y], x[PSI] = (float(column[0]) for column in self._path.sample(origin)[:3])
-        x[V_X] = scenario.speed.v_start or profile.speed(origin)[0]
+        v_start = scenario.speed.v_start
+        x[V_X] = profile.speed(origin)[0] if v_start is None else v_start
         self._plant.reset(x)
 
     def _observe(self) -> tuple[Observation, dict[str, Any]]:

@@ -222,7 +222,9 @@ def load_scenario(name_or_file: str) -> Scenario:
             f"no scenario {name_or_file!r}: "
             f"give a TOML file or one of {', '.join(built_in_names())}"
         )
-    return parse_scenario(file.read_text(encoding="utf-8"), file.parent, str(file))
+    # The scenario is stored with a run, from whose folder relative paths would not be found.
+    folder = file.parent.absolute()
+    return parse_scenario(file.read_text(encoding="utf-8"), folder, str(file))
 
 
 def parse_scenario(text: str, folder: Path, origin: str) -> Scenario:

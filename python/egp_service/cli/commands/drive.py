@@ -120,7 +120,7 @@ def drive(
     console = Console()
     chosen = load_scenario(scenario)
     if library is not None:
-        chosen = replace(chosen, library=str(library))
+        chosen = replace(chosen, library=str(library.absolute()))
     if plant is not None:
         chosen = replace(chosen, plant=plant)
     if seed is not None:
