@@ -14,7 +14,7 @@ demo: .venv/built-viz ## Set up, then drive a lap over three surfaces and draw i
 	$(BIN)/egp demo
 
 # Compilers have the machine to themselves. Then tests that mostly wait and have deadlines to keep run beside tests that need
-# the processor, which get only what the former leave (`nice`).
+# the processor, which get only what the former leave: on Linux as idle tasks, which anything else displaces at once.
 test: .venv/built-dev ## Set up and pass every check: format, lint, types, Rust and Python tests
 	$(MAKE) --jobs=2 lint instructions
 	$(CARGO_TEST) --no-run
@@ -70,8 +70,9 @@ python-test: .venv/built-dev ## Run the Python tests
 timed-tests: rust-test
 	$(PYTEST) --numprocesses auto --maxprocesses 2 $(TIMED)
 
+IDLE := $(shell command -v chrt >/dev/null && echo chrt --idle 0 || echo nice -n 19)
 busy-tests: .venv/built-dev
-	nice -n 19 $(PYTEST) --numprocesses auto $(addprefix --ignore ,$(TIMED))
+	$(IDLE) $(PYTEST) --numprocesses auto $(addprefix --ignore ,$(TIMED))
 
 site: .venv/built-docs ## Build the documentation site in target/site
 	$(BIN)/mkdocs build
