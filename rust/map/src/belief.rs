@@ -5,6 +5,7 @@ use std::mem::take;
 
 use egp_parameters::FRICTION_HYPOTHESES;
 
+use crate::belief_error::{BeliefError, at_most, place, positive, probability, stretch};
 use crate::grid::{Grid, Row, pass_backward, pass_forward, told_apart};
 use crate::layer::Layer;
 use crate::recent::Recent;
@@ -20,12 +21,8 @@ pub(crate) const REACH: f64 = 60.0;
 /// metres: plans take the lowest friction within it.
 pub(crate) const BLUR: f64 = 4.0;
 
-/// Largest arc length, m.
-const FARTHEST: f64 = 1e9;
 /// Longest road, m.
 const LONGEST: f64 = 1e6;
-/// Longest stretch to plan for, m.
-const AHEAD: f64 = 1e4;
 /// Longest window, in transitions.
 const WINDOW: f64 = 1000.0;
 
@@ -55,18 +52,6 @@ impl Default for BeliefSettings {
             indifference: 0.25,
         }
     }
-}
-
-/// A number that a belief cannot use.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("expected {expected} for {name}, got {value}")]
-pub struct BeliefError {
-    /// Name of the argument.
-    pub name: &'static str,
-    /// Accepted values.
-    pub expected: &'static str,
-    /// The value given.
-    pub value: f64,
 }
 
 /// Belief about the friction of a road, from evidence in cells of at most 2 m.
@@ -107,8 +92,7 @@ impl RoadBelief {
     /// 1000 transitions.
     pub fn new(length: f64, closed: bool, settings: &BeliefSettings) -> Result<Self, BeliefError> {
         at_most("length", length, LONGEST, "a length of at most 1e6 m")?;
-        let window = settings.window as f64;
-        at_most("window", window, WINDOW, "1 to 1000 transitions")?;
+        check_window(settings.window)?;
         for (name, value) in [
             ("change_distance", settings.change_distance),
             ("commitment", settings.commitment),
@@ -144,7 +128,7 @@ impl RoadBelief {
     /// # Errors
     /// [`BeliefError`] unless it is 1 to 1000 transitions.
     pub fn set_window(&mut self, window: usize) -> Result<(), BeliefError> {
-        at_most("window", window as f64, WINDOW, "1 to 1000 transitions")?;
+        check_window(window)?;
         if window != self.settings.window {
             self.settings.window = window;
             self.leave();
@@ -353,65 +337,6 @@ impl RoadBelief {
     }
 }
 
-/// Errors unless `value` is an arc length whose cell can be counted.
-pub(crate) fn place(name: &'static str, value: f64) -> Result<(), BeliefError> {
-    if value.abs() <= FARTHEST {
-        return Ok(());
-    }
-    Err(BeliefError {
-        name,
-        expected: "an arc length within ±1e9 m",
-        value,
-    })
-}
-
-/// Errors unless a stretch of road can be planned for.
-pub(crate) fn stretch(name: &'static str, length: f64) -> Result<(), BeliefError> {
-    if length <= AHEAD {
-        return Ok(());
-    }
-    Err(BeliefError {
-        name,
-        expected: "at most 1e4 m",
-        value: length,
-    })
-}
-
-fn at_most(
-    name: &'static str,
-    value: f64,
-    limit: f64,
-    expected: &'static str,
-) -> Result<(), BeliefError> {
-    positive(name, value)?;
-    if value <= limit {
-        return Ok(());
-    }
-    Err(BeliefError {
-        name,
-        expected,
-        value,
-    })
-}
-
-pub(crate) fn positive(name: &'static str, value: f64) -> Result<(), BeliefError> {
-    if value > 0.0 && value.is_finite() {
-        return Ok(());
-    }
-    Err(BeliefError {
-        name,
-        expected: "a positive number",
-        value,
-    })
-}
-
-fn probability(name: &'static str, value: f64) -> Result<(), BeliefError> {
-    if value > 0.0 && value < 1.0 {
-        return Ok(());
-    }
-    Err(BeliefError {
-        name,
-        expected: "a probability in (0, 1)",
-        value,
-    })
+fn check_window(window: usize) -> Result<(), BeliefError> {
+    at_most("window", window as f64, WINDOW, "1 to 1000 transitions")
 }

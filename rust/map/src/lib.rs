@@ -10,6 +10,7 @@
 )]
 
 mod belief;
+mod belief_error;
 mod exchange;
 mod file;
 mod grid;
@@ -20,7 +21,8 @@ mod recent;
 mod reported;
 mod tile;
 
-pub use belief::{BeliefError, BeliefSettings, RoadBelief};
+pub use belief::{BeliefSettings, RoadBelief};
+pub use belief_error::BeliefError;
 pub use exchange::TileIndexError;
 pub use file::StoredBeliefError;
 pub use merge::{MergeSettings, merge};

@@ -1,6 +1,6 @@
 //! The tile that several vehicles together found.
 
-use crate::belief::BeliefError;
+use crate::belief_error::{BeliefError, positive};
 use crate::grid::LEVELS;
 use crate::tile::{TILE_CELLS, Tile, UNITS};
 
@@ -32,7 +32,7 @@ impl MergeSettings {
     /// [`BeliefError`] unless both settings are positive and finite.
     pub fn validate(&self) -> Result<(), BeliefError> {
         for (name, value) in [("capacity", self.capacity), ("lifetime", self.lifetime)] {
-            crate::belief::positive(name, value)?;
+            positive(name, value)?;
         }
         Ok(())
     }

@@ -1,7 +1,8 @@
 //! The friction over the horizon of a control step, for its model.
 
 use crate::RoadBelief;
-use crate::belief::{BeliefError, REACH, place};
+use crate::belief::REACH;
+use crate::belief_error::{BeliefError, place, stretch};
 
 impl RoadBelief {
     /// Writes rows of the friction coefficient's median and standard deviation: first the mean over the places that the
@@ -40,7 +41,7 @@ impl RoadBelief {
             });
         }
         let oldest = self.before(self.track.front().copied().unwrap_or(start), start);
-        super::belief::stretch("the stretch of places", end - oldest.min(start))?;
+        stretch("the stretch of places", end - oldest.min(start))?;
         let first = self.index(oldest.min(start));
         let masses = self.masses(first, self.index(end), REACH, 0.0);
         let moments: Vec<[f64; 2]> = (masses.iter())

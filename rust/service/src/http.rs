@@ -1,7 +1,7 @@
 //! Health, readiness and metrics over HTTP, for orchestrators and Prometheus; no other file of this crate uses hyper.
 //!
-//! Each connection has one request, whose body is not read, and is closed after [`PATIENCE`], so that whoever can reach the
-//! address can hold back other requests for this time only.
+//! Each connection has one request, whose body is not read, and is closed after [`PATIENCE`] at the latest, so that a client
+//! that stops in the middle takes a place for this time only.
 
 use std::convert::Infallible;
 use std::net::{SocketAddr, TcpListener};

@@ -109,3 +109,39 @@ pub(crate) fn stamp(file: &Path) -> Stamp {
     let metadata = fs::metadata(file).ok()?;
     Some((metadata.modified().ok()?, metadata.len()))
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use egp_core::{Kernel, library};
+    use egp_testing::libraries;
+
+    use super::*;
+    use crate::config::ServiceConfig;
+
+    #[test]
+    fn a_file_that_was_replaced_after_the_stamp_is_loaded_again() {
+        let folder = std::env::temp_dir().join(format!("egp-reloader-{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        let file = folder.join("library.safetensors");
+        let write = |points| {
+            let spec = libraries::spec(Kernel::Rbf, &[0.5], points, 3);
+            fs::write(&file, library::encode(&spec).unwrap()).unwrap();
+        };
+        write(20);
+        let before = stamp(&file);
+        write(30);
+        let libraries = Arc::new(Libraries::load(&ServiceConfig::new(file.clone())).unwrap());
+        for (taken, reloads) in [(before, true), (stamp(&file), false)] {
+            let look = Some(Duration::from_millis(5));
+            let (told, outcomes) = mpsc::sync_channel(8);
+            let reloader = Reloader::new(libraries.clone(), look, taken);
+            let running = reloader.start(move |outcome| told.send(outcome.is_ok()).unwrap());
+            let outcome =
+                outcomes.recv_timeout(Duration::from_millis(if reloads { 5000 } else { 200 }));
+            assert_eq!(outcome.ok(), reloads.then_some(true));
+            drop(running.unwrap());
+        }
+        fs::remove_dir_all(&folder).unwrap();
+    }
+}
