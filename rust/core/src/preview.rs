@@ -13,12 +13,13 @@ use crate::{GpInput, GpOutput, Member};
 /// w_t ∝ max(0, w + phi(mu_t) - phi(mu_b))
 /// ```
 ///
-/// `phi(mu)` interpolates linearly in `mu` between the members with the nearest frictions below and above. Where the road
-/// ahead is expected to be as it was, the weights are those of the window, whatever their relation to the friction.
+/// `phi(mu)` interpolates linearly in `mu` between the members with the nearest frictions below and above. Members of the
+/// same friction share it in proportion to their weights in `w`, or equally if these are zero. Where the road ahead is
+/// expected to be as it was, the weights are those of the window, whatever their relation to the friction.
 #[derive(Debug, Clone)]
 pub struct StageWeights {
-    /// Frictions of the members with their indices, in increasing order.
-    members: Vec<(f64, usize)>,
+    /// The different frictions in increasing order, each with the indices of its members.
+    frictions: Vec<(f64, Vec<usize>)>,
     /// One row `[N]` for each stage, or one row for all of them.
     rows: Vec<f64>,
     row: Vec<f64>,
@@ -28,12 +29,14 @@ impl StageWeights {
     /// For the members of a library and a horizon of `horizon` periods.
     pub fn new(members: &[Member], horizon: usize) -> Self {
         let n = members.len();
-        let mut frictions: Vec<(f64, usize)> = (members.iter().enumerate())
-            .map(|(i, member)| (member.friction(), i))
+        let mut order: Vec<usize> = (0..n).collect();
+        order.sort_by(|&a, &b| members[a].friction().total_cmp(&members[b].friction()));
+        let frictions = order
+            .chunk_by(|&a, &b| members[a].friction() == members[b].friction())
+            .map(|same| (members[same[0]].friction(), same.to_vec()))
             .collect();
-        frictions.sort_by(|a, b| a.0.total_cmp(&b.0));
         Self {
-            members: frictions,
+            frictions,
             rows: Vec::with_capacity(n * (horizon + 1)),
             row: vec![0.0; n],
         }
@@ -53,8 +56,8 @@ impl StageWeights {
             if let (Some([behind, _]), Some([ahead, _])) = (road.first(), road.get(t + 1))
                 && ahead != behind
             {
-                self.add(*ahead, 1.0);
-                self.add(*behind, -1.0);
+                self.add(weights, *ahead, 1.0);
+                self.add(weights, *behind, -1.0);
                 self.row.iter_mut().for_each(|w| *w = w.max(0.0));
                 let sum: f64 = self.row.iter().sum();
                 self.row.iter_mut().for_each(|w| *w /= sum);
@@ -75,30 +78,43 @@ impl StageWeights {
         &self.rows[n * row..n * (row + 1)]
     }
 
-    /// The change of the members' mean at `z` by the friction coefficient, from the members with the nearest frictions
-    /// below and above, or the two nearest; zero without two members of different frictions.
+    /// The change of the members' mean at `z` by the friction coefficient, from the nearest frictions below and above, or
+    /// the two nearest; zero unless two members have different frictions. Members of the same friction count equally.
     pub fn slope(&self, members: &[Member], friction: f64, z: &GpInput) -> GpOutput {
-        let above = self.members.partition_point(|(mu, _)| *mu <= friction);
-        let above = above.clamp(1, self.members.len().saturating_sub(1).max(1));
-        match (self.members.get(above - 1), self.members.get(above)) {
-            (Some((low, a)), Some((high, b))) if low < high => {
-                (members[*b].mean(z) - members[*a].mean(z)) / (high - low)
-            }
+        let mean = |same: &[usize]| {
+            let sum = (same.iter()).fold(GpOutput::zeros(), |sum, &i| sum + members[i].mean(z));
+            sum / same.len() as f64
+        };
+        let above = self.frictions.partition_point(|(mu, _)| *mu <= friction);
+        let above = above.clamp(1, self.frictions.len().saturating_sub(1).max(1));
+        match (self.frictions.get(above - 1), self.frictions.get(above)) {
+            (Some((low, a)), Some((high, b))) => (mean(b) - mean(a)) / (high - low),
             _ => GpOutput::zeros(),
         }
     }
 
-    /// Adds `share * phi(friction)`.
-    fn add(&mut self, friction: f64, share: f64) {
-        let above = self.members.partition_point(|(mu, _)| *mu <= friction);
-        let below = self.members[..above].last();
-        match (below, self.members.get(above)) {
+    /// Adds `share * phi(friction)`, given the weights `w` of the window.
+    fn add(&mut self, weights: &[f64], friction: f64, share: f64) {
+        let above = self.frictions.partition_point(|(mu, _)| *mu <= friction);
+        let below = self.frictions[..above].last();
+        let mut divide = |same: &[usize], share: f64| {
+            let sum: f64 = same.iter().map(|&i| weights[i]).sum();
+            for &i in same {
+                let part = if sum > 0.0 {
+                    weights[i] / sum
+                } else {
+                    1.0 / same.len() as f64
+                };
+                self.row[i] += share * part;
+            }
+        };
+        match (below, self.frictions.get(above)) {
             (Some((low, a)), Some((high, b))) => {
                 let t = (friction - low) / (high - low);
-                self.row[*a] += share * (1.0 - t);
-                self.row[*b] += share * t;
+                divide(a, share * (1.0 - t));
+                divide(b, share * t);
             }
-            (Some((_, only)), None) | (None, Some((_, only))) => self.row[*only] += share,
+            (Some((_, only)), None) | (None, Some((_, only))) => divide(only, share),
             (None, None) => {}
         }
     }

@@ -188,8 +188,9 @@ impl RoadBelief {
                 self.compare_with_reports(log_likelihood);
                 let log_likelihood = told_apart(log_likelihood, self.settings.indifference);
                 self.add(from, to, &log_likelihood);
+                let lap = self.closed.then_some(self.evidence.len() as i64);
                 self.recent = self.between(from, s).map(|(from, to)| {
-                    Recent::new(self.index(from), self.index(to), &log_likelihood)
+                    Recent::new(self.index(from), self.index(to), lap, &log_likelihood)
                 });
             }
         }

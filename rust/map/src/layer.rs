@@ -68,8 +68,7 @@ impl RoadBelief {
         };
         if layer != Layer::Reported {
             multiply(row, &self.likelihood[cell]);
-            let recent = self.recent.as_ref();
-            if let Some(recent) = recent.and_then(|r| r.at(cell, self.likelihood.len())) {
+            if let Some(recent) = self.recent.as_ref().and_then(|recent| recent.at(cell)) {
                 multiply(row, recent);
             }
         }

@@ -10,23 +10,28 @@ use crate::grid::Row;
 pub(crate) struct Recent {
     first: i64,
     cells: i64,
+    /// Number of cells of a lap; `None` on an open road.
+    lap: Option<i64>,
     likelihood: Row,
 }
 
 impl Recent {
-    /// For the cells `first..=last`, from the logarithm of the window's likelihood.
-    pub fn new(first: i64, last: i64, log_likelihood: &Row) -> Self {
+    /// For the cells `first..=last` of a lap with `lap` cells or of an open road, from the logarithm of the window's
+    /// likelihood. The cells may lie before the start or beyond the end.
+    pub fn new(first: i64, last: i64, lap: Option<i64>, log_likelihood: &Row) -> Self {
         let cells = last - first + 1;
         Self {
             first,
             cells,
+            lap,
             likelihood: log_likelihood.map(|value| (value / cells as f64).exp()),
         }
     }
 
-    /// The share of a stored cell, of `count` in all; `None` outside the window.
-    pub fn at(&self, cell: usize, count: usize) -> Option<&Row> {
-        let after = (cell as i64 - self.first).rem_euclid(count as i64);
-        (after < self.cells).then_some(&self.likelihood)
+    /// The share of a stored cell; `None` outside the window.
+    pub fn at(&self, cell: usize) -> Option<&Row> {
+        let after = cell as i64 - self.first;
+        let after = self.lap.map_or(after, |lap| after.rem_euclid(lap));
+        (0..self.cells).contains(&after).then_some(&self.likelihood)
     }
 }

@@ -321,3 +321,20 @@ fn places_of_a_preview_are_checked() {
     assert!(check(&[2.0, 1.0], 3) && check(&[f64::NAN, 1.0], 3) && check(&[1.0, f64::NAN], 3));
     assert!(check(&[0.0, 2e4], 3));
 }
+
+#[test]
+fn evidence_beyond_an_end_of_an_open_road_counts_nowhere_else() {
+    let mut belief = RoadBelief::new(LENGTH, false, &BeliefSettings::default()).unwrap();
+    let ice = evidence(0.15);
+    let unknown = belief.quantile(LENGTH - 3.0, 0.5).unwrap();
+    for period in 0..40 {
+        belief.update(-9.0 + 0.2 * f64::from(period), Some(&ice)).unwrap();
+    }
+    assert_eq!(belief.quantile(LENGTH - 3.0, 0.5).unwrap(), unknown);
+    belief.leave();
+    for period in 0..40 {
+        let s = LENGTH + 1.0 + 0.2 * f64::from(period);
+        belief.update(s, Some(&ice)).unwrap();
+    }
+    assert_eq!(belief.quantile(3.0, 0.5).unwrap(), unknown);
+}

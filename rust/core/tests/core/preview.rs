@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use egp_core::preview::StageWeights;
-use egp_core::{Kernel, StepReply, Workspace, step};
+use egp_core::{GpInput, GpOutput, Kernel, StepReply, Workspace, step};
 use egp_testing::libraries;
 use egp_testing::requests::{library, settings, solve, warm};
 
@@ -55,6 +55,46 @@ fn weights_that_contradict_the_preview_stay_on_the_simplex() {
     let rows = stages([0.0, 1.0, 0.0], 1.0, &[0.4, 0.7]);
     assert!(close(&rows[0], &[0.0, 1.0, 0.0]));
     assert!(close(&rows[1], &[0.0, 0.5, 0.5]));
+}
+
+#[test]
+fn members_of_the_same_friction_share_its_weight() {
+    let library = libraries::library(Kernel::Rbf, &[0.9, 0.3, 0.9], 20, 3);
+    let mut stages = StageWeights::new(library.members(), 3);
+    let mut fill = |weights: [f64; 3], road: [f64; 4]| -> Vec<[f64; 3]> {
+        stages.fill(&weights, &road.map(|mu| [mu, 0.1]), &settings().weights);
+        (0..3)
+            .map(|t| stages.stage(t).try_into().unwrap())
+            .collect()
+    };
+    let rows = fill([0.75, 0.0, 0.25], [0.9, 0.3, 0.6, 0.9]);
+    let expected = [[0.0, 1.0, 0.0], [0.375, 0.5, 0.125], [0.75, 0.0, 0.25]];
+    for (row, expected) in rows.iter().zip(expected) {
+        assert!(close(row, &expected), "{row:?} {expected:?}");
+    }
+    let rows = fill([0.0, 1.0, 0.0], [0.3, 0.9, 0.6, 0.3]);
+    let expected = [[0.5, 0.0, 0.5], [0.25, 0.5, 0.25], [0.0, 1.0, 0.0]];
+    for (row, expected) in rows.iter().zip(expected) {
+        assert!(close(row, &expected), "{row:?} {expected:?}");
+    }
+}
+
+#[test]
+fn the_slope_over_the_friction_is_between_different_frictions() {
+    let library = libraries::library(Kernel::Rbf, &[0.9, 0.3, 0.9], 20, 3);
+    let [first, low, last] = library.members() else {
+        panic!("three members")
+    };
+    let stages = StageWeights::new(library.members(), 3);
+    let z = GpInput::from([12.0, 0.1, 0.2, 0.02, 500.0, 0.0]);
+    let expected = ((first.mean(&z) + last.mean(&z)) / 2.0 - low.mean(&z)) / 0.6;
+    for mu in [0.2, 0.5, 0.9, 1.2] {
+        let found = stages.slope(library.members(), mu, &z);
+        assert!((found - expected).amax() < 1e-12 * expected.amax());
+    }
+    let same = libraries::library(Kernel::Rbf, &[0.9, 0.9], 20, 3);
+    let stages = StageWeights::new(same.members(), 3);
+    assert_eq!(stages.slope(same.members(), 0.9, &z), GpOutput::zeros());
 }
 
 #[test]
