@@ -206,6 +206,8 @@ def test_keys_shows_the_command_of_a_vehicle_that_it_made_a_key_for(tmp_path: Pa
         last = vehicles[-1]
         shown = f"--vehicle {last} --zenoh {folder}/vehicles/default@{last}.json5"
         assert shown in result.output, result.output
+    assert "New vehicles: default/car-2\nRenewed vehicles" in result.output
+    assert ": default/car-1\n" in result.output
 
 
 def test_files_of_another_kind_are_named(tmp_path: Path) -> None:
@@ -269,6 +271,24 @@ def test_options_of_serve_override_its_file(
             "connect/endpoints": '["tcp/127.0.0.1:7448"]',
         },
     }
+
+
+def test_paths_of_a_maps_configuration_start_at_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    configurations: list[str] = []
+    monkeypatch.setattr("egp_service._core.serve_map", configurations.append)
+    file = tmp_path / "map.toml"
+    file.write_text('folder = "roads"\nzenoh_file = "/keys/map.json5"\nlifetime = 60.0\n')
+    result = RUNNER.invoke(app, ["map", "--config", str(file)])
+    assert result.exit_code == 0, result.output
+    assert tomllib.loads(configurations[0]) == {
+        "folder": str(tmp_path / "roads"),
+        "zenoh_file": "/keys/map.json5",
+        "lifetime": 60.0,
+    }
+    file.write_bytes(b"\xff")
+    assert "map.toml: expected a TOML file" in failure("map", "--config", str(file))
 
 
 def test_serve_checks_what_it_would_serve(tmp_path: Path) -> None:

@@ -36,6 +36,7 @@ MAY_LOAD = {
     "egp_service.control.client": {"zenoh"},
     "egp_service.control.fleet_map": {"zenoh"},
     "egp_service.control.router": {"zenoh"},
+    "egp_service.control.session": {"zenoh"},
     "egp_service.control.recorder": {"mcap"},
     "egp_service.control.recorded": {"mcap"},
     "egp_service.control.replay": {"mcap"},

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import fields
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 
 from egp_service import EgpError, VehicleParameters
 from egp_service._core import Plant
+from egp_service.control.toml_text import dumps
 from egp_service.simulation.configuration import ConfigurationError
 from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.scenario import (
@@ -146,6 +149,27 @@ def test_disturbances_of_a_scenario_are_those_of_the_plant() -> None:
         Plant(1, {field.name: 0.0})
     with pytest.raises(EgpError, match="unknown field"):
         Plant(1, {"mood": 0.0})
+
+
+@pytest.mark.parametrize("text", ["\u00fc \U0001f697", "a\x7fb", 'a "\\" \t\n\x01'])
+def test_toml_text_reads_back(text: str) -> None:
+    assert tomllib.loads(dumps({"value": text, text: [text]})) == {"value": text, text: [text]}
+
+
+@pytest.mark.parametrize(
+    ("value", "complaint"),
+    [(date(1979, 5, 27), "got the date 1979-05-27"), ("\udcff", "expected text in UTF-8")],
+)
+def test_what_configurations_do_not_have_is_an_error(value: object, complaint: str) -> None:
+    with pytest.raises(EgpError, match=complaint):
+        dumps({"value": value})
+
+
+def test_a_scenario_that_is_no_text_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    file.write_bytes(b"\x89MCAP")
+    with pytest.raises(ScenarioError, match=r"run\.mcap: expected the TOML file of a scenario"):
+        load_scenario(str(file))
 
 
 def test_an_unknown_scenario_names_the_known_ones() -> None:

@@ -197,11 +197,30 @@ def test_a_failed_run_breaks_the_claim() -> None:
     assert not check(bad, [])[0].holds
 
 
+def test_a_road_that_only_the_oracle_completes_breaks_the_claim_about_errors() -> None:
+    easy = [outcome(name, seed) for name in (ENSEMBLE, ORACLE) for seed in range(3)]
+
+    def claimed(*through: str) -> tuple[bool | None, str]:
+        hard = [
+            replace(outcome(name, seed, completed=name in through), condition="hard")
+            for name in (ENSEMBLE, ORACLE)
+            for seed in range(3)
+        ]
+        (claim,) = (claim for claim in check([*easy, *hard], []) if "RMS" in claim.text)
+        return claim.holds, claim.evidence
+
+    worst = "worst median ratio 1.00 (varying-speed, 90% of grip)"
+    assert claimed(ENSEMBLE, ORACLE) == (True, worst)
+    assert claimed(ORACLE) == (False, "worst median ratio inf (varying-speed, hard)")
+    # Where the oracle completes nothing there is nothing to compare with.
+    assert claimed() == claimed(ENSEMBLE) == (True, worst)
+
+
 def test_an_ordering_of_the_mean_outlives_one_seed() -> None:
     errors = {("E(AD)", POOLED): 1.0, (POOLED, POOLED): 2.0, ("A", "D"): 3.0, ("D", "A"): 3.0}
     errors |= {("E(AD)", "T"): 3.0, ("E(ABD)", "T"): 2.0, ("E(ABCD)", "T"): 1.0}
 
-    def predictions(swapped: int) -> list[PredictionOutcome]:
+    def predictions(swapped: int, errors: dict[tuple[str, str], float]) -> list[PredictionOutcome]:
         none = [0.0, 0.0, 0.0]
         return [
             PredictionOutcome(
@@ -216,9 +235,13 @@ def test_an_ordering_of_the_mean_outlives_one_seed() -> None:
             for (predictor, on), error in errors.items()
         ]
 
-    holds = [[c.holds for c in check([], predictions(swapped))] for swapped in (0, 1, 9)]
+    holds = [[c.holds for c in check([], predictions(swapped, errors))] for swapped in (0, 1, 9)]
     # Ensemble below pooled in every seed and in the mean, then more members alike.
     assert holds == [[True] * 4, [False, True, True, True], [False, False, True, True]]
+    # On the union of both surfaces errors of 1 and of 2.5 or 3 have an RMS of 1.9 or 2.2.
+    for worse, holds_on_union in ((2.5, False), (3.0, True)):
+        wrong = errors | {("A", "D"): 1.0, ("D", "A"): worse}
+        assert check([], predictions(0, wrong))[0].holds == holds_on_union
 
 
 def test_intervals() -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from egp_service import EgpError
-from egp_service._core import Library
+from egp_service._core import Library, write_library_subset
 from egp_service.evaluation import disturbances
 from egp_service.evaluation.batch import finish
 from egp_service.evaluation.campaign import Campaign, Outcome, require_members
@@ -98,6 +98,18 @@ def test_members_are_trained_with_the_disturbance_and_drive_with_it(tmp_path: Pa
     other.disturbed_library(FIRST).write_bytes(DEMO_LIBRARY.read_bytes())
     second = list(other.runs(trials, lambda _: None).parts)
     assert [a == b for a, b in zip(first, second, strict=True)] == [False, False, True, True, True]
+
+
+def test_a_library_of_a_disturbance_that_is_trained_again_is_used(tmp_path: Path) -> None:
+    trial = next(t for t in disturbances.experiment().trials([0]) if t.condition == FIRST)
+    campaign = Campaign(tmp_path, EVALUATION_LIBRARY)
+    path = campaign.disturbed_library(FIRST)
+    path.parent.mkdir()
+    for members in ([0, 1], [2, 3]):
+        write_library_subset(EVALUATION_LIBRARY, path, members)
+        (own,) = campaign.runs([trial], lambda _: None).parts.values()
+        used = [member.dataset for member in Library.load(own.scenario.library).members]
+        assert used == [member.dataset for member in Library.load(path).members]
 
 
 def test_libraries_of_disturbances_need_no_members_of_the_evaluation() -> None:

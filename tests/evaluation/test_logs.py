@@ -19,7 +19,7 @@ from egp_service._core import VehicleParameters
 from egp_service.cli import app
 from egp_service.cli.tables import delay_sentence, vehicle_table
 from egp_service.control.toml_text import dumps
-from egp_service.data.alignment import Delays, align
+from egp_service.data.alignment import Delays, align, consecutive
 from egp_service.data.channels import channels
 from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.dataset import Dataset, Provenance
@@ -86,6 +86,12 @@ def test_exact_data_have_no_noise_and_delays_are_found(exact: Dataset) -> None:
     sensors = Sensors(noise=(0.0, 0.0, 0.0), quantum=(1e-9,) * 3, cutoff=1e6, delay=3)
     late = channels(measure(exact, sensors, np.random.default_rng(0)))
     assert late.steering_delay == pytest.approx(clean.steering_delay + 3 * DT, abs=1.5 * DT)
+
+
+def test_too_few_transitions_tell_nothing_of_the_channels(exact: Dataset) -> None:
+    for count in range(1, 5):
+        found = channels(exact.select(np.arange(count)))
+        assert np.all(np.isnan([*found.noise, found.steering_delay, found.force_delay]))
 
 
 def test_aligned_inputs_are_those_that_caused_what_was_measured(exact: Dataset) -> None:
@@ -160,6 +166,22 @@ def test_the_filter_of_a_force_is_found(exact: Dataset) -> None:
         assert find_delays([commanded], car).force_filter == 0.0
 
 
+def test_a_filter_is_found_from_runs_that_are_long_enough(
+    exact: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The delay of the states needs fits that take longer than all others.
+    monkeypatch.setattr("egp_service.training.delays._vehicle_errors", lambda *_: [0.0])
+    log = filtered(exact, known_vehicle("commonroad-1").mass, 1.5)
+    whole = consecutive(log)
+    dropouts = [rows[:55] for rows in whole]  # 2.2 s, of which a delay of -1.5 s leaves 0.7 s
+    assert find_delays([log.select(np.concatenate(dropouts))], None).force_filter == 0.0
+    few = find_delays([log.select(np.concatenate(whole[::2]))], None)
+    assert few.force_filter == pytest.approx(1.5, rel=0.05)
+    # Shorter runs between the others change nothing.
+    mixed = [rows[: 55 if number % 2 else len(rows)] for number, rows in enumerate(whole)]
+    assert find_delays([log.select(np.concatenate(mixed))], None) == few
+
+
 def test_a_member_of_a_measured_drive_has_skill(exact: Dataset) -> None:
     measured = measure(exact, Sensors(), np.random.default_rng(0))
     (outcome,) = evaluate_logs([measured], known_vehicle("commonroad-1"), SETTINGS)
@@ -183,7 +205,12 @@ def test_errors_for_logs_that_cannot_be_compared(exact: Dataset) -> None:
     other = dataclasses.replace(
         exact, provenance=dataclasses.replace(exact.provenance, surface="wet", dt=0.02)
     )
-    with pytest.raises(EgpError, match="differ in dt"):
+    with pytest.raises(EgpError, match="one comparison has one dt and one vehicle"):
+        evaluate_logs([exact, other], None, SETTINGS)
+    other = dataclasses.replace(
+        exact, provenance=dataclasses.replace(exact.provenance, surface="wet", vehicle="own car")
+    )
+    with pytest.raises(EgpError, match=r"vehicle own car, .*vehicle commonroad-1: one comparison"):
         evaluate_logs([exact, other], None, SETTINGS)
 
 

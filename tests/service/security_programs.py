@@ -60,7 +60,6 @@ def service(folder: Path, endpoint: str, *lines: str, router: bool = False) -> I
             '"mode" = \'"client"\'',
             "\"listen/endpoints\" = '[]'",
             f'"connect/endpoints" = \'["{endpoint}"]\'',
-            "\"connect/timeout_ms\" = '20000'",
         ]
     config = folder / "service.toml"
     own = [f'library = "{LIBRARY}"', *lines, "[zenoh]", *zenoh_lines]

@@ -195,6 +195,13 @@ def test_names_that_cannot_be_part_of_a_key_are_refused_before_connecting(
         VehicleClient.connect("tcp/127.0.0.1:9", gate=GATE, **names)  # type: ignore[arg-type]
 
 
+def test_a_file_of_keys_that_is_no_text_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "car-1.keys"
+    file.write_bytes(b"\xff\x00")
+    with pytest.raises(InvalidArgumentError, match=r"car-1\.keys: expected a file of secret keys"):
+        VehicleClient.connect("tcp/127.0.0.1:9", gate=GATE, key_file=file)
+
+
 def test_a_gate_that_fits_no_replica_is_an_error_that_names_the_replica(
     service: ServiceProcess,
 ) -> None:

@@ -168,7 +168,7 @@ def test_a_signal_in_a_function_that_zenoh_calls_is_raised_after_it() -> None:
     code = """
 import os, signal, zenoh
 from egp_service.cli import signals
-from egp_service.control.client import direct
+from egp_service.control.session import direct
 
 def called():
     os.kill(os.getpid(), signal.SIGTERM)

@@ -25,8 +25,8 @@ from egp_service._core import (
     encode_tile_evidence,
 )
 from egp_service._core.testing import MAP_HEALTH_KEY, MAP_METRICS_KEY, MapServer
-from egp_service.control.client import session_config
 from egp_service.control.fleet_map import FleetMap
+from egp_service.control.session import session_config
 from egp_service.simulation.course import build_path, road_name
 from egp_service.simulation.scenario import load_scenario
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 from surfaces import TOY, provenance, surface
 
+from egp_service import EgpError
 from egp_service._core import Library
 from egp_service.cli.tables import kind_sentence, skill_warnings
 from egp_service.data.dataset import Dataset
@@ -200,3 +201,9 @@ def test_blocks_are_whole_and_spread() -> None:
     assert len(rest) + len(held) == len(surface())
     first, _ = split(surface(trajectories=4), 0.3, np.random.default_rng(0))
     assert len(np.unique(hold_out(first)[1].trajectory)) == 1
+
+
+def test_a_log_too_short_for_a_choice_is_an_error_that_says_how_long_it_must_be() -> None:
+    # A log of 10 to 20 s has two trajectories, of which one is held out for validation.
+    with pytest.raises(EgpError, match=r"one trajectory .* more than 20 s, .*--mean single-track"):
+        train([surface(trajectories=2)], SETTINGS, vehicle=TOY)

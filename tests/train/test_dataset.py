@@ -109,11 +109,22 @@ def test_refuses_bad_metadata(tmp_path: Path) -> None:
         "metadata keys": {"colour": "red"},
         "dt is 50": {"dt": 50.0},
         "friction is -1": {"friction": -1.0},
+        "dt is '0.05' in the metadata: expected a number": {"dt": "0.05"},
+        "friction is None in the metadata": {"friction": None},
+        "seed is 0.5 in the metadata: expected a whole number": {"seed": 0.5},
+        "surface is 3 in the metadata: expected a text": {"surface": 3},
     }
     for message, fields in metadata.items():
         _rewrite(path, lambda frame: frame, **fields)
         with pytest.raises(EgpError, match=message):
             Dataset.read(path)
+
+
+def test_metadata_that_are_no_object_are_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "wet.parquet"
+    pl.DataFrame({"v_x": [1.0]}).write_parquet(path, metadata={METADATA_KEY: "[1]"})
+    with pytest.raises(EgpError, match="metadata are a list: expected an object"):
+        Dataset.read(path)
 
 
 def test_refuses_files_that_are_none(tmp_path: Path) -> None:

@@ -72,3 +72,28 @@ def test_recipe_refuses_unknown_fields(tmp_path: Path) -> None:
     (tmp_path / "recipe.toml").write_text("dt = 0.02")
     with pytest.raises(EgpError, match=r"no table 'surface'; .*demo-recipe\.toml is an example"):
         Recipe.read(tmp_path / "recipe.toml")
+
+
+@pytest.mark.parametrize(
+    ("stated", "other", "message"),
+    [
+        ("seed = 1", "seed = -1", "seed is -1: expected a whole number"),
+        ("seed = 0", "seed = -1", "seed is -1: expected a whole number"),
+        ("seed = 0", "seed = 0.5", "seed is 0.5: expected a value such as 0"),
+        ("laps = 24", "grip = 0.9", r"grip is 0.9: expected a value such as \[0.75, 1.0\]"),
+        ("laps = 24", "grip = [0.9]", r"grip is \[0.9\]: expected a value such as"),
+        ("laps = 24", "grip = [0.9, 0.0]", "expected two positive fractions"),
+        ("laps = 24", "laps = 0", "laps 1 or more"),
+        ("episodes = 30", "noise = 0.5", "noise is 0.5: expected a value such as"),
+        ("friction = 1.1", "friction = 0.5", "'mu 0.5' .*'mu 1.1' .* have the same one"),
+        ("mu 0.5", "\xb5", "can't decode"),
+    ],
+)
+def test_a_recipe_is_checked_when_it_is_read(
+    tmp_path: Path, stated: str, other: str, message: str
+) -> None:
+    text = DEMO_RECIPE.read_text(encoding="utf-8")
+    assert stated in text
+    (tmp_path / "recipe.toml").write_bytes(text.replace(stated, other).encode("latin-1"))
+    with pytest.raises(EgpError, match=rf"recipe\.toml: .*{message}"):
+        Recipe.read(tmp_path / "recipe.toml")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import log_faults
@@ -16,6 +17,7 @@ from egp_service.cli import app
 from egp_service.data.coverage import Coverage
 from egp_service.data.dataset import Dataset
 from egp_service.data.log_import import Column, import_log
+from egp_service.data.table import numbers, read_table
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -135,6 +137,18 @@ def test_doubts_time(tmp_path: Path) -> None:
         _import(path)
 
 
+def test_time_is_checked_before_what_depends_on_it(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    si = _log(period=0.02)
+    _write(path, si | {"t": np.floor(si["t"])})  # 50 rows in a second have the same time
+    with pytest.raises(EgpError, match=r"time does not increase at row 1: .* more digits"):
+        _import(path)
+    for rows in (0, 1):
+        _write(path, {name: values[:rows] for name, values in si.items()})
+        with pytest.raises(EgpError, match=f"the log has {rows} rows: expected at least two"):
+            _import(path)
+
+
 @pytest.mark.parametrize("separator", ["", ";;", "\n", "·"])
 def test_a_separator_is_one_character(tmp_path: Path, separator: str) -> None:
     path = tmp_path / "log.csv"
@@ -248,12 +262,15 @@ def test_the_steering_wheels_angle_is_divided_by_its_ratio(tmp_path: Path) -> No
     si = _log()
     _write(tmp_path / "drive.csv", si)
     expected = _import(tmp_path / "drive.csv")
-    _write(tmp_path / "wheel.csv", si | {"delta": 8.0 * si["delta"]})
+    # 1.8 rad are plausible of the steering wheel, and not of the road wheels.
+    _write(tmp_path / "wheel.csv", si | {"delta": 18.0 * si["delta"]})
     columns = {name: Column.parse(text) for name, text in COLUMNS.items()}
-    found = import_log(tmp_path / "wheel.csv", columns, provenance(), mass=MASS, steering_ratio=8.0)
+    found = import_log(tmp_path / "wheel.csv", columns, provenance(), mass=MASS, steering_ratio=18)
     np.testing.assert_allclose(found.z, expected.z, rtol=1e-9, atol=1e-12)
     with pytest.raises(EgpError, match="positive --steering-ratio"):
         import_log(tmp_path / "wheel.csv", columns, provenance(), mass=MASS, steering_ratio=0.0)
+    with pytest.raises(EgpError, match=r"delta reaches 1\.8 rad .* state --steering-ratio"):
+        _import(tmp_path / "wheel.csv")
 
 
 def test_spreadsheets_of_other_countries(tmp_path: Path) -> None:
@@ -268,6 +285,21 @@ def test_spreadsheets_of_other_countries(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         _import(tmp_path / "tabs.csv").z, _import(tmp_path / "drive.csv").z
     )
+
+
+def test_columns_whose_names_differ_by_spaces_are_an_error(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t,v,v \n1,2,3\n")
+    with pytest.raises(EgpError, match=r"log\.csv: two columns are named 'v'"):
+        read_table(tmp_path / "log.csv")
+
+
+def test_the_first_point_in_time_may_be_missing(tmp_path: Path) -> None:
+    path = tmp_path / "log.parquet"
+    at = datetime(2026, 1, 1, tzinfo=UTC)
+    for times in ([None, at], [None, None]):
+        pl.DataFrame({"t": pl.Series(times, dtype=pl.Datetime)}).write_parquet(path)
+        with pytest.raises(EgpError, match="column 't', row 0 is empty"):
+            numbers(path, read_table(path)["t"])
 
 
 def test_a_bad_cell_is_named(tmp_path: Path) -> None:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from egp_service import EgpError
 from egp_service.data.experiment import Experiment
 from egp_service.simulation.scenario import library_path, load_scenario
-from egp_service.training.on_policy import OnPolicySettings, drive_laps
+from egp_service.training.on_policy import OnPolicySettings, distinct_surfaces, drive_laps
 
 LIBRARY = library_path(load_scenario("rounded-rectangle"))
 SURFACES = [
     Experiment(friction=mu, label=f"mu {mu}", dt=0.02, seed=seed)
     for seed, mu in enumerate((0.5, 1.1))
 ]
+ONE_LAP = OnPolicySettings(rounds=1, laps=1, grip=(0.7, 0.7))
 TWO_LAPS = OnPolicySettings(rounds=1, laps=2, grip=(0.7, 0.8))
 
 
@@ -51,6 +54,25 @@ def test_surfaces_of_the_same_friction_cannot_be_told_apart() -> None:
     alike = [Experiment(friction="snow", label="snow"), Experiment(friction=0.3, label="mu 0.3")]
     with pytest.raises(EgpError, match="have the same one"):
         drive_laps(LIBRARY, alike, TWO_LAPS)
+
+
+def test_two_names_of_the_same_friction_cannot_be_told_apart() -> None:
+    alike = [Experiment(friction=0.5, label="wet"), Experiment(friction=0.5, label="moss")]
+    with pytest.raises(EgpError, match=r"'wet' \(friction 0\.5\), 'moss' .* have the same one"):
+        drive_laps(LIBRARY, alike, TWO_LAPS)
+
+
+def test_two_seeds_of_a_surface_get_its_laps_once() -> None:
+    seeds = [replace(SURFACES[0], seed=seed) for seed in (0, 7)]
+    assert distinct_surfaces([*seeds, SURFACES[1]]) == SURFACES
+    assert len(drive_laps(LIBRARY, seeds, ONE_LAP, jobs=1)) == 1
+
+
+@pytest.mark.parametrize("change", [{"vehicle": 2}, {"disturbances": {"load": 300.0}}])
+def test_all_surfaces_are_driven_with_one_vehicle(change: dict[str, object]) -> None:
+    other = replace(SURFACES[1], **change)  # type: ignore[arg-type]
+    with pytest.raises(EgpError, match=r"'mu 1\.1' has another vehicle or other disturbances"):
+        drive_laps(LIBRARY, [SURFACES[0], other], TWO_LAPS)
 
 
 def test_without_surfaces_there_is_nothing_to_drive_on() -> None:

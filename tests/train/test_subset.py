@@ -151,6 +151,14 @@ def test_does_not_collect_the_noisiest() -> None:
     assert kept.mean() < noisy.mean()
 
 
+def test_spikes_are_chosen_where_too_few_others_are_left() -> None:
+    z = torch.tensor(np.random.default_rng(0).standard_normal((65, 6)))
+    spiky = np.arange(65) % 6 == 0
+    chosen = select(z, _processes(z), 62, np.random.default_rng(1), spiky)
+    assert len(set(chosen.tolist())) == 62
+    assert not np.any(np.isin(np.flatnonzero(~spiky), chosen, invert=True))
+
+
 def test_motion_of_the_simulated_car_is_no_spike() -> None:
     settings = CollectionSettings(runs=2, samples=50, exploration=ExplorationSettings(episodes=5))
     for friction in (0.5, 1.1):

@@ -292,6 +292,7 @@ def test_refuses_data_that_teach_nothing(mean: Literal["constant", "single-track
         {"max_points": 3},
         {"restarts": -1},
         {"validation_fraction": 1.0},
+        {"seed": -1},
     ],
 )
 def test_refuses_bad_settings(changes: dict[str, object]) -> None:

@@ -17,7 +17,13 @@ from egp_service._core import VehicleParameters
 from egp_service.cli import app
 from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
-from egp_service.training.vehicle_fit import autocorrelation, fit_vehicle, priors
+from egp_service.training.vehicle_file import Line, vehicle_lines
+from egp_service.training.vehicle_fit import (
+    FittedParameter,
+    autocorrelation,
+    fit_vehicle,
+    priors,
+)
 from egp_service.vehicle import read_vehicle
 
 if TYPE_CHECKING:
@@ -125,6 +131,55 @@ def test_repeated_errors_count_once() -> None:
     np.testing.assert_allclose(autocorrelation(independent, data), 0.0, atol=0.2)
     alone = drive(DRY, WHOLE, 0.0, 0)
     np.testing.assert_array_equal(autocorrelation(independent, alone), 0.0)
+
+
+def file_lines(*surfaces: Dataset, known: VehicleParameters | None = None) -> dict[str, Line]:
+    return {line.name: line for line in vehicle_lines(surfaces, known)[0]}
+
+
+def test_a_grip_is_doubted_if_its_own_parameters_are() -> None:
+    grips = ("peak_slip", "lateral_grip", "braking_grip", "driving_grip")
+    turning = drive(DRY, WHOLE, 0.003, 0)
+    z = turning.z.copy()
+    z[:, 4] = np.abs(z[:, 4])
+    never_braking = dataclasses.replace(turning, z=z, y=prior_mean.predict(z, DRY, DT))
+    lines = file_lines(never_braking, known=TOY)
+    assert [name for name in grips if lines[name].warning] == ["braking_grip"]
+    assert "do not reach the tyres' limits" in lines["braking_grip"].warning
+    never_turning = drive(DRY, STRAIGHT * [1, 1, 1, 1, 4, 1], 0.003, 0)
+    lines = file_lines(never_turning, known=TOY)
+    assert [name for name in grips if lines[name].warning] == ["peak_slip", "lateral_grip"]
+    peakless = DRY.copy()
+    peakless[11] = 1.0
+    lines = file_lines(drive(peakless, WHOLE * [1, 4, 4, 4, 1, 1], 0.0, 0), known=TOY)
+    assert [name for name in grips if lines[name].warning] == ["peak_slip"]
+    assert lines["peak_slip"].warning == "at the end of the range that is searched"
+
+
+def test_the_yaw_inertia_is_as_uncertain_as_the_mass() -> None:
+    def width(parameter: FittedParameter) -> float:
+        return float(np.log(parameter.high / parameter.low))
+
+    lines, (found,) = vehicle_lines([drive(DRY, WHOLE * [1, 1, 1, 1, 0.1, 1], 0.01, 0)])
+    mass, gyration, (inertia,) = found.parameters[0], found.parameters[3], found.derived
+    # Forces along tell the mass and forces across k², so that their errors are independent.
+    independent = np.hypot(width(mass), width(gyration))
+    assert width(inertia) == pytest.approx(independent, rel=0.02)  # measured 0.001
+    assert inertia.low < TOY.yaw_inertia < inertia.high
+    (line,) = [line for line in lines if line.name == "yaw_inertia"]
+    assert f"{inertia.low:.4g} to {inertia.high:.4g}" in line.origin
+    assert not line.warning
+    coasting = file_lines(drive(DRY, WHOLE * [1, 1, 1, 1, 0.01, 1], 0.01, 0))
+    assert "not determined by the logs" in coasting["yaw_inertia"].warning
+
+
+def test_errors_for_logs_that_give_no_vehicle() -> None:
+    data = drive(DRY, WHOLE, 0.003, 0)
+    other = dataclasses.replace(data, provenance=provenance(0.9, vehicle="van"))
+    with pytest.raises(EgpError, match=r"vehicle van, .*vehicle toy: one fit has one dt and one"):
+        vehicle_lines([data, other])
+    with pytest.raises(EgpError, match="seed is -1"):
+        vehicle_lines([data], seed=-1)
 
 
 def test_the_file_of_a_vehicle_from_logs(tmp_path: Path) -> None:

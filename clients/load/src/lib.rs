@@ -87,7 +87,7 @@ struct Arguments {
     #[arg(long, value_name = "FRACTION", requires = "requests", value_parser = fraction)]
     ramp: Option<f64>,
     /// With --ramp: the largest number of vehicles.
-    #[arg(long, default_value_t = LARGEST, value_parser = clap::value_parser!(u32).range(1..=LARGEST.into()))]
+    #[arg(long, requires = "ramp", default_value_t = LARGEST, value_parser = clap::value_parser!(u32).range(1..=LARGEST.into()))]
     most: u32,
     /// How long to measure, s.
     #[arg(long, default_value_t = 20.0)]
@@ -96,7 +96,7 @@ struct Arguments {
     #[arg(long, default_value_t = 2.0)]
     warm_up: f64,
     /// Part of the control period that an answer may take, in (0, 1].
-    #[arg(long, default_value_t = 0.8)]
+    #[arg(long, default_value_t = 0.8, value_parser = fraction)]
     budget: f64,
     /// Track: rectangle or l-shape.
     #[arg(long, default_value = "rectangle")]

@@ -80,6 +80,13 @@ pub(crate) fn ramp(
     warm_up: Duration,
     measured: Duration,
 ) -> Result<Ramp, Failure> {
+    if arguments.most < arguments.vehicles {
+        let (most, vehicles) = (arguments.most, arguments.vehicles);
+        return Err(format!(
+            "the ramp begins with {vehicles} vehicles and ends at {most}: choose a larger --most or fewer --vehicles"
+        )
+        .into());
+    }
     let mut result = Ramp {
         period_s: replay.period.as_secs_f64(),
         seconds: arguments.seconds,

@@ -1,6 +1,7 @@
 //! Access to the network; no other file of this crate uses zenoh.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use egp_driver::{Query, QueryId, Question};
@@ -48,14 +49,28 @@ pub(crate) enum What {
     Ended(QueryId),
 }
 
-/// Opens a session as a vehicle's client does, for programs that send questions of their own.
+/// Opens a session as a vehicle's client does, for programs that send questions of their own. In zenoh's mode `client`, in
+/// which there is no session without a link, each endpoint is tried, and all of them again until the client's patience is
+/// over.
 ///
 /// # Errors
 /// [`NetworkError`] if the configuration is not valid, or zenoh opens no session.
 pub fn open_session(config: &VehicleConfig) -> Result<zenoh::Session, NetworkError> {
-    zenoh::open(configuration(config)?)
-        .wait()
-        .map_err(|e| NetworkError::new("cannot open the zenoh session", &e))
+    const PAUSE: Duration = Duration::from_millis(100);
+    let mut zenoh = configuration(config)?;
+    let client = (zenoh.get_json("mode")).is_ok_and(|mode| mode == "\"client\"");
+    if client {
+        // With more time zenoh would try the first endpoint alone until it is over.
+        insert(&mut zenoh, "connect/timeout_ms", "0")?;
+    }
+    let begun = Instant::now();
+    loop {
+        match zenoh::open(zenoh.clone()).wait() {
+            Ok(session) => return Ok(session),
+            Err(_) if client && begun.elapsed() < config.patience => thread::sleep(PAUSE),
+            Err(error) => return Err(NetworkError::new("cannot open the zenoh session", &error)),
+        }
+    }
 }
 
 /// A session and its events.
@@ -246,9 +261,13 @@ fn configuration(config: &VehicleConfig) -> Result<Config, NetworkError> {
         .iter()
         .map(|(key, value)| (key.as_str(), value.as_str()));
     for (key, value) in defaults.iter().copied().chain(connect).chain(given) {
-        result
-            .insert_json5(key, value)
-            .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))?;
+        insert(&mut result, key, value)?;
     }
     Ok(result)
+}
+
+fn insert(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkError> {
+    config
+        .insert_json5(key, value)
+        .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))
 }

@@ -74,20 +74,29 @@ class Authority:
 
         key = ec.generate_private_key(ec.SECP256R1())
         name = "egp authority"
-        builder = _builder(name, days, key, x509.Name([_common_name(name)]))
+        builder = _builder(name, _after(days), key, x509.Name([_common_name(name)]))
         constraints = x509.BasicConstraints(ca=True, path_length=0)
         builder = builder.add_extension(constraints, critical=True)
         builder = builder.add_extension(_key_usage(authority=True), critical=True)
         return cls(_signed(builder, key, key))
 
+    @property
+    def end(self) -> datetime:
+        """End of the authority's validity."""
+        end: datetime = self._certificate.not_valid_after_utc
+        return end
+
     def issue(self, name: str, days: int, hosts: Sequence[str] = ()) -> Identity:
-        """Make a certificate for `name` of at most 64 characters, which may listen at `hosts`."""
+        """Make a certificate for `name` of at most 64 characters, which may listen at `hosts`.
+
+        It is valid for `days`, and not beyond the authority's end.
+        """
         from cryptography import x509
         from cryptography.hazmat.primitives.asymmetric import ec
         from cryptography.x509.oid import ExtendedKeyUsageOID
 
         key = ec.generate_private_key(ec.SECP256R1())
-        builder = _builder(name, days, key, self._certificate.subject)
+        builder = _builder(name, min(_after(days), self.end), key, self._certificate.subject)
         constraints = x509.BasicConstraints(ca=False, path_length=None)
         builder = builder.add_extension(constraints, critical=True)
         builder = builder.add_extension(_key_usage(authority=False), critical=True)
@@ -100,20 +109,23 @@ class Authority:
         return _signed(builder, key, self._key)
 
 
+def _after(days: int) -> datetime:
+    return datetime.now(UTC) + timedelta(days=days)
+
+
 def _builder(
-    name: str, days: int, key: EllipticCurvePrivateKey, issuer: x509.Name
+    name: str, end: datetime, key: EllipticCurvePrivateKey, issuer: x509.Name
 ) -> x509.CertificateBuilder:
     from cryptography import x509
 
-    now = datetime.now(UTC)
     return (
         x509.CertificateBuilder()
         .subject_name(x509.Name([_common_name(name)]))
         .issuer_name(issuer)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _CLOCK_DIFFERENCE)
-        .not_valid_after(now + timedelta(days=days))
+        .not_valid_before(datetime.now(UTC) - _CLOCK_DIFFERENCE)
+        .not_valid_after(end)
     )
 
 

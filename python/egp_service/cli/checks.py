@@ -15,9 +15,9 @@ import numpy as np
 from egp_service import shipped
 from egp_service._core import EgpError, Library, vector_instructions
 from egp_service.cli.extras import EXTRAS
-from egp_service.control.client import session_config
 from egp_service.control.controller import Controller
 from egp_service.control.endpoints import why_not_free
+from egp_service.control.session import session_config
 
 if TYPE_CHECKING:
     from collections.abc import Callable

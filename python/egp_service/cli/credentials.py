@@ -6,11 +6,14 @@ certificate inside, so that it can be copied to where it is used.
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import os
 import re
 import secrets
 from base64 import b64decode, b64encode
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
 from egp_service._core import EgpError
@@ -24,14 +27,18 @@ from egp_service.cli.access import (
     size_limits,
 )
 from egp_service.cli.certificates import Authority, Identity, listening_hosts
-from egp_service.cli.signing import new_signing_key
+from egp_service.cli.signing import new_signing_key, public_line
 from egp_service.files import replacing
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
     from pathlib import Path
 
 _NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
+_HOST_NAME = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
+_KEY_LINE = re.compile(rf"{_NAME.pattern}/{_NAME.pattern}\s+[0-9A-Fa-f]{{64}}")
+# A key of replicas that stands where steps have the fleet; access control cannot tell them apart.
+_RESERVED_FLEET = "library"
 # The length to which X.509 limits a common name.
 _LONGEST = 64
 _SCOUTING = {"multicast": {"enabled": False}}
@@ -61,39 +68,48 @@ def write_credentials(
     hosts: Sequence[str],
     port: int,
     days: int,
+    report: Callable[[str], None] = lambda _: None,
 ) -> list[str]:
     """Write or complete the files of a fleet in `folder`; return the vehicles that are new.
 
-    The new files connect to `hosts`. The certificates of service, map and router are also valid for
-    the hosts of earlier calls, to which the files of earlier vehicles connect.
+    The other `vehicles` keep their secret keys and endpoints, and get new certificates. The files
+    of new ones connect to `hosts`. The certificates of service, map and router are also valid for
+    the hosts of earlier calls. `report` is told if certificates cannot be valid for `days`.
 
-    Raises `EgpError` for a name that cannot be used, or if the folder has an authority without its
-    private key.
+    Raises `EgpError` before anything is written for a name or host that cannot be used, for a file
+    that is not as an earlier call wrote it, and if the folder's authority has expired or lacks its
+    certificate or key.
     """
-    names = [_vehicle(fleet, vehicle) for vehicle in vehicles]
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    authority = _authority(folder, days)
-    _signing_key(folder)
+    names = list(dict.fromkeys(_vehicle(fleet, vehicle) for vehicle in vehicles))
+    _check_hosts(hosts)
     ring = folder / "vehicles.keys"
     keys = _read_keys(ring)
-    new = [name for name in dict.fromkeys(names) if name not in keys]
+    new = [name for name in names if name not in keys]
     keys |= {name: secrets.token_hex(32) for name in new}
     endpoints = [f"tls/{f'[{host}]' if ':' in host else host}:{port}" for host in hosts]
-    for name in new:
-        file = folder / "vehicles" / name.replace("/", "@")
-        identity = authority.issue(name, days)
-        _write(file.with_name(f"{file.name}.keys"), _key_lines({name: keys[name]}))
-        config = _client(authority, identity, endpoints, name)
-        _write(file.with_name(f"{file.name}.json5"), _text(config))
+    files = {name: folder / "vehicles" / f"{name.replace('/', '@')}.json5" for name in names}
+    connected = {
+        name: endpoints if name in new else _endpoints(file) or endpoints
+        for name, file in files.items()
+    }
+    listeners = {
+        end: (at, list(dict.fromkeys([*_hosts(folder / f"{end}.json5"), *hosts])))
+        for end, at in ((SERVICE, port), (MAP, _MAP_PORT), (ROUTER, _ROUTER_PORT))
+    }
+    authority = _authority(folder, days, report)
+    _signing_key(folder)
+    for name, file in files.items():
+        config = _client(authority, authority.issue(name, days), connected[name], name)
+        _write(file.with_suffix(".keys"), _key_lines({name: keys[name]}))
+        _write(file, _text(config))
     operator = _client(authority, authority.issue(OPERATOR, days), endpoints, OPERATOR)
     _write(folder / "operator.json5", _text(operator))
     # What vehicles publish is passed on to clients: services and routers leave it to two peers to
     # have a link of their own.
     _write(folder / "monitor.json5", _text(operator | {"mode": "client"}))
-    for end, at in ((SERVICE, port), (MAP, _MAP_PORT), (ROUTER, _ROUTER_PORT)):
-        file = folder / f"{end}.json5"
-        identity = authority.issue(end, days, list(dict.fromkeys([*_hosts(file), *hosts])))
-        _write(file, _text(_listener(authority, identity, end, at, keys)))
+    for end, (at, reached) in listeners.items():
+        identity = authority.issue(end, days, reached)
+        _write(folder / f"{end}.json5", _text(_listener(authority, identity, end, at, keys)))
     # The list of the vehicles comes last: an interrupted call can be repeated.
     _write(ring, _key_lines(keys))
     return new
@@ -104,47 +120,109 @@ def _vehicle(fleet: str, vehicle: str) -> str:
     for part in (fleet, vehicle):
         if not _NAME.fullmatch(part):
             raise EgpError(f"expected a name of 1 to 64 of A-Z a-z 0-9 . _ -, got {part!r}")
+    if fleet == _RESERVED_FLEET:
+        raise EgpError(
+            f"the fleet {fleet!r} would have keys of library files: choose another --fleet"
+        )
     if len(name) > _LONGEST:
         raise EgpError(f"{name}: a certificate names at most {_LONGEST} characters; shorten a name")
     return name
 
 
-def _authority(folder: Path, days: int) -> Authority:
+def _check_hosts(hosts: Sequence[str]) -> None:
+    for host in hosts:
+        try:
+            ipaddress.ip_address(host)
+        except ValueError:
+            if not _HOST_NAME.fullmatch(host):
+                raise EgpError(
+                    f"host {host!r}: expected an IP address, or a name of letters (A-Z a-z), "
+                    "digits, hyphens, underscores and dots; --port gives the port, and a name with "
+                    "other letters is written in its form that begins with xn--"
+                ) from None
+
+
+def _authority(folder: Path, days: int, report: Callable[[str], None]) -> Authority:
     certificate, private = folder / "ca.pem", folder / "ca.key"
-    if certificate.exists():
-        if not private.exists():
+    if not certificate.exists():
+        if private.exists():
             raise EgpError(
-                f"{private} is missing: copy the authority's private key there to make more keys"
+                f"{certificate} is missing: copy the authority's certificate there, which each "
+                ".json5 file of the fleet has as root_ca_certificate_base64, or move ca.key away "
+                "to begin with a new authority"
             )
-        return Authority(Identity(certificate.read_bytes(), private.read_bytes()))
-    authority = Authority.new(10 * days)
-    _write(private, authority.identity.private_key.decode())
-    _write(certificate, authority.identity.certificate.decode())
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        authority = Authority.new(10 * days)
+        _write(private, authority.identity.private_key.decode())
+        _write(certificate, authority.identity.certificate.decode())
+        return authority
+    if not private.exists():
+        raise EgpError(
+            f"{private} is missing: copy the authority's private key there to make more keys"
+        )
+    authority = Authority(Identity(certificate.read_bytes(), private.read_bytes()))
+    now, remedy = datetime.now(UTC), "move ca.pem and ca.key away and name every vehicle"
+    if authority.end <= now:
+        raise EgpError(
+            f"{certificate}: the authority expired on {authority.end:%Y-%m-%d}; for a new one "
+            f"{remedy}, and replace all .json5 files where they are used"
+        )
+    if authority.end < now + timedelta(days=days):
+        report(
+            f"The new certificates expire with the authority on {authority.end:%Y-%m-%d}, before "
+            f"the end of {days} days. For a new authority {remedy}."
+        )
     return authority
 
 
 def _signing_key(folder: Path) -> None:
     public, private = folder / "library.pub", folder / "library.key"
-    if not public.exists():
-        pem, line = new_signing_key()
-        _write(private, pem)
-        _write(public, line)
+    if public.exists():
+        return
+    if not private.exists():
+        _write(private, new_signing_key())
+    _write(public, public_line(private))
 
 
 def _read_keys(file: Path) -> dict[str, str]:
     if not file.exists():
         return {}
-    lines = (line.split() for line in file.read_text(encoding="utf-8").splitlines())
-    return {line[0]: line[1] for line in lines if line and not line[0].startswith("#")}
+    keys = {}
+    lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
+    for number, line in enumerate(map(str.strip, lines), 1):
+        if line and not line.startswith("#"):
+            if not _KEY_LINE.fullmatch(line):
+                raise EgpError(
+                    f"{file}, line {number}: expected FLEET/VEHICLE and a key of 64 hexadecimal "
+                    "digits; write the line as the vehicle's own file in the folder vehicles has "
+                    "it, or delete it to remove the vehicle"
+                )
+            name, key = line.split()
+            keys[name] = key
+    return keys
 
 
 def _hosts(file: Path) -> list[str]:
     """Return the hosts in the certificate of a configuration that an earlier call wrote."""
     if not file.exists():
         return []
-    try:
+    with _as_written(file):
         tls = json.loads(file.read_text(encoding="utf-8"))["transport"]["link"]["tls"]
         return listening_hosts(b64decode(tls["listen_certificate_base64"]))
+
+
+def _endpoints(file: Path) -> list[str]:
+    """Return the endpoints of a vehicle's configuration that an earlier call wrote."""
+    if not file.exists():
+        return []
+    with _as_written(file):
+        return list(json.loads(file.read_text(encoding="utf-8"))["connect"]["endpoints"])
+
+
+@contextmanager
+def _as_written(file: Path) -> Iterator[None]:
+    try:
+        yield
     except (ValueError, KeyError, TypeError) as error:
         raise EgpError(
             f"{file} is not as `egp keys` wrote it ({error}): move it away, and name all hosts"

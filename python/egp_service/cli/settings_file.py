@@ -11,6 +11,7 @@ from egp_service.cli.settings_text import read_settings_document
 if TYPE_CHECKING:
     from pathlib import Path
 
+_PATHS: Final = ("library", "folder", "traces", "vehicle_keys", "library_keys", "zenoh_file")
 _OF_A_SERVICE: Final = {"library", "replica", "workers", "zenoh", "zenoh_file", "settings"}
 
 
@@ -39,6 +40,8 @@ def read_settings(path: Path) -> dict[str, object]:
 def read_service(path: Path) -> dict[str, object]:
     """Read the configuration of a service, of which the service checks the rest.
 
+    Its relative paths start at the file's folder.
+
     Raises:
         EgpError: naming the file for text that is no TOML, and for settings of the control step
             outside the table `settings`.
@@ -54,7 +57,30 @@ def read_service(path: Path) -> dict[str, object]:
                 f"{path}: `{found[0]}` is a setting of the control step, expected the "
                 f"configuration of a service; try `egp serve LIBRARY --settings {path}`"
             )
-    return table
+    return _with_folder(table, path.parent)
+
+
+def read_map(path: Path) -> dict[str, object]:
+    """Read the configuration of a map service, which checks it.
+
+    Its relative paths start at the file's folder.
+
+    Raises:
+        EgpError: naming the file for text that is no TOML.
+        OSError: if the file cannot be read.
+
+    """
+    return _with_folder(_table(path)[1], path.parent)
+
+
+def _with_folder(table: dict[str, object], folder: Path) -> dict[str, object]:
+    """Let the relative paths of a configuration start at its folder."""
+    paths: dict[str, object] = {
+        name: str(folder / path) for name in _PATHS if isinstance(path := table.get(name), str)
+    }
+    if isinstance(libraries := table.get("libraries"), list):
+        paths["libraries"] = [str(folder / str(file)) for file in libraries]
+    return table | paths
 
 
 def _table(path: Path) -> tuple[str, dict[str, object]]:

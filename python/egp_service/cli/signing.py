@@ -21,14 +21,21 @@ if TYPE_CHECKING:
 _PURPOSE = b"egp.v1 library\0"
 
 
-def new_signing_key() -> tuple[str, str]:
-    """Return a new private key as PEM, and its public key as the line of a service's file."""
+def new_signing_key() -> str:
+    """Return a new private key as PEM."""
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
     key = Ed25519PrivateKey.generate()
-    pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    return pem.decode(), f"{key.public_key().public_bytes_raw().hex()}\n"
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode()
+
+
+def public_line(key_file: Path) -> str:
+    """Return the public key of a file with a private key, as the line of a service's file.
+
+    Raises `EgpError` if the file holds no Ed25519 private key.
+    """
+    return f"{_read_key(key_file).public_key().public_bytes_raw().hex()}\n"
 
 
 def sign_library(library: Path, key_file: Path) -> Path:

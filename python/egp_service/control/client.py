@@ -5,17 +5,15 @@ The driver in Rust makes all decisions. This module carries out its actions and 
 
 from __future__ import annotations
 
-import json
 import queue
 import time
 import warnings
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import zenoh
 
-from egp_service import callbacks
 from egp_service._core import (
     LIVE_KEYS,
     Decision,
@@ -26,7 +24,7 @@ from egp_service._core import (
     decode_ready,
     replica_of_live,
 )
-from egp_service.control.endpoints import check_endpoints
+from egp_service.control.session import direct, open_session, session_config
 from egp_service.control.step import StepController
 
 if TYPE_CHECKING:
@@ -40,19 +38,6 @@ REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
 # Time that a replica may take to answer what it serves, and time between two rounds of questions.
 _QUESTION_SECONDS = 1.0
 _POLL_SECONDS = 0.05
-# Above the size of any message of the service; receiving a larger one could delay a step.
-_MAX_MESSAGE_BYTES = 1 << 20
-_DEFAULTS: Mapping[str, object] = MappingProxyType(
-    {
-        "mode": "peer",
-        "listen/endpoints": [],
-        "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2},
-        "scouting/multicast/enabled": False,
-        "transport/shared_memory/enabled": False,
-        "transport/link/tx/lease": 2000,
-        "transport/link/rx/max_message_size": _MAX_MESSAGE_BYTES,
-    }
-)
 
 
 class ServiceUnreachableError(EgpError):
@@ -114,19 +99,20 @@ class VehicleClient(StepController):
         `{"transport/link/tls/root_ca_certificate": "ca.pem"}`.
         `traces` is a file to which the spans of all steps are appended as JSON lines of
         OpenTelemetry, or those of the share `traces_share` of the steps (docs/deploying.md).
-        Raises `InvalidArgumentError` for names, gate settings, a configuration or a file of traces
-        that cannot be used, and `ServiceUnreachableError`
-        when no replica gives a usable answer within `timeout` seconds. A replica is passed over if
-        its description is not valid, or if the gate allows more than the vehicle that this replica
-        plans for can do; the error names each replica with the reason.
+        Raises `InvalidArgumentError` for names, gate settings, a configuration, or a file of keys
+        or traces that cannot be used, and `ServiceUnreachableError` when no replica gives a usable
+        answer within `timeout` seconds. A replica is passed over if its description is not valid,
+        or if the gate allows more than the vehicle that this replica plans for can do; the error
+        names each replica with the reason.
         """
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         deadline = time.monotonic() + timeout
-        keys = None if key_file is None else key_file.read_text(encoding="utf-8")
+        keys = None if key_file is None else _read_keys(key_file)
         discovery = Discovery(
             fleet=fleet, vehicle=vehicle, gate=gate, budget=budget, hedge=hedge, keys=keys
         )
-        network = Network(session_config(names, timeout, zenoh_config or {}, zenoh_file), names)
+        config = session_config(names, timeout, zenoh_config or {}, zenoh_file)
+        network = Network(config, names, timeout)
         try:
             ready = _first_ready(network, discovery, names, deadline)
             driver = Driver(
@@ -188,14 +174,14 @@ class Announcement:
 class Network:
     """A zenoh session, and its events in order as calls of a driver."""
 
-    def __init__(self, config: zenoh.Config, endpoints: Sequence[str]) -> None:
+    def __init__(self, config: zenoh.Config, endpoints: Sequence[str], patience: float) -> None:
         """Open the session and follow the replicas that announce themselves.
 
-        `endpoints` are those that an error names.
+        `endpoints` are those that an error names; `patience` is that of `open_session`.
         """
         self._inbox: queue.SimpleQueue[Callable[[Driver], None]] = queue.SimpleQueue()
         try:
-            self.session = zenoh.open(config)
+            self.session = open_session(config, patience)
         except zenoh.ZError as error:
             raise _unreachable(endpoints, f"zenoh cannot open a session ({error})") from error
         self._subscriber = self.session.liveliness().declare_subscriber(
@@ -269,50 +255,14 @@ class Network:
         self._inbox.put(Announcement(time.monotonic(), replica, appeared))
 
 
-def direct(function: Any, end: Any = None) -> zenoh.handlers.Callback[Any]:  # noqa: ANN401
-    """Let zenoh call a function in the thread in which it receives, and `end` after the last call.
-
-    Rarely that is the main thread, which handles signals.
-    """
-    for called in (function, end):
-        if called is not None:
-            callbacks.mark(called)
-    return zenoh.handlers.Callback(function, end, indirect=False)
-
-
-def session_config(
-    endpoints: Sequence[str],
-    timeout: float,
-    more: Mapping[str, object],
-    file: Path | None = None,
-) -> zenoh.Config:
-    """Configure a peer with its own link to every endpoint, or read a configuration from `file`.
-
-    A session in zenoh's client mode has one link, and while the replica at its end is frozen, the
-    others cannot be reached. Shared memory delays the first queries and can lose one silently.
-    """
-    settings: dict[str, object] = {
-        "connect/timeout_ms": int(1000 * timeout),
-        "connect/exit_on_failure": False,
-    }
-    check_endpoints(endpoints)
-    if file is None:
-        config = zenoh.Config()
-        settings |= _DEFAULTS
-    else:
-        try:
-            config = zenoh.Config.from_file(file)
-        except zenoh.ZError as error:
-            raise InvalidArgumentError(f"zenoh file {file}: {error}") from error
-    if endpoints:
-        settings["connect/endpoints"] = list(endpoints)
-    settings |= more
-    for path, value in settings.items():
-        try:
-            config.insert_json5(path, json.dumps(value))
-        except zenoh.ZError as error:
-            raise InvalidArgumentError(f"zenoh setting {path} = {value!r}: {error}") from error
-    return config
+def _read_keys(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InvalidArgumentError(
+            f"{file}: expected a file of secret keys, got bytes that are no UTF-8 text; `egp keys` "
+            "writes such files"
+        ) from error
 
 
 def _first_ready(

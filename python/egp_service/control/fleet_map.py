@@ -21,7 +21,7 @@ from egp_service._core import (
     encode_tile_evidence,
     merge_tiles,
 )
-from egp_service.control.client import direct, session_config
+from egp_service.control.session import direct, open_session, session_config
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -92,9 +92,8 @@ class FleetMap:
         self._exchanged = self._aged = time.monotonic()
         self._warned: set[str] = set()
         try:
-            self._session = zenoh.open(
-                session_config([endpoint], timeout, zenoh_config or {}, zenoh_file)
-            )
+            config = session_config([endpoint], timeout, zenoh_config or {}, zenoh_file)
+            self._session = open_session(config, timeout)
         except zenoh.ZError as error:
             raise EgpError(f"zenoh cannot open a session with {endpoint}: {error}") from error
         self._subscriber = self._session.declare_subscriber(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 import zenoh
 
 from egp_service._core import EgpError
-from egp_service.control.client import session_config
+from egp_service.control.session import session_config
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

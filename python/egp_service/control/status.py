@@ -16,8 +16,8 @@ import numpy as np
 import zenoh
 
 from egp_service._core import EgpError, vehicle_key, vehicle_road_key
-from egp_service.control.client import direct, session_config
 from egp_service.control.messages import message_class
+from egp_service.control.session import direct, open_session, session_config
 from egp_service.control.step_record import step_record
 from egp_service.quantities import POSITION
 
@@ -85,7 +85,8 @@ class StatusPublisher:
         self._next = 0.0
         self._last: Message | None = None
         try:
-            self._session = zenoh.open(session_config(names, 0.0, zenoh_config or {}, zenoh_file))
+            config = session_config(names, 0.0, zenoh_config or {}, zenoh_file)
+            self._session = open_session(config, 0.0)
         except zenoh.ZError as error:
             raise EgpError(f"zenoh cannot open a session with {names}: {error}") from error
         self._publisher = self._session.declare_publisher(

@@ -19,7 +19,7 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 def dumps(table: Mapping[str, object]) -> str:
     """Return the TOML document of `table`; `tomllib.loads` returns the same values.
 
-    Raises `EgpError` for a number that is not finite.
+    Raises `EgpError` for a number that is not finite, and for a value without a form here.
     """
     return "\n".join(_lines(table, ())).strip() + "\n"
 
@@ -51,14 +51,24 @@ def _table_rows(value: object) -> list[Mapping[str, object]]:
 
 
 def _key(key: str) -> str:
-    return key if _BARE_KEY.fullmatch(key) else json.dumps(key)
+    return key if _BARE_KEY.fullmatch(key) else _quoted(key)
+
+
+def _quoted(text: str) -> str:
+    """Quote as JSON does, but for surrogates and the character U+007F, which TOML forbids."""
+    if not text.isascii():
+        try:
+            text.encode()
+        except UnicodeEncodeError as error:
+            raise EgpError(f"expected text in UTF-8 in a configuration, got {text!r}") from error
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _inline(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return json.dumps(value)
+        return _quoted(value)
     if isinstance(value, float):
         if not math.isfinite(value):
             raise EgpError(f"expected a finite number in a configuration, got {value}")
@@ -67,4 +77,7 @@ def _inline(value: object) -> str:
         return str(value)
     if isinstance(value, Sequence):
         return f"[{', '.join(map(_inline, value))}]"
-    raise TypeError(f"{type(value).__name__} has no TOML representation")
+    raise EgpError(
+        "expected text, a number, true, false, an array or a table in a configuration, got the "
+        f"{type(value).__name__} {value}: put it in quotes if it is text"
+    )

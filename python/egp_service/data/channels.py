@@ -49,25 +49,33 @@ def channels(dataset: Dataset) -> Channels:
     twice that length.
     """
     dt = dataset.provenance.dt
-    states, z, y = dataset.z[:, :NY], dataset.z, dataset.y
-    apart = dataset.step[_ORDER:].astype(np.int64) - dataset.step[:-_ORDER]
-    whole = (dataset.trajectory[_ORDER:] == dataset.trajectory[:-_ORDER]) & (apart == _ORDER)
-    whole &= z[_ORDER:, V_X] > _MOVING
-    chained = np.all(np.isclose(states[1:], states[:-1] + y[:-1], rtol=0.0, atol=_SAME), axis=1)
-    whole &= np.lib.stride_tricks.sliding_window_view(chained, _ORDER).all(axis=1)
-    fourth = np.diff(states, n=_ORDER, axis=0)[whole]
-    noise = np.full(NY, np.nan)
-    if len(fourth):
-        noise = _MAD * np.median(np.abs(fourth), axis=0) / np.sqrt(_GAIN)
+    z, y = dataset.z, dataset.y
     pairs = (dataset.trajectory[1:] == dataset.trajectory[:-1]) & (z[1:, V_X] > _MOVING)
     before, after = y[:-1][pairs], y[1:][pairs]
     correlation = np.array([_correlation(before[:, o], after[:, o]) for o in range(NY)])
     return Channels(
-        noise=noise,
+        noise=_noise(dataset),
         autocorrelation=correlation,
         steering_delay=dt * _lag(dataset, z[:, DELTA] * z[:, V_X], z[:, OMEGA]),
         force_delay=dt * _lag(dataset, z[:, FORCE], y[:, V_X]),
     )
+
+
+def _noise(dataset: Dataset) -> NDArray[np.float64]:
+    """Return the standard deviations (3,) of the noise, or NaN if the transitions are too few."""
+    unknown = np.full(NY, np.nan)
+    if len(dataset) <= _ORDER:
+        return unknown
+    states, y = dataset.z[:, :NY], dataset.y
+    apart = dataset.step[_ORDER:].astype(np.int64) - dataset.step[:-_ORDER]
+    whole = (dataset.trajectory[_ORDER:] == dataset.trajectory[:-_ORDER]) & (apart == _ORDER)
+    whole &= states[_ORDER:, V_X] > _MOVING
+    chained = np.all(np.isclose(states[1:], states[:-1] + y[:-1], rtol=0.0, atol=_SAME), axis=1)
+    whole &= np.lib.stride_tricks.sliding_window_view(chained, _ORDER).all(axis=1)
+    fourth = np.diff(states, n=_ORDER, axis=0)[whole]
+    if len(fourth) == 0:
+        return unknown
+    return np.asarray(_MAD * np.median(np.abs(fourth), axis=0) / np.sqrt(_GAIN))
 
 
 def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

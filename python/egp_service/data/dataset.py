@@ -28,6 +28,12 @@ if TYPE_CHECKING:
 SCHEMA: Final = 1
 METADATA_KEY: Final = "egp"
 _INDEX: Final = ("trajectory", "step")
+# By the annotation of a field of `Provenance`: types in JSON, and how they are called.
+_TYPES: Final = {
+    "float": ((int, float), "a number"),
+    "int": ((int,), "a whole number"),
+    "str": ((str,), "a text"),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -201,8 +207,20 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
     )
 
 
+def check_one_car(datasets: Sequence[Dataset], what: str) -> None:
+    """Errors if datasets differ in period or vehicle; `what` they are used for has one of each."""
+    first = datasets[0].provenance
+    for other in (dataset.provenance for dataset in datasets):
+        if (other.dt, other.vehicle) != (first.dt, first.vehicle):
+            raise EgpError(
+                f"surface {other.surface} was recorded at dt {other.dt} with vehicle "
+                f"{other.vehicle}, surface {first.surface} at dt {first.dt} with vehicle "
+                f"{first.vehicle}: one {what} has one dt and one vehicle"
+            )
+
+
 def _provenance(metadata: dict[str, str]) -> Provenance:
-    """Read the metadata of `Dataset.write`; other schemas, units or keys are errors."""
+    """Read the metadata of `Dataset.write`; other schemas, units, keys or types are errors."""
     text = metadata.get(METADATA_KEY)
     if text is None:
         raise EgpError(
@@ -213,14 +231,22 @@ def _provenance(metadata: dict[str, str]) -> Provenance:
         fields = json.loads(text)
     except json.JSONDecodeError as error:
         raise EgpError(f"the '{METADATA_KEY}' metadata are not JSON ({error})") from error
+    if not isinstance(fields, dict):
+        raise EgpError(
+            f"the '{METADATA_KEY}' metadata are a {type(fields).__name__}: expected an object"
+        )
     schema, units = fields.pop("schema", None), fields.pop("units", None)
     if schema != SCHEMA:
         raise EgpError(f"dataset schema {schema}: this version reads schema {SCHEMA}")
     if units != GP_INPUT | GP_OUTPUT:
         raise EgpError(f"units are {units}: expected {GP_INPUT | GP_OUTPUT}")
-    expected = {field.name for field in dataclasses.fields(Provenance)}
-    if fields.keys() != expected:
+    expected = {field.name: str(field.type) for field in dataclasses.fields(Provenance)}
+    if fields.keys() != expected.keys():
         raise EgpError(f"metadata keys {sorted(fields)}: expected {sorted(expected)}")
+    for name, value in fields.items():
+        types, called = _TYPES[expected[name]]
+        if isinstance(value, bool) or not isinstance(value, types):
+            raise EgpError(f"{name} is {value!r} in the metadata: expected {called}")
     return Provenance(**fields)
 
 

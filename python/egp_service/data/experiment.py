@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import GRAVITY, Plant, VehicleParameters, surface_friction
+from egp_service._core import GRAVITY, EgpError, Plant, VehicleParameters, surface_friction
 from egp_service.data.dataset import Provenance
 from egp_service.vehicle import simulated_name
 
@@ -49,6 +49,12 @@ def parse_surface(text: str) -> float | str:
         return text
 
 
+def check_seed(seed: int) -> None:
+    """Errors if no generator of random numbers has this seed."""
+    if seed < 0:
+        raise EgpError(f"seed is {seed}: expected a whole number of 0 or more")
+
+
 @dataclasses.dataclass(frozen=True)
 class Experiment:
     """One vehicle on one surface."""
@@ -69,7 +75,8 @@ class Experiment:
     a scenario; 0 unless stated."""
 
     def __post_init__(self) -> None:
-        """Check vehicle and disturbances."""
+        """Check seed, vehicle and disturbances."""
+        check_seed(self.seed)
         self.plant()
 
     def plant(self) -> Plant:

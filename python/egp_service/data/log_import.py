@@ -118,9 +118,8 @@ def import_log(
     else:
         _check_columns(columns, "NAME:UNIT", lambda: _header(path, separator))
         frame = read_table(path, separator)
-    log = _read(path, columns, frame)
-    for quantity in _STEERING & log.keys():
-        log[quantity] = log[quantity] / steering_ratio
+    log = _read(path, columns, frame, steering_ratio)
+    _check_time(log["time"])
     plausibility.check(log, columns, mass, wheelbase)
     if "a_x" in log:
         if mass is None or mass <= 0.0:
@@ -202,7 +201,7 @@ def _header(path: Path, separator: str) -> str:
 
 
 def _read(
-    path: Path, columns: Mapping[str, Column], frame: pl.DataFrame
+    path: Path, columns: Mapping[str, Column], frame: pl.DataFrame, steering_ratio: float
 ) -> dict[str, NDArray[np.float64]]:
     log = {}
     for quantity, column in columns.items():
@@ -217,14 +216,30 @@ def _read(
         if column.name not in frame.columns:
             raise EgpError(f"{path}: no column '{column.name}', found {', '.join(frame.columns)}")
         values = numbers(path, frame[column.name]) * factor
+        ratio = ""
+        if quantity in _STEERING:
+            values = values / steering_ratio
+            ratio = ", and state --steering-ratio if it is the steering wheel's angle"
         peak = float(np.abs(values).max(initial=0.0))
         if peak > largest:
             raise EgpError(
                 f"{quantity} reaches {peak:.4g} {unit} when '{column.name}' is read in "
-                f"{column.unit}: more than {largest:g} {unit} is implausible, check the unit"
+                f"{column.unit}: more than {largest:g} {unit} is implausible, check the unit{ratio}"
             )
         log[quantity] = values
     return log
+
+
+def _check_time(time: NDArray[np.float64]) -> None:
+    if len(time) < 2:  # noqa: PLR2004
+        raise EgpError(f"the log has {len(time)} rows: expected at least two")
+    steps = np.diff(time)
+    if steps.min() <= 0.0:
+        row = int(np.argmin(steps > 0.0)) + 1
+        raise EgpError(
+            f"time does not increase at row {row}: sort the log and remove duplicate rows; if many "
+            "rows have the same time, export it with more digits"
+        )
 
 
 def _pieces(
@@ -234,12 +249,8 @@ def _pieces(
 
     Returns row ranges [first, last), the rows per dt, and the lengths of the gaps in s.
     """
-    if len(time) < 2:  # noqa: PLR2004
-        raise EgpError(f"the log has {len(time)} rows: expected at least two")
     steps = np.diff(time)
     period = float(np.median(steps))
-    if period <= 0.0 or steps.min() <= 0.0:
-        raise EgpError("time does not increase: sort the log and remove duplicate rows")
     every = max(1, round(dt / period))
     if abs(every * period - dt) > 0.02 * dt:
         raise EgpError(

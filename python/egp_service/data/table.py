@@ -25,7 +25,8 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
     header has no `separator` but semicolons or tabs, those separate.
 
     Raises:
-        EgpError: if there is no such file, or it is no Parquet or CSV file.
+        EgpError: if there is no such file, or it is no Parquet or CSV file, or if two columns of
+            a CSV file have the same name but for spaces.
 
     """
     if not path.is_file():
@@ -43,7 +44,15 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
         frame = pl.read_csv(path, separator=separator, comment_prefix="#", infer_schema_length=None)
     except (UnicodeDecodeError, pl.exceptions.PolarsError) as error:
         raise EgpError(f"{path}: not a readable CSV file ({error})") from error
-    return frame.rename(lambda name: name.removeprefix("\ufeff").strip())
+    names = [name.removeprefix("\ufeff").strip() for name in frame.columns]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise EgpError(
+            f"{path}: two columns are named '{twice}' when spaces around names are left out: "
+            "rename one of them"
+        )
+    frame.columns = names
+    return frame
 
 
 def numbers(path: Path, column: pl.Series) -> NDArray[np.float64]:
@@ -58,7 +67,9 @@ def numbers(path: Path, column: pl.Series) -> NDArray[np.float64]:
     """
     cells = column
     if isinstance(column.dtype, pl.Datetime):
-        cells = (column - column[0]).dt.total_nanoseconds() * 1e-9
+        stated = column.drop_nulls()
+        if len(stated) > 0:
+            cells = (column - stated[0]).dt.total_nanoseconds() * 1e-9
     elif isinstance(column.dtype, pl.Duration):
         cells = column.dt.total_nanoseconds() * 1e-9
     elif column.dtype.is_nested():

@@ -156,7 +156,7 @@ class Campaign:
     def _identity(self, trial: Trial) -> str:
         """Identify the trial's library and the default settings."""
         own = self._source_of(trial)
-        return (self._id if own == self._source else _library_id(own)) + self._defaults
+        return (self._id if own == self._source else _disturbed_id(own)) + self._defaults
 
     def _source_of(self, trial: Trial) -> Path:
         """Return the library that the members of the trial's contender are taken from.
@@ -179,7 +179,8 @@ class Campaign:
         source = self._source_of(trial)
         name = "-".join(map(str, members))
         if contender.disturbed:
-            name = f"{source.stem}-{name}"
+            # Such a library may be trained again in the same folder.
+            name = f"{source.stem}-{_disturbed_id(source)[:16]}-{name}"
         is_baseline = contender.kind in baselines.KINDS
         if is_baseline:
             name = f"{contender.kind}-{scenario.vehicle}-{name}"
@@ -229,8 +230,12 @@ def fingerprint(trial: Trial, library: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+def _disturbed_id(path: Path) -> str:
+    return _library_id(path, path.stat().st_mtime_ns)
+
+
 @cache
-def _library_id(path: Path) -> str:
+def _library_id(path: Path, _changed: int) -> str:
     return Library.load(path).id
 
 

@@ -143,10 +143,13 @@ def _disturbances(outcomes: Sequence[Outcome]) -> list[Claim]:
 
 
 def _regret(outcomes: Sequence[Outcome]) -> list[Claim]:
+    groups = [g for g in grouped(outcomes) if g.experiment in MIXED]
+    told = {(g.experiment, g.condition) for g in groups if g.contender == ORACLE and g.completed}
+    # Where the oracle completes runs and the ensemble none of the same, no ratio is small enough.
     ratios = {
-        f"{g.experiment}, {g.condition}": g.regret.value
-        for g in grouped(outcomes)
-        if g.contender == ENSEMBLE and g.experiment in MIXED and np.isfinite(g.regret.value)
+        f"{g.experiment}, {g.condition}": g.regret.value if np.isfinite(g.regret.value) else np.inf
+        for g in groups
+        if g.contender == ENSEMBLE and (g.experiment, g.condition) in told
     }
     if not ratios:
         return []
@@ -229,7 +232,8 @@ def _ordering(predictions: Sequence[PredictionOutcome]) -> list[Claim]:
         return np.array(rows)
 
     ensemble, pooled = error("E(AD)", POOLED, 1), error(POOLED, POOLED, 0)
-    other = np.maximum(error("A", "D", 0), error("D", "A", 0))
+    # On the union, whose halves are of the same size.
+    other = np.sqrt(0.5 * (error("A", "D", 0) ** 2 + error("D", "A", 0) ** 2))
     two, three, four = (error(f"E({m})", "T", 1) for m in ("AD", "ABD", "ABCD"))
     return [
         *_ordered(

@@ -14,6 +14,7 @@ import numpy as np
 from egp_service._core import EgpError, solve_weights
 from egp_service.data.alignment import Delays, align
 from egp_service.data.channels import Channels, channels
+from egp_service.data.dataset import check_one_car
 from egp_service.evaluation.residual import Residual, fit_residual, moving_runs
 from egp_service.quantities import NY
 from egp_service.training.average_member import PriorMean, average_member
@@ -88,15 +89,14 @@ def evaluate_logs(
     All predictors get the log with its inputs moved by the delays that the four blocks tell.
 
     Raises:
-        EgpError: if two logs have the same name of a surface, or differ in period, or if training
-            fails.
+        EgpError: if two logs have the same name of a surface, or differ in car or period, or if
+            training fails.
 
     """
     names = [log.provenance.surface for log in logs]
     if len(set(names)) < len(names):
         raise EgpError("two logs have the same surface: import each with its own --surface")
-    if len({log.provenance.dt for log in logs}) > 1:
-        raise EgpError("the logs differ in dt: import all with the same --dt")
+    check_one_car(logs, "comparison")
     with one_thread(settings.max_points):
         delays = [find_delays([hold_out(log)[0]], vehicle) for log in logs]
     moved = [align(log, own) for log, own in zip(logs, delays, strict=True)]

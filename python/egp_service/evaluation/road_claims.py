@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 from egp_service.evaluation import fleet_roads, unknown_roads
@@ -65,12 +66,13 @@ def _second_lap(outcomes: Sequence[Outcome]) -> list[Claim]:
         contender = f"{BELIEF}{risk:.0%}"
         own = [o for o in outcomes if (o.experiment, o.contender) == (LATER, contender)]
         ratios = unknown_roads.lap_ratios(outcomes, contender)
-        if len(ratios) > 1:
+        if own:
             begun, completed = (sum(len(o.lap_times) > lap for o in own) for lap in (0, 1))
-            holds.append(completed == len(own) and ratios[1].value <= _SECOND_LAP)
+            ratio = ratios[1].value if len(ratios) > 1 else math.nan
+            holds.append(completed == len(own) and ratio <= _SECOND_LAP)
             evidence.append(
-                f"{contender}: {completed} of {begun} second laps of {len(own)} runs, "
-                f"{ratios[1].value:.3f}"
+                f"{contender}: {completed} of {begun} second laps of {len(own)} runs"
+                + ("" if math.isnan(ratio) else f", {ratio:.3f}")
             )
     if not holds:
         return []

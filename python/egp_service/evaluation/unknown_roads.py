@@ -108,22 +108,29 @@ def frontier_gap(groups: Sequence[Group], source: str) -> tuple[float, str] | No
     """Return by how many completed runs the belief exceeds a `source` at equal time, at worst.
 
     `source` is `ASSUMED` or `HERE`. Between the source's variants its completions are interpolated
-    over the time, and a slower setting of the belief is compared with the best of them; settings
-    that are faster than all of them are left out.
+    over the time, and a slower setting of the belief is compared with the best of them, as is one
+    without a time, because it completes no run; settings that are faster than all of them are left
+    out.
     Also returns the worst setting's name. None if nothing can be compared.
     """
-    own = [g for g in groups if g.experiment == FIRST and np.isfinite(g.time_regret.value)]
+    own = [
+        (g.time_regret.value if np.isfinite(g.time_regret.value) else np.inf, g)
+        for g in groups
+        if g.experiment == FIRST
+    ]
     others = sorted(
-        (g.time_regret.value, g.completed) for g in own if g.contender.startswith(source)
+        (time, g.completed)
+        for time, g in own
+        if g.contender.startswith(source) and np.isfinite(time)
     )
     if not others:
         return None
     times, completed = np.array(others, dtype=np.float64).T
     best = np.maximum.accumulate(completed)  # a slower variant is never the worse choice
     gaps = [
-        (g.completed - float(np.interp(g.time_regret.value, times, best)), g.contender)
-        for g in own
-        if g.contender.startswith(BELIEF) and times[0] <= g.time_regret.value
+        (g.completed - float(np.interp(time, times, best)), g.contender)
+        for time, g in own
+        if g.contender.startswith(BELIEF) and times[0] <= time
     ]
     return min(gaps, default=None)
 

@@ -18,7 +18,7 @@ from egp_service._core import (
     replica_of_load,
     vehicle_road_key,
 )
-from egp_service.control.client import direct, session_config
+from egp_service.control.session import direct, open_session, session_config
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -47,7 +47,8 @@ class Listener:
         more = {"listen/endpoints": list(listen)} if listen else {}
         self._inbox: queue.SimpleQueue[Callable[[Fleet], None]] = queue.SimpleQueue()
         try:
-            self._session = zenoh.open(session_config(connect, _CONNECT_SECONDS, more, zenoh_file))
+            config = session_config(connect, _CONNECT_SECONDS, more, zenoh_file)
+            self._session = open_session(config, _CONNECT_SECONDS)
         except zenoh.ZError as error:
             hint = (
                 f"is {', '.join(listen)} in use? Choose another endpoint with --listen"
@@ -55,14 +56,11 @@ class Listener:
                 else "a session in zenoh's client mode needs a service or router that runs"
             )
             raise EgpError(f"zenoh cannot open a session: {error}; {hint}") from error
-        direct = zenoh.handlers.Callback
         self._declared = [
-            self._session.declare_subscriber(
-                VEHICLE_KEYS, direct(self._on_vehicle, indirect=False)
-            ),
-            self._session.declare_subscriber(LOAD_KEYS, direct(self._on_load, indirect=False)),
+            self._session.declare_subscriber(VEHICLE_KEYS, direct(self._on_vehicle)),
+            self._session.declare_subscriber(LOAD_KEYS, direct(self._on_load)),
             self._session.liveliness().declare_subscriber(
-                LIVE_KEYS, direct(self._on_token, indirect=False), history=True
+                LIVE_KEYS, direct(self._on_token), history=True
             ),
         ]
 

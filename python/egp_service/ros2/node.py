@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import zenoh
 
 from egp_service._core import EgpError
-from egp_service.control.client import session_config
+from egp_service.control.session import open_session, session_config
 from egp_service.ros2.messages import decode, encode
 from egp_service.ros2.rmw_zenoh import (
     Topic,
@@ -70,7 +70,7 @@ class Node:
             more["transport/link/rx/max_message_size"] = _MAX_MESSAGE_BYTES
         config = session_config([endpoint], _CONNECT_SECONDS, more, file)
         try:
-            self._session = zenoh.open(config)
+            self._session = open_session(config, _CONNECT_SECONDS)
         except zenoh.ZError as error:
             # What follows is the place in zenoh's source.
             reason = str(error).partition(" at /")[0].rstrip(".")

@@ -224,7 +224,13 @@ def load_scenario(name_or_file: str) -> Scenario:
         )
     # The scenario is stored with a run, from whose folder relative paths would not be found.
     folder = file.parent.absolute()
-    return parse_scenario(file.read_text(encoding="utf-8"), folder, str(file))
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ScenarioError(
+            f"{file}: expected the TOML file of a scenario, got bytes that are no UTF-8 text"
+        ) from error
+    return parse_scenario(text, folder, str(file))
 
 
 def parse_scenario(text: str, folder: Path, origin: str) -> Scenario:

@@ -3,10 +3,13 @@
 A member's kind is what its processes are added to, and whether it has any. Kinds are trained on
 four of five blocks of the training data and compared on the fifth by the likelihood of
 `open_loop.skill`: heavy-tailed, over one period and rollouts up to 2 s, in all outputs. The best
-one is trained again on all blocks, with the noise that its errors on the fifth had. A model with
-more parameters is taken only where it predicts better, with one exception: outside its data only a
-single-track vehicle predicts slides, so that it is preferred unless another kind is better by more
-than `MARGIN`.
+one is trained again on all blocks, with the noise that its errors on the fifth had. The exception
+is `single-track + GPs`: its processes hold single transitions, which their noise weighs, so that
+another noise would also change the predictions that were compared; it keeps the noise of its fit.
+
+A model with more parameters is taken only where it predicts better, with one exception: outside its
+data only a single-track vehicle predicts slides, so that it is preferred unless another kind is
+better by more than `MARGIN`.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from egp_service._core import EgpError
 from egp_service.training.average_member import PriorMean, average_member, widening_on
 from egp_service.training.exact_member import exact_member
 from egp_service.training.open_loop import NO_CHANGE, skill
@@ -116,8 +120,20 @@ def preferred(likelihoods: Mapping[str, float]) -> str:
 
 
 def hold_out(data: Dataset) -> tuple[Dataset, Dataset]:
-    """Split off every fifth trajectory, and at least the last one."""
+    """Split off every fifth trajectory, and at least the last one.
+
+    Raises:
+        EgpError: if there are fewer than two trajectories.
+
+    """
     numbers = np.unique(data.trajectory)
+    if len(numbers) < 2:  # noqa: PLR2004
+        raise EgpError(
+            f"surface {data.provenance.surface} has one trajectory of {len(data)} transitions left "
+            "to train on: models are compared on another one, which is held out. A log starts a "
+            "new trajectory every 10 s and at gaps: record more than 20 s, or train with --mean "
+            "single-track"
+        )
     held = numbers[_EVERY - 1 :: _EVERY] if len(numbers) >= _EVERY else numbers[-1:]
     out = np.isin(data.trajectory, held)
     return data.select(~out), data.select(out)

@@ -12,6 +12,7 @@ over 1 s best.
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -59,13 +60,14 @@ def find_delays(logs: Sequence[Dataset], vehicle: VehicleParameters | None) -> D
 
     A first-order filter of the force (0.1 to 6.4 s, with a delay of at most two periods) is told if
     it predicts the changes of `v_x` over 1 s better than any delay without a filter, by the same
-    differences.
+    differences. For this only runs count that are 1 s longer than the largest delay.
 
     Raises:
         EgpError: if a fit fails.
 
     """
-    parts = [found for log in logs if (found := _long_runs(log)) is not None]
+    runs = (_long_runs(log, _SHORTEST / log.provenance.dt) for log in logs)
+    parts = [part for part in runs if part is not None]
     if not parts:
         return Delays()
     dt = parts[0].provenance.dt
@@ -96,14 +98,21 @@ def find_delays(logs: Sequence[Dataset], vehicle: VehicleParameters | None) -> D
 def _filtered(parts: Sequence[Dataset], axles: Sequence[float]) -> Delays | None:
     """Return filter and delay of the force, or None if no filter is told."""
     dt = parts[0].provenance.dt
+    steps = range(round(_EARLIEST_FORCE / _STEP), round(_LATEST / _STEP) + 1)
+    grid = [Delays(0.0, 0.5 * k * dt, filter_) for k in _FILTER_DELAYS for filter_ in _FILTERS]
+    # Only runs that have a window for each delay count, so that all losses are those of the same
+    # runs. A filter's derivative takes half a period more.
+    lost = max(-steps[0] * _STEP / dt, 0.5 * _FILTER_DELAYS[-1] + 0.5)
+    least = math.ceil(lost) + round(_WINDOW / dt)
+    parts = [found for part in parts if (found := _long_runs(part, least)) is not None]
+    if not parts:
+        return None
 
     def loss(delays: Delays) -> float:
         split = [hold_out(_over_windows(align(part, delays))) for part in parts]
         return _mean([_linear_error(*pair, axles, _V_X) for pair in split])
 
-    steps = range(round(_EARLIEST_FORCE / _STEP), round(_LATEST / _STEP) + 1)
     none = min(loss(Delays(force=k * _STEP)) for k in steps)
-    grid = [Delays(0.0, 0.5 * k * dt, filter_) for k in _FILTER_DELAYS for filter_ in _FILTERS]
     best = min(grid, key=loss)
     if best.force_filter in (_FILTERS[0], _FILTERS[-1]):
         return None
@@ -129,9 +138,8 @@ def _over_windows(part: Dataset) -> Dataset:
     )
 
 
-def _long_runs(log: Dataset) -> Dataset | None:
-    """Return the transitions in runs of at least `_SHORTEST`, or None if there are too few runs."""
-    least = _SHORTEST / log.provenance.dt
+def _long_runs(log: Dataset, least: float) -> Dataset | None:
+    """Return the runs of at least `least` transitions, or None if there are too few of them."""
     runs = [rows for rows in consecutive(log) if len(rows) >= least]
     if len({log.trajectory[rows[0]] for rows in runs}) < 2:  # noqa: PLR2004 - one is held out
         return None

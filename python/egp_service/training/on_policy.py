@@ -58,6 +58,46 @@ class OnPolicySettings:
     grip: tuple[float, float] = (0.75, 1.0)
     """Fraction of the available grip that the speed profile uses, first and last lap."""
 
+    def __post_init__(self) -> None:
+        """Check the ranges of the settings."""
+        if self.rounds < 0 or self.laps < 1:
+            raise EgpError("on_policy: rounds must be 0 or more and laps 1 or more")
+        if not all(grip > 0.0 for grip in self.grip):
+            raise EgpError(f"on_policy: grip is {self.grip}: expected two positive fractions")
+
+
+def distinct_surfaces(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """Return one experiment of each surface on which laps are driven.
+
+    Experiments of the same label and friction, which differ in their seeds, have the same surface.
+
+    Raises:
+        EgpError: if there are no surfaces, two of them have the same friction coefficient, by which
+            their data are told apart, or they have different vehicles or disturbances, of which a
+            lap over all surfaces has one.
+
+    """
+    if not experiments:
+        raise EgpError("no surfaces to drive on")
+    first = experiments[0]
+    for other in experiments:
+        if (other.vehicle, other.disturbances) != (first.vehicle, first.disturbances):
+            raise EgpError(
+                "on-policy laps are driven with one vehicle over all surfaces, but "
+                f"{other.label!r} has another vehicle or other disturbances than {first.label!r}: "
+                "state both at the top of the recipe, or leave out [on_policy]"
+            )
+    surfaces: dict[tuple[str, float | str], Experiment] = {}
+    for experiment in experiments:
+        surfaces.setdefault((experiment.label, experiment.friction), experiment)
+    if len({surface.mu for surface in surfaces.values()}) < len(surfaces):
+        named = ", ".join(f"{label!r} (friction {friction})" for label, friction in surfaces)
+        raise EgpError(
+            "on-policy laps tell surfaces apart by their friction coefficient, but two of "
+            f"{named} have the same one: change it, or leave out [on_policy]"
+        )
+    return list(surfaces.values())
+
 
 def drive_laps(
     library: Path,
@@ -72,18 +112,10 @@ def drive_laps(
     """Drive the laps of a round with `library`; return a dataset for each driven surface.
 
     Raises:
-        EgpError: if there are no surfaces, two of them have the same friction coefficient, by which
-            their data are told apart, or no lap gave data.
+        EgpError: as `distinct_surfaces`, or if no lap gave data.
 
     """
-    if not surfaces:
-        raise EgpError("no surfaces to drive on")
-    kinds = {surface.friction for surface in surfaces}
-    if len({surface.mu for surface in surfaces}) < len(kinds):
-        raise EgpError(
-            "on-policy laps tell surfaces apart by their friction coefficient, but two of "
-            f"{', '.join(map(str, kinds))} have the same one"
-        )
+    surfaces = distinct_surfaces(surfaces)
     grips = np.linspace(*settings.grip, settings.laps)
     first = _FIRST_SEED + round_number * settings.laps
     scenarios = [

@@ -13,7 +13,7 @@ import tempfile
 import tomllib
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from egp_service._core import EgpError
 from egp_service.data.collect import CollectionSettings, collect
@@ -22,16 +22,20 @@ from egp_service.data.exploration import ExplorationSettings
 from egp_service.data.sampling import SamplingBounds
 from egp_service.shipped import DEMO_RECIPE
 from egp_service.training.export import export
-from egp_service.training.on_policy import OnPolicySettings, drive_laps
+from egp_service.training.on_policy import OnPolicySettings, distinct_surfaces, drive_laps
 from egp_service.training.train import TrainingSettings, train
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from contextlib import AbstractContextManager
 
+    from _typeshed import DataclassInstance
+
     from egp_service.data.dataset import Dataset
     from egp_service.training.train import FitProgress
     from egp_service.training.trained import TrainedMember
+
+Settings = TypeVar("Settings", bound="DataclassInstance")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,19 +57,24 @@ class Recipe:
         """
         try:
             content = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, tomllib.TOMLDecodeError) as error:
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise EgpError(f"{path}: {error}") from error
         try:
             collection = content.pop("collection", {})
-            training = TrainingSettings(**content.pop("training", {}))
-            on_policy = OnPolicySettings(**_tuples(content.pop("on_policy", {})))
-            exploration = ExplorationSettings(**_tuples(collection.pop("exploration", {})))
-            sampling = SamplingBounds(**_tuples(collection.pop("sampling", {})))
-            settings = CollectionSettings(
-                **_tuples(collection), exploration=exploration, sampling=sampling
-            )
+            training = _settings(TrainingSettings, content.pop("training", {}))
+            on_policy = _settings(OnPolicySettings, content.pop("on_policy", {}))
+            exploration = _settings(ExplorationSettings, collection.pop("exploration", {}))
+            sampling = _settings(SamplingBounds, collection.pop("sampling", {}))
+            nested = {"exploration": exploration, "sampling": sampling}
+            settings = _settings(CollectionSettings, collection | nested)
             surfaces = content.pop("surface")
-            experiments = tuple(Experiment(**content, **surface) for surface in surfaces)
+            experiments = tuple(
+                _settings(Experiment, dict(**content, **surface)) for surface in surfaces
+            )
+            if on_policy.rounds > 0:
+                distinct_surfaces(experiments)
+        except EgpError as error:
+            raise EgpError(f"{path}: {error}") from error
         except (AttributeError, TypeError, KeyError) as error:
             reason = f"no table {error}" if isinstance(error, KeyError) else str(error)
             raise EgpError(
@@ -159,8 +168,34 @@ def training_provenance(settings: TrainingSettings) -> dict[str, str]:
     }
 
 
-def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Turn TOML's lists into the tuples of the frozen settings."""
-    return {
-        name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
+def _settings(kind: type[Settings], table: Mapping[str, Any]) -> Settings:
+    """Make frozen settings of a table of TOML, whose lists become tuples.
+
+    Raises `EgpError` if a value does not have the type of the setting's default.
+    """
+    values = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in table.items()
     }
+    for field in dataclasses.fields(kind):
+        default = field.default
+        if field.name in values and not _is_like(values[field.name], default):
+            example = list(default) if isinstance(default, tuple) else default
+            raise EgpError(
+                f"{field.name} is {table[field.name]!r}: expected a value such as {example!r}"
+            )
+    return kind(**values)
+
+
+def _is_like(value: object, default: object) -> bool:
+    """Return whether a value has the type of a default, and as many numbers as this one."""
+    if isinstance(default, tuple):
+        return (
+            isinstance(value, tuple)
+            and (isinstance(default[0], str) or len(value) == len(default))
+            and all(_is_like(item, default[0]) for item in value)
+        )
+    if isinstance(default, float):
+        return isinstance(value, float) or _is_like(value, 0)
+    if isinstance(default, int):
+        return isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, str) or not isinstance(default, str)

@@ -83,7 +83,8 @@ def select(
     The outputs share their inputs, so the remaining variances given noisy observations are summed
     over all `processes`; those that share a kernel and its noise have the same variances, which are
     computed once. Targets are z-scored, so the sum is the expected squared error in standard
-    deviations. Rows of `left_out` (n,) are drawn uniformly only.
+    deviations. Rows of `left_out` (n,) are drawn uniformly only, which they also are if too few
+    others are left.
     """
     n = len(z)
     if n <= count:
@@ -104,6 +105,11 @@ def select(
             weight[chosen] = 0.0
             if left_out is not None:
                 weight[left_out] = 0.0
+            if not weight.any():
+                rest = np.setdiff1d(np.arange(n), chosen)
+                added = rng.choice(rest, count - len(chosen), replace=False)
+                chosen = np.concatenate([chosen, added])
+                break
             proposed = rng.choice(n, _BLOCK, p=weight / weight.sum())
             accepted = _accepted(proposed, weight, groups, rng)[: count - len(chosen)]
             for group in groups:

@@ -18,7 +18,8 @@ import torch
 
 from egp_service._core import EgpError
 from egp_service.data.alignment import align
-from egp_service.data.dataset import Dataset, merge
+from egp_service.data.dataset import Dataset, check_one_car, merge
+from egp_service.data.experiment import check_seed
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NZ
 from egp_service.training.choice import KINDS, best_member
 from egp_service.training.delays import find_delays
@@ -82,6 +83,7 @@ class TrainingSettings:
             raise EgpError(
                 f"validation_fraction is {self.validation_fraction}: expected between 0 and 1"
             )
+        check_seed(self.seed)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -203,14 +205,7 @@ def _check_consistent(labels: list[str], datasets: Sequence[Dataset]) -> None:
         raise EgpError("no datasets: give at least one Parquet file")
     if len(set(labels)) < len(labels):
         raise EgpError("two frictions share a surface label: give each surface its own label")
-    first = datasets[0].provenance
-    for other in (dataset.provenance for dataset in datasets):
-        if (other.dt, other.vehicle) != (first.dt, first.vehicle):
-            raise EgpError(
-                f"surface {other.surface} was recorded at dt {other.dt} with vehicle "
-                f"{other.vehicle}, surface {first.surface} at dt {first.dt} with vehicle "
-                f"{first.vehicle}: one library has one dt and one vehicle"
-            )
+    check_one_car(datasets, "library")
 
 
 def _check_varies(data: Dataset) -> None:

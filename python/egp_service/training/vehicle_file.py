@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import EgpError, VehicleParameters
+from egp_service.data.dataset import check_one_car
+from egp_service.data.experiment import check_seed
 from egp_service.quantities import DELTA, GP_INPUT, GP_STATE, V_X
 from egp_service.training.vehicle_fit import fit_vehicle
 
@@ -28,6 +30,7 @@ _WIDTH: Final = 1.8
 _REACHED: Final = 0.995
 """Quantile that counts as the largest value in a log; beyond it are outliers."""
 _REACHED_TEXT: Final = f"reached in the logs, outliers of {1.0 - _REACHED:.1%} left out"
+_AT_BOUND_TEXT: Final = "at the end of the range that is searched"
 # Share of the longitudinal grip that speed profiles use, so that grip is left for cornering, as
 # for the simulated car (docs/settings.md, section 7).
 _RESERVE: Final = 0.65
@@ -71,22 +74,21 @@ def vehicle_lines(
     """Fit a vehicle to one dataset of each surface, and give the lines of its file.
 
     `known` are parameters of a vehicle's file: its body is the prior of the fit, and what a fit
-    cannot tell is kept. Errors if the datasets have different periods, or the fit fails.
+    cannot tell is kept. Errors if the datasets have different periods or vehicles, the seed is
+    negative, or the fit fails.
     """
-    periods = {data.provenance.dt for data in surfaces}
-    if len(periods) > 1:
-        raise EgpError(f"the datasets have periods of {sorted(periods)} s: expected one")
+    check_one_car(surfaces, "fit")
+    check_seed(seed)
     rngs = [np.random.default_rng([seed, number]) for number in range(len(surfaces))]
     fitted = fit_vehicle(surfaces, known, rngs)
     frictions = [data.provenance.friction for data in surfaces]
-    body = {parameter.name: parameter for parameter in fitted[0].parameters}
-    mass = body["m"].value
+    body = {p.name: p for p in (*fitted[0].parameters, *fitted[0].derived)}
     lines = [
         _fitted("mass", body["m"]),
-        _fitted("yaw_inertia", body["k²"], mass),
+        _fitted("yaw_inertia", body["I_z"]),
         _fitted("l_f", body["l_f"]),
         _fitted("l_r", body["l_r"]),
-        *_limits(surfaces, mass, known, width),
+        *_limits(surfaces, body["m"].value, known, width),
         *_tyres(fitted, frictions),
     ]
     return sorted(lines, key=lambda line: _ORDER.index(line.name)), fitted
@@ -113,19 +115,18 @@ def vehicle_toml(lines: Sequence[Line]) -> str:
     return "\n".join(text) + "\n"
 
 
-def _fitted(name: str, parameter: FittedParameter, factor: float = 1.0) -> Line:
-    low, high = factor * parameter.low, factor * parameter.high
+def _fitted(name: str, parameter: FittedParameter) -> Line:
     warnings = []
     if parameter.at_bound:
-        warnings.append("at the end of the range that is searched")
+        warnings.append(_AT_BOUND_TEXT)
     if not parameter.determined:
         warnings.append("not determined by the logs, so mostly the prior")
     if abs(parameter.distance) > 2.0:  # noqa: PLR2004 - standard deviations
         warnings.append(f"{parameter.distance:+.1f} standard deviations from what was known")
     return Line(
         name,
-        _rounded(factor * parameter.value),
-        f"fitted, 95 % interval {low:.4g} to {high:.4g}",
+        _rounded(parameter.value),
+        f"fitted, 95 % interval {parameter.low:.4g} to {parameter.high:.4g}",
         ", ".join(warnings),
     )
 
@@ -182,7 +183,7 @@ def _rate(surfaces: Sequence[Dataset], column: int) -> float:
 
 def _tyres(fitted: Sequence[FittedVehicle], frictions: Sequence[float]) -> list[Line]:
     """Give slip and grips on friction 1: the least of what the surfaces show."""
-    slips, lateral, braking, driving, known = [], [], [], [], True
+    slips, lateral, braking, driving = [], [], [], []
     for vehicle, friction in zip(fitted, frictions, strict=True):
         p = {parameter.name: parameter for parameter in vehicle.parameters}
         slip = math.tan(math.pi / (2.0 * p["C_f"].value)) / p["B_f"].value
@@ -190,15 +191,25 @@ def _tyres(fitted: Sequence[FittedVehicle], frictions: Sequence[float]) -> list[
         lateral.append(min(p["D_f"].value, p["D_r"].value) / friction)
         braking.append(_RESERVE * p["D_b"].value / friction)
         driving.append(_RESERVE * p["D_d"].value / friction)
-        known &= p["D_f"].determined and p["D_r"].determined
-    doubt = "" if known else "the logs do not reach the tyres' limits"
+    least = "fitted, the least of the surfaces"
     reserve = f"{_RESERVE:g} of the fitted grip, the least of the surfaces"
     return [
-        Line("peak_slip", _rounded(min(slips)), "fitted, the least of the surfaces", doubt),
-        Line("lateral_grip", _rounded(min(lateral)), "fitted, the least of the surfaces", doubt),
-        Line("braking_grip", _rounded(min(braking)), reserve, doubt),
-        Line("driving_grip", _rounded(min(driving)), reserve, doubt),
+        Line("peak_slip", _rounded(min(slips)), least, _doubt(fitted, "B_f", "C_f")),
+        Line("lateral_grip", _rounded(min(lateral)), least, _doubt(fitted, "D_f", "D_r")),
+        Line("braking_grip", _rounded(min(braking)), reserve, _doubt(fitted, "D_b")),
+        Line("driving_grip", _rounded(min(driving)), reserve, _doubt(fitted, "D_d")),
     ]
+
+
+def _doubt(fitted: Sequence[FittedVehicle], *names: str) -> str:
+    """Say why to check what these parameters of the tyres give; empty if nothing tells to."""
+    own = [p for vehicle in fitted for p in vehicle.parameters if p.name in names]
+    warnings = []
+    if any(parameter.at_bound for parameter in own):
+        warnings.append(_AT_BOUND_TEXT)
+    if not all(parameter.determined for parameter in own):
+        warnings.append("the logs do not reach the tyres' limits")
+    return ", ".join(warnings)
 
 
 def _rounded(value: float) -> float:

@@ -89,6 +89,8 @@ class FittedVehicle:
     """The vehicle on one surface: its parameters in the order of `PARAMETERS`."""
 
     parameters: tuple[FittedParameter, ...]
+    derived: tuple[FittedParameter, ...] = ()
+    """What a vehicle's file states in place of parameters: the yaw inertia `I_z`, m k²."""
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -288,34 +290,54 @@ class _Problem:
     def vehicles(self, x: NDArray[np.float64]) -> list[FittedVehicle]:
         """Return the vehicle of each surface with its intervals."""
         slopes = self._jacobian(x)
-        spread = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+        covariance = np.asarray(np.linalg.inv(slopes.T @ slopes), dtype=np.float64)
+        spread = np.sqrt(np.diag(covariance))
         at_bound = (x - self._low < _AT_BOUND) | (self._high - x < _AT_BOUND)
         circular = any(surface.force_is_speed for surface in self.surfaces)
         found = []
         for number in range(len(self.surfaces)):
             columns = self._columns(number)[: len(PARAMETERS)]
             rows = zip(PARAMETERS, self._centre, columns, strict=True)
-            found.append(
-                FittedVehicle(
-                    tuple(
-                        FittedParameter(
-                            name,
-                            value=float(centre * np.exp(x[i])),
-                            low=float(centre * np.exp(x[i] - _QUANTILE * spread[i])),
-                            high=float(centre * np.exp(x[i] + _QUANTILE * spread[i])),
-                            distance=float(x[i] / self._width[i]),
-                            determined=bool(
-                                spread[i] <= _DETERMINED * self._width[i]
-                                and spread[i] <= _KNOWN_WIDTHS.get(name, np.inf)
-                                and not (circular and name == "m")
-                            ),
-                            at_bound=bool(at_bound[i]),
-                        )
-                        for name, centre, i in rows
-                    )
+            parameters = tuple(
+                FittedParameter(
+                    name,
+                    value=float(centre * np.exp(x[i])),
+                    low=float(centre * np.exp(x[i] - _QUANTILE * spread[i])),
+                    high=float(centre * np.exp(x[i] + _QUANTILE * spread[i])),
+                    distance=float(x[i] / self._width[i]),
+                    determined=bool(
+                        spread[i] <= _DETERMINED * self._width[i]
+                        and spread[i] <= _KNOWN_WIDTHS.get(name, np.inf)
+                        and not (circular and name == "m")
+                    ),
+                    at_bound=bool(at_bound[i]),
                 )
+                for name, centre, i in rows
             )
+            yaw_inertia = self._yaw_inertia(parameters, x, covariance)
+            found.append(FittedVehicle(parameters, (yaw_inertia,)))
         return found
+
+    def _yaw_inertia(
+        self,
+        parameters: Sequence[FittedParameter],
+        x: NDArray[np.float64],
+        covariance: NDArray[np.float64],
+    ) -> FittedParameter:
+        """Return mass times k², whose logarithms the data may determine together or not at all."""
+        both = [list(BODY).index(name) for name in ("m", "k²")]
+        mass, gyration = (parameters[i] for i in both)
+        value = mass.value * gyration.value
+        factor = math.exp(_QUANTILE * math.sqrt(covariance[np.ix_(both, both)].sum()))
+        return FittedParameter(
+            "I_z",
+            value=value,
+            low=value / factor,
+            high=value * factor,
+            distance=float(x[both].sum() / math.hypot(*self._width[both])),
+            determined=mass.determined and gyration.determined,
+            at_bound=mass.at_bound or gyration.at_bound,
+        )
 
 
 def autocorrelation(errors: NDArray[np.float64], data: Dataset) -> NDArray[np.float64]:

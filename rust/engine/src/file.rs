@@ -3,6 +3,7 @@
 use std::fs::{self, File};
 use std::io::{self, Read as _, Write as _};
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use egp_core::library::MAX_FILE_BYTES;
 
@@ -24,14 +25,16 @@ pub fn read_library(path: &Path) -> io::Result<Vec<u8>> {
 }
 
 /// Replaces a file atomically: whoever opens the path gets the old bytes or the new ones, also after a crash. The new bytes
-/// are written into `NAME.PID.part` beside the file first.
+/// are written into `NAME.PID.NUMBER.part` beside the file first, with a number for each call.
 ///
 /// # Errors
 /// [`io::Error`] if the file cannot be written. The path then has the old bytes, unless only the last step failed, which
 /// writes the folder's entry to the disk.
 pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    static CALLS: AtomicU64 = AtomicU64::new(0);
+    let number = CALLS.fetch_add(1, Ordering::Relaxed);
     let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}.part", std::process::id()));
+    name.push(format!(".{}.{number}.part", std::process::id()));
     let beside = path.with_file_name(name);
     let written = File::create(&beside).and_then(|mut file| {
         file.write_all(bytes)?;

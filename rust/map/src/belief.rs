@@ -171,28 +171,28 @@ impl RoadBelief {
         log_likelihood: Option<&[f64; FRICTION_HYPOTHESES]>,
     ) -> Result<(), BeliefError> {
         place("s", s)?;
-        let window = self.settings.window;
-        self.recent = None;
-        if let Some(log_likelihood) = log_likelihood {
-            for value in log_likelihood {
-                if !(f64::MIN..=0.0).contains(value) {
-                    return Err(BeliefError {
-                        name: "log_likelihood",
-                        expected: "finite numbers of at most 0",
-                        value: *value,
-                    });
-                }
-            }
-            if self.track.len() > window {
-                let (from, to) = (self.track[window / 3], self.track[2 * window / 3]);
-                self.compare_with_reports(log_likelihood);
-                let log_likelihood = told_apart(log_likelihood, self.settings.indifference);
-                self.add(from, to, &log_likelihood);
-                let lap = self.closed.then_some(self.evidence.len() as i64);
-                self.recent = self.between(from, s).map(|(from, to)| {
-                    Recent::new(self.index(from), self.index(to), lap, &log_likelihood)
+        for value in log_likelihood.into_iter().flatten() {
+            if !(f64::MIN..=0.0).contains(value) {
+                return Err(BeliefError {
+                    name: "log_likelihood",
+                    expected: "finite numbers of at most 0",
+                    value: *value,
                 });
             }
+        }
+        let window = self.settings.window;
+        self.recent = None;
+        if let Some(log_likelihood) = log_likelihood
+            && self.track.len() > window
+        {
+            let (from, to) = (self.track[window / 3], self.track[2 * window / 3]);
+            self.compare_with_reports(log_likelihood);
+            let log_likelihood = told_apart(log_likelihood, self.settings.indifference);
+            self.add(from, to, &log_likelihood);
+            let lap = self.closed.then_some(self.evidence.len() as i64);
+            self.recent = self.between(from, s).map(|(from, to)| {
+                Recent::new(self.index(from), self.index(to), lap, &log_likelihood)
+            });
         }
         if self.track.len() > window {
             self.track.pop_front();

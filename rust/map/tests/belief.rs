@@ -323,12 +323,25 @@ fn places_of_a_preview_are_checked() {
 }
 
 #[test]
+fn an_update_that_fails_changes_nothing() {
+    let mut belief = belief();
+    drive(&mut belief, 0.0, 30.0, |_| Some(evidence(0.3)));
+    let before = quantiles(&mut belief, 29.0);
+    let mut wrong = evidence(0.3);
+    wrong[2] = f64::NAN;
+    assert!(belief.update(30.0, Some(&wrong)).is_err());
+    assert_eq!(quantiles(&mut belief, 29.0), before);
+}
+
+#[test]
 fn evidence_beyond_an_end_of_an_open_road_counts_nowhere_else() {
     let mut belief = RoadBelief::new(LENGTH, false, &BeliefSettings::default()).unwrap();
     let ice = evidence(0.15);
     let unknown = belief.quantile(LENGTH - 3.0, 0.5).unwrap();
     for period in 0..40 {
-        belief.update(-9.0 + 0.2 * f64::from(period), Some(&ice)).unwrap();
+        belief
+            .update(-9.0 + 0.2 * f64::from(period), Some(&ice))
+            .unwrap();
     }
     assert_eq!(belief.quantile(LENGTH - 3.0, 0.5).unwrap(), unknown);
     belief.leave();

@@ -34,7 +34,10 @@ pub(crate) fn parametrise(points: &[[f64; 2]], closed: bool) -> Result<ArcLength
         let pieces = interpolate(&knots, &sampled, closed);
         let error = (pieces.iter())
             .flat_map(|piece| [0.0, 0.25, 0.5, 0.75, 1.0].map(|at| piece.jet(at * step).speed()))
-            .fold(0.0, |worst: f64, speed| worst.max((speed - 1.0).abs()));
+            .map(|speed| (speed - 1.0).abs())
+            // At a cusp that is a sample, the samples and so the spline are no numbers.
+            .map(|error| if error.is_nan() { f64::INFINITY } else { error })
+            .fold(0.0, f64::max);
         if error <= TOLERANCE {
             let mut stations = chords.stations;
             stations.truncate(points.len());

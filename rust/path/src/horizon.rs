@@ -53,7 +53,8 @@ pub fn horizon_reference(
     }
     let projection = path.project(position, hint);
     // Behind a standing start no time is finite; the reference then begins at the start.
-    let now = match profile.time(projection.s) {
+    let from = profile.unwrapped(projection.s);
+    let now = match profile.time(from) {
         f64::NEG_INFINITY => 0.0,
         time => time,
     };
@@ -63,7 +64,7 @@ pub fn horizon_reference(
         let s = if now.is_finite() {
             profile.station(now + stage as f64 * dt)
         } else {
-            projection.s
+            from
         };
         let sample = path.sample(s);
         yaw += (sample.yaw - yaw) - TAU * ((sample.yaw - yaw) / TAU).round();

@@ -15,6 +15,8 @@ pub struct SpeedProfile {
     closed: bool,
     /// Arc length in m of the first knot.
     start: f64,
+    /// Length in m of the lap that the profile is a part of.
+    lap: Option<f64>,
     step: f64,
     /// `v²` at each knot, the end included.
     squares: Vec<f64>,
@@ -83,6 +85,7 @@ impl SpeedProfile {
             path: path.length(),
             closed: path.closed(),
             start: 0.0,
+            lap: None,
             step: path.step(),
             times: vec![0.0; squares.len()],
             squares,
@@ -97,6 +100,7 @@ impl SpeedProfile {
             path: path.length(),
             closed: false,
             start: 0.0,
+            lap: path.closed().then(|| path.length()),
             step,
             squares: vec![0.0; knots],
             times: vec![0.0; knots],
@@ -120,6 +124,20 @@ impl SpeedProfile {
     /// Length in m of the path that the profile belongs to.
     pub(crate) fn path_length(&self) -> f64 {
         self.path
+    }
+
+    /// The arc length of the same place as `s` that is inside the profile, or nearest to it. It differs from `s` by a lap
+    /// where the profile is a part of a lap and passes the lap's end.
+    pub(crate) fn unwrapped(&self, s: f64) -> f64 {
+        let Some(lap) = self.lap else {
+            return s;
+        };
+        let mut laps = ((self.start - s) / lap).ceil();
+        let after = s + laps * lap - self.start;
+        if after - self.length() > lap - after {
+            laps -= 1.0;
+        }
+        s + laps * lap
     }
 
     /// Length in m of the profile.

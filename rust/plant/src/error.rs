@@ -23,8 +23,8 @@ pub enum PlantError {
         /// The given value.
         value: f64,
     },
-    /// A period that is not positive.
-    #[error("expected a period dt > 0 in seconds, got {0}")]
+    /// A period that is not positive, or longer than 100 s.
+    #[error("expected a period dt > 0 of at most 100 s, got {0} s: check its unit")]
     Period(f64),
     /// A surface for which the tyre has no force law.
     #[error(transparent)]

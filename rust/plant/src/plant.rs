@@ -127,13 +127,13 @@ impl Plant {
     ) -> Result<StateVector, PlantError> {
         let v_x = state[3];
         // Braking ends at standstill, which a substep that starts above walking speed cannot reach.
-        let force = if v_x < KINEMATIC_SPEED {
+        let stopping = if v_x < KINEMATIC_SPEED {
             let mass = self.effects.mass;
-            force.max(-mass * v_x / h - mass * self.effects.gravity[0])
+            -mass * v_x / h - mass * self.effects.gravity[0]
         } else {
-            force
+            f64::NEG_INFINITY
         };
-        let input = [force, steering_rate];
+        let input = [force.max(stopping), steering_rate];
         let mut next = rk4(&self.parameters, &self.effects, state, input, surfaces, h)?;
         if let Some(i) = next.iter().position(|value| !value.is_finite()) {
             return Err(PlantError::Diverged {
@@ -143,6 +143,9 @@ impl Plant {
         }
         let stop = self.parameters.limits.steering_angle;
         next[2] = next[2].clamp(-stop, stop);
+        if force < stopping {
+            next[3] = next[3].max(0.0); // what is left is rounding
+        }
         if next[3] < KINEMATIC_SPEED {
             roll_without_slip(&self.parameters, &mut next);
         }
@@ -200,11 +203,14 @@ impl Plant {
     }
 }
 
-/// Errors unless the input is finite and the period finite and positive.
+/// Longest period, s: a longer one has another unit, and would take long.
+const LONGEST_PERIOD: f64 = 100.0;
+
+/// Errors unless the input is finite and the period positive and at most [`LONGEST_PERIOD`].
 pub(crate) fn check_step(input: [f64; 2], dt: f64) -> Result<(), PlantError> {
     finite("F_x", input[0])?;
     finite("delta_dot", input[1])?;
-    if dt.is_finite() && dt > 0.0 {
+    if dt > 0.0 && dt <= LONGEST_PERIOD {
         Ok(())
     } else {
         Err(PlantError::Period(dt))

@@ -165,6 +165,20 @@ fn brakes_stop_and_hold_and_the_vehicle_drives_away_again() {
     }
 }
 
+#[test]
+fn a_vehicle_that_was_braked_to_standstill_has_a_state_that_can_be_set() {
+    let surface = Uniform::new(0.8).unwrap();
+    for v_x in (0..100).map(|i| 0.5 + 0.05 * f64::from(i)) {
+        let mut plant = plant(VehicleId::FordEscort, at_speed(v_x));
+        let force = -6.0 * plant.parameters().mass;
+        for _ in 0..500 {
+            plant.step([force, 0.0], 0.002, &surface).unwrap();
+            let state = *plant.state();
+            plant.set_state(&state).unwrap();
+        }
+    }
+}
+
 /// Friction coefficients to the left (y > 0) and to the right of the x axis.
 struct Split {
     left: f64,
@@ -252,7 +266,7 @@ fn errors_keep_the_state() {
             ..
         })
     ));
-    for dt in [0.0, -0.1, f64::NAN, f64::INFINITY] {
+    for dt in [0.0, -0.1, f64::NAN, f64::INFINITY, 2e7] {
         assert!(matches!(
             plant.step([0.0; 2], dt, &surface),
             Err(PlantError::Period(_))

@@ -197,5 +197,10 @@ pub fn solve_weights<'py>(
             &mut w,
         )
     });
+    if !w.iter().all(|w| w.is_finite()) {
+        return Err(EgpError::new_err(
+            "the squares of the errors over noise_std are too large for a number: check the units",
+        ));
+    }
     Ok(vector(py, w))
 }

@@ -38,16 +38,19 @@ pub fn predict_residual<'py>(
             "errors must be finite, dt in [1e-6, 1000] s and window in 1..=1000: check their units",
         ));
     }
-    let (mut mean, mut variance) = (vec![], vec![]);
-    if let Some(filter) = ResidualFilter::new(&settings, dt, window) {
-        for k in 0..errors.len() {
-            let before = errors[k.saturating_sub(window)..k].iter();
-            let residual = filter.estimate(before.map(|error| GpOutput::from(*error)));
-            let next = residual.ahead().next().unwrap_or_default();
-            mean.extend(&next.0);
-            variance.extend(&next.1);
+    let (mut mean, mut variance) = py.detach(|| {
+        let (mut mean, mut variance) = (vec![], vec![]);
+        if let Some(filter) = ResidualFilter::new(&settings, dt, window) {
+            for k in 0..errors.len() {
+                let before = errors[k.saturating_sub(window)..k].iter();
+                let residual = filter.estimate(before.map(|error| GpOutput::from(*error)));
+                let next = residual.ahead().next().unwrap_or_default();
+                mean.extend(&next.0);
+                variance.extend(&next.1);
+            }
         }
-    }
+        (mean, variance)
+    });
     let shape = [errors.len(), NY];
     mean.resize(errors.as_flattened().len(), 0.0);
     variance.resize(errors.as_flattened().len(), 0.0);

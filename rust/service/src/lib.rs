@@ -10,6 +10,7 @@
 //! it available on the network; [`serve`] runs one until a signal.
 
 mod config;
+mod endpoints;
 mod events;
 mod fetch;
 mod fetch_error;

@@ -14,6 +14,7 @@ use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::sync::atomic::{AtomicU32, Ordering};
+use crate::sync::{Mutex, PoisonError};
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Outcome {
@@ -39,7 +40,7 @@ pub(crate) struct Metrics {
     reloads: Family<Outcome, Counter>,
     offers: Family<Outcome, Counter>,
     /// Spans by what became of them, and where they are counted; none if no traces are written.
-    spans: Option<(Family<Outcome, Counter>, Counts)>,
+    spans: Option<Mutex<(Family<Outcome, Counter>, Counts)>>,
 }
 
 impl Metrics {
@@ -101,7 +102,7 @@ impl Metrics {
         let family = Family::<Outcome, Counter>::default();
         let help = "Spans of traces by what became of them";
         self.registry.register("spans", help, family.clone());
-        self.spans = Some((family, counts));
+        self.spans = Some(Mutex::new((family, counts)));
     }
 
     /// Shows the libraries that are served from now on.
@@ -170,7 +171,9 @@ impl Metrics {
     /// The OpenMetrics text.
     pub(crate) fn text(&self, queued: usize) -> String {
         self.queued.set(i64::try_from(queued).unwrap_or(i64::MAX));
-        if let Some((family, counts)) = &self.spans {
+        if let Some(spans) = &self.spans {
+            // Two threads that show a count at once would both add what is missing.
+            let (family, counts) = &*spans.lock().unwrap_or_else(PoisonError::into_inner);
             for (outcome, count) in [
                 ("written", counts.written()),
                 ("dropped", counts.dropped()),

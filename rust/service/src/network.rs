@@ -1,8 +1,8 @@
 //! Access to the network; no other file of this crate uses zenoh.
 
 use std::sync::mpsc::{self, Receiver};
-use std::time::Duration;
-use std::{borrow::Cow, collections::BTreeMap, fs::File, path::Path};
+use std::time::{Duration, Instant};
+use std::{borrow::Cow, collections::BTreeMap, fs::File, path::Path, thread};
 
 use egp_wire::{WireError, keys, keys::Name};
 use serde_json::Value;
@@ -12,7 +12,11 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::{Config, Wait};
 
+use crate::endpoints::free_ports;
 use crate::query::{Answer, Query};
+
+/// Time for which a service in zenoh's mode `client` waits for its routers.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 
 /// An operation of zenoh that failed.
 #[derive(Debug, Error)]
@@ -146,24 +150,6 @@ fn entries(config: &Config, key: &str) -> Result<Vec<(String, Value)>, NetworkEr
         .collect())
 }
 
-/// Replaces the port of each endpoint, `PROTOCOL/HOST:PORT?METADATA#CONFIGURATION`, by 0.
-fn free_ports(endpoints: &mut Value) {
-    match endpoints {
-        Value::String(endpoint) => {
-            let end = endpoint.find(['?', '#']).unwrap_or(endpoint.len());
-            let (address, rest) = endpoint.split_at(end);
-            if let Some((host, port)) = address.rsplit_once(':')
-                && port.parse::<u16>().is_ok()
-            {
-                *endpoint = format!("{host}:0{rest}");
-            }
-        }
-        Value::Array(list) => list.iter_mut().for_each(free_ports),
-        Value::Object(modes) => modes.values_mut().for_each(free_ports),
-        _ => {}
-    }
-}
-
 /// The configuration of a session that only asks: it listens nowhere, and waits for its links at most `patience`.
 ///
 /// # Errors
@@ -261,6 +247,31 @@ impl Network {
             queryable: None,
             token: None,
         })
+    }
+
+    /// Opens a session as [`Network::open`] does. In zenoh's mode `client`, in which there is no session without a link,
+    /// each endpoint is tried, and all of them again until `patience` has passed or `stopped` returns true.
+    pub(crate) fn open_patiently(
+        mut config: Config,
+        patience: Duration,
+        stopped: &mut dyn FnMut() -> bool,
+    ) -> Result<Self, NetworkError> {
+        const PAUSE: Duration = Duration::from_millis(500);
+        let client = json(&config, "mode")? == "client";
+        if client {
+            // With more time zenoh would try the first endpoint alone until it is over.
+            insert(&mut config, "connect/timeout_ms", "0")?;
+        }
+        let begun = Instant::now();
+        loop {
+            match Self::open(config.clone()) {
+                Err(error) if client && begun.elapsed() < patience && !stopped() => {
+                    tracing::warn!(%error, "no router answers; trying again");
+                    thread::sleep(PAUSE);
+                }
+                opened => return opened,
+            }
+        }
     }
 
     /// Answers queries on the key expression `key`. `intake` runs on zenoh's receive thread.

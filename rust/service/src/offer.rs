@@ -43,8 +43,8 @@ impl<Q: Query> Offer<Q> {
         Self(Mutex::new(None))
     }
 
-    /// Leaves a question for the thread, or answers it with an error; returns at once.
-    pub(crate) fn take(&self, query: Q, id: LibraryId, part: Option<u32>) {
+    /// Leaves a question for the thread, or answers it with an error: whether it was left. Returns at once.
+    pub(crate) fn take(&self, query: Q, id: LibraryId, part: Option<u32>) -> bool {
         let asked = Asked { query, id, part };
         let sender = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let left = match &*sender {
@@ -52,7 +52,7 @@ impl<Q: Query> Offer<Q> {
             None => Err(TrySendError::Disconnected(asked)),
         };
         let (asked, code, wait, detail) = match left {
-            Ok(()) => return,
+            Ok(()) => return true,
             Err(TrySendError::Full(asked)) => {
                 let detail = format!("{WAITING} questions for libraries are waiting already");
                 // The questions that wait are answered meanwhile.
@@ -68,6 +68,7 @@ impl<Q: Query> Offer<Q> {
         asked
             .query
             .refuse(&WireError::retryable(code, wait, detail));
+        false
     }
 
     /// Lets the thread end once it has answered what waits.

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 use egp_wire::LibraryId;
 
@@ -24,7 +24,13 @@ pub(crate) struct Reloader {
     watch: Option<Duration>,
     /// The file as it was loaded last.
     stamp: Stamp,
+    /// The last loading that the watch began, if it failed: when, and why.
+    failed: Option<(Instant, String)>,
 }
+
+/// Time after which a loading that failed is tried again without a change of the file: what it lacked, such as a signature
+/// or room for a further library, may be there by then.
+const RETRY: Duration = Duration::from_secs(5);
 
 /// The running thread, which ends when this value is dropped; a loading that has begun is completed first.
 pub(crate) struct Running {
@@ -40,6 +46,7 @@ impl Reloader {
             libraries,
             watch,
             stamp,
+            failed: None,
         }
     }
 
@@ -54,11 +61,18 @@ impl Reloader {
         let thread = thread.spawn(move || {
             while let Some(commanded) = self.wait(&commands) {
                 let now = stamp(self.libraries.file());
-                if commanded || now != self.stamp {
+                let changed = commanded || now != self.stamp;
+                let again = (self.failed.as_ref()).is_some_and(|(at, _)| at.elapsed() > RETRY);
+                if changed || again {
                     // A change during the loading is seen at the next look.
                     self.stamp = now;
                     let reloaded = self.libraries.reload();
-                    note(reloaded.map(|reloaded| (reloaded, self.libraries.ids())));
+                    let why = reloaded.as_ref().err().map(ToString::to_string);
+                    let before = self.failed.take().map(|(_, why)| why);
+                    if changed || why != before {
+                        note(reloaded.map(|reloaded| (reloaded, self.libraries.ids())));
+                    }
+                    self.failed = why.map(|why| (Instant::now(), why));
                 }
             }
         })?;

@@ -7,7 +7,6 @@ use signal_hook::iterator::Signals;
 use thiserror::Error;
 
 use crate::config::ServiceConfig;
-use crate::fetch_error::FetchError;
 use crate::guard::Guard;
 use crate::handler::Handler as _;
 use crate::libraries::Libraries;
@@ -60,9 +59,13 @@ pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
     init_logging(&config.log, config.log_json).map_err(ServeError::Logging)?;
     // Signals are registered before the start, so that an early one is not lost.
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).map_err(ServeError::Signals)?;
-    let mut stopped = || signals.pending().any(|signal| signal != SIGHUP);
+    let mut ended = false;
+    let mut stopped = || {
+        ended |= signals.pending().any(|signal| signal != SIGHUP);
+        ended
+    };
     let server = match Server::start_unless(config, &mut stopped) {
-        Err(StartError::Fetch(FetchError::Stopped { .. })) => return Ok(()),
+        Err(_) if ended => return Ok(()),
         started => started?,
     };
     for signal in signals.forever() {

@@ -24,7 +24,7 @@ use crate::intake::Shared;
 use crate::libraries::{Libraries, ReloadError};
 use crate::library_table::Reloaded;
 use crate::metrics::Metrics;
-use crate::network::{Network, NetworkError, Publisher, Received, configuration};
+use crate::network::{Network, NetworkError, PATIENCE, Publisher, Received, configuration};
 use crate::offer::{Offer, offer};
 use crate::queue::Queue;
 use crate::reloader::{Outcome, Reloader, Running, stamp};
@@ -93,8 +93,8 @@ impl Server {
         Self::start_unless(config, &mut || false)
     }
 
-    /// As [`Server::start`], but gives up fetching the library, with [`FetchError::Stopped`], as soon as `stopped` returns
-    /// true.
+    /// As [`Server::start`], but ends with an error if `stopped` returns true while it fetches the library or waits for a
+    /// router.
     pub(crate) fn start_unless(
         config: &ServiceConfig,
         stopped: &mut dyn FnMut() -> bool,
@@ -103,7 +103,7 @@ impl Server {
         fetch(config, stopped)?;
         let stamp = stamp(&config.library);
         let libraries = Arc::new(Libraries::load(config)?);
-        let mut server = Self::start_shared(config, &libraries)?;
+        let mut server = Self::start_shared(config, &libraries, stopped)?;
         let reloader = Reloader::new(libraries, config.watch(), stamp);
         let shared = server.shared.clone();
         server.reloader = Some(reloader.start(move |reloaded| note(&shared.metrics, reloaded))?);
@@ -115,12 +115,13 @@ impl Server {
     /// # Errors
     /// [`StartError`]; nothing keeps running then.
     pub fn start_with<H: Handler>(config: &ServiceConfig, handler: H) -> Result<Self, StartError> {
-        Self::start_shared(config, &Arc::new(handler))
+        Self::start_shared(config, &Arc::new(handler), &mut || false)
     }
 
     fn start_shared<H: Handler>(
         config: &ServiceConfig,
         handler: &Arc<H>,
+        stopped: &mut dyn FnMut() -> bool,
     ) -> Result<Self, StartError> {
         config.validate()?;
         let replica: Name = config.replica.parse()?;
@@ -153,7 +154,8 @@ impl Server {
             offer: offering,
         });
         let http = config.http.map(HttpListener::bind).transpose()?;
-        let network = Network::open(configuration(config.zenoh_file.as_deref(), &config.zenoh)?)?;
+        let zenoh = configuration(config.zenoh_file.as_deref(), &config.zenoh)?;
+        let network = Network::open_patiently(zenoh, PATIENCE, stopped)?;
         let mut server = Self {
             shared,
             network,
@@ -269,8 +271,6 @@ impl Drop for Server {
 
 /// Fetches the library of a configuration if it states one by its hash. `stopped` tells whether to give up.
 fn fetch(config: &ServiceConfig, stopped: &mut dyn FnMut() -> bool) -> Result<(), FetchError> {
-    /// Replicas that start together may need this time.
-    const PATIENCE: Duration = Duration::from_secs(30);
     let Some(wanted) = wanted(config) else {
         return Ok(());
     };

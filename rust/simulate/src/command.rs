@@ -33,8 +33,8 @@ struct Options {
     /// vehicle-clock:car-0@1+0 lets a clock jump.
     #[arg(long, value_name = "FAULT", requires = "seed")]
     fault: Vec<ScheduledFault>,
-    /// Virtual duration of a run, s.
-    #[arg(long, default_value_t = 10.0)]
+    /// Virtual duration of a run, s; at most a day.
+    #[arg(long, default_value_t = 10.0, value_parser = seconds)]
     seconds: f64,
     /// Number of vehicles, 1 to 100.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=100))]
@@ -45,6 +45,14 @@ struct Options {
     /// Number of replicas, 1 to 100.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=100))]
     replicas: u8,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    const LONGEST: f64 = 86_400.0;
+    let value = text.parse().ok();
+    value
+        .filter(|value| *value > 0.0 && *value <= LONGEST)
+        .ok_or_else(|| format!("expected a number of seconds above 0 and up to {LONGEST}"))
 }
 
 fn seeds(text: &str) -> Result<std::ops::Range<u64>, String> {

@@ -58,8 +58,12 @@ mutants! {
     TailAsNormal => Tail,
     /// An input of the tail is driven a period too late.
     TailShifted => Tail,
+    /// The tail repeats the last command, as if a limit asked for it.
+    TailHeld => Tail,
     /// The stop after the tail repeats the last command instead of braking.
     StopRepeats => Tail,
+    /// The stop after the tail drives, as if a limit asked for it.
+    StopDrives => Tail,
     /// The weights of a reply change places on its way.
     ChangedWeights => Match,
     /// The forces of a plan are halved on its way.

@@ -110,6 +110,7 @@ impl Witness {
         if self.commands > 1 {
             broken.push((Oracle::Command, "a second command in one period".to_owned()));
         }
+        let previous = self.previous;
         self.limits(step.command.u, &mut broken);
         if step.reply.is_some() {
             self.replied = now;
@@ -118,7 +119,7 @@ impl Witness {
         for late in &step.late {
             self.take(&late.reply_bytes, ledger, None, &mut broken);
         }
-        self.tail(step, &mut broken);
+        self.tail(step, previous, &mut broken);
         broken
     }
 
@@ -183,7 +184,7 @@ impl Witness {
         self.previous = u;
     }
 
-    fn tail(&self, step: &Step, broken: &mut Vec<(Oracle, String)>) {
+    fn tail(&self, step: &Step, previous: [f64; 2], broken: &mut Vec<(Oracle, String)>) {
         let command = &step.command;
         let newest = self.plan.as_ref();
         let age = newest.map(|(period, _)| self.period - period);
@@ -191,21 +192,56 @@ impl Witness {
             Mode::Normal => age == Some(0),
             Mode::Tail => age.is_some_and(|age| (1..=self.max_tail).contains(&age)),
             Mode::Waiting => age.is_none(),
-            // A stop is always allowed, and then the vehicle does not accelerate.
-            Mode::Stop => command.u[0] <= 0.0 || command.limited,
+            // A stop is always allowed; the force that drives then falls as fast as its slew allows.
+            Mode::Stop => {
+                let left = previous[0] - self.limits.force_slew * self.dt;
+                command.u[0] <= left.max(0.0) + ROUNDING * self.limits.force_max
+            }
         };
         if !allowed {
             let text = format!("mode {:?} with a plan of age {age:?}", command.mode);
             broken.push((Oracle::Tail, text));
         }
-        let driven = matches!(command.mode, Mode::Normal | Mode::Tail) && !command.limited;
         let planned = newest
             .zip(age)
             .and_then(|((_, plan_u), age)| plan_u.get(usize::try_from(age).unwrap_or(usize::MAX)));
-        if driven && planned.is_some_and(|planned| *planned != command.u) {
-            let text = format!("{:?} is driven, planned is {planned:?}", command.u);
+        let driven = matches!(command.mode, Mode::Normal | Mode::Tail);
+        if let Some(planned) = planned.filter(|_| driven)
+            && *planned != command.u
+            && !(command.limited && self.towards(*planned, previous, command.u))
+        {
+            let text = format!(
+                "{:?} is driven after {previous:?}, planned is {planned:?}",
+                command.u
+            );
             broken.push((Oracle::Tail, text));
         }
+    }
+
+    /// Whether limits explain that `u` is driven in place of the planned input: each component is the planned one, an end
+    /// of its range, or the last one changed towards the planned one as fast as its slew allows. The power makes the
+    /// driving force smaller, and the end of the steering angle's range the steering rate.
+    fn towards(&self, planned: [f64; 2], previous: [f64; 2], u: [f64; 2]) -> bool {
+        let limits = &self.limits;
+        let ranges = [
+            (limits.force_min, limits.force_max, limits.force_slew),
+            (
+                -limits.steering_rate,
+                limits.steering_rate,
+                limits.steering_slew,
+            ),
+        ];
+        (0..2).all(|i| {
+            let (low, high, slew) = ranges[i];
+            let near = |value: f64| (u[i] - value).abs() <= ROUNDING * (high - low);
+            let step = slew * self.dt * (planned[i] - previous[i]).signum();
+            let smaller = u[i] * planned[i] >= 0.0 && u[i].abs() <= planned[i].abs();
+            let may_be_smaller = i == 1 || planned[i] > 0.0;
+            near(planned[i])
+                || near(planned[i].clamp(low, high))
+                || near(previous[i] + step)
+                || (smaller && may_be_smaller)
+        })
     }
 }
 

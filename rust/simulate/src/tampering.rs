@@ -40,6 +40,14 @@ impl World<'_> {
                 command.u = self.vehicles[v].u;
                 command.limited = false;
             }
+            Mutant::TailHeld if command.mode == Mode::Tail => {
+                command.u = self.vehicles[v].u;
+                command.limited = true;
+            }
+            Mutant::StopDrives if command.mode == Mode::Stop => {
+                command.u[0] = self.vehicles[v].u[0].abs().max(1.0);
+                command.limited = true;
+            }
             Mutant::StopRepeats if command.mode == Mode::Stop => {
                 command.u[0] = self.vehicles[v].u[0].abs().max(1.0);
                 command.limited = false;

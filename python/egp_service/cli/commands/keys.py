@@ -10,7 +10,10 @@ from rich.console import Console
 def keys(
     folder: Annotated[Path, typer.Argument(help="Folder of the files.", show_default=False)],
     vehicle: Annotated[
-        list[str], typer.Option(help="Name of a vehicle; repeat for more.", show_default=False)
+        list[str],
+        typer.Option(
+            help="Name of a vehicle, new or to renew; repeat for more.", show_default=False
+        ),
     ],
     host: Annotated[
         list[str],
@@ -33,10 +36,11 @@ def keys(
     """Make keys, certificates and configurations that close a service to strangers.
 
     Called again for other vehicles, it keeps what is there and adds what is
-    missing; start the service again with its new file then. Another --host is
-    for the new vehicles; those that there are reach the service as before. Keep
-    ca.key and library.key where no service and no vehicle is; all other files go
-    where their name says.
+    missing; start the service again with its new file then. Called again for a
+    vehicle that there is, it renews the certificate: the .json5 file is new, the
+    secret key stays. Another --host is for the new vehicles; those that there are
+    reach the service as before. Keep ca.key and library.key where no service and
+    no vehicle is; all other files go where their name says.
 
     For example:
       egp keys secrets --vehicle car-1 --vehicle car-2 --host control.example
@@ -44,9 +48,16 @@ def keys(
     from egp_service.cli.credentials import write_credentials
 
     console = Console(soft_wrap=True)
-    new = write_credentials(folder, fleet, vehicle, hosts=host, port=port, days=days)
+
+    def report(text: str) -> None:
+        console.print(text, markup=False, highlight=False)
+
+    new = write_credentials(folder, fleet, vehicle, hosts=host, port=port, days=days, report=report)
+    renewed = [name for own in dict.fromkeys(vehicle) if (name := f"{fleet}/{own}") not in new]
     console.print(f"New vehicles: {', '.join(new) or 'none'}")
-    shown = (new or [f"{fleet}/{vehicle[0]}"])[0]
+    if renewed:
+        report(f"Renewed vehicles, with a new .json5 file each: {', '.join(renewed)}")
+    shown = (new or renewed)[0]
     own = folder / "vehicles" / shown.replace("/", "@")
     console.print(
         f"""

@@ -115,7 +115,7 @@ def serve(
 
     table: dict[str, object] = {}
     if config is not None:
-        table = _with_folder(read_service(config), config.parent)
+        table = read_service(config)
     elif library is None:
         raise EgpError("nothing to serve: give a library file, or --config service.toml")
     given: dict[str, object] = {"replica": replica, "workers": workers, "http": http}
@@ -154,15 +154,3 @@ def _show(served: "Ready") -> None:
     typer.echo(f"surfaces: {', '.join(served.members)}")
     typer.echo(f"period {served.dt:g} s, horizon {served.horizon}, window {served.history}")
     typer.echo("Configuration, library and network settings are valid.")
-
-
-def _with_folder(table: dict[str, object], folder: Path) -> dict[str, object]:
-    """Let the relative paths of a configuration start at its folder."""
-    paths: dict[str, object] = {
-        name: str(folder / path)
-        for name in ("library", "traces", "vehicle_keys", "library_keys", "zenoh_file")
-        if isinstance(path := table.get(name), str)
-    }
-    if isinstance(libraries := table.get("libraries"), list):
-        paths["libraries"] = [str(folder / str(file)) for file in libraries]
-    return table | paths

@@ -30,6 +30,10 @@ use crate::{GpInput, GpOutput, Library, NY};
 /// Reciprocal of the power of the likelihood. With 1.6 the 90 % interval contains the true value in 90 % of the informed
 /// windows, with 2 in 93 %, with 3 in 97 % (`tests/bench/calibration.py`).
 const TEMPERATURE: f64 = 1.6;
+/// Smallest logarithm of a likelihood, for which a reply has room. Without noise to speak of they are unlimited.
+const LEAST: f64 = -1e6;
+/// Logarithm below which the sum of densities may lose digits or become zero.
+const UNDERFLOW: f64 = -600.0;
 /// Number of points at which the density is evaluated.
 const POINTS: usize = 121;
 /// Probabilities of the interval's ends.
@@ -176,9 +180,15 @@ impl FrictionEstimator {
             return FrictionEstimate::default();
         }
         let scale = -0.5 / (TEMPERATURE * (least / n).max(1.0));
-        let log_likelihood = self.squares.map(|square| scale * (square - least));
+        let log_likelihood = (self.squares).map(|square| (scale * (square - least)).max(LEAST));
+        let mut most = f64::NEG_INFINITY;
         for (density, position) in self.density.iter_mut().zip(&self.positions) {
-            *density = interpolate_hypotheses(&log_likelihood, *position).exp();
+            *density = interpolate_hypotheses(&log_likelihood, *position);
+            most = most.max(*density);
+        }
+        let shift = if most < UNDERFLOW { most } else { 0.0 };
+        for density in &mut self.density {
+            *density = (*density - shift).exp();
         }
         let trapezoid = |i: usize| if i == 0 || i == POINTS - 1 { 0.5 } else { 1.0 };
         let total: f64 = (0..POINTS).map(|i| trapezoid(i) * self.density[i]).sum();

@@ -184,9 +184,9 @@ pub enum LibraryError {
         /// The number.
         value: f64,
     },
-    /// A scale, lengthscale or variance that is zero or negative.
+    /// A scale, lengthscale or variance that is not positive, or beyond 1e-100 to 1e100.
     #[error(
-        "tensor \"{tensor}\" must be positive, it holds {value} at flat index {index}; train again"
+        "tensor \"{tensor}\" must be positive (1e-100 to 1e100), it holds {value} at flat index {index}; train again"
     )]
     NotPositive {
         /// Name.

@@ -1,5 +1,7 @@
 //! The checks on a member's numbers: before it is built, and by what it then predicts.
 
+use std::ops::RangeInclusive;
+
 use super::LibraryError;
 use super::data::MemberData;
 use super::format::tensor_name;
@@ -16,6 +18,8 @@ const POSITIVE: [&str; 7] = [
     "single_track",
     "kinematic",
 ];
+/// Positive numbers whose quotients and squares are finite.
+const SCALES: RangeInclusive<f64> = 1e-100..=1e100;
 /// Largest residual of `alpha`, z-scored.
 const ALPHA_TOLERANCE: f64 = 1e-10;
 /// Largest difference to a golden mean or Jacobian, z-scored.
@@ -38,7 +42,7 @@ pub(super) fn check_values(data: &MemberData, member: usize) -> Result<(), Libra
         }
         // Without training points a zero prior variance is the vehicle's certainty.
         let zero_allowed = name == "outputscale" && data.inputs.is_empty();
-        let wrong = |value: f64| value < 0.0 || (value == 0.0 && !zero_allowed);
+        let wrong = |value: f64| !(SCALES.contains(&value) || (value == 0.0 && zero_allowed));
         let positive = POSITIVE.contains(&name);
         if let Some(index) = values.iter().position(|&value| positive && wrong(value)) {
             return Err(LibraryError::NotPositive {
@@ -72,7 +76,13 @@ pub(super) fn check_alpha(
         let difference = built.target_scaler().scale(&built.mean(&GpInput::from(*z)))
             - built.target_scaler().scale(&(*y).into());
         for o in 0..NY {
-            largest[o] = largest[o].max((difference[o] + data.noise[o] * data.alpha[o][i]).abs());
+            let residual = (difference[o] + data.noise[o] * data.alpha[o][i]).abs();
+            let residual = if residual.is_nan() {
+                f64::INFINITY
+            } else {
+                residual
+            };
+            largest[o] = largest[o].max(residual);
         }
     }
     for (output, residual) in largest.into_iter().enumerate() {

@@ -44,6 +44,11 @@ impl Delay {
         }));
     }
 
+    /// Number of the newest rows of a history of `rows`, of which [`Self::align`] knows all inputs.
+    pub fn known(&self, rows: usize) -> usize {
+        rows.saturating_sub(self.periods + usize::from(self.part > 0.0))
+    }
+
     /// The measured state with the velocities of now: the ensemble's prediction over the delay, with the inputs that
     /// were applied since, `x(t) = x(t - d) + Σ f(z) h / dt` over parts `h` of at most one period. Without a history the
     /// last input counts as applied since then. `disturbance` is added to each change `f`.

@@ -28,8 +28,8 @@ impl Deviations {
         }
     }
 
-    /// Computes the variances of the transitions that begin with these states and inputs, each at most 10 % too large, with that of the
-    /// residual.
+    /// Computes the variances of the transitions that begin with these states and inputs, each at most 22 % too large, with
+    /// that of the residual.
     fn compute<'a>(
         &mut self,
         ensembles: impl Fn(usize) -> Ensemble<'a>,

@@ -185,9 +185,17 @@ fn estimate_weights(
         &ws.previous,
         &mut reply.weights,
     );
-    reply.friction =
-        ws.friction
-            .estimate(history_z, &reply.history_f, rows.history_y, &ws.previous);
+    // Where a row's inputs are not known the hypotheses would differ by what another row's inputs do. The members'
+    // predictions are those of the request, which had them.
+    let known = ws
+        .delay
+        .map_or(history_z.len(), |delay| delay.known(history_z.len()));
+    reply.friction = ws.friction.estimate(
+        &history_z[..known],
+        &reply.history_f,
+        rows.history_y,
+        &ws.previous,
+    );
     if settings.weights.whiten && !ws.estimator.informed(&reply.weights) {
         reply.weights.copy_from_slice(&ws.previous);
     }

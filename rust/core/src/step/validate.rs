@@ -4,6 +4,13 @@ use super::StepRequest;
 use crate::vehicle::{DELTA, DELTA_DOT, FORCE, OMEGA, P_X, P_Y, V_X, V_Y};
 use crate::{EnsembleError, Input, Library, NU, NX, NY, NZ, Settings, State};
 
+/// Largest magnitude of `F_x / mass` in a request, m/s².
+pub(super) const MOST_ACCELERATION: f64 = 50.0;
+/// Largest steering rate in a request, rad/s.
+pub(super) const MOST_STEERING_RATE: f64 = 10.0;
+/// Largest steering angle in a request, rad.
+pub(super) const MOST_STEERING_ANGLE: f64 = 1.5;
+
 /// A request that is invalid or does not belong to the workspace.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StepError {
@@ -241,24 +248,20 @@ fn within(quantity: &'static str, value: f64, min: f64, max: f64) -> Result<(), 
     }
 }
 
+fn magnitude(quantity: &'static str, value: f64, most: f64) -> Result<(), StepError> {
+    within(quantity, value, -most, most)
+}
+
 fn domains(mass: f64, rows: &Rows) -> Result<(), StepError> {
     let x = &rows.x;
     within("x.v_x (m/s)", x[V_X], -1.0, 100.0)?; // a standing vehicle measures noise around zero
     within("x.v_y (m/s)", x[V_Y], -50.0, 50.0)?;
     within("x.omega (rad/s)", x[OMEGA], -20.0, 20.0)?;
-    within("x.delta (rad)", x[DELTA], -1.5, 1.5)?;
-    within(
-        "u_prev.F_x / mass (m/s^2)",
-        rows.u_prev[FORCE] / mass,
-        -50.0,
-        50.0,
-    )?;
-    within(
-        "u_prev.delta_dot (rad/s)",
-        rows.u_prev[DELTA_DOT],
-        -10.0,
-        10.0,
-    )?;
+    let a = rows.u_prev[FORCE] / mass;
+    let rate = rows.u_prev[DELTA_DOT];
+    magnitude("x.delta (rad)", x[DELTA], MOST_STEERING_ANGLE)?;
+    magnitude("u_prev.F_x / mass (m/s^2)", a, MOST_ACCELERATION)?;
+    magnitude("u_prev.delta_dot (rad/s)", rate, MOST_STEERING_RATE)?;
     for row in rows.reference {
         let distance = (row[0] - x[P_X]).hypot(row[1] - x[P_Y]);
         within(

@@ -7,6 +7,7 @@ use egp_parameters::VehicleParameters;
 use super::StepError;
 use super::delay::Delay;
 use super::deviations::Deviations;
+use super::validate::{MOST_ACCELERATION, MOST_STEERING_ANGLE, MOST_STEERING_RATE};
 use crate::executor::{Executor, Sequential};
 use crate::friction::FrictionEstimator;
 use crate::linearisation::Linearisation;
@@ -30,6 +31,21 @@ pub enum SetupError {
     /// The QP solver could not be set up.
     #[error(transparent)]
     Solver(#[from] SolverSetupError),
+    /// A limit of the vehicle beyond what a request may state.
+    #[error(
+        "{name} of the vehicle to control is {value} {unit}: at most {most} {unit} are supported; check its unit in the \
+         settings or in the library"
+    )]
+    Limit {
+        /// The field of [`VehicleParameters`].
+        name: &'static str,
+        /// Its unit.
+        unit: &'static str,
+        /// Its magnitude.
+        value: f64,
+        /// The largest magnitude.
+        most: f64,
+    },
 }
 
 /// Memory for one step at a time; each worker needs its own. No result of a step depends on earlier steps.
@@ -82,6 +98,7 @@ impl Workspace {
         let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
         let solvers = solver::solvers(&qp, &settings.solver)?;
         let vehicle = settings.vehicle(library.vehicle());
+        check_limits(&vehicle)?;
         let late = settings.measurement_delay(library.metadata().measurement_delay);
         let limits = |member: &Member| {
             let limits = member.tyre_limits(&vehicle);
@@ -145,4 +162,26 @@ impl Workspace {
             Err(StepError::Workspace)
         }
     }
+}
+
+/// Errors if the vehicle's inputs can leave the domain of the next request, which would then be refused.
+fn check_limits(vehicle: &VehicleParameters) -> Result<(), SetupError> {
+    for (name, unit, value) in vehicle.fields() {
+        let most = match name {
+            "a_min" | "a_max" => MOST_ACCELERATION,
+            "steering_rate" => MOST_STEERING_RATE,
+            "steering_angle" => MOST_STEERING_ANGLE,
+            _ => f64::INFINITY,
+        };
+        let value = value.abs();
+        if value > most {
+            return Err(SetupError::Limit {
+                name,
+                unit,
+                value,
+                most,
+            });
+        }
+    }
+    Ok(())
 }

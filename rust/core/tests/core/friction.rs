@@ -6,10 +6,16 @@ use egp_core::library::{LibrarySpec, MemberData, encode};
 use egp_core::settings::WeightSettings;
 use egp_core::vehicle::ModelParameters;
 use egp_core::{GpInput, Kernel, Library, Member, NY};
+use egp_parameters::friction_hypotheses;
 use egp_testing::libraries;
 
 /// A library of vehicles alone, whose tyres have the same slope at zero slip on every surface.
 fn library(frictions: &[f64]) -> Library {
+    with_noise(frictions, 0.1)
+}
+
+/// The same with this z-scored standard deviation of the members' noise.
+fn with_noise(frictions: &[f64], noise: f64) -> Library {
     let spec = libraries::spec(Kernel::Rbf, frictions, 8, 1);
     let alone = |member: &MemberData| {
         let mu = member.friction;
@@ -46,7 +52,7 @@ fn library(frictions: &[f64]) -> Library {
             constant: [0.0; NY],
             target_mean: [0.0; NY],
             target_std: [0.01; NY],
-            noise: [0.1; NY],
+            noise: [noise; NY],
             vehicle: Some(ModelParameters::SingleTrack(parameters)),
             ..member.clone()
         }
@@ -140,4 +146,40 @@ fn members_without_vehicles_are_blended() {
     let z = window(0.3);
     let found = estimate(&gps, &gps, &z);
     assert!(found.upper < 0.75, "{found:?}");
+}
+
+#[test]
+fn a_window_without_noise_gives_numbers_that_a_reply_can_state() {
+    let hypotheses = friction_hypotheses();
+    let ensemble = with_noise(&[hypotheses[5], hypotheses[14]], 1e-6);
+    let silent = WeightSettings {
+        measurement: Some([0.0; NY]),
+        ..WeightSettings::default()
+    };
+    let z = window(0.1);
+    let [low, high] = [0, 1].map(|i| changes(&ensemble.members()[i], &z));
+    let predictions: Vec<f64> = (low.iter().zip(&high))
+        .flat_map(|(low, high)| [*low, *high])
+        .flatten()
+        .collect();
+    for measured in [low, high] {
+        let mut estimator = FrictionEstimator::new(&ensemble, &silent);
+        let found = estimator.estimate(&z, &predictions, &measured, &[0.5, 0.5]);
+        let FrictionEstimate {
+            mean,
+            std,
+            lower,
+            upper,
+            information,
+            log_likelihood,
+        } = found;
+        let numbers = [mean, std, lower, upper, information];
+        assert!(numbers.iter().all(|number| number.is_finite()), "{found:?}");
+        assert_eq!(log_likelihood[0], -1e6);
+        assert!(
+            log_likelihood
+                .iter()
+                .all(|value| (-1e6..=0.0).contains(value))
+        );
+    }
 }

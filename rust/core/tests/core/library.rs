@@ -175,6 +175,13 @@ fn a_member_without_points_needs_a_vehicle_and_points_need_a_prior_variance() {
         encode(&spec),
         Err(LibraryError::NotPositive { .. })
     ));
+    // A quotient by such a scale is infinite.
+    let mut tiny = with_vehicle_alone(KINEMATIC);
+    tiny.members[0].input_std[2] = 1e-320;
+    assert!(matches!(
+        encode(&tiny),
+        Err(LibraryError::NotPositive { .. })
+    ));
     spec.members[0].vehicle = None;
     assert!(matches!(encode(&spec), Err(LibraryError::Count { .. })));
     let mut spec = libraries::spec(Kernel::Rbf, &[0.5], 20, 0);

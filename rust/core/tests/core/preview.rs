@@ -1,8 +1,9 @@
 //! What a request says about the road ahead, and the plan that follows from it.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
+use egp_core::library::encode;
 use egp_core::preview::StageWeights;
-use egp_core::{GpInput, GpOutput, Kernel, StepReply, Workspace, step};
+use egp_core::{GpInput, GpOutput, Kernel, Library, StepReply, Workspace, step};
 use egp_testing::libraries;
 use egp_testing::requests::{library, settings, solve, warm};
 
@@ -16,6 +17,15 @@ fn stages(weights: [f64; 3], behind: f64, ahead: &[f64]) -> Vec<[f64; 3]> {
     (0..ahead.len())
         .map(|t| stages.stage(t).try_into().unwrap())
         .collect()
+}
+
+/// A library with members of these frictions, whose labels differ.
+fn labelled(frictions: &[f64]) -> Library {
+    let mut spec = libraries::spec(Kernel::Rbf, frictions, 20, 3);
+    for (i, member) in spec.members.iter_mut().enumerate() {
+        member.label = format!("member {i}");
+    }
+    Library::from_bytes(&encode(&spec).unwrap()).unwrap()
 }
 
 fn close(a: &[f64], b: &[f64]) -> bool {
@@ -59,7 +69,7 @@ fn weights_that_contradict_the_preview_stay_on_the_simplex() {
 
 #[test]
 fn members_of_the_same_friction_share_its_weight() {
-    let library = libraries::library(Kernel::Rbf, &[0.9, 0.3, 0.9], 20, 3);
+    let library = labelled(&[0.9, 0.3, 0.9]);
     let mut stages = StageWeights::new(library.members(), 3);
     let mut fill = |weights: [f64; 3], road: [f64; 4]| -> Vec<[f64; 3]> {
         stages.fill(&weights, &road.map(|mu| [mu, 0.1]), &settings().weights);
@@ -81,7 +91,7 @@ fn members_of_the_same_friction_share_its_weight() {
 
 #[test]
 fn the_slope_over_the_friction_is_between_different_frictions() {
-    let library = libraries::library(Kernel::Rbf, &[0.9, 0.3, 0.9], 20, 3);
+    let library = labelled(&[0.9, 0.3, 0.9]);
     let [first, low, last] = library.members() else {
         panic!("three members")
     };
@@ -92,7 +102,7 @@ fn the_slope_over_the_friction_is_between_different_frictions() {
         let found = stages.slope(library.members(), mu, &z);
         assert!((found - expected).amax() < 1e-12 * expected.amax());
     }
-    let same = libraries::library(Kernel::Rbf, &[0.9, 0.9], 20, 3);
+    let same = labelled(&[0.9, 0.9]);
     let stages = StageWeights::new(same.members(), 3);
     assert_eq!(stages.slope(same.members(), 0.9, &z), GpOutput::zeros());
 }

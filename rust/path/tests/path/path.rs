@@ -249,6 +249,13 @@ fn errors_name_the_invalid_points() {
         open(&points),
         PathError::NotFinite { index: 4, .. }
     ));
+    // There and back: the cusps coincide with samples.
+    let to_and_fro: [&[f64]; 2] = [&[0.0, 10.0, 20.0, 10.0], &[0.0, 4.0, 8.0, 4.0]];
+    for x in to_and_fro {
+        let points: Vec<[f64; 2]> = x.iter().map(|x| [*x, 0.0]).collect();
+        let error = Path::from_points(&points, true, None).unwrap_err();
+        assert!(matches!(error, PathError::TooSharp { .. }), "{error}");
+    }
     let error = Path::from_points(&line(5), false, Some(&[[1.0, -1.0]; 5])).unwrap_err();
     assert!(matches!(
         error,

@@ -11,7 +11,7 @@ use egp_wire::road_keys::RoadKey;
 use egp_wire::{ROAD_TILES, VERSION, proto};
 use prost::Message as _;
 
-use super::store::{Road, Store, Tiles};
+use super::store::{Road, Store, StoreError, Tiles};
 
 const SUFFIX: &str = "road";
 /// Largest file that is read, bytes: the longest road with 64 vehicles takes less.
@@ -46,7 +46,7 @@ pub(crate) struct Clocks {
 }
 
 /// Reads the files of a folder, which is made if it does not exist. Contributions that are too old, or for which the store
-/// has no room, are left out.
+/// has no room, are left out. The file of a road whose contributions are all too old is removed.
 pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(), RoadFileError> {
     let system = |source| RoadFileError::System {
         path: folder.to_owned(),
@@ -60,7 +60,13 @@ pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(
                 path: path.clone(),
                 source,
             })?;
-            add(&bytes, store, clocks).map_err(|reason| RoadFileError::Content { path, reason })?;
+            let useful = add(&bytes, store, clocks).map_err(|reason| RoadFileError::Content {
+                path: path.clone(),
+                reason,
+            })?;
+            if !useful {
+                fs::remove_file(&path).map_err(|source| RoadFileError::System { path, source })?;
+            }
         }
     }
     store.take_changed();
@@ -73,7 +79,8 @@ fn read(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn add(bytes: &[u8], store: &mut Store, clocks: Clocks) -> Result<(), String> {
+/// Adds the contributions of a file: whether one of them is not too old.
+fn add(bytes: &[u8], store: &mut Store, clocks: Clocks) -> Result<bool, String> {
     let stored = proto::StoredRoad::decode(bytes).map_err(|error| error.to_string())?;
     if stored.version != VERSION {
         return Err(format!(
@@ -83,6 +90,7 @@ fn add(bytes: &[u8], store: &mut Store, clocks: Clocks) -> Result<(), String> {
     }
     let name = |text: &str| text.parse::<Name>().map_err(|error| error.to_string());
     let (fleet, road) = (name(&stored.fleet)?, name(&stored.road)?);
+    let mut useful = false;
     for evidence in stored.evidence {
         let key = RoadKey {
             fleet: fleet.clone(),
@@ -97,11 +105,13 @@ fn add(bytes: &[u8], store: &mut Store, clocks: Clocks) -> Result<(), String> {
         }
         let tile = Tile::from_bytes(&evidence.rows).map_err(|error| error.to_string())?;
         let age = clocks.unix_ms.saturating_sub(evidence.measured_ms) as f64 / 1e3;
-        if let Err(error) = store.add(&key, evidence.tile, tile, clocks.now - age, clocks.now) {
+        let added = store.add(&key, evidence.tile, tile, clocks.now - age, clocks.now);
+        useful |= !matches!(added, Err(StoreError::Old { .. }));
+        if let Err(error) = added {
             tracing::debug!(?key, %error, "stored evidence left out");
         }
     }
-    Ok(())
+    Ok(useful)
 }
 
 /// Writes a road's file beside the old one and then replaces it; a road without evidence has no file.

@@ -46,6 +46,7 @@ pub(crate) fn clocks(started: Instant) -> Clocks {
 impl Keeper {
     /// Runs until the intake is gone, and then writes what was not yet written.
     pub(crate) fn run(mut self, jobs: &Receiver<Job>) {
+        self.count();
         let mut unsaved = BTreeSet::new();
         let (mut published, mut saved, mut expired) = (self.started, self.started, self.started);
         loop {

@@ -18,7 +18,7 @@ use super::keeper::{Keeper, clocks};
 use super::store::Store;
 use crate::config::ConfigError;
 use crate::logging::init_logging;
-use crate::network::{Network, NetworkError, configuration};
+use crate::network::{Network, NetworkError, PATIENCE, configuration};
 
 /// Queries of all vehicles that may wait.
 const WAITING: usize = 1024;
@@ -57,6 +57,14 @@ impl MapServer {
     /// # Errors
     /// [`MapStartError`]; nothing keeps running then.
     pub fn start(config: &MapConfig) -> Result<Self, MapStartError> {
+        Self::start_unless(config, &mut || false)
+    }
+
+    /// As [`MapServer::start`], but ends with an error if `stopped` returns true while it waits for a router.
+    fn start_unless(
+        config: &MapConfig,
+        stopped: &mut dyn FnMut() -> bool,
+    ) -> Result<Self, MapStartError> {
         config.validate()?;
         let started = Instant::now();
         let mut store = Store::new(config.merge(), config.limits());
@@ -70,7 +78,8 @@ impl MapServer {
                 .entry(key.to_owned())
                 .or_insert_with(|| value.to_owned());
         }
-        let mut network = Network::open(configuration(config.zenoh_file.as_deref(), &zenoh)?)?;
+        let zenoh = configuration(config.zenoh_file.as_deref(), &zenoh)?;
+        let mut network = Network::open_patiently(zenoh, PATIENCE, stopped)?;
         let intake = Arc::new(Intake::new());
         let (contributions, roads) = (store.contributions(), store.roads());
         let keeper = Keeper {
@@ -125,7 +134,15 @@ pub fn serve_map(config: &MapConfig) -> Result<(), MapStartError> {
     init_logging(&config.log, config.log_json).map_err(MapStartError::Logging)?;
     // Signals are registered before the start, so that an early one is not lost.
     let mut signals = Signals::new([SIGTERM, SIGINT])?;
-    let server = MapServer::start(config)?;
+    let mut ended = false;
+    let mut stopped = || {
+        ended |= signals.pending().next().is_some();
+        ended
+    };
+    let server = match MapServer::start_unless(config, &mut stopped) {
+        Err(_) if ended => return Ok(()),
+        started => started?,
+    };
     if let Some(signal) = signals.forever().next() {
         tracing::info!(signal, "signal received");
     }

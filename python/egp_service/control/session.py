@@ -1,0 +1,99 @@
+"""Sessions of zenoh: their configuration, and how they are opened."""
+
+from __future__ import annotations
+
+import json
+import time
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import zenoh
+
+from egp_service import callbacks
+from egp_service._core import InvalidArgumentError
+from egp_service.control.endpoints import check_endpoints
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+_PAUSE_SECONDS = 0.1
+# Above the size of any message of the service; receiving a larger one could delay a step.
+_MAX_MESSAGE_BYTES = 1 << 20
+_DEFAULTS: Mapping[str, object] = MappingProxyType(
+    {
+        "mode": "peer",
+        "listen/endpoints": [],
+        "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2},
+        "scouting/multicast/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "transport/link/tx/lease": 2000,
+        "transport/link/rx/max_message_size": _MAX_MESSAGE_BYTES,
+    }
+)
+
+
+def direct(function: Any, end: Any = None) -> zenoh.handlers.Callback[Any]:  # noqa: ANN401
+    """Let zenoh call a function in the thread in which it receives, and `end` after the last call.
+
+    Rarely that is the main thread, which handles signals.
+    """
+    for called in (function, end):
+        if called is not None:
+            callbacks.mark(called)
+    return zenoh.handlers.Callback(function, end, indirect=False)
+
+
+def session_config(
+    endpoints: Sequence[str],
+    timeout: float,
+    more: Mapping[str, object],
+    file: Path | None = None,
+) -> zenoh.Config:
+    """Configure a peer with its own link to every endpoint, or read a configuration from `file`.
+
+    A session in zenoh's client mode has one link, and while the replica at its end is frozen, the
+    others cannot be reached. Shared memory delays the first queries and can lose one silently.
+    """
+    settings: dict[str, object] = {
+        "connect/timeout_ms": int(1000 * timeout),
+        "connect/exit_on_failure": False,
+    }
+    check_endpoints(endpoints)
+    if file is None:
+        config = zenoh.Config()
+        settings |= _DEFAULTS
+    else:
+        try:
+            config = zenoh.Config.from_file(file)
+        except zenoh.ZError as error:
+            raise InvalidArgumentError(f"zenoh file {file}: {error}") from error
+    if endpoints:
+        settings["connect/endpoints"] = list(endpoints)
+    settings |= more
+    for path, value in settings.items():
+        try:
+            config.insert_json5(path, json.dumps(value))
+        except zenoh.ZError as error:
+            raise InvalidArgumentError(f"zenoh setting {path} = {value!r}: {error}") from error
+    return config
+
+
+def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:
+    """Open a session.
+
+    In zenoh's client mode, in which there is no session without a link, each endpoint is tried, and
+    all of them again until `patience` seconds have passed. With more time zenoh itself would try
+    the first endpoint alone. Raises `zenoh.ZError` if no session opens.
+    """
+    client = config.get_json("mode") == '"client"'
+    if client:
+        config.insert_json5("connect/timeout_ms", "0")
+    late = time.monotonic() + patience
+    while True:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError:
+            if not client or time.monotonic() > late:
+                raise
+        time.sleep(_PAUSE_SECONDS)

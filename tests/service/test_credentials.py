@@ -1,0 +1,146 @@
+"""The files of `egp keys` when it is called again, and what it does not accept."""
+
+from __future__ import annotations
+
+import json
+from base64 import b64decode
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING
+
+import pytest
+from security_programs import secrets
+
+from egp_service import EgpError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def written(folder: Path) -> dict[str, bytes]:
+    """Return the contents of all files in a folder."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def lifetime(file: Path, end: str = "connect") -> timedelta:
+    """Return for how long the certificate of a configuration is still valid."""
+    from cryptography import x509  # noqa: PLC0415
+
+    tls = json.loads(file.read_text())["transport"]["link"]["tls"]
+    certificate = x509.load_pem_x509_certificate(b64decode(tls[f"{end}_certificate_base64"]))
+    return certificate.not_valid_after_utc - datetime.now(UTC)
+
+
+def test_a_vehicle_is_renewed_with_its_key_and_endpoints(tmp_path: Path) -> None:
+    own = secrets(tmp_path / "own", "tls/127.0.0.1:7447")
+    from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
+
+    before = written(own)
+    told: list[str] = []
+
+    def renew(days: int, host: str = "other.example") -> None:
+        new = write_credentials(
+            own, "f", ["a"], hosts=[host], port=7450, days=days, report=told.append
+        )
+        assert new == []
+
+    renew(5)
+    after = written(own)
+    changed = {name for name in before if after[name] != before[name]}
+    configurations = {
+        f"{name}.json5" for name in ("service", "map", "router", "operator", "monitor")
+    }
+    assert changed == {"vehicles/f@a.json5", *configurations}
+    file = own / "vehicles" / "f@a.json5"
+    assert lifetime(file) > timedelta(days=4.9)
+    assert json.loads(file.read_text())["connect"]["endpoints"] == ["tls/127.0.0.1:7447"]
+    assert told == []
+    # The authority of a first call with days=1 is valid for 10 days.
+    renew(20)
+    for end, name in (("connect", file), ("listen", own / "service.json5")):
+        assert timedelta(days=9.9) < lifetime(name, end) < timedelta(days=10)
+    assert len(told) == 1
+    assert "expire with the authority" in told[0]
+    # Without its file a vehicle gets the endpoints of the call.
+    file.unlink()
+    renew(1)
+    assert json.loads(file.read_text())["connect"]["endpoints"] == ["tls/other.example:7450"]
+    # So does a vehicle that was removed and is new again.
+    (own / "vehicles.keys").write_bytes(b"")
+    write_credentials(own, "f", ["b"], hosts=["other.example"], port=7450, days=1)
+    again = json.loads((own / "vehicles" / "f@b.json5").read_text())
+    assert again["connect"]["endpoints"] == ["tls/other.example:7450"]
+
+
+def test_an_expired_authority_makes_no_certificates(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = secrets(tmp_path / "own", "tls/127.0.0.1:7447")
+    from egp_service.cli import certificates  # noqa: PLC0415
+
+    # Made eleven days ago, for ten days.
+    monkeypatch.setattr(
+        certificates, "_after", lambda days: datetime.now(UTC) + timedelta(days=days - 11)
+    )
+    monkeypatch.setattr(certificates, "_CLOCK_DIFFERENCE", timedelta(days=12))
+    for name in ("ca.pem", "ca.key"):
+        (own / name).unlink()
+    old = secrets(own, "tls/127.0.0.1:7447")
+    before = written(old)
+    with pytest.raises(EgpError, match=r"ca\.pem: the authority expired on .*move ca\.pem"):
+        secrets(old, "tls/127.0.0.1:7447")
+    assert written(old) == before
+    monkeypatch.undo()
+    for name in ("ca.pem", "ca.key"):
+        (own / name).unlink()
+    secrets(own, "tls/127.0.0.1:7447")
+    assert lifetime(own / "vehicles" / "f@a.json5") > timedelta(hours=23)
+
+
+def test_a_private_key_is_never_replaced(tmp_path: Path) -> None:
+    own = secrets(tmp_path / "own", "tls/127.0.0.1:7447")
+    before = written(own)
+    (own / "library.pub").unlink()
+    secrets(own, "tls/127.0.0.1:7447")
+    for name in ("library.key", "library.pub", "ca.key"):
+        assert (own / name).read_bytes() == before[name]
+    (own / "ca.pem").unlink()
+    with pytest.raises(EgpError, match=r"ca\.pem is missing: copy the authority's certificate"):
+        secrets(own, "tls/127.0.0.1:7447")
+    assert (own / "ca.key").read_bytes() == before["ca.key"]
+
+
+@pytest.mark.parametrize(
+    ("fleet", "host", "complaint"),
+    [
+        ("f", "b\u00fccher.example", "begins with xn--"),
+        ("f", "control.example:7447", "--port gives the port"),
+        ("f", "", "expected an IP address"),
+        ("f", "http://x", "expected an IP address"),
+        ("library", "control.example", "choose another --fleet"),
+    ],
+)
+def test_what_no_certificate_can_name_is_an_error_before_anything_is_written(
+    tmp_path: Path, fleet: str, host: str, complaint: str
+) -> None:
+    pytest.importorskip("cryptography", reason="the extra `security` is not installed")
+    from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
+
+    with pytest.raises(EgpError, match=complaint):
+        write_credentials(tmp_path / "own", fleet, ["a"], hosts=["h", host], port=1, days=1)
+    assert not (tmp_path / "own").exists()
+    for good in ("::1", "10.0.0.5", "control-1.example"):
+        write_credentials(tmp_path / "own", "f", ["library"], hosts=[good], port=1, days=1)
+
+
+@pytest.mark.parametrize("line", ["f/b", "f/b 5e5e", "b " + "5e" * 32])
+def test_a_line_without_a_key_is_named_before_anything_is_written(
+    tmp_path: Path, line: str
+) -> None:
+    pytest.importorskip("cryptography", reason="the extra `security` is not installed")
+    from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
+
+    (tmp_path / "vehicles.keys").write_text(f"# ours\nf/a {'77' * 32}\n\n{line}\n")
+    with pytest.raises(EgpError, match=r"vehicles\.keys, line 4: expected FLEET/VEHICLE and a key"):
+        write_credentials(tmp_path, "f", ["c"], hosts=["h"], port=1, days=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["vehicles.keys"]
