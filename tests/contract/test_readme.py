@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
+COMMAND = get_command(app)
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 
 
@@ -70,28 +71,30 @@ def commands(text: str) -> list[str]:
 def unknown(command: str) -> list[str]:
     """Return those words of a command that are neither options of it nor what they are given."""
     words = shlex.split(command)[1:]
-    inner = get_command(app)
+    inner: Command = COMMAND
     if words[0].isupper():  # stands for any command
         return []
     while words and hasattr(inner, "commands") and not words[0].startswith("-"):
         if words[0] not in inner.commands:
             return [words[0]]
         inner = inner.commands[words.pop(0)]
-    known = options(inner)
+    known = options(inner) | {"--help"}
     options_given = [word.partition("=")[0] for word in words if re.match(r"--?[a-z]", word)]
     return [word for word in options_given if word not in known]
 
 
-@cache
 def options(command: Command) -> set[str]:
     """Return the names of all options, of a program of the extension those that its help lists."""
     own = {name for parameter in command.params for name in parameter.opts}
     own |= {name for parameter in command.params for name in parameter.secondary_opts}
-    if command.name in {"load", "simulate"}:
-        arguments = [sys.executable, "-m", "egp_service", command.name, "--", "--help"]
-        text = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
-        own |= set(re.findall(r"^ +(?:-\w, )?(--[a-z-]+)", text, re.MULTILINE))
-    return own | {"--help"}
+    return own | options_of_program(command.name) if command.name in {"load", "simulate"} else own
+
+
+@cache
+def options_of_program(name: str) -> set[str]:
+    arguments = [sys.executable, "-m", "egp_service", name, "--", "--help"]
+    text = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
+    return set(re.findall(r"^ +(?:-\w, )?(--[a-z-]+)", text, re.MULTILINE))
 
 
 def test_unknown_commands_and_options_are_found() -> None:
@@ -109,7 +112,7 @@ def test_unknown_commands_and_options_are_found() -> None:
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.name)
 def test_every_command_it_names_exists(document: Path) -> None:
     text = document.read_text(encoding="utf-8")
-    known = set(get_command(app).commands)  # type: ignore[attr-defined]
+    known = set(COMMAND.commands)  # type: ignore[attr-defined]
     named = set(re.findall(r"\begp ([a-z0-9]+)", text))
     assert named <= known
     if document == README:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import torch
+from scipy import stats
+from scipy.optimize import minimize_scalar
 from surfaces import TOY, provenance, surface
 
 from egp_service import EgpError
@@ -27,6 +29,7 @@ from egp_service.training.open_loop import (
     rollout,
     skill,
     starts,
+    student_loss,
     student_scale,
 )
 from egp_service.training.sparse import average_targets, posterior_mean
@@ -35,6 +38,8 @@ from egp_service.training.validation import member_skill
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 SETTINGS = TrainingSettings(mean="best", restarts=0, max_iterations=10, first_points=60)
 DT = 0.05
@@ -193,6 +198,26 @@ def test_the_scale_is_that_of_students_distribution(freedom: float) -> None:
     spoiled = errors.copy()
     spoiled[:100] = 1e3
     assert np.all(student_scale(spoiled)[:2] < 1.1 * scale[:2])
+
+
+def test_losses_are_those_of_students_distribution_at_its_best_scale() -> None:
+    rng = np.random.default_rng(1)
+    peaked = rng.standard_normal(20000) * np.where(rng.random(20000) < 0.85, 0.45, 1.6)
+    even = rng.uniform(-0.935, 0.935, 20000)
+    found = student_loss(np.column_stack([peaked, even, 3.0 * even]))
+
+    def least(errors: NDArray[np.float64]) -> float:
+        def loss(log_scale: float) -> float:
+            return -float(stats.t.logpdf(errors, 4.0, scale=np.exp(log_scale)).mean())
+
+        return float(minimize_scalar(loss, bounds=(-3.0, 3.0), method="bounded").fun)
+
+    assert found[0] - found[1] == pytest.approx(least(peaked) - least(even), abs=1e-6)
+    assert found[2] - found[1] == pytest.approx(np.log(3.0), abs=1e-6)
+    # The scale alone would prefer the other one.
+    assert found[1] < found[0]
+    scale = student_scale(np.column_stack([peaked, even, even]))
+    assert scale[0] < scale[1]
 
 
 def test_blocks_are_whole_and_spread() -> None:

@@ -20,7 +20,7 @@ from scipy.optimize import minimize_scalar
 
 from egp_service.data.alignment import Delays, align, consecutive
 from egp_service.training.choice import hold_out
-from egp_service.training.open_loop import MOVING, linear, student_scale
+from egp_service.training.open_loop import MOVING, linear, student_loss
 from egp_service.training.prior_mean import predict
 from egp_service.training.vehicle_fit import fit_vehicle
 
@@ -177,16 +177,16 @@ def _optimum(loss: Callable[[float], float], low: float, gain: float) -> tuple[f
 
 
 def _linear_error(train: Dataset, held: Dataset, axles: Sequence[float], output: int) -> float:
-    """Logarithm of the scale of a linear model's held-out errors."""
+    """Loss of a linear model's held-out errors, see `student_loss`."""
     moving = held.z[:, 0] > MOVING
     errors = held.y[moving] - linear(train, axles)(held.z[moving])
-    return float(np.log(student_scale(errors)[output]))
+    return float(student_loss(errors)[output])
 
 
 def _vehicle_errors(
     split: Sequence[tuple[Dataset, Dataset]], vehicle: VehicleParameters | None
 ) -> list[float]:
-    """Logarithms of the scales of the fitted vehicle's held-out errors of `omega`."""
+    """Losses of the fitted vehicle's held-out errors of `omega`, see `student_loss`."""
     rngs = [np.random.default_rng(number) for number in range(len(split))]
     training = [
         train.select(rng.permutation(len(train))[:_ROWS])
@@ -199,7 +199,7 @@ def _vehicle_errors(
         errors: NDArray[np.float64] = held.y[moving] - predict(
             held.z[moving], fitted.values, held.provenance.dt
         )
-        found.append(float(np.log(student_scale(errors)[_OMEGA])))
+        found.append(float(student_loss(errors)[_OMEGA]))
     return found
 
 

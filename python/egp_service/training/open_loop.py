@@ -69,8 +69,8 @@ def skill(predictors: Mapping[str, Predictor], dataset: Dataset) -> Skill:
         durations.append(duration)
         for name, predict in everyone.items():
             found[name].append(rollout(predict, dataset, start, periods))
-    scale = {
-        name: np.array([np.log(student_scale(errors)).mean() for errors in own])
+    loss = {
+        name: np.array([student_loss(errors).mean() for errors in own])
         for name, own in found.items()
     }
     return Skill(
@@ -80,8 +80,8 @@ def skill(predictors: Mapping[str, Predictor], dataset: Dataset) -> Skill:
             for name, own in found.items()
         },
         likelihood={
-            name: float(np.mean(scale[NO_CHANGE] - own)) if len(own) else 0.0
-            for name, own in scale.items()
+            name: float(np.mean(loss[NO_CHANGE] - own)) if len(own) else 0.0
+            for name, own in loss.items()
         },
     )
 
@@ -135,11 +135,19 @@ def _features(z: NDArray[np.float64], axles: Sequence[float]) -> NDArray[np.floa
     return np.column_stack([z, front, rear, np.ones(len(z))])
 
 
-def student_scale(errors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scale (3,) of largest likelihood of errors (n, 3) under Student's t distribution.
+def student_loss(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean negative log likelihood (3,) of errors (n, 3) in nats, up to a constant.
 
-    By expectation maximisation (Lange, Little and Taylor 1989).
+    The errors have Student's t distribution with `nu` = 4 degrees of freedom at its scale `s` of
+    largest likelihood: `ln s + (nu + 1) / 2 mean ln(1 + e² / (nu s²))`.
     """
+    scale = student_scale(errors)
+    tails = np.log1p(errors**2 / (_FREEDOM * scale**2)).mean(axis=0)
+    return np.asarray(np.log(scale) + 0.5 * (_FREEDOM + 1.0) * tails)
+
+
+def student_scale(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scale (3,) of largest likelihood, by expectation maximisation (Lange, Little, Taylor 1989)."""
     tiny = np.finfo(float).tiny
     square = np.maximum(np.mean(errors**2, axis=0), tiny)
     for _ in range(_ITERATIONS):
