@@ -144,3 +144,25 @@ def test_a_line_without_a_key_is_named_before_anything_is_written(
     with pytest.raises(EgpError, match=r"vehicles\.keys, line 4: expected FLEET/VEHICLE and a key"):
         write_credentials(tmp_path, "f", ["c"], hosts=["h"], port=1, days=1)
     assert [path.name for path in tmp_path.iterdir()] == ["vehicles.keys"]
+
+
+def test_a_vehicle_with_two_keys_and_a_damaged_authority_are_errors(tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="the extra `security` is not installed")
+    from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
+
+    def write() -> None:
+        write_credentials(tmp_path, "f", ["c"], hosts=["h"], port=1, days=1)
+
+    (tmp_path / "vehicles.keys").write_text(f"f/a {'77' * 32}\nf/a {'78' * 32}\n")
+    with pytest.raises(EgpError, match=r"vehicles\.keys, line 2: f/a has a key already"):
+        write()
+    (tmp_path / "vehicles.keys").unlink()
+    write()
+    for name in ("ca.pem", "ca.key"):
+        file = tmp_path / name
+        before = file.read_bytes()
+        file.write_bytes(before[:100])
+        with pytest.raises(EgpError, match="is not as `egp keys` wrote it"):
+            write()
+        file.write_bytes(before)
+    write()

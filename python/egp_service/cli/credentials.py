@@ -160,7 +160,13 @@ def _authority(folder: Path, days: int, report: Callable[[str], None]) -> Author
         raise EgpError(
             f"{private} is missing: copy the authority's private key there to make more keys"
         )
-    authority = Authority(Identity(certificate.read_bytes(), private.read_bytes()))
+    try:
+        authority = Authority(Identity(certificate.read_bytes(), private.read_bytes()))
+    except (ValueError, TypeError) as error:
+        raise EgpError(
+            f"{certificate} or {private} is not as `egp keys` wrote it ({error}): restore both "
+            "from a copy"
+        ) from error
     now, remedy = datetime.now(UTC), "move ca.pem and ca.key away and name every vehicle"
     if authority.end <= now:
         raise EgpError(
@@ -198,6 +204,8 @@ def _read_keys(file: Path) -> dict[str, str]:
                     "it, or delete it to remove the vehicle"
                 )
             name, key = line.split()
+            if name in keys:
+                raise EgpError(f"{file}, line {number}: {name} has a key already; delete one line")
             keys[name] = key
     return keys
 

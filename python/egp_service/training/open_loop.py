@@ -147,7 +147,7 @@ def student_loss(errors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def student_scale(errors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scale (3,) of largest likelihood, by expectation maximisation (Lange, Little, Taylor 1989)."""
+    """Scale (3,) of largest likelihood, by expectation maximisation (Lange et al. 1989)."""
     tiny = np.finfo(float).tiny
     square = np.maximum(np.mean(errors**2, axis=0), tiny)
     for _ in range(_ITERATIONS):
