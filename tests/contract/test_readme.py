@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
-COMMAND = get_command(app)
+COMMAND: Command = get_command(app)  # type: ignore[assignment] # Typer has its own copy of Click
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 
 
@@ -71,7 +71,7 @@ def commands(text: str) -> list[str]:
 def unknown(command: str) -> list[str]:
     """Return those words of a command that are neither options of it nor what they are given."""
     words = shlex.split(command)[1:]
-    inner: Command = COMMAND
+    inner = COMMAND
     if words[0].isupper():  # stands for any command
         return []
     while words and hasattr(inner, "commands") and not words[0].startswith("-"):
