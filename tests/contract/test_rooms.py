@@ -83,7 +83,10 @@ def loaded_by(chain: tuple[str, ...]) -> dict[str, set[str]]:
 
 
 def chains() -> list[tuple[str, ...]]:
-    """Share interpreters: in a chain each room may load all that the rooms before it may."""
+    """Share interpreters: in a chain each room may load all that the rooms before it may.
+
+    Most rooms are thus not the first one that is imported; `lint-imports` finds cycles of rooms.
+    """
     found: list[list[str]] = []
     for rule in sorted(MODULES, key=lambda rule: len(MAY_LOAD[rule])):
         fitting = [chain for chain in found if MAY_LOAD[chain[-1]] <= MAY_LOAD[rule]]

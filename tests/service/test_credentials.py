@@ -65,6 +65,7 @@ def test_a_vehicle_is_renewed_with_its_key_and_endpoints(tmp_path: Path) -> None
     file.unlink()
     renew(1)
     assert json.loads(file.read_text())["connect"]["endpoints"] == ["tls/other.example:7450"]
+    assert "f@a.json5 is not there" in told[1]
     # So does a vehicle that was removed and is new again.
     (own / "vehicles.keys").write_bytes(b"")
     write_credentials(own, "f", ["b"], hosts=["other.example"], port=7450, days=1)

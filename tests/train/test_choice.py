@@ -230,5 +230,5 @@ def test_blocks_are_whole_and_spread() -> None:
 
 def test_a_log_too_short_for_a_choice_is_an_error_that_says_how_long_it_must_be() -> None:
     # A log of 10 to 20 s has two trajectories, of which one is held out for validation.
-    with pytest.raises(EgpError, match=r"one trajectory .* more than 20 s, .*--mean single-track"):
+    with pytest.raises(EgpError, match=r"one trajectory .* more than 20 s .*--mean single-track"):
         train([surface(trajectories=2)], SETTINGS, vehicle=TOY)

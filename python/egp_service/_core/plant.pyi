@@ -39,7 +39,9 @@ class Plant:
         friction: _Surface | Path,
         hint: float | None = None,
     ) -> None:
-        """Drive `dt` seconds with the constant input `u = [F_x, delta_dot]` (N, rad/s).
+        """Drive `dt` seconds, at most 100, with the constant input `u = [F_x, delta_dot]`.
+
+        The units are N and rad/s.
 
         The surface is the same everywhere, or that of the path's zone under each wheel. Wheels are
         located on a path as by `Path.project`: pass the last projection's `s` as `hint`, or each

@@ -88,6 +88,9 @@ def write_credentials(
     keys |= {name: secrets.token_hex(32) for name in new}
     endpoints = [f"tls/{f'[{host}]' if ':' in host else host}:{port}" for host in hosts]
     files = {name: folder / "vehicles" / f"{name.replace('/', '@')}.json5" for name in names}
+    for name, file in files.items():
+        if name not in new and not file.exists():
+            report(f"{file} is not there: the new one has the endpoints of --host.")
     connected = {
         name: endpoints if name in new else _endpoints(file) or endpoints
         for name, file in files.items()
@@ -96,6 +99,8 @@ def write_credentials(
         end: (at, list(dict.fromkeys([*_hosts(folder / f"{end}.json5"), *hosts])))
         for end, at in ((SERVICE, port), (MAP, _MAP_PORT), (ROUTER, _ROUTER_PORT))
     }
+    if (folder / "library.key").exists():
+        public_line(folder / "library.key")
     authority = _authority(folder, days, report)
     _signing_key(folder)
     for name, file in files.items():
@@ -110,7 +115,8 @@ def write_credentials(
     for end, (at, reached) in listeners.items():
         identity = authority.issue(end, days, reached)
         _write(folder / f"{end}.json5", _text(_listener(authority, identity, end, at, keys)))
-    # The list of the vehicles comes last: an interrupted call can be repeated.
+    # The list of the vehicles comes last: a call that was interrupted after it had made the
+    # authority can be repeated.
     _write(ring, _key_lines(keys))
     return new
 

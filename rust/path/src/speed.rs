@@ -127,14 +127,15 @@ impl SpeedProfile {
     }
 
     /// The arc length of the same place as `s` that is inside the profile, or nearest to it. It differs from `s` by a lap
-    /// where the profile is a part of a lap and passes the lap's end.
+    /// where the profile is a part of a lap and passes the lap's end. A profile that covers more than half of a lap counts
+    /// as if it ended there, since the vehicle is near its start.
     pub(crate) fn unwrapped(&self, s: f64) -> f64 {
         let Some(lap) = self.lap else {
             return s;
         };
         let mut laps = ((self.start - s) / lap).ceil();
         let after = s + laps * lap - self.start;
-        if after - self.length() > lap - after {
+        if after - self.length().min(0.5 * lap) > lap - after {
             laps -= 1.0;
         }
         s + laps * lap

@@ -239,10 +239,19 @@ impl Server {
     #[new]
     fn new(py: Python<'_>, config_toml: &str) -> PyResult<Self> {
         let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
-        let server = py
-            .detach(|| egp_service::Server::start(&config))
-            .map_err(raise)?;
-        Ok(Self(Mutex::new(Some(server))))
+        let mut signal = None;
+        let server = py.detach(|| {
+            let mut stopped = || {
+                signal = Python::attach(|py| py.check_signals().err());
+                signal.is_some()
+            };
+            egp_service::Server::start_unless(&config, &mut stopped)
+        });
+        match (server, signal) {
+            (_, Some(signal)) => Err(signal),
+            (Ok(server), None) => Ok(Self(Mutex::new(Some(server)))),
+            (Err(error), None) => Err(raise(error)),
+        }
     }
 
     /// Withdraw the announcement, answer the requests that wait, and close.

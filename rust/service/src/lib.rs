@@ -10,7 +10,6 @@
 //! it available on the network; [`serve`] runs one until a signal.
 
 mod config;
-mod endpoints;
 mod events;
 mod fetch;
 mod fetch_error;
@@ -36,6 +35,7 @@ mod standing;
 mod sync;
 mod traces;
 mod worker;
+mod zenoh_settings;
 
 pub use config::{ConfigError, ServiceConfig};
 pub use fetch::{Fetched, Wanted};

@@ -12,8 +12,8 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::{Config, Wait};
 
-use crate::endpoints::free_ports;
 use crate::query::{Answer, Query};
+use crate::zenoh_settings::{DEFAULTS, free_ports};
 
 /// Time for which a service in zenoh's mode `client` waits for its routers.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
@@ -34,38 +34,6 @@ impl NetworkError {
         }
     }
 }
-
-/// The settings that differ from zenoh's defaults or are documented as limits, each as its key and JSON5 value.
-const DEFAULTS: [(&str, &str); 9] = [
-    // The service is reachable from this machine only, unless an operator configures more (and access control).
-    ("listen/endpoints", r#"["tcp/127.0.0.1:7447"]"#),
-    ("scouting/multicast/enabled", "false"),
-    // Dead links are detected within two seconds, and lost ones are connected again within about a control period.
-    ("transport/link/tx/lease", "2000"),
-    (
-        "connect/retry",
-        "{ period_init_ms: 50, period_max_ms: 200, period_increase_factor: 2 }",
-    ),
-    // A payload beyond the limit of a request gets an error, and one beyond this limit is dropped without an answer: it
-    // must not fill the memory.
-    ("transport/link/rx/max_message_size", "8388608"),
-    // Further sessions are closed, so that strangers fill a bounded part of the memory.
-    ("transport/unicast/max_sessions", "1000"),
-    // zenoh waits for 100 connections at once that have not yet become sessions; silent ones must soon make room.
-    ("transport/unicast/accept_timeout", "2000"),
-    // A reply has the quality of service of its query. One that a link has no room for must be dropped: zenoh would otherwise
-    // let a worker wait for up to five seconds for a vehicle that does not read. An express reply takes two messages.
-    (
-        "qos/network",
-        r#"[{
-            messages: ["query"],
-            flows: ["ingress"],
-            overwrite: { congestion_control: "drop", express: false },
-        }]"#,
-    ),
-    // The first control steps must not wait for a pool of shared memory.
-    ("transport/shared_memory/enabled", "false"),
-];
 
 /// A zenoh configuration: this service's defaults or a JSON5 file, then single values by their key.
 ///
@@ -250,7 +218,8 @@ impl Network {
     }
 
     /// Opens a session as [`Network::open`] does. In zenoh's mode `client`, in which there is no session without a link,
-    /// each endpoint is tried, and all of them again until `patience` has passed or `stopped` returns true.
+    /// each endpoint is tried, and all of them again until `stopped` returns true, or the `connect/timeout_ms` of the
+    /// configuration has passed (-1: never), by default `patience`.
     pub(crate) fn open_patiently(
         mut config: Config,
         patience: Duration,
@@ -258,15 +227,25 @@ impl Network {
     ) -> Result<Self, NetworkError> {
         const PAUSE: Duration = Duration::from_millis(500);
         let client = json(&config, "mode")? == "client";
+        let stated = json(&config, "connect/timeout_ms")?.as_i64();
+        let patience = match stated.map(u64::try_from) {
+            Some(Err(_)) => Duration::MAX,
+            None | Some(Ok(0)) => patience,
+            Some(Ok(stated)) => Duration::from_millis(stated),
+        };
         if client {
             // With more time zenoh would try the first endpoint alone until it is over.
             insert(&mut config, "connect/timeout_ms", "0")?;
         }
-        let begun = Instant::now();
+        let (begun, mut told) = (Instant::now(), String::new());
         loop {
             match Self::open(config.clone()) {
                 Err(error) if client && begun.elapsed() < patience && !stopped() => {
-                    tracing::warn!(%error, "no router answers; trying again");
+                    let reason = error.to_string();
+                    if reason != told {
+                        tracing::warn!(reason, "no session yet; trying again");
+                    }
+                    told = reason;
                     thread::sleep(PAUSE);
                 }
                 opened => return opened,

@@ -24,7 +24,8 @@ pub(crate) struct Reloader {
     watch: Option<Duration>,
     /// The file as it was loaded last.
     stamp: Stamp,
-    /// The last loading that the watch began, if it failed: when, and why.
+    /// The last loading, if it failed: when, and why. The watch tries it again without a change of the file, and tells log
+    /// and metrics when the reason changes.
     failed: Option<(Instant, String)>,
 }
 

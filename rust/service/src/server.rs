@@ -95,7 +95,10 @@ impl Server {
 
     /// As [`Server::start`], but ends with an error if `stopped` returns true while it fetches the library or waits for a
     /// router.
-    pub(crate) fn start_unless(
+    ///
+    /// # Errors
+    /// [`StartError`]; nothing keeps running then.
+    pub fn start_unless(
         config: &ServiceConfig,
         stopped: &mut dyn FnMut() -> bool,
     ) -> Result<Self, StartError> {

@@ -37,9 +37,9 @@ def keys(
 
     Called again for other vehicles, it keeps what is there and adds what is
     missing; start the service again with its new file then. Called again for a
-    vehicle that there is, it renews the certificate: the .json5 file is new, the
-    secret key stays. Another --host is for the new vehicles; those that there are
-    reach the service as before. Keep ca.key and library.key where no service and
+    vehicle that there is, it renews the certificate: the .json5 file is written
+    anew, with the same endpoints if it is still there, and the secret key stays.
+    Another --host is for the new vehicles. Keep ca.key and library.key where no service and
     no vehicle is; all other files go where their name says.
 
     For example:

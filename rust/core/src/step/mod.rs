@@ -185,8 +185,8 @@ fn estimate_weights(
         &ws.previous,
         &mut reply.weights,
     );
-    // Where a row's inputs are not known the hypotheses would differ by what another row's inputs do. The members'
-    // predictions are those of the request, which had them.
+    // Where a row's inputs are not known the hypotheses would differ by what another row's inputs do. (The weights use the
+    // members' predictions, which a request in steady state has from when the inputs were known.)
     let known = ws
         .delay
         .map_or(history_z.len(), |delay| delay.known(history_z.len()));

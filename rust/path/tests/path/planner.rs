@@ -106,9 +106,19 @@ fn the_reference_over_the_horizon_follows_a_plan_across_the_end_of_a_lap() {
 }
 
 #[test]
-fn a_plan_at_the_end_of_a_lap_holds_on_both_sides_of_it() {
-    let path = lap();
-    let mut planner = SpeedPlanner::new(&path, &limits()).unwrap();
+fn a_plan_holds_on_both_sides_of_its_start() {
+    holds_on_both_sides(&lap());
+    // The plan is longer than this lap.
+    let circle = (0..48).map(|i| {
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / 48.0).sin_cos();
+        [30.0 * cos, 30.0 * sin]
+    });
+    let circle: Vec<[f64; 2]> = circle.collect();
+    holds_on_both_sides(&Path::from_points(&circle, true, None).unwrap());
+}
+
+fn holds_on_both_sides(path: &Path) {
+    let mut planner = SpeedPlanner::new(path, &limits()).unwrap();
     let mut friction = vec![0.8; planner.places()];
     friction[40..].fill(0.2); // the plan brakes
     let mut speeds = |planned: f64, measured: f64| {
@@ -117,11 +127,11 @@ fn a_plan_at_the_end_of_a_lap_holds_on_both_sides_of_it() {
         let (mut reference, mut widths) = ([[0.0; 4]; 41], [[0.0; 2]; 41]);
         let position = [place.x, place.y];
         let (rows, edges) = (&mut reference[..], &mut widths[..]);
-        horizon_reference(&path, profile, position, place.yaw, 0.05, None, rows, edges).unwrap();
+        horizon_reference(path, profile, position, place.yaw, 0.05, None, rows, edges).unwrap();
         reference.map(|row| row[2])
     };
     let end = path.length();
-    for (planned, measured) in [(0.05, end - 0.02), (end - 0.05, 0.02)] {
+    for (planned, measured) in [(0.05, end - 0.02), (end - 0.05, 0.02), (10.005, 9.98)] {
         let [across, beside] = [measured, planned].map(|at| speeds(planned, at));
         for (a, b) in across.iter().zip(beside) {
             assert!((a - b).abs() < 0.2, "{across:?} {beside:?}");

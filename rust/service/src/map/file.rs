@@ -46,7 +46,8 @@ pub(crate) struct Clocks {
 }
 
 /// Reads the files of a folder, which is made if it does not exist. Contributions that are too old, or for which the store
-/// has no room, are left out. The file of a road whose contributions are all too old is removed.
+/// has no room, are left out. The log names a file whose contributions are all too old. It is not removed, because the
+/// system's clock may be wrong.
 pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(), RoadFileError> {
     let system = |source| RoadFileError::System {
         path: folder.to_owned(),
@@ -65,7 +66,8 @@ pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(
                 reason,
             })?;
             if !useful {
-                fs::remove_file(&path).map_err(|source| RoadFileError::System { path, source })?;
+                let file = path.display();
+                tracing::warn!(%file, "all evidence of this file is too old; it can be removed");
             }
         }
     }
