@@ -39,8 +39,8 @@ def keys(
     missing; start the service again with its new file then. Called again for a
     vehicle that there is, it renews the certificate: the .json5 file is written
     anew, with the same endpoints if it is still there, and the secret key stays.
-    Another --host is for the new vehicles. Keep ca.key and library.key where no service and
-    no vehicle is; all other files go where their name says.
+    Another --host is for the new vehicles. Keep ca.key and library.key where no
+    service and no vehicle is; all other files go where their name says.
 
     For example:
       egp keys secrets --vehicle car-1 --vehicle car-2 --host control.example
