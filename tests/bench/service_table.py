@@ -269,11 +269,12 @@ def endurance(bench: Bench) -> Measured:
         descriptors = len(list(Path(f"/proc/{process.pid}/fd").iterdir()))
         return int(fields["VmRSS"].split()[0]) / 1024, int(fields["Threads"]), descriptors
 
+    # Idle threads of zenoh's pools end after 10 s.
     bench.load(endpoint, seconds=0.1 * seconds, vehicles=vehicles)
-    time.sleep(2.0)
+    time.sleep(15.0)
     before = used()
     rate = bench.load(endpoint, seconds=0.9 * seconds, vehicles=vehicles)
-    time.sleep(2.0)
+    time.sleep(15.0)
     after = used()
     memory, threads, descriptors = (
         f"{a:.0f} to {b:.0f}" for a, b in zip(before, after, strict=True)
