@@ -100,7 +100,7 @@ def write_credentials(
         for end, at in ((SERVICE, port), (MAP, _MAP_PORT), (ROUTER, _ROUTER_PORT))
     }
     if (folder / "library.key").exists():
-        public_line(folder / "library.key")
+        public_line(folder / "library.key")  # raises if it is damaged
     authority = _authority(folder, days, report)
     _signing_key(folder)
     for name, file in files.items():

@@ -38,11 +38,10 @@ class Listener:
     ) -> None:
         """Connect to services or routers at `connect`, and let vehicles connect to `listen`.
 
-        Endpoints that cannot be reached are tried again and again, at the start in zenoh's mode
-        `peer` only. `zenoh_file` is a configuration of zenoh in JSON5, whose endpoints are replaced
-        by those that are given. Raises
-        `InvalidArgumentError` for a configuration that cannot be used, and `EgpError` if zenoh
-        opens no session.
+        Endpoints that cannot be reached are tried again and again; in zenoh's mode `client` one of
+        them must be reached within a second. `zenoh_file` is a configuration of zenoh in JSON5,
+        whose endpoints are replaced by those that are given. Raises `InvalidArgumentError` for a
+        configuration that cannot be used, and `EgpError` if zenoh opens no session.
         """
         more = {"listen/endpoints": list(listen)} if listen else {}
         self._inbox: queue.SimpleQueue[Callable[[Fleet], None]] = queue.SimpleQueue()

@@ -323,6 +323,8 @@ def _step_times_figure(run: Run) -> Figure:
             rotation=90,
             color=colour,
             fontsize=8,
+            # The median's label is in front of the bars.
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
         )
     ax.set(xlabel="request to command [ms]", ylabel="periods", title="Time of a control step")
     return figure

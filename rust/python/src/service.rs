@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -239,19 +240,9 @@ impl Server {
     #[new]
     fn new(py: Python<'_>, config_toml: &str) -> PyResult<Self> {
         let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
-        let mut signal = None;
-        let server = py.detach(|| {
-            let mut stopped = || {
-                signal = Python::attach(|py| py.check_signals().err());
-                signal.is_some()
-            };
-            egp_service::Server::start_unless(&config, &mut stopped)
-        });
-        match (server, signal) {
-            (_, Some(signal)) => Err(signal),
-            (Ok(server), None) => Ok(Self(Mutex::new(Some(server)))),
-            (Err(error), None) => Err(raise(error)),
-        }
+        let start =
+            |stopped: &mut dyn FnMut() -> bool| egp_service::Server::start_unless(&config, stopped);
+        Ok(Self(Mutex::new(Some(until_signal(py, start)?))))
     }
 
     /// Withdraw the announcement, answer the requests that wait, and close.
@@ -310,19 +301,31 @@ pub fn fetch_library(
         file: &path,
         keys: library_keys.as_deref(),
     };
+    let fetch = |stopped: &mut dyn FnMut() -> bool| wanted.fetch(&network, patience, stopped);
+    Ok(match until_signal(py, fetch)? {
+        Fetched::Already => None,
+        Fetched::From(replica) => Some(replica.to_string()),
+    })
+}
+
+/// Lets other threads of Python run during `work`, which gets a function that says whether to give up: after a signal,
+/// whose exception is then the result.
+fn until_signal<T: Send, E: Display + Send>(
+    py: Python<'_>,
+    work: impl FnOnce(&mut dyn FnMut() -> bool) -> Result<T, E> + Send,
+) -> PyResult<T> {
     let mut signal = None;
-    let fetched = py.detach(|| {
-        let mut stopped = || {
-            signal = Python::attach(|py| py.check_signals().err());
+    let done = py.detach(|| {
+        work(&mut || {
+            signal = signal
+                .take()
+                .or_else(|| Python::attach(|py| py.check_signals().err()));
             signal.is_some()
-        };
-        wanted.fetch(&network, patience, &mut stopped)
+        })
     });
-    match (fetched, signal) {
-        (_, Some(signal)) => Err(signal),
-        (Ok(Fetched::Already), None) => Ok(None),
-        (Ok(Fetched::From(replica)), None) => Ok(Some(replica.to_string())),
-        (Err(error), None) => Err(raise(error)),
+    match signal {
+        Some(signal) => Err(signal),
+        None => done.map_err(raise),
     }
 }
 

@@ -91,11 +91,7 @@ impl<Q: Query> Shared<Q> {
                 let encoding = "application/openmetrics-text;version=1.0.0";
                 query.answer(&keys::metrics(&self.replica), text, encoding, None);
             }
-            Some(Target::Library { id, part }) => {
-                if !self.offer.take(query, id, part) {
-                    self.metrics.offered(false);
-                }
-            }
+            Some(Target::Library { id, part }) => self.offer.take(query, id, part, &self.metrics),
             Some(Target::Step { fleet, vehicle }) => self.admit(query, arrived, &fleet, &vehicle),
             None => self.refuse(&query, None, &no_such_key(query.key())),
         }

@@ -11,6 +11,7 @@ use egp_wire::{Code, LIBRARY_PART_BYTES, LibraryFile, LibraryId, WireError};
 
 use crate::handler::LibraryContent;
 use crate::intake::Shared;
+use crate::metrics::Metrics;
 use crate::query::Query;
 use crate::sync::mpsc::{self, Receiver, SyncSender, TrySendError};
 use crate::sync::{Mutex, PoisonError, thread};
@@ -43,8 +44,8 @@ impl<Q: Query> Offer<Q> {
         Self(Mutex::new(None))
     }
 
-    /// Leaves a question for the thread, or answers it with an error: whether it was left. Returns at once.
-    pub(crate) fn take(&self, query: Q, id: LibraryId, part: Option<u32>) -> bool {
+    /// Leaves a question for the thread, or answers it with an error, which `metrics` counts; returns at once.
+    pub(crate) fn take(&self, query: Q, id: LibraryId, part: Option<u32>, metrics: &Metrics) {
         let asked = Asked { query, id, part };
         let sender = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let left = match &*sender {
@@ -52,7 +53,7 @@ impl<Q: Query> Offer<Q> {
             None => Err(TrySendError::Disconnected(asked)),
         };
         let (asked, code, wait, detail) = match left {
-            Ok(()) => return true,
+            Ok(()) => return,
             Err(TrySendError::Full(asked)) => {
                 let detail = format!("{WAITING} questions for libraries are waiting already");
                 // The questions that wait are answered meanwhile.
@@ -64,11 +65,11 @@ impl<Q: Query> Offer<Q> {
                 (asked, Code::UnknownLibrary, 0, detail.to_owned())
             }
         };
+        metrics.offered(false);
         let wait = u32::try_from(wait).unwrap_or(u32::MAX);
         asked
             .query
             .refuse(&WireError::retryable(code, wait, detail));
-        false
     }
 
     /// Lets the thread end once it has answered what waits.
@@ -217,21 +218,25 @@ mod tests {
     #[test]
     fn questions_beyond_those_that_wait_get_an_error_at_once() {
         let (offering, questions) = Offer::new();
+        let metrics = Metrics::new(&[], 1);
+        let take = |query| offering.take(query, ID, None, &metrics);
         let key = library_keys::any_library(&ID);
         let query = || Recorded::new(&key, Vec::new());
         for _ in 0..WAITING {
-            offering.take(query(), ID, None);
+            take(query());
         }
         let last = query();
-        offering.take(last.clone(), ID, None);
+        take(last.clone());
         let full = last.error().unwrap();
         assert_eq!((full.code, full.retryable), (Code::Overloaded, true));
         assert_eq!(full.retry_after_us, 31_250);
         offering.close();
         let closed = query();
-        offering.take(closed.clone(), ID, None);
+        take(closed.clone());
         assert_eq!(closed.code(), Some(Code::UnknownLibrary));
         assert_eq!(questions.iter().count(), WAITING);
+        let refused = "egp_library_questions_total{outcome=\"refused\"} 2";
+        assert!(metrics.text(0).contains(refused));
     }
 
     #[test]
