@@ -16,7 +16,7 @@ import zenoh
 
 from egp_service import Controller, InvalidArgumentError, VehicleClient
 from egp_service._core.testing import live_key
-from egp_service.control.client import Network, ServiceUnreachableError
+from egp_service.control.client import Announcement, Network, ServiceUnreachableError
 from egp_service.control.service_process import ServiceProcess, ServiceStartError
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario, told_zones
@@ -229,6 +229,17 @@ def test_replicas_that_come_and_go_take_no_memory(service: ServiceProcess) -> No
         held = [value for value in vars(network).values() if isinstance(value, queue.SimpleQueue)]
     assert held
     assert sum(value.qsize() for value in held) < 20
+
+
+def test_a_replica_whose_loss_is_reported_late_is_found_again(service: ServiceProcess) -> None:
+    """As zenoh does it when the replica changes to another router; see `session.look_again`."""
+    with VehicleClient.connect([service.endpoint], gate=GATE) as client:
+        run_with(client, 1)
+        network = client._network  # noqa: SLF001
+        network._inbox.put(Announcement(time.monotonic(), "main", appeared=False))  # noqa: SLF001
+        vehicle, late = Standstill(client), time.monotonic() + 5.0
+        while vehicle.step(deadline=1.0).status != "solved":
+            assert time.monotonic() < late
 
 
 def test_connecting_to_nobody_says_what_to_do() -> None:

@@ -120,7 +120,31 @@ impl Network {
     /// The next event, or `None` if there is none within `patience`.
     pub(crate) fn next(&self, patience: Duration) -> Option<Event> {
         // The channel is never closed, because `self` holds a sender.
-        self.events.recv_timeout(patience).ok()
+        let event = self.events.recv_timeout(patience).ok()?;
+        if let What::Gone(replica) = &event.what {
+            self.look_again(replica);
+        }
+        Some(event)
+    }
+
+    /// Reports a replica, of which a loss was reported, once more if it is there. zenoh reports in a thread for each link:
+    /// when a replica changes to another router, its loss by the first one may be reported after its announcement by the
+    /// second one, and nothing follows.
+    fn look_again(&self, replica: &Name) {
+        const PATIENCE: Duration = Duration::from_secs(1);
+        let (out, replica) = (self.sender.clone(), replica.clone());
+        // An error means that the session is closed, which the next query reports.
+        let _ = self
+            .session
+            .liveliness()
+            .get(keys::live(&replica))
+            .timeout(PATIENCE)
+            .callback(move |reply| {
+                if reply.result().is_ok() {
+                    report(&out, What::Appeared(replica.clone()));
+                }
+            })
+            .wait();
     }
 
     /// Publishes how the vehicle drives; the message is dropped if it cannot be sent at once.
@@ -270,4 +294,47 @@ fn insert(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkErro
     config
         .insert_json5(key, value)
         .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::{GateLimits, VehicleParameters};
+
+    #[test]
+    fn a_replica_whose_loss_is_reported_late_is_found_again() {
+        let mut config = Config::default();
+        for (key, value) in DEFAULTS
+            .into_iter()
+            .chain([("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#)])
+        {
+            insert(&mut config, key, value).unwrap();
+        }
+        let service = zenoh::open(config).wait().unwrap();
+        let replica: Name = "a".parse().unwrap();
+        let token = service
+            .liveliness()
+            .declare_token(keys::live(&replica))
+            .wait()
+            .unwrap();
+        let endpoint = service.info().locators().wait()[0].to_string();
+        let limits = GateLimits::of(&VehicleParameters::FORD_ESCORT);
+        let config = VehicleConfig::new("test", "car", limits, &[&endpoint]).unwrap();
+        let network = Network::open(&config).unwrap();
+        let next = || {
+            network
+                .next(Duration::from_secs(10))
+                .map(|event| event.what)
+        };
+        assert!(matches!(next(), Some(What::Appeared(_))));
+
+        report(&network.sender, What::Gone(replica));
+        assert!(matches!(next(), Some(What::Gone(_))));
+        assert!(matches!(next(), Some(What::Appeared(_))));
+
+        token.undeclare().wait().unwrap();
+        assert!(matches!(next(), Some(What::Gone(_))));
+        assert!(network.next(Duration::from_millis(300)).is_none());
+    }
 }

@@ -24,7 +24,7 @@ from egp_service._core import (
     decode_ready,
     replica_of_live,
 )
-from egp_service.control.session import direct, open_session, session_config
+from egp_service.control.session import direct, look_again, open_session, session_config
 from egp_service.control.step import StepController
 
 if TYPE_CHECKING:
@@ -191,9 +191,12 @@ class Network:
     def next(self, patience: float) -> Callable[[Driver], None] | None:
         """Return the next event, or None if there is none within `patience` seconds."""
         try:
-            return self._inbox.get(timeout=max(patience, 0.0))
+            event = self._inbox.get(timeout=max(patience, 0.0))
         except queue.Empty:
             return None
+        if isinstance(event, Announcement) and not event.appeared:
+            look_again(self.session, LIVE_KEYS.replace("*", event.replica), self._on_token)
+        return event
 
     def ask(self, query: Query) -> None:
         """Send a query, whose answers become events; one that cannot be sent ends immediately."""

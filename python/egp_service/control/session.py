@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from types import MappingProxyType
@@ -14,10 +15,11 @@ from egp_service._core import InvalidArgumentError
 from egp_service.control.endpoints import check_endpoints
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
 _PAUSE_SECONDS = 0.1
+_TOKEN_SECONDS = 1.0
 # Above the size of any message of the service; receiving a larger one could delay a step.
 _MAX_MESSAGE_BYTES = 1 << 20
 _DEFAULTS: Mapping[str, object] = MappingProxyType(
@@ -97,3 +99,19 @@ def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:
             if not client or time.monotonic() > late:
                 raise
         time.sleep(_PAUSE_SECONDS)
+
+
+def look_again(session: zenoh.Session, key: str, on_token: Callable[[zenoh.Sample], None]) -> None:
+    """After the loss of the liveliness token `key`, call `on_token` with it if it exists.
+
+    zenoh reports in a thread for each link. When a replica changes to another router, its loss by
+    the first one may be reported after its announcement by the second one, and nothing follows.
+    """
+
+    def deliver(reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            on_token(reply.ok)
+
+    # A closed session has no tokens.
+    with contextlib.suppress(zenoh.ZError):
+        session.liveliness().get(key, direct(deliver), timeout=_TOKEN_SECONDS)

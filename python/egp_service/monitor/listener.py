@@ -18,7 +18,7 @@ from egp_service._core import (
     replica_of_load,
     vehicle_road_key,
 )
-from egp_service.control.session import direct, open_session, session_config
+from egp_service.control.session import direct, look_again, open_session, session_config
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -98,9 +98,16 @@ class Listener:
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         replica = replica_of_live(str(sample.key_expr))
-        if replica is not None:
-            now, appeared = time.monotonic(), sample.kind == zenoh.SampleKind.PUT
-            self._inbox.put(lambda fleet: fleet.token(replica, now, appeared=appeared))
+        if replica is None:
+            return
+        now, appeared = time.monotonic(), sample.kind == zenoh.SampleKind.PUT
+
+        def note(fleet: Fleet) -> None:
+            fleet.token(replica, now, appeared=appeared)
+            if not appeared:
+                look_again(self._session, LIVE_KEYS.replace("*", replica), self._on_token)
+
+        self._inbox.put(note)
 
     def _ask_road(self, name: str) -> None:
         fleet_name, _, vehicle = name.partition("/")
