@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import torch
+from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from egp_service._core import EgpError
@@ -26,7 +27,7 @@ from egp_service.training.prior_mean import BODY, PARAMETERS, TYRES, change
 from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -249,36 +250,40 @@ class _Problem:
         robust = error * (2.0 / (1.0 + (1.0 + error**2).sqrt())).sqrt()
         return math.sqrt(surface.weight) * robust.flatten()
 
-    def _slopes(self, surface: _Surface, own: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives (3n, 20) of the errors of a surface by its unknowns.
+    def _errors_and_slopes(
+        self, surface: _Surface, own: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the errors (3n,) of a surface and their derivatives (3n, 20) by its unknowns.
 
         Each transition gets a copy of the unknowns, so that the sum of an output's errors has the
         derivatives of all transitions: three backward passes suffice.
         """
         copies = torch.from_numpy(own).repeat(len(surface.y), 1).requires_grad_()
-        outputs = self._errors(surface, copies).reshape(-1, NY).sum(0)
+        errors = self._errors(surface, copies)
+        outputs = errors.reshape(-1, NY).sum(0)
         slopes = [torch.autograd.grad(y, copies, retain_graph=True)[0] for y in outputs]
-        return torch.stack(slopes, dim=1).flatten(0, 1).numpy()
+        return errors.detach().numpy(), torch.stack(slopes, dim=1).flatten(0, 1).numpy()
 
-    def _residuals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        errors = [
-            self._errors(surface, torch.from_numpy(own)).numpy()
-            for surface, own in zip(self.surfaces, self.parts(x), strict=True)
-        ]
-        return np.concatenate([*errors, x / self._width])
-
-    def _jacobian(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        blocks = []
+    def _normal_equations(
+        self, x: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+        """Return Jᵀ J, Jᵀ r and rᵀ r of the residuals r at x, those of the priors included."""
+        square = np.diag(self._width**-2.0)
+        gradient = x / self._width**2
+        total = float(gradient @ x)
         for number, (surface, own) in enumerate(zip(self.surfaces, self.parts(x), strict=True)):
-            block = np.zeros((NY * len(surface.y), self.size))
-            block[:, self._columns(number)] = self._slopes(surface, own)
-            blocks.append(block)
-        return np.vstack([*blocks, np.diag(1.0 / self._width)])
+            columns = self._columns(number)
+            errors, slopes = self._errors_and_slopes(surface, own)
+            square[np.ix_(columns, columns)] += slopes.T @ slopes
+            gradient[columns] += slopes.T @ errors
+            total += float(errors @ errors)
+        return square, gradient, total
 
     def solve(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the unknowns of largest posterior density."""
+        problem = _Compressed(self._normal_equations)
         found = least_squares(
-            self._residuals, start, jac=self._jacobian, bounds=(self._low, self._high)
+            problem.residuals, start, jac=problem.jacobian, bounds=(self._low, self._high)
         )
         if not (found.success and np.isfinite(found.cost)):
             raise EgpError(
@@ -289,8 +294,8 @@ class _Problem:
 
     def vehicles(self, x: NDArray[np.float64]) -> list[FittedVehicle]:
         """Return the vehicle of each surface with its intervals."""
-        slopes = self._jacobian(x)
-        covariance = np.asarray(np.linalg.inv(slopes.T @ slopes), dtype=np.float64)
+        square, _, _ = self._normal_equations(x)
+        covariance = np.asarray(np.linalg.inv(square), dtype=np.float64)
         spread = np.sqrt(np.diag(covariance))
         at_bound = (x - self._low < _AT_BOUND) | (self._high - x < _AT_BOUND)
         circular = any(surface.force_is_speed for surface in self.surfaces)
@@ -338,6 +343,39 @@ class _Problem:
             determined=mass.determined and gyration.determined,
             at_bound=mass.at_bound or gyration.at_bound,
         )
+
+
+class _Compressed:
+    """A least-squares problem with as many residuals as unknowns, and one more.
+
+    With Jᵀ J = L Lᵀ the residuals [L⁻¹ Jᵀ r, q], where q² = rᵀ r - |L⁻¹ Jᵀ r|², and their
+    derivatives [Lᵀ, 0] have the same sum of squares, gradient and Gauss-Newton Hessian as r and J.
+    These are all that `least_squares` uses, which decomposes J in each iteration.
+    """
+
+    def __init__(
+        self,
+        normal_equations: Callable[
+            [NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64], float]
+        ],
+    ) -> None:
+        self._normal_equations = normal_equations
+
+    def residuals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the residuals at x (n + 1,)."""
+        square, gradient, total = self._normal_equations(x)
+        if not np.isfinite(total):
+            return np.full(len(x) + 1, np.inf)
+        lower = np.linalg.cholesky(square)
+        inside = solve_triangular(lower, gradient, lower=True)
+        self._last = x.copy(), np.vstack([lower.T, np.zeros(len(x))])
+        return np.append(inside, math.sqrt(max(total - float(inside @ inside), 0.0)))
+
+    def jacobian(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the derivatives (n + 1, n) at x."""
+        if not np.array_equal(self._last[0], x):
+            self.residuals(x)
+        return self._last[1]
 
 
 def autocorrelation(errors: NDArray[np.float64], data: Dataset) -> NDArray[np.float64]:
