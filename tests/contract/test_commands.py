@@ -111,6 +111,13 @@ def test_the_doctor_checks_machine_and_library(tmp_path: Path) -> None:
     data[-100] ^= 1
     broken.write_bytes(data)
     assert run_checks(broken)[-1].verdict == "fail"
+    for file, reason in (
+        (tmp_path, "expected a regular file, got a folder, a pipe or a device"),
+        (tmp_path / "absent", "No such file or directory"),
+    ):
+        found = run_checks(file)[-1].found
+        assert found.startswith(f"{file}: {reason}")
+        assert "PosixPath" not in found
     assert RUNNER.invoke(app, ["doctor", str(broken)]).exit_code == 1
 
 
@@ -190,6 +197,27 @@ def test_a_drive_that_cannot_begin_leaves_no_folder(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("option", "used"),
+    [
+        (["--fleet", "tcp/127.0.0.1:9"], "egp_service.control.fleet_map.FleetMap"),
+        (["--monitor", "tcp/127.0.0.1:9"], "egp_service.cli.publication.StatusPublisher"),
+        (["--connect", "tcp/127.0.0.1:9"], "egp_service.control.client.VehicleClient.connect"),
+    ],
+)
+def test_a_vehicle_of_another_fleet_is_named_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: list[str], used: str
+) -> None:
+    def called(*_: object, fleet: str, vehicle: str, **__: object) -> None:
+        raise EgpError(f"{vehicle} of {fleet}")
+
+    monkeypatch.setattr(used, called)
+    where = option if "--connect" in option else [*option, "--in-process"]
+    command = ["drive", "-s", "random", *where, "-o", str(tmp_path)]
+    for name, told in (("depot/car-1", "car-1 of depot"), ("car-1", "car-1 of default")):
+        assert failure(*command, "--vehicle", name) == told
+
+
 def test_a_dataset_is_a_parquet_file_of_a_positive_period(tmp_path: Path) -> None:
     file = str(tmp_path / "wet.csv")
     assert "wet.parquet" in failure("collect", "--friction", "0.5", "-o", file)
@@ -204,7 +232,7 @@ def test_keys_shows_the_command_of_a_vehicle_that_it_made_a_key_for(tmp_path: Pa
         options = [option for name in vehicles for option in ("--vehicle", name)]
         result = RUNNER.invoke(app, ["keys", folder, *options, "--host", "127.0.0.1"])
         last = vehicles[-1]
-        shown = f"--vehicle {last} --zenoh {folder}/vehicles/default@{last}.json5"
+        shown = f"--vehicle default/{last} --zenoh {folder}/vehicles/default@{last}.json5"
         assert shown in result.output, result.output
     assert "New vehicles: default/car-2\nRenewed vehicles" in result.output
     assert ": default/car-1\n" in result.output
@@ -289,6 +317,28 @@ def test_paths_of_a_maps_configuration_start_at_its_folder(
     }
     file.write_bytes(b"\xff")
     assert "map.toml: expected a TOML file" in failure("map", "--config", str(file))
+    monkeypatch.undo()
+    file.write_text("# of ours\n\nlifetime = 0\n")
+    told = failure("map", "--config", str(file))
+    assert told == f"{file}: `lifetime` must be 1 to 1e9 s, got 0"
+
+
+def test_an_error_of_a_configuration_names_the_file_and_no_line_of_another_text(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "service.toml"
+    for text, told in (
+        ('library = "a"\n# of ours\nwatch_mss = 5\n', "unknown field `watch_mss`"),
+        ('library = "a"\n\n[settings]\ncost.lateral = "much"\n', "invalid type: string"),
+        ('# of ours\nreplica = "a"\n', "missing field `library`"),
+    ):
+        file.write_text(text)
+        message = failure("serve", "--config", str(file), "--check")
+        assert message.startswith(f"{file}: ")
+        assert told in message
+        assert "TOML parse error" not in message
+        line = text.splitlines()[-1].removeprefix("cost.")
+        assert (f"in the line `{line}`" in message) == ("missing" not in told)
 
 
 def test_serve_checks_what_it_would_serve(tmp_path: Path) -> None:

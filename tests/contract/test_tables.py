@@ -17,6 +17,7 @@ from egp_service.cli import app
 from egp_service.cli.inspect_library import inspect
 from egp_service.cli.tables import (
     headline_table,
+    no_plan,
     skill_table,
     summary_table,
     validation_table,
@@ -64,7 +65,7 @@ def check_table(table: Table) -> None:
     assert not [word for word in words if not word.startswith("─")], "\n".join(lines)
 
 
-def summary(reason: str = "completed", p99: float = 65.4) -> Summary:
+def summary(reason: str = "completed", p99: float = 65.4, refused: int = 0) -> Summary:
     """Return a summary of a long and slow run."""
     ending = Ending(reason == "completed", reason, 987.6, 23456.7, (0.0, 0.0))
     times = {"p50": 12.3, "p90": 25.6, "p99": p99, "max": 200.0}
@@ -82,7 +83,8 @@ def summary(reason: str = "completed", p99: float = 65.4) -> Summary:
         deadline_misses=123,
         tail_ticks=0,
         stop_ticks=0,
-        solver_statuses={},
+        solver_statuses={"late": 5000, "solved": 5000 - refused, "refused": refused},
+        no_plan_reasons={"late: no answer": 5000, "refused: no seal": refused},
     )
 
 
@@ -94,6 +96,11 @@ def test_summaries_of_runs_fit() -> None:
     lines = printed(summary_table([("rounded-rectangle", summary(p99=1234.5))]))
     check(lines)
     assert re.search(r"12\.3/1234\.5 +123\b", "".join(lines))
+
+
+def test_a_run_whose_most_periods_had_no_plan_says_why() -> None:
+    assert no_plan(summary()) is None
+    assert no_plan(summary(refused=1)) == "No plan in 5001 of 10000 periods: late: no answer"
 
 
 def test_validation_of_a_library_fits() -> None:

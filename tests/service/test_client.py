@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import socket
 import sys
 import time
 from dataclasses import replace
@@ -18,6 +19,7 @@ from egp_service import Controller, InvalidArgumentError, VehicleClient
 from egp_service._core.testing import live_key
 from egp_service.control.client import Announcement, Network, ServiceUnreachableError
 from egp_service.control.service_process import ServiceProcess, ServiceStartError
+from egp_service.control.session import session_config
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario, told_zones
 
@@ -243,8 +245,15 @@ def test_a_replica_whose_loss_is_reported_late_is_found_again(service: ServicePr
 
 
 def test_connecting_to_nobody_says_what_to_do() -> None:
-    with pytest.raises(ServiceUnreachableError, match="egp serve"):
+    with pytest.raises(ServiceUnreachableError, match=r"there is no link to .*egp serve"):
         VehicleClient.connect(["tcp/127.0.0.1:9"], gate=GATE, timeout=0.5)
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with (
+        zenoh.open(session_config([], 1.0, {"listen/endpoints": [endpoint]})),
+        pytest.raises(ServiceUnreachableError, match=r"^no replica of the service announces"),
+    ):
+        VehicleClient.connect([endpoint], gate=GATE, timeout=0.5)
 
 
 def test_a_service_that_cannot_start_says_why(tmp_path: Path) -> None:

@@ -31,6 +31,12 @@ def lifetime(file: Path, end: str = "connect") -> timedelta:
     return certificate.not_valid_after_utc - datetime.now(UTC)
 
 
+def endpoints(file: Path, direction: str = "connect") -> list[str]:
+    """Return the endpoints of a configuration."""
+    found: list[str] = json.loads(file.read_text())[direction]["endpoints"]
+    return found
+
+
 def test_a_vehicle_is_renewed_with_its_key_and_endpoints(tmp_path: Path) -> None:
     own = secrets(tmp_path / "own", "tls/127.0.0.1:7447")
     from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
@@ -39,9 +45,7 @@ def test_a_vehicle_is_renewed_with_its_key_and_endpoints(tmp_path: Path) -> None
     told: list[str] = []
 
     def renew(days: int, host: str = "other.example") -> None:
-        new = write_credentials(
-            own, "f", ["a"], hosts=[host], port=7450, days=days, report=told.append
-        )
+        new = write_credentials(own, "f", ["a"], hosts=[host], days=days, report=told.append)
         assert new == []
 
     renew(5)
@@ -53,7 +57,7 @@ def test_a_vehicle_is_renewed_with_its_key_and_endpoints(tmp_path: Path) -> None
     assert changed == {"vehicles/f@a.json5", *configurations}
     file = own / "vehicles" / "f@a.json5"
     assert lifetime(file) > timedelta(days=4.9)
-    assert json.loads(file.read_text())["connect"]["endpoints"] == ["tls/127.0.0.1:7447"]
+    assert endpoints(file) == ["tls/127.0.0.1:7447"]
     assert told == []
     # The authority of a first call with days=1 is valid for 10 days.
     renew(20)
@@ -64,13 +68,35 @@ def test_a_vehicle_is_renewed_with_its_key_and_endpoints(tmp_path: Path) -> None
     # Without its file a vehicle gets the endpoints of the call.
     file.unlink()
     renew(1)
-    assert json.loads(file.read_text())["connect"]["endpoints"] == ["tls/other.example:7450"]
+    assert endpoints(file) == ["tls/other.example:7447"]
     assert "f@a.json5 is not there" in told[1]
     # So does a vehicle that was removed and is new again.
     (own / "vehicles.keys").write_bytes(b"")
-    write_credentials(own, "f", ["b"], hosts=["other.example"], port=7450, days=1)
-    again = json.loads((own / "vehicles" / "f@b.json5").read_text())
-    assert again["connect"]["endpoints"] == ["tls/other.example:7450"]
+    write_credentials(own, "f", ["b"], hosts=["other.example"], days=1)
+    assert endpoints(own / "vehicles" / "f@b.json5") == ["tls/other.example:7447"]
+
+
+def test_a_further_vehicle_moves_no_endpoint_unless_it_is_said(tmp_path: Path) -> None:
+    own = secrets(tmp_path / "own", "tls/127.0.0.1:7460")
+    from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
+
+    router = own / "router.json5"
+    router.write_text(router.read_text().replace("tls/[::]:7449", "tls/10.0.0.5:7470"))
+    told: list[str] = []
+    for vehicle, port in (("c", None), ("d", 7460), ("e", 7480)):
+        assert told == []
+        write_credentials(
+            own, "f", [vehicle], hosts=["other.example"], port=port, days=1, report=told.append
+        )
+        assert endpoints(own / "vehicles" / f"f@{vehicle}.json5") == [
+            f"tls/other.example:{port or 7460}"
+        ]
+        assert endpoints(own / "service.json5", "listen") == [f"tls/[::]:{port or 7460}"]
+        assert endpoints(own / "map.json5", "listen") == ["tls/[::]:7448"]
+        assert endpoints(router, "listen") == ["tls/10.0.0.5:7470"]
+        for name in ("operator", "monitor"):
+            assert endpoints(own / f"{name}.json5") == ["tls/127.0.0.1:7460"]
+    assert "service.json5 listens on port 7480 from now on, in place of 7460" in told[0]
 
 
 def test_an_expired_authority_makes_no_certificates(

@@ -147,6 +147,28 @@ def test_without_a_map_service_nothing_waits(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     _, said = lap_time(tmp_path, endpoint, "car-1")
     assert f"No map service answers at {endpoint}; start one with `egp map`" in said
+    assert f"No map service has answered at {endpoint}, so that the fleet's map was not" in said
+    assert "says nothing" not in said
+
+
+def test_a_lost_answer_is_asked_for_again_while_the_vehicle_waits() -> None:
+    endpoint = free_endpoint()
+    asked: list[zenoh.Query] = []
+
+    def answer(query: zenoh.Query) -> None:
+        asked.append(query)  # a query that is kept has no end
+        if len(asked) > 1:
+            query.reply(query.key_expr, b"")
+
+    with zenoh.open(session_config([], 5.0, {"listen/endpoints": [endpoint]})) as session:
+        queryable = session.declare_queryable("egp/**", answer)
+        with FleetMap(endpoint, RoadBelief(PATH), road="r", vehicle="v", timeout=1.5) as fleet:
+            assert not fleet.answered
+            assert fleet.fetch()
+            assert fleet.answered
+        assert len(asked) == 2
+        asked.clear()
+        queryable.undeclare()
 
 
 def test_hostile_input_is_refused_and_the_service_goes_on() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import json
 import shutil
 import socket
 import struct
@@ -61,6 +62,34 @@ def keys(tmp_path: Path) -> Path:
     file = tmp_path / "vehicles.keys"
     file.write_text(f"default/car-1 {KEY}\ndefault/car-2 {'77' * 32}\n", encoding="utf-8")
     return file
+
+
+def test_a_drive_without_its_key_says_why_no_period_had_a_plan(tmp_path: Path) -> None:
+    keys = tmp_path / "vehicles.keys"
+    keys.write_text(f"depot/car-1 {KEY}\n", encoding="utf-8")
+    scenario = tmp_path / "short.toml"
+    scenario.write_text(
+        'name = "short"\nlaps = 0.02\n[track]\nkind = "circle"\n'
+        "[[zones]]\nstart = 0.0\nfriction = 1.0\n"
+    )
+    endpoint = free_endpoint()
+    command = ["drive", "-s", str(scenario), "--no-pictures", "--connect", endpoint]
+    command += ["--vehicle", "depot/car-1"]
+    reason = "the request has no seal; give the client the key of this vehicle"
+    with service(tmp_path, endpoint, f'vehicle_keys = "{keys}"'):
+        for folder, key in (("with", ["--key", str(keys)]), ("without", [])):
+            done = CliRunner().invoke(app, [*command, *key, "-o", str(tmp_path / folder)])
+            (file,) = (tmp_path / folder).glob("*/summary.json")
+            summary, shown = json.loads(file.read_text()), " ".join(done.output.split())
+            if key:
+                assert done.exit_code == 0, done.output
+                assert "No plan" not in shown
+            else:
+                periods = summary["periods"]
+                assert f"No plan in {periods} of {periods} periods: refused: " in shown
+                assert reason in shown
+                ((found, count),) = summary["no_plan_reasons"].items()
+                assert (reason in found, count) == (True, periods)
 
 
 @pytest.mark.parametrize("mode", ["forge", "replay", "swap"])

@@ -24,6 +24,7 @@ def remote_controller(
     scenario: Scenario,
     endpoint: str | None,
     *,
+    fleet: str = "default",
     vehicle: str = "vehicle-1",
     zenoh_file: Path | None = None,
     key_file: Path | None = None,
@@ -38,6 +39,7 @@ def remote_controller(
     endpoints = [] if endpoint is None else [endpoint]
     client = VehicleClient.connect(
         endpoints,
+        fleet=fleet,
         vehicle=vehicle,
         gate=gate_settings(scenario),
         zenoh_file=zenoh_file,

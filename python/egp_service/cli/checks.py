@@ -140,7 +140,8 @@ def _library(file: Path) -> list[Check]:
         loaded = Library.load(file)
     except (EgpError, OSError) as error:
         advice = "give a library that `egp train` wrote; `egp inspect FILE` shows one"
-        return [Check("library", "fail", f"{file}: {error}", advice)]
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        return [Check("library", "fail", f"{file}: {reason}", advice)]
     points = sum(member.n_points for member in loaded.members)
     names = ", ".join(member.label for member in loaded.members)
     found = f"{file.name}: {len(loaded.members)} members ({names}), {points} points, verified"

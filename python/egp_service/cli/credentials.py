@@ -39,12 +39,14 @@ _HOST_NAME = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
 _KEY_LINE = re.compile(rf"{_NAME.pattern}/{_NAME.pattern}\s+[0-9A-Fa-f]{{64}}")
 # A key of replicas that stands where steps have the fleet; access control cannot tell them apart.
 _RESERVED_FLEET = "library"
+# The file of `egp monitor`, which has the operator's certificate.
+_MONITOR = "monitor"
 # The length to which X.509 limits a common name.
 _LONGEST = 64
 _SCOUTING = {"multicast": {"enabled": False}}
 _RETRY = {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2}
-# Ports of the map service and of a router, which `egp map` and `egp router` have by default.
-_MAP_PORT, _ROUTER_PORT = 7448, 7449
+# Ports of `egp serve`, `egp map` and `egp router` by default.
+_PORTS = {SERVICE: 7447, MAP: 7448, ROUTER: 7449}
 # Largest messages that a vehicle, and that a service or router receives, bytes.
 _LONGEST_AT_CLIENT, _LONGEST_AT_SERVICE = 1 << 20, 1 << 23
 # Sessions of each vehicle at a service or router (control, status, map and one that replaces a lost
@@ -66,15 +68,17 @@ def write_credentials(
     vehicles: Sequence[str],
     *,
     hosts: Sequence[str],
-    port: int,
+    port: int | None = None,
     days: int,
     report: Callable[[str], None] = lambda _: None,
 ) -> list[str]:
     """Write or complete the files of a fleet in `folder`; return the vehicles that are new.
 
-    The other `vehicles` keep their secret keys and endpoints, and get new certificates. The files
-    of new ones connect to `hosts`. The certificates of service, map and router are also valid for
-    the hosts of earlier calls. `report` is told if certificates cannot be valid for `days`.
+    The other `vehicles` keep their secret keys and endpoints, and get new certificates; so do
+    operator and monitor. The files of new ones connect to `hosts`. The certificates of service, map
+    and router are also valid for the hosts of earlier calls, and they listen where they did. The
+    service listens on `port` if it is given, which `report` is told if it changes; a new one
+    listens on 7447 without it. `report` is also told if certificates cannot be valid for `days`.
 
     Raises `EgpError` before anything is written for a name or host that cannot be used, for a file
     that is not as an earlier call wrote it, and if the folder's authority has expired or lacks its
@@ -86,18 +90,35 @@ def write_credentials(
     keys = _read_keys(ring)
     new = [name for name in names if name not in keys]
     keys |= {name: secrets.token_hex(32) for name in new}
-    endpoints = [f"tls/{f'[{host}]' if ':' in host else host}:{port}" for host in hosts]
+    listening = {
+        end: _endpoints(folder / f"{end}.json5", "listen") or [f"tls/[::]:{at}"]
+        for end, at in _PORTS.items()
+    }
+    service = folder / f"{SERVICE}.json5"
+    reached_at = _port(service, listening[SERVICE])
+    if port is not None and port != reached_at:
+        if service.exists():
+            report(
+                f"{service} listens on port {port} from now on, in place of {reached_at}. Vehicles "
+                "that are not new, operator and monitor keep their endpoints: change these in "
+                f"their files, or repeat the command with --port {reached_at}."
+            )
+        listening[SERVICE], reached_at = [f"tls/[::]:{port}"], port
+    endpoints = [f"tls/{f'[{host}]' if ':' in host else host}:{reached_at}" for host in hosts]
     files = {name: folder / "vehicles" / f"{name.replace('/', '@')}.json5" for name in names}
     for name, file in files.items():
         if name not in new and not file.exists():
             report(f"{file} is not there: the new one has the endpoints of --host.")
     connected = {
-        name: endpoints if name in new else _endpoints(file) or endpoints
+        name: endpoints if name in new else _endpoints(file, "connect") or endpoints
         for name, file in files.items()
     }
-    listeners = {
-        end: (at, list(dict.fromkeys([*_hosts(folder / f"{end}.json5"), *hosts])))
-        for end, at in ((SERVICE, port), (MAP, _MAP_PORT), (ROUTER, _ROUTER_PORT))
+    watching = {
+        name: _endpoints(folder / f"{name}.json5", "connect") or endpoints
+        for name in (OPERATOR, _MONITOR)
+    }
+    hosts_of = {
+        end: list(dict.fromkeys([*_hosts(folder / f"{end}.json5"), *hosts])) for end in _PORTS
     }
     if (folder / "library.key").exists():
         public_line(folder / "library.key")  # raises if it is damaged
@@ -107,13 +128,14 @@ def write_credentials(
         config = _client(authority, authority.issue(name, days), connected[name], name)
         _write(file.with_suffix(".keys"), _key_lines({name: keys[name]}))
         _write(file, _text(config))
-    operator = _client(authority, authority.issue(OPERATOR, days), endpoints, OPERATOR)
-    _write(folder / "operator.json5", _text(operator))
+    identity = authority.issue(OPERATOR, days)
     # What vehicles publish is passed on to clients: services and routers leave it to two peers to
     # have a link of their own.
-    _write(folder / "monitor.json5", _text(operator | {"mode": "client"}))
-    for end, (at, reached) in listeners.items():
-        identity = authority.issue(end, days, reached)
+    for name, mode in ((OPERATOR, "peer"), (_MONITOR, "client")):
+        config = _client(authority, identity, watching[name], OPERATOR) | {"mode": mode}
+        _write(folder / f"{name}.json5", _text(config))
+    for end, at in listening.items():
+        identity = authority.issue(end, days, hosts_of[end])
         _write(folder / f"{end}.json5", _text(_listener(authority, identity, end, at, keys)))
     # The list of the vehicles comes last: a call that was interrupted after it had made the
     # authority can be repeated.
@@ -225,12 +247,18 @@ def _hosts(file: Path) -> list[str]:
         return listening_hosts(b64decode(tls["listen_certificate_base64"]))
 
 
-def _endpoints(file: Path) -> list[str]:
-    """Return the endpoints of a vehicle's configuration that an earlier call wrote."""
+def _endpoints(file: Path, direction: str) -> list[str]:
+    """Return where a configuration that an earlier call wrote connects or listens."""
     if not file.exists():
         return []
     with _as_written(file):
-        return list(json.loads(file.read_text(encoding="utf-8"))["connect"]["endpoints"])
+        return list(json.loads(file.read_text(encoding="utf-8"))[direction]["endpoints"])
+
+
+def _port(file: Path, endpoints: Sequence[str]) -> int:
+    """Return the port of the first endpoint at which a configuration listens."""
+    with _as_written(file):
+        return int(endpoints[0].rpartition(":")[2])
 
 
 @contextmanager
@@ -285,7 +313,11 @@ def _client(
 
 
 def _listener(
-    authority: Authority, identity: Identity, name: str, port: int, vehicles: Collection[str]
+    authority: Authority,
+    identity: Identity,
+    name: str,
+    endpoints: Sequence[str],
+    vehicles: Collection[str],
 ) -> dict[str, object]:
     tls = _tls(authority, {"listen": identity, "connect": identity})
     sessions = {
@@ -296,7 +328,7 @@ def _listener(
         "mode": "router" if name == ROUTER else "peer",
         "scouting": _SCOUTING,
         "connect": {"retry": _RETRY},
-        "listen": {"endpoints": [f"tls/[::]:{port}"]},
+        "listen": {"endpoints": list(endpoints)},
         "transport": _transport(tls, _LONGEST_AT_SERVICE) | {"unicast": sessions},
         "access_control": listener_access(name, vehicles),
         "low_pass_filter": size_limits(),

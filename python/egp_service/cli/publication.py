@@ -28,6 +28,7 @@ def publication(
     controller: StepController,
     endpoint: str | None,
     *,
+    fleet: str,
     vehicle: str,
     zenoh_file: Path | None,
     console: Console,
@@ -48,7 +49,7 @@ def publication(
         )
     road = vehicle_road(build_path(scenario))
     with StatusPublisher(
-        controller, endpoint, vehicle=vehicle, road=road, zenoh_file=zenoh_file
+        controller, endpoint, fleet=fleet, vehicle=vehicle, road=road, zenoh_file=zenoh_file
     ) as status:
 
         def publish(period: Period) -> None:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 from egp_service._core import EgpError, check_settings
 from egp_service.cli.settings_text import read_settings_document
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 _PATHS: Final = ("library", "folder", "traces", "vehicle_keys", "library_keys", "zenoh_file")
 _OF_A_SERVICE: Final = {"library", "replica", "workers", "zenoh", "zenoh_file", "settings"}
+
+# How an error of TOML shows a place: its line and column, and the line with the column marked.
+_PLACE: Final = re.compile(r"TOML parse error at line \d+, column \d+\n[ |]*\n *\d+ \| (.*)\n.*\n")
 
 
 def read_settings(path: Path) -> dict[str, object]:
@@ -71,6 +77,26 @@ def read_map(path: Path) -> dict[str, object]:
 
     """
     return _with_folder(_table(path)[1], path.parent)
+
+
+@contextmanager
+def naming(path: Path | None) -> Iterator[None]:
+    """Let errors of a service name the file `path` of its configuration, if it has one.
+
+    A service gets its configuration as a text that is made of this file and the options. Errors
+    state lines and columns of that text, in place of which only what stands there is kept.
+    """
+    try:
+        yield
+    except EgpError as error:
+        if path is None:
+            raise
+        told = str(error)
+        if found := _PLACE.search(told):
+            told = (told[: found.start()] + told[found.end() :]).strip()
+            if "missing field" not in told:  # such a field has no line
+                told += f", in the line `{found[1]}`"
+        raise EgpError(f"{path}: {told}") from error
 
 
 def _with_folder(table: dict[str, object], folder: Path) -> dict[str, object]:

@@ -67,6 +67,15 @@ def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
     return table
 
 
+def no_plan(summary: Summary) -> str | None:
+    """Say why periods had no plan, with the most frequent reason; `None` if most had one."""
+    missing = summary.periods - summary.solver_statuses.get("solved", 0)
+    if 2 * missing <= summary.periods:
+        return None
+    reason = next(iter(summary.no_plan_reasons))
+    return f"No plan in {missing} of {summary.periods} periods: {reason}"
+
+
 def validation_table(matrix: list[list[Cell]]) -> Table:
     """Return the matrix for the terminal, a row for each member, surface and output."""
     heads = ("member", "on surface", "output", "RMSE", "NLPD", "in 95 %", f"after {ROLLOUT:g} s")

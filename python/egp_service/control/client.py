@@ -38,6 +38,10 @@ REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
 # Time that a replica may take to answer what it serves, and time between two rounds of questions.
 _QUESTION_SECONDS = 1.0
 _POLL_SECONDS = 0.05
+_NO_LINK = (
+    "there is no link to a service: nobody listens, or, with TLS, a certificate has expired or is "
+    "of another authority"
+)
 
 
 class ServiceUnreachableError(EgpError):
@@ -246,6 +250,11 @@ class Network:
                 extra = reply.ok.attachment
                 yield reply.ok.payload.to_bytes(), b"" if extra is None else extra.to_bytes()
 
+    def has_link(self) -> bool:
+        """Tell whether the session has a link to another one."""
+        info = self.session.info
+        return bool(info.peers_zid() or info.routers_zid())
+
     def close(self) -> None:
         """Close the session."""
         self.session.close()  # type: ignore[no-untyped-call]
@@ -285,7 +294,7 @@ def _first_ready(
         for answer, attachment in network.ask_and_wait(key, seal, min(left, _QUESTION_SECONDS)):
             if discovery.is_usable(replica, answer, attachment):
                 return answer
-    error = _unreachable(endpoints, discovery.error)
+    error = _unreachable(endpoints, discovery.error if network.has_link() else _NO_LINK)
     error.replicas = discovery.unusable
     raise error
 

@@ -33,6 +33,8 @@ EVIDENCE_ENCODING = "application/protobuf;egp.v1.TileEvidence"
 # Time between two exchanges, and after which reports are aged again while the service is silent, s.
 _EXCHANGE_SECONDS = 1.0
 _AGEING_SECONDS = 60.0
+# Part of `timeout` that a question for tiles may take, so that a lost answer is asked for again.
+_QUESTION_SHARE = 1.0 / 3.0
 # Above the largest ratio of likelihoods that a tile can hold, nats.
 _UNLIMITED = 8.0
 
@@ -89,6 +91,7 @@ class FleetMap:
         self._sending: set[int] = set()
         self._stale_from: int | None = None
         self._asking = 0
+        self._answered = False
         self._exchanged = self._aged = time.monotonic()
         self._warned: set[str] = set()
         try:
@@ -128,6 +131,11 @@ class FleetMap:
             self._aged = now
             for index, report in self._reports.items():
                 self._belief.report(index, self._at(report, now))
+
+    @property
+    def answered(self) -> bool:
+        """Whether a map service has answered a question about the road."""
+        return self._answered
 
     @property
     def origins(self) -> dict[str, float]:
@@ -188,11 +196,14 @@ class FleetMap:
         self._asking += 1
         if self._stale_from is not None and self._stale_from >= first:
             self._stale_from = None
-        self._query(self._keys.tiles(first), self._use, self._asked)
+        patience = _QUESTION_SHARE * self._timeout
+        self._query(self._keys.tiles(first), self._use, self._asked, patience=patience)
 
     def _asked(self, answered: bool) -> None:  # noqa: FBT001 - a callback
         self._asking -= 1
-        if not answered:
+        if answered:
+            self._answered = True
+        else:
             self._stale_from = 0
 
     def _use(self, payload: bytes) -> None:
@@ -220,10 +231,13 @@ class FleetMap:
         use: Callable[[bytes], None],
         end: Callable[[bool], None],
         payload: bytes | None = None,
+        *,
+        patience: float | None = None,
     ) -> None:
-        """Send a query; `use` gets an answer, and `end` whether there was one.
+        """Send a query; `use` gets an answer, and `end` whether one came within `patience` s.
 
-        An error that another attempt may not have is an answer. Both are called by `exchange`.
+        `patience` is `timeout` by default. An error that another attempt may not have is an answer.
+        Both are called by `exchange`.
         """
         heard = []
 
@@ -250,7 +264,7 @@ class FleetMap:
                 direct(deliver, ended),
                 payload=payload,
                 encoding=EVIDENCE_ENCODING,
-                timeout=self._timeout,
+                timeout=self._timeout if patience is None else patience,
             )
         except zenoh.ZError:
             ended()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from egp_service.simulation.trace import Trace
+
+# Reasons that name numbers differ in each period.
+_REASONS: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +69,8 @@ class Summary:
     tail_ticks: int
     stop_ticks: int
     solver_statuses: dict[str, int]
+    no_plan_reasons: dict[str, int]
+    """Why periods had no plan, the ten most frequent reasons with their numbers of periods."""
 
     def as_json(self) -> dict[str, object]:
         """Plain values."""
@@ -77,6 +82,11 @@ def summarise(
 ) -> Summary:
     """Summary of a run of at least one period."""
     milliseconds = 1e3 * trace.step_time
+    reasons = Counter(
+        f"{status}: {detail}"
+        for status, detail in zip(trace.status.tolist(), trace.detail.tolist(), strict=True)
+        if status != "solved"
+    )
     p50, p90, p99 = np.percentile(milliseconds, [50, 90, 99])
     return Summary(
         scenario=scenario,
@@ -98,4 +108,5 @@ def summarise(
         tail_ticks=int(np.sum(trace.mode == "tail")),
         stop_ticks=int(np.sum(trace.mode == "stop")),
         solver_statuses=dict(sorted(Counter(trace.status.tolist()).items())),
+        no_plan_reasons=dict(reasons.most_common(_REASONS)),
     )

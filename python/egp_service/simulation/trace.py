@@ -71,6 +71,8 @@ class Trace:
     """Time from the request of a step to its command, s."""
     mode: NDArray[np.str_]
     status: NDArray[np.str_]
+    detail: NDArray[np.str_]
+    """Why there is no plan, or why the vehicle counts as lost; empty otherwise."""
 
     @classmethod
     def of(cls, periods: list[Period], members: int) -> Trace:
@@ -95,6 +97,7 @@ class Trace:
             "step_time": [step.timings.total for step in steps],
             "mode": [step.mode for step in steps],
             "status": [step.status for step in steps],
+            "detail": [step.detail for step in steps],
         }
         return cls(**{item.name: np.asarray(columns[item.name]) for item in fields(cls)})
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from egp_service._core import RoadBelief
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
+    from egp_service.simulation.summary import Summary
     from egp_service.simulation.trace import Period
 
 NOT_COMPLETED = 3
@@ -78,7 +79,11 @@ def drive(
         typer.Option(help="Endpoint of a map service (`egp map`), such as tcp/127.0.0.1:7448."),
     ] = None,
     vehicle: Annotated[
-        str | None, typer.Option(help="Name of the car, unique in the fleet.")
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Name of the car, unique in its fleet; FLEET/NAME if the fleet is not `default`.",
+        ),
     ] = None,
     monitor: Annotated[
         str | None,
@@ -111,7 +116,6 @@ def drive(
     """
     from egp_service.cli.publication import publication
     from egp_service.cli.status_line import StatusLine
-    from egp_service.cli.tables import summary_table
     from egp_service.simulation.plant import load_simulator
     from egp_service.simulation.reference import load_belief, store_belief
     from egp_service.simulation.runs import new_folder, record_run
@@ -129,6 +133,7 @@ def drive(
     if chosen.plant is not None:
         load_simulator(chosen.plant)  # reports a class that cannot be made before a folder is
     belief = load_belief(chosen, road)
+    fleet_name, name = _name(vehicle)
     with (
         _fleet_map(console, chosen, belief, fleet, vehicle, zenoh) as exchange,
         _controller(
@@ -144,7 +149,8 @@ def drive(
             chosen,
             controller,
             monitor,
-            vehicle=vehicle or "vehicle-1",
+            fleet=fleet_name,
+            vehicle=name,
             zenoh_file=zenoh,
             console=console,
         ) as publish,
@@ -166,7 +172,7 @@ def drive(
             run = record_run(chosen, controller, folder, observe, belief)
     if road is not None:
         store_belief(belief, road)
-    console.print(summary_table([(chosen.name, run.summary)]))
+    _show(console, run.summary)
     if pictures:
         from egp_service.simulation.report import draw_run
 
@@ -196,10 +202,30 @@ def _controller(
         return in_process_controller(scenario) if in_process else service_controller(scenario)
     if in_process:
         raise typer.BadParameter("--in-process excludes --connect and --zenoh")
-    name = vehicle or "vehicle-1"
+    fleet, name = _name(vehicle)
     return remote_controller(
-        scenario, connect, vehicle=name, zenoh_file=zenoh, key_file=key, traces=traces
+        scenario,
+        connect,
+        fleet=fleet,
+        vehicle=name,
+        zenoh_file=zenoh,
+        key_file=key,
+        traces=traces,
     )
+
+
+def _name(vehicle: str | None) -> tuple[str, str]:
+    """Give the fleet and the car's name of `--vehicle`."""
+    fleet, slash, name = (vehicle or "vehicle-1").rpartition("/")
+    return fleet if slash else "default", name
+
+
+def _show(console: Console, summary: "Summary") -> None:
+    from egp_service.cli.tables import no_plan, summary_table
+
+    console.print(summary_table([(summary.scenario, summary)]))
+    if reason := no_plan(summary):
+        console.print(reason, markup=False, highlight=False)
 
 
 @contextmanager
@@ -228,10 +254,15 @@ def _fleet_map(
     from egp_service.cli.tables import map_summary
     from egp_service.control.fleet_map import FleetMap
 
+    fleet, name = _name(vehicle)
     with FleetMap(
-        endpoint, belief, road=road_name(scenario), vehicle=vehicle, zenoh_file=zenoh
-    ) as fleet:
-        if not fleet.fetch():
+        endpoint, belief, road=road_name(scenario), vehicle=name, fleet=fleet, zenoh_file=zenoh
+    ) as shared:
+        if not shared.fetch():
             console.print(f"No map service answers at {endpoint}; start one with `egp map`")
-        yield fleet.exchange
-        console.print(map_summary(fleet.origins, belief.trust))
+        yield shared.exchange
+        console.print(
+            map_summary(shared.origins, belief.trust)
+            if shared.answered
+            else f"No map service has answered at {endpoint}, so that the fleet's map was not used"
+        )

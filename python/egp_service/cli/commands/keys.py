@@ -23,7 +23,12 @@ def keys(
         ),
     ],
     fleet: Annotated[str, typer.Option(help="Fleet of the vehicles.")] = "default",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the service.")] = 7447,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=65535, help="Port of the service; by default that of its file, or 7447."
+        ),
+    ] = None,
     days: Annotated[
         int,
         typer.Option(
@@ -39,7 +44,8 @@ def keys(
     missing; start the service again with its new file then. Called again for a
     vehicle that there is, it renews the certificate: the .json5 file is written
     anew, with the same endpoints if it is still there, and the secret key stays.
-    Another --host is for the new vehicles. Keep ca.key and library.key where no
+    Another --host is for the new vehicles; operator and monitor keep their
+    endpoints, and the service its port. Keep ca.key and library.key where no
     service and no vehicle is; all other files go where their name says.
 
     For example:
@@ -68,7 +74,7 @@ Service, in the file of `egp serve --config`:
 Map service, in the file of `egp map --config`:
   zenoh_file = "{folder / "map.json5"}"
 Vehicle, for instance:
-  egp drive --vehicle {shown.partition("/")[2]} --zenoh {own}.json5 --key {own}.keys
+  egp drive --vehicle {shown} --zenoh {own}.json5 --key {own}.keys
 Live page, and a router if there is one:
   egp monitor --zenoh {folder / "monitor.json5"}
   egp router --zenoh {folder / "router.json5"}""",

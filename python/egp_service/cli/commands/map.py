@@ -53,7 +53,7 @@ def keep_map(
       egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-2    (faster)
     """
     from egp_service._core import serve_map
-    from egp_service.cli.settings_file import read_map
+    from egp_service.cli.settings_file import naming, read_map
     from egp_service.control.endpoints import check_free
     from egp_service.control.toml_text import dumps
 
@@ -73,4 +73,5 @@ def keep_map(
     elif given or listen:
         raise typer.BadParameter("--config excludes other options: put them into the file")
     else:
-        serve_map(dumps(read_map(config)))
+        with naming(config):
+            serve_map(dumps(read_map(config)))

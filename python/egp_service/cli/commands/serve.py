@@ -109,7 +109,7 @@ def serve(
     """
     from egp_service._core import EgpError, check_service
     from egp_service._core import serve as serve_until_signal
-    from egp_service.cli.settings_file import read_service, read_settings
+    from egp_service.cli.settings_file import naming, read_service, read_settings
     from egp_service.control.endpoints import check_endpoints, check_free
     from egp_service.control.toml_text import dumps
 
@@ -130,13 +130,15 @@ def serve(
     check_endpoints([*(listen or []), *(connect or [])])
     _add_endpoints(table, {"listen/endpoints": listen, "connect/endpoints": connect})
     if check:
-        _show(check_service(dumps(table)))
+        with naming(config):
+            _show(check_service(dumps(table)))
         return
     if config is None or listen:
         check_free(listen or ["tcp/127.0.0.1:7447"])
     # The service has a handler of its own for SIGHUP; Python's would end the command.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    serve_until_signal(dumps(table))
+    with naming(config):
+        serve_until_signal(dumps(table))
 
 
 def _add_endpoints(table: dict[str, object], endpoints: Mapping[str, Sequence[str] | None]) -> None:
