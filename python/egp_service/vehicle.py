@@ -55,7 +55,10 @@ def read_vehicle(path: Path) -> VehicleParameters:
 
     """
     try:
-        fields = tomllib.loads(path.read_text(encoding="utf-8"))
+        fields = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        for name, value in fields.items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise TypeError(f"{name} is {value!r}: expected a number in SI units")  # noqa: TRY301
         return VehicleParameters(**fields)
     except (OSError, ValueError, TypeError) as error:
         raise EgpError(f"{path}: {error}") from error

@@ -12,6 +12,7 @@ import pytest
 
 from egp_service import EgpError, VehicleParameters
 from egp_service._core import Plant
+from egp_service.cli.settings_file import read_settings
 from egp_service.control.toml_text import dumps
 from egp_service.simulation.configuration import ConfigurationError
 from egp_service.simulation.course import build_path, build_profile
@@ -170,6 +171,14 @@ def test_a_scenario_that_is_no_text_is_named(tmp_path: Path) -> None:
     file.write_bytes(b"\x89MCAP")
     with pytest.raises(ScenarioError, match=r"run\.mcap: expected the TOML file of a scenario"):
         load_scenario(str(file))
+
+
+def test_files_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    scenario, settings = tmp_path / "scenario.toml", tmp_path / "settings.toml"
+    scenario.write_text(MINIMAL, encoding="utf-8-sig")
+    assert load_scenario(str(scenario)) == parse(MINIMAL)
+    settings.write_text("[cost]\nlateral = 20.0\n", encoding="utf-8-sig")
+    assert read_settings(settings) == {"cost": {"lateral": 20.0}}
 
 
 def test_an_unknown_scenario_names_the_known_ones() -> None:

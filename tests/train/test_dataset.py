@@ -136,3 +136,25 @@ def test_refuses_files_that_are_none(tmp_path: Path) -> None:
     pl.DataFrame({"v_x": [1.0]}).write_parquet(tmp_path / "bare.parquet")
     with pytest.raises(EgpError, match="--from-log"):
         Dataset.read(tmp_path / "bare.parquet")
+
+
+def test_files_say_that_the_mass_was_assumed(tmp_path: Path) -> None:
+    path = tmp_path / "wet.parquet"
+    surface().write(path)
+    # As files of older versions, which do not state it.
+    assert "force_from_a_x" not in json.loads(pl.read_parquet_metadata(path)[METADATA_KEY])
+    assert not Dataset.read(path).provenance.force_from_a_x
+    assumed = dataclasses.replace(surface(seed=1), provenance=provenance(force_from_a_x=True))
+    assumed.write(path)
+    assert Dataset.read(path).provenance.force_from_a_x
+    assert merge([surface(), assumed]).provenance.force_from_a_x
+    _rewrite(path, lambda frame: frame, force_from_a_x=1)
+    with pytest.raises(EgpError, match="force_from_a_x is 1 in the metadata: expected true or"):
+        Dataset.read(path)
+
+
+def test_merging_refuses_the_same_transitions(tmp_path: Path) -> None:
+    surface().write(tmp_path / "wet.parquet")
+    again = Dataset.read(tmp_path / "wet.parquet")
+    with pytest.raises(EgpError, match=r"numbers 1 and 3 of the datasets .*'mu 0.5'.* same trans"):
+        merge([surface(), surface(seed=1), again])

@@ -72,3 +72,13 @@ def test_gate_limits_are_forces() -> None:
     assert limits["force_max"] == 6.0 * 1225.887
     assert limits["power"] == 54.7 * 1225.887
     assert limits["steering_rate"] == 0.4
+
+
+def test_a_field_that_is_no_number_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "car.toml"
+    for value in ("790", True, [1.0]):
+        path.write_text(dumps({**CAR.fields(), "mass": value}), encoding="utf-8")
+        with pytest.raises(EgpError, match=r"car\.toml: mass is .*: expected a number"):
+            read_vehicle(path)
+    path.write_text(dumps(CAR.fields()), encoding="utf-8-sig")  # as some editors write it
+    assert read_vehicle(path) == CAR

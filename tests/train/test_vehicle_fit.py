@@ -156,6 +156,21 @@ def test_a_grip_is_doubted_if_its_own_parameters_are() -> None:
     assert lines["peak_slip"].warning == "at the end of the range that is searched"
 
 
+def test_an_assumed_mass_is_not_determined() -> None:
+    measured = drive(DRY, WHOLE, 0.01, 0)
+    assert not file_lines(measured)["mass"].warning
+    origin = provenance(force_from_a_x=True)
+    lines = file_lines(dataclasses.replace(measured, provenance=origin))
+    for name in ("mass", "yaw_inertia"):
+        assert "the value follows the mass of the import" in lines[name].warning
+
+
+@pytest.mark.parametrize("width", [-1.0, 0.0, float("nan"), float("inf")])
+def test_a_width_is_checked_before_the_fit(width: float) -> None:
+    with pytest.raises(EgpError, match=f"the width is {width:g} m: expected a positive number"):
+        vehicle_lines([], width=width)
+
+
 def test_the_yaw_inertia_is_as_uncertain_as_the_mass() -> None:
     def width(parameter: FittedParameter) -> float:
         return float(np.log(parameter.high / parameter.low))

@@ -1,8 +1,12 @@
 """Options that several commands share."""
 
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from egp_service._core import EgpError
 
 Jobs = Annotated[int | None, typer.Option(help="Processes; one per core by default.")]
 Cluster = Annotated[
@@ -13,3 +17,27 @@ Cluster = Annotated[
         "files and version.",
     ),
 ]
+
+
+def check_outputs(inputs: Iterable[Path | None], *outputs: Path | None) -> None:
+    """Errors if a file that a command writes is one that it reads, or another that it writes.
+
+    Raises:
+        EgpError: naming both files, before anything is written.
+
+    """
+    taken = [file for file in inputs if file is not None]
+    for output in outputs:
+        if output is None:
+            continue
+        for file in taken:
+            if file.exists() and output.exists():
+                same = file.samefile(output)
+            else:
+                same = file.absolute() == output.absolute()
+            if same:
+                raise EgpError(
+                    f"{output} would overwrite {file}, which this command reads or writes, too: "
+                    "name another output"
+                )
+        taken.append(output)

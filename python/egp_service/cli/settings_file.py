@@ -111,7 +111,7 @@ def _with_folder(table: dict[str, object], folder: Path) -> dict[str, object]:
 
 def _table(path: Path) -> tuple[str, dict[str, object]]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         return text, tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise EgpError(f"{path}: expected a TOML file, got bytes that are no UTF-8 text") from error

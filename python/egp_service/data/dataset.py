@@ -33,6 +33,7 @@ _TYPES: Final = {
     "float": ((int, float), "a number"),
     "int": ((int,), "a whole number"),
     "str": ((str,), "a text"),
+    "bool": ((bool,), "true or false"),
 }
 
 
@@ -41,6 +42,8 @@ class Provenance:
     """Origin of a dataset, stored as JSON in the Parquet key-value metadata.
 
     `friction` is the surface's nominal coefficient. It labels the member; training does not use it.
+    `force_from_a_x` says that `F_x` is an assumed mass times an acceleration of a log, so that the
+    data do not tell the mass; files of older versions do not state it.
     """
 
     dt: float
@@ -50,6 +53,7 @@ class Provenance:
     seed: int
     method: str
     tool: str
+    force_from_a_x: bool = False
 
     def __post_init__(self) -> None:
         """Check the ranges of the values."""
@@ -59,6 +63,13 @@ class Provenance:
             raise EgpError(f"friction is {self.friction}: expected a coefficient between 0 and 3")
         if not self.surface:
             raise EgpError("the surface label is empty: name the surface, for example 'wet'")
+
+    def metadata(self) -> dict[str, Any]:
+        """Return the fields for a file; `force_from_a_x` only if true, for older versions."""
+        fields = dataclasses.asdict(self)
+        if not self.force_from_a_x:
+            del fields["force_from_a_x"]
+        return fields
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -134,7 +145,7 @@ class Dataset:
         metadata = {
             "schema": SCHEMA,
             "units": GP_INPUT | GP_OUTPUT,
-            **dataclasses.asdict(self.provenance),
+            **self.provenance.metadata(),
         }
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f".{path.name}.{os.getpid()}")
@@ -180,7 +191,8 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
     """Join datasets of one surface; trajectories are renumbered so that they stay distinct.
 
     Raises:
-        EgpError: if they differ in dt, vehicle, surface or friction.
+        EgpError: if they differ in dt, vehicle, surface or friction, or two have the same
+            transitions, which would be among training and held-out data at once.
 
     """
     first = datasets[0].provenance
@@ -189,6 +201,14 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
             ours, theirs = getattr(first, field), getattr(other, field)
             if ours != theirs:
                 raise EgpError(f"cannot merge: {field} is {ours} in one and {theirs} in another")
+    digests = [dataset.digest() for dataset in datasets] if len(datasets) > 1 else []
+    if len(set(digests)) < len(digests):
+        again = next(n for n, digest in enumerate(digests) if digest in digests[:n])
+        raise EgpError(
+            f"cannot merge: numbers {digests.index(digests[again]) + 1} and {again + 1} of the "
+            f"datasets of surface '{first.surface}' ({datasets[again].provenance.method}) have the "
+            "same transitions: give each once"
+        )
     numbers: list[NDArray[np.uint32]] = []
     used = 0
     for dataset in datasets:
@@ -201,7 +221,9 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
         trajectory=np.concatenate(numbers),
         step=np.concatenate([dataset.step for dataset in datasets]),
         provenance=dataclasses.replace(
-            first, method=" + ".join(dict.fromkeys(d.provenance.method for d in datasets))
+            first,
+            method=" + ".join(dict.fromkeys(d.provenance.method for d in datasets)),
+            force_from_a_x=any(d.provenance.force_from_a_x for d in datasets),
         ),
         gaps=tuple(gap for dataset in datasets for gap in dataset.gaps),
     )
@@ -241,11 +263,12 @@ def _provenance(metadata: dict[str, str]) -> Provenance:
     if units != GP_INPUT | GP_OUTPUT:
         raise EgpError(f"units are {units}: expected {GP_INPUT | GP_OUTPUT}")
     expected = {field.name: str(field.type) for field in dataclasses.fields(Provenance)}
+    fields = {"force_from_a_x": False, **fields}
     if fields.keys() != expected.keys():
         raise EgpError(f"metadata keys {sorted(fields)}: expected {sorted(expected)}")
     for name, value in fields.items():
         types, called = _TYPES[expected[name]]
-        if isinstance(value, bool) or not isinstance(value, types):
+        if isinstance(value, bool) != (types == (bool,)) or not isinstance(value, types):
             raise EgpError(f"{name} is {value!r} in the metadata: expected {called}")
     return Provenance(**fields)
 

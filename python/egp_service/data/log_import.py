@@ -13,7 +13,7 @@ from egp_service.data import plausibility
 from egp_service.data.dataset import Dataset, Provenance
 from egp_service.data.messages import is_recording
 from egp_service.data.recording import read_recording, topics
-from egp_service.data.table import numbers, read_table
+from egp_service.data.table import numbers, read_table, some
 from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ _LARGEST: Final = {
     "delta_dot": 6.0,
 }
 _STEERING: Final = {"delta", "delta_dot"}
+# Share of the rows from which larger values are a wrong unit, and not single wrong rows.
+_OFTEN: Final = 0.01
 # Logs without gaps are split into trajectories of this length for the validation split.
 _TRAJECTORY_SECONDS: Final = 10.0
 
@@ -108,8 +110,9 @@ def import_log(
 
     """
     _check_separator(separator)
-    if not steering_ratio > 0.0:
-        raise EgpError(f"expected a positive --steering-ratio, got {steering_ratio}")
+    for option, value in (("--steering-ratio", steering_ratio), ("--mass in kg", mass)):
+        if value is not None and not 0.0 < value < np.inf:
+            raise EgpError(f"expected a positive {option}, got {value:g}")
     if is_recording(path):
         columns = _with_time(path, columns)
         base = columns["v_x"].name
@@ -122,9 +125,10 @@ def import_log(
     _check_time(log["time"])
     plausibility.check(log, columns, mass, wheelbase)
     if "a_x" in log:
-        if mass is None or mass <= 0.0:
+        if mass is None:
             raise EgpError("a_x requires the vehicle's mass in kg for the force F_x = mass a_x")
         log["F_x"] = mass * log["a_x"]
+        provenance = dataclasses.replace(provenance, force_from_a_x=True)
     return _transitions(log, columns, provenance)
 
 
@@ -197,7 +201,7 @@ def _header(path: Path, separator: str) -> str:
         names = read_table(path, separator).columns
     except EgpError as error:
         return str(error)
-    return f"{path.name} has the columns {', '.join(name or repr('') for name in names)}"
+    return f"{path.name} has the columns {some(names)}"
 
 
 def _read(
@@ -214,17 +218,25 @@ def _read(
                 f"{quantity} from '{column.name}': {column.unit} is not a unit of {quantity}"
             )
         if column.name not in frame.columns:
-            raise EgpError(f"{path}: no column '{column.name}', found {', '.join(frame.columns)}")
+            raise EgpError(f"{path}: no column '{column.name}', found {some(frame.columns)}")
         values = numbers(path, frame[column.name]) * factor
         ratio = ""
         if quantity in _STEERING:
             values = values / steering_ratio
             ratio = ", and state --steering-ratio if it is the steering wheel's angle"
-        peak = float(np.abs(values).max(initial=0.0))
-        if peak > largest:
+        beyond = np.flatnonzero(np.abs(values) > largest)
+        if 0 < len(beyond) <= _OFTEN * len(values):
+            row = int(beyond[0])
+            more = f", and {len(beyond) - 1} other rows are alike" if len(beyond) > 1 else ""
             raise EgpError(
-                f"{quantity} reaches {peak:.4g} {unit} when '{column.name}' is read in "
-                f"{column.unit}: more than {largest:g} {unit} is implausible, check the unit{ratio}"
+                f"{quantity} is {values[row]:.4g} {unit} at row {row} of '{column.name}'{more}: "
+                f"more than {largest:g} {unit} is implausible, correct or remove these rows"
+            )
+        if len(beyond):
+            raise EgpError(
+                f"{quantity} reaches {np.abs(values).max():.4g} {unit} when '{column.name}' is "
+                f"read in {column.unit}: more than {largest:g} {unit} is implausible, check the "
+                f"unit{ratio}"
             )
         log[quantity] = values
     return log

@@ -30,8 +30,10 @@ if TYPE_CHECKING:
 _PERIODS: Final = (1e-3, 1.0)
 # Largest change from one row to the next, and per second: no road vehicle changes faster.
 _JUMPS: Final = {"v_x": (3.0, 60.0), "v_y": (3.0, 60.0), "omega": (2.0, 40.0), "delta": (0.5, 10.0)}
-# Standard deviation of another column above which the vehicle certainly moves differently.
-_ACTIVE: Final = {"v_x": 0.5, "omega": 0.05, "delta": 0.02}
+# Standard deviation of another column above which the vehicle certainly moves differently: the yaw
+# rate in rad/s, the steering angle in rad, the acceleration in m/s².
+_ACTIVE: Final = {"omega": 0.05, "delta": 0.02, "acceleration": 0.3}
+_HEAVIEST: Final = 4000.0  # kg, for a force of a vehicle whose mass is not known
 _STUCK: Final = 5.0  # s
 _MOVING: Final = 3.0  # m/s
 _ROLLING: Final = 1.0  # m/s
@@ -47,7 +49,10 @@ _SPREAD: Final = 1.5
 # Change of v_x over acceleration: tyres and drag take a part, and nothing adds to it.
 _ACCELERATIONS: Final = (0.4, 2.0)
 _CERTAIN: Final = 0.7  # correlation from which a ratio is meant
-_EXCITED: Final = {"turning": 0.02, "accelerating": 0.2}  # standard deviations, m/s and m/s²
+# Standard deviations of v delta in m/s, omega in rad/s and the acceleration in m/s².
+_EXCITED: Final = {"turning": 0.02, "omega": 0.02, "accelerating": 0.2}
+# Correlations that differ by less are alike: the acceleration is late by the smallest such lag.
+_ALIKE: Final = 0.05
 # Share of the moving rows, those with the least v^2 delta, in which tyres slip little.
 _GENTLE: Final = 0.6
 _SMOOTHING: Final = 0.5  # s
@@ -79,12 +84,8 @@ def check(
     """
     _check_period(log, columns)
     _check_jumps(log, columns)
-    if np.median(np.abs(log["v_y"])) > np.median(np.abs(log["v_x"])):
-        raise EgpError(
-            f"the vehicle mostly moves sideways: '{columns['v_x'].name}' and "
-            f"'{columns['v_y'].name}' are probably swapped; exchange them in --column"
-        )
-    _check_stuck(log, columns)
+    _check_direction(log, columns)
+    _check_stuck(log, columns, mass)
     _check_accelerating(log, columns, mass)
     _check_turning(log, columns, wheelbase)
 
@@ -115,9 +116,42 @@ def _check_jumps(log: Log, columns: Mapping[str, Column]) -> None:
             )
 
 
-def _check_stuck(log: Log, columns: Mapping[str, Column]) -> None:
+def _check_direction(log: Log, columns: Mapping[str, Column]) -> None:
+    rolling = np.hypot(log["v_x"], log["v_y"]) > _ROLLING
+    if not rolling.any():
+        return
+    v_x, v_y = log["v_x"][rolling], log["v_y"][rolling]
+    if np.median(np.abs(v_y)) > np.median(np.abs(v_x)):
+        raise EgpError(
+            f"the vehicle mostly moves sideways: '{columns['v_x'].name}' and "
+            f"'{columns['v_y'].name}' are probably swapped; exchange them in --column"
+        )
+    if np.median(v_x) < 0.0:
+        raise EgpError(
+            f"the vehicle mostly drives backwards: '{columns['v_x'].name}' has probably the wrong "
+            "sign. Speeds are positive forward; negate the column in the log"
+        )
+
+
+def _acceleration(log: Log, mass: float | None) -> NDArray[np.float64]:
+    """Acceleration in m/s²; of a force without a known mass, what it is at least."""
+    return log["a_x"] if "a_x" in log else log["F_x"] / (mass or _HEAVIEST)
+
+
+def _check_stuck(log: Log, columns: Mapping[str, Column], mass: float | None) -> None:
+    """Compare lateral columns with lateral ones, and v_x with the acceleration.
+
+    On a straight road the former stand still while the speed changes.
+    """
     time = log["time"]
-    for quantity in ("v_x", "v_y", "omega", "delta"):
+    delta, omega = log["delta"], log["omega"]
+    witnesses = {
+        "v_x": {"acceleration": _acceleration(log, mass)},
+        "v_y": {"omega": omega, "delta": delta},
+        "omega": {"delta": delta},
+        "delta": {"omega": omega},
+    }
+    for quantity, others in witnesses.items():
         values = log[quantity]
         starts = np.concatenate(([0], np.flatnonzero(np.diff(values) != 0.0) + 1, [len(values)]))
         for first, last in itertools.pairwise(starts):
@@ -125,7 +159,7 @@ def _check_stuck(log: Log, columns: Mapping[str, Column]) -> None:
             if (
                 time[last - 1] - time[first] >= _STUCK
                 and np.median(log["v_x"][stretch]) > _MOVING
-                and any(np.std(log[q][stretch]) > s for q, s in _ACTIVE.items() if q != quantity)
+                and any(np.std(other[stretch]) > _ACTIVE[q] for q, other in others.items())
             ):
                 raise EgpError(
                     f"'{columns[quantity].name}' stays at {values[first]:.4g} (SI units) from row "
@@ -149,11 +183,22 @@ def _gentle(log: Log, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return rows & (demand <= np.quantile(demand[rows], _GENTLE)) if rows.any() else rows
 
 
+def _quiet(turned: NDArray[np.float64], omega: NDArray[np.float64]) -> bool:
+    """Return whether a vehicle turns too little to tell anything.
+
+    In a wrong unit one of both is small, so that it is quiet only if both are.
+    """
+    if len(omega) < 2:  # noqa: PLR2004
+        return True
+    ours, theirs = float(np.std(turned)), float(np.std(omega))
+    return min(ours, theirs) == 0.0 or (ours < _EXCITED["turning"] and theirs < _EXCITED["omega"])
+
+
 def _check_turning_rows(
     log: Log, columns: Mapping[str, Column], rows: NDArray[np.bool_], low: float, high: float
 ) -> None:
     turned, omega = (log["v_x"] * log["delta"])[rows], log["omega"][rows]
-    if len(omega) < 2 or np.std(turned) < _EXCITED["turning"] or np.std(omega) == 0.0:  # noqa: PLR2004
+    if _quiet(turned, omega):
         return
     names = f"'{columns['omega'].name}' and '{columns['delta'].name}'"
     correlation = float(np.corrcoef(turned, omega)[0, 1])
@@ -188,7 +233,7 @@ def _check_wheelbase(
         return
     turned = v * delta
     slow, fast = np.quantile(v, [0.05, 0.95])
-    if np.std(turned) < _EXCITED["turning"] or np.std(omega) == 0.0 or fast < _SPREAD * slow:
+    if _quiet(turned, omega) or fast < _SPREAD * slow:
         return
     if float(np.corrcoef(turned, omega)[0, 1]) < _CERTAIN:
         return
@@ -210,9 +255,7 @@ def _check_wheelbase(
 
 def _check_accelerating(log: Log, columns: Mapping[str, Column], mass: float | None) -> None:
     stated = "a_x" if "a_x" in log else "F_x"
-    if stated == "F_x" and mass is None:
-        return
-    acceleration = log["a_x"] if stated == "a_x" else log["F_x"] / (mass or 1.0)
+    acceleration = _acceleration(log, mass)
     period = float(np.median(np.diff(log["time"])))
     rows = max(1, round(_SMOOTHING / period))
     if len(acceleration) < 4 * rows:
@@ -227,12 +270,15 @@ def _check_accelerating(log: Log, columns: Mapping[str, Column], mass: float | N
         return
     names = f"'{columns['v_x'].name}' and '{columns[stated].name}'"
     correlations = [float(np.corrcoef(*pair)[0, 1]) for pair in late]
-    best = int(np.argmax(correlations))
-    if correlations[best] < _CERTAIN and correlations[0] < -_CERTAIN:
+    most = max(map(abs, correlations))
+    best = next(i for i, found in enumerate(correlations) if abs(found) >= most - _ALIKE)
+    if correlations[best] < -_CERTAIN:
         raise EgpError(
             f"{names} contradict each other: the vehicle slows down when it accelerates. "
             "Accelerations and forces are positive forward; negate the column in the log"
         )
+    if stated == "F_x" and mass is None:
+        return
     mean, change = late[best]
     centred = mean - mean.mean()
     ratio = float(centred @ change / (centred @ centred))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import csv
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -10,12 +12,14 @@ import polars as pl
 from egp_service._core import EgpError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
 _SEPARATORS: Final = (";", "\t")
 _DECIMAL_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
+_MOST_NAMES: Final = 20
 
 
 def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
@@ -25,34 +29,65 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
     header has no `separator` but semicolons or tabs, those separate.
 
     Raises:
-        EgpError: if there is no such file, or it is no Parquet or CSV file, or if two columns of
-            a CSV file have the same name but for spaces.
+        EgpError: if there is no such file, or it is no Parquet or CSV file, if two columns of a CSV
+            file have the same name but for spaces, or if a line has more fields than the header.
 
     """
     if not path.is_file():
         raise EgpError(f"{path}: no such file")
-    if path.suffix == ".parquet":
+    if path.suffix.lower() == ".parquet":
         try:
             return pl.read_parquet(path)
         except pl.exceptions.PolarsError as error:
             raise EgpError(f"{path}: not a readable Parquet file ({error})") from error
     try:
-        lines = path.read_bytes().decode("utf-8-sig").splitlines()
+        text = path.read_bytes().decode("utf-8-sig")
+        if "\r" in text and "\n" not in text:
+            raise EgpError(f"{path}: lines end with CR only: save the file with LF or CR LF")
+        lines = text.splitlines()
         header = next((line for line in lines if line and line[0] != "#"), "")
         if separator not in header:
             separator = next((other for other in _SEPARATORS if other in header), separator)
+        columns = _header(path, header, separator)
         frame = pl.read_csv(path, separator=separator, comment_prefix="#", infer_schema_length=None)
-    except (UnicodeDecodeError, pl.exceptions.PolarsError) as error:
+    except (UnicodeDecodeError, csv.Error) as error:
         raise EgpError(f"{path}: not a readable CSV file ({error})") from error
-    names = [name.removeprefix("\ufeff").strip() for name in frame.columns]
-    twice = next((name for name in names if names.count(name) > 1), None)
+    except pl.exceptions.PolarsError as error:
+        with contextlib.suppress(csv.Error):
+            _check_fields(path, lines, len(columns), separator)
+        raise EgpError(f"{path}: not a readable CSV file ({error})") from error
+    names = [name.removeprefix("\ufeff") for name in frame.columns]
+    frame.columns = [name.strip() or name for name in names]
+    return frame
+
+
+def _header(path: Path, line: str, separator: str) -> list[str]:
+    """Return the names of the columns; errors if two have one name, which polars would change."""
+    names = [name.strip() for name in next(csv.reader([line], delimiter=separator))]
+    twice = next((name for name in names if name and names.count(name) > 1), None)
     if twice is not None:
         raise EgpError(
             f"{path}: two columns are named '{twice}' when spaces around names are left out: "
             "rename one of them"
         )
-    frame.columns = names
-    return frame
+    return names
+
+
+def _check_fields(path: Path, lines: Sequence[str], expected: int, separator: str) -> None:
+    """Errors if a line has more fields than expected."""
+    for number, line in enumerate(lines, 1):
+        count = len(next(csv.reader([line], delimiter=separator), []))
+        if count > expected and line[0] != "#":
+            raise EgpError(
+                f"{path}: line {number} has {count} fields and the header {expected}: correct or "
+                "remove this line"
+            )
+
+
+def some(names: Sequence[str]) -> str:
+    """Return the names of columns for a message, the first 20 if there are more."""
+    more = f" and {len(names) - _MOST_NAMES} others" if len(names) > _MOST_NAMES else ""
+    return ", ".join(name or repr("") for name in names[:_MOST_NAMES]) + more
 
 
 def numbers(path: Path, column: pl.Series) -> NDArray[np.float64]:

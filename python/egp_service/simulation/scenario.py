@@ -225,7 +225,7 @@ def load_scenario(name_or_file: str) -> Scenario:
     # The scenario is stored with a run, from whose folder relative paths would not be found.
     folder = file.parent.absolute()
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ScenarioError(
             f"{file}: expected the TOML file of a scenario, got bytes that are no UTF-8 text"

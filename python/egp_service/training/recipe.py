@@ -56,7 +56,7 @@ class Recipe:
 
         """
         try:
-            content = tomllib.loads(path.read_text(encoding="utf-8"))
+            content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise EgpError(f"{path}: {error}") from error
         try:

@@ -31,6 +31,10 @@ _REACHED: Final = 0.995
 """Quantile that counts as the largest value in a log; beyond it are outliers."""
 _REACHED_TEXT: Final = f"reached in the logs, outliers of {1.0 - _REACHED:.1%} left out"
 _AT_BOUND_TEXT: Final = "at the end of the range that is searched"
+_UNDETERMINED_TEXT: Final = "not determined by the logs, so mostly the prior"
+_ASSUMED_TEXT: Final = (
+    "not determined: the logs have a_x, so the value follows the mass of the import"
+)
 # Share of the longitudinal grip that speed profiles use, so that grip is left for cornering, as
 # for the simulated car (docs/settings.md, section 7).
 _RESERVE: Final = 0.65
@@ -75,17 +79,21 @@ def vehicle_lines(
 
     `known` are parameters of a vehicle's file: its body is the prior of the fit, and what a fit
     cannot tell is kept. Errors if the datasets have different periods or vehicles, the seed is
-    negative, or the fit fails.
+    negative, the width in m is not positive, or the fit fails.
     """
+    if width is not None and not 0.0 < width < math.inf:
+        raise EgpError(f"the width is {width:g} m: expected a positive number, see --width")
     check_one_car(surfaces, "fit")
     check_seed(seed)
     rngs = [np.random.default_rng([seed, number]) for number in range(len(surfaces))]
     fitted = fit_vehicle(surfaces, known, rngs)
     frictions = [data.provenance.friction for data in surfaces]
     body = {p.name: p for p in (*fitted[0].parameters, *fitted[0].derived)}
+    assumed = any(data.provenance.force_from_a_x for data in surfaces)
+    of_mass = _ASSUMED_TEXT if assumed else _UNDETERMINED_TEXT
     lines = [
-        _fitted("mass", body["m"]),
-        _fitted("yaw_inertia", body["I_z"]),
+        _fitted("mass", body["m"], of_mass),
+        _fitted("yaw_inertia", body["I_z"], of_mass),
         _fitted("l_f", body["l_f"]),
         _fitted("l_r", body["l_r"]),
         *_limits(surfaces, body["m"].value, known, width),
@@ -115,12 +123,12 @@ def vehicle_toml(lines: Sequence[Line]) -> str:
     return "\n".join(text) + "\n"
 
 
-def _fitted(name: str, parameter: FittedParameter) -> Line:
+def _fitted(name: str, parameter: FittedParameter, undetermined: str = _UNDETERMINED_TEXT) -> Line:
     warnings = []
     if parameter.at_bound:
         warnings.append(_AT_BOUND_TEXT)
     if not parameter.determined:
-        warnings.append("not determined by the logs, so mostly the prior")
+        warnings.append(undetermined)
     if abs(parameter.distance) > 2.0:  # noqa: PLR2004 - standard deviations
         warnings.append(f"{parameter.distance:+.1f} standard deviations from what was known")
     return Line(

@@ -80,7 +80,7 @@ class FittedParameter:
     determined: bool
     """Whether the data narrow the prior to at most half of its width and, for mass, axle distances
     and yaw inertia, tell it as well as a vehicle's file does (mass: to 3 %). The mass is not
-    determined by a force that was computed from the measured speed."""
+    determined by a force that was computed with an assumed mass."""
     at_bound: bool
     """Whether the value is an end of the range that is searched."""
 
@@ -165,9 +165,9 @@ class _Surface:
     which tells nothing about the vehicle."""
     weight: float = 1.0
     """Weight of a transition beside the priors."""
-    force_is_speed: bool = False
-    """Whether the force predicts the changes of `v_x` better than the noise of `v_x` lets any other
-    measurement: it was computed from this speed and an assumed mass."""
+    circular: bool = False
+    """Whether the force was computed with an assumed mass: the dataset says it, or the force
+    predicts the changes of `v_x` better than their noise lets any other measurement."""
 
     @staticmethod
     def of(dataset: Dataset, rng: np.random.Generator) -> _Surface:
@@ -187,7 +187,7 @@ class _Surface:
         errors = ((predicted - torch.from_numpy(data.y)) / self.scale).numpy()
         spread = _MAD * np.median(np.abs(errors), axis=0)
         noise = self.noise / self.scale.numpy()
-        self.force_is_speed = bool(spread[0] < _NO_SENSOR * noise[0])
+        self.circular = data.provenance.force_from_a_x or bool(spread[0] < _NO_SENSOR * noise[0])
         spread = np.maximum(spread, noise)
         self.scale = self.scale * torch.from_numpy(np.maximum(spread, 1.0))
         share = len(self.z) / len(data)
@@ -298,7 +298,7 @@ class _Problem:
         covariance = np.asarray(np.linalg.inv(square), dtype=np.float64)
         spread = np.sqrt(np.diag(covariance))
         at_bound = (x - self._low < _AT_BOUND) | (self._high - x < _AT_BOUND)
-        circular = any(surface.force_is_speed for surface in self.surfaces)
+        circular = any(surface.circular for surface in self.surfaces)
         found = []
         for number in range(len(self.surfaces)):
             columns = self._columns(number)[: len(PARAMETERS)]

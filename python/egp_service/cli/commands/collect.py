@@ -1,16 +1,23 @@
 """`egp collect`."""
 
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import Cluster, Jobs
+from egp_service.cli.options import Cluster, Jobs, check_outputs
 
 if TYPE_CHECKING:
-    from egp_service.data.dataset import Dataset
+    from egp_service.data.dataset import Dataset, Provenance
     from egp_service.data.log_import import Column
+
+Value = TypeVar("Value")
+
+_RUNS = 6
+_SAMPLES = 300
 
 
 def collect(
@@ -32,8 +39,12 @@ def collect(
             help="CommonRoad number of the simulated car; for a log, the car's name or TOML file."
         ),
     ] = "1",
-    runs: Annotated[int, typer.Option(help="Number of runs on tracks, at increasing speed.")] = 6,
-    samples: Annotated[int, typer.Option(help="Number of cars that start in random states.")] = 300,
+    runs: Annotated[
+        int, typer.Option(help="Number of runs on tracks, at increasing speed.")
+    ] = _RUNS,
+    samples: Annotated[
+        int, typer.Option(help="Number of cars that start in random states.")
+    ] = _SAMPLES,
     track: Annotated[
         list[str] | None, typer.Option(help="Track of the runs; repeat for more, used in turn.")
     ] = None,
@@ -79,10 +90,12 @@ def collect(
     Drives the simulated car on tracks, at increasing speed and with exploration
     noise, and from random states. With --from-log it imports a log instead,
     which must contain time, v_x, v_y, omega, delta, and F_x or a_x. Columns that
-    contradict each other are errors: wrong units and signs, swapped columns,
-    stuck sensors. In MCAP files and ROS bags (extra ros2) the time is that of
-    the messages' headers. It prints what the data cover and what is too thin to
-    train on.
+    contradict each other are errors: most wrong units and signs, swapped columns,
+    stuck sensors. No other column tells the sign or unit of v_y, and not every
+    swap is found: look at the ranges that are printed. Errors count the rows of a
+    table from 0 behind the header. In MCAP files and ROS bags (extra ros2) the
+    time is that of the messages' headers. The command prints what the data cover
+    and what is too thin to train on.
 
     For example:
       egp collect -o data/wet.parquet --friction 0.5 --surface wet
@@ -98,55 +111,51 @@ def collect(
           --mass 1400 --column v_x=/odom/twist.twist.linear.x:m/s ...
     """
     from egp_service._core import EgpError, surface_friction
-    from egp_service.cli.progress import collecting, reading
+    from egp_service.cli.progress import collecting
     from egp_service.data.collect import CollectionSettings
     from egp_service.data.collect import collect as collect_dataset
-    from egp_service.data.dataset import Provenance, merge
+    from egp_service.data.dataset import Provenance
     from egp_service.data.experiment import Experiment, parse_surface, tool
-    from egp_service.data.log_import import import_log
-    from egp_service.vehicle import read_vehicle
 
-    console = Console()
+    console = Console(markup=False)
     if not dt > 0.0:
         raise EgpError(f"--dt must be positive, got {dt:g} s")
     if output.suffix != ".parquet":
         raise EgpError(f"{output}: a dataset is a Parquet file; name it {output.stem}.parquet")
+    check_outputs([*(from_log or []), Path(vehicle)], output, picture)
+    _check_picture(picture)
+    of_simulation = {
+        "--track": track,
+        "--runs": runs != _RUNS,
+        "--samples": samples != _SAMPLES,
+        "--disturbance": disturbance,
+        "--jobs": jobs,
+        "--cluster": cluster,
+    }
+    of_log = {
+        "--column": column,
+        "--mass": mass is not None,
+        "--separator": separator != ",",
+        "--steering-ratio": steering_ratio != 1.0,
+    }
+    if from_log:
+        _check_unused(of_simulation, "simulated data only: leave out --from-log, or these options")
+    else:
+        _check_unused(of_log, "logs only: name the log with --from-log")
     road = parse_surface(friction)
     mu = surface_friction(road)
     label = surface or (road if isinstance(road, str) else f"mu {road:g}")
     if from_log:
-        wheelbase = None
-        if vehicle.endswith(".toml"):
-            car = read_vehicle(Path(vehicle))
-            mass, wheelbase = mass or car.mass, car.l_f + car.l_r
-            vehicle = Path(vehicle).stem
-        columns = dict(_column(text) for text in column or [])
-        parts = []
-        for log in from_log:
-            provenance = Provenance(dt, vehicle, label, mu, seed, f"log {log.name}", tool())
-            try:
-                with reading(console, log.name) as report_messages:
-                    part = import_log(
-                        log,
-                        columns,
-                        provenance,
-                        mass=mass,
-                        wheelbase=wheelbase,
-                        separator=separator,
-                        steering_ratio=steering_ratio,
-                        report=report_messages,
-                    )
-            except EgpError as error:
-                raise EgpError(f"{log.name}: {error}") from error
-            parts.append(part)
-        dataset = merge(parts)
+        provenance = Provenance(dt, vehicle, label, mu, seed, "", tool())
+        columns = _once("--column", map(_column, column or []))
+        dataset = _import(console, from_log, columns, provenance, mass, separator, steering_ratio)
     else:
         if not vehicle.isdecimal():
             raise EgpError(f"vehicle {vehicle}: expected a CommonRoad number such as 1")
         settings = CollectionSettings(runs=runs, samples=samples)
         if track:
             settings = CollectionSettings(tuple(track), runs, samples)
-        disturbances = dict(_disturbance(text) for text in disturbance or [])
+        disturbances = _once("--disturbance", map(_disturbance, disturbance or []))
         experiment = Experiment(road, label, seed, dt, int(vehicle), disturbances)
         with collecting(console) as report:
             dataset = collect_dataset(
@@ -161,6 +170,66 @@ def collect(
     console.print(f"{output}: {len(dataset)} transitions of {dt:g} s on {label}")
 
 
+def _check_picture(picture: Path | None) -> None:
+    if picture is not None:
+        from egp_service.simulation.report import check_picture
+
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        check_picture(picture)
+
+
+def _check_unused(options: Mapping[str, object], purpose: str) -> None:
+    """Errors if one of these options, which are for another purpose, was given."""
+    from egp_service._core import EgpError
+
+    if given := [name for name, value in options.items() if value]:
+        raise EgpError(f"{', '.join(given)} can be given for {purpose}")
+
+
+def _import(
+    console: Console,
+    logs: Sequence[Path],
+    columns: "Mapping[str, Column]",
+    provenance: "Provenance",
+    mass: float | None,
+    separator: str,
+    steering_ratio: float,
+) -> "Dataset":
+    """Import logs of one drive or more, and join them."""
+    from egp_service._core import EgpError
+    from egp_service.cli.progress import reading
+    from egp_service.data.dataset import merge
+    from egp_service.data.log_import import import_log
+    from egp_service.vehicle import read_vehicle
+
+    wheelbase = None
+    if provenance.vehicle.endswith(".toml"):
+        file = Path(provenance.vehicle)
+        car = read_vehicle(file)
+        mass, wheelbase = car.mass if mass is None else mass, car.l_f + car.l_r
+        provenance = dataclasses.replace(provenance, vehicle=file.stem)
+    parts = []
+    for log in logs:
+        try:
+            with reading(console, log.name) as report:
+                part = import_log(
+                    log,
+                    columns,
+                    dataclasses.replace(provenance, method=f"log {log.name}"),
+                    mass=mass,
+                    wheelbase=wheelbase,
+                    separator=separator,
+                    steering_ratio=steering_ratio,
+                    report=report,
+                )
+        except EgpError as error:
+            if str(error).startswith((f"{log}: ", f"{log.name} ")):
+                raise
+            raise EgpError(f"{log.name}: {error}") from error
+        parts.append(part)
+    return merge(parts)
+
+
 def _show_coverage(console: Console, dataset: "Dataset", label: str, picture: Path | None) -> None:
     from egp_service.data.coverage import Coverage
 
@@ -171,6 +240,18 @@ def _show_coverage(console: Console, dataset: "Dataset", label: str, picture: Pa
         from egp_service.data.coverage_figure import draw_coverage
 
         draw_coverage(covered, label, picture)
+
+
+def _once(option: str, pairs: Iterable[tuple[str, Value]]) -> dict[str, Value]:
+    """Make a dictionary; errors if two values of a repeated option have one name."""
+    from egp_service._core import EgpError
+
+    found: dict[str, Value] = {}
+    for name, value in pairs:
+        if name in found:
+            raise EgpError(f"{option} {name} is given twice: leave out one of them")
+        found[name] = value
+    return found
 
 
 def _column(text: str) -> "tuple[str, Column]":

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import Cluster
+from egp_service.cli.options import Cluster, check_outputs
 from egp_service.training.kernel import KernelName
 
 if TYPE_CHECKING:
@@ -98,8 +98,12 @@ def train(
     # These checks come before the minutes that training takes: files that cannot be written, a
     # missing extra and, below, an unknown vehicle.
     _check_writable(output, picture)
+    check_outputs([*(data or []), recipe, vehicle], output, picture)
     if picture is not None:
+        from egp_service.simulation.report import check_picture
         from egp_service.training.validation_report import draw_validation
+
+        check_picture(picture)
     car = None if vehicle is None else read_vehicle(vehicle)
     if (recipe is None) == (not data):
         raise EgpError("expected either datasets or --recipe")
@@ -131,7 +135,7 @@ def train(
     _show(console, library, members, matrix)
     if picture is not None:
         draw_validation(matrix, picture)
-    console.print(f"{output}: {len(members)} members, id {library.id}")
+    console.print(f"{output}: {len(members)} members, id {library.id}", markup=False)
 
 
 def _check_writable(*files: Path | None) -> None:
@@ -170,8 +174,8 @@ def _show(
         label = member.dataset.provenance.surface
         if member.kind:
             sentence = kind_sentence(label, member.kind, member.likelihoods)
-            console.print(sentence, highlight=False)
+            console.print(sentence, markup=False, highlight=False)
         compared = member_skill(library, number, member)
         console.print(skill_table(label, compared))
         for warning in skill_warnings(label, label, compared):
-            console.print(f"[yellow]{warning}[/]", highlight=False)
+            console.print(warning, style="yellow", markup=False, highlight=False)

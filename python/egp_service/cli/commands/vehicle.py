@@ -5,6 +5,11 @@ from typing import Annotated
 
 import typer
 
+from egp_service._core import EgpError
+from egp_service.cli.options import check_outputs
+
+_OUTPUT = Path("vehicle.toml")
+
 vehicle = typer.Typer(no_args_is_help=True)
 
 
@@ -21,9 +26,10 @@ def fit(
     data: Annotated[
         list[Path], typer.Argument(help="Datasets of `egp collect`.", show_default=False)
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="TOML file to write.")] = Path(
-        "vehicle.toml"
-    ),
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help=f"TOML file to write; {_OUTPUT} if not stated."),
+    ] = None,
     *,
     known: Annotated[
         Path | None,
@@ -43,7 +49,8 @@ def fit(
     the file says where its value comes from, and CHECK where to look at it.
 
     With a_x and --mass instead of a measured force, the logs say nothing new
-    about the mass: the fit then finds the mass that was given.
+    about the mass: the fitted mass then follows the one that was given, and the
+    lines of mass and yaw inertia have CHECK.
 
     The file is used by `egp collect --from-log --vehicle FILE` (mass and
     name), `egp train --vehicle FILE` (the library then states the vehicle,
@@ -56,6 +63,7 @@ def fit(
       egp train data/*.parquet --vehicle vehicle.toml -o library.safetensors
     """
     from rich.console import Console
+    from rich.text import Text
 
     from egp_service.cli.tables import vehicle_table
     from egp_service.data.dataset import Dataset, merge
@@ -64,6 +72,13 @@ def fit(
     from egp_service.vehicle import read_vehicle
 
     console = Console()
+    if output is None:
+        output = _OUTPUT
+        if output.exists():
+            raise EgpError(
+                f"{output} exists: state -o {output} to replace it, or the name of another file"
+            )
+    check_outputs([*data, known], output)
     surfaces: dict[str, list[Dataset]] = {}
     for path in data:
         dataset = Dataset.read(path)
@@ -76,5 +91,6 @@ def fit(
         console.print(vehicle_table(label, found.summary()))
     for line in lines:
         if line.warning:
-            console.print(f"[yellow]{line.name}[/] = {line.value:g}: {line.warning}")
-    console.print(f"{output}: {len(lines)} parameters")
+            name = Text(line.name, style="yellow")
+            console.print(Text.assemble(name, f" = {line.value:g}: {line.warning}"))
+    console.print(f"{output}: {len(lines)} parameters", markup=False)

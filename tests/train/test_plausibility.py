@@ -1,0 +1,98 @@
+"""Columns of a log that contradict each other, and sound logs that do not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from plant_log import COLUMNS, MASS, plant_log
+
+from egp_service import EgpError
+from egp_service.data import plausibility
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from plant_log import Log
+
+
+def check(log: Log) -> None:
+    plausibility.check(log, COLUMNS, MASS)
+
+
+def test_a_straight_road_is_no_stuck_sensor() -> None:
+    straight = plant_log(straight=400)
+    assert not straight["delta"][:400].any()
+    check(straight)
+    # Rounded to 0.1 degrees, with noise of the other sensors.
+    rng = np.random.default_rng(0)
+    for name, noise in (("v_x", 0.014), ("v_y", 0.01), ("omega", 0.001)):
+        straight[name] += noise * rng.standard_normal(1500)
+    straight["delta"] = np.deg2rad(np.round(np.rad2deg(straight["delta"]), 1))
+    check(straight)
+
+
+@pytest.mark.parametrize("quantity", ["v_x", "v_y", "omega", "delta"])
+def test_a_stuck_sensor_is_found_by_a_column_that_says_the_same(quantity: str) -> None:
+    log = plant_log()
+    log[quantity][500:900] = log[quantity][500]
+    with pytest.raises(EgpError, match=f"'{quantity}' stays at .* 8 s"):
+        check(log)
+
+
+def gentle_log() -> Log:
+    """Return a log as of the AV-21: wide curves, and an acceleration that is late by 1 s."""
+    t = np.arange(0.0, 120.0, 0.04)
+    v_x = 14.0 + 4.0 * np.sin(0.2 * t) + 2.0 * np.sin(0.53 * t)
+    omega = 0.045 * np.sin(0.11 * t)
+    late = t - 1.0
+    return {
+        "time": t,
+        "v_x": v_x,
+        "v_y": 0.1 * omega,
+        "omega": omega,
+        "delta": 3.0 * omega / v_x,
+        "a_x": 0.8 * np.cos(0.2 * late) + 1.06 * np.cos(0.53 * late),
+    }
+
+
+@pytest.mark.parametrize("make", [plant_log, gentle_log])
+@pytest.mark.parametrize(
+    ("quantity", "factor", "complaint"),
+    [
+        ("v_x", -1.0, "drives backwards: 'v_x' has probably the wrong sign"),
+        ("a_x", -1.0, "slows down when it accelerates"),
+        ("omega", -1.0, "opposite signs"),
+        ("delta", 1.0 / 57.3, "a wrong unit"),
+        ("delta", 1.0 / 16.0, "a wrong unit"),
+    ],
+)
+def test_wrong_signs_and_units_are_errors(
+    make: Callable[[], Log], quantity: str, factor: float, complaint: str
+) -> None:
+    log = make()
+    check(log)
+    log[quantity] = factor * log[quantity]
+    with pytest.raises(EgpError, match=complaint):
+        check(log)
+
+
+def test_the_sign_of_a_force_is_told_without_the_mass() -> None:
+    log = plant_log()
+    log["F_x"] = MASS * log.pop("a_x")
+    columns = COLUMNS | {"F_x": COLUMNS["a_x"]}
+    plausibility.check(log, columns)
+    log["F_x"] = -log["F_x"]
+    with pytest.raises(EgpError, match="slows down when it accelerates"):
+        plausibility.check(log, columns)
+
+
+def test_a_vehicle_that_mostly_stands_does_not_move_sideways() -> None:
+    log = plant_log()
+    rest = 3000
+    standing = {name: np.full(rest, 0.0) for name in log} | {"v_y": np.full(rest, 0.01)}
+    standing["time"] = 0.02 * np.arange(rest)
+    log["v_x"] -= 8.0 * np.exp(-log["time"])  # starts from standstill
+    log["time"] += 0.02 * rest
+    check({name: np.concatenate([standing[name], log[name]]) for name in log})
