@@ -32,6 +32,7 @@ class LateReplies(StepController):
         self, scenario: Scenario, delays: Sequence[float], *, budget: float, max_tail_ticks: int
     ) -> None:
         """Begin at the time 0; `budget` and `max_tail_ticks` are the client's settings."""
+        super().__init__()
         self._engine = Engine(str(library_path(scenario)), dumps(scenario.control))
         self.library, self.members = self._engine.library_id, self._engine.members
         self.dt, self.horizon = self._engine.dt, self._engine.horizon

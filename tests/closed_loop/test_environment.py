@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from egp_service._core import InvalidArgumentError
 from egp_service.simulation.environment import TrackEnvironment
+from egp_service.simulation.plant import PlantError
 
 DOCUMENT = Path(__file__).parents[2] / "docs/simulator.md"
 CREEP = np.array([0.05, 0.0])
@@ -59,3 +61,47 @@ def test_the_documents_example_drives(capsys: pytest.CaptureFixture[str]) -> Non
     s, friction = map(float, capsys.readouterr().out.split())
     assert s > 3.0
     assert friction > 0.0
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.02, np.nan, np.inf])
+def test_the_period_is_checked(dt: float) -> None:
+    with pytest.raises(InvalidArgumentError, match="seconds for dt"):
+        TrackEnvironment("rounded-rectangle", dt=dt)
+
+
+def test_an_action_that_is_no_action_is_an_error() -> None:
+    environment = TrackEnvironment("rounded-rectangle")
+    environment.reset()
+    for action in ([np.nan, 0.0], [0.0], [[0.0, 0.0]]):
+        with pytest.raises(InvalidArgumentError, match=r"an action of shape \(2,\)"):
+            environment.step(np.array(action))
+
+
+OWN = """
+import numpy as np
+class Car:
+    def reset(self, x): self.x = x
+    def step(self, u, dt, friction): self.x = self.x + {change}
+    @property
+    def state(self): return self.x
+"""
+
+
+def test_only_the_loss_of_the_vehicle_ends_an_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    track = '[track]\nkind = "rounded-rectangle"\n[[zones]]\nstart = 0.0\nfriction = 1.0\n'
+    for module, change in {"lost_car": "np.nan", "wrong_car": "np.zeros((2, 7))"}.items():
+        (tmp_path / f"{module}.py").write_text(OWN.format(change=change))
+        own = f'name = "own"\nplant = "{module}:Car"\n{track}'
+        (tmp_path / f"{module}.toml").write_text(own)
+    environment = TrackEnvironment("lost_car.toml")
+    first, _ = environment.reset()
+    observation, reward, ended, _, _ = environment.step(CREEP)
+    assert (ended, reward) == (True, 0.0)
+    np.testing.assert_array_equal(observation, first)
+    environment = TrackEnvironment("wrong_car.toml")
+    environment.reset()
+    with pytest.raises(PlantError, match=r"has the shape \(2, 7\)"):
+        environment.step(CREEP)

@@ -161,3 +161,8 @@ def test_refusals_say_what_was_expected() -> None:
         path.project(np.array([np.nan, 0.0]))
     with pytest.raises(EgpError, match=r"x of shape \(7,\)"):
         horizon_reference(path, SpeedProfile(path, CAR), np.zeros(6), 0.05, 20)
+
+
+def test_a_margin_that_is_negative_is_an_error_with_the_range() -> None:
+    with pytest.raises(EgpError, match=r"expected 0 to less than 0\.05 .* for margin, got -1"):
+        Path.iso_3888_2(1.6, margin=-1.0)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from egp_service._core.path import Path, SpeedProfile
 from egp_service._core.vehicle import VehicleParameters
@@ -47,35 +47,38 @@ class RoadBelief:
         """Add the evidence of a belief about the same road that `to_bytes` returned `age` s ago.
 
         Its information falls to 1/e in 30 minutes, because the friction of a road changes.
-        Raises `EgpError` if the data are no stored belief, are damaged, or are about another road;
-        the belief is then unchanged.
+        Raises `InvalidArgumentError` if the age is negative or not finite, and `EgpError` if the
+        data are no stored belief, are damaged, or are about another road; the belief is then
+        unchanged.
 
         >>> from egp_service import Path, RoadBelief
         >>> path = Path.rounded_rectangle()
         >>> RoadBelief(path).recall(RoadBelief(path).to_bytes())
         """
-    def update(self, s: float, log_likelihood: NDArray[np.float64] | None = None) -> None:
+    def update(self, s: float, log_likelihood: ArrayLike | None = None) -> None:
         """Open a control period at arc length `s` with what the last step found.
 
-        `log_likelihood` (17,) is that of its `Friction`; without it nothing is added.
+        `log_likelihood` (17,) is that of its `Friction`; without it nothing is added. Only ratios
+        of likelihoods count. Raises `EgpError` unless `s` is finite and the logarithms are finite
+        and at most 0.
         """
     def leave(self) -> None:
         """Forget where the vehicle was, for instance after it was moved."""
-    def ahead(self, places: NDArray[np.float64], risk: float) -> NDArray[np.float64]:
+    def ahead(self, places: ArrayLike, risk: float) -> NDArray[np.float64]:
         """Return the friction to plan for at equidistant arc lengths (n,), those of `places`.
 
         It is the friction below which that of each place lies with the probability `risk`,
-        reckoning with a change within the last `commitment` m. Raises `EgpError` unless `risk` is
-        between 0 and 1.
+        reckoning with a change within the last `commitment` m. Raises `InvalidArgumentError` unless
+        the distances are equal, and `EgpError` unless `risk` is between 0 and 1.
         """
-    def preview(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def preview(self, places: ArrayLike) -> NDArray[np.float64]:
         """Return the `road_friction` (n + 1, 2) of a control step with its stages at `places` (n,).
 
         Rows are the median and the standard deviation of the friction: first the mean over the
         places that the vehicle passed in the window, then at each of `places`, which do not
         decrease. Raises `EgpError` unless there are at least two of them.
         """
-    def quantiles(self, s: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    def quantiles(self, s: ArrayLike, share: float) -> NDArray[np.float64]:
         """Return the friction below which that at arc lengths (n,) lies with probability `share`.
 
         >>> import numpy as np
@@ -116,8 +119,9 @@ def merge_tiles(
     """Merge what several vehicles measured in the same tile, each with its age in s.
 
     Each contributes at most `capacity` nats (default 6) to a cell, and its information falls to 1/e
-    in `lifetime` s (1800). The result does not depend on the order. Raises `EgpError` if bytes are
-    not those of a tile, or a setting is not positive.
+    in `lifetime` s (1800). The result does not depend on the order. Raises `InvalidArgumentError`
+    for an age that is negative or not finite, and `EgpError` if bytes are not those of a tile, or a
+    setting is not positive.
 
     >>> from egp_service import Path, RoadBelief
     >>> from egp_service._core import merge_tiles
@@ -141,11 +145,11 @@ class SpeedPlanner:
         grip: float = 0.8,
         v_max: float = 30.0,
         *,
-        tyres: NDArray[np.float64] | None = None,
+        tyres: ArrayLike | None = None,
     ) -> SpeedPlanner: ...
     def places(self, s: float) -> NDArray[np.float64]:
         """Return the arc lengths (n,) at which `plan` needs the friction, for a vehicle at `s`."""
-    def plan(self, s: float, friction: NDArray[np.float64], v: float | None = None) -> SpeedProfile:
+    def plan(self, s: float, friction: ArrayLike, v: float | None = None) -> SpeedProfile:
         """Plan the fastest speed from `s` on for the friction coefficients (n,) at the `places`.
 
         The plan begins with the present speed `v` in m/s, or without one with the largest speed.

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final, Literal, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from egp_service._core.wire import Friction
 
@@ -60,10 +60,10 @@ class Driver:
         self,
         now: float,
         deadline: float,
-        x: NDArray[np.float64],
-        reference: NDArray[np.float64],
-        widths: NDArray[np.float64] | None = None,
-        road_friction: NDArray[np.float64] | None = None,
+        x: ArrayLike,
+        reference: ArrayLike,
+        widths: ArrayLike | None = None,
+        road_friction: ArrayLike | None = None,
     ) -> None: ...
     @property
     def next_wake(self) -> float: ...
@@ -79,7 +79,7 @@ class Driver:
     def mode(self) -> Literal["normal", "tail", "stop", "waiting"]: ...
     @property
     def weights(self) -> NDArray[np.float64]: ...
-    def hold_weights(self, weights: NDArray[np.float64]) -> None: ...
+    def hold_weights(self, weights: ArrayLike) -> None: ...
     def reset(self) -> None: ...
 
 @final

@@ -9,6 +9,9 @@ class EgpError(ValueError):
 class InvalidArgumentError(EgpError):
     """An argument of the wrong shape, or with a value outside its domain."""
 
+class VehicleLostError(EgpError):
+    """The vehicle has left the domain of its simulator, for instance because it spins."""
+
 class RefusedError(EgpError):
     """An error as the answer to a request; the message begins with the error's code."""
 

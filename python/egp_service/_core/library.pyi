@@ -5,7 +5,7 @@ from os import PathLike
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from egp_service._core.vehicle import VehicleParameters
 
@@ -55,12 +55,13 @@ class Library:
     def members(self) -> list[Member]:
         """The members, in the order of the weights."""
     def predict(
-        self, z: NDArray[np.float64], member: int = 0
+        self, z: ArrayLike, member: int = 0
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Predict with one member at GP inputs `z` (n, 6), all in physical units.
 
         Returns the mean (n, 3), its Jacobian (n, 3, 6) and the variance of the latent function,
-        which excludes measurement noise, (n, 3).
+        which excludes measurement noise, (n, 3). Raises `InvalidArgumentError` for inputs that are
+        not finite or so large that a prediction is not.
 
         >>> import numpy as np
         >>> from egp_service import Library
@@ -73,11 +74,12 @@ class Library:
         >>> bool(np.allclose(jacobian[:, :, 3], slope)), bool((variance > 0.0).all())
         (True, True)
         """
-    def predict_mean(self, z: NDArray[np.float64], member: int = 0) -> NDArray[np.float64]:
+    def predict_mean(self, z: ArrayLike, member: int = 0) -> NDArray[np.float64]:
         """Mean (n, 3) of one member at GP inputs `z` (n, 6), in physical units.
 
         It is that of `predict` up to rounding, and takes a fraction of the time, because the
-        variance needs M² operations a point and the mean M, for M points of the member.
+        variance needs M² operations a point and the mean M, for M points of the member. Raises
+        `InvalidArgumentError` as `predict` does.
 
         >>> import numpy as np
         >>> from egp_service import Library
@@ -160,24 +162,24 @@ class MemberData:
         label: str,
         friction: float,
         dataset: str,
-        inputs: NDArray[np.float64],
-        targets: NDArray[np.float64],
-        input_mean: NDArray[np.float64],
-        input_std: NDArray[np.float64],
-        target_mean: NDArray[np.float64],
-        target_std: NDArray[np.float64],
-        lengthscales: NDArray[np.float64],
-        outputscale: NDArray[np.float64],
-        noise: NDArray[np.float64],
-        constant: NDArray[np.float64],
-        alpha: NDArray[np.float64],
-        envelope: NDArray[np.float64],
-        golden_z: NDArray[np.float64],
-        golden_mean: NDArray[np.float64],
-        golden_jacobian: NDArray[np.float64],
-        golden_variance: NDArray[np.float64],
-        single_track: NDArray[np.float64] | None = None,
-        kinematic: NDArray[np.float64] | None = None,
+        inputs: ArrayLike,
+        targets: ArrayLike,
+        input_mean: ArrayLike,
+        input_std: ArrayLike,
+        target_mean: ArrayLike,
+        target_std: ArrayLike,
+        lengthscales: ArrayLike,
+        outputscale: ArrayLike,
+        noise: ArrayLike,
+        constant: ArrayLike,
+        alpha: ArrayLike,
+        envelope: ArrayLike,
+        golden_z: ArrayLike,
+        golden_mean: ArrayLike,
+        golden_jacobian: ArrayLike,
+        golden_variance: ArrayLike,
+        single_track: ArrayLike | None = None,
+        kinematic: ArrayLike | None = None,
     ) -> MemberData: ...
 
 def write_library(
@@ -189,7 +191,7 @@ def write_library(
     parameters: VehicleParameters,
     members: Sequence[MemberData],
     provenance: Mapping[str, str],
-    measurement_noise: NDArray[np.float64] | None = None,
+    measurement_noise: ArrayLike | None = None,
     measurement_delay: float | None = None,
 ) -> None: ...
 def write_library_subset(

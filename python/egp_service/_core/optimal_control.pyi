@@ -122,13 +122,13 @@ def solve_ocp(
     """
 
 def solve_weights(
-    predictions: NDArray[np.float64],
-    measured: NDArray[np.float64],
-    noise_std: NDArray[np.float64],
-    previous: NDArray[np.float64],
+    predictions: ArrayLike,
+    measured: ArrayLike,
+    noise_std: ArrayLike,
+    previous: ArrayLike,
     prior: Literal["quadratic", "l1"],
     strength: float,
-    measurement_std: NDArray[np.float64] | None = None,
+    measurement_std: ArrayLike | None = None,
 ) -> NDArray[np.float64]:
     """Solve for the weights (N,), eq. (6).
 
@@ -153,14 +153,14 @@ def solve_weights(
     """
 
 def predict_residual(
-    errors: NDArray[np.float64],
+    errors: ArrayLike,
     *,
     dt: float,
     window: int,
-    std: NDArray[np.float64],
-    time: NDArray[np.float64],
-    noise: NDArray[np.float64],
-    measurement: NDArray[np.float64],
+    std: ArrayLike,
+    time: ArrayLike,
+    noise: ArrayLike,
+    measurement: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Predict each of consecutive errors (n, 3) of a model from at most `window` before it.
 

@@ -5,7 +5,7 @@ from os import PathLike
 from typing import TypeAlias, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from egp_service._core.vehicle import VehicleParameters
 
@@ -21,9 +21,7 @@ class Path:
     """
 
     @staticmethod
-    def from_points(
-        points: NDArray[np.float64], closed: bool, widths: NDArray[np.float64] | None = None
-    ) -> Path:
+    def from_points(points: ArrayLike, closed: bool, widths: ArrayLike | None = None) -> Path:
         """Make a smooth path through points (n, 2), with `[left, right]` widths (n, 2) at them."""
     @staticmethod
     def rounded_rectangle(
@@ -96,14 +94,14 @@ class Path:
     @property
     def closed(self) -> bool:
         """Whether the end joins the start."""
-    def project(self, position: NDArray[np.float64], hint: float | None = None) -> Projection:
+    def project(self, position: ArrayLike, hint: float | None = None) -> Projection:
         """Return the point of the path that is nearest to a position `[x, y]`.
 
         With the last `s` as `hint`, the search starts there and goes downhill, so that it stays on
         its branch where the path comes close to itself. Without a hint the whole path is searched.
         """
     def sample(
-        self, s: NDArray[np.float64]
+        self, s: ArrayLike
     ) -> tuple[
         NDArray[np.float64],
         NDArray[np.float64],
@@ -115,7 +113,8 @@ class Path:
     ]:
         """Return x, y, yaw, curvature, left, right, friction at arc lengths (n,), each (n,).
 
-        Yaw lies in (-pi, pi]; left and right are infinite on a path without widths.
+        Yaw lies in (-pi, pi]; left and right are infinite on a path without widths. Raises
+        `InvalidArgumentError` for an arc length that is not finite.
         """
 
 @final
@@ -172,7 +171,7 @@ class SpeedProfile:
         *,
         start_speed: float | None = None,
         end_speed: float | None = None,
-        tyres: NDArray[np.float64] | None = None,
+        tyres: ArrayLike | None = None,
     ) -> SpeedProfile: ...
     @staticmethod
     def constant(path: Path, speed: float) -> SpeedProfile:
@@ -180,13 +179,16 @@ class SpeedProfile:
     @property
     def lap_time(self) -> float:
         """Seconds for the lap, or from start to end."""
-    def speed(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the speed at arc lengths (n,)."""
+    def speed(self, s: ArrayLike) -> NDArray[np.float64]:
+        """Return the speed at arc lengths (n,).
+
+        Raises `InvalidArgumentError` for an arc length that is not finite.
+        """
 
 def horizon_reference(
     path: Path,
     profile: SpeedProfile,
-    x: NDArray[np.float64],
+    x: ArrayLike,
     dt: float,
     horizon: int,
     hint: float | None = None,

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from egp_service._core.path import Path, _Surface
 from egp_service._core.vehicle import VehicleParameters
@@ -34,7 +34,7 @@ class Plant:
         """Put the vehicle at a pose with forward speed `v >= 0` and its suspension at rest."""
     def step(
         self,
-        u: NDArray[np.float64],
+        u: ArrayLike,
         dt: float,
         friction: _Surface | Path,
         hint: float | None = None,
@@ -54,7 +54,7 @@ class Plant:
     def state(self) -> NDArray[np.float64]:
         """All 29 states in the order of CommonRoad's multi-body vehicle."""
     @state.setter
-    def state(self, value: NDArray[np.float64]) -> None: ...
+    def state(self, value: ArrayLike) -> None: ...
     @property
     def vehicle_state(self) -> NDArray[np.float64]:
         """The state for a controller: `[p_x, p_y, v_x, psi, v_y, omega, delta]`, SI units."""

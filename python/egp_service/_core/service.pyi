@@ -5,7 +5,7 @@ from os import PathLike
 from typing import Literal, Self, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from egp_service._core.driver import Decision
 from egp_service._core.vehicle import VehicleParameters
@@ -46,10 +46,10 @@ class InProcessDriver:
     def step(
         self,
         budget: float,
-        x: NDArray[np.float64],
-        reference: NDArray[np.float64],
-        widths: NDArray[np.float64] | None = None,
-        road_friction: NDArray[np.float64] | None = None,
+        x: ArrayLike,
+        reference: ArrayLike,
+        widths: ArrayLike | None = None,
+        road_friction: ArrayLike | None = None,
     ) -> Decision: ...
     @property
     def budget(self) -> float: ...
@@ -57,8 +57,8 @@ class InProcessDriver:
     def mode(self) -> Literal["normal", "tail", "stop", "waiting"]: ...
     @property
     def weights(self) -> NDArray[np.float64]: ...
-    def start_from(self, weights: NDArray[np.float64]) -> None: ...
-    def hold_weights(self, weights: NDArray[np.float64]) -> None: ...
+    def start_from(self, weights: ArrayLike) -> None: ...
+    def hold_weights(self, weights: ArrayLike) -> None: ...
     def reset(self) -> None: ...
 
 @final

@@ -63,8 +63,8 @@ def ocp_to_qp(
     NDArray[np.float64],
 ]: ...
 def plant_derivative(
-    state: NDArray[np.float64],
-    u: NDArray[np.float64],
+    state: ArrayLike,
+    u: ArrayLike,
     friction: float | NDArray[np.float64],
     vehicle: int = 1,
 ) -> NDArray[np.float64]: ...
@@ -72,8 +72,8 @@ def plant_initial_states(
     vehicle_states: NDArray[np.float64], vehicle: int = 1
 ) -> NDArray[np.float64]: ...
 def plant_step_batch(
-    states: NDArray[np.float64],
-    u: NDArray[np.float64],
+    states: ArrayLike,
+    u: ArrayLike,
     dt: float,
     friction: NDArray[np.float64] | _Surface,
     vehicle: int = 1,

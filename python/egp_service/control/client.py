@@ -9,6 +9,7 @@ import queue
 import time
 import warnings
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Self
 
@@ -29,7 +30,6 @@ from egp_service.control.step import StepController
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from egp_service._core import Query
     from egp_service.control.step import Measured
@@ -62,6 +62,7 @@ class VehicleClient(StepController):
 
     def __init__(self, network: Network, ready: bytes, driver: Driver) -> None:
         """Use an open network; `ready` is a replica's answer on its `ready` key."""
+        super().__init__()
         served = decode_ready(ready)
         self.library, self.members = served.library, served.members
         self.dt, self.horizon, self.history = served.dt, served.horizon, served.history
@@ -80,7 +81,7 @@ class VehicleClient(StepController):
         hedge: float = 0.5,
         want_sigma: bool = False,
         timeout: float = 10.0,
-        key_file: Path | None = None,
+        key_file: str | Path | None = None,
         zenoh_file: Path | None = None,
         zenoh_config: Mapping[str, object] | None = None,
         traces: Path | None = None,
@@ -103,11 +104,11 @@ class VehicleClient(StepController):
         `{"transport/link/tls/root_ca_certificate": "ca.pem"}`.
         `traces` is a file to which the spans of all steps are appended as JSON lines of
         OpenTelemetry, or those of the share `traces_share` of the steps (docs/deploying.md).
-        Raises `InvalidArgumentError` for names, gate settings, a configuration, or a file of keys
-        or traces that cannot be used, and `ServiceUnreachableError` when no replica gives a usable
-        answer within `timeout` seconds. A replica is passed over if its description is not valid,
-        or if the gate allows more than the vehicle that this replica plans for can do; the error
-        names each replica with the reason.
+        Raises `InvalidArgumentError` for names, gate settings, a timeout, a configuration, or a
+        file of keys or traces that cannot be used, and `ServiceUnreachableError` when no replica
+        gives a usable answer within `timeout` seconds. A replica is passed over if its description
+        is not valid, or if the gate allows more than the vehicle that this replica plans for can
+        do; the error names each replica with the reason.
         """
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         deadline = time.monotonic() + timeout
@@ -267,9 +268,13 @@ class Network:
         self._inbox.put(Announcement(time.monotonic(), replica, appeared))
 
 
-def _read_keys(file: Path) -> str:
+def _read_keys(file: str | Path) -> str:
     try:
-        return file.read_text(encoding="utf-8")
+        return Path(file).read_text(encoding="utf-8")
+    except OSError as error:
+        raise InvalidArgumentError(
+            f"key_file: {error}; expected a file of secret keys, which `egp keys` writes"
+        ) from error
     except UnicodeDecodeError as error:
         raise InvalidArgumentError(
             f"{file}: expected a file of secret keys, got bytes that are no UTF-8 text; `egp keys` "

@@ -40,6 +40,7 @@ class Controller(StepController):
         Raises `EgpError` for a library, settings or gate settings that cannot be used, and for a
         gate that allows more than the vehicle that the library was trained for can do.
         """
+        super().__init__()
         text = _text(settings)
         engine = Engine(str(library), text)
         self.library, self.members = engine.library_id, engine.members
@@ -59,9 +60,14 @@ def _text(settings: str | Mapping[str, object] | Path) -> str:
     """Return the settings as TOML."""
     if isinstance(settings, Mapping):
         return dumps(settings)
-    if isinstance(settings, Path) or settings.strip().endswith(".toml"):
+    if isinstance(settings, Path) or str(settings).strip().endswith(".toml"):
         raise InvalidArgumentError(
             f"settings: expected TOML text or a mapping, got the path {str(settings)!r}; "
             f"use pathlib.Path({str(settings)!r}).read_text()"
+        )
+    if not isinstance(settings, str):
+        raise InvalidArgumentError(
+            f"settings: expected TOML text or a mapping, got {settings!r}; leave them out for the "
+            "defaults"
         )
     return settings

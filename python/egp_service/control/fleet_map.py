@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import queue
 import time
 from contextlib import suppress
@@ -14,6 +15,7 @@ import zenoh
 
 from egp_service._core import (
     EgpError,
+    InvalidArgumentError,
     RoadKey,
     decode_error,
     decode_road_tiles,
@@ -75,10 +77,14 @@ class FleetMap:
 
         All vehicles of a fleet name a road alike; `vehicle` must be unique in the fleet. `lifetime`
         is that of the service: reports age while it is silent. `zenoh_file` and `zenoh_config` are
-        as for `VehicleClient.connect`. Raises `InvalidArgumentError` for
-        names or a configuration that cannot be used, and `EgpError` if zenoh opens no session.
+        as for `VehicleClient.connect`. Raises `InvalidArgumentError` for names, a configuration or
+        times that cannot be used, and `EgpError` if zenoh opens no session.
         """
         self._keys = RoadKey(fleet, vehicle, road)
+        if not 0.0 < lifetime < math.inf:
+            raise InvalidArgumentError(
+                f"expected a positive number of seconds for lifetime, got {lifetime}"
+            )
         self._belief = belief
         self._lifetime = lifetime
         self._timeout = timeout

@@ -24,21 +24,23 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
-from egp_service._core import vector_instructions
+from egp_service._core import InvalidArgumentError, vector_instructions
 from egp_service.control.messages import message_class
 from egp_service.control.step_record import step_record
 from egp_service.control.toml_text import dumps
-from egp_service.quantities import P_X, P_Y, PSI
+from egp_service.quantities import NX, P_X, P_Y, PSI
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from google.protobuf.message import Message
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from egp_service.control.step import Step, StepController
 
 NANOSECONDS: Final = 1_000_000_000
+LATEST: Final = 2**63 / NANOSECONDS
+"""Times of a recording are below this one, s, which is 292 years."""
 MAP, VEHICLE = "map", "vehicle"
 FLUSH_STEPS: Final = 50
 """An interrupted recording lacks at most this many of the last steps."""
@@ -95,9 +97,11 @@ class Recorder:
         """Record one control period.
 
         `x` is the measured state (7,), `[p_x, p_y, v_x, psi, v_y, omega, delta]` in SI units and
-        rad, `time` the time since the start of the recording in s.
+        rad, `time` the time since the start of the recording in s. Raises `InvalidArgumentError`,
+        and records nothing, for a time that is negative, above 292 years or not finite, for a state
+        of another shape, and after `close`.
         """
-        state = np.asarray(x, dtype=np.float64)
+        state = self._checked(x, time)
         self.encoded("/request", "StepRequest", time, [step.request] if step.request else [])
         replies = [*step.late, *([] if step.reply is None else [step.reply])]
         self.encoded("/reply", "StepReply", time, replies)
@@ -122,6 +126,25 @@ class Recorder:
         if self._steps % FLUSH_STEPS == 0:
             self._writer.flush()  # type: ignore[no-untyped-call]
 
+    def _checked(self, x: ArrayLike, time: float) -> NDArray[np.float64]:
+        """Return the state as an array; nothing of a step is written before all of it is valid."""
+        if self._stream.closed:
+            raise InvalidArgumentError(
+                "the recording is closed: add its steps before `close`, or make another `Recorder`"
+            )
+        if not 0.0 <= time < LATEST:
+            raise InvalidArgumentError(
+                f"expected for time the seconds since the start of the recording, from 0 to less "
+                f"than {LATEST:.3g}, got {time}"
+            )
+        try:
+            state = np.asarray(x, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InvalidArgumentError(f"expected numbers for x, got {x!r}: {error}") from error
+        if state.shape != (NX,):
+            raise InvalidArgumentError(f"expected x of shape ({NX},), got {state.shape}")
+        return state
+
     def message(self, topic: str, message: Message, time: float) -> None:
         """Record a protobuf message on a topic of its own."""
         self._write(topic, type(message), time, message.SerializeToString())
@@ -142,8 +165,10 @@ class Recorder:
     def close(self) -> None:
         """Complete the file with its index."""
         if not self._stream.closed:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._stream.close()
+            try:
+                self._writer.finish()  # type: ignore[no-untyped-call]
+            finally:
+                self._stream.close()
 
     def __enter__(self) -> Self:
         """Use as a context manager to complete the file at the end."""

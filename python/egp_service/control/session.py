@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import time
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -56,7 +57,11 @@ def session_config(
 
     A session in zenoh's client mode has one link, and while the replica at its end is frozen, the
     others cannot be reached. Shared memory delays the first queries and can lose one silently.
+    Raises `InvalidArgumentError` for a timeout that is negative or not finite, and for endpoints, a
+    file or a setting that zenoh cannot use.
     """
+    if not 0.0 <= timeout < math.inf:
+        raise InvalidArgumentError(f"expected a number of seconds for timeout, got {timeout}")
     settings: dict[str, object] = {
         "connect/timeout_ms": int(1000 * timeout),
         "connect/exit_on_failure": False,

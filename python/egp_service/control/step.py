@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
+import math
+import threading
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, Self, TypeAlias
 
-import numpy as np
+from egp_service._core import InvalidArgumentError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    import numpy as np
     from numpy.typing import ArrayLike, NDArray
 
     from egp_service._core import Decision, Driver, Friction, InProcessDriver
 
-    Measured: TypeAlias = tuple[
-        NDArray[np.float64],
-        NDArray[np.float64],
-        NDArray[np.float64] | None,
-        NDArray[np.float64] | None,
-    ]
+    Measured: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike | None, ArrayLike | None]
     """State (7,), reference (T+1, 4), widths (T+1, 2) and friction of the road (T+2, 2) of one
-    period, as the core reads them."""
+    period."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +142,9 @@ class StepController(ABC):
 
     `Controller` computes the step in this process, `VehicleClient` asks the service; both send the
     same request and get the same bytes back, and the driver in Rust makes every decision.
+
+    Each vehicle needs a controller of its own. `reset` may be called in another thread than `step`:
+    it waits until a step that runs has ended.
     """
 
     library: bytes
@@ -167,6 +168,11 @@ class StepController(ABC):
     """The library file, if it is known."""
     _driver: Driver | InProcessDriver
 
+    def __init__(self) -> None:
+        """Make what all controllers have."""
+        # The same thread may come twice, for instance in a handler of a signal.
+        self._lock = threading.RLock()
+
     def step(
         self,
         x: ArrayLike,
@@ -185,16 +191,18 @@ class StepController(ABC):
         each row of the reference (see `RoadBelief.preview`). The model of each stage follows it.
         Call it once each period. It returns within `deadline` seconds (default: 0.8 `dt`), with a
         command whatever happens to the service; without a service it takes as long as the control
-        step, and `deadline` is only stated in the request. Raises `InvalidArgumentError` when
-        arguments have the wrong shape or the reference cannot be meant; a measured state that is
+        step, and `deadline` is only stated in the request. A deadline of 0 or less is over, and
+        there is a command as well. Raises `InvalidArgumentError` when arguments have the wrong
+        shape, `deadline` is not finite, or the reference cannot be meant; a measured state that is
         not finite is no error but a stop.
         """
         start = time.monotonic()
-        budget = self._driver.budget if deadline is None else deadline
-        edges = None if widths is None else rows(widths)
-        road = None if road_friction is None else rows(road_friction)
-        decision = self._decide(start, budget, (rows(x), rows(reference), edges, road))
-        return Step.of(decision, self._driver.weights, time.monotonic() - start)
+        if deadline is not None and not math.isfinite(deadline):
+            raise InvalidArgumentError(f"expected a finite deadline in s, got {deadline}")
+        with self._lock:
+            budget = self._driver.budget if deadline is None else max(deadline, 0.0)
+            decision = self._decide(start, budget, (x, reference, widths, road_friction))
+            return Step.of(decision, self._driver.weights, time.monotonic() - start)
 
     @property
     def deadline(self) -> float:
@@ -206,8 +214,12 @@ class StepController(ABC):
         """Decide the period that began at `start` of the monotonic clock, within `budget` s."""
 
     def reset(self) -> None:
-        """Leave STOP and forget the past, for instance after the vehicle was moved."""
-        self._driver.reset()
+        """Leave STOP and forget the past, for instance after the vehicle was moved.
+
+        The command that the actuators apply is not forgotten.
+        """
+        with self._lock:
+            self._driver.reset()
 
     def close(self) -> None:  # noqa: B027 - most controllers have nothing to close
         """Release the controller's resources."""
@@ -219,8 +231,3 @@ class StepController(ABC):
     def __exit__(self, *_: object) -> None:
         """Close."""
         self.close()
-
-
-def rows(values: ArrayLike) -> NDArray[np.float64]:
-    """Return values as a contiguous float64 array, which the extension requires."""
-    return np.ascontiguousarray(values, dtype=np.float64)

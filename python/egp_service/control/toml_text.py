@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import numbers
 import re
 from collections.abc import Mapping, Sequence
 
@@ -18,6 +19,8 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 def dumps(table: Mapping[str, object]) -> str:
     """Return the TOML document of `table`; `tomllib.loads` returns the same values.
+
+    Numbers and arrays of numpy are written as numbers and arrays of Python.
 
     Raises `EgpError` for a number that is not finite, and for a value without a form here.
     """
@@ -65,16 +68,18 @@ def _quoted(text: str) -> str:
 
 
 def _inline(value: object) -> str:
+    if (listed := getattr(value, "tolist", None)) is not None:
+        value = listed()
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         return _quoted(value)
-    if isinstance(value, float):
+    if isinstance(value, numbers.Integral):
+        return str(int(value))
+    if isinstance(value, numbers.Real):
         if not math.isfinite(value):
             raise EgpError(f"expected a finite number in a configuration, got {value}")
-        return repr(value)
-    if isinstance(value, int):
-        return str(value)
+        return repr(float(value))
     if isinstance(value, Sequence):
         return f"[{', '.join(map(_inline, value))}]"
     raise EgpError(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import gymnasium as gym
 import numpy as np
 
-from egp_service._core import EgpError
-from egp_service.quantities import DELTA, NX, OMEGA, P_X, P_Y, POSITION, PSI, V_X, V_Y
+from egp_service._core import InvalidArgumentError, VehicleLostError
+from egp_service.quantities import DELTA, NU, NX, OMEGA, P_X, P_Y, POSITION, PSI, V_X, V_Y
 from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.plant import make_plant
 from egp_service.simulation.scenario import Scenario, load_scenario, vehicle_parameters
@@ -43,8 +43,11 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
     def __init__(self, scenario: Scenario | str = "random", dt: float = 0.02) -> None:
         """Drive a scenario, given by itself or by its name or file, with actions every `dt` s.
 
-        Raises `EgpError` if the scenario or its track cannot be made.
+        Raises `InvalidArgumentError` unless `dt` is positive and finite, and `EgpError` if the
+        scenario or its track cannot be made.
         """
+        if not 0.0 < dt < np.inf:
+            raise InvalidArgumentError(f"expected a positive number of seconds for dt, got {dt}")
         self._scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
         self._dt = dt
         car = vehicle_parameters(self._scenario)
@@ -61,20 +64,29 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         """Put the vehicle on the start of the path, at the speed of the told lap."""
         super().reset(seed=seed, options=options)
         self._start(self._scenario if seed is None else replace(self._scenario, seed=seed))
-        return self._observe()
+        return self._observe(self._plant.state)
 
     def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Drive one period with the action, which is limited to [-1, 1]²."""
-        share, rate = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        """Drive one period with the action, which is limited to [-1, 1]².
+
+        Raises `InvalidArgumentError`, and does not drive, unless it has the shape (2,) and is
+        finite.
+        """
+        shares = np.asarray(action, dtype=np.float64)
+        if shares.shape != (NU,) or not np.isfinite(shares).all():
+            raise InvalidArgumentError(
+                f"expected an action of shape ({NU},) with finite numbers, got {action}"
+            )
+        share, rate = np.clip(shares, -1.0, 1.0)
         u = np.array([share * self._force[int(share > 0.0)], rate * self._steering])
-        before = self._distance
+        before, x, spun = self._distance, self._plant.state, False
         try:
             self._plant.drive(u, self._dt, self._s)
-            spun = False
-        except EgpError:  # it keeps the state before the loss
-            spun = True
+            x = self._plant.state
+        except VehicleLostError:
+            spun = True  # the state before the loss is observed
         self._time += self._dt
-        observation, info = self._observe()
+        observation, info = self._observe(x)
         left = spun or abs(observation[0]) > self._scenario.leave_distance
         ended = left or self._distance >= self._goal
         return observation, self._distance - before, ended, self._time > self._limit, info
@@ -94,9 +106,8 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         x[V_X] = profile.speed(origin)[0] if v_start is None else v_start
         self._plant.reset(x)
 
-    def _observe(self) -> tuple[Observation, dict[str, Any]]:
-        """Return observation and info, and update the driven distance."""
-        x: NDArray[np.float64] = self._plant.state
+    def _observe(self, x: NDArray[np.float64]) -> tuple[Observation, dict[str, Any]]:
+        """Return observation and info of a state (7,), and update the driven distance."""
         projection = self._path.project(x[POSITION], self._s)
         advanced = projection.s - self._s
         if self._path.closed:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from egp_service._core import EgpError, Plant
+from egp_service._core import EgpError, Plant, VehicleLostError
 from egp_service.quantities import DELTA, NX, OMEGA, P_X, P_Y, PSI, V_X, V_Y
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Simulator(Protocol):
 
 
 class PlantError(EgpError):
-    """A simulator that cannot be loaded, or has left its domain."""
+    """A simulator that cannot be loaded or used."""
 
 
 class CommonRoadPlant:
@@ -63,7 +63,10 @@ class CommonRoadPlant:
         self._plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], x[OMEGA], x[V_Y], x[DELTA])
 
     def drive(self, u: NDArray[np.float64], dt: float, s: float) -> None:
-        """Drive one period from the arc length `s` on. Raises `EgpError` if the vehicle spins."""
+        """Drive one period from the arc length `s` on.
+
+        Raises `VehicleLostError` if the vehicle spins.
+        """
         for _ in range(FRICTION_UPDATES):
             self._plant.step(u, dt / FRICTION_UPDATES, self._path, s)
 
@@ -87,11 +90,14 @@ class OwnPlant:
         self._simulator.reset(x)
 
     def drive(self, u: NDArray[np.float64], dt: float, s: float) -> None:
-        """Drive one period on the friction at the arc length `s`."""
+        """Drive one period on the friction at the arc length `s`.
+
+        Raises `VehicleLostError` if the state is no longer finite.
+        """
         friction = float(self._path.sample(np.array([s]))[-1][0])
         self._simulator.step(u, dt, friction)
         if not np.isfinite(self.state).all():
-            raise PlantError(f"{self._name}: the state is {self.state.tolist()}")
+            raise VehicleLostError(f"{self._name}: the state is {self.state.tolist()}")
 
     @property
     def state(self) -> NDArray[np.float64]:

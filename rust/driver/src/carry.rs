@@ -197,11 +197,13 @@ impl Carry {
         Ok(true)
     }
 
-    /// Forgets history, weights and plan, for instance after the vehicle was moved; sequence numbers go on.
+    /// Forgets history, weights and plan, for instance after the vehicle was moved; sequence numbers go on, and the
+    /// actuators go on applying the input.
     pub fn reset(&mut self) {
         *self = Self {
             sequence: self.sequence,
             accepted: self.sequence,
+            u: self.u,
             ..Self::new(self.library, self.capacity)
         };
     }

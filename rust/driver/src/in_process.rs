@@ -21,6 +21,8 @@ pub struct InProcessDriver {
 
 /// The driver's time stands still: with one replica that always answers, nothing depends on how much of it passes.
 const NOW: Time = Time::ZERO;
+/// Least time that a request states. A plan is made even if the time is over, because nobody else waits for it.
+const LEAST_BUDGET: Duration = Duration::from_micros(1);
 
 impl InProcessDriver {
     /// A driver for the library that `served` describes.
@@ -53,7 +55,7 @@ impl InProcessDriver {
         &mut self.driver
     }
 
-    /// One control period with the time `budget` stated in the request; `answer` computes the reply's bytes from the
+    /// One control period with the time `budget`, but at least 1 µs, stated in the request; `answer` computes the reply's bytes from the
     /// request's.
     ///
     /// # Errors
@@ -64,7 +66,7 @@ impl InProcessDriver {
         budget: Duration,
         mut answer: impl FnMut(&[u8]) -> Answer,
     ) -> Result<Step, InvalidArgument> {
-        let deadline = NOW + budget;
+        let deadline = NOW + budget.max(LEAST_BUDGET);
         self.driver.tick(NOW, deadline, measurement)?;
         loop {
             match self.driver.next_action() {

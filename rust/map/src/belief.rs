@@ -161,7 +161,7 @@ impl RoadBelief {
     /// Likelihoods that are smaller than the largest one by at most the setting `indifference` count as equal to it, and
     /// the others are raised by as much. Where no grip is used, the models of all coefficients predict nearly the same, and
     /// the small differences of their likelihoods are errors of the models. They do not become smaller with the number of
-    /// windows, and would add up.
+    /// windows, and would add up. Only ratios count: what is added to all logarithms changes nothing.
     ///
     /// # Errors
     /// [`BeliefError`] unless `s` is finite and the likelihoods' logarithms are finite and at most 0.
@@ -185,6 +185,8 @@ impl RoadBelief {
         if let Some(log_likelihood) = log_likelihood
             && self.track.len() > window
         {
+            let most = (log_likelihood.iter().copied()).fold(f64::NEG_INFINITY, f64::max);
+            let log_likelihood = &log_likelihood.map(|value| value - most);
             let (from, to) = (self.track[window / 3], self.track[2 * window / 3]);
             self.compare_with_reports(log_likelihood);
             let log_likelihood = told_apart(log_likelihood, self.settings.indifference);

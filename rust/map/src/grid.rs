@@ -32,8 +32,19 @@ impl Grid {
         Self { edges, prior }
     }
 
+    /// The masses, or the prior if they vanish or are not numbers, so that they say nothing.
+    fn known<'a>(&'a self, masses: &'a Row) -> &'a Row {
+        let sum: f64 = masses.iter().sum();
+        if sum > 0.0 && sum.is_finite() {
+            masses
+        } else {
+            &self.prior
+        }
+    }
+
     /// Median and standard deviation of the friction, for `masses` that need not sum to one.
     pub fn median_and_std(&self, masses: &Row) -> [f64; 2] {
+        let masses = self.known(masses);
         let (mut sum, mut mean, mut square) = (0.0, 0.0, 0.0);
         for (i, mass) in masses.iter().enumerate() {
             let middle = f64::midpoint(self.edges[i], self.edges[i + 1]);
@@ -47,6 +58,7 @@ impl Grid {
 
     /// The friction below which the probability is `share`, for `masses` that need not sum to one.
     pub fn quantile(&self, masses: &Row, share: f64) -> f64 {
+        let masses = self.known(masses);
         let mut left = share * masses.iter().sum::<f64>();
         for (i, mass) in masses.iter().enumerate() {
             if left < *mass {
@@ -139,6 +151,19 @@ mod tests {
     /// A row without order.
     fn row(seed: usize) -> Row {
         std::array::from_fn(|i| 0.1 + ((7 * i + seed) % 13) as f64)
+    }
+
+    #[test]
+    fn masses_that_say_nothing_are_the_prior() {
+        let grid = Grid::new();
+        let (median, prior) = (grid.quantile(&grid.prior, 0.5), grid.prior);
+        for nothing in [[0.0; LEVELS], [f64::NAN; LEVELS]] {
+            assert_eq!(grid.quantile(&nothing, 0.5).to_bits(), median.to_bits());
+            assert_eq!(
+                grid.median_and_std(&nothing).map(f64::to_bits),
+                grid.median_and_std(&prior).map(f64::to_bits)
+            );
+        }
     }
 
     #[test]

@@ -37,7 +37,8 @@ impl MergeSettings {
         Ok(())
     }
 
-    /// The share of its information that a contribution keeps at an age in s.
+    /// The share of its information that a contribution keeps at an age in s. Clocks that differ a little may give a
+    /// negative age, which counts as 0, as does one that is not a number.
     pub fn remaining(&self, age: f64) -> f64 {
         (-age.max(0.0) / self.lifetime).exp()
     }

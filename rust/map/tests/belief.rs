@@ -334,6 +334,21 @@ fn an_update_that_fails_changes_nothing() {
 }
 
 #[test]
+fn only_ratios_of_likelihoods_count() {
+    let (mut belief, mut lower) = (belief(), belief());
+    let found = |shift: f64| evidence(friction_hypotheses()[8]).map(|value| value + shift);
+    drive(&mut belief, 0.0, 30.0, |_| Some(found(0.0)));
+    drive(&mut lower, 0.0, 30.0, |_| Some(found(-4000.0)));
+    let (mut rows, mut others) = ([[0.0; 2]; 3], [[0.0; 2]; 3]);
+    belief.preview(&[20.0, 30.0], &mut rows).unwrap();
+    lower.preview(&[20.0, 30.0], &mut others).unwrap();
+    for (value, other) in rows.iter().flatten().zip(others.iter().flatten()) {
+        assert!((value - other).abs() < 1e-6, "{rows:?} {others:?}");
+    }
+    assert!(rows[1][1] > 0.0);
+}
+
+#[test]
 fn evidence_beyond_an_end_of_an_open_road_counts_nowhere_else() {
     let mut belief = RoadBelief::new(LENGTH, false, &BeliefSettings::default()).unwrap();
     let ice = evidence(0.15);

@@ -128,7 +128,8 @@ impl Path {
         self.widths.is_some()
     }
 
-    /// The path at arc length `s`. A closed path is periodic; an open path continues straight beyond its ends.
+    /// The path at arc length `s`. A closed path is periodic; an open path continues straight beyond its ends. The result
+    /// has no meaning unless `s` is finite.
     pub fn sample(&self, s: f64) -> Sample {
         let Jet {
             position,

@@ -151,7 +151,8 @@ impl SpeedProfile {
         self.times[self.times.len() - 1]
     }
 
-    /// Speed in m/s at arc length `s`; constant beyond the profile's ends, unless it is that of a lap.
+    /// Speed in m/s at arc length `s`; constant beyond the profile's ends, unless it is that of a lap. The result
+    /// has no meaning unless `s` is finite.
     pub fn speed(&self, s: f64) -> f64 {
         self.speed_after(s - self.start)
     }

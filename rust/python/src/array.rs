@@ -1,25 +1,61 @@
 //! numpy arrays of known shape as Rust arrays, and back.
 
-use numpy::ndarray::{ArrayD, ArrayViewD, IntoDimension};
-use numpy::{AllowTypeChange, Element, PyArrayLike1, PyArrayLike2, PyArrayLikeDyn};
-use numpy::{IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
-use numpy::{PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
+use std::ops::Deref;
+
+use numpy::ndarray::{ArrayD, ArrayViewD, Dimension, IntoDimension, Ix1, Ix2, Ix3, IxDyn};
+use numpy::{AllowTypeChange, Element, IntoPyArray, PyArrayLike, PyArrayLikeDyn, PyReadonlyArray};
+use numpy::{PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
 use crate::error::InvalidArgumentError;
 
+/// An array of `f64` from Python as it is, or what numpy makes of lists and of numbers of another type.
+///
+/// Anything else is an `InvalidArgumentError`, to which `PyO3` adds a note with the name of the argument.
+pub struct Argument<'py, D: Dimension>(PyArrayLike<'py, f64, D, AllowTypeChange>);
+
+impl<'py, D: Dimension> Deref for Argument<'py, D> {
+    type Target = PyReadonlyArray<'py, f64, D>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl<'a, 'py, D: Dimension + 'py> FromPyObject<'a, 'py> for Argument<'py, D> {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        if let Ok(array) = object.extract() {
+            return Ok(Self(array));
+        }
+        let expected = match D::NDIM {
+            Some(1) => "an array of numbers with 1 dimension".to_owned(),
+            Some(count) => format!("an array of numbers with {count} dimensions"),
+            None => "an array of numbers".to_owned(),
+        };
+        let found = match object.extract::<PyArrayLikeDyn<'py, f64, AllowTypeChange>>() {
+            Ok(array) => format!("the shape {}", shown(array.shape())),
+            Err(error) => format!(
+                "{}: {}",
+                object.get_type().name()?,
+                error.value(object.py())
+            ),
+        };
+        Err(InvalidArgumentError::new_err(format!(
+            "expected {expected}, got {found}"
+        )))
+    }
+}
+
 /// A vector from Python.
-pub type Vector<'py> = PyReadonlyArray1<'py, f64>;
+pub type Vector<'py> = Argument<'py, Ix1>;
 /// A matrix from Python.
-pub type Matrix<'py> = PyReadonlyArray2<'py, f64>;
+pub type Matrix<'py> = Argument<'py, Ix2>;
 /// A three-dimensional array from Python.
-pub type Cube<'py> = PyReadonlyArray3<'py, f64>;
-/// Anything that numpy converts to a vector.
-pub type VectorLike<'py> = PyArrayLike1<'py, f64, AllowTypeChange>;
-/// Anything that numpy converts to a matrix.
-pub type MatrixLike<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
-/// Anything that numpy converts to an array.
-pub type ArrayLike<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+pub type Cube<'py> = Argument<'py, Ix3>;
+/// An array of any dimension from Python.
+pub type ArrayLike<'py> = Argument<'py, IxDyn>;
 /// An array of any dimension.
 pub type OwnedArray = ArrayD<f64>;
 /// A view of an array of any dimension.

@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::array::{Matrix, NewMatrix, NewVector, Vector, fixed, vector};
-use crate::error::raise;
+use crate::error::{InvalidArgumentError, raise};
 use crate::parameters::VehicleParameters;
 use crate::path::{Path, SpeedProfile, tyre_rows};
 use crate::wire::matrix;
@@ -99,6 +99,7 @@ impl RoadBelief {
     #[doc = doc!(RoadBelief.recall)]
     #[pyo3(signature = (data, age = 0.0))]
     fn recall(&mut self, data: &[u8], age: f64) -> PyResult<()> {
+        check_age(age)?;
         self.0.recall_aged(data, age).map_err(raise)
     }
 
@@ -136,7 +137,8 @@ impl RoadBelief {
         places: Vector<'py>,
         risk: f64,
     ) -> PyResult<NewVector<'py>> {
-        let places = places.as_array();
+        let places: Vec<f64> = places.as_array().iter().copied().collect();
+        check_spacing(&places)?;
         let (start, step) = match (places.first(), places.get(1)) {
             (Some(first), Some(second)) => (*first, second - first),
             (Some(first), None) => (*first, 1.0),
@@ -192,6 +194,36 @@ impl RoadBelief {
     }
 }
 
+/// Errors unless `age` is a time in s that has passed.
+fn check_age(age: f64) -> PyResult<()> {
+    if age >= 0.0 && age.is_finite() {
+        return Ok(());
+    }
+    Err(InvalidArgumentError::new_err(format!(
+        "expected a number of seconds from 0 on for age, got {age}"
+    )))
+}
+
+/// Errors unless places have equal distances.
+fn check_spacing(places: &[f64]) -> PyResult<()> {
+    let [first, second, ..] = *places else {
+        return Ok(());
+    };
+    let step = second - first;
+    for pair in places.windows(2) {
+        let found = pair[1] - pair[0];
+        // The rounding of arc lengths far from 0 is no unequal distance.
+        let tolerance = 1e-6 * step.abs() + 4.0 * f64::EPSILON * pair[1].abs();
+        if found.is_nan() || (found - step).abs() > tolerance {
+            return Err(InvalidArgumentError::new_err(format!(
+                "expected places with equal distances, got {step} m between the first two and {found} m from {} to {}",
+                pair[0], pair[1]
+            )));
+        }
+    }
+    Ok(())
+}
+
 #[doc = doc!(merge_tiles)]
 #[pyfunction]
 #[pyo3(signature = (contributions, *, capacity = None, lifetime = None))]
@@ -207,6 +239,7 @@ pub fn merge_tiles(
     };
     settings.validate().map_err(raise)?;
     let read = |(bytes, age): &(Bound<'_, PyBytes>, f64)| {
+        check_age(*age)?;
         Ok((Tile::from_bytes(bytes.as_bytes()).map_err(raise)?, *age))
     };
     let contributions: PyResult<Vec<(Tile, f64)>> = contributions.iter().map(read).collect();

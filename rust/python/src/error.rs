@@ -21,6 +21,12 @@ create_exception!(
 );
 create_exception!(
     egp_service._core,
+    VehicleLostError,
+    EgpError,
+    doc!(VehicleLostError)
+);
+create_exception!(
+    egp_service._core,
     RefusedError,
     EgpError,
     doc!(RefusedError)

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use egp_gate::{Limits, Mode};
 use pyo3::prelude::*;
 
-use crate::error::{EgpError, raise};
+use crate::error::{InvalidArgumentError, raise};
 
 /// The command of one period.
 #[pyclass(frozen, get_all, module = "egp_service._core.testing")]
@@ -23,7 +23,7 @@ pub struct Command {
 ///
 /// Every command lies inside hard limits of value and slew. Periods have `dt` s. `settings` holds all limits, as
 /// `VehicleParameters.gate_limits` gives them, and may hold `max_tail_ticks` (25) and `stop_deceleration` (3 m/s²).
-/// Raises `EgpError` for a limit that is missing or has the wrong sign, and for an unknown name.
+/// Raises `InvalidArgumentError` for a limit that is missing or has the wrong sign, and for an unknown name.
 #[pyclass(module = "egp_service._core.testing")]
 pub struct Gate(egp_gate::Gate);
 
@@ -33,7 +33,7 @@ pub fn configure(mut settings: BTreeMap<String, f64>) -> PyResult<(Limits, u64, 
     let stop_deceleration = settings.remove("stop_deceleration").unwrap_or(3.0);
     let mut limit = |name: &str| {
         settings.remove(name).ok_or_else(|| {
-            EgpError::new_err(format!(
+            InvalidArgumentError::new_err(format!(
                 "gate limit {name} is missing; `VehicleParameters.gate_limits()` gives a vehicle's"
             ))
         })
@@ -49,13 +49,13 @@ pub fn configure(mut settings: BTreeMap<String, f64>) -> PyResult<(Limits, u64, 
         steering_slew: limit("steering_slew")?,
     };
     if let Some(name) = settings.keys().next() {
-        return Err(EgpError::new_err(format!(
+        return Err(InvalidArgumentError::new_err(format!(
             "unknown gate setting {name:?}; known: mass, force_min, force_max, power, force_slew, \
              steering_angle, steering_rate, steering_slew, max_tail_ticks, stop_deceleration"
         )));
     }
     if !(0.0..=1e6).contains(&max_tail_ticks) || max_tail_ticks.fract() != 0.0 {
-        return Err(EgpError::new_err(format!(
+        return Err(InvalidArgumentError::new_err(format!(
             "gate setting max_tail_ticks must be a whole number from 0 to 1000000, got {max_tail_ticks}"
         )));
     }

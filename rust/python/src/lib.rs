@@ -49,7 +49,9 @@ mod _core {
     #[pymodule]
     mod error {
         #[pymodule_export]
-        use crate::error::{EgpError, InvalidArgumentError, LibraryError, RefusedError};
+        use crate::error::{
+            EgpError, InvalidArgumentError, LibraryError, RefusedError, VehicleLostError,
+        };
     }
 
     #[pymodule]

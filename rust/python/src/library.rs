@@ -14,7 +14,7 @@ use pyo3::exceptions::{PyIndexError, PyOSError};
 use pyo3::prelude::*;
 
 use crate::array::{Matrix, NewCube, NewMatrix, NewVector, array, rows, vector};
-use crate::error::LibraryError;
+use crate::error::{InvalidArgumentError, LibraryError};
 use crate::parameters::VehicleParameters;
 
 /// Means, Jacobians and latent variances at a number of points.
@@ -108,7 +108,9 @@ impl Library {
         let member = self.member(member)?;
         let z = rows::<NZ>("z", &z)?;
         let n = z.len();
+        check_finite(&z)?;
         let (means, jacobians, variances) = py.detach(|| predict(member, &z));
+        check_overflow(&means)?;
         Ok((
             array(py, means, [n, NY])?,
             array(py, jacobians, [n, NY, NZ])?,
@@ -126,8 +128,10 @@ impl Library {
     ) -> PyResult<NewMatrix<'py>> {
         let member = self.member(member)?;
         let z = rows::<NZ>("z", &z)?;
+        check_finite(&z)?;
         let mean = |z: &[f64; NZ]| <[f64; NY]>::from(member.mean(&GpInput::from(*z)));
         let means: Vec<f64> = py.detach(|| z.iter().flat_map(mean).collect());
+        check_overflow(&means)?;
         array(py, means, [z.len(), NY])
     }
 }
@@ -139,6 +143,31 @@ impl Library {
             let count = members.len();
             PyIndexError::new_err(format!("member {index} of a library of {count}"))
         })
+    }
+}
+
+/// Errors unless all inputs are finite.
+fn check_finite(z: &[[f64; NZ]]) -> PyResult<()> {
+    match z
+        .iter()
+        .position(|z| !z.iter().all(|value| value.is_finite()))
+    {
+        None => Ok(()),
+        Some(row) => Err(InvalidArgumentError::new_err(format!(
+            "expected finite inputs z, got {:?} in row {row}",
+            z[row]
+        ))),
+    }
+}
+
+/// Errors if a prediction is not finite, because its input was too large.
+fn check_overflow(means: &[f64]) -> PyResult<()> {
+    match means.iter().position(|mean| !mean.is_finite()) {
+        None => Ok(()),
+        Some(index) => Err(InvalidArgumentError::new_err(format!(
+            "the input in row {} of z is too large for a prediction: check its unit",
+            index / NY
+        ))),
     }
 }
 

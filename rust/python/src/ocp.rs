@@ -11,8 +11,8 @@ use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 use serde::de::value::Error;
 
-use crate::array::{ArrayLike, MatrixLike, VectorLike, array, fixed, rows, vector, wrong_shape};
-use crate::array::{Cube, KeptMatrix, Matrix, NewVector, Vector};
+use crate::array::{ArrayLike, Cube, KeptMatrix, Matrix, NewVector, Vector};
+use crate::array::{array, fixed, rows, vector, wrong_shape};
 use crate::error::{EgpError, raise};
 use crate::problem::{Arrays, OcpBounds, OcpWeights};
 
@@ -45,13 +45,13 @@ pub fn solve_ocp<'py>(
     A: ArrayLike<'py>,
     B: ArrayLike<'py>,
     c: ArrayLike<'py>,
-    x0: VectorLike<'py>,
-    u_prev: VectorLike<'py>,
+    x0: Vector<'py>,
+    u_prev: Vector<'py>,
     reference: ArrayLike<'py>,
     weights: &OcpWeights,
     bounds: &OcpBounds,
     solver: &str,
-    guess: Option<MatrixLike<'py>>,
+    guess: Option<Matrix<'py>>,
     repeat: u32,
 ) -> PyResult<OcpResult> {
     let arrays = Arrays {

@@ -12,7 +12,7 @@ use egp_path::{SpeedLimits, Zone};
 use pyo3::prelude::*;
 
 use crate::array::{Matrix, NewMatrix, NewVector, Vector, array, fixed, rows, vector};
-use crate::error::{EgpError, raise};
+use crate::error::{EgpError, InvalidArgumentError, raise};
 use crate::parameters::VehicleParameters;
 use crate::surface::SurfaceValue;
 
@@ -209,10 +209,11 @@ impl Path {
     }
 
     #[doc = doc!(Path.sample)]
-    fn sample<'py>(&self, py: Python<'py>, s: Vector<'py>) -> Samples<'py> {
+    fn sample<'py>(&self, py: Python<'py>, s: Vector<'py>) -> PyResult<Samples<'py>> {
+        check_arc_lengths(&s)?;
         let samples: Vec<_> = s.as_array().iter().map(|&s| self.0.sample(s)).collect();
         let column = |value: fn(&egp_path::Sample) -> f64| vector(py, samples.iter().map(value));
-        (
+        Ok((
             column(|at| at.x),
             column(|at| at.y),
             column(|at| at.yaw),
@@ -220,7 +221,7 @@ impl Path {
             column(|at| at.left),
             column(|at| at.right),
             column(|at| at.friction),
-        )
+        ))
     }
 }
 
@@ -271,6 +272,18 @@ impl Projection {
             s, lateral, yaw, ..
         } = self;
         format!("Projection(s={s:.3}, lateral={lateral:.3}, yaw={yaw:.4})")
+    }
+}
+
+/// Errors unless all arc lengths of the argument `s` are finite.
+fn check_arc_lengths(s: &Vector<'_>) -> PyResult<()> {
+    let s = s.as_array();
+    match s.iter().position(|s| !s.is_finite()) {
+        None => Ok(()),
+        Some(index) => Err(InvalidArgumentError::new_err(format!(
+            "expected finite arc lengths s, got {} at index {index}",
+            s[index]
+        ))),
     }
 }
 
@@ -332,8 +345,9 @@ impl SpeedProfile {
     }
 
     #[doc = doc!(SpeedProfile.speed)]
-    fn speed<'py>(&self, py: Python<'py>, s: Vector<'py>) -> NewVector<'py> {
-        vector(py, s.as_array().iter().map(|&s| self.0.speed(s)))
+    fn speed<'py>(&self, py: Python<'py>, s: Vector<'py>) -> PyResult<NewVector<'py>> {
+        check_arc_lengths(&s)?;
+        Ok(vector(py, s.as_array().iter().map(|&s| self.0.speed(s))))
     }
 }
 

@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use egp_plant::{Disturbances, VehicleId, VehicleState};
+use egp_plant::{Disturbances, PlantError, VehicleId, VehicleState};
 use pyo3::prelude::*;
 use serde::Deserialize as _;
 use serde::de::value::{Error, MapDeserializer};
 
 use crate::array::{NewVector, Vector, fixed, vector};
-use crate::error::{EgpError, raise};
+use crate::error::{EgpError, VehicleLostError, raise};
 use crate::parameters::VehicleParameters;
 use crate::surface::Road;
 
@@ -65,7 +65,13 @@ impl Plant {
             )));
         }
         let friction = friction.friction(hint)?;
-        self.0.step(input, dt, friction.as_ref()).map_err(raise)
+        let stepped = self.0.step(input, dt, friction.as_ref());
+        stepped.map_err(|error| match error {
+            PlantError::Spun { .. } | PlantError::Diverged { .. } => {
+                VehicleLostError::new_err(error.to_string())
+            }
+            _ => raise(error),
+        })
     }
 
     #[doc = doc!(Plant.state)]

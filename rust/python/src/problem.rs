@@ -8,7 +8,7 @@ use egp_core::{Input, NU, NX, OcpQp, State};
 use pyo3::prelude::*;
 
 use crate::array::{
-    ArrayLike, ArrayView, MatrixLike, OwnedArray, VectorLike, fixed, rows, shown, wrong_shape,
+    ArrayLike, ArrayView, Matrix, OwnedArray, Vector, fixed, rows, shown, wrong_shape,
 };
 use crate::error::EgpError;
 
@@ -24,7 +24,7 @@ pub struct OcpWeights {
 impl OcpWeights {
     #[new]
     #[pyo3(signature = (*, q, r, r_d))]
-    fn new(q: ArrayLike<'_>, r: VectorLike<'_>, r_d: VectorLike<'_>) -> PyResult<Self> {
+    fn new(q: ArrayLike<'_>, r: Vector<'_>, r_d: Vector<'_>) -> PyResult<Self> {
         let diagonals = [fixed("r", &r)?, fixed("r_d", &r_d)?];
         let [r, r_d] = diagonals;
         let allowed = |r: &f64| r.is_finite() && *r >= 0.0;
@@ -68,7 +68,7 @@ impl OcpBounds {
         soft_normal: Option<ArrayLike<'_>>,
         soft_lower: Option<ArrayLike<'_>>,
         soft_upper: Option<ArrayLike<'_>>,
-        penalty: Option<MatrixLike<'_>>,
+        penalty: Option<Matrix<'_>>,
     ) -> PyResult<Self> {
         let penalty =
             penalty.map_or_else(|| Ok(Vec::new()), |penalty| rows("penalty", &penalty))?;
@@ -106,8 +106,8 @@ pub struct Arrays<'a, 'py> {
     pub a: &'a ArrayLike<'py>,
     pub b: &'a ArrayLike<'py>,
     pub c: &'a ArrayLike<'py>,
-    pub x0: &'a VectorLike<'py>,
-    pub u_prev: &'a VectorLike<'py>,
+    pub x0: &'a Vector<'py>,
+    pub u_prev: &'a Vector<'py>,
     pub reference: &'a ArrayLike<'py>,
     pub weights: &'a OcpWeights,
     pub bounds: &'a OcpBounds,

@@ -11,7 +11,7 @@ use egp_wire::keys;
 use prost::Message as _;
 use pyo3::prelude::*;
 
-use crate::array::{ArrayLike, Matrix, NewMatrix, NewVector, Vector, VectorLike};
+use crate::array::{ArrayLike, Matrix, NewMatrix, NewVector, Vector};
 use crate::array::{array, fixed, rows, vector};
 use crate::error::{EgpError, raise};
 use crate::problem::{Arrays, OcpBounds, OcpWeights};
@@ -55,8 +55,8 @@ pub fn ocp_to_qp<'py>(
     A: ArrayLike<'py>,
     B: ArrayLike<'py>,
     c: ArrayLike<'py>,
-    x0: VectorLike<'py>,
-    u_prev: VectorLike<'py>,
+    x0: Vector<'py>,
+    u_prev: Vector<'py>,
     reference: ArrayLike<'py>,
     weights: &OcpWeights,
     bounds: &OcpBounds,

@@ -6,7 +6,7 @@ use egp_wire::{MessageLimits, Predictions, keys};
 use pyo3::prelude::*;
 
 use crate::array::{KeptCube, KeptMatrix, KeptVector, NewCube, NewMatrix, array, vector};
-use crate::error::raise;
+use crate::error::{InvalidArgumentError, raise};
 use crate::parameters::VehicleParameters;
 
 pub fn matrix<'py, const W: usize>(py: Python<'py>, rows: &[[f64; W]]) -> PyResult<NewMatrix<'py>> {
@@ -225,7 +225,7 @@ pub fn file_descriptor_set() -> Cow<'static, [u8]> {
 }
 
 pub fn name(text: &str) -> PyResult<keys::Name> {
-    text.parse().map_err(raise)
+    text.parse().map_err(InvalidArgumentError::raise)
 }
 
 /// Name of the replica whose liveliness token this is, or None.

@@ -28,11 +28,11 @@ pub const ALL_VEHICLES: &str = "egp/v1/@vehicle/*/*";
 /// The text is not a name.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error(
-    "{0:?} is no name of a replica, fleet or vehicle: use 1 to {NAME_MAX} of A-Z a-z 0-9 . _ -"
+    "{0:?} is no name of a replica, fleet, vehicle or road: use 1 to {NAME_MAX} of A-Z a-z 0-9 . _ -"
 )]
 pub struct NameError(String);
 
-/// Name of a replica, a fleet or a vehicle: one chunk of a key.
+/// Name of a replica, a fleet, a vehicle or a road: one chunk of a key.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Name(String);
 

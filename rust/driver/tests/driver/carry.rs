@@ -104,7 +104,7 @@ fn an_unsolved_reply_brings_weights_and_leaves_the_plan_to_age_out() {
 #[test]
 fn foreign_replies_are_refused_and_reset_forgets() {
     let mut carry = Carry::new(LIBRARY, 2);
-    let first = period(&mut carry, 10.0, 0.0);
+    let first = period(&mut carry, 10.0, 100.0);
     let reply = answer(&first, Status::Solved, 0.0);
     assert!(
         carry
@@ -128,7 +128,7 @@ fn foreign_replies_are_refused_and_reset_forgets() {
         "a reply from before the reset is stale"
     );
     let next = period(&mut carry, 10.0, 0.0);
-    assert_eq!(next.sequence, 2);
+    assert_eq!((next.sequence, next.u_prev), (2, [100.0, 0.0]));
     assert!(next.history_z.is_empty() && next.plan_u.is_empty() && next.weights.is_empty());
 }
 

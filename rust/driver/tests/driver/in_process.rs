@@ -1,5 +1,7 @@
 //! A driver whose answers are computed in the vehicle's own process.
 
+use std::time::Duration;
+
 use egp_driver::{Driver, InProcessDriver, Outcome, Query, QueryId};
 use egp_gate::Mode;
 use egp_wire::{Code, Timing, WireError};
@@ -60,4 +62,14 @@ fn a_reference_that_does_not_fit_is_an_error() {
     assert!(step.is_err());
     let driver: &Driver = vehicle.driver();
     assert_eq!(driver.mode(), Mode::Waiting);
+}
+
+#[test]
+fn a_plan_is_made_although_the_deadline_is_over() {
+    let mut vehicle = InProcessDriver::new(config(), served()).unwrap();
+    let step = vehicle.step(measurement(), Duration::ZERO, |payload| {
+        assert_eq!(request(&query(payload)).budget_us, 1);
+        Ok((solved(&query(payload)).encode(), Timing::default()))
+    });
+    assert_eq!(step.unwrap().command.mode, Mode::Normal);
 }

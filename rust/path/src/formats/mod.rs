@@ -7,7 +7,8 @@ use crate::error::{PathError, check};
 use crate::path::Path;
 
 /// Reads a closed track in either format: `;` separates the columns of a raceline, `,` those of a centre line. Lines
-/// that start with `#` are comments.
+/// that start with `#` are comments; if the last one before the data names the columns, they may have any order. A byte
+/// order mark at the start is skipped.
 ///
 /// * Raceline (TUM, F1TENTH): `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`. The path goes
 ///   through the positions and has no widths; psi must agree with them, measured from +x or from +y.
@@ -17,10 +18,11 @@ use crate::path::Path;
 ///
 /// # Errors
 /// [`PathError`] if the scale is not positive, a line has too few or too many columns or a value that is not a finite
-/// number, the end is far from the start, psi agrees with neither convention, or [`Path::from_points`] fails. The error
+/// number, a header has some of the names and not all, the end is far from the start, psi agrees with neither convention, or [`Path::from_points`] fails. The error
 /// names the line where possible.
 pub fn read_track(text: &str, scale: f64) -> Result<Path, PathError> {
     check("scale", scale, "a positive number", |scale| scale > 0.0)?;
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let first = text.lines().find(|line| is_row(line));
     match first {
         Some(line) if line.contains(';') => raceline::read(text, scale),
@@ -42,15 +44,59 @@ fn table<const N: usize>(
     delimiter: char,
     columns: [&str; N],
 ) -> Result<Vec<Row<N>>, PathError> {
+    let places = places(text, delimiter, columns)?;
+    let mut in_file = columns;
+    for (place, column) in places.into_iter().zip(columns) {
+        in_file[place] = column;
+    }
     (1..)
         .zip(text.lines())
         .filter(|(_, content)| is_row(content))
         .map(|(line, content)| {
-            numbers(content, delimiter, columns)
-                .map(|values| Row { line, values })
+            numbers(content, delimiter, in_file)
+                .map(|values| Row {
+                    line,
+                    values: places.map(|place| values[place]),
+                })
                 .map_err(|problem| PathError::Format { line, problem })
         })
         .collect()
+}
+
+/// Where each column is in the file: as the last comment before the data says, if that is a header.
+fn places<const N: usize>(
+    text: &str,
+    delimiter: char,
+    columns: [&str; N],
+) -> Result<[usize; N], PathError> {
+    let comments = (1..)
+        .zip(text.lines())
+        .take_while(|(_, content)| !is_row(content))
+        .filter(|(_, content)| !content.trim().is_empty());
+    let in_order = std::array::from_fn(|place| place);
+    let Some((line, comment)) = comments.last() else {
+        return Ok(in_order);
+    };
+    let names: Vec<&str> = (comment.trim().trim_start_matches('#').split(delimiter))
+        .map(str::trim)
+        .collect();
+    if !names.iter().any(|name| columns.contains(name)) {
+        return Ok(in_order);
+    }
+    let mut places = in_order;
+    for (place, column) in places.iter_mut().zip(columns) {
+        let found = names.iter().position(|name| *name == column);
+        *place = found.filter(|_| names.len() == N).ok_or_else(|| {
+            let problem = format!(
+                "expected a header with the columns {} in any order, got {}; rename the columns, or remove this line \
+                 if they have this order",
+                columns.join(", "),
+                names.join(", ")
+            );
+            PathError::Format { line, problem }
+        })?;
+    }
+    Ok(places)
 }
 
 /// Whether a line is neither blank nor a comment.

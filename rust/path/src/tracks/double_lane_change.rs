@@ -84,7 +84,7 @@ impl DoubleLaneChange {
         check(
             "margin",
             self.margin,
-            "less than 0.05 vehicle widths + 0.125 m",
+            "0 to less than 0.05 vehicle widths + 0.125 m",
             |m| m >= 0.0 && m < 0.05 * self.vehicle_width + 0.125,
         )?;
         check_length("lead_in", self.lead_in)?;

@@ -83,6 +83,35 @@ fn centre_lines_have_left_and_right_widths() {
 }
 
 #[test]
+fn a_header_may_name_the_columns_in_any_order() {
+    let (header, rows) = centre_line()
+        .split_once('\n')
+        .map(|(a, b)| (a.to_owned(), b.to_owned()))
+        .unwrap();
+    let swapped = "# x_m,y_m,w_tr_left_m,w_tr_right_m";
+    let at = read_track(&format!("\u{feff}{swapped}\n{rows}"), 1.0)
+        .unwrap()
+        .sample(30.0);
+    assert!((at.left - 2.0).abs() < 1e-9 && (at.right - 3.5).abs() < 1e-9);
+    // Only the last comment is the header, and one without the names of columns is none.
+    let text = format!("{swapped}\n\n{header}\n{rows}");
+    assert!((read_track(&text, 1.0).unwrap().sample(30.0).left - 3.5).abs() < 1e-9);
+    assert!(read_track(&format!("# my track, made by hand\n{rows}"), 1.0).is_ok());
+    for wrong in [
+        "# x_m,y_m,left,right",
+        "# x_m,y_m",
+        "# x_m,x_m,w_tr_left_m,w_tr_right_m",
+    ] {
+        let (line, problem) = problem(&format!("#\n{wrong}\n{rows}"));
+        assert_eq!(line, 2);
+        assert!(
+            problem.contains("w_tr_right_m, w_tr_left_m in any order, got x_m, "),
+            "{problem}"
+        );
+    }
+}
+
+#[test]
 fn errors_name_the_line() {
     let text = centre_line();
     assert_eq!(

@@ -1,0 +1,184 @@
+"""Arguments that cannot be used: each is an error in words, and nothing is lost."""
+
+from __future__ import annotations
+
+import threading
+import tomllib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from egp_service import (
+    Controller,
+    InvalidArgumentError,
+    Library,
+    Path,
+    Plant,
+    Recorder,
+    RoadBelief,
+    SpeedProfile,
+    StatusPublisher,
+    VehicleClient,
+)
+from egp_service._core import decode_request, merge_tiles
+from egp_service.control.fleet_map import FleetMap
+from egp_service.control.recorded import read_recording
+from egp_service.control.toml_text import dumps
+from egp_service.shipped import DEMO_LIBRARY
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path as FilePath
+
+    from egp_service import Step
+
+PATH = Path.rounded_rectangle()
+CAR = Plant().parameters
+GATE = CAR.gate_limits()
+NOBODY = "tcp/127.0.0.1:9"
+X = [0.0, 0.1, 15.0, 0.0, 0.0, 0.0, 0.0]
+NAN, INF = float("nan"), float("inf")
+NOTHING: Any = None
+
+
+@pytest.fixture
+def controller() -> Iterator[Controller]:
+    with Controller(DEMO_LIBRARY, gate=GATE) as opened:
+        yield opened
+
+
+def step(controller: Controller, deadline: float | None = None) -> Step:
+    s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+    reference = np.column_stack([s, 0 * s, 0 * s + 20.0, 0 * s])
+    return controller.step(X, reference, deadline=deadline)
+
+
+def belief() -> RoadBelief:
+    return RoadBelief(PATH)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: PATH.sample([0.0, NAN]), "arc lengths s, got NaN at index 1"),
+        (lambda: SpeedProfile(PATH, CAR).speed([INF]), "arc lengths s, got inf at index 0"),
+        (lambda: belief().ahead([0.0, 1.0, 100.0], 0.05), "equal distances.* 99 m from 1 to 100"),
+        (lambda: belief().ahead([0.0, 1.0, NAN], 0.05), "equal distances"),
+        (lambda: belief().recall(belief().to_bytes(), NAN), "for age, got NaN"),
+        (lambda: belief().recall(belief().to_bytes(), -1.0), "for age, got -1"),
+        (lambda: merge_tiles([(belief().tile(0), NAN)]), "for age, got NaN"),
+        (lambda: Library.load(DEMO_LIBRARY).predict([[NAN] * 6]), "finite inputs z.* in row 0"),
+        (lambda: Library.load(DEMO_LIBRARY).predict([[1e160] * 6]), "row 0 of z is too large"),
+        (lambda: Library.load(DEMO_LIBRARY).predict_mean([[1e160] * 6]), "row 0 of z is too"),
+        (lambda: PATH.sample([[0.0]]), r"with 1 dimension, got the shape \(1, 1\)"),
+        (lambda: PATH.sample("far"), "with 1 dimension, got str: could not convert"),
+        (lambda: Path.from_points([1.0, 2.0], closed=False), r"2 dimensions, got the shape \(2,\)"),
+        (
+            lambda: Controller(DEMO_LIBRARY, NOTHING, gate=GATE),
+            "settings: expected TOML.* got None",
+        ),
+        (lambda: Controller(DEMO_LIBRARY, gate={}), "gate limit mass is missing"),
+        (lambda: VehicleClient.connect(NOBODY, gate={}), "gate limit mass is missing"),
+        (lambda: VehicleClient.connect(NOBODY, gate=GATE, timeout=INF), "for timeout, got inf"),
+        (lambda: VehicleClient.connect(NOBODY, gate=GATE, timeout=NAN), "for timeout, got nan"),
+        (
+            lambda: VehicleClient.connect(NOBODY, gate=GATE, key_file="no.keys"),
+            r"no\.keys.*egp keys",
+        ),
+        (lambda: FleetMap(NOBODY, belief(), road="", vehicle="v"), '"" is no name of .* or road'),
+        (
+            lambda: FleetMap(NOBODY, belief(), road="r", vehicle="v", lifetime=0.0),
+            "for lifetime, got 0.0",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_named(call: Callable[[], Any], message: str) -> None:
+    with pytest.raises(InvalidArgumentError, match=message):
+        call()
+
+
+def test_the_argument_is_in_a_note() -> None:
+    with pytest.raises(InvalidArgumentError) as caught:
+        PATH.project([[1.0, 2.0]])
+    assert caught.value.__notes__ == ["while processing 'position'"]
+
+
+def test_lists_and_numbers_of_other_types_are_arrays() -> None:
+    exact = PATH.sample(np.array([0.0, 30.0]))
+    for s in ([0, 30], (0.0, 30.0), np.array([0, 30]), np.array([0.0, 30.0], np.float32)):
+        np.testing.assert_array_equal(PATH.sample(s), exact)
+
+
+def test_names_of_a_publication_are_checked(controller: Controller) -> None:
+    with pytest.raises(InvalidArgumentError, match='"a/b" is no name'):
+        StatusPublisher(controller, vehicle="a/b")
+
+
+def test_a_deadline_that_is_over_still_gives_a_plan(controller: Controller) -> None:
+    for deadline in (0.0, -1.0):
+        assert step(controller, deadline).mode == "normal"
+    for deadline in (NAN, INF):
+        with pytest.raises(InvalidArgumentError, match="finite deadline"):
+            step(controller, deadline)
+
+
+def test_a_reset_keeps_the_input_that_the_actuators_apply(controller: Controller) -> None:
+    applied = [step(controller).u.tolist() for _ in range(3)][-1]
+    controller.reset()
+    request = decode_request(step(controller).request)
+    assert request.u_prev.tolist() == applied
+    assert len(request.plan_u) == 0
+
+
+def test_another_thread_may_reset(controller: Controller) -> None:
+    failed: list[BaseException] = []
+    ended = threading.Event()
+
+    def reset() -> None:
+        while not ended.is_set():
+            try:
+                controller.reset()
+            except BaseException as error:  # noqa: BLE001 - the test shows whatever comes
+                failed.append(error)
+
+    other = threading.Thread(target=reset)
+    other.start()
+    try:
+        assert {step(controller).mode for _ in range(20)} == {"normal"}
+    finally:
+        ended.set()
+        other.join()
+    assert not failed
+
+
+@pytest.mark.parametrize("time", [-0.02, NAN, INF, 1e10])
+def test_a_recording_is_complete_after_a_wrong_time(
+    controller: Controller, tmp_path: FilePath, time: float
+) -> None:
+    file = tmp_path / "run.mcap"
+    with Recorder(file, controller) as recorder:
+        for k in range(3):
+            recorder.add(step(controller), X, 0.02 * k)
+            with pytest.raises(InvalidArgumentError, match="seconds since the start"):
+                recorder.add(step(controller), X, time)
+            with pytest.raises(InvalidArgumentError, match=r"x of shape \(7,\), got \(6,\)"):
+                recorder.add(step(controller), X[:6], 0.02 * k)
+    assert len(read_recording(file).steps) == 3
+    with pytest.raises(InvalidArgumentError, match="the recording is closed"):
+        recorder.add(step(controller), X, 1.0)
+
+
+def test_numbers_and_arrays_of_numpy_are_settings() -> None:
+    table = {"a": np.float64(30.0), "b": np.int32(3), "c": np.arange(2.0), "d": np.bool_(1)}
+    assert dumps(table) == "a = 30.0\nb = 3\nc = [0.0, 1.0]\nd = true\n"
+    assert tomllib.loads(dumps({"a": np.float32(0.5)})) == {"a": 0.5}
+
+
+def test_an_error_of_the_service_names_the_field_once(controller: Controller) -> None:
+    s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+    reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
+    refused = controller.step(X, reference, np.full((len(s), 2), 1001.0))
+    assert refused.status == "refused"
+    assert "widths (m): 1001 is outside [-1000, 1000]" in refused.detail
+    assert refused.detail.count("widths") == 1
