@@ -140,7 +140,7 @@ def _library(file: Path) -> list[Check]:
         loaded = Library.load(file)
     except (EgpError, OSError) as error:
         advice = "give a library that `egp train` wrote; `egp inspect FILE` shows one"
-        return [Check("library", "fail", f"{file}: {error}", advice)]
+        return [Check("library", "fail", str(error), advice)]
     points = sum(member.n_points for member in loaded.members)
     names = ", ".join(member.label for member in loaded.members)
     found = f"{file.name}: {len(loaded.members)} members ({names}), {points} points, verified"

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-Jobs = Annotated[int | None, typer.Option(help="Processes; one per core by default.")]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Processes; one per core by default.")]
 Cluster = Annotated[
     str | None,
     typer.Option(

@@ -6,9 +6,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from matplotlib import pyplot as plt
-from matplotlib.backend_bases import FigureCanvasBase
 
-from egp_service._core import EgpError
 from egp_service.files import replacing
 from egp_service.simulation.report import ALARM, FOUND, INK, MEMBER_COLOURS, MUTED, STYLE
 
@@ -19,17 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _QUANTILES = (("p50", "median", INK), ("p99", "99 %", FOUND), ("p999", "99.9 %", MEMBER_COLOURS[1]))
-
-
-def check_picture(path: Path) -> None:
-    """Raise `EgpError` unless a picture can get this name: by its ending, and in its folder."""
-    if not path.parent.is_dir():
-        raise EgpError(f"{path}: there is no folder {path.parent}; make it, or choose another one")
-    known = FigureCanvasBase.get_supported_filetypes()
-    if path.suffix.removeprefix(".").lower() not in known:
-        raise EgpError(
-            f"{path} does not name a picture: its ending is '{path.suffix}'; use .png, .svg or .pdf"
-        )
 
 
 def draw_load(report_file: Path, path: Path) -> Path:

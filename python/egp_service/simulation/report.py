@@ -10,11 +10,12 @@ mpl.use("Agg")
 
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.ticker import MaxNLocator
 
-from egp_service._core import GRAVITY
+from egp_service._core import GRAVITY, EgpError
 from egp_service.files import replacing
 from egp_service.quantities import OMEGA, POSITION, V_X, V_Y
 
@@ -56,6 +57,19 @@ FRICTION_RANGE = Normalize(0.4, 1.2)
 SPEED = mpl.colormaps["plasma"]
 # Points on white need darker colours than areas.
 FRICTION_POINTS = LinearSegmentedColormap.from_list("points", ["#3b8fc4", "#6a994e", "#2b2d33"])
+
+
+def check_picture(path: FilePath) -> None:
+    """Raise `EgpError` unless a picture can get this name: by its ending, and in its folder."""
+    if path.is_dir():
+        raise EgpError(f"{path} is a folder: name a picture in it, such as {path / 'picture.png'}")
+    if not path.parent.is_dir():
+        raise EgpError(f"{path}: there is no folder {path.parent}; make it, or choose another one")
+    known = FigureCanvasBase.get_supported_filetypes()
+    if path.suffix.removeprefix(".").lower() not in known:
+        raise EgpError(
+            f"{path} does not name a picture: its ending is '{path.suffix}'; use .png, .svg or .pdf"
+        )
 
 
 def draw_run(run: Run, folder: FilePath) -> list[FilePath]:

@@ -153,6 +153,7 @@ def drive(
             console.print(
                 f"The service has library {controller.library.hex()[:12]}…, which is not the "
                 f"scenario's ({chosen.library}).",
+                markup=False,
                 highlight=False,
             )
         folder = new_folder(output, chosen.name)
@@ -171,7 +172,7 @@ def drive(
         from egp_service.simulation.report import draw_run
 
         draw_run(run, folder)
-    console.print(f"Results in {folder}")
+    console.print(f"Results in {folder}", markup=False)
     if not run.summary.ending.completed:
         raise typer.Exit(NOT_COMPLETED)
 
@@ -232,6 +233,8 @@ def _fleet_map(
         endpoint, belief, road=road_name(scenario), vehicle=vehicle, zenoh_file=zenoh
     ) as fleet:
         if not fleet.fetch():
-            console.print(f"No map service answers at {endpoint}; start one with `egp map`")
+            console.print(
+                f"No map service answers at {endpoint}; start one with `egp map`", markup=False
+            )
         yield fleet.exchange
         console.print(map_summary(fleet.origins, belief.trust))

@@ -48,7 +48,8 @@ def load(
 
     arguments = list(context.args)
     if figure is not None:
-        from egp_service.simulation.load_figure import check_picture, draw_load
+        from egp_service.simulation.load_figure import draw_load
+        from egp_service.simulation.report import check_picture
 
         if replay is None:
             raise EgpError(
