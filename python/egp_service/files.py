@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,15 +14,31 @@ if TYPE_CHECKING:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path next to `path`; the file there replaces `path` at the end."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
-        beside = Path(folder) / path.name
-        yield beside
-        beside.replace(path)
+    """Yield a temporary path next to `path`; the file there replaces `path` at the end.
+
+    Folders that are missing are made.
+
+    Raises:
+        OSError: naming `path`, not the temporary file, if `path` is a folder or cannot be written.
+
+    """
+    if path.is_dir():
+        message = "this is a folder; name a file in it, or a new file"
+        raise IsADirectoryError(errno.EISDIR, message, str(path))
+    temporary = f".{path.name}."
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=temporary, dir=path.parent) as folder:
+            beside = Path(folder) / path.name
+            yield beside
+            beside.replace(path)
+    except OSError as error:
+        if error.filename is not None and temporary in str(error.filename):
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically."""
+    """Write a text file atomically; raises `OSError` as `replacing` does."""
     with replacing(path) as beside:
         beside.write_text(text, encoding="utf-8")

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from typer.testing import CliRunner
 
-from egp_service import Controller, Library
+from egp_service import Controller, EgpError, Library
 from egp_service._core import write_library_subset
 from egp_service.cli import app
 from egp_service.control.recorded import RecordingError, read_recording
@@ -204,6 +204,16 @@ def test_an_interrupted_recording_can_be_replayed(lap: Lap, tmp_path: Path) -> N
     assert len(recorded.steps) > 0.05 * len(lap.periods)
     again = replay(recorded, library_path(SCENARIO), recorded.settings or {})
     assert again.same.all()
+    damaged = bytearray(whole)
+    middle = len(whole) // 2
+    damaged[middle : middle + 200] = bytes(200)
+    (tmp_path / "[").mkdir()
+    path = tmp_path / "[" / "x].mcap"
+    path.write_bytes(damaged)
+    told = CliRunner().invoke(app, ["replay", str(path)]).output
+    at, behind = map(int, re.findall(r"damaged at byte (\d+) .*; the (\d+) bytes", told)[0])
+    assert at < middle < at + behind == len(whole)
+    assert told.startswith(f"{path}: ")
     path.write_bytes(b"no recording")
     with pytest.raises(RecordingError, match="expected an MCAP recording"):
         read_recording(path)
@@ -212,6 +222,10 @@ def test_an_interrupted_recording_can_be_replayed(lap: Lap, tmp_path: Path) -> N
 def test_a_replay_shows_where_other_settings_matter(lap: Lap, tmp_path: Path) -> None:
     settings, picture = tmp_path / "softer.toml", tmp_path / "differences.png"
     settings.write_text("cost.lateral = 20.0\n")
+    wrong = ["replay", "absent.mcap", "-o"]
+    for output, expected in ((tmp_path, "is a folder"), (tmp_path / "a.xyz", "use .png")):
+        with pytest.raises(EgpError, match=expected):
+            CliRunner().invoke(app, [*wrong, str(output)], catch_exceptions=False)
     command = ["replay", str(lap.folder / "run.mcap"), "--settings", str(settings)]
     result = CliRunner().invoke(app, [*command, "--output", str(picture)])
     assert result.exit_code == 0, result.output

@@ -138,6 +138,9 @@ def test_a_road_is_kept_in_a_file(laps: Laps, tmp_path: Path) -> None:
     other = replace(BLIND, track=Track("rounded-rectangle"))
     with pytest.raises(ScenarioError, match="the belief is about a road of"):
         load_belief(other, file)
+    other = replace(BLIND, seed=BLIND.seed + 1)
+    with pytest.raises(ScenarioError, match=r"another road of .* m beside this one; delete it"):
+        load_belief(other, file)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from egp_service import Controller, EgpError, Library, Plant, shipped
+from egp_service import Path as Road
 from egp_service._core import SETTINGS_DOCUMENT
 from egp_service.cli import app
 from egp_service.cli.checks import run_checks
@@ -22,6 +23,7 @@ from egp_service.cli.settings_text import read_settings_document
 from egp_service.control.endpoints import check_endpoints, why_not_free
 from egp_service.control.recorded import Recorded, RecordedStep, RecordingError, write_requests
 from egp_service.data.dataset import Dataset, Provenance
+from egp_service.files import replacing, write_text
 
 if TYPE_CHECKING:
     from click import Group
@@ -84,6 +86,18 @@ def test_settings_are_those_of_the_document() -> None:
 
 def test_evaluate_is_full_or_quick() -> None:
     assert "--full and --quick exclude each other" in failure("evaluate", "--full", "--quick")
+    told = failure("evaluate", "--log", "a.parquet", "--full", "-e", "prediction")
+    assert "--full, --experiment cannot be used with --log" in told
+    assert RUNNER.invoke(app, ["evaluate", "--jobs", "-3"]).exit_code == 2
+
+
+def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(IsADirectoryError, match="this is a folder; name a file in it") as found:
+        write_text(tmp_path, "")
+    assert found.value.filename == str(tmp_path)
+    with pytest.raises(FileNotFoundError) as lost, replacing(tmp_path / "a.txt"):
+        pass  # nothing is written
+    assert str(lost.value) == f"[Errno 2] No such file or directory: '{tmp_path / 'a.txt'}'"
 
 
 def test_settings_say_where_to_find_what_they_refer_to() -> None:
@@ -177,6 +191,8 @@ def test_training_does_not_begin_with_what_fails_at_its_end(tmp_path: Path) -> N
         step=steps,
         provenance=Provenance(0.05, "own car", "asphalt", 0.8, 0, "test", "test"),
     )
+    with pytest.raises(IsADirectoryError, match="this is a folder"):
+        data.write(tmp_path)
     log = tmp_path / "log.parquet"
     data.write(log)
     library = str(tmp_path / "library.safetensors")
@@ -259,8 +275,12 @@ def test_files_of_another_kind_are_named(tmp_path: Path) -> None:
     assert "log.csv has the columns t, v" in missing
     parquet = tmp_path / "data.parquet"
     parquet.write_bytes(b"PAR1" + bytes(100))
-    with pytest.raises(EgpError, match=r"this is a Parquet file.*egp train"):
+    with pytest.raises(EgpError, match=r"data.parquet: this is a Parquet file.*egp train"):
         Library.load(parquet)
+    assert f"{log}: this is not a library file" in failure("inspect", str(log))
+    log.write_bytes("x_m,y_m,größe\n".encode("latin-1"))
+    with pytest.raises(EgpError, match=r"log.csv: this is no text in UTF-8; save .* as UTF-8"):
+        Road.from_csv(log)
 
 
 def test_serve_has_the_options_of_the_server_in_the_same_words() -> None:

@@ -29,7 +29,10 @@ def test_unknown_and_impossible_settings_are_refused() -> None:
         ({"tail": 3.0}, "tail"),
         ({"max_tail_ticks": 1.5}, "max_tail_ticks"),
         ({"force_max": -1.0}, "force_max"),
-        ({"stop_deceleration": 9.0}, "stop_deceleration"),
+        (
+            {"stop_deceleration": 9.0},
+            r"stop_deceleration is 9 m/s², .*-force_min / mass = 8.* m/s²",
+        ),
     ):
         with pytest.raises(EgpError, match=named):
             Gate(0.02, LIMITS | change)

@@ -43,6 +43,16 @@ def test_inspect_shows_surfaces_sizes_scales_and_identity(tmp_path: Path) -> Non
     assert [value for value in expected if value not in text] == []
 
 
+def test_inspect_shows_brackets_of_a_path(tmp_path: Path) -> None:
+    (tmp_path / "[").mkdir()
+    library = tmp_path / "[" / "mu].safetensors"
+    write_example(library)
+    console = Console(file=io.StringIO(), width=300)
+    inspect(library, console)
+    assert isinstance(console.file, io.StringIO)
+    assert f"{library} (" in console.file.getvalue()
+
+
 def test_inspect_shows_the_vehicle_of_a_member_without_gps(tmp_path: Path) -> None:
     path = tmp_path / "library.safetensors"
     baselines.write(path, "kinematic", shipped.DEMO_LIBRARY, [0, 1], 1)

@@ -100,6 +100,7 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         (("[track]", "laps = inf\n[track]"), "laps must be a finite number, got inf"),
         (("[track]", "[measurement]\nposition = nan\n[track]"), "position must be a finite number"),
         (("[track]", "[measurement]\npsi = -1.0\n[track]"), "measurement.psi must be at least 0"),
+        (("[[zones]]", 'file = "a.csv"\n[[zones]]'), "track.file is for track kind 'csv', got"),
         (("[[zones]]", "parameters = {radius = nan}\n[[zones]]"), "radius must be a finite number"),
     ],
 )
@@ -214,6 +215,11 @@ def test_zones_in_metres_and_from_a_file_are_those_in_fractions(tmp_path: Path) 
     np.testing.assert_array_equal(
         build_path(metres).sample(s)[-1], build_path(fractions).sample(s)[-1]
     )
+    beyond = parse(f"zones_in_metres = true\n{MINIMAL}[[zones]]\nstart = 9000\nfriction = 0.5\n")
+    with pytest.raises(
+        ScenarioError, match=r"zones\[1\].start is 9000 m, but the path is .* m long"
+    ):
+        build_path(beyond)
     # The file is no longer needed by the resolved scenario.
     assert parse(metres.toml()) == metres
     (tmp_path / "zones.csv").write_text("start,friction\n0.0,0.8\n10.0,slippery\n")

@@ -151,6 +151,22 @@ def test_the_content_of_libraries_fits(tmp_path: Path) -> None:
         check(console.file.getvalue().splitlines())
 
 
+def test_a_narrow_terminal_shows_rows_as_paragraphs() -> None:
+    lines = printed(summary_table([("rounded-rectangle", summary())]), width=30)
+    assert "  result: completed" in map(str.rstrip, lines)
+    assert "12.3/65.4" in " ".join(lines)
+    assert "…" not in "".join(lines)
+    told = CliRunner().invoke(app, ["settings", "lateral"], env={"COLUMNS": "40"}).output
+    assert "cost.lateral" in told
+    assert "  unit: 1/m²" in told
+
+
+def test_brackets_in_names_are_shown() -> None:
+    skill = Skill((), {NO_CHANGE: np.zeros((0, 3))}, {NO_CHANGE: 0.0})
+    for table in (summary_table([("a [/b]", summary())]), skill_table("a [/b]", skill)):
+        assert "a [/b]" in " ".join(printed(table))
+
+
 @pytest.mark.parametrize("command", ["settings", "doctor"])
 def test_settings_and_the_state_of_the_machine_fit(command: str) -> None:
     check(CliRunner().invoke(app, [command], env={"COLUMNS": "80"}).output.splitlines())

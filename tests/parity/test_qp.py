@@ -244,3 +244,18 @@ def test_arrays_without_stages_hold_for_all() -> None:
 def test_a_problem_that_does_not_fit_is_refused(name: str, value: Array, message: str) -> None:
     with pytest.raises(EgpError, match=message):
         solve_ocp(*arguments(problem(0, 10, 3) | {name: value}))
+
+
+def test_soft_rows_with_another_coefficient_are_the_same_problem() -> None:
+    factor = np.array([-2.0, 0.5, 1.0, -1.0, 1.5])
+    for seed in range(8):
+        p = problem(seed, 20, 5)
+        ends = np.sort([p["soft_lower"] * factor, p["soft_upper"] * factor], axis=0)
+        scaled = p | {
+            "soft_normal": p["soft_normal"] * factor[:, None],
+            **dict(zip(("soft_lower", "soft_upper"), ends, strict=True)),
+            "penalty": p["penalty"] / np.stack([abs(factor), factor**2], axis=1),
+        }
+        one, other = solve_ocp(*arguments(p)), solve_ocp(*arguments(scaled))
+        assert (other.status, other.solver) == ("solved", one.solver)
+        np.testing.assert_allclose(other.u, one.u, rtol=0, atol=TOLERANCE)

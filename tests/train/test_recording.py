@@ -241,11 +241,33 @@ def test_files_that_are_no_complete_recording_are_named(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     with pytest.raises(EgpError, match="metadata"):
         load(tmp_path / "folder")
-    whole = write(tmp_path, "mcap")
-    cut = tmp_path / "cut.mcap"
+    whole = write(tmp_path, "db3")
+    cut = tmp_path / "cut.db3"
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-    with pytest.raises(EgpError, match=r"cut\.mcap: "):
+    with pytest.raises(EgpError, match=r"cut\.db3: "):
         load(cut)
+
+
+def test_an_interrupted_mcap_file_is_read_up_to_there(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file, chunk_size=1000)
+        writer.start()
+        channel = writer.register_channel("/car", "json", 0)
+        for k in range(500):
+            writer.add_message(channel, 10**7 * k, b'{"speed": %d}' % k, 10**7 * k)
+        writer.finish()  # type: ignore[no-untyped-call]
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    speeds = read_recording(path, ["/car/speed"], 0.02)["/car/speed"].to_list()
+    assert 100 < len(speeds) < 300
+    assert speeds == list(range(len(speeds)))
+    assert "run.mcap was interrupted" in caplog.text
+    path.write_bytes(whole[: len(whole) // 3] + bytes(range(200)) + whole[len(whole) // 3 :][:900])
+    with pytest.raises(EgpError, match=r"run.mcap: the recording is damaged at byte \d+ "):
+        read_recording(path, ["/car/speed"], 0.02)
 
 
 @pytest.mark.parametrize("form", ["mcap", "db3", "ros1"])

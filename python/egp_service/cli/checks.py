@@ -140,8 +140,9 @@ def _library(file: Path) -> list[Check]:
         loaded = Library.load(file)
     except (EgpError, OSError) as error:
         advice = "give a library that `egp train` wrote; `egp inspect FILE` shows one"
-        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        return [Check("library", "fail", f"{file}: {reason}", advice)]
+        named = isinstance(error, OSError) and error.strerror
+        reason = f"{file}: {error.strerror}" if named else str(error)
+        return [Check("library", "fail", reason, advice)]
     points = sum(member.n_points for member in loaded.members)
     names = ", ".join(member.label for member in loaded.members)
     found = f"{file.name}: {len(loaded.members)} members ({names}), {points} points, verified"

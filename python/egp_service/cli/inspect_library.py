@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from egp_service._core import Library
@@ -101,7 +102,7 @@ def summary(path: Path, library: Library) -> Table:
         **_kinds(library),
     }
     for name, value in rows.items():
-        table.add_row(name, value)
+        table.add_row(escape(name), escape(value))
     return table
 
 
@@ -118,7 +119,7 @@ def members(members: Iterable[Member]) -> Table:
     )
     for member in members:
         table.add_row(
-            member.label,
+            escape(member.label),
             f"{member.friction:g}",
             f"{member.peak_slip:.3f}",
             str(member.n_points),
@@ -138,7 +139,7 @@ def hyperparameters(member: Member) -> Table:
         *GP_INPUT,
         "scale",
         "noise",
-        title=f"{member.label}: lengthscales (in standard deviations of the input)",
+        title=escape(f"{member.label}: lengthscales (in standard deviations of the input)"),
         box=box.SIMPLE_HEAD,
     )
     values = zip(
@@ -162,7 +163,7 @@ def vehicle(label: str, parameters: NDArray[np.float64]) -> tuple[Table, ...]:
     The body of a kinematic vehicle has only the first three of its parameters.
     """
     values = [f"{value:.4g}" for value in parameters]
-    body = Table(*BODY[: len(values)], title=f"{label}: the vehicle", box=box.SIMPLE_HEAD)
+    body = Table(*BODY[: len(values)], title=escape(f"{label}: the vehicle"), box=box.SIMPLE_HEAD)
     body.add_row(*values[: len(BODY)])
     if len(values) <= len(BODY):
         return (body,)
@@ -178,7 +179,7 @@ def envelope(member: Member) -> Table:
     table = Table(
         "",
         *(f"{name} {unit}" for name, unit in GP_INPUT.items()),
-        title=f"{member.label}: envelope of the training inputs",
+        title=escape(f"{member.label}: envelope of the training inputs"),
         box=box.SIMPLE_HEAD,
     )
     for name, bound in zip(("min", "max"), member.envelope, strict=True):

@@ -43,7 +43,7 @@ def evaluate_on(console: Console, logs: Sequence[Path], vehicle: Path | None, ou
     for outcome in outcomes:
         _show(console, outcome)
         picture = draw_log(outcome, output / f"{outcome.name}.png")
-        console.print(f"Look at {picture}", highlight=False)
+        console.print(f"Look at {picture}", markup=False, highlight=False)
 
 
 def _show(console: Console, outcome: LogOutcome) -> None:
@@ -54,11 +54,13 @@ def _show(console: Console, outcome: LogOutcome) -> None:
         console.print(
             f"{outcome.name}: {name} has white noise of {noise:.4f}; "
             f"consecutive changes correlate by {correlation:+.2f}",
+            markup=False,
             highlight=False,
         )
     console.print(
         f"{outcome.name}: the yaw rate follows the steering by {found.steering_delay:.2f} s, the "
         f"change of v_x the force by {found.force_delay:.2f} s",
+        markup=False,
         highlight=False,
     )
     console.print(delay_sentence(outcome.delays), highlight=False)
@@ -77,9 +79,9 @@ def _show(console: Console, outcome: LogOutcome) -> None:
     console.print(outcome.residual.settings(), highlight=False, markup=False)
     member = outcome.member
     sentence = kind_sentence(outcome.name, member.kind, member.likelihoods)
-    console.print(sentence, highlight=False)
+    console.print(sentence, markup=False, highlight=False)
     for warning in skill_warnings(outcome.name, OURS, outcome.skill):
-        console.print(f"[yellow]{warning}[/]", highlight=False)
+        console.print(warning, style="yellow", markup=False, highlight=False)
 
 
 def _shares(shares: NDArray[np.float64]) -> str:

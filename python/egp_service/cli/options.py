@@ -8,7 +8,7 @@ import typer
 
 from egp_service._core import EgpError
 
-Jobs = Annotated[int | None, typer.Option(help="Processes; one per core by default.")]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Processes; one per core by default.")]
 Cluster = Annotated[
     str | None,
     typer.Option(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def collecting(console: Console) -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar for each surface; the callable takes label, completed runs and all runs."""
     with Progress(
-        TextColumn("collecting {task.description}"),
+        TextColumn("collecting {task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("runs"),
@@ -47,7 +47,7 @@ def collecting(console: Console) -> Iterator[Callable[[str, int, int], None]]:
 def reading(console: Console, name: str) -> Iterator[Callable[[int, int], None]]:
     """Show a bar for a recording; the callable takes the messages that were read, and all."""
     with Progress(
-        TextColumn("reading {task.description}"),
+        TextColumn("reading {task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("messages"),
@@ -70,7 +70,7 @@ def fitting(console: Console) -> Iterator[Callable[[FitProgress], None]]:
     The bar jumps when a fit converges early, so the remaining time is an upper bound.
     """
     with Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("loss {task.fields[loss]:8.4f}"),
         TimeElapsedColumn(),

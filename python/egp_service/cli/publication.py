@@ -45,6 +45,7 @@ def publication(
         console.print(
             f"Nobody listens at {endpoint} ({reason}), so that no page shows this drive; start "
             f"`egp monitor --listen {endpoint}`",
+            markup=False,
             highlight=False,
         )
     road = vehicle_road(build_path(scenario))

@@ -26,8 +26,8 @@ def heading(path: Path, recorded: Recorded) -> str:
         f"({', '.join(recorded.members)}), egp-service {about['version']}, "
         f"vector instructions {about['vector_instructions']}"
     )
-    if not recorded.complete:
-        text += "\nThe recording was interrupted; its last steps are missing."
+    if recorded.missing:
+        text += f"\n{recorded.missing}"
     if recorded.settings is None:
         text += (
             "\nThe recording does not hold the service's settings, so defaults are used; "

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from rich import box
-from rich.table import Table
+from rich.markup import escape
 
+from egp_service.cli.narrow_table import NarrowTable
 from egp_service.data.alignment import Delays
 from egp_service.quantities import GP_OUTPUT, MOTION, STATE
 from egp_service.training.open_loop import MOVING, NO_CHANGE
@@ -14,6 +15,8 @@ from egp_service.training.validation import ROLLOUT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from rich.table import Table
 
     from egp_service.simulation.summary import Summary
     from egp_service.training.open_loop import Skill
@@ -31,7 +34,7 @@ MOTION_NAMES: Final = tuple(list(STATE)[column] for column in MOTION)
 
 def narrow_table(*heads: str, wrapped: Sequence[str] = (), title: str | None = None) -> Table:
     """Return an empty table for 80 columns, whose rows have no line breaks but in `wrapped`."""
-    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = NarrowTable(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for head in heads:
         table.add_column(head, no_wrap=head not in wrapped)
     return table
@@ -39,7 +42,7 @@ def narrow_table(*heads: str, wrapped: Sequence[str] = (), title: str | None = N
 
 def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
     """Return a table with a row for each run: result, errors and times."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = NarrowTable(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("run", overflow="fold")
     table.add_column("result", width=len("completed"))
     for header in (
@@ -56,7 +59,7 @@ def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
         if not ending.completed:
             result = f"[red]{ending.reason.partition(':')[0]} after {ending.distance:.0f} m[/]"
         table.add_row(
-            label,
+            escape(label),
             result,
             f"{ending.time:.1f}",
             f"{summary.lateral_error.max:.2f}/{summary.lateral_error.rms:.2f}",
@@ -84,7 +87,7 @@ def validation_table(matrix: list[list[Cell]]) -> Table:
     )
     for row in matrix:
         for cell in row:
-            names = (cell.member, cell.surface)
+            names = (escape(cell.member), escape(cell.surface))
             for output, *values in zip(
                 GP_OUTPUT, cell.rmse, cell.nlpd, cell.coverage, cell.rollout, strict=True
             ):
@@ -128,7 +131,7 @@ def vehicle_table(label: str, parameters: Mapping[str, Mapping[str, float | bool
     table = narrow_table(
         *("parameter", "value", "95 % interval", "from prior", ""),
         wrapped=("",),
-        title=f"{label}: the fitted vehicle",
+        title=escape(f"{label}: the fitted vehicle"),
     )
     table.caption = _SYMBOLS
     table.caption_justify = "left"
@@ -139,7 +142,7 @@ def vehicle_table(label: str, parameters: Mapping[str, Mapping[str, float | bool
         if found["at_bound"]:
             remarks.append("[yellow]at the end of the range[/]")
         table.add_row(
-            name,
+            escape(name),
             f"{found['value']:.4g}",
             f"{found['low']:.4g} to {found['high']:.4g}",
             f"{found['distance']:+.1f}",
@@ -157,7 +160,7 @@ def skill_table(label: str, skill: Skill) -> Table:
         *("predictor", "output", *(f"{duration:g} s" for duration in skill.durations)),
         "likelihood",
         wrapped=("predictor",),
-        title=f"{label}: errors on held-out data after",
+        title=escape(f"{label}: errors on held-out data after"),
     )
     for name, errors in skill.rms.items():
         cells = (name, f"{skill.likelihood[name]:+.2f}")

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-import struct
+import os
 import tomllib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.records import Channel, Footer, Message, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, Footer, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import MCAP0_MAGIC
 
 from egp_service._core import EgpError, decode_request
 from egp_service.control.messages import message_class
@@ -28,6 +28,24 @@ if TYPE_CHECKING:
 
 class RecordingError(EgpError):
     """A recording that cannot be read, or cannot be replayed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Where a recording cannot be read on, although it goes on or was ended."""
+
+    at: int
+    """First byte that was not read."""
+    behind: int
+    """Number of bytes from there to the end."""
+    reason: str
+
+    def __str__(self) -> str:
+        """Say where the damage is and what is missing."""
+        return (
+            f"damaged at byte {self.at} ({self.reason}); the {self.behind} bytes from there on "
+            "were not read"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +75,21 @@ class Recorded:
     """The scenario of a simulated run as TOML."""
     steps: list[RecordedStep]
     complete: bool
-    """Whether the recording was ended; otherwise it lacks the last steps before an interruption."""
+    """Whether the recording was read to its end."""
+    missing: str = ""
+    """Sentence about what is missing because of an interruption or a damage; empty if complete."""
 
     @property
     def members(self) -> list[str]:
         """Surfaces, in the order of the weights."""
         return [str(name) for name in json.loads(self.about["members"])]
+
+
+def missing(end: Footer | Damage | None) -> str:
+    """Return a sentence about what a recording lacks, empty if its last record is the footer."""
+    if isinstance(end, Damage):
+        return f"The recording is {end}."
+    return "" if end else "The recording was interrupted; its last steps are missing."
 
 
 def read_recording(path: Path) -> Recorded:
@@ -77,15 +104,15 @@ def read_recording(path: Path) -> Recorded:
     topics: dict[int, str] = {}
     requests: list[tuple[float, bytes]] = []
     replies: dict[int, bytes] = {}
-    complete = False
+    end: Footer | Damage | None = None
     sequence_of = message_class("StepReply").FromString
     for record in records(path):
         if isinstance(record, Metadata):
             metadata[record.name] = record.metadata
         elif isinstance(record, Channel):
             topics[record.id] = record.topic
-        elif isinstance(record, Footer):
-            complete = True
+        elif isinstance(record, Footer | Damage):
+            end = record
         elif isinstance(record, Message):
             topic = topics.get(record.channel_id)
             if topic == "/request":
@@ -105,7 +132,8 @@ def read_recording(path: Path) -> Recorded:
         stated_settings={} if settings is None else tomllib.loads(settings["stated"]),
         scenario=None if scenario is None else scenario["toml"],
         steps=[_step(time, request, replies) for time, request in requests],
-        complete=complete,
+        complete=isinstance(end, Footer),
+        missing=missing(end),
     )
 
 
@@ -136,20 +164,32 @@ def _step(time: float, request: bytes, replies: Mapping[int, bytes]) -> Recorded
     return RecordedStep(time, np.asarray(sent.x), request, replies.get(sent.sequence))
 
 
-def records(path: Path) -> Iterator[McapRecord]:
+def records(path: Path) -> Iterator[McapRecord | Damage]:
     """Give the records of an MCAP file up to its end, or up to where it was cut off.
+
+    If it cannot be read to there, the last thing given is the damage.
 
     Raises:
         RecordingError: for a file that is not MCAP.
         OSError: if the file cannot be read.
 
     """
-    begun = False
+    read = 0
     with path.open("rb") as stream:
         try:
-            for record in StreamReader(stream, validate_crcs=True).records:
-                begun = True
-                yield record
-        except (McapError, EOFError, struct.error, ValueError) as error:
-            if not begun:
+            for record in StreamReader(stream, emit_chunks=True, validate_crcs=True).records:
+                if isinstance(record, Chunk):
+                    yield from breakup_chunk(record, validate_crc=True)
+                else:
+                    yield record
+                read = stream.tell()
+        except OSError:
+            raise
+        except Exception as error:  # of many kinds, for damaged files
+            if read == 0:
                 raise RecordingError(f"{path}: expected an MCAP recording: {error!r}") from error
+            stopped, size = stream.tell(), stream.seek(0, os.SEEK_END)
+            stream.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+            # A file that was cut off ends within a record, and not with the mark of the end.
+            if stopped < size or stream.read() == MCAP0_MAGIC:
+                yield Damage(read, size - read, str(error) or type(error).__name__)

@@ -10,13 +10,13 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import polars as pl
 
 from egp_service._core import EgpError
+from egp_service.files import replacing
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ class Dataset:
         return sha.hexdigest()
 
     def write(self, path: Path) -> None:
-        """Write the file atomically."""
+        """Write the file atomically; raises `OSError` that names `path` if it cannot be written."""
         frame = pl.DataFrame(
             {name: self.z[:, i] for i, name in enumerate(GP_INPUT)}
             | {name: self.y[:, i] for i, name in enumerate(GP_OUTPUT)}
@@ -147,15 +147,10 @@ class Dataset:
             "units": GP_INPUT | GP_OUTPUT,
             **self.provenance.metadata(),
         }
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
+        with replacing(path) as beside:
             frame.write_parquet(
-                partial, metadata={METADATA_KEY: json.dumps(metadata, sort_keys=True)}
+                beside, metadata={METADATA_KEY: json.dumps(metadata, sort_keys=True)}
             )
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
 
     @staticmethod
     def read(path: Path) -> Dataset:

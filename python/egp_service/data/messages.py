@@ -5,25 +5,30 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import logging
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
 from mcap.decoder import DecoderFactory
 from mcap.reader import make_reader
+from mcap.records import Channel, Footer, Message, Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoderFactory
 
 from egp_service._core import EgpError
+from egp_service.control.recorded import Damage, records
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from mcap.records import Schema
+    from mcap.records import McapRecord
     from rosbags.typesys.store import Typestore
 
     Decoder = Callable[[bytes], Any]
 
 _BAGS: Final = {".bag", ".db3"}
 _MCAP: Final = ".mcap"
+_log = logging.getLogger(__name__)
 
 
 def is_recording(path: Path) -> bool:
@@ -45,9 +50,11 @@ class Messages:
 def open_recording(path: Path) -> Iterator[Messages]:
     """Open a bag's folder, a `.bag`, `.db3` or `.mcap` file.
 
+    An MCAP file that was interrupted is read up to there, and a warning says so.
+
     Raises:
-        EgpError: if there is no such file, it is no recording, or it is not complete; also while
-            its messages are read.
+        EgpError: if there is no such file, it is no recording or damaged, or a bag is not complete;
+            also while its messages are read.
 
     """
     if not path.exists():
@@ -106,26 +113,68 @@ def _bag(path: Path, stack: contextlib.ExitStack) -> Messages:
 
 def _mcap(path: Path, stack: contextlib.ExitStack) -> Messages:
     file = stack.enter_context(path.open("rb"))
-    reader = make_reader(file, decoder_factories=[ProtobufDecoderFactory(), _Json(), _Ros2()])
-    summary = reader.get_summary()
+    decoders = [ProtobufDecoderFactory(), _Json(), _Ros2()]
+    reader = make_reader(file, validate_crcs=True, decoder_factories=decoders)
+    summary = None
+    with contextlib.suppress(Exception):  # of many kinds, where there is no index
+        summary = reader.get_summary()
     if summary is None or summary.statistics is None:
-        raise EgpError(
-            f"{path}: the recording has no summary, because it was interrupted; `mcap recover` "
-            "(of the MCAP command line tool) writes one"
-        )
-    counts = summary.statistics.channel_message_counts
-    topics: dict[str, tuple[str, int]] = {}
-    for channel in summary.channels.values():
-        schema = summary.schemas.get(channel.schema_id)
-        kind = schema.name if schema else channel.message_encoding
-        _, before = topics.get(channel.topic, (kind, 0))
-        topics[channel.topic] = (kind, before + counts.get(channel.id, 0))
+        return _without_index(path, decoders)
 
     def read(chosen: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
         for _, channel, record, message in reader.iter_decoded_messages(topics=chosen):
             yield channel.topic, record.log_time, message
 
-    return Messages(topics, read)
+    counts = summary.statistics.channel_message_counts
+    return Messages(_topics(summary.channels, summary.schemas, counts), read)
+
+
+def _without_index(path: Path, factories: Sequence[DecoderFactory]) -> Messages:
+    """Return the messages of an MCAP file that has no index, up to where it was interrupted."""
+    found = list(_without_messages(path))
+    schemas = {record.id: record for record in found if isinstance(record, Schema)}
+    channels = {record.id: record for record in found if isinstance(record, Channel)}
+    counts = Counter(record for record in found if isinstance(record, int))
+    end = found[-1]
+    if isinstance(end, Damage):
+        raise EgpError(f"{path}: the recording is {end}")
+    if not isinstance(end, Footer):
+        _log.warning("%s was interrupted; its last messages are missing", path)
+
+    def decoder(channel: Channel) -> Decoder:
+        schema = schemas.get(channel.schema_id)
+        for factory in factories:
+            if decode := factory.decoder_for(channel.message_encoding, schema):
+                return decode
+        raise EgpError(f"{path}: {channel.topic} has the encoding {channel.message_encoding!r}")
+
+    def read(chosen: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
+        wanted = {key: channel for key, channel in channels.items() if channel.topic in chosen}
+        decoders = {key: decoder(channel) for key, channel in wanted.items()}
+        for record in records(path):
+            if isinstance(record, Message) and record.channel_id in wanted:
+                message = decoders[record.channel_id](record.data)
+                yield wanted[record.channel_id].topic, record.log_time, message
+
+    return Messages(_topics(channels, schemas, counts), read)
+
+
+def _without_messages(path: Path) -> Iterator[McapRecord | Damage | int]:
+    """Give the records, but only the numbers of the channels of messages, which may be large."""
+    for record in records(path):
+        yield record.channel_id if isinstance(record, Message) else record
+
+
+def _topics(
+    channels: Mapping[int, Channel], schemas: Mapping[int, Schema], counts: Mapping[int, int]
+) -> dict[str, tuple[str, int]]:
+    topics: dict[str, tuple[str, int]] = {}
+    for channel in channels.values():
+        schema = schemas.get(channel.schema_id)
+        kind = schema.name if schema else channel.message_encoding
+        _, before = topics.get(channel.topic, (kind, 0))
+        topics[channel.topic] = (kind, before + counts.get(channel.id, 0))
+    return topics
 
 
 class _Json(DecoderFactory):

@@ -50,7 +50,8 @@ TRACKS: dict[str, Callable[..., Path]] = {
 def build_path(scenario: Scenario) -> Path:
     """Path of the scenario's track, with widths and friction zones.
 
-    Raises `ScenarioError` if track or dimension are unknown, `EgpError` if dimensions are invalid.
+    Raises `ScenarioError` if track or dimension are unknown, or a zone begins behind the end of the
+    path, `EgpError` if dimensions are invalid.
     """
     track = scenario.track
     if track.kind not in TRACKS:
@@ -72,6 +73,12 @@ def build_path(scenario: Scenario) -> Path:
     except TypeError as error:
         raise ScenarioError(f"track {track.kind}: {error}") from error
     scale = path.length if scenario.zones_in_metres else 1.0
+    for number, zone in enumerate(scenario.zones):
+        if scenario.zones_in_metres and zone.start >= path.length:
+            raise ScenarioError(
+                f"{scenario.name}: zones[{number}].start is {zone.start:g} m, but the path is "
+                f"{path.length:g} m long: expected less"
+            )
     return path.with_friction([(zone.start / scale, *zone.sides()) for zone in scenario.zones])
 
 

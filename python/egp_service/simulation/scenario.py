@@ -305,6 +305,11 @@ def _check(scenario: Scenario, origin: str) -> None:
             f"{origin}: actuator_delay must be in 0..={MAX_DELAY}, got {scenario.actuator_delay}"
         )
     _check_speed(scenario.speed, origin)
+    if scenario.track.file is not None and scenario.track.kind != "csv":
+        raise ScenarioError(
+            f"{origin}: track.file is for track kind 'csv', got kind {scenario.track.kind!r}: set "
+            "kind = 'csv', or leave out `file`"
+        )
     positive = {
         "speed.grip": scenario.speed.grip,
         "speed.v_max": scenario.speed.v_max,

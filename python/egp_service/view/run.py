@@ -11,7 +11,7 @@ from mcap.records import Channel, Footer, Metadata, Schema
 from mcap.records import Message as Record
 from mcap_protobuf.decoder import DecoderFactory
 
-from egp_service.control.recorded import RecordingError, records
+from egp_service.control.recorded import Damage, RecordingError, missing, records
 from egp_service.control.recorder import ABOUT
 
 if TYPE_CHECKING:
@@ -39,7 +39,9 @@ class RecordedRun:
     scene: Message | None = None
     """`foxglove.SceneUpdate` with road and car; `None` without a simulated road."""
     complete: bool = False
-    """Whether the recording was ended; otherwise it lacks the last steps before an interruption."""
+    """Whether the recording was read to its end."""
+    missing: str = ""
+    """Sentence about what is missing because of an interruption or a damage; empty if complete."""
 
     @property
     def poses(self) -> dict[int, tuple[float, float, float]]:
@@ -62,6 +64,7 @@ def read_run(path: Path) -> RecordedRun:
 
     """
     run = RecordedRun()
+    end: Footer | Damage | None = None
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     decoders = DecoderFactory()
@@ -72,8 +75,8 @@ def read_run(path: Path) -> RecordedRun:
             schemas[record.id] = record
         elif isinstance(record, Channel):
             channels[record.id] = record
-        elif isinstance(record, Footer):
-            run.complete = True
+        elif isinstance(record, Footer | Damage):
+            end = record
         elif isinstance(record, Record):
             channel = channels[record.channel_id]
             if channel.topic in _TOPICS:
@@ -85,6 +88,7 @@ def read_run(path: Path) -> RecordedRun:
                         f"{channel.message_encoding!r}"
                     )
                 _keep(run, channel.topic, record.log_time, decode(record.data))
+    run.complete, run.missing = isinstance(end, Footer), missing(end)
     if not run.about or not run.steps:
         raise RecordingError(
             f"{path}: expected a recording of `egp drive` or `Recorder` with at least one control "

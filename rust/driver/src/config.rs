@@ -43,7 +43,7 @@ pub struct DriverConfig {
     pub limits: Limits,
     /// Control periods that the rest of a plan may bridge. Default 25, half a second at 50 Hz.
     pub max_tail_ticks: u64,
-    /// Deceleration of a stop, m/s². Default 3.
+    /// Deceleration of a stop, m/s². Default 3, or the strongest that the limits allow.
     pub stop_deceleration: f64,
     /// Whether to ask for the predicted standard deviations. Default false.
     pub want_sigma: bool,
@@ -73,7 +73,7 @@ impl DriverConfig {
             hedge: 0.5,
             limits,
             max_tail_ticks: 25,
-            stop_deceleration: 3.0,
+            stop_deceleration: limits.stop_deceleration(),
             want_sigma: false,
             key: None,
         })

@@ -1,6 +1,6 @@
 //! The gate: WAITING → NORMAL → TAIL → STOP.
 
-use crate::limits::{Limits, LimitsError, positive};
+use crate::limits::{Limits, LimitsError, ROUNDING, positive};
 
 /// Largest number of inputs of a plan.
 pub const MAX_HORIZON: usize = 128;
@@ -39,6 +39,17 @@ pub enum GateError {
     /// An invalid limit or setting.
     #[error(transparent)]
     Limits(#[from] LimitsError),
+    /// A stop that needs more force than the limits allow.
+    #[error(
+        "gate setting stop_deceleration is {value} m/s², the limits allow at most -force_min / mass = {bound} m/s²; \
+         state at most this, or leave it out"
+    )]
+    StopDeceleration {
+        /// The given value.
+        value: f64,
+        /// The strongest deceleration of the limits.
+        bound: f64,
+    },
     /// A plan without inputs, or with more than [`MAX_HORIZON`].
     #[error("a plan has 1 to {MAX_HORIZON} inputs, got {0}")]
     Length(usize),
@@ -91,18 +102,17 @@ impl Gate {
     ) -> Result<Self, GateError> {
         limits.validate()?;
         let stop_force = limits.mass * positive("stop_deceleration", stop_deceleration)?;
-        if stop_force > -limits.force_min {
-            return Err(GateError::Limits(LimitsError {
-                name: "stop_deceleration",
-                expected: "at most -force_min / mass",
+        if stop_force > -limits.force_min * (1.0 + ROUNDING) {
+            return Err(GateError::StopDeceleration {
                 value: stop_deceleration,
-            }));
+                bound: -limits.force_min / limits.mass,
+            });
         }
         Ok(Self {
             limits,
             dt: positive("dt", dt)?,
             max_tail_ticks,
-            stop_force,
+            stop_force: stop_force.min(-limits.force_min),
             plan: [[0.0; 2]; MAX_HORIZON],
             length: 0,
             start: 0,

@@ -53,7 +53,9 @@ pub struct WiderError {
 }
 
 /// Relative difference between two limits that is rounding.
-const ROUNDING: f64 = 1e-9;
+pub(crate) const ROUNDING: f64 = 1e-9;
+/// Deceleration of a stop \[m/s²\] that wet roads hold, so that the wheels do not lock.
+const STOP_DECELERATION: f64 = 3.0;
 /// Largest relative difference between the masses of the same vehicle.
 const SAME_MASS: f64 = 0.01;
 
@@ -83,6 +85,11 @@ impl Limits {
             steering_rate: vehicle.steering_rate,
             steering_slew: vehicle.steering_slew,
         }
+    }
+
+    /// The deceleration of a stop \[m/s²\] where no other is stated: 3, or the strongest that the limits allow.
+    pub fn stop_deceleration(&self) -> f64 {
+        STOP_DECELERATION.min(-self.force_min / self.mass)
     }
 
     /// Checks that the gate lets nothing through that the vehicle which plans are made for cannot do, apart from

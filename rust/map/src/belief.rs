@@ -65,6 +65,8 @@ pub struct RoadBelief {
     pub(crate) settings: BeliefSettings,
     pub(crate) grid: Grid,
     closed: bool,
+    /// Points of the road with equal distances in m, by which it is told from others; may be empty.
+    pub(crate) shape: Vec<[f64; 2]>,
     pub(crate) cell: f64,
     /// Where the vehicle was at the starts of the last periods, newest last.
     pub(crate) track: VecDeque<f64>,
@@ -106,6 +108,7 @@ impl RoadBelief {
             settings: *settings,
             grid: Grid::new(),
             closed,
+            shape: Vec::new(),
             cell: length / cells,
             track: VecDeque::with_capacity(settings.window + 1),
             evidence: vec![[0.0; _]; cells as usize],

@@ -8,9 +8,11 @@ use crate::grid::{LEVELS, Row};
 use crate::{MergeSettings, RoadBelief};
 
 const TENSOR: &str = "evidence";
-const SCHEMA: &str = "egp-road-belief-1";
+const SCHEMA: &str = "egp-road-belief-2";
 /// Largest difference in m between the length of a road and that of a file.
 const SAME: f64 = 1e-3;
+/// Largest distance in m between the points of a road and those of a file: more than rounding, less than a lane.
+const SAME_PLACE: f64 = 0.5;
 
 /// Bytes that are no belief about a road, or one about another.
 #[derive(Debug, thiserror::Error)]
@@ -35,9 +37,30 @@ pub enum StoredBeliefError {
         /// Lap or open road.
         kind: &'static str,
     },
+    /// A belief about another road of the same length.
+    #[error(
+        "the belief is about another road of {length:.1} m: {s:.0} m from the start, that one is {distance:.1} m beside \
+         this one"
+    )]
+    OtherShape {
+        /// Length of both, m.
+        length: f64,
+        /// Distance from the start, m, of the place where the roads are farthest apart.
+        s: f64,
+        /// Distance of the roads there, m.
+        distance: f64,
+    },
 }
 
 impl RoadBelief {
+    /// States the road's course by points in m with equal distances along it, so that [`Self::recall`] refuses a belief
+    /// about another road of the same length.
+    #[must_use]
+    pub fn with_shape(mut self, points: Vec<[f64; 2]>) -> Self {
+        self.shape = points;
+        self
+    }
+
     /// The evidence as bytes; equal beliefs give equal bytes.
     ///
     /// # Errors
@@ -46,10 +69,10 @@ impl RoadBelief {
         let values: Vec<u8> = (self.evidence().iter().flatten())
             .flat_map(|value| value.to_le_bytes())
             .collect();
-        let metadata = HashMap::from([(
-            SCHEMA.to_owned(),
-            format!("{} {}", self.length(), kind(self.closed())),
-        )]);
+        // One key only: the order of several would differ from run to run.
+        let mut road = vec![self.length().to_string(), kind(self.closed()).to_owned()];
+        road.extend(self.shape.as_flattened().iter().map(f64::to_string));
+        let metadata = HashMap::from([(SCHEMA.to_owned(), road.join(" "))]);
         let shape = vec![self.evidence().len(), LEVELS];
         let view = TensorView::new(Dtype::F64, shape, &values)?;
         Ok(serialize([(TENSOR, view)], Some(metadata))?)
@@ -74,10 +97,12 @@ impl RoadBelief {
         let (_, header) = SafeTensors::read_metadata(bytes)?;
         let road = (header.metadata().as_ref())
             .and_then(|metadata| metadata.get(SCHEMA))
-            .and_then(|road| road.split_once(' '));
-        let (stored, stored_kind) =
-            road.ok_or_else(|| content(&format!("its metadata have no key {SCHEMA}")))?;
+            .ok_or_else(|| content(&format!("its metadata have no key {SCHEMA}")))?;
+        let mut road = road.split(' ');
+        let (stored, stored_kind) = (road.next().unwrap_or(""), road.next().unwrap_or(""));
         let stored: f64 = (stored.parse()).map_err(|_| content("its length is not a number"))?;
+        let shape: Vec<f64> = (road.map(str::parse).collect::<Result<_, _>>())
+            .map_err(|_| content("a point of its road is not a number"))?;
         let stored_kind = kind(stored_kind == kind(true));
         let (cells, length, kind) = (self.evidence().len(), self.length(), kind(self.closed()));
         if (stored - length).abs() > SAME || stored_kind != kind {
@@ -88,6 +113,7 @@ impl RoadBelief {
                 kind,
             });
         }
+        self.check_shape(&shape)?;
         let tensors = SafeTensors::deserialize(bytes)?;
         let tensor = tensors.tensor(TENSOR)?;
         if tensor.dtype() != Dtype::F64 || tensor.shape() != [cells, LEVELS] {
@@ -111,6 +137,33 @@ impl RoadBelief {
             self.add_to_cell(cell, remaining, row);
         }
         Ok(())
+    }
+
+    /// Errors unless a file's points are those of this road.
+    fn check_shape(&self, stored: &[f64]) -> Result<(), StoredBeliefError> {
+        let points = self.shape.len();
+        if stored.len() != 2 * points {
+            return Err(StoredBeliefError::Content(format!(
+                "expected {} coordinates of its road, got {}",
+                2 * points,
+                stored.len()
+            )));
+        }
+        let apart = |(a, b): (&[f64; 2], &[f64; 2])| (a[0] - b[0]).hypot(a[1] - b[1]);
+        let distances = (self.shape.iter().zip(stored.as_chunks().0)).map(apart);
+        match distances
+            .enumerate()
+            .max_by(|(_, a), (_, b)| a.total_cmp(b))
+        {
+            Some((place, distance)) if distance > SAME_PLACE || distance.is_nan() => {
+                Err(StoredBeliefError::OtherShape {
+                    length: self.length(),
+                    s: self.length() * place as f64 / points as f64,
+                    distance,
+                })
+            }
+            _ => Ok(()),
+        }
     }
 }
 

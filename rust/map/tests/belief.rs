@@ -219,6 +219,22 @@ fn bytes_that_are_no_belief_about_this_road_are_errors_and_change_nothing() {
 }
 
 #[test]
+fn a_road_of_the_same_length_with_another_course_is_another_road() {
+    let lap = |corner: f64| {
+        let points = [[0.0, 0.0], [corner, 0.1], [125.0, 125.0], [0.0, 125.0]];
+        belief().with_shape(points.to_vec())
+    };
+    let mut stored = lap(125.0);
+    drive(&mut stored, 0.0, 100.0, |_| Some(evidence(0.5)));
+    let bytes = stored.to_bytes().unwrap();
+    lap(125.2).recall(&bytes).unwrap();
+    let told = lap(110.0).recall(&bytes).unwrap_err().to_string();
+    assert!(told.contains("another road of 500.0 m: 125 m from the start, that one is 15.0 m"));
+    let told = belief().recall(&bytes).unwrap_err().to_string();
+    assert!(told.contains("expected 0 coordinates of its road, got 8"));
+}
+
+#[test]
 fn numbers_out_of_range_are_errors() {
     let settings = BeliefSettings {
         change_distance: 0.0,

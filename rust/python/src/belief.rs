@@ -55,6 +55,9 @@ impl SpeedPlanner {
     }
 }
 
+/// Number of points by which a stored belief states its road.
+const SHAPE_POINTS: usize = 32;
+
 #[doc = doc!(RoadBelief)]
 #[pyclass(module = "egp_service._core")]
 pub struct RoadBelief(egp_map::RoadBelief);
@@ -80,8 +83,10 @@ impl RoadBelief {
             indifference: indifference.unwrap_or(default.indifference),
         };
         let path = &path.0;
+        let place = |i| path.sample(path.length() * i as f64 / SHAPE_POINTS as f64);
+        let points = (0..SHAPE_POINTS).map(place).map(|at| [at.x, at.y]);
         egp_map::RoadBelief::new(path.length(), path.closed(), &settings)
-            .map(Self)
+            .map(|belief| Self(belief.with_shape(points.collect())))
             .map_err(raise)
     }
 

@@ -22,7 +22,8 @@ pub struct Command {
 /// WAITING (brakes) → NORMAL → TAIL (rest of the last plan) → STOP (brakes, latched).
 ///
 /// Every command lies inside hard limits of value and slew. Periods have `dt` s. `settings` holds all limits, as
-/// `VehicleParameters.gate_limits` gives them, and may hold `max_tail_ticks` (25) and `stop_deceleration` (3 m/s²).
+/// `VehicleParameters.gate_limits` gives them, and may hold `max_tail_ticks` (25) and `stop_deceleration` (3 m/s²,
+/// or the strongest that the limits allow).
 /// Raises `InvalidArgumentError` for a limit that is missing or has the wrong sign, and for an unknown name.
 #[pyclass(module = "egp_service._core.testing")]
 pub struct Gate(egp_gate::Gate);
@@ -30,7 +31,7 @@ pub struct Gate(egp_gate::Gate);
 /// Limits, tail and deceleration of a gate. All limits must be stated; unknown names are errors.
 pub fn configure(mut settings: BTreeMap<String, f64>) -> PyResult<(Limits, u64, f64)> {
     let max_tail_ticks = settings.remove("max_tail_ticks").unwrap_or(25.0);
-    let stop_deceleration = settings.remove("stop_deceleration").unwrap_or(3.0);
+    let stop_deceleration = settings.remove("stop_deceleration");
     let mut limit = |name: &str| {
         settings.remove(name).ok_or_else(|| {
             InvalidArgumentError::new_err(format!(
@@ -61,7 +62,11 @@ pub fn configure(mut settings: BTreeMap<String, f64>) -> PyResult<(Limits, u64, 
     }
     // The number is whole, not negative and small by the check above.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-    Ok((limits, max_tail_ticks as u64, stop_deceleration))
+    Ok((
+        limits,
+        max_tail_ticks as u64,
+        stop_deceleration.unwrap_or_else(|| limits.stop_deceleration()),
+    ))
 }
 
 #[pymethods]

@@ -31,7 +31,7 @@ impl Library {
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         py.detach(|| {
             let bytes = read_library(&path).map_err(|error| os_error(&error, &path))?;
-            egp_core::Library::from_bytes(&bytes).map_err(Failure::Refused)
+            egp_core::Library::from_bytes(&bytes).map_err(|refusal| Failure::File(refusal, path))
         })
         .map(|library| Self(Arc::new(library)))
         .map_err(|failure| failure.raise(py))
@@ -307,6 +307,8 @@ impl Member {
 /// An error while Python's lock was released.
 pub enum Failure {
     Refused(library::LibraryError),
+    /// What is wrong with the library in this file.
+    File(library::LibraryError, PathBuf),
     Io {
         errno: Option<i32>,
         message: String,
@@ -323,16 +325,21 @@ pub fn os_error(error: &io::Error, path: &Path) -> Failure {
     }
 }
 
+fn refused(py: Python<'_>, message: String, refusal: &library::LibraryError) -> PyErr {
+    let error = LibraryError::new_err(message);
+    match error.value(py).setattr("code", refusal.code()) {
+        Ok(()) => error,
+        Err(error) => error,
+    }
+}
+
 impl Failure {
     /// The error as an exception of Python.
     pub fn raise(self, py: Python<'_>) -> PyErr {
         match self {
-            Self::Refused(refusal) => {
-                let error = LibraryError::new_err(refusal.to_string());
-                match error.value(py).setattr("code", refusal.code()) {
-                    Ok(()) => error,
-                    Err(error) => error,
-                }
+            Self::Refused(refusal) => refused(py, refusal.to_string(), &refusal),
+            Self::File(refusal, path) => {
+                refused(py, format!("{}: {refusal}", path.display()), &refusal)
             }
             // With three arguments Python chooses the subclass, such as FileNotFoundError, by the number.
             Self::Io {

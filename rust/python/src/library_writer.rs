@@ -172,7 +172,8 @@ pub fn write_library_subset(
 ) -> PyResult<()> {
     py.detach(|| {
         let bytes = read_library(&source).map_err(|error| os_error(&error, &source))?;
-        let bytes = library::subset(&bytes, &members).map_err(Failure::Refused)?;
+        let bytes =
+            library::subset(&bytes, &members).map_err(|refusal| Failure::File(refusal, source))?;
         replace_file(&path, &bytes).map_err(|error| os_error(&error, &path))
     })
     .map_err(|failure| failure.raise(py))

@@ -14,7 +14,7 @@ use serde::de::value::Error;
 use crate::array::{ArrayLike, Cube, KeptMatrix, Matrix, NewVector, Vector};
 use crate::array::{array, fixed, rows, vector, wrong_shape};
 use crate::error::{EgpError, raise};
-use crate::problem::{Arrays, OcpBounds, OcpWeights};
+use crate::problem::{Arrays, OcpBounds, OcpWeights, scale_soft_rows};
 
 #[doc = doc!(OcpResult)]
 #[pyclass(frozen, get_all, module = "egp_service._core")]
@@ -64,7 +64,8 @@ pub fn solve_ocp<'py>(
         weights,
         bounds,
     };
-    let qp = arrays.problem()?;
+    let mut qp = arrays.problem()?;
+    scale_soft_rows(&mut qp);
     let kind = SolverKind::deserialize(solver.into_deserializer())
         .map_err(|error: Error| EgpError::new_err(format!("solver: {error}")))?;
     let settings = SolverSettings {

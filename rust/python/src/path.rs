@@ -2,6 +2,7 @@
 
 use std::fmt::Display;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::PathBuf;
 
 use egp_path::formats::read_track;
@@ -158,7 +159,12 @@ impl Path {
     #[pyo3(signature = (file, scale = 1.0))]
     fn from_csv(file: PathBuf, scale: f64) -> PyResult<Self> {
         let refuse = |error: &dyn Display| raise(format!("{}: {error}", file.display()));
-        let text = fs::read_to_string(&file).map_err(|error| refuse(&error))?;
+        let text = fs::read_to_string(&file).map_err(|error| match error.kind() {
+            ErrorKind::InvalidData => {
+                refuse(&"this is no text in UTF-8; save the table as UTF-8, or give another file")
+            }
+            _ => refuse(&error),
+        })?;
         read_track(&text, scale)
             .map(Self)
             .map_err(|error| refuse(&error))

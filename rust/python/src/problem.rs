@@ -2,7 +2,7 @@
 //!
 //! An array that has no axis for the stages holds for all of them.
 
-use egp_core::qp::MAX_SOFT;
+use egp_core::qp::{MAX_SOFT, SOFT_PATTERN};
 use egp_core::settings::Penalty;
 use egp_core::{Input, NU, NX, OcpQp, State};
 use pyo3::prelude::*;
@@ -187,6 +187,34 @@ impl Arrays<'_, '_> {
             "expected symmetric q, and entries of A, B, q and soft_normal only where the documentation of solve_ocp \
              lists them",
         ))
+    }
+}
+
+/// Gives soft rows on one state the normal 1, which the default solver assumes, with bounds and penalty of the same
+/// problem. A row whose normal has different magnitudes at the stages keeps them, because it has only one penalty.
+pub fn scale_soft_rows(qp: &mut OcpQp) {
+    for (j, pattern) in SOFT_PATTERN.iter().enumerate().take(qp.n_soft()) {
+        let &[state] = *pattern else { continue };
+        let normals = || {
+            qp.stages()
+                .iter()
+                .map(|stage| stage.soft[j].normal[state].abs())
+        };
+        let size = normals().fold(0.0, f64::max);
+        let other = normals().any(|normal| normal != 0.0 && normal != size);
+        if other || !(1e-6..=1e6).contains(&size) {
+            continue;
+        }
+        for row in qp.stages_mut().iter_mut().map(|stage| &mut stage.soft[j]) {
+            let normal = row.normal[state];
+            if normal != 0.0 && normal != 1.0 {
+                let ends = [row.lower / normal, row.upper / normal];
+                (row.lower, row.upper) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
+                row.normal[state] = 1.0;
+            }
+        }
+        qp.penalty[j].linear *= size;
+        qp.penalty[j].quadratic *= size * size;
     }
 }
 

@@ -56,7 +56,7 @@ def demo(
     _explain(console, laps)
     console.print(f"Took {time.perf_counter() - start:.0f} s. Look at:", highlight=False)
     for path in (overview, laps[0].folder / "weights.png", folder):
-        console.print(f"  {path}", highlight=False)
+        console.print(f"  {path}", markup=False, highlight=False)
 
 
 def _trained(folder: Path) -> Path:

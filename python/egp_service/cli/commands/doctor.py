@@ -26,12 +26,13 @@ def doctor(
     """
     from rich import box
     from rich.console import Console
-    from rich.table import Table
+    from rich.markup import escape
 
     from egp_service.cli.checks import run_checks
+    from egp_service.cli.narrow_table import NarrowTable
 
     colours = {"ok": "green", "warn": "yellow", "fail": "red"}
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = NarrowTable(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("check", no_wrap=True)
     table.add_column("")
     table.add_column("found, and what to do", ratio=1)
@@ -39,7 +40,7 @@ def doctor(
     results = run_checks(library)
     for check in results:
         advice = f"\n→ {check.advice}" if check.advice else ""
-        text = (check.found + advice).replace("[", r"\[")
+        text = escape(check.found + advice)
         table.add_row(check.name, f"[{colours[check.verdict]}]{check.verdict}[/]", text)
     console.print(table)
     if any(check.verdict == "fail" for check in results):

@@ -159,6 +159,7 @@ def drive(
             console.print(
                 f"The service has library {controller.library.hex()[:12]}…, which is not the "
                 f"scenario's ({chosen.library}).",
+                markup=False,
                 highlight=False,
             )
         folder = new_folder(output, chosen.name)
@@ -177,7 +178,7 @@ def drive(
         from egp_service.simulation.report import draw_run
 
         draw_run(run, folder)
-    console.print(f"Results in {folder}")
+    console.print(f"Results in {folder}", markup=False)
     if not run.summary.ending.completed:
         raise typer.Exit(NOT_COMPLETED)
 
@@ -259,10 +260,13 @@ def _fleet_map(
         endpoint, belief, road=road_name(scenario), vehicle=name, fleet=fleet, zenoh_file=zenoh
     ) as shared:
         if not shared.fetch():
-            console.print(f"No map service answers at {endpoint}; start one with `egp map`")
+            console.print(
+                f"No map service answers at {endpoint}; start one with `egp map`", markup=False
+            )
         yield shared.exchange
         console.print(
             map_summary(shared.origins, belief.trust)
             if shared.answered
-            else f"No map service has answered at {endpoint}, so that the fleet's map was not used"
+            else f"No map service has answered at {endpoint}, so that the fleet's map was not used",
+            markup=False,
         )

@@ -10,6 +10,8 @@ from egp_service.cli.options import Cluster, Jobs
 from egp_service.shipped import EVALUATION_LIBRARY
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rich.progress import Progress
 
     from egp_service.evaluation.batch import Batch
@@ -118,12 +120,17 @@ def evaluate(
     from egp_service.evaluation.summary_report import HEADLINE, headline, write_report
 
     console = Console()
-    if _on_logs(console, log, vehicle, output):
+    if log:
+        _on_logs(console, log, vehicle, output, {
+            "--full": full, "--quick": quick, "--experiment": experiment, "--library": library,
+            "--train": train, "--track": track, "--scale": scale != 1.0, "--plant": plant,
+            "--jobs": jobs, "--cluster": cluster,
+        })  # fmt: skip
         return
     avoidance = OBSTACLE_AVOIDANCE.name
     known = ["prediction", *(e.name for e in EXPERIMENTS), HIDDEN_ICE.name, avoidance, "step-times"]
     chosen = _chosen(experiment, known)
-    _check_options(track, scale, chosen, full_and_quick=full and quick)
+    _check_options(track, scale, vehicle, chosen, full_and_quick=full and quick)
     driven = [
         on_track(e, track, scale) if track and e.name == "unseen-track" else e
         for e in EXPERIMENTS
@@ -138,8 +145,13 @@ def evaluate(
     require_members(source, [*driven, *apart])
     campaign = Campaign(output, source)
     if campaign.of_another_build:
-        console.print(f"{output} contains runs of another build, which are kept.", highlight=False)
-        console.print("Choose another --output to drive all runs with this build.", highlight=False)
+        console.print(
+            f"{output} contains runs of another build, which are kept.",
+            "Choose another --output to drive all runs with this build.",
+            sep="\n",
+            markup=False,
+            highlight=False,
+        )
     if disturbances.NAME in {e.name for e in driven}:
         _train_disturbed(console, campaign, jobs, cluster)
     with _progress(console) as progress:
@@ -178,28 +190,40 @@ def evaluate(
         )
     if rows := headline(outcomes):
         console.print(headline_table(HEADLINE, rows))
-    console.print(f"Look at {report}", highlight=False)
+    console.print(f"Look at {report}", markup=False, highlight=False)
 
 
-def _on_logs(console: Console, logs: list[Path] | None, vehicle: Path | None, output: Path) -> bool:
-    """Evaluate on logs if there are any, and return whether this was done."""
+def _on_logs(
+    console: Console,
+    logs: list[Path],
+    vehicle: Path | None,
+    output: Path,
+    others: "Mapping[str, object]",
+) -> None:
+    """Evaluate on logs; raises `EgpError` if one of the `others`, options of drives, is given."""
     from egp_service._core import EgpError
 
-    if not logs:
-        if vehicle is not None:
-            raise EgpError("--vehicle is for --log: give both")
-        return False
+    if given := [name for name, value in others.items() if value]:
+        raise EgpError(
+            f"{', '.join(given)} cannot be used with --log, which drives nothing: leave out either"
+        )
     from egp_service.cli.logs import evaluate_on
 
     evaluate_on(console, logs, vehicle, output)
-    return True
 
 
 def _check_options(
-    track: Path | None, scale: float, chosen: list[str], *, full_and_quick: bool
+    track: Path | None,
+    scale: float,
+    vehicle: Path | None,
+    chosen: list[str],
+    *,
+    full_and_quick: bool,
 ) -> None:
     from egp_service._core import EgpError
 
+    if vehicle is not None:
+        raise EgpError("--vehicle is for --log: give both")
     if full_and_quick:
         raise EgpError("--full and --quick exclude each other: give one of them")
     if track and "unseen-track" not in chosen:

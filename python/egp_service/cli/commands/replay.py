@@ -53,7 +53,11 @@ def replay(
     from egp_service.control.recorded import read_recording
     from egp_service.control.replay import replay as compute
 
-    console = Console(soft_wrap=True)
+    if output is not None and pictures:
+        from egp_service.simulation.report import check_picture
+
+        check_picture(output)  # before the time that the replay takes
+    console = Console(soft_wrap=True, markup=False)
     recorded = read_recording(recording)
     console.print(replay_text.heading(recording, recorded))
     file = _library(recorded, library)

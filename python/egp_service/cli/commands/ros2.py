@@ -113,7 +113,7 @@ def ros2(
         ackermann=ackermann or None,
         control=control or None,
     )
-    console = Console(stderr=True)
+    console = Console(stderr=True, markup=False)
     check_endpoints([router])
     if reason := why_unreachable(router):
         console.print(

@@ -46,6 +46,6 @@ def router(
     check_free(endpoints)
     # The signal may come while the session opens, which lets vehicles in before it returns.
     with until_signal(), Router(endpoints, connect or (), zenoh) as running:
-        Console(soft_wrap=True).print(f"Routing on {', '.join(running.endpoints)}.")
+        Console(soft_wrap=True, markup=False).print(f"Routing on {', '.join(running.endpoints)}.")
         while True:
             signal.pause()

@@ -71,17 +71,18 @@ def settings(
 
 def _table(title: str, rows: "Sequence[Setting]") -> "Table":
     from rich import box
-    from rich.table import Table
+    from rich.markup import escape
 
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+    from egp_service.cli.narrow_table import NarrowTable
+
+    table = NarrowTable(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
     table.add_column("key", no_wrap=True)
     table.add_column("default", overflow="fold", max_width=20)
     table.add_column("unit", max_width=12)
     table.add_column("meaning", ratio=1, overflow="fold")
     for setting in rows:
-        # The texts have brackets that are no markup.
         cells = (setting.key, setting.default, setting.unit, setting.meaning)
-        table.add_row(*(cell.replace("[", r"\[") for cell in cells))
+        table.add_row(*map(escape, cells))
     return table
 
 

@@ -36,8 +36,8 @@ def view(
     run = read_run(recording)
     seconds = (max(run.steps) - min(run.steps)) * 1e-9
     typer.echo(f"{recording}: {len(run.steps)} control steps in {seconds:.1f} s")
-    if not run.complete:
-        typer.echo("The recording was interrupted; its last steps are missing.")
+    if run.missing:
+        typer.echo(run.missing)
     name = "/".join(recording.resolve().parts[-2:])
     if output is not None:
         save(run, name, output)

@@ -22,7 +22,7 @@ pub enum LibraryError {
     Parquet,
     /// The header's length field is beyond the limit; nothing of it was parsed.
     #[error(
-        "header claims {bytes} bytes, the limit is {limit}; this is not a library file, export it again"
+        "this is not a library file: its first bytes claim a header of {bytes} bytes, the limit is {limit}; give a library of `egp train`"
     )]
     HeaderTooLarge {
         /// What the length field says.

@@ -1,7 +1,7 @@
 //! Limits of a vehicle, and their comparison with the vehicle that plans are made for.
 #![allow(clippy::unwrap_used, clippy::float_cmp)]
 
-use egp_gate::Limits;
+use egp_gate::{Gate, Limits};
 use egp_parameters::VehicleParameters;
 
 /// The limits of the simulated car.
@@ -25,6 +25,24 @@ fn the_limits_of_a_vehicle_are_its_accelerations_times_its_mass() {
         ),
         (0.91, 0.4, 8.0)
     );
+}
+
+#[test]
+fn the_stop_of_a_vehicle_with_weak_brakes_is_what_they_can_do() {
+    assert_eq!(car().stop_deceleration(), 3.0);
+    for a_min in [-0.1, -1.0 / 3.0, -2.0, -2.9] {
+        let limits = Limits::of(&VehicleParameters {
+            a_min,
+            ..VehicleParameters::FORD_ESCORT
+        });
+        assert!((limits.stop_deceleration() + a_min).abs() < 1e-12);
+        Gate::new(limits, 0.02, 25, limits.stop_deceleration()).unwrap();
+        let told = Gate::new(limits, 0.02, 25, 3.0).unwrap_err().to_string();
+        assert!(
+            told.contains("stop_deceleration is 3 m/s², the limits allow at most"),
+            "{told}"
+        );
+    }
 }
 
 #[test]
