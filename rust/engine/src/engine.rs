@@ -325,8 +325,8 @@ fn refusal(error: &StepError) -> WireError {
     let field = match error {
         StepError::Shape { field, .. }
         | StepError::Window { field, .. }
-        | StepError::NotFinite { field, .. } => field,
-        StepError::Domain { quantity, .. } => quantity,
+        | StepError::NotFinite { field, .. }
+        | StepError::Domain { field, .. } => field,
         StepError::Weights { .. } => "weights",
         StepError::Workspace | StepError::Ensemble(_) => {
             return WireError::permanent(Code::Internal, error.to_string());
