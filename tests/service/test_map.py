@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -31,7 +32,7 @@ from egp_service.simulation.course import build_path, road_name
 from egp_service.simulation.scenario import load_scenario
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 SCENARIO = load_scenario("random")
@@ -272,7 +273,7 @@ def test_fleets_share_nothing_and_a_vehicle_does_not_hear_itself() -> None:
         assert 2.0 <= age < 7.0
 
 
-def test_a_configuration_that_cannot_be_used_is_an_error(tmp_path: Path) -> None:
+def test_a_configuration_that_cannot_be_used_is_an_error() -> None:
     for text, message in (
         ("nonsense = 1", "unknown field"),
         ("lifetime = 0", "`lifetime` must be 1 to 1e9 s, got 0"),
@@ -281,9 +282,47 @@ def test_a_configuration_that_cannot_be_used_is_an_error(tmp_path: Path) -> None
     ):
         with pytest.raises(EgpError, match=message):
             MapServer(text)
-    (tmp_path / "a@b.road").write_bytes(b"no road")
-    with pytest.raises(EgpError, match="is no file of a road"):
-        MapServer(f'folder = "{tmp_path}"')
+
+
+def metric(session: zenoh.Session, name: str) -> int:
+    text = ask(session, MAP_METRICS_KEY)[0]
+    assert text is not None
+    found = re.search(rf"^{re.escape(name)} (\d+)$", text.decode(), re.MULTILINE)
+    return int(found[1]) if found else 0
+
+
+def eventually(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_roads_are_written_in_time_and_a_map_that_cannot_write_says_so(tmp_path: Path) -> None:
+    endpoint, folder = free_endpoint(), tmp_path / "roads"
+    key = RoadKey("depot", "car", "ring")
+    good = encode_tile_evidence(measured(0.5).tile(0), 0.0)
+    config = f"""folder = "{folder}"\nsave_ms = 10\npublish_ms = 3600000\nlog = "off"
+        zenoh = {{ "listen/endpoints" = '["{endpoint}"]' }}"""
+    with MapServer(config) as server, raw_session(endpoint) as session:
+        with pytest.raises(EgpError, match=f"another map service keeps the folder {folder}"):
+            MapServer(config)
+        assert ask(session, key.tile(0), good) == (b"", None)
+        eventually((folder / "depot@ring.road").exists)
+        eventually(lambda: metric(session, "egp_map_unsaved_roads") == 0)
+        assert metric(session, 'egp_map_writes_total{outcome="written"}') >= 1
+        shutil.rmtree(folder)
+        assert ask(session, key.tile(1), good) == (b"", None)
+        eventually(lambda: metric(session, 'egp_map_writes_total{outcome="failed"}') >= 1)
+        assert metric(session, "egp_map_unsaved_roads") == 1
+        with pytest.raises(EgpError, match="1 roads of the map were not written"):
+            server.stop()
+
+
+def test_sighup_ends_the_service() -> None:
+    with map_service(free_endpoint()) as service:
+        service.send_signal(signal.SIGHUP)
+        assert service.wait(10.0) == 0
 
 
 def test_a_road_is_named_by_its_track() -> None:

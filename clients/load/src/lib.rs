@@ -90,7 +90,7 @@ struct Arguments {
     #[arg(long, requires = "ramp", default_value_t = LARGEST, value_parser = clap::value_parser!(u32).range(1..=LARGEST.into()))]
     most: u32,
     /// How long to measure, s.
-    #[arg(long, default_value_t = 20.0)]
+    #[arg(long, default_value_t = 20.0, value_parser = positive)]
     seconds: f64,
     /// How long to drive before measuring, s.
     #[arg(long, default_value_t = 2.0)]
@@ -123,6 +123,13 @@ fn fraction(text: &str) -> Result<f64, String> {
     value
         .filter(|value| *value > 0.0 && *value <= 1.0)
         .ok_or_else(|| "expected a number above 0 and up to 1".to_owned())
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok();
+    value
+        .filter(|value| *value > 0.0)
+        .ok_or_else(|| "expected a number above 0".to_owned())
 }
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;

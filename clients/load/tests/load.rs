@@ -73,3 +73,16 @@ fn every_due_request_is_accounted_for() {
     assert!(solved > 0.0, "{table}");
     server.drain();
 }
+
+#[test]
+fn a_measurement_takes_time() {
+    for seconds in ["0", "-1", "NaN"] {
+        let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
+            .arg(format!("--seconds={seconds}"))
+            .output()
+            .unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains("above 0"), "{message}");
+    }
+}

@@ -140,8 +140,7 @@ def _library(file: Path) -> list[Check]:
         loaded = Library.load(file)
     except (EgpError, OSError) as error:
         advice = "give a library that `egp train` wrote; `egp inspect FILE` shows one"
-        named = isinstance(error, OSError) and error.strerror
-        reason = f"{file}: {error.strerror}" if named else str(error)
+        reason = f"{file}: {error.strerror}" if isinstance(error, OSError) else str(error)
         return [Check("library", "fail", reason, advice)]
     points = sum(member.n_points for member in loaded.members)
     names = ", ".join(member.label for member in loaded.members)

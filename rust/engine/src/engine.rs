@@ -325,20 +325,8 @@ fn refusal(error: &StepError) -> WireError {
     let field = match error {
         StepError::Shape { field, .. }
         | StepError::Window { field, .. }
-        | StepError::NotFinite { field, .. } => field,
-        StepError::Domain {
-            quantity,
-            value,
-            min,
-            max,
-        } => {
-            // The field is shown before the detail, so the latter does not repeat it.
-            let detail = format!("{value} is outside [{min}, {max}]; check unit, sign and frame");
-            return WireError {
-                field: (*quantity).to_owned(),
-                ..WireError::permanent(Code::InvalidField, detail)
-            };
-        }
+        | StepError::NotFinite { field, .. }
+        | StepError::Domain { field, .. } => field,
         StepError::Weights { .. } => "weights",
         StepError::Workspace | StepError::Ensemble(_) => {
             return WireError::permanent(Code::Internal, error.to_string());

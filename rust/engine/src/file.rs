@@ -11,16 +11,22 @@ use egp_core::library::MAX_FILE_BYTES;
 /// too large.
 ///
 /// # Errors
-/// [`io::Error`] if the file cannot be read, or is not a regular file: opening a pipe would wait for a writer.
+/// As [`read_regular`].
 pub fn read_library(path: &Path) -> io::Result<Vec<u8>> {
+    read_regular(path, MAX_FILE_BYTES as u64 + 1)
+}
+
+/// The bytes of a file, but at most `most`.
+///
+/// # Errors
+/// [`io::Error`] if the file cannot be read, or is not a regular file: opening a pipe would wait for a writer.
+pub fn read_regular(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     if !fs::metadata(path)?.is_file() {
         let reason = "expected a regular file, got a folder, a pipe or a device";
         return Err(io::Error::new(io::ErrorKind::InvalidInput, reason));
     }
     let mut bytes = Vec::new();
-    File::open(path)?
-        .take(MAX_FILE_BYTES as u64 + 1)
-        .read_to_end(&mut bytes)?;
+    File::open(path)?.take(most).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 

@@ -11,7 +11,8 @@ use pyo3::prelude::*;
 use crate::error::{InvalidArgumentError, raise};
 use crate::service::after_signal;
 
-/// Keep a map until SIGTERM or Ctrl-C; `config_toml` is described in docs/settings.md.
+/// Keep a map until SIGTERM, SIGHUP or Ctrl-C; `config_toml` is described in docs/settings.md. Raises `EgpError` if it does
+/// not start, or if a road is not written at the end.
 #[pyfunction]
 pub fn serve_map(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     let config = MapConfig::from_toml(config_toml).map_err(raise)?;

@@ -229,12 +229,10 @@ impl MapServer {
         Ok(Self(Mutex::new(Some(server))))
     }
 
-    /// Answer the queries that wait, write what is not yet written, and close.
-    fn stop(&self, py: Python<'_>) {
+    /// Answer the queries that wait, write what is not yet written, and close. Raises `EgpError` if a road is not written.
+    fn stop(&self, py: Python<'_>) -> PyResult<()> {
         let server = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(server) = server {
-            py.detach(|| server.stop());
-        }
+        server.map_or(Ok(()), |server| py.detach(|| server.stop()).map_err(raise))
     }
 
     fn __enter__(slf: Py<Self>) -> Py<Self> {
@@ -242,8 +240,12 @@ impl MapServer {
     }
 
     #[pyo3(signature = (*_exception))]
-    fn __exit__(&self, py: Python<'_>, _exception: &Bound<'_, pyo3::types::PyTuple>) {
-        self.stop(py);
+    fn __exit__(
+        &self,
+        py: Python<'_>,
+        _exception: &Bound<'_, pyo3::types::PyTuple>,
+    ) -> PyResult<()> {
+        self.stop(py)
     }
 }
 

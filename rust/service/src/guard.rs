@@ -2,9 +2,10 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use egp_wire::keys::Name;
-use egp_wire::{Code, KeyFileError, KeyRing, Seal, Tag, VehicleKey, WireError};
+use egp_wire::{Code, KeyError, KeyFileError, KeyRing, Seal, Tag, VehicleKey, WireError};
 use prometheus_client::metrics::counter::Counter;
 
 use crate::query::Query;
@@ -17,10 +18,20 @@ const RUNS: usize = 64;
 /// The runs of a vehicle, each with the number of its newest question; the run that asked last is the last.
 type Runs = VecDeque<(u64, u64)>;
 
+/// Least time between two warnings about one vehicle: clients that take turns do so at each request.
+const WARN: Duration = Duration::from_secs(60);
+
+/// What came from a vehicle.
+#[derive(Default)]
+struct Seen {
+    runs: Runs,
+    warned: Option<Instant>,
+}
+
 /// The keys of all vehicles, and the questions that came.
 pub(crate) struct Guard {
     keys: KeyRing,
-    seen: Mutex<BTreeMap<(Name, Name), Runs>>,
+    seen: Mutex<BTreeMap<(Name, Name), Seen>>,
     /// Requests of a vehicle after which one of another client with the same key had come.
     twice: Counter,
 }
@@ -49,8 +60,18 @@ impl Guard {
     }
 
     /// Reads the keys.
+    ///
+    /// # Errors
+    /// [`KeyFileError`] if the file cannot be read, or has no key or something else.
     pub(crate) fn load(path: &Path) -> Result<Self, KeyFileError> {
-        KeyRing::read(path).map(Self::new)
+        let keys = KeyRing::read(path)?;
+        if keys.is_empty() {
+            return Err(KeyFileError::Content {
+                path: path.display().to_string(),
+                source: KeyError::Empty,
+            });
+        }
+        Ok(Self::new(keys))
     }
 
     /// Counts how often clients with one key took turns.
@@ -83,8 +104,10 @@ impl Guard {
         }
         let (new, twice) = self.note(fleet, vehicle, &seal);
         if twice {
-            tracing::warn!(%fleet, %vehicle, "two clients use the key of this vehicle at the same time");
             self.twice.inc();
+            if self.warns(fleet, vehicle, Instant::now()) {
+                tracing::warn!(%fleet, %vehicle, "two clients use the key of this vehicle at the same time");
+            }
         }
         if !new {
             let reason = "this request, or a newer one of the same run, came before";
@@ -112,7 +135,7 @@ impl Guard {
     /// that began later: then two clients have the same key.
     fn note(&self, fleet: &Name, vehicle: &Name, seal: &Seal) -> (bool, bool) {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
-        let runs = seen.entry((fleet.clone(), vehicle.clone())).or_default();
+        let runs = &mut (seen.entry((fleet.clone(), vehicle.clone())).or_default()).runs;
         let Some(index) = runs.iter().position(|(run, _)| *run == seal.run) else {
             runs.push_back((seal.run, seal.number));
             if runs.len() > RUNS {
@@ -127,13 +150,24 @@ impl Guard {
         }
         (new, new && twice)
     }
+
+    /// Whether a warning about the vehicle is due, which then counts as given at the time `now`.
+    fn warns(&self, fleet: &Name, vehicle: &Name, now: Instant) -> bool {
+        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let warned = &mut (seen.entry((fleet.clone(), vehicle.clone())).or_default()).warned;
+        let due = warned.is_none_or(|last| now.saturating_duration_since(last) >= WARN);
+        if due {
+            *warned = Some(now);
+        }
+        due
+    }
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-    use crate::query::recorded::{Recorded, name};
+    use crate::query::recorded::{Recorded, at, name};
 
     /// A guard with the keys of the vehicles `a` and `b`, and the key of `a`.
     fn guard() -> (Guard, VehicleKey) {
@@ -243,6 +277,38 @@ mod tests {
         assert!(accept(&guard, &sealed(&key, 0, 1)).is_err());
         assert!(accept(&guard, &sealed(&key, runs, 1)).is_ok());
         let seen = guard.seen.lock().unwrap();
-        assert_eq!(seen.values().map(VecDeque::len).sum::<usize>(), RUNS);
+        assert_eq!(
+            seen.values().map(|seen| seen.runs.len()).sum::<usize>(),
+            RUNS
+        );
+    }
+
+    #[test]
+    fn the_log_tells_once_a_minute_of_each_vehicle_that_two_clients_have_its_key() {
+        let (guard, start) = (guard().0, Instant::now());
+        for (vehicle, ms, due) in [
+            ("a", 0.0, true),
+            ("a", 20.0, false),
+            ("b", 20.0, true),
+            ("a", 59_999.0, false),
+            ("a", 60_000.0, true),
+            ("a", 60_020.0, false),
+        ] {
+            let warns = guard.warns(&name("fleet"), &name(vehicle), at(start, ms));
+            assert_eq!(warns, due, "{vehicle} after {ms} ms");
+        }
+    }
+
+    #[test]
+    fn a_file_without_keys_is_an_error_of_the_service() {
+        let file = std::env::temp_dir().join(format!("egp-no-keys-{}", std::process::id()));
+        std::fs::write(&file, "# fleet/a: nothing yet\n").unwrap();
+        let error = Guard::load(&file).err().map(|error| error.to_string());
+        std::fs::remove_file(&file).unwrap();
+        let error = error.unwrap();
+        assert!(
+            error.contains("egp-no-keys") && error.contains("no key"),
+            "{error}"
+        );
     }
 }

@@ -4,6 +4,7 @@
 //! that stops in the middle takes a place for this time only.
 
 use std::convert::Infallible;
+use std::io;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -50,10 +51,18 @@ impl HttpListener {
     pub(crate) fn bind(address: SocketAddr) -> Result<Self, StartError> {
         TcpListener::bind(address)
             .map(Self)
-            .map_err(|reason| StartError::Http {
-                address,
-                reason: reason.to_string(),
-            })
+            .map_err(|reason| unusable(address, &reason))
+    }
+
+    /// Checks that the host of `address` is one of this machine; its port may be in use.
+    ///
+    /// # Errors
+    /// [`StartError::Http`].
+    pub(crate) fn check(address: SocketAddr) -> Result<(), StartError> {
+        let free = SocketAddr::new(address.ip(), 0);
+        TcpListener::bind(free)
+            .map(drop)
+            .map_err(|reason| unusable(address, &reason))
     }
 
     /// Answers requests in a thread of its own.
@@ -79,6 +88,13 @@ impl HttpListener {
             stop: Some(stop),
             thread: Some(thread),
         })
+    }
+}
+
+fn unusable(address: SocketAddr, reason: &io::Error) -> StartError {
+    StartError::Http {
+        address,
+        reason: reason.to_string(),
     }
 }
 

@@ -3,6 +3,7 @@
 use std::io::IsTerminal as _;
 
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::LevelFilter;
 
 /// Logs the events that `filter` selects, each line as text or a JSON object. Later calls in a process have no effect.
 ///
@@ -24,7 +25,62 @@ pub fn init_logging(filter: &str, json: bool) -> Result<(), String> {
     Ok(())
 }
 
-/// Reads a filter: a level, or directives.
+/// Reads a filter: a level, or directives. A word that is no level would be taken for the name of a target, and all logs of
+/// others would be off.
+///
+/// # Errors
+/// A message that says what is wrong with the filter.
 pub(crate) fn log_filter(filter: &str) -> Result<EnvFilter, String> {
-    EnvFilter::try_new(filter).map_err(|error| format!("log filter {filter:?}: {error}"))
+    let wrong = |reason: &str| {
+        format!(
+            "log filter {filter:?}: {reason}; expected off, error, warn, info, debug or trace, or directives such as \
+             info,zenoh=warn"
+        )
+    };
+    let mut directives = filter.split(',').map(str::trim);
+    if directives.clone().all(str::is_empty) {
+        return Err(wrong("it is empty"));
+    }
+    let known =
+        |text: &str| text.is_empty() || text.contains('=') || text.parse::<LevelFilter>().is_ok();
+    if let Some(word) = directives.find(|text| !known(text)) {
+        return Err(wrong(&format!("{word:?} is no level")));
+    }
+    EnvFilter::try_new(filter).map_err(|error| wrong(&error.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_word_that_is_no_level_is_an_error() {
+        for filter in [
+            "verbose",
+            "warning",
+            "",
+            " ",
+            ",",
+            "info,zenoh",
+            "6",
+            "zenoh=verbose",
+        ] {
+            let error = log_filter(filter).err().unwrap_or_default();
+            assert!(
+                error.contains("expected off, error, warn"),
+                "{filter}: {error}"
+            );
+        }
+        for filter in [
+            "info,zenoh=warn",
+            "WARN",
+            "Off",
+            "3",
+            "egp_service=debug",
+            "info,zenoh=warn,",
+            "warn,[request]=debug",
+        ] {
+            assert!(log_filter(filter).is_ok(), "{filter}");
+        }
+    }
 }

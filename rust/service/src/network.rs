@@ -12,6 +12,7 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::{Config, Wait};
 
+use crate::certificates::{self, SETTINGS};
 use crate::query::{Answer, Query};
 use crate::zenoh_settings::{DEFAULTS, free_ports};
 
@@ -38,7 +39,7 @@ impl NetworkError {
 /// A zenoh configuration: this service's defaults or a JSON5 file, then single values by their key.
 ///
 /// # Errors
-/// [`NetworkError`] naming the file or the key that zenoh does not accept.
+/// [`NetworkError`] naming the file or the key that zenoh does not accept, or a certificate that has expired.
 pub(crate) fn configuration(
     file: Option<&Path>,
     values: &BTreeMap<String, String>,
@@ -55,7 +56,17 @@ pub(crate) fn configuration(
     for (key, value) in defaults.chain(given) {
         insert(&mut config, key, value)?;
     }
+    certificates_end(&config)?;
     Ok(config)
+}
+
+/// The earliest end of the certificates of TLS, s since 1970; none if there are none.
+///
+/// # Errors
+/// [`NetworkError`] naming a certificate that cannot be read or has expired.
+pub(crate) fn certificates_end(config: &Config) -> Result<Option<i64>, NetworkError> {
+    certificates::earliest_end(&tls(config, &SETTINGS)?, certificates::now())
+        .map_err(|(named, reason)| NetworkError::new(named, &reason))
 }
 
 /// Opens a session with this configuration and closes it again, to see whether a service could start: listeners take a
@@ -65,11 +76,8 @@ pub(crate) fn configuration(
 /// # Errors
 /// [`NetworkError`] if zenoh opens no session, or a file that the configuration names cannot be read.
 pub(crate) fn rehearse(mut config: Config) -> Result<(), NetworkError> {
-    for (key, value) in entries(&config, "transport/link/tls")? {
-        let file = ["certificate", "private_key"]
-            .iter()
-            .any(|end| key.ends_with(end));
-        if let (true, Some(path)) = (file, value.as_str()) {
+    for (key, value) in tls(&config, &["listen_private_key", "connect_private_key"])? {
+        if let Some(path) = value.as_str() {
             File::open(path).map_err(|e| NetworkError::new(format!("{key} {path}"), &e))?;
         }
     }
@@ -107,15 +115,13 @@ fn json(config: &Config, key: &str) -> Result<Value, NetworkError> {
     serde_json::from_str(&text).map_err(|e| NetworkError::new(doing(), &e))
 }
 
-/// The settings below a key.
-fn entries(config: &Config, key: &str) -> Result<Vec<(String, Value)>, NetworkError> {
-    let Value::Object(map) = json(config, key)? else {
-        return Ok(Vec::new());
-    };
-    Ok(map
-        .into_iter()
-        .map(|(name, value)| (format!("{key}/{name}"), value))
-        .collect())
+/// Settings of TLS, each as its key and value. Zenoh shows those with secrets only if they are asked for by their names.
+fn tls(config: &Config, names: &[&str]) -> Result<Vec<(String, Value)>, NetworkError> {
+    let keys = names
+        .iter()
+        .map(|name| format!("transport/link/tls/{name}"));
+    keys.map(|key| Ok((key.clone(), json(config, &key)?)))
+        .collect()
 }
 
 /// The configuration of a session that only asks: it listens nowhere, and waits for its links at most `patience`.

@@ -9,6 +9,7 @@ use thiserror::Error;
 use crate::config::ServiceConfig;
 use crate::guard::Guard;
 use crate::handler::Handler as _;
+use crate::http::HttpListener;
 use crate::libraries::Libraries;
 use crate::logging::{init_logging, log_filter};
 use crate::network::{configuration, rehearse};
@@ -29,7 +30,7 @@ pub enum ServeError {
 }
 
 /// Checks all that a service needs to start, and returns what it would serve: the log filter, library, settings, the file
-/// of traces, and a zenoh session, which listens on free ports and connects to nothing.
+/// of traces, the host for HTTP, and a zenoh session, which listens on free ports and connects to nothing.
 ///
 /// # Errors
 /// [`ServeError`] as [`serve`] would report it.
@@ -44,6 +45,7 @@ pub fn check(config: &ServiceConfig) -> Result<Ready, ServeError> {
     keys.transpose().map_err(StartError::from)?;
     let traces = config.traces.as_deref().map(TraceFile::check);
     traces.transpose().map_err(StartError::from)?;
+    config.http.map(HttpListener::check).transpose()?;
     configuration(config.zenoh_file.as_deref(), &config.zenoh)
         .and_then(rehearse)
         .map_err(StartError::from)?;

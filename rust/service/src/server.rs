@@ -14,6 +14,7 @@ use egp_wire::{KeyFileError, WireError};
 use prost::Message as _;
 use thiserror::Error;
 
+use crate::certificates;
 use crate::config::{ConfigError, ServiceConfig};
 use crate::fetch::{Fetched, Wanted};
 use crate::fetch_error::FetchError;
@@ -24,7 +25,9 @@ use crate::intake::Shared;
 use crate::libraries::{Libraries, ReloadError};
 use crate::library_table::Reloaded;
 use crate::metrics::Metrics;
-use crate::network::{Network, NetworkError, PATIENCE, Publisher, Received, configuration};
+use crate::network::{
+    Network, NetworkError, PATIENCE, Publisher, Received, certificates_end, configuration,
+};
 use crate::offer::{Offer, offer};
 use crate::queue::Queue;
 use crate::reloader::{Outcome, Reloader, Running, stamp};
@@ -139,6 +142,11 @@ impl Server {
         if let Some(guard) = &guard {
             metrics.show_twice(guard.twice());
         }
+        let zenoh = configuration(config.zenoh_file.as_deref(), &config.zenoh)?;
+        if let Some(end) = certificates_end(&zenoh)? {
+            certificates::warn(end);
+            metrics.show_certificates_end(end);
+        }
         let traces = Traces::open(config, config.share()?)?;
         if let Some(traces) = &traces {
             metrics.show_spans(traces.counts());
@@ -157,7 +165,6 @@ impl Server {
             offer: offering,
         });
         let http = config.http.map(HttpListener::bind).transpose()?;
-        let zenoh = configuration(config.zenoh_file.as_deref(), &config.zenoh)?;
         let network = Network::open_patiently(zenoh, PATIENCE, stopped)?;
         let mut server = Self {
             shared,

@@ -140,6 +140,11 @@ pub enum KeyError {
     /// Two keys of one vehicle.
     #[error("line {0}: this vehicle has a key already")]
     Twice(usize),
+    /// No line has a key.
+    #[error(
+        "there is no key in it, so that every request would be refused; `egp keys` writes such files"
+    )]
+    Empty,
     /// The vehicle is not there.
     #[error("there is no key of {fleet}/{vehicle} among {count}; `egp keys` makes one")]
     Missing {
@@ -211,6 +216,11 @@ impl KeyRing {
             }
         }
         Ok(Self(keys))
+    }
+
+    /// Whether it has no key.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
     }
 
     /// The key of a vehicle.

@@ -51,6 +51,8 @@ pub enum StepError {
     /// A quantity outside the domain of the controller, usually because of a wrong unit, sign or frame.
     #[error("{quantity} is {value}, outside [{min}, {max}]; check unit, sign and frame")]
     Domain {
+        /// The field.
+        field: &'static str,
         /// The quantity, with its field and unit.
         quantity: &'static str,
         /// The value that came.
@@ -235,11 +237,17 @@ fn finite(request: &StepRequest) -> Result<(), StepError> {
     Ok(())
 }
 
-fn within(quantity: &'static str, value: f64, min: f64, max: f64) -> Result<(), StepError> {
+fn within(
+    [field, quantity]: [&'static str; 2],
+    value: f64,
+    min: f64,
+    max: f64,
+) -> Result<(), StepError> {
     if (min..=max).contains(&value) {
         Ok(())
     } else {
         Err(StepError::Domain {
+            field,
             quantity,
             value,
             min,
@@ -248,37 +256,42 @@ fn within(quantity: &'static str, value: f64, min: f64, max: f64) -> Result<(), 
     }
 }
 
-fn magnitude(quantity: &'static str, value: f64, most: f64) -> Result<(), StepError> {
-    within(quantity, value, -most, most)
+fn magnitude(names: [&'static str; 2], value: f64, most: f64) -> Result<(), StepError> {
+    within(names, value, -most, most)
 }
 
 fn domains(mass: f64, rows: &Rows) -> Result<(), StepError> {
     let x = &rows.x;
-    within("x.v_x (m/s)", x[V_X], -1.0, 100.0)?; // a standing vehicle measures noise around zero
-    within("x.v_y (m/s)", x[V_Y], -50.0, 50.0)?;
-    within("x.omega (rad/s)", x[OMEGA], -20.0, 20.0)?;
+    within(["x", "x.v_x (m/s)"], x[V_X], -1.0, 100.0)?; // a standing vehicle measures noise around zero
+    within(["x", "x.v_y (m/s)"], x[V_Y], -50.0, 50.0)?;
+    within(["x", "x.omega (rad/s)"], x[OMEGA], -20.0, 20.0)?;
     let a = rows.u_prev[FORCE] / mass;
     let rate = rows.u_prev[DELTA_DOT];
-    magnitude("x.delta (rad)", x[DELTA], MOST_STEERING_ANGLE)?;
-    magnitude("u_prev.F_x / mass (m/s^2)", a, MOST_ACCELERATION)?;
-    magnitude("u_prev.delta_dot (rad/s)", rate, MOST_STEERING_RATE)?;
+    magnitude(["x", "x.delta (rad)"], x[DELTA], MOST_STEERING_ANGLE)?;
+    magnitude(
+        ["u_prev", "u_prev.F_x / mass (m/s^2)"],
+        a,
+        MOST_ACCELERATION,
+    )?;
+    magnitude(
+        ["u_prev", "u_prev.delta_dot (rad/s)"],
+        rate,
+        MOST_STEERING_RATE,
+    )?;
     for row in rows.reference {
         let distance = (row[0] - x[P_X]).hypot(row[1] - x[P_Y]);
-        within(
-            "distance of a reference point from the vehicle (m)",
-            distance,
-            0.0,
-            1000.0,
-        )?;
-        within("reference.v_x (m/s)", row[2], 0.0, 100.0)?;
+        let quantity = "distance of a reference point from the vehicle (m)";
+        within(["reference", quantity], distance, 0.0, 1000.0)?;
+        within(["reference", "reference.v_x (m/s)"], row[2], 0.0, 100.0)?;
     }
     for width in rows.widths.iter().flatten() {
-        within("widths (m)", *width, -1000.0, 1000.0)?;
+        within(["widths", "widths (m)"], *width, -1000.0, 1000.0)?;
     }
     for [friction, std] in rows.road_friction {
-        within("road_friction", *friction, MIN_FRICTION, MAX_FRICTION)?;
+        let field = "road_friction";
+        within([field, field], *friction, MIN_FRICTION, MAX_FRICTION)?;
         let quantity = "standard deviation of road_friction";
-        within(quantity, *std, 0.0, MAX_FRICTION)?;
+        within([field, quantity], *std, 0.0, MAX_FRICTION)?;
     }
     if rows.weights.is_empty() {
         return Ok(());

@@ -43,14 +43,14 @@ fn errors_of_malformed_requests_name_the_field() {
     assert_eq!(shape(reject(|r| r.reference[7] = f64::NAN)), "reference");
     assert_eq!(shape(reject(|r| r.plan_u[3] = f64::INFINITY)), "plan_u");
     assert_eq!(shape(reject(|r| r.history_f[3] = 1e300)), "history_f");
-    assert!(matches!(
-        reject(|r| r.x[2] = 200.0),
-        StepError::Domain { .. }
-    ));
-    assert!(matches!(
-        reject(|r| r.reference[0] = 2000.0),
-        StepError::Domain { .. }
-    ));
+    let domain = |error: StepError| match error {
+        StepError::Domain { field, .. } => field,
+        other => panic!("{other}"),
+    };
+    assert_eq!(domain(reject(|r| r.x[2] = 200.0)), "x");
+    assert_eq!(domain(reject(|r| r.u_prev[0] = 1e6)), "u_prev");
+    assert_eq!(domain(reject(|r| r.reference[0] = 2000.0)), "reference");
+    assert_eq!(domain(reject(|r| r.widths[3] = 2000.0)), "widths");
     for (friction, std) in [(0.0, 0.1), (3.1, 0.1), (0.5, -0.1), (0.5, 3.1)] {
         let mut request = warm();
         request.road_friction = [friction, std].repeat(22);

@@ -1,19 +1,25 @@
 //! The roads' files: one `egp.v1.StoredRoad` for each road of each fleet.
 
-use std::fs::{self, File};
-use std::io::{self, Read as _};
+use std::collections::BTreeSet;
+use std::fs::{self, File, TryLockError};
+use std::io;
 use std::path::{Path, PathBuf};
 
-use egp_engine::replace_file;
+use egp_engine::{read_regular, replace_file};
 use egp_map::Tile;
 use egp_wire::keys::Name;
 use egp_wire::road_keys::RoadKey;
 use egp_wire::{ROAD_TILES, VERSION, proto};
 use prost::Message as _;
+use ring::digest::{SHA256, SHA256_OUTPUT_LEN, digest};
 
 use super::store::{Road, Store, StoreError, Tiles};
 
 const SUFFIX: &str = "road";
+/// The file of a folder that the service locks which keeps the folder.
+const LOCK: &str = ".lock";
+/// Bytes of the field `sha256` of a file: tag, length and content.
+const CHECKSUM: usize = 2 + SHA256_OUTPUT_LEN;
 /// Largest file that is read, bytes: the longest road with 64 vehicles takes less.
 const LARGEST: u64 = 2 << 30;
 
@@ -28,14 +34,11 @@ pub enum RoadFileError {
         /// The error.
         source: io::Error,
     },
-    /// The content is not that of a road.
-    #[error("{path} is no file of a road: {reason}; move it away to begin anew")]
-    Content {
-        /// The file.
-        path: PathBuf,
-        /// What was expected and what came.
-        reason: String,
-    },
+    /// Another service keeps the folder.
+    #[error(
+        "another map service keeps the folder {0}; stop it, or name another folder with --folder"
+    )]
+    Locked(PathBuf),
 }
 
 /// Times of the files, ms since 1970, and of the store, s.
@@ -45,44 +48,101 @@ pub(crate) struct Clocks {
     pub now: f64,
 }
 
-/// Reads the files of a folder, which is made if it does not exist. Contributions that are too old, or for which the store
-/// has no room, are left out. The log names a file whose contributions are all too old. It is not removed, because the
-/// system's clock may be wrong.
-pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(), RoadFileError> {
-    let system = |source| RoadFileError::System {
-        path: folder.to_owned(),
+fn system(path: &Path) -> impl Fn(io::Error) -> RoadFileError {
+    |source| RoadFileError::System {
+        path: path.to_owned(),
         source,
-    };
-    fs::create_dir_all(folder).map_err(system)?;
-    for entry in fs::read_dir(folder).map_err(system)? {
-        let path = entry.map_err(system)?.path();
-        if path.extension().is_some_and(|suffix| suffix == SUFFIX) {
-            let bytes = read(&path).map_err(|source| RoadFileError::System {
-                path: path.clone(),
-                source,
-            })?;
-            let useful = add(&bytes, store, clocks).map_err(|reason| RoadFileError::Content {
-                path: path.clone(),
-                reason,
-            })?;
-            if !useful {
-                let file = path.display();
-                tracing::warn!(%file, "all evidence of this file is too old; it can be removed");
+    }
+}
+
+/// Makes the folder if it does not exist, and locks it until the returned file is dropped: of two services, each would
+/// replace the files of the other one.
+///
+/// # Errors
+/// [`RoadFileError::Locked`] if another service keeps the folder, else [`RoadFileError::System`].
+pub(crate) fn lock(folder: &Path) -> Result<File, RoadFileError> {
+    fs::create_dir_all(folder).map_err(system(folder))?;
+    let path = folder.join(LOCK);
+    let mut options = File::options();
+    let options = options.create(true).truncate(false).read(true).write(true);
+    let file = options.open(&path).map_err(system(&path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(RoadFileError::Locked(folder.to_owned())),
+        Err(TryLockError::Error(source)) => Err(system(&path)(source)),
+    }
+}
+
+/// Reads the files of a folder. Contributions that are too old, or for which the store has no room, are left out. The log
+/// names a file whose contributions are all too old. It is not removed, because the system's clock may be wrong. A file
+/// that is damaged is renamed, and the other ones are read.
+///
+/// # Errors
+/// [`RoadFileError::System`] if a file cannot be read or renamed.
+pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(), RoadFileError> {
+    let mut unsaved = BTreeSet::new();
+    for entry in fs::read_dir(folder).map_err(system(folder))? {
+        let path = entry.map_err(system(folder))?.path();
+        if path.extension().is_none_or(|suffix| suffix != SUFFIX) {
+            continue;
+        }
+        let bytes = read_regular(&path, LARGEST).map_err(system(&path))?;
+        let file = path.display();
+        match parse(&bytes) {
+            Ok((road, evidence)) => {
+                let added = add(&road, evidence, store, clocks);
+                if !added.useful {
+                    tracing::warn!(%file, "all evidence of this file is too old; it can be removed");
+                }
+                if added.future {
+                    tracing::warn!(
+                        %file,
+                        "this file has evidence from the future, which counts as measured now; check the system's clock"
+                    );
+                    unsaved.insert(road);
+                }
+            }
+            Err(reason) => {
+                let kept = set_aside(&path).map_err(system(&path))?;
+                let kept = kept.display();
+                tracing::error!(%file, reason, %kept, "this file of a road is damaged and was renamed; the map starts without it");
             }
         }
     }
     store.take_changed();
+    store.unsaved = unsaved;
     Ok(())
 }
 
-fn read(path: &Path) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    File::open(path)?.take(LARGEST).read_to_end(&mut bytes)?;
-    Ok(bytes)
+/// Renames a damaged file to `NAME.damaged`, or with a number behind it if there is such a file already. Returns its path.
+fn set_aside(path: &Path) -> io::Result<PathBuf> {
+    let named = |number: u32| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(".damaged");
+        if number > 0 {
+            name.push(format!("-{number}"));
+        }
+        PathBuf::from(name)
+    };
+    let (mut number, mut kept) = (0, named(0));
+    while kept.exists() {
+        number += 1;
+        kept = named(number);
+    }
+    fs::rename(path, &kept)?;
+    Ok(kept)
 }
 
-/// Adds the contributions of a file: whether one of them is not too old.
-fn add(bytes: &[u8], store: &mut Store, clocks: Clocks) -> Result<bool, String> {
+/// A contribution in a file.
+struct Evidence {
+    vehicle: Name,
+    index: u32,
+    tile: Tile,
+    measured_ms: u64,
+}
+
+/// Reads the road and the contributions of a file, or says what was expected and what came.
+fn parse(bytes: &[u8]) -> Result<(Road, Vec<Evidence>), String> {
     let stored = proto::StoredRoad::decode(bytes).map_err(|error| error.to_string())?;
     if stored.version != VERSION {
         return Err(format!(
@@ -90,30 +150,67 @@ fn add(bytes: &[u8], store: &mut Store, clocks: Clocks) -> Result<bool, String> 
             stored.version
         ));
     }
+    let content = &bytes[..bytes.len().saturating_sub(CHECKSUM)];
+    if !stored.sha256.is_empty() && stored.sha256 != digest(&SHA256, content).as_ref() {
+        return Err("its bytes do not have the SHA-256 that it states".to_owned());
+    }
     let name = |text: &str| text.parse::<Name>().map_err(|error| error.to_string());
-    let (fleet, road) = (name(&stored.fleet)?, name(&stored.road)?);
-    let mut useful = false;
-    for evidence in stored.evidence {
-        let key = RoadKey {
-            fleet: fleet.clone(),
-            vehicle: name(&evidence.vehicle)?,
-            road: road.clone(),
-        };
+    let read = |evidence: proto::StoredEvidence| {
         if evidence.tile >= ROAD_TILES {
             return Err(format!(
                 "expected a tile below {ROAD_TILES}, got {}",
                 evidence.tile
             ));
         }
-        let tile = Tile::from_bytes(&evidence.rows).map_err(|error| error.to_string())?;
-        let age = clocks.unix_ms.saturating_sub(evidence.measured_ms) as f64 / 1e3;
-        let added = store.add(&key, evidence.tile, tile, clocks.now - age, clocks.now);
-        useful |= !matches!(added, Err(StoreError::Old { .. }));
+        Ok(Evidence {
+            vehicle: name(&evidence.vehicle)?,
+            index: evidence.tile,
+            tile: Tile::from_bytes(&evidence.rows).map_err(|error| error.to_string())?,
+            measured_ms: evidence.measured_ms,
+        })
+    };
+    let evidence = stored
+        .evidence
+        .into_iter()
+        .map(read)
+        .collect::<Result<_, _>>()?;
+    Ok(((name(&stored.fleet)?, name(&stored.road)?), evidence))
+}
+
+/// What was found in a file.
+#[derive(Default)]
+struct Added {
+    /// Whether a contribution is not too old.
+    useful: bool,
+    /// Whether a contribution was measured in the future, by the system's clock.
+    future: bool,
+}
+
+/// Adds the contributions of a file.
+fn add(road: &Road, evidence: Vec<Evidence>, store: &mut Store, clocks: Clocks) -> Added {
+    let mut found = Added::default();
+    for Evidence {
+        vehicle,
+        index,
+        tile,
+        measured_ms,
+    } in evidence
+    {
+        let (fleet, road) = road.clone();
+        let key = RoadKey {
+            fleet,
+            vehicle,
+            road,
+        };
+        found.future |= measured_ms > clocks.unix_ms;
+        let age = clocks.unix_ms.saturating_sub(measured_ms) as f64 / 1e3;
+        let added = store.add(&key, index, tile, clocks.now - age, clocks.now);
+        found.useful |= !matches!(added, Err(StoreError::Old { .. }));
         if let Err(error) = added {
             tracing::debug!(?key, %error, "stored evidence left out");
         }
     }
-    Ok(useful)
+    found
 }
 
 /// Writes a road's file beside the old one and then replaces it; a road without evidence has no file.
@@ -126,10 +223,7 @@ pub(crate) fn save(
     let (fleet, name) = road;
     // No name has the character @, so the files of different roads have different names.
     let path = folder.join(format!("{fleet}@{name}.{SUFFIX}"));
-    let system = |source| RoadFileError::System {
-        path: path.clone(),
-        source,
-    };
+    let system = system(&path);
     let Some(tiles) = tiles else {
         return match fs::remove_file(&path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(system(error)),
@@ -153,11 +247,138 @@ pub(crate) fn save(
         fleet: fleet.to_string(),
         road: name.to_string(),
         evidence: evidence.collect(),
+        sha256: Vec::new(),
     };
-    replace_file(&path, &stored.encode_to_vec()).map_err(system)
+    let mut bytes = stored.encode_to_vec();
+    let checksum = proto::StoredRoad {
+        sha256: digest(&SHA256, &bytes).as_ref().to_vec(),
+        ..proto::StoredRoad::default()
+    };
+    // Messages one behind the other are one message with the fields of both.
+    bytes.extend(checksum.encode_to_vec());
+    replace_file(&path, &bytes).map_err(system)
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a cast of floats saturates
 fn age_ms(seconds: f64) -> u64 {
     (1e3 * seconds.max(0.0)) as u64
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use egp_map::{MergeSettings, TILE_BYTES};
+
+    use super::super::store::MapLimits;
+    use super::*;
+
+    const CLOCKS: Clocks = Clocks {
+        unix_ms: 1_800_000_000_000,
+        now: 0.0,
+    };
+
+    fn name(text: &str) -> Name {
+        text.parse().unwrap()
+    }
+
+    fn store() -> Store {
+        let limits = MapLimits {
+            contributions: 10,
+            vehicles: 10,
+            tiles: 10,
+        };
+        Store::new(MergeSettings::default(), limits)
+    }
+
+    /// A new folder with the file of the road `depot@ring`, and that file.
+    fn folder(test: &str) -> (PathBuf, PathBuf) {
+        let folder = std::env::temp_dir().join(format!("egp-map-{test}-{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        let (mut store, road) = (store(), (name("depot"), name("ring")));
+        let key = RoadKey {
+            fleet: road.0.clone(),
+            vehicle: name("a"),
+            road: road.1.clone(),
+        };
+        let tile = Tile::from_bytes(&[7; TILE_BYTES]).unwrap();
+        store.add(&key, 3, tile, 0.0, 0.0).unwrap();
+        save(&folder, &road, store.road(&road), CLOCKS).unwrap();
+        let file = folder.join("depot@ring.road");
+        (folder, file)
+    }
+
+    /// What a service finds in the folder.
+    fn loaded(folder: &Path, clocks: Clocks) -> Store {
+        let mut store = store();
+        load(folder, &mut store, clocks).unwrap();
+        store
+    }
+
+    #[test]
+    fn a_folder_has_one_service_at_a_time() {
+        let (folder, _) = folder("lock");
+        let first = lock(&folder).unwrap();
+        let error = lock(&folder).unwrap_err().to_string();
+        let words = format!("another map service keeps the folder {}", folder.display());
+        assert!(error.contains(&words), "{error}");
+        drop(first);
+        lock(&folder).unwrap();
+        fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn damaged_files_are_renamed_and_the_others_are_read() {
+        let (folder, file) = folder("damaged");
+        let good = fs::read(&file).unwrap();
+        let mut flipped = good.clone();
+        flipped[good.len() / 2] ^= 1;
+        for (damaged, kept) in [
+            (&good[..good.len() / 2], "depot@ring.road.damaged"),
+            (&[], "depot@ring.road.damaged-1"),
+            (&flipped, "depot@ring.road.damaged-2"),
+        ] {
+            fs::write(&file, damaged).unwrap();
+            fs::write(folder.join("other.road"), &good).unwrap();
+            assert_eq!(loaded(&folder, CLOCKS).contributions(), 1, "{kept}");
+            assert_eq!(fs::read(folder.join(kept)).unwrap(), damaged);
+            assert!(!file.exists());
+        }
+        // Files of earlier versions have no checksum.
+        fs::write(&file, &good[..good.len() - CHECKSUM]).unwrap();
+        fs::remove_file(folder.join("other.road")).unwrap();
+        assert_eq!(loaded(&folder, CLOCKS).contributions(), 1);
+        fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn evidence_from_the_future_is_of_now_and_is_written_so() {
+        let (folder, _) = folder("future");
+        assert!(loaded(&folder, CLOCKS).unsaved.is_empty());
+        let earlier = Clocks {
+            unix_ms: CLOCKS.unix_ms - 1_000_000,
+            now: 5.0,
+        };
+        let store = loaded(&folder, earlier);
+        let road = (name("depot"), name("ring"));
+        assert_eq!(store.road(&road).unwrap()[&3][&name("a")].at, earlier.now);
+        assert!(store.unsaved.contains(&road));
+        save(&folder, &road, store.road(&road), earlier).unwrap();
+        assert!(loaded(&folder, earlier).unsaved.is_empty());
+        fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_road_that_is_no_regular_file_is_an_error() {
+        let (folder, _) = folder("pipe");
+        let made = std::process::Command::new("mkfifo")
+            .arg(folder.join("depot@park.road"))
+            .status();
+        assert!(made.unwrap().success());
+        let error = load(&folder, &mut store(), CLOCKS).unwrap_err();
+        assert!(
+            error.to_string().contains("expected a regular file"),
+            "{error}"
+        );
+        fs::remove_dir_all(&folder).unwrap();
+    }
 }

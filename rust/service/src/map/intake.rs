@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 
 use egp_wire::keys::Name;
 use egp_wire::road_keys::{self, RoadKey, RoadTarget};
-use egp_wire::{Code, WireError};
+use egp_wire::{Code, ROAD_TILES, WireError};
 
 use super::metrics::Metrics;
 use crate::network::Received;
@@ -130,8 +130,19 @@ impl Intake {
 
 fn no_such_key(key: &str) -> WireError {
     let detail = format!(
-        "{key} is no key of a map service: expected egp/v1/map/FLEET/VEHICLE/ROAD/tile/INDEX or tiles/FIRST, or \
-         egp/v1/map/health or metrics"
+        "{key} is no key of a map service: expected egp/v1/map/FLEET/VEHICLE/ROAD/tile/INDEX or tiles/FIRST with INDEX \
+         and FIRST below {ROAD_TILES}, or egp/v1/map/health or metrics"
     );
     WireError::permanent(Code::Malformed, detail)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_error_about_a_key_states_the_limit_of_the_index() {
+        let error = no_such_key("egp/v1/map/depot/car/ring/tile/7813");
+        assert!(error.detail.contains("below 7813"), "{error}");
+    }
 }

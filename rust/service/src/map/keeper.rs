@@ -1,6 +1,6 @@
 //! The thread that owns the store: it answers queries, publishes changes and writes files.
 
-use std::collections::BTreeSet;
+use std::mem;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -11,7 +11,7 @@ use egp_wire::{Code, TileEvidence, WireError, encode_tiles_changed, road_keys};
 
 use super::file::{self, Clocks};
 use super::intake::{Intake, Job, What};
-use super::store::{Road, Store};
+use super::store::Store;
 use crate::network::Putter;
 use crate::query::Query as _;
 
@@ -44,30 +44,32 @@ pub(crate) fn clocks(started: Instant) -> Clocks {
 }
 
 impl Keeper {
-    /// Runs until the intake is gone, and then writes what was not yet written.
-    pub(crate) fn run(mut self, jobs: &Receiver<Job>) {
+    /// Runs until the intake is gone, and then writes what was not yet written. Returns the number of roads that could not
+    /// be written.
+    pub(crate) fn run(mut self, jobs: &Receiver<Job>) -> usize {
         self.count();
-        let mut unsaved = BTreeSet::new();
+        let wait = self.publish.min(self.save);
         let (mut published, mut saved, mut expired) = (self.started, self.started, self.started);
         loop {
-            match jobs.recv_timeout(self.publish) {
+            match jobs.recv_timeout(wait) {
                 Ok(job) => self.answer(&job),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
             if due(&mut published, self.publish) {
-                self.publish_changes(&mut unsaved);
+                self.publish_changes();
             }
             if due(&mut expired, EXPIRE) {
                 self.store.expire(self.started.elapsed().as_secs_f64());
                 self.count();
             }
             if due(&mut saved, self.save) {
-                self.write(&mut unsaved);
+                self.write();
             }
         }
-        self.publish_changes(&mut unsaved);
-        self.write(&mut unsaved);
+        self.publish_changes();
+        self.write();
+        self.store.unsaved.len()
     }
 
     fn answer(&mut self, job: &Job) {
@@ -101,32 +103,34 @@ impl Keeper {
         Ok(self.store.add(&job.key, job.index, tile, at, now)?)
     }
 
-    /// Publishes which tiles have new evidence; their roads go to `unsaved`.
-    fn publish_changes(&mut self, unsaved: &mut BTreeSet<Road>) {
+    /// Publishes which tiles have new evidence.
+    fn publish_changes(&mut self) {
         for (road, tiles) in self.store.take_changed() {
             let (fleet, name) = &road;
             tracing::debug!(%fleet, road = %name, tiles = tiles.len(), "changed");
             let message = encode_tiles_changed(tiles.into_iter().collect());
             self.network.put(&road_keys::changed(fleet, name), message);
-            unsaved.insert(road);
         }
     }
 
-    fn write(&self, unsaved: &mut BTreeSet<Road>) {
+    /// Writes the roads that changed, if the map has a folder.
+    fn write(&mut self) {
+        let mut unsaved = mem::take(&mut self.store.unsaved);
         let Some(folder) = &self.folder else {
-            return unsaved.clear();
+            return;
         };
         let clocks = clocks(self.started);
         // A road that could not be written is tried again.
-        unsaved.retain(
-            |road| match file::save(folder, road, self.store.road(road), clocks) {
-                Ok(()) => false,
-                Err(error) => {
-                    tracing::error!(%error, "a road was not written");
-                    true
-                }
-            },
-        );
+        unsaved.retain(|road| {
+            let saved = file::save(folder, road, self.store.road(road), clocks);
+            self.intake.metrics.wrote(saved.is_ok());
+            if let Err(error) = &saved {
+                tracing::error!(%error, "a road was not written");
+            }
+            saved.is_err()
+        });
+        self.store.unsaved = unsaved;
+        self.count();
     }
 
     fn count(&self) {
@@ -136,6 +140,10 @@ impl Keeper {
             .contributions
             .set(gauge(self.store.contributions()));
         self.intake.metrics.roads.set(gauge(self.store.roads()));
+        if self.folder.is_some() {
+            let unsaved = gauge(self.store.unsaved.len());
+            self.intake.metrics.unsaved.set(unsaved);
+        }
     }
 }
 

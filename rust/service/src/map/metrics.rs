@@ -6,19 +6,21 @@ use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
-use prometheus_client::registry::Registry;
+use prometheus_client::registry::{Registry, Unit};
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Outcome {
     outcome: String,
 }
 
-/// Counters of queries by outcome, and the size of the map.
+/// Counters of queries and writings by outcome, and the size of the map.
 pub(crate) struct Metrics {
     registry: Registry,
     queries: Family<Outcome, Counter>,
+    writes: Family<Outcome, Counter>,
     pub(crate) contributions: Gauge,
     pub(crate) roads: Gauge,
+    pub(crate) unsaved: Gauge,
 }
 
 impl Metrics {
@@ -26,8 +28,10 @@ impl Metrics {
         let mut metrics = Self {
             registry: Registry::with_prefix("egp_map"),
             queries: Family::default(),
+            writes: Family::default(),
             contributions: Gauge::default(),
             roads: Gauge::default(),
+            unsaved: Gauge::default(),
         };
         let registry = &mut metrics.registry;
         registry.register(
@@ -41,7 +45,19 @@ impl Metrics {
             metrics.contributions.clone(),
         );
         registry.register("roads", "Roads with contributions", metrics.roads.clone());
+        let help = "Writings of a road's file by outcome";
+        registry.register("writes", help, metrics.writes.clone());
+        let help = "Roads that changed since their files were written";
+        registry.register("unsaved_roads", help, metrics.unsaved.clone());
         metrics
+    }
+
+    /// Shows when the first of the certificates expires, s since 1970.
+    pub(crate) fn show_certificates_end(&mut self, end: i64) {
+        let gauge = Gauge::<i64>::default();
+        gauge.set(end);
+        let help = "Unix time at which the first certificate of the network expires";
+        (self.registry).register_with_unit("certificate_expiry", help, Unit::Seconds, gauge);
     }
 
     pub(crate) fn refused(&self, code: Code) {
@@ -51,6 +67,12 @@ impl Metrics {
     pub(crate) fn count(&self, outcome: &str) {
         let outcome = outcome.to_ascii_lowercase();
         self.queries.get_or_create(&Outcome { outcome }).inc();
+    }
+
+    /// Counts a writing of a road's file.
+    pub(crate) fn wrote(&self, written: bool) {
+        let outcome = if written { "written" } else { "failed" }.to_owned();
+        self.writes.get_or_create(&Outcome { outcome }).inc();
     }
 
     /// The OpenMetrics text.

@@ -15,5 +15,5 @@ mod server;
 mod store;
 
 pub use config::MapConfig;
-pub use server::{MapServer, MapStartError, serve_map};
+pub use server::{MapError, MapServer, serve_map};
 pub use store::{MapLimits, Store, StoreError};

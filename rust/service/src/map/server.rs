@@ -1,5 +1,6 @@
 //! A running map service: start and stop.
 
+use std::fs::File;
 use std::io;
 use std::sync::Arc;
 use std::sync::mpsc;
@@ -7,27 +8,28 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use egp_wire::road_keys;
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use thiserror::Error;
 
 use super::config::MapConfig;
-use super::file::{RoadFileError, load};
+use super::file::{RoadFileError, load, lock};
 use super::intake::Intake;
 use super::keeper::{Keeper, clocks};
 use super::store::Store;
+use crate::certificates;
 use crate::config::ConfigError;
 use crate::logging::init_logging;
-use crate::network::{Network, NetworkError, PATIENCE, configuration};
+use crate::network::{Network, NetworkError, PATIENCE, certificates_end, configuration};
 
 /// Queries of all vehicles that may wait.
 const WAITING: usize = 1024;
 /// Where the service listens by default; a service of control steps on the same machine has the port before this one.
 const LISTEN: (&str, &str) = ("listen/endpoints", r#"["tcp/127.0.0.1:7448"]"#);
 
-/// Why a map service did not start.
+/// Why a map service did not start, or lost something at its end.
 #[derive(Debug, Error)]
-pub enum MapStartError {
+pub enum MapError {
     /// The configuration is out of range.
     #[error(transparent)]
     Config(#[from] ConfigError),
@@ -43,20 +45,33 @@ pub enum MapStartError {
     /// An operation of zenoh that failed.
     #[error(transparent)]
     Network(#[from] NetworkError),
+    /// Roads could not be written at the end.
+    #[error(
+        "{0} roads of the map were not written, and what changed since their last writing is lost; the log has the reasons"
+    )]
+    Unsaved(usize),
+    /// The thread that keeps the map panicked.
+    #[error(
+        "the thread that keeps the map ended by a panic, and what changed since the last writing is lost; the log has the \
+         reason"
+    )]
+    Panic,
 }
 
 /// A map service that answers queries until it is stopped or dropped.
 pub struct MapServer {
     network: Network,
-    keeper: Option<JoinHandle<()>>,
+    keeper: Option<JoinHandle<usize>>,
+    /// Keeps other services from the folder.
+    _lock: Option<File>,
 }
 
 impl MapServer {
     /// Reads the roads' files and starts answering.
     ///
     /// # Errors
-    /// [`MapStartError`]; nothing keeps running then.
-    pub fn start(config: &MapConfig) -> Result<Self, MapStartError> {
+    /// [`MapError`]; nothing keeps running then.
+    pub fn start(config: &MapConfig) -> Result<Self, MapError> {
         Self::start_unless(config, &mut || false)
     }
 
@@ -64,10 +79,11 @@ impl MapServer {
     fn start_unless(
         config: &MapConfig,
         stopped: &mut dyn FnMut() -> bool,
-    ) -> Result<Self, MapStartError> {
+    ) -> Result<Self, MapError> {
         config.validate()?;
         let started = Instant::now();
         let mut store = Store::new(config.merge(), config.limits());
+        let lock = config.folder.as_deref().map(lock).transpose()?;
         if let Some(folder) = &config.folder {
             load(folder, &mut store, clocks(started))?;
         }
@@ -79,8 +95,14 @@ impl MapServer {
                 .or_insert_with(|| value.to_owned());
         }
         let zenoh = configuration(config.zenoh_file.as_deref(), &zenoh)?;
+        let end = certificates_end(&zenoh)?;
         let mut network = Network::open_patiently(zenoh, PATIENCE, stopped)?;
-        let intake = Arc::new(Intake::new());
+        let mut intake = Intake::new();
+        if let Some(end) = end {
+            certificates::warn(end);
+            intake.metrics.show_certificates_end(end);
+        }
+        let intake = Arc::new(intake);
         let (contributions, roads) = (store.contributions(), store.roads());
         let keeper = Keeper {
             store,
@@ -99,41 +121,50 @@ impl MapServer {
         Ok(Self {
             network,
             keeper: Some(keeper),
+            _lock: lock,
         })
     }
 
     /// Answers the queries that wait, writes what is not yet written, and closes.
-    pub fn stop(mut self) {
-        self.end();
+    ///
+    /// # Errors
+    /// [`MapError::Unsaved`] or [`MapError::Panic`] if something was not written.
+    pub fn stop(mut self) -> Result<(), MapError> {
+        self.end()
     }
 
-    fn end(&mut self) {
+    fn end(&mut self) -> Result<(), MapError> {
         let Some(keeper) = self.keeper.take() else {
-            return;
+            return Ok(());
         };
         self.network.undeclare(); // the sender goes with the intake, which ends the keeper
-        if keeper.join().is_err() {
-            tracing::error!("the keeper's thread ended by a panic");
-        }
+        let unsaved = keeper.join();
         self.network.close();
         tracing::info!("map closed");
+        match unsaved {
+            Ok(0) => Ok(()),
+            Ok(roads) => Err(MapError::Unsaved(roads)),
+            Err(_) => Err(MapError::Panic),
+        }
     }
 }
 
 impl Drop for MapServer {
     fn drop(&mut self) {
-        self.end();
+        if let Err(error) = self.end() {
+            tracing::error!(%error, "map closed");
+        }
     }
 }
 
-/// Keeps a map until SIGTERM or SIGINT.
+/// Keeps a map until SIGTERM, SIGINT or SIGHUP.
 ///
 /// # Errors
-/// [`MapStartError`] if the service does not start.
-pub fn serve_map(config: &MapConfig) -> Result<(), MapStartError> {
-    init_logging(&config.log, config.log_json).map_err(MapStartError::Logging)?;
+/// [`MapError`] if the service does not start, or if something is not written at the end.
+pub fn serve_map(config: &MapConfig) -> Result<(), MapError> {
+    init_logging(&config.log, config.log_json).map_err(MapError::Logging)?;
     // Signals are registered before the start, so that an early one is not lost.
-    let mut signals = Signals::new([SIGTERM, SIGINT])?;
+    let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP])?;
     let mut ended = false;
     let mut stopped = || {
         ended |= signals.pending().next().is_some();
@@ -146,6 +177,5 @@ pub fn serve_map(config: &MapConfig) -> Result<(), MapStartError> {
     if let Some(signal) = signals.forever().next() {
         tracing::info!(signal, "signal received");
     }
-    server.stop();
-    Ok(())
+    server.stop()
 }

@@ -77,6 +77,8 @@ pub struct Store {
     counts: HashMap<(Name, Name), usize>,
     total: usize,
     changed: BTreeMap<Road, BTreeSet<u32>>,
+    /// The roads that changed since their files were written.
+    pub(crate) unsaved: BTreeSet<Road>,
 }
 
 impl Store {
@@ -89,6 +91,7 @@ impl Store {
             counts: HashMap::new(),
             total: 0,
             changed: BTreeMap::new(),
+            unsaved: BTreeSet::new(),
         }
     }
 
@@ -125,6 +128,7 @@ impl Store {
             self.total += 1;
         }
         self.changed.entry(road.clone()).or_default().insert(index);
+        self.unsaved.insert(road.clone());
         let vehicles = self
             .roads
             .entry(road)
@@ -169,7 +173,8 @@ impl Store {
     /// Forgets what is too old to be of use; the tiles have then changed.
     pub fn expire(&mut self, now: f64) {
         let oldest = now - self.largest_age();
-        let (counts, total, changed) = (&mut self.counts, &mut self.total, &mut self.changed);
+        let (counts, total) = (&mut self.counts, &mut self.total);
+        let (changed, unsaved) = (&mut self.changed, &mut self.unsaved);
         self.roads.retain(|road, tiles| {
             tiles.retain(|index, vehicles| {
                 vehicles.retain(|vehicle, contribution| {
@@ -177,6 +182,7 @@ impl Store {
                     if !keep {
                         forget(counts, total, &road.0, vehicle);
                         changed.entry(road.clone()).or_default().insert(*index);
+                        unsaved.insert(road.clone());
                     }
                     keep
                 });
@@ -305,7 +311,9 @@ mod tests {
         store.take_changed();
         let road = (name("depot"), name("ring"));
         for (index, kept, now) in [(3, true, 1.2e4), (7, false, 1e6)] {
+            store.unsaved.clear();
             store.expire(now);
+            assert!(store.unsaved.contains(&road));
             assert!(store.take_changed()[&road].contains(&index));
             assert_eq!(store.road(&road).is_some(), kept);
         }

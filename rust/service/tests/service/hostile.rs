@@ -125,6 +125,9 @@ fn bad_requests_get_typed_errors_while_another_vehicle_is_served() {
                 Outcome::Error(error) => {
                     assert_eq!(error.code, code, "{name}, round {round}: {error}");
                     assert!(error.detail.contains(words), "{name}: {error}");
+                    if name == "wrong unit" {
+                        assert_eq!(error.field, "x", "{error}");
+                    }
                 }
                 other => panic!("{name}: {other:?}"),
             }

@@ -7,6 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::{Client, Outcome, first_request, free_endpoint, library_file, step_key};
+use egp_service::{ServiceConfig, check};
 use serde_json::Value;
 
 fn free_address() -> SocketAddr {
@@ -169,4 +170,17 @@ fn an_address_in_use_is_an_error_in_words() {
         !output.status.success() && message.contains(&words),
         "{message}"
     );
+}
+
+#[test]
+fn a_check_looks_at_the_host_for_http_and_not_at_its_port() {
+    let mut config = ServiceConfig::new(library_file("checked.safetensors"));
+    config.settings.horizon = Some(20);
+    config.http = Some("192.0.2.1:9464".parse().unwrap());
+    let message = check(&config).unwrap_err().to_string();
+    let words = "cannot listen for HTTP on 192.0.2.1:9464";
+    assert!(message.contains(words), "{message}");
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    config.http = Some(taken.local_addr().unwrap());
+    assert!(check(&config).is_ok());
 }

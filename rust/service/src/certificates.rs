@@ -1,0 +1,186 @@
+//! The ends of the certificates that zenoh's TLS settings name.
+
+use std::fs;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde_json::Value;
+use x509_parser::pem::Pem;
+
+/// A service warns of the end of a certificate so many days before.
+const SOON: i64 = 30;
+/// A day, s.
+const DAY: i64 = 24 * 3600;
+
+/// The settings of zenoh's TLS that name certificates.
+pub(crate) const SETTINGS: [&str; 6] = [
+    "root_ca_certificate",
+    "root_ca_certificate_base64",
+    "listen_certificate",
+    "listen_certificate_base64",
+    "connect_certificate",
+    "connect_certificate_base64",
+];
+
+/// A certificate that cannot be used: the setting that names it, and the reason.
+pub(crate) type Unusable = (String, String);
+
+/// The earliest end of the certificates in these settings ([`SETTINGS`], with their values), s since 1970; none if they name
+/// none. A file of authorities lasts as long as the one that ends last. `now` is in s since 1970, too.
+///
+/// # Errors
+/// [`Unusable`] for a file that cannot be read, has no certificate, or has one that has expired.
+pub(crate) fn earliest_end(
+    settings: &[(String, Value)],
+    now: i64,
+) -> Result<Option<i64>, Unusable> {
+    let mut earliest = None;
+    for (key, value) in settings {
+        let Some(text) = value.as_str() else {
+            continue;
+        };
+        let path = !key.ends_with("_base64");
+        let named = if path {
+            format!("{key} {text}")
+        } else {
+            key.clone()
+        };
+        let content = if path {
+            fs::read(text).map_err(|error| error.to_string())
+        } else {
+            decode(text)
+        };
+        let ends = content.and_then(|content| ends(&content));
+        let ends = ends.map_err(|reason| (named.clone(), reason))?;
+        let end = if key.contains("root_ca") {
+            ends.iter().max()
+        } else {
+            ends.iter().min()
+        };
+        let Some(&end) = end else {
+            return Err((named, "expected a certificate in PEM, got none".to_owned()));
+        };
+        if end <= now {
+            let days = (now - end) / DAY;
+            let reason =
+                format!("the certificate expired {days} days ago; renew it with `egp keys`");
+            return Err((named, reason));
+        }
+        earliest = Some(earliest.map_or(end, |earliest: i64| earliest.min(end)));
+    }
+    Ok(earliest)
+}
+
+/// The time, s since 1970.
+pub(crate) fn now() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    i64::try_from(since.unwrap_or_default().as_secs()).unwrap_or(i64::MAX)
+}
+
+/// Warns if it is time to renew a certificate with this end.
+pub(crate) fn warn(end: i64) {
+    if let Some(days) = days_left(end, now()) {
+        tracing::warn!(
+            days,
+            "a certificate of this service expires soon; renew it with `egp keys`"
+        );
+    }
+}
+
+/// The days until a certificate with this end expires, if it is time to renew it.
+fn days_left(end: i64, now: i64) -> Option<i64> {
+    let days = (end - now) / DAY;
+    (days < SOON).then_some(days)
+}
+
+/// The bytes that a text of Base64 stands for, read as the content of a block of PEM.
+fn decode(base64: &str) -> Result<Vec<u8>, String> {
+    let block = format!("-----BEGIN TEXT-----\n{base64}\n-----END TEXT-----\n");
+    let read = Pem::iter_from_buffer(block.as_bytes()).next();
+    read.map_or(Ok(Vec::new()), |pem| {
+        Ok(pem.map_err(|error| error.to_string())?.contents)
+    })
+}
+
+/// The end of each certificate of a text in PEM.
+fn ends(pem: &[u8]) -> Result<Vec<i64>, String> {
+    let mut ends = Vec::new();
+    for block in Pem::iter_from_buffer(pem) {
+        let block = block.map_err(|error| error.to_string())?;
+        if block.label == "CERTIFICATE" {
+            let certificate = block.parse_x509().map_err(|error| error.to_string())?;
+            ends.push(certificate.validity().not_after.timestamp());
+        }
+    }
+    Ok(ends)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use crate::network::configuration;
+
+    /// A certificate that ends at [`END`].
+    const PEM: &str = "-----BEGIN CERTIFICATE-----
+MIHQMIGDoAMCAQICAQEwBQYDK2VwMBIxEDAOBgNVBAMMB2V4cGlyZWQwHhcNMTkw
+MTAxMDAwMDAwWhcNMjAwMTAxMDAwMDAwWjASMRAwDgYDVQQDDAdleHBpcmVkMCow
+BQYDK2VwAyEAQdqshgKG/qRej6mJbH2cHM05XEtP/G3pmwK1drdYtkMwBQYDK2Vw
+A0EA4MYKrYCa9pIgWQp7HAcaUbZm3X62PtRLzH+JIrVika414j6G0LOW1vMy4XY8
+do6S23DDFe9OW8P2HIfrrhcdDw==
+-----END CERTIFICATE-----
+";
+    /// 2020-01-01 00:00:00 UTC.
+    const END: i64 = 1_577_836_800;
+
+    fn setting(key: &str, value: &str) -> Vec<(String, Value)> {
+        vec![(key.to_owned(), Value::from(value))]
+    }
+
+    #[test]
+    fn a_certificate_is_used_until_it_expires() {
+        let file = std::env::temp_dir().join(format!("egp-{}.pem", std::process::id()));
+        fs::write(&file, PEM).unwrap();
+        let key = "transport/link/tls/listen_certificate";
+        let named = setting(key, file.to_str().unwrap());
+        assert_eq!(earliest_end(&named, END - 1), Ok(Some(END)));
+        let (what, reason) = earliest_end(&named, END + 200_000).unwrap_err();
+        assert!(what.contains(key) && what.contains("egp-"), "{what}");
+        assert!(reason.contains("expired 2 days ago"), "{reason}");
+        fs::write(&file, "no certificate").unwrap();
+        let (_, reason) = earliest_end(&named, 0).unwrap_err();
+        assert!(reason.contains("got none"), "{reason}");
+        fs::remove_file(&file).unwrap();
+        assert!(earliest_end(&named, 0).is_err());
+        let none = vec![(key.to_owned(), Value::Null)];
+        assert_eq!(earliest_end(&none, 0), Ok(None));
+    }
+
+    #[test]
+    fn certificates_inside_the_settings_are_read() {
+        assert_eq!(decode("YWJj").unwrap(), b"abc");
+        let named = setting("transport/link/tls/connect_certificate_base64", BASE64);
+        assert_eq!(earliest_end(&named, 0), Ok(Some(END)));
+        assert!(earliest_end(&setting("root_ca_certificate_base64", "YWJj"), 0).is_err());
+    }
+
+    #[test]
+    fn a_configuration_with_an_expired_certificate_is_an_error() {
+        let key = "transport/link/tls/connect_certificate_base64".to_owned();
+        let values = [(key, format!("\"{BASE64}\""))].into();
+        let error = configuration(None, &values).unwrap_err().to_string();
+        assert!(error.contains("the certificate expired"), "{error}");
+    }
+
+    #[test]
+    fn a_certificate_ends_soon_thirty_days_before() {
+        assert_eq!(days_left(END, END - 30 * DAY), None);
+        assert_eq!(days_left(END, END - 30 * DAY + 1), Some(29));
+    }
+
+    /// [`PEM`].
+    const BASE64: &str = "LS0tLS1CRUdJTiBDRVJUSUZJQ0FURS0tLS0tCk1JSFFNSUdEb0FNQ0FRSUNBUUV3QlFZREsyVndNQkl4RURBT0JnTlZCQU1NQjJW\
+        NGNHbHlaV1F3SGhjTk1Ua3cKTVRBeE1EQXdNREF3V2hjTk1qQXdNVEF4TURBd01EQXdXakFTTVJBd0RnWURWUVFEREFkbGVIQnBj\
+        bVZrTUNvdwpCUVlESzJWd0F5RUFRZHFzaGdLRy9xUmVqNm1KYkgyY0hNMDVYRXRQL0czcG13SzFkcmRZdGtNd0JRWURLMlZ3CkEw\
+        RUE0TVlLcllDYTlwSWdXUXA3SEFjYVViWm0zWDYyUHRSTHpIK0pJclZpa2E0MTRqNkcwTE9XMXZNeTRYWTgKZG82UzIzRERGZTlP\
+        VzhQMkhJZnJyaGNkRHc9PQotLS0tLUVORCBDRVJUSUZJQ0FURS0tLS0tCg==";
+}
