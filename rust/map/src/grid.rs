@@ -32,19 +32,19 @@ impl Grid {
         Self { edges, prior }
     }
 
-    /// The masses, or the prior if they vanish or are not numbers, so that they say nothing.
-    fn known<'a>(&'a self, masses: &'a Row) -> &'a Row {
+    /// The masses, or the prior if they vanish or are not numbers, so that they say nothing; and their sum.
+    fn known<'a>(&'a self, masses: &'a Row) -> (&'a Row, f64) {
         let sum: f64 = masses.iter().sum();
         if sum > 0.0 && sum.is_finite() {
-            masses
+            (masses, sum)
         } else {
-            &self.prior
+            (&self.prior, self.prior.iter().sum())
         }
     }
 
     /// Median and standard deviation of the friction, for `masses` that need not sum to one.
     pub fn median_and_std(&self, masses: &Row) -> [f64; 2] {
-        let masses = self.known(masses);
+        let (masses, _) = self.known(masses);
         let (mut sum, mut mean, mut square) = (0.0, 0.0, 0.0);
         for (i, mass) in masses.iter().enumerate() {
             let middle = f64::midpoint(self.edges[i], self.edges[i + 1]);
@@ -58,8 +58,8 @@ impl Grid {
 
     /// The friction below which the probability is `share`, for `masses` that need not sum to one.
     pub fn quantile(&self, masses: &Row, share: f64) -> f64 {
-        let masses = self.known(masses);
-        let mut left = share * masses.iter().sum::<f64>();
+        let (masses, sum) = self.known(masses);
+        let mut left = share * sum;
         for (i, mass) in masses.iter().enumerate() {
             if left < *mass {
                 return self.edges[i] + left / mass * (self.edges[i + 1] - self.edges[i]);

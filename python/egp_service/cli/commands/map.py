@@ -43,8 +43,8 @@ def keep_map(
 
     Vehicles send what they measured and ask for what the others did. The map
     adds it up for each place; a friction that only a minority of the vehicles
-    excludes is not excluded. Evidence ages. It runs until SIGTERM or Ctrl-C.
-    Anybody who reaches the endpoint can contribute under any name: outside a
+    excludes is not excluded. Evidence ages. It runs until SIGTERM, SIGHUP or
+    Ctrl-C. Anybody who reaches the endpoint can contribute under any name: outside a
     trusted network give it the `map.json5` of `egp keys` (docs/map.md).
 
     For example:
