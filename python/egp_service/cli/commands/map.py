@@ -42,10 +42,11 @@ def keep_map(
     """Keep the map of a fleet: what its vehicles measure about the friction of roads.
 
     Vehicles send what they measured and ask for what the others did. The map
-    adds it up for each place; a friction that only a minority of the vehicles
-    excludes is not excluded. Evidence ages. It runs until SIGTERM, SIGHUP or
-    Ctrl-C. Anybody who reaches the endpoint can contribute under any name: outside a
-    trusted network give it the `map.json5` of `egp keys` (docs/map.md).
+    adds it up for each place; a friction that only a minority of the
+    vehicles excludes is not excluded. Evidence ages. It runs until SIGTERM,
+    SIGHUP or Ctrl-C. Anybody who reaches the endpoint can contribute under
+    any name: outside a trusted network give it the `map.json5` of `egp keys`
+    (docs/map.md).
 
     For example:
       egp map --folder roads
