@@ -96,7 +96,8 @@ def naming(path: Path | None) -> Iterator[None]:
             told = (told[: found.start()] + told[found.end() :]).strip()
             if "missing field" not in told:  # such a field has no line
                 told += f", in the line `{found[1]}`"
-        raise EgpError(f"{path}: {told}") from error
+        error.args = (f"{path}: {told}",)
+        raise
 
 
 def _with_folder(table: dict[str, object], folder: Path) -> dict[str, object]:

@@ -299,7 +299,8 @@ def _first_ready(
         for answer, attachment in network.ask_and_wait(key, seal, min(left, _QUESTION_SECONDS)):
             if discovery.is_usable(replica, answer, attachment):
                 return answer
-    error = _unreachable(endpoints, discovery.error if network.has_link() else _NO_LINK)
+    known = discovery.unusable or network.has_link()
+    error = _unreachable(endpoints, discovery.error if known else _NO_LINK)
     error.replicas = discovery.unusable
     raise error
 

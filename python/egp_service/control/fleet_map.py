@@ -35,8 +35,9 @@ EVIDENCE_ENCODING = "application/protobuf;egp.v1.TileEvidence"
 # Time between two exchanges, and after which reports are aged again while the service is silent, s.
 _EXCHANGE_SECONDS = 1.0
 _AGEING_SECONDS = 60.0
-# Part of `timeout` that a question for tiles may take, so that a lost answer is asked for again.
-_QUESTION_SHARE = 1.0 / 3.0
+# Part of `timeout` that the first question for tiles may take, so that a lost answer is asked for
+# again. Later ones may take all of it, as the answers on a slow link do.
+_FIRST_SHARE = 1.0 / 3.0
 # Above the largest ratio of likelihoods that a tile can hold, nats.
 _UNLIMITED = 8.0
 
@@ -98,6 +99,7 @@ class FleetMap:
         self._stale_from: int | None = None
         self._asking = 0
         self._answered = False
+        self._patience = timeout
         self._exchanged = self._aged = time.monotonic()
         self._warned: set[str] = set()
         try:
@@ -112,8 +114,10 @@ class FleetMap:
     def fetch(self) -> bool:
         """Ask for all tiles and wait for them; return whether a map service answered."""
         deadline = time.monotonic() + self._timeout
+        self._patience = _FIRST_SHARE * self._timeout
         while time.monotonic() < deadline:
             self._ask(0)
+            self._patience = self._timeout
             while self._asking and time.monotonic() < deadline:
                 self._handle(deadline)
             if not self._asking and "no answer" not in self._warned:
@@ -202,8 +206,7 @@ class FleetMap:
         self._asking += 1
         if self._stale_from is not None and self._stale_from >= first:
             self._stale_from = None
-        patience = _QUESTION_SHARE * self._timeout
-        self._query(self._keys.tiles(first), self._use, self._asked, patience=patience)
+        self._query(self._keys.tiles(first), self._use, self._asked, patience=self._patience)
 
     def _asked(self, answered: bool) -> None:  # noqa: FBT001 - a callback
         self._asking -= 1

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import EgpError
+from egp_service._core import EgpError, VehicleLostError
 from egp_service.data.dataset import Dataset
 from egp_service.data.driver import Driver
 from egp_service.quantities import DELTA, MOTION, NU, NX, OMEGA, P_X, P_Y, PSI, V_X, V_Y, gp_input
@@ -117,7 +117,7 @@ def _episode(
             u = driver.input(x, reference)
             try:
                 plant.step(u, experiment.dt, surface)
-            except EgpError:  # the vehicle spun
+            except VehicleLostError:
                 return False
             inputs.append(u)
             states.append(plant.vehicle_state)

@@ -129,17 +129,34 @@ def _mcap(path: Path, stack: contextlib.ExitStack) -> Messages:
     return Messages(_topics(summary.channels, summary.schemas, counts), read)
 
 
+def _content(path: Path) -> tuple[dict[int, Schema], dict[int, Channel], Counter[int]]:
+    """Return what an MCAP file without index contains, with the number of each channel's messages.
+
+    Raises:
+        EgpError: if it is damaged.
+
+    """
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    counts: Counter[int] = Counter()
+    record: McapRecord | Damage | None = None
+    for record in records(path):
+        if isinstance(record, Message):
+            counts[record.channel_id] += 1
+        elif isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+    if isinstance(record, Damage):
+        raise EgpError(f"{path}: the recording is {record}")
+    if not isinstance(record, Footer):
+        _log.warning("%s was interrupted; its last messages are missing", path)
+    return schemas, channels, counts
+
+
 def _without_index(path: Path, factories: Sequence[DecoderFactory]) -> Messages:
     """Return the messages of an MCAP file that has no index, up to where it was interrupted."""
-    found = list(_without_messages(path))
-    schemas = {record.id: record for record in found if isinstance(record, Schema)}
-    channels = {record.id: record for record in found if isinstance(record, Channel)}
-    counts = Counter(record for record in found if isinstance(record, int))
-    end = found[-1]
-    if isinstance(end, Damage):
-        raise EgpError(f"{path}: the recording is {end}")
-    if not isinstance(end, Footer):
-        _log.warning("%s was interrupted; its last messages are missing", path)
+    schemas, channels, counts = _content(path)
 
     def decoder(channel: Channel) -> Decoder:
         schema = schemas.get(channel.schema_id)
@@ -157,12 +174,6 @@ def _without_index(path: Path, factories: Sequence[DecoderFactory]) -> Messages:
                 yield wanted[record.channel_id].topic, record.log_time, message
 
     return Messages(_topics(channels, schemas, counts), read)
-
-
-def _without_messages(path: Path) -> Iterator[McapRecord | Damage | int]:
-    """Give the records, but only the numbers of the channels of messages, which may be large."""
-    for record in records(path):
-        yield record.channel_id if isinstance(record, Message) else record
 
 
 def _topics(

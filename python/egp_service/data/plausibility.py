@@ -31,8 +31,11 @@ _PERIODS: Final = (1e-3, 1.0)
 # Largest change from one row to the next, and per second: no road vehicle changes faster.
 _JUMPS: Final = {"v_x": (3.0, 60.0), "v_y": (3.0, 60.0), "omega": (2.0, 40.0), "delta": (0.5, 10.0)}
 # Standard deviation of another column above which the vehicle certainly moves differently: the yaw
-# rate in rad/s, the steering angle in rad, the acceleration in m/s².
-_ACTIVE: Final = {"omega": 0.05, "delta": 0.02, "acceleration": 0.3}
+# rate in rad/s, the steering angle in rad.
+_ACTIVE: Final = {"omega": 0.05, "delta": 0.02}
+# The same for the change of speed, m/s, that the acceleration about its mean implies. Vibration and
+# slopes imply less.
+_FASTER: Final = 1.0
 _HEAVIEST: Final = 4000.0  # kg, for a force of a vehicle whose mass is not known
 _STUCK: Final = 5.0  # s
 _MOVING: Final = 3.0  # m/s
@@ -144,9 +147,9 @@ def _check_stuck(log: Log, columns: Mapping[str, Column], mass: float | None) ->
     On a straight road the former stand still while the speed changes.
     """
     time = log["time"]
-    delta, omega = log["delta"], log["omega"]
-    witnesses = {
-        "v_x": {"acceleration": _acceleration(log, mass)},
+    delta, omega, acceleration = log["delta"], log["omega"], _acceleration(log, mass)
+    witnesses: dict[str, dict[str, NDArray[np.float64]]] = {
+        "v_x": {},
         "v_y": {"omega": omega, "delta": delta},
         "omega": {"delta": delta},
         "delta": {"omega": omega},
@@ -159,13 +162,23 @@ def _check_stuck(log: Log, columns: Mapping[str, Column], mass: float | None) ->
             if (
                 time[last - 1] - time[first] >= _STUCK
                 and np.median(log["v_x"][stretch]) > _MOVING
-                and any(np.std(other[stretch]) > _ACTIVE[q] for q, other in others.items())
+                and (
+                    _speed_change(time[stretch], acceleration[stretch]) > _FASTER
+                    if quantity == "v_x"
+                    else any(np.std(other[stretch]) > _ACTIVE[q] for q, other in others.items())
+                )
             ):
                 raise EgpError(
                     f"'{columns[quantity].name}' stays at {values[first]:.4g} (SI units) from row "
                     f"{first} to {last - 1}, {time[last - 1] - time[first]:.0f} s, while the "
                     "vehicle moves: the sensor was probably stuck; remove these rows"
                 )
+
+
+def _speed_change(time: NDArray[np.float64], acceleration: NDArray[np.float64]) -> float:
+    """Range of the speeds in m/s that the acceleration about its mean implies."""
+    about_mean = acceleration - acceleration.mean()
+    return float(np.ptp(np.cumsum(about_mean[1:] * np.diff(time))))
 
 
 def _check_turning(log: Log, columns: Mapping[str, Column], wheelbase: float | None) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import GRAVITY, EgpError
+from egp_service._core import GRAVITY, EgpError, VehicleLostError
 from egp_service.data.dataset import Dataset
 from egp_service.data.experiment import WHEELBASE, Experiment, largest_acceleration, largest_demand
 from egp_service.quantities import DELTA, F_X, NY, NZ, OMEGA, P_X, P_Y, PSI, V_X, V_Y
@@ -92,7 +92,7 @@ def _drive(
     for _ in range(periods):
         try:
             plant.step(u, experiment.dt, experiment.friction)
-        except EgpError:  # the vehicle spun
+        except VehicleLostError:
             return None
         states.append(plant.state)
         if states[-1][_VISIBLE[0]] <= _STANDSTILL:

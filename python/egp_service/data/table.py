@@ -29,8 +29,8 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
     header has no `separator` but semicolons or tabs, those separate.
 
     Raises:
-        EgpError: if there is no such file, or it is no Parquet or CSV file, if two columns of a CSV
-            file have the same name but for spaces, or if a line has more fields than the header.
+        EgpError: if there is no such file, or it is no Parquet or CSV file, or if a line of a CSV
+            file has more fields than the header.
 
     """
     if not path.is_file():
@@ -48,7 +48,7 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
         header = next((line for line in lines if line and line[0] != "#"), "")
         if separator not in header:
             separator = next((other for other in _SEPARATORS if other in header), separator)
-        columns = _header(path, header, separator)
+        columns = _header(header, separator)
         frame = pl.read_csv(path, separator=separator, comment_prefix="#", infer_schema_length=None)
     except (UnicodeDecodeError, csv.Error) as error:
         raise EgpError(f"{path}: not a readable CSV file ({error})") from error
@@ -57,20 +57,18 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
             _check_fields(path, lines, len(columns), separator)
         raise EgpError(f"{path}: not a readable CSV file ({error})") from error
     names = [name.removeprefix("\ufeff") for name in frame.columns]
+    if len(columns) == len(names):
+        names = [
+            same_name(column, place) if column and columns.count(column) > 1 else name
+            for place, (name, column) in enumerate(zip(names, columns, strict=True), 1)
+        ]
     frame.columns = [name.strip() or name for name in names]
     return frame
 
 
-def _header(path: Path, line: str, separator: str) -> list[str]:
-    """Return the names of the columns; errors if two have one name, which polars would change."""
-    names = [name.strip() for name in next(csv.reader([line], delimiter=separator))]
-    twice = next((name for name in names if name and names.count(name) > 1), None)
-    if twice is not None:
-        raise EgpError(
-            f"{path}: two columns are named '{twice}' when spaces around names are left out: "
-            "rename one of them"
-        )
-    return names
+def _header(line: str, separator: str) -> list[str]:
+    """Return the names of the columns as they are written; polars changes one that comes twice."""
+    return [name.strip() for name in next(csv.reader([line], delimiter=separator))]
 
 
 def _check_fields(path: Path, lines: Sequence[str], expected: int, separator: str) -> None:
@@ -82,6 +80,14 @@ def _check_fields(path: Path, lines: Sequence[str], expected: int, separator: st
                 f"{path}: line {number} has {count} fields and the header {expected}: correct or "
                 "remove this line"
             )
+
+
+def same_name(name: str, place: int | str = "") -> str:
+    """Return what the column at a place, from 1 on, is called if another one has its name, too.
+
+    Without a place it is the beginning of this name.
+    """
+    return f"{name} (column {place}" + (")" if place else "")
 
 
 def some(names: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import EgpError, Library, RoadBelief, horizon_reference
+from egp_service._core import Library, RoadBelief, VehicleLostError, horizon_reference
 from egp_service.quantities import NU, NX, POSITION, PSI, V_X
 from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.plant import make_plant
@@ -187,7 +187,7 @@ class _Loop:
         u = self._pending.popleft()
         try:
             self._plant.drive(u, dt, self._s)
-        except EgpError as error:
+        except VehicleLostError as error:
             return self._ending(f"lost control: {error}")
         self._ticks += 1
         if self._distance >= self._goal:

@@ -17,17 +17,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import torch
-from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from egp_service._core import EgpError
 from egp_service.data.channels import channels
 from egp_service.quantities import NY
+from egp_service.training.normal_equations import Compressed
 from egp_service.training.prior_mean import BODY, PARAMETERS, TYRES, change
 from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -281,7 +281,7 @@ class _Problem:
 
     def solve(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the unknowns of largest posterior density."""
-        problem = _Compressed(self._normal_equations)
+        problem = Compressed(self._normal_equations)
         found = least_squares(
             problem.residuals, start, jac=problem.jacobian, bounds=(self._low, self._high)
         )
@@ -343,39 +343,6 @@ class _Problem:
             determined=mass.determined and gyration.determined,
             at_bound=mass.at_bound or gyration.at_bound,
         )
-
-
-class _Compressed:
-    """A least-squares problem with as many residuals as unknowns, and one more.
-
-    With Jᵀ J = L Lᵀ the residuals [L⁻¹ Jᵀ r, q], where q² = rᵀ r - |L⁻¹ Jᵀ r|², and their
-    derivatives [Lᵀ, 0] have the same sum of squares, gradient and Gauss-Newton Hessian as r and J.
-    These are all that `least_squares` uses, which decomposes J in each iteration.
-    """
-
-    def __init__(
-        self,
-        normal_equations: Callable[
-            [NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64], float]
-        ],
-    ) -> None:
-        self._normal_equations = normal_equations
-
-    def residuals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the residuals at x (n + 1,)."""
-        square, gradient, total = self._normal_equations(x)
-        if not np.isfinite(total):
-            return np.full(len(x) + 1, np.inf)
-        lower = np.linalg.cholesky(square)
-        inside = solve_triangular(lower, gradient, lower=True)
-        self._last = x.copy(), np.vstack([lower.T, np.zeros(len(x))])
-        return np.append(inside, math.sqrt(max(total - float(inside @ inside), 0.0)))
-
-    def jacobian(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives (n + 1, n) at x."""
-        if not np.array_equal(self._last[0], x):
-            self.residuals(x)
-        return self._last[1]
 
 
 def autocorrelation(errors: NDArray[np.float64], data: Dataset) -> NDArray[np.float64]:

@@ -4,7 +4,8 @@ use std::ops::Deref;
 
 use numpy::ndarray::{ArrayD, ArrayViewD, Dimension, IntoDimension, Ix1, Ix2, Ix3, IxDyn};
 use numpy::{AllowTypeChange, Element, IntoPyArray, PyArrayLike, PyArrayLikeDyn, PyReadonlyArray};
-use numpy::{PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyUntypedArrayMethods};
+use numpy::{PyArray, PyArray1, PyArray2, PyArray3, PyArrayDescrMethods, PyArrayMethods};
+use numpy::{PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
 use crate::error::InvalidArgumentError;
@@ -26,7 +27,12 @@ impl<'a, 'py, D: Dimension + 'py> FromPyObject<'a, 'py> for Argument<'py, D> {
     type Error = PyErr;
 
     fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
-        if let Ok(array) = object.extract() {
+        // numpy would leave out the imaginary part of a complex number, and read texts as numbers.
+        let array = object.cast::<PyUntypedArray>();
+        let real = (array.as_ref()).is_ok_and(|array| b"biuf".contains(&array.dtype().kind()));
+        if (real || array.is_err())
+            && let Ok(array) = object.extract()
+        {
             return Ok(Self(array));
         }
         let expected = match D::NDIM {
@@ -34,9 +40,13 @@ impl<'a, 'py, D: Dimension + 'py> FromPyObject<'a, 'py> for Argument<'py, D> {
             Some(count) => format!("an array of numbers with {count} dimensions"),
             None => "an array of numbers".to_owned(),
         };
-        let found = match object.extract::<PyArrayLikeDyn<'py, f64, AllowTypeChange>>() {
-            Ok(array) => format!("the shape {}", shown(array.shape())),
-            Err(error) => format!(
+        let found = match (
+            array,
+            object.extract::<PyArrayLikeDyn<'py, f64, AllowTypeChange>>(),
+        ) {
+            (Ok(array), _) if !real => format!("the type {}", array.dtype()),
+            (_, Ok(array)) => format!("the shape {}", shown(array.shape())),
+            (_, Err(error)) => format!(
                 "{}: {}",
                 object.get_type().name()?,
                 error.value(object.py())

@@ -25,7 +25,8 @@ pub(crate) const SETTINGS: [&str; 6] = [
 pub(crate) type Unusable = (String, String);
 
 /// The earliest end of the certificates in these settings ([`SETTINGS`], with their values), s since 1970; none if they name
-/// none. A file of authorities lasts as long as the one that ends last. `now` is in s since 1970, too.
+/// none. A file of authorities lasts as long as the one that ends last, and a chain as long as its first certificate, which is
+/// the service's own. `now` is in s since 1970, too.
 ///
 /// # Errors
 /// [`Unusable`] for a file that cannot be read, has no certificate, or has one that has expired.
@@ -54,7 +55,7 @@ pub(crate) fn earliest_end(
         let end = if key.contains("root_ca") {
             ends.iter().max()
         } else {
-            ends.iter().min()
+            ends.first()
         };
         let Some(&end) = end else {
             return Err((named, "expected a certificate in PEM, got none".to_owned()));

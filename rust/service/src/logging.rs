@@ -37,13 +37,24 @@ pub(crate) fn log_filter(filter: &str) -> Result<EnvFilter, String> {
              info,zenoh=warn"
         )
     };
-    let mut directives = filter.split(',').map(str::trim);
-    if directives.clone().all(str::is_empty) {
+    // Spans and their fields stand in brackets, in which commas separate no directives.
+    let mut depth = 0;
+    let between = |character| {
+        depth += match character {
+            '[' | '{' => 1,
+            ']' | '}' => -1,
+            _ => 0,
+        };
+        character == ',' && depth == 0
+    };
+    let directives: Vec<_> = filter.split(between).map(str::trim).collect();
+    if directives.iter().all(|text| text.is_empty()) {
         return Err(wrong("it is empty"));
     }
-    let known =
-        |text: &str| text.is_empty() || text.contains('=') || text.parse::<LevelFilter>().is_ok();
-    if let Some(word) = directives.find(|text| !known(text)) {
+    let known = |text: &str| {
+        text.is_empty() || text.contains(['=', '[']) || text.parse::<LevelFilter>().is_ok()
+    };
+    if let Some(word) = directives.into_iter().find(|text| !known(text)) {
         return Err(wrong(&format!("{word:?} is no level")));
     }
     EnvFilter::try_new(filter).map_err(|error| wrong(&error.to_string()))
@@ -79,6 +90,7 @@ mod tests {
             "egp_service=debug",
             "info,zenoh=warn,",
             "warn,[request]=debug",
+            "warn,[request{a,b}]=debug",
         ] {
             assert!(log_filter(filter).is_ok(), "{filter}");
         }

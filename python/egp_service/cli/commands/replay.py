@@ -56,6 +56,7 @@ def replay(
     if output is not None and pictures:
         from egp_service.simulation.report import check_picture
 
+        output.parent.mkdir(parents=True, exist_ok=True)
         check_picture(output)  # before the time that the replay takes
     console = Console(soft_wrap=True, markup=False)
     recorded = read_recording(recording)

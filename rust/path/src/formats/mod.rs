@@ -63,26 +63,26 @@ fn table<const N: usize>(
         .collect()
 }
 
-/// Where each column is in the file: as the last comment before the data says, if that is a header.
+/// Where each column is in the file: as the last comment before the data says that has the name of a column.
 fn places<const N: usize>(
     text: &str,
     delimiter: char,
     columns: [&str; N],
 ) -> Result<[usize; N], PathError> {
-    let comments = (1..)
+    let named = |content: &'_ str| -> Vec<String> {
+        let comment = content.trim().trim_start_matches('#').trim();
+        let names = comment.trim_end_matches([delimiter, ' ']).split(delimiter);
+        names.map(|name| name.trim().to_owned()).collect()
+    };
+    let headers = (1..)
         .zip(text.lines())
         .take_while(|(_, content)| !is_row(content))
-        .filter(|(_, content)| !content.trim().is_empty());
+        .map(|(line, content)| (line, named(content)))
+        .filter(|(_, names)| names.iter().any(|name| columns.contains(&name.as_str())));
     let in_order = std::array::from_fn(|place| place);
-    let Some((line, comment)) = comments.last() else {
+    let Some((line, names)) = headers.last() else {
         return Ok(in_order);
     };
-    let names: Vec<&str> = (comment.trim().trim_start_matches('#').split(delimiter))
-        .map(str::trim)
-        .collect();
-    if !names.iter().any(|name| columns.contains(name)) {
-        return Ok(in_order);
-    }
     let mut places = in_order;
     for (place, column) in places.iter_mut().zip(columns) {
         let found = names.iter().position(|name| *name == column);

@@ -93,10 +93,12 @@ fn a_header_may_name_the_columns_in_any_order() {
         .unwrap()
         .sample(30.0);
     assert!((at.left - 2.0).abs() < 1e-9 && (at.right - 3.5).abs() < 1e-9);
-    // Only the last comment is the header, and one without the names of columns is none.
+    // Only the last comment with the name of a column is the header.
     let text = format!("{swapped}\n\n{header}\n{rows}");
     assert!((read_track(&text, 1.0).unwrap().sample(30.0).left - 3.5).abs() < 1e-9);
     assert!(read_track(&format!("# my track, made by hand\n{rows}"), 1.0).is_ok());
+    let followed = format!("{swapped},\n# made by hand\n{rows}");
+    assert!((read_track(&followed, 1.0).unwrap().sample(30.0).left - 2.0).abs() < 1e-9);
     for wrong in [
         "# x_m,y_m,left,right",
         "# x_m,y_m",

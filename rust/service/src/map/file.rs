@@ -39,6 +39,17 @@ pub enum RoadFileError {
         "another map service keeps the folder {0}; stop it, or name another folder with --folder"
     )]
     Locked(PathBuf),
+    /// A file of a later version of the program.
+    #[error(
+        "{path}: it has version {version}, and this program knows {VERSION}; use the program that wrote it, or name \
+         another folder with --folder"
+    )]
+    Newer {
+        /// The file.
+        path: PathBuf,
+        /// Its version.
+        version: u32,
+    },
 }
 
 /// Times of the files, ms since 1970, and of the store, s.
@@ -78,7 +89,7 @@ pub(crate) fn lock(folder: &Path) -> Result<File, RoadFileError> {
 /// that is damaged is renamed, and the other ones are read.
 ///
 /// # Errors
-/// [`RoadFileError::System`] if a file cannot be read or renamed.
+/// [`RoadFileError::System`] if a file cannot be read or renamed, [`RoadFileError::Newer`] if one has a later version.
 pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(), RoadFileError> {
     let mut unsaved = BTreeSet::new();
     for entry in fs::read_dir(folder).map_err(system(folder))? {
@@ -87,6 +98,11 @@ pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(
             continue;
         }
         let bytes = read_regular(&path, LARGEST).map_err(system(&path))?;
+        let version =
+            proto::StoredRoad::decode(bytes.as_slice()).map_or(VERSION, |road| road.version);
+        if version > VERSION {
+            return Err(RoadFileError::Newer { path, version });
+        }
         let file = path.display();
         match parse(&bytes) {
             Ok((road, evidence)) => {
