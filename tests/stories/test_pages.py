@@ -35,7 +35,8 @@ EXECUTED: Final = ("sh", "python", "toml")
 # Of these pages all such blocks run here, but those of ELSEWHERE.
 PAGES: Final = [
     *("client", "deploying", "first-drive", "logs", "map", "monitor", "README", "recordings"),
-    *("security", "simulation", "simulator", "surfaces", "your-car", "your-data", "your-track"),
+    *("results", "security", "simulation", "simulator", "surfaces", "your-car", "your-data"),
+    "your-track",
 ]
 # Page and language of blocks without a title that another test executes.
 ELSEWHERE: Final = {

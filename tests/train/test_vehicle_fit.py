@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from surfaces import TOY, provenance
 from typer.testing import CliRunner
 
@@ -17,6 +18,7 @@ from egp_service._core import VehicleParameters
 from egp_service.cli import app
 from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
+from egp_service.training.normal_equations import Compressed
 from egp_service.training.vehicle_file import Line, vehicle_lines
 from egp_service.training.vehicle_fit import (
     FittedParameter,
@@ -57,6 +59,21 @@ def drive(
 
 def rngs(count: int) -> list[np.random.Generator]:
     return [np.random.default_rng(number) for number in range(count)]
+
+
+def test_trial_points_without_a_solution_are_left_again() -> None:
+    """Beyond 2 the slopes are no numbers, and at 2 they vanish; the first step leads to 3.75."""
+
+    def equations(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+        slope = np.nan if x[0] > 2.0 else float(x[0] < 2.0)
+        distance = x - 1.5
+        return np.array([[0.4 * slope]]), slope * distance, 2.5 * float(distance @ distance)
+
+    problem = Compressed(equations)
+    for unusable in (2.0, 3.0):
+        assert np.isinf(problem.residuals(np.array([unusable]))).all()
+    found = least_squares(problem.residuals, np.array([0.0]), jac=problem.jacobian)
+    np.testing.assert_allclose(found.x, [1.5], atol=1e-3)
 
 
 def test_surfaces_share_the_body_and_differ_in_the_tyres() -> None:

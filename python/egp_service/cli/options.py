@@ -1,6 +1,6 @@
 """Options that several commands share."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +17,17 @@ Cluster = Annotated[
         "files and version.",
     ),
 ]
+
+
+def check_unused(options: Mapping[str, object], reason: str) -> None:
+    """Errors if one of these options has a value, which is why they cannot be used.
+
+    Raises:
+        EgpError: naming the options that were given, and the reason.
+
+    """
+    if given := [name for name, value in options.items() if value]:
+        raise EgpError(f"{', '.join(given)} {reason}")
 
 
 def check_outputs(inputs: Iterable[Path | None], *outputs: Path | None) -> None:

@@ -13,7 +13,7 @@ from egp_service.data import plausibility
 from egp_service.data.dataset import Dataset, Provenance
 from egp_service.data.messages import is_recording
 from egp_service.data.recording import read_recording, topics
-from egp_service.data.table import numbers, read_table, same_name, some
+from egp_service.data.table import comes_twice, numbers, read_table, some
 from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY
 
 if TYPE_CHECKING:
@@ -218,7 +218,7 @@ def _read(
                 f"{quantity} from '{column.name}': {column.unit} is not a unit of {quantity}"
             )
         if column.name not in frame.columns:
-            if any(name.startswith(same_name(column.name)) for name in frame.columns):
+            if comes_twice(column.name, frame.columns):
                 raise EgpError(
                     f"{path}: two columns are named '{column.name}' when spaces around names are "
                     "left out: rename one of them"

@@ -20,13 +20,16 @@ if TYPE_CHECKING:
 _SEPARATORS: Final = (";", "\t")
 _DECIMAL_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
 _MOST_NAMES: Final = 20
+# What follows the name of a column that another one has, too; then comes its place from 1 on.
+_PLACE: Final = " (column "
 
 
 def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
     """Read a Parquet file (`.parquet`) or a CSV file.
 
     In CSV files lines that begin with `#` are comments, and a byte-order mark is left out. If the
-    header has no `separator` but semicolons or tabs, those separate.
+    header has no `separator` but semicolons or tabs, those separate. Columns of one name get their
+    places behind it.
 
     Raises:
         EgpError: if there is no such file, or it is no Parquet or CSV file, or if a line of a CSV
@@ -59,7 +62,7 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
     names = [name.removeprefix("\ufeff") for name in frame.columns]
     if len(columns) == len(names):
         names = [
-            same_name(column, place) if column and columns.count(column) > 1 else name
+            f"{column}{_PLACE}{place})" if column and columns.count(column) > 1 else name
             for place, (name, column) in enumerate(zip(names, columns, strict=True), 1)
         ]
     frame.columns = [name.strip() or name for name in names]
@@ -82,12 +85,9 @@ def _check_fields(path: Path, lines: Sequence[str], expected: int, separator: st
             )
 
 
-def same_name(name: str, place: int | str = "") -> str:
-    """Return what the column at a place, from 1 on, is called if another one has its name, too.
-
-    Without a place it is the beginning of this name.
-    """
-    return f"{name} (column {place}" + (")" if place else "")
+def comes_twice(name: str, names: Sequence[str]) -> bool:
+    """Return whether two columns of a file had this name, which `read_table` has told apart."""
+    return any(other.startswith(name + _PLACE) for other in names)
 
 
 def some(names: Sequence[str]) -> str:

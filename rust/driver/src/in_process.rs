@@ -55,8 +55,8 @@ impl InProcessDriver {
         &mut self.driver
     }
 
-    /// One control period with the time `budget`, but at least 1 µs, stated in the request; `answer` computes the reply's bytes from the
-    /// request's.
+    /// One control period with the time `budget`, but at least 1 µs, stated in the request; `answer` computes the reply's
+    /// bytes from the request's.
     ///
     /// # Errors
     /// [`InvalidArgument`] when no request can be made of reference or widths.

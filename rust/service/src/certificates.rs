@@ -3,6 +3,8 @@
 use std::fs;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::registry::{Registry, Unit};
 use serde_json::Value;
 use x509_parser::pem::Pem;
 
@@ -77,8 +79,12 @@ pub(crate) fn now() -> i64 {
     i64::try_from(since.unwrap_or_default().as_secs()).unwrap_or(i64::MAX)
 }
 
-/// Warns if it is time to renew a certificate with this end.
-pub(crate) fn warn(end: i64) {
+/// Shows in a metric when the first certificate expires, s since 1970, and warns if it is time to renew it.
+pub(crate) fn show(end: i64, registry: &mut Registry) {
+    let gauge = Gauge::<i64>::default();
+    gauge.set(end);
+    let help = "Unix time at which the first certificate of the network expires";
+    registry.register_with_unit("certificate_expiry", help, Unit::Seconds, gauge);
     if let Some(days) = days_left(end, now()) {
         tracing::warn!(
             days,

@@ -71,7 +71,7 @@ impl Wanted<'_> {
         }
         let (library, file) = (self.hex(), self.file.display());
         tracing::info!(library, %file, "asking replicas for the library");
-        let config = configuration(network.zenoh_file.as_deref(), &network.zenoh)?;
+        let (config, _) = configuration(network.zenoh_file.as_deref(), &network.zenoh)?;
         let mut fetching = Fetching {
             wanted: self,
             signers,

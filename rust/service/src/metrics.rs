@@ -97,12 +97,9 @@ impl Metrics {
         self.registry.register("identity_twice", help, twice);
     }
 
-    /// Shows when the first of the certificates expires, s since 1970.
-    pub(crate) fn show_certificates_end(&mut self, end: i64) {
-        let gauge = Gauge::<i64>::default();
-        gauge.set(end);
-        let help = "Unix time at which the first certificate of the network expires";
-        (self.registry).register_with_unit("certificate_expiry", help, Unit::Seconds, gauge);
+    /// Where further metrics are registered.
+    pub(crate) fn registry(&mut self) -> &mut Registry {
+        &mut self.registry
     }
 
     /// Shows what becomes of spans.

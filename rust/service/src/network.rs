@@ -36,14 +36,16 @@ impl NetworkError {
     }
 }
 
-/// A zenoh configuration: this service's defaults or a JSON5 file, then single values by their key.
+/// A zenoh configuration: this service's defaults or a JSON5 file, then single values by their key; and the earliest end of
+/// its certificates, s since 1970, if it has some.
 ///
 /// # Errors
-/// [`NetworkError`] naming the file or the key that zenoh does not accept, or a certificate that has expired.
+/// [`NetworkError`] naming the file or the key that zenoh does not accept, or a certificate that cannot be read or has
+/// expired.
 pub(crate) fn configuration(
     file: Option<&Path>,
     values: &BTreeMap<String, String>,
-) -> Result<Config, NetworkError> {
+) -> Result<(Config, Option<i64>), NetworkError> {
     let mut config = match file {
         Some(path) => Config::from_file(path)
             .map_err(|e| NetworkError::new(format!("zenoh file {}", path.display()), &e))?,
@@ -56,17 +58,9 @@ pub(crate) fn configuration(
     for (key, value) in defaults.chain(given) {
         insert(&mut config, key, value)?;
     }
-    certificates_end(&config)?;
-    Ok(config)
-}
-
-/// The earliest end of the certificates of TLS, s since 1970; none if there are none.
-///
-/// # Errors
-/// [`NetworkError`] naming a certificate that cannot be read or has expired.
-pub(crate) fn certificates_end(config: &Config) -> Result<Option<i64>, NetworkError> {
-    certificates::earliest_end(&tls(config, &SETTINGS)?, certificates::now())
-        .map_err(|(named, reason)| NetworkError::new(named, &reason))
+    let end = certificates::earliest_end(&tls(&config, &SETTINGS)?, certificates::now())
+        .map_err(|(named, reason)| NetworkError::new(named, &reason))?;
+    Ok((config, end))
 }
 
 /// Opens a session with this configuration and closes it again, to see whether a service could start: listeners take a

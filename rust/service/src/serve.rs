@@ -47,7 +47,7 @@ pub fn check(config: &ServiceConfig) -> Result<Ready, ServeError> {
     traces.transpose().map_err(StartError::from)?;
     config.http.map(HttpListener::check).transpose()?;
     configuration(config.zenoh_file.as_deref(), &config.zenoh)
-        .and_then(rehearse)
+        .and_then(|(zenoh, _)| rehearse(zenoh))
         .map_err(StartError::from)?;
     Ok(libraries.describe())
 }

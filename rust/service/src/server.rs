@@ -25,9 +25,7 @@ use crate::intake::Shared;
 use crate::libraries::{Libraries, ReloadError};
 use crate::library_table::Reloaded;
 use crate::metrics::Metrics;
-use crate::network::{
-    Network, NetworkError, PATIENCE, Publisher, Received, certificates_end, configuration,
-};
+use crate::network::{Network, NetworkError, PATIENCE, Publisher, Received, configuration};
 use crate::offer::{Offer, offer};
 use crate::queue::Queue;
 use crate::reloader::{Outcome, Reloader, Running, stamp};
@@ -142,10 +140,9 @@ impl Server {
         if let Some(guard) = &guard {
             metrics.show_twice(guard.twice());
         }
-        let zenoh = configuration(config.zenoh_file.as_deref(), &config.zenoh)?;
-        if let Some(end) = certificates_end(&zenoh)? {
-            certificates::warn(end);
-            metrics.show_certificates_end(end);
+        let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &config.zenoh)?;
+        if let Some(end) = end {
+            certificates::show(end, metrics.registry());
         }
         let traces = Traces::open(config, config.share()?)?;
         if let Some(traces) = &traces {

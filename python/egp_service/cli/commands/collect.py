@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import Cluster, Jobs, check_outputs
+from egp_service.cli.options import Cluster, Jobs, check_outputs, check_unused
 
 if TYPE_CHECKING:
     from egp_service.data.dataset import Dataset, Provenance
@@ -139,9 +139,10 @@ def collect(
         "--steering-ratio": steering_ratio != 1.0,
     }
     if from_log:
-        _check_unused(of_simulation, "simulated data only: leave out --from-log, or these options")
+        reason = "can be given for simulated data only: leave out --from-log, or these options"
+        check_unused(of_simulation, reason)
     else:
-        _check_unused(of_log, "logs only: name the log with --from-log")
+        check_unused(of_log, "can be given for logs only: name the log with --from-log")
     road = parse_surface(friction)
     mu = surface_friction(road)
     label = surface or (road if isinstance(road, str) else f"mu {road:g}")
@@ -176,14 +177,6 @@ def _check_picture(picture: Path | None) -> None:
 
         picture.parent.mkdir(parents=True, exist_ok=True)
         check_picture(picture)
-
-
-def _check_unused(options: Mapping[str, object], purpose: str) -> None:
-    """Errors if one of these options, which are for another purpose, was given."""
-    from egp_service._core import EgpError
-
-    if given := [name for name, value in options.items() if value]:
-        raise EgpError(f"{', '.join(given)} can be given for {purpose}")
 
 
 def _import(

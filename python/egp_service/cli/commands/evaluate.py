@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import Cluster, Jobs
+from egp_service.cli.options import Cluster, Jobs, check_unused
 from egp_service.shipped import EVALUATION_LIBRARY
 
 if TYPE_CHECKING:
@@ -198,17 +198,12 @@ def _on_logs(
     logs: list[Path],
     vehicle: Path | None,
     output: Path,
-    others: "Mapping[str, object]",
+    of_drives: "Mapping[str, object]",
 ) -> None:
-    """Evaluate on logs; raises `EgpError` if one of the `others`, options of drives, is given."""
-    from egp_service._core import EgpError
-
-    if given := [name for name, value in others.items() if value]:
-        raise EgpError(
-            f"{', '.join(given)} cannot be used with --log, which drives nothing: leave out either"
-        )
+    """Evaluate on logs; raises `EgpError` if an option of drives has a value."""
     from egp_service.cli.logs import evaluate_on
 
+    check_unused(of_drives, "cannot be used with --log, which drives nothing: leave out either")
     evaluate_on(console, logs, vehicle, output)
 
 

@@ -7,8 +7,8 @@ use crate::error::{PathError, check};
 use crate::path::Path;
 
 /// Reads a closed track in either format: `;` separates the columns of a raceline, `,` those of a centre line. Lines
-/// that start with `#` are comments; if the last one before the data names the columns, they may have any order. A byte
-/// order mark at the start is skipped.
+/// that start with `#` are comments. The last line before the data that has the name of a column, a comment or not, is a
+/// header, which must have all names, in any order. A byte order mark at the start is skipped.
 ///
 /// * Raceline (TUM, F1TENTH): `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`. The path goes
 ///   through the positions and has no widths; psi must agree with them, measured from +x or from +y.
@@ -18,8 +18,8 @@ use crate::path::Path;
 ///
 /// # Errors
 /// [`PathError`] if the scale is not positive, a line has too few or too many columns or a value that is not a finite
-/// number, a header has some of the names and not all, the end is far from the start, psi agrees with neither convention, or [`Path::from_points`] fails. The error
-/// names the line where possible.
+/// number, a header has some of the names and not all, the end is far from the start, psi agrees with neither convention,
+/// or [`Path::from_points`] fails. The error names the line where possible.
 pub fn read_track(text: &str, scale: f64) -> Result<Path, PathError> {
     check("scale", scale, "a positive number", |scale| scale > 0.0)?;
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
@@ -44,14 +44,14 @@ fn table<const N: usize>(
     delimiter: char,
     columns: [&str; N],
 ) -> Result<Vec<Row<N>>, PathError> {
-    let places = places(text, delimiter, columns)?;
+    let (header, places) = places(text, delimiter, columns)?;
     let mut in_file = columns;
     for (place, column) in places.into_iter().zip(columns) {
         in_file[place] = column;
     }
     (1..)
         .zip(text.lines())
-        .filter(|(_, content)| is_row(content))
+        .filter(|(line, content)| is_row(content) && *line != header)
         .map(|(line, content)| {
             numbers(content, delimiter, in_file)
                 .map(|values| Row {
@@ -63,25 +63,26 @@ fn table<const N: usize>(
         .collect()
 }
 
-/// Where each column is in the file: as the last comment before the data says that has the name of a column.
+/// The number of the header's line, or 0 without a header, and where each column is in the file. The header is the last
+/// line up to the first row that has the name of a column.
 fn places<const N: usize>(
     text: &str,
     delimiter: char,
     columns: [&str; N],
-) -> Result<[usize; N], PathError> {
+) -> Result<(usize, [usize; N]), PathError> {
     let named = |content: &'_ str| -> Vec<String> {
         let comment = content.trim().trim_start_matches('#').trim();
         let names = comment.trim_end_matches([delimiter, ' ']).split(delimiter);
         names.map(|name| name.trim().to_owned()).collect()
     };
+    let before = text.lines().take_while(|content| !is_row(content)).count();
     let headers = (1..)
-        .zip(text.lines())
-        .take_while(|(_, content)| !is_row(content))
+        .zip(text.lines().take(before + 1))
         .map(|(line, content)| (line, named(content)))
         .filter(|(_, names)| names.iter().any(|name| columns.contains(&name.as_str())));
     let in_order = std::array::from_fn(|place| place);
     let Some((line, names)) = headers.last() else {
-        return Ok(in_order);
+        return Ok((0, in_order));
     };
     let mut places = in_order;
     for (place, column) in places.iter_mut().zip(columns) {
@@ -96,7 +97,7 @@ fn places<const N: usize>(
             PathError::Format { line, problem }
         })?;
     }
-    Ok(places)
+    Ok((line, places))
 }
 
 /// Whether a line is neither blank nor a comment.

@@ -99,6 +99,11 @@ fn a_header_may_name_the_columns_in_any_order() {
     assert!(read_track(&format!("# my track, made by hand\n{rows}"), 1.0).is_ok());
     let followed = format!("{swapped},\n# made by hand\n{rows}");
     assert!((read_track(&followed, 1.0).unwrap().sample(30.0).left - 2.0).abs() < 1e-9);
+    let plain = format!(
+        "# made by hand\n{}\n{rows}",
+        swapped.trim_start_matches("# ")
+    );
+    assert!((read_track(&plain, 1.0).unwrap().sample(30.0).left - 2.0).abs() < 1e-9);
     for wrong in [
         "# x_m,y_m,left,right",
         "# x_m,y_m",

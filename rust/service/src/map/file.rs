@@ -1,7 +1,7 @@
 //! The roads' files: one `egp.v1.StoredRoad` for each road of each fleet.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File, TryLockError};
+use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -16,8 +16,6 @@ use ring::digest::{SHA256, SHA256_OUTPUT_LEN, digest};
 use super::store::{Road, Store, StoreError, Tiles};
 
 const SUFFIX: &str = "road";
-/// The file of a folder that the service locks which keeps the folder.
-const LOCK: &str = ".lock";
 /// Bytes of the field `sha256` of a file: tag, length and content.
 const CHECKSUM: usize = 2 + SHA256_OUTPUT_LEN;
 /// Largest file that is read, bytes: the longest road with 64 vehicles takes less.
@@ -59,28 +57,10 @@ pub(crate) struct Clocks {
     pub now: f64,
 }
 
-fn system(path: &Path) -> impl Fn(io::Error) -> RoadFileError {
+pub(super) fn system(path: &Path) -> impl Fn(io::Error) -> RoadFileError {
     |source| RoadFileError::System {
         path: path.to_owned(),
         source,
-    }
-}
-
-/// Makes the folder if it does not exist, and locks it until the returned file is dropped: of two services, each would
-/// replace the files of the other one.
-///
-/// # Errors
-/// [`RoadFileError::Locked`] if another service keeps the folder, else [`RoadFileError::System`].
-pub(crate) fn lock(folder: &Path) -> Result<File, RoadFileError> {
-    fs::create_dir_all(folder).map_err(system(folder))?;
-    let path = folder.join(LOCK);
-    let mut options = File::options();
-    let options = options.create(true).truncate(false).read(true).write(true);
-    let file = options.open(&path).map_err(system(&path))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(RoadFileError::Locked(folder.to_owned())),
-        Err(TryLockError::Error(source)) => Err(system(&path)(source)),
     }
 }
 
@@ -331,14 +311,14 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_has_one_service_at_a_time() {
-        let (folder, _) = folder("lock");
-        let first = lock(&folder).unwrap();
-        let error = lock(&folder).unwrap_err().to_string();
-        let words = format!("another map service keeps the folder {}", folder.display());
-        assert!(error.contains(&words), "{error}");
-        drop(first);
-        lock(&folder).unwrap();
+    fn a_file_of_a_later_version_is_an_error_and_stays() {
+        let (folder, file) = folder("later");
+        let mut bytes = fs::read(&file).unwrap();
+        bytes.extend([8, 2]); // the field `version`, of which the last value counts
+        fs::write(&file, &bytes).unwrap();
+        let error = load(&folder, &mut store(), CLOCKS).unwrap_err();
+        assert!(matches!(error, RoadFileError::Newer { version: 2, .. }));
+        assert_eq!(fs::read(&file).unwrap(), bytes);
         fs::remove_dir_all(&folder).unwrap();
     }
 

@@ -6,7 +6,7 @@ use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
-use prometheus_client::registry::{Registry, Unit};
+use prometheus_client::registry::Registry;
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Outcome {
@@ -52,12 +52,9 @@ impl Metrics {
         metrics
     }
 
-    /// Shows when the first of the certificates expires, s since 1970.
-    pub(crate) fn show_certificates_end(&mut self, end: i64) {
-        let gauge = Gauge::<i64>::default();
-        gauge.set(end);
-        let help = "Unix time at which the first certificate of the network expires";
-        (self.registry).register_with_unit("certificate_expiry", help, Unit::Seconds, gauge);
+    /// Where further metrics are registered.
+    pub(crate) fn registry(&mut self) -> &mut Registry {
+        &mut self.registry
     }
 
     pub(crate) fn refused(&self, code: Code) {

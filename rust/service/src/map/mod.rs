@@ -8,6 +8,7 @@
 
 mod config;
 mod file;
+mod folder_lock;
 mod intake;
 mod keeper;
 mod metrics;

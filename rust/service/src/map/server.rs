@@ -13,14 +13,15 @@ use signal_hook::iterator::Signals;
 use thiserror::Error;
 
 use super::config::MapConfig;
-use super::file::{RoadFileError, load, lock};
+use super::file::{RoadFileError, load};
+use super::folder_lock::lock;
 use super::intake::Intake;
 use super::keeper::{Keeper, clocks};
 use super::store::Store;
 use crate::certificates;
 use crate::config::ConfigError;
 use crate::logging::init_logging;
-use crate::network::{Network, NetworkError, PATIENCE, certificates_end, configuration};
+use crate::network::{Network, NetworkError, PATIENCE, configuration};
 
 /// Queries of all vehicles that may wait.
 const WAITING: usize = 1024;
@@ -94,13 +95,11 @@ impl MapServer {
                 .entry(key.to_owned())
                 .or_insert_with(|| value.to_owned());
         }
-        let zenoh = configuration(config.zenoh_file.as_deref(), &zenoh)?;
-        let end = certificates_end(&zenoh)?;
+        let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &zenoh)?;
         let mut network = Network::open_patiently(zenoh, PATIENCE, stopped)?;
         let mut intake = Intake::new();
         if let Some(end) = end {
-            certificates::warn(end);
-            intake.metrics.show_certificates_end(end);
+            certificates::show(end, intake.metrics.registry());
         }
         let intake = Arc::new(intake);
         let (contributions, roads) = (store.contributions(), store.roads());
