@@ -1,6 +1,6 @@
 //! One surface's vehicle and the GPs that are added to it, in physical units.
 
-use egp_parameters::VehicleParameters;
+use egp_parameters::{GRAVITY, VehicleParameters};
 
 use super::data::MemberData;
 use crate::gp::{Gp, Horizon, Hyperparameters, SingularCovariance};
@@ -94,17 +94,25 @@ impl Member {
     }
 
     /// What the tyres transmit on this surface, for the bounds of the OCP: those of the fitted vehicle. A member without a
-    /// single-track vehicle has [`Self::peak_slip`] and the largest accelerations of `vehicle`.
+    /// single-track vehicle has [`Self::peak_slip`] and the largest accelerations of `vehicle`. Its lateral force has no
+    /// coupling with the longitudinal one if the wheels roll without slip; otherwise the coupling is that of a friction
+    /// circle, whose half is left of the squared lateral force where `F_x / m` reaches `sqrt(½) mu g`.
     pub fn tyre_limits(&self, vehicle: &VehicleParameters) -> TyreLimits {
         let [drive, brake] = match &self.vehicle {
             Some(VehicleModel::SingleTrack(fitted)) => fitted.largest_accelerations(),
             Some(VehicleModel::Kinematic(_)) | None => [vehicle.a_max, -vehicle.a_min],
+        };
+        let coupling = match &self.vehicle {
+            Some(VehicleModel::SingleTrack(fitted)) => fitted.couplings(),
+            Some(VehicleModel::Kinematic(_)) => [0.0; 2],
+            None => [2.0 * (self.friction * GRAVITY).powi(-2); 2],
         };
         TyreLimits {
             friction: self.friction,
             slip: self.peak_slip(vehicle),
             drive,
             brake,
+            coupling,
         }
     }
 

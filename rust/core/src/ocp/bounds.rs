@@ -155,6 +155,7 @@ mod tests {
                     slip: 0.1,
                     drive: 1.0,
                     brake: 2.0,
+                    coupling: [0.0; 2],
                 }; 21];
                 hard(&car, dt, &operating, &tyres, &mut qp);
                 let (mut low, mut high) = (qp.u_prev, qp.u_prev);

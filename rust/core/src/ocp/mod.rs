@@ -6,11 +6,13 @@
 mod bounds;
 mod caution;
 mod cost;
+mod proximal;
 
 use egp_parameters::VehicleParameters;
 
 use crate::linearisation::Linearisation;
 use crate::qp::OcpQp;
+use crate::trajectory::Guess;
 use crate::vehicle::{FORCE, TyreLimits};
 use crate::{Input, Settings, State};
 
@@ -39,14 +41,15 @@ pub struct Setup<'a> {
     pub dt: f64,
 }
 
-/// Fills `qp` for the measured state `x0` and the input now applied, both in the vehicle's frame and SI units.
+/// Fills `qp` for the measured state `x0` and the input now applied, both in the vehicle's frame and SI units. `dynamics` were
+/// computed along `guess`.
 ///
 /// All slices must have the length of the horizon of `qp`.
 pub fn assemble(
     setup: &Setup,
     x0: &State,
     u_prev: &Input,
-    dynamics: &Linearisation,
+    (dynamics, guess): (&Linearisation, &Guess),
     road: &Road,
     qp: &mut OcpQp,
 ) {
@@ -84,4 +87,12 @@ pub fn assemble(
         );
     }
     bounds::hard(vehicle, dt, &dynamics.x, road.tyres, qp);
+    proximal::proximal(
+        settings.cost.proximal,
+        vehicle,
+        dt,
+        road.tyres,
+        (&dynamics.x, guess),
+        qp,
+    );
 }

@@ -123,7 +123,10 @@ impl OcpQp {
         let u = &solution.u[t];
         let du = u - self.previous(&solution.u, t);
         let state_part = stage.b.tr_mul(&solution.adjoint[t + 1]);
-        let cost_part = u.component_mul(&self.r) + du.component_mul(&self.r_d);
+        let displacement = u - stage.previous;
+        let cost_part = u.component_mul(&self.r)
+            + displacement.component_mul(&stage.proximal)
+            + du.component_mul(&self.r_d);
         let bound_part =
             multipliers.u_upper - multipliers.u_lower + multipliers.du_upper - multipliers.du_lower;
         let next_part = solution
@@ -138,8 +141,10 @@ impl OcpQp {
         for part in [&state_part, &cost_part, &bound_part, &next_part] {
             tally.gradient_scale = max(tally.gradient_scale, largest(part));
         }
-        tally.cost +=
-            0.5 * (u.dot(&u.component_mul(&self.r)) + du.dot(&du.component_mul(&self.r_d)));
+        tally.cost += 0.5
+            * (u.dot(&u.component_mul(&self.r))
+                + displacement.dot(&displacement.component_mul(&stage.proximal))
+                + du.dot(&du.component_mul(&self.r_d)));
         for i in 0..crate::NU {
             for (multiplier, distance) in [
                 (multipliers.u_lower[i], u[i] - stage.u_min[i]),

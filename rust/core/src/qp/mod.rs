@@ -4,7 +4,8 @@
 //!
 //! ```text
 //! min  Σ_{t=0}^{T-1}  ½ (x_{t+1} - r_{t+1})ᵀ Q_{t+1} (x_{t+1} - r_{t+1}) + ½ u_tᵀ R u_t
-//!                   + ½ (u_t - u_{t-1})ᵀ R_d (u_t - u_{t-1}) + Σ_j penalty_j(s_{t+1,j})
+//!                   + ½ (u_t - u_{t-1})ᵀ R_d (u_t - u_{t-1}) + ½ (u_t - ū_t)ᵀ D_t (u_t - ū_t)
+//!                   + Σ_j penalty_j(s_{t+1,j})
 //! s.t. x_{t+1} = A_t x_t + B_t u_t + c_t
 //!      u_min_t <= u_t <= u_max_t,   du_min_t <= u_t - u_{t-1} <= du_max_t     (hard; u_{-1} is the applied input)
 //!      lower_j - s_j <= g_jᵀ x_{t+1} <= upper_j + s_j,   s_j >= 0             (soft)
@@ -100,6 +101,10 @@ pub struct Stage {
     pub q: SMatrix<f64, NX, NX>,
     /// `r_{t+1}`.
     pub reference: State,
+    /// Diagonal of `D_t`, not negative.
+    pub proximal: Input,
+    /// `ū_t`, the input of the previous plan.
+    pub previous: Input,
     /// Lower bound of `u_t`.
     pub u_min: Input,
     /// Upper bound of `u_t`.
@@ -120,6 +125,8 @@ impl Stage {
             c: State::zeros(),
             q: SMatrix::identity(),
             reference: State::zeros(),
+            proximal: Input::zeros(),
+            previous: Input::zeros(),
             u_min: Input::repeat(-1.0),
             u_max: Input::repeat(1.0),
             du_min: Input::repeat(-1.0),
@@ -187,6 +194,28 @@ impl OcpQp {
         t.checked_sub(1).map_or(&self.u_prev, |before| &u[before])
     }
 
+    /// Gradient of the cost in `x_{t+1}` at the state `x`, penalties of the soft rows included, with the multiplier
+    /// `adjoint` of transition `t + 1`. At the end of the horizon the latter is not used.
+    pub(crate) fn state_gradient(&self, t: usize, x: &State, adjoint: &State) -> State {
+        let stage = &self.stages[t];
+        let mut gradient = stage.q * (x - stage.reference);
+        for (row, penalty) in stage.soft[..self.n_soft].iter().zip(&self.penalty) {
+            let value = row.normal.dot(x);
+            let (excess, sign) = if value > row.upper {
+                (value - row.upper, 1.0)
+            } else {
+                (row.lower - value, -1.0)
+            };
+            if excess > 0.0 {
+                gradient += row.normal * (sign * (penalty.linear + penalty.quadratic * excess));
+            }
+        }
+        match self.stages.get(t + 1) {
+            Some(next) => gradient + next.a.tr_mul(adjoint),
+            None => gradient,
+        }
+    }
+
     /// States that follow from `x_0` under the inputs `u`, written to `x` (`T+1` rows).
     pub fn roll_out(&self, u: &[Input], x: &mut [State]) {
         x[0] = self.x0;
@@ -206,6 +235,8 @@ impl OcpQp {
                     && finite(s.c.as_slice())
                     && finite(s.q.as_slice())
                     && finite(s.reference.as_slice())
+                    && finite(s.proximal.as_slice())
+                    && finite(s.previous.as_slice())
                     && (0..NU).all(|i| s.u_min[i] <= s.u_max[i] && s.du_min[i] <= s.du_max[i])
                     && finite(s.u_min.as_slice())
                     && finite(s.u_max.as_slice())

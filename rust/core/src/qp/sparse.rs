@@ -199,7 +199,8 @@ impl SparseQp {
             }
             let before = if t == 0 { qp.u_prev } else { Input::zeros() };
             for i in 0..NU {
-                self.q[layout.input(t, i)] = -qp.r_d[i] * before[i];
+                self.q[layout.input(t, i)] =
+                    -qp.r_d[i] * before[i] - stage.proximal[i] * stage.previous[i];
                 self.l[layout.input_row(t, i)] = stage.u_min[i];
                 self.u[layout.input_row(t, i)] = stage.u_max[i];
                 self.l[layout.rate_row(t, i)] = stage.du_min[i] + before[i];
@@ -231,7 +232,7 @@ fn quadratic(qp: &OcpQp, layout: Layout, mut emit: impl FnMut(usize, usize, f64)
             emit(
                 layout.input(t, i),
                 layout.input(t, i),
-                qp.r[i] + neighbours * qp.r_d[i],
+                qp.r[i] + stage.proximal[i] + neighbours * qp.r_d[i],
             );
             if t > 0 {
                 emit(layout.input(t - 1, i), layout.input(t, i), -qp.r_d[i]);

@@ -54,6 +54,9 @@ pub struct Cost {
     /// `R_d` on the change of `[F_x/m, delta_dot]` from stage to stage, the first from the applied input.
     /// Default [0.05, 10].
     pub rate: [f64; NU],
+    /// Weight of the change of `F_x/m` from the previous plan, as a multiple of the bound on the curvature that the
+    /// linearisation leaves out, which is zero where lateral force is not scarce. 0 is none, as in the paper. Default 2.
+    pub proximal: f64,
 }
 
 /// Hard bounds: what the actuators can do, and what the training data know. By default those of the library's vehicle.
@@ -167,6 +170,7 @@ impl Default for Cost {
             terminal: 2.0,
             input: [0.05, 2.0],
             rate: [0.05, 10.0],
+            proximal: 2.0,
         }
     }
 }
@@ -227,6 +231,7 @@ impl Cost {
         not_negative("cost.v_x", self.v_x)?;
         not_negative("cost.psi", self.psi)?;
         not_negative("cost.terminal", self.terminal)?;
+        not_negative("cost.proximal", self.proximal)?;
         for i in 0..NU {
             positive("cost.input", self.input[i])?; // keeps the QP strictly convex: one solution
             not_negative("cost.rate", self.rate[i])?;

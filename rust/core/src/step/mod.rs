@@ -81,7 +81,14 @@ pub fn step(
         vehicle: &ws.vehicle,
         dt: library.dt(),
     };
-    ocp::assemble(&setup, &x0, &rows.u_prev, &ws.dynamics, &road, &mut ws.qp);
+    ocp::assemble(
+        &setup,
+        &x0,
+        &rows.u_prev,
+        (&ws.dynamics, &ws.guess),
+        &road,
+        &mut ws.qp,
+    );
     if settings.soft.caution > 0.0 {
         let transitions = ws
             .dynamics

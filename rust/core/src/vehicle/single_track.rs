@@ -132,6 +132,12 @@ impl SingleTrack {
         [self.grip.drive, self.grip.brake].map(|grip| SATURATED * GRAVITY * grip)
     }
 
+    /// `(e/g)²` of the front and the rear axle, the larger one of drive and braking, in 1/(m/s²)².
+    pub fn couplings(&self) -> [f64; 2] {
+        self.axles
+            .map(|axle| (axle.coupling.drive.max(axle.coupling.brake) / GRAVITY).powi(2))
+    }
+
     /// The change of `[v_x, v_y, omega]` over the period.
     pub fn change(&self, z: &GpInput) -> GpOutput {
         let motion = Motion::new(z, self.dt);

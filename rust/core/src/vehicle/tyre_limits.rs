@@ -13,6 +13,9 @@ pub struct TyreLimits {
     pub drive: f64,
     /// Largest deceleration `-F_x / m` under braking, m/s².
     pub brake: f64,
+    /// `(e/g)²` of the front and the rear axle, the larger one of drive and braking, in 1/(m/s²)²: what `F_x / m` costs of
+    /// the axle's lateral force.
+    pub coupling: [f64; 2],
 }
 
 impl Mul<f64> for TyreLimits {
@@ -24,6 +27,7 @@ impl Mul<f64> for TyreLimits {
             slip: self.slip * factor,
             drive: self.drive * factor,
             brake: self.brake * factor,
+            coupling: self.coupling.map(|value| value * factor),
         }
     }
 }
@@ -34,5 +38,8 @@ impl AddAssign for TyreLimits {
         self.slip += other.slip;
         self.drive += other.drive;
         self.brake += other.brake;
+        for (value, added) in self.coupling.iter_mut().zip(other.coupling) {
+            *value += added;
+        }
     }
 }

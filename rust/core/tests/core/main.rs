@@ -9,6 +9,7 @@ mod gp;
 mod horizon_variance;
 mod library;
 mod preview;
+mod proximal;
 mod qp;
 mod refusals;
 mod residual;

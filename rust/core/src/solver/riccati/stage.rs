@@ -12,8 +12,10 @@ pub(super) struct Stage {
     pub offset: Row,
     /// Curvature of the cost of `s⁺`.
     pub cost: Curvature,
-    /// Gradient of the cost of `s⁺` at zero; the input part is zero.
+    /// Gradient of the cost of `s⁺` at zero.
     pub gradient: Row,
+    /// Its input part.
+    pub input_gradient: [f64; NU],
     /// Diagonal weight of `v`.
     pub rate: [f64; NU],
     pub rows: TwoSided,
@@ -86,6 +88,9 @@ impl Stage {
         let mut g = self.cost.apply(s);
         for i in 0..NX {
             g.x[i] += self.gradient[i];
+        }
+        for i in 0..NU {
+            g.u[i] += self.input_gradient[i];
         }
         g
     }

@@ -1,0 +1,82 @@
+//! The proximal term on the force, which keeps consecutive plans from alternating.
+
+use egp_parameters::VehicleParameters;
+
+use crate::qp::OcpQp;
+use crate::trajectory::Guess;
+use crate::vehicle::{FORCE, OMEGA, TyreLimits, V_X, V_Y};
+use crate::{Input, State};
+
+/// Largest value of `|d²/du² (1 + u⁴)^(-1/2)|`, the curvature of the lateral force that drive and braking leave.
+const LARGEST_CURVATURE: f64 = 1.393;
+
+/// Largest weight, 1/(m/s²)². A heavier weight holds the force as well as this one does, and the problem would be badly
+/// conditioned.
+const LARGEST_WEIGHT: f64 = 100.0;
+
+/// Weighs the difference between the force of each stage and that of the previous plan, by `factor` times a bound on the
+/// curvature that the linearisation leaves out.
+///
+/// Drive and braking cost lateral force, `f(a) = f(0) (1 + (e a/g)⁴)^(-1/2)` for each axle. Close to the end of the grip a
+/// tangent along a plan that brakes promises more lateral force for less braking, and more again for drive, where there is
+/// less. The next tangent, along a plan that drives, promises the opposite, and plans alternate between both limits. In the
+/// Lagrangian the missing term is `p_f f(a)` with the multiplier `p_f` of the axle's force; its curvature in `a` is at most
+///
+/// ```text
+/// d_t = Σ_axles max(0, -p_f f(0)) c (e/g)²,        c = max |d²/du² (1 + u⁴)^(-1/2)|
+/// ```
+///
+/// so that `½ d_t (a_t - ā_t)²` about the previous plan's `ā_t` makes the cost of the problem an upper bound on the cost in
+/// this term, and its minimum a descent (Hunter and Lange, *A tutorial on MM algorithms*, The American Statistician 58(1),
+/// 2004; Verschueren, van Duijkeren, Quirynen and Diehl, *Exploiting convexity in direct optimal control: a sequential convex
+/// quadratic programming method*, CDC 2016, for convex Hessians in sequential programming). The term vanishes where the plan
+/// does not change, and where lateral force is not scarce: there the multipliers are small.
+///
+/// Multipliers are those of the cost and of the soft bounds along the operating trajectory, `p_t = ∇_x + A_tᵀ p_{t+1}`; the
+/// force of each axle is its share of the lateral acceleration of a steady bend, `v_x omega`. Without a previous plan there
+/// is no term.
+pub(super) fn proximal(
+    factor: f64,
+    vehicle: &VehicleParameters,
+    dt: f64,
+    tyres: &[TyreLimits],
+    (operating, guess): (&[State], &Guess),
+    qp: &mut OcpQp,
+) {
+    let known = factor > 0.0 && !guess.x.is_empty();
+    let (l_f, l_r) = (vehicle.l_f, vehicle.l_r);
+    let gyration = vehicle.yaw_inertia / vehicle.mass;
+    let mut p = State::zeros();
+    for t in (0..qp.horizon()).rev() {
+        let (x, u) = (&operating[t], &guess.u[t]);
+        let mut weight = 0.0;
+        if known {
+            p = qp.state_gradient(t, &operating[t + 1], &p);
+            let lateral = -dt * x[V_X] * x[OMEGA] / (l_f + l_r);
+            let front = lateral * l_r * (p[V_Y] + p[OMEGA] * l_f / gyration);
+            let rear = lateral * l_f * (p[V_Y] - p[OMEGA] * l_r / gyration);
+            let [e_f, e_r] = tyres[t].coupling;
+            let curvature = LARGEST_CURVATURE * (front.max(0.0) * e_f + rear.max(0.0) * e_r);
+            weight = (factor * curvature).min(LARGEST_WEIGHT);
+        }
+        let stage = &mut qp.stages_mut()[t];
+        stage.proximal = Input::new(weight, 0.0);
+        stage.previous = Input::new(u[FORCE] / vehicle.mass, 0.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_curvature_of_the_force_that_is_left_is_bounded() {
+        let left = |u: f64| (1.0 + u.powi(4)).powf(-0.5);
+        let curvature = |u: f64| (left(u + 1e-3) - 2.0 * left(u) + left(u - 1e-3)).abs() * 1e6;
+        let largest = (0..4000)
+            .map(|i| curvature(1e-3 * f64::from(i)))
+            .fold(0.0, f64::max);
+        assert!(largest < LARGEST_CURVATURE);
+        assert!(largest > 0.999 * LARGEST_CURVATURE, "{largest}");
+    }
+}
