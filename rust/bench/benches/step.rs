@@ -189,6 +189,7 @@ fn phases(c: &mut Criterion, library: &Library) {
         drive: 6.0,
         brake: 8.0,
         coupling: [0.04; 2],
+        transfer: 0.08,
     };
     let road = Road {
         x: &targets,

@@ -11,6 +11,9 @@ use crate::{Input, NU, State};
 /// interior-point methods need an interior.
 const INTERIOR: f64 = 0.01;
 
+/// Smallest share of the drive that is left in a bend, so that a vehicle at the end of its grip can hold its speed.
+const LEAST_DRIVE: f64 = 0.1;
+
 /// Number of soft rows for these settings; the rows of the envelope are the last ones.
 pub fn soft_rows(soft: &Soft) -> usize {
     if soft.envelope.is_some() {
@@ -40,6 +43,11 @@ pub(super) fn penalties(soft: &Soft) -> [Penalty; MAX_SOFT] {
 ///
 /// A force that spins or locks the wheels adds no acceleration, and such wheels do not steer. A plan that is linearised where
 /// the acceleration has saturated has no reason to avoid it, so the force is bounded by what the tyres transmit.
+///
+/// In a bend the wheels inside carry less. A differential gives both driven wheels of an axle the same torque, so that more
+/// than the inner one can transmit spins it, and a wheel that spins does not steer until it has slowed down, which takes
+/// longer than the bend and is no state of the model. The drive is therefore bounded by the share of the load that the wheels
+/// inside the bend keep, `1 - transfer |v_x omega|`.
 pub(super) fn hard(
     vehicle: &VehicleParameters,
     dt: f64,
@@ -51,10 +59,11 @@ pub(super) fn hard(
     let (mut low, mut high) = (qp.u_prev, qp.u_prev);
     let road = operating.iter().zip(tyres);
     for (stage, (x, tyres)) in qp.stages_mut().iter_mut().zip(road) {
+        let inside = 1.0 - tyres.transfer * (x[V_X] * x[OMEGA]).abs();
         let drive = vehicle
             .a_max
             .min(vehicle.power / x[V_X].max(f64::MIN_POSITIVE))
-            .min(tyres.drive);
+            .min(tyres.drive * inside.max(LEAST_DRIVE));
         stage.u_min = Input::new(vehicle.a_min.max(-tyres.brake), -vehicle.steering_rate);
         stage.u_max = Input::new(drive, vehicle.steering_rate);
         stage.du_min = -slew;
@@ -141,6 +150,32 @@ mod tests {
     use super::*;
 
     #[test]
+    fn in_a_bend_the_drive_is_bounded_by_the_load_of_the_wheels_inside() {
+        let car = VehicleParameters::FORD_ESCORT;
+        let tyres = TyreLimits {
+            friction: 1.0,
+            slip: 0.1,
+            drive: 4.0,
+            brake: 9.0,
+            coupling: [0.0; 2],
+            transfer: 0.08,
+        };
+        let bounds = |omega: f64| {
+            let mut qp = OcpQp::new(1, 3);
+            let mut x = State::ith(V_X, 10.0);
+            x[OMEGA] = omega;
+            hard(&car, 0.1, &[x; 2], &[tyres; 2], &mut qp);
+            (qp.stages()[0].u_max[0], qp.stages()[0].u_min[0])
+        };
+        // At 10 m/s the lateral acceleration is 10 omega; the inner wheels keep 1 - 0.8 omega of their load.
+        assert_eq!(bounds(0.0).0, 4.0);
+        assert!((bounds(0.5).0 - 4.0 * 0.6).abs() < 1e-12);
+        assert_eq!(bounds(0.5), bounds(-0.5));
+        assert_eq!(bounds(2.0).0, 4.0 * LEAST_DRIVE);
+        assert_eq!(bounds(0.0).1, bounds(0.5).1);
+    }
+
+    #[test]
     fn some_input_sequence_meets_all_bounds_for_every_applied_input() {
         let (car, dt) = (VehicleParameters::FORD_ESCORT, 0.05);
         for a in [-40.0, -8.0, 0.0, 5.9, 12.0, 49.0] {
@@ -156,6 +191,7 @@ mod tests {
                     drive: 1.0,
                     brake: 2.0,
                     coupling: [0.0; 2],
+                    transfer: 0.05,
                 }; 21];
                 hard(&car, dt, &operating, &tyres, &mut qp);
                 let (mut low, mut high) = (qp.u_prev, qp.u_prev);

@@ -138,6 +138,12 @@ impl SingleTrack {
             .map(|axle| (axle.coupling.drive.max(axle.coupling.brake) / GRAVITY).powi(2))
     }
 
+    /// Height of the centre of mass in m.
+    pub fn height(&self) -> f64 {
+        let [_, _, _, _, height, ..] = self.parameters;
+        height
+    }
+
     /// The change of `[v_x, v_y, omega]` over the period.
     pub fn change(&self, z: &GpInput) -> GpOutput {
         let motion = Motion::new(z, self.dt);

@@ -16,6 +16,8 @@ pub struct TyreLimits {
     /// `(e/g)²` of the front and the rear axle, the larger one of drive and braking, in 1/(m/s²)²: what `F_x / m` costs of
     /// the axle's lateral force.
     pub coupling: [f64; 2],
+    /// Share of the load of the wheels inside a bend that moves to those outside, for each m/s² of lateral acceleration.
+    pub transfer: f64,
 }
 
 impl Mul<f64> for TyreLimits {
@@ -28,6 +30,7 @@ impl Mul<f64> for TyreLimits {
             drive: self.drive * factor,
             brake: self.brake * factor,
             coupling: self.coupling.map(|value| value * factor),
+            transfer: self.transfer * factor,
         }
     }
 }
@@ -41,5 +44,6 @@ impl AddAssign for TyreLimits {
         for (value, added) in self.coupling.iter_mut().zip(other.coupling) {
             *value += added;
         }
+        self.transfer += other.transfer;
     }
 }
