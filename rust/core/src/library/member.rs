@@ -101,8 +101,8 @@ impl Member {
     /// single-track vehicle has [`Self::peak_slip`] and the largest accelerations of `vehicle`. Its lateral force has no
     /// coupling with the longitudinal one if the wheels roll without slip; otherwise the coupling is that of a friction
     /// circle, whose half is left of the squared lateral force where `F_x / m` reaches `sqrt(½) mu g`. The load that moves to
-    /// the outside of a bend is `2 h / (g b)` for each m/s², with the fitted height `h` and the track `b`, which is [`TRACK`] of
-    /// the width of `vehicle`; without a fitted height none moves.
+    /// the outside of a bend is `2 h / (g b)` for each m/s², with the fitted height `h` and the track `b`, which is 0.83 of the
+    /// width of `vehicle`; without a fitted height none moves.
     pub fn tyre_limits(&self, vehicle: &VehicleParameters) -> TyreLimits {
         let [drive, brake] = match &self.vehicle {
             Some(VehicleModel::SingleTrack(fitted)) => fitted.largest_accelerations(),
