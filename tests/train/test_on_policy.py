@@ -10,6 +10,7 @@ import pytest
 from egp_service import EgpError
 from egp_service.data.experiment import Experiment
 from egp_service.simulation.scenario import library_path, load_scenario
+from egp_service.training import on_policy
 from egp_service.training.on_policy import OnPolicySettings, distinct_surfaces, drive_laps
 
 LIBRARY = library_path(load_scenario("rounded-rectangle"))
@@ -41,6 +42,23 @@ def test_each_surface_gets_its_own_transitions() -> None:
     assert np.max(dry.z[:, 0]) > np.max(wet.z[:, 0])
     again = drive_laps(LIBRARY, SURFACES, TWO_LAPS, jobs=1)
     assert [dataset.digest() for dataset in again] == [dataset.digest() for dataset in datasets]
+
+
+def test_forces_alternate_at_the_end_of_the_grip(monkeypatch: pytest.MonkeyPatch) -> None:
+    fast = OnPolicySettings(rounds=1, laps=3, grip=(0.95, 1.0))
+
+    def alternations() -> int:
+        found = 0
+        for dataset in drive_laps(LIBRARY, SURFACES, fast, jobs=1):
+            same = np.diff(dataset.trajectory.astype(int)) == 0
+            change = np.where(same, np.diff(dataset.z[:, 4]), 0.0)
+            both = np.minimum(np.abs(change[1:]), np.abs(change[:-1])) > 1000.0
+            found += int(np.sum(both & (change[1:] * change[:-1] < 0.0)))
+        return found
+
+    exciting = alternations()
+    monkeypatch.setattr(on_policy, "_EXCITING", {})
+    assert exciting > 10 * alternations() + 10  # measured: 373, and 6 with the term
 
 
 def test_vehicles_that_stand_give_no_transitions() -> None:

@@ -80,8 +80,10 @@ the same data, and <i>fitted single-track</i> is this vehicle without GPs. The t
 the yaw at the start of each period, as with <i>forward Euler</i> here, so that its predictions
 leave every bend to the outside and the vehicle drives on the inside; in this system positions move
 along the yaw in the middle of the period. All controllers here bound the slip of the front tyres
-near their peak, which depends on the estimated friction. The paper's reference moves at the present
-speed; here it follows a speed profile that contains the braking. Corrections of a vehicle are
+near their peak, which depends on the estimated friction, and the drive by the load of the wheels
+inside a bend, and weigh the change of the force from the previous plan. The paper's reference
+moves at the present speed; here it follows a speed profile that contains the braking. Corrections
+of a vehicle are
 learned with one kernel for all three outputs, whole changes with one kernel per output, as in the
 paper. Tracks are computed from their definitions or drawn from a seed; frictions are those of the
 paper's text."""

@@ -188,8 +188,7 @@ fn phases(c: &mut Criterion, library: &Library) {
         slip: 0.96,
         drive: 6.0,
         brake: 8.0,
-        coupling: [0.04; 2],
-        transfer: 0.08,
+        ..TyreLimits::default()
     };
     let road = Road {
         x: &targets,
@@ -204,7 +203,7 @@ fn phases(c: &mut Criterion, library: &Library) {
     };
     let mut qp = OcpQp::new(20, soft_rows(&settings.soft));
     c.bench_function("phase/assemble", |b| {
-        b.iter(|| ocp::assemble(&setup, &x0, &u_prev, (&dynamics, &guess), &road, &mut qp));
+        b.iter(|| ocp::assemble(&setup, &x0, &u_prev, &dynamics, &guess, &road, &mut qp));
     });
 
     let mut solver = ClarabelSolver::new(&qp, &settings.solver).unwrap();

@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 
 use egp_core::library::{LibrarySpec, MemberData, encode};
+use egp_core::vehicle::ModelParameters;
 use egp_core::{Kernel, Library, NY, NZ, VehicleParameters};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rand::{RngExt, SeedableRng};
@@ -54,6 +55,15 @@ pub fn spec_of(
         provenance: BTreeMap::from([("source".to_owned(), "tests".to_owned())]),
         members: frictions.iter().enumerate().map(member).collect(),
     }
+}
+
+/// Makes the member a vehicle alone, without Gaussian processes.
+pub fn leave_vehicle(member: &mut MemberData, vehicle: ModelParameters) {
+    member.vehicle = Some(vehicle);
+    (member.inputs, member.targets, member.alpha) = (vec![], vec![], Default::default());
+    (member.target_mean, member.constant, member.outputscale) = ([0.0; NY], [0.0; NY], [0.0; NY]);
+    (member.golden_z, member.golden_mean) = (vec![], vec![]);
+    (member.golden_jacobian, member.golden_variance) = (vec![], vec![]);
 }
 
 /// A GP input, uniform in the sampled box widened by `spread`.

@@ -153,12 +153,10 @@ mod tests {
     fn in_a_bend_the_drive_is_bounded_by_the_load_of_the_wheels_inside() {
         let car = VehicleParameters::FORD_ESCORT;
         let tyres = TyreLimits {
-            friction: 1.0,
-            slip: 0.1,
             drive: 4.0,
             brake: 9.0,
-            coupling: [0.0; 2],
             transfer: 0.08,
+            ..TyreLimits::default()
         };
         let bounds = |omega: f64| {
             let mut qp = OcpQp::new(1, 3);
@@ -186,12 +184,10 @@ mod tests {
                     .map(|t| State::ith(V_X, 2.0 + 3.0 * f64::from(t)))
                     .collect();
                 let tyres = [TyreLimits {
-                    friction: 0.5,
-                    slip: 0.1,
                     drive: 1.0,
                     brake: 2.0,
-                    coupling: [0.0; 2],
                     transfer: 0.05,
+                    ..TyreLimits::default()
                 }; 21];
                 hard(&car, dt, &operating, &tyres, &mut qp);
                 let (mut low, mut high) = (qp.u_prev, qp.u_prev);

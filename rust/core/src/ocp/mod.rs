@@ -49,7 +49,8 @@ pub fn assemble(
     setup: &Setup,
     x0: &State,
     u_prev: &Input,
-    (dynamics, guess): (&Linearisation, &Guess),
+    dynamics: &Linearisation,
+    guess: &Guess,
     road: &Road,
     qp: &mut OcpQp,
 ) {
@@ -87,12 +88,5 @@ pub fn assemble(
         );
     }
     bounds::hard(vehicle, dt, &dynamics.x, road.tyres, qp);
-    proximal::proximal(
-        settings.cost.proximal,
-        vehicle,
-        dt,
-        road.tyres,
-        (&dynamics.x, guess),
-        qp,
-    );
+    proximal::proximal(setup, road, dynamics, guess, qp);
 }

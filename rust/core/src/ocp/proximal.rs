@@ -1,10 +1,10 @@
 //! The proximal term on the force, which keeps consecutive plans from alternating.
 
-use egp_parameters::VehicleParameters;
-
+use super::{Road, Setup};
+use crate::linearisation::Linearisation;
 use crate::qp::OcpQp;
 use crate::trajectory::Guess;
-use crate::vehicle::{FORCE, OMEGA, TyreLimits, V_X, V_Y};
+use crate::vehicle::{FORCE, OMEGA, V_X, V_Y};
 use crate::{Input, State};
 
 /// Largest value of `|d²/du² (1 + u⁴)^(-1/2)|`, the curvature of the lateral force that drive and braking leave.
@@ -14,8 +14,8 @@ const LARGEST_CURVATURE: f64 = 1.393;
 /// conditioned.
 const LARGEST_WEIGHT: f64 = 100.0;
 
-/// Weighs the difference between the force of each stage and that of the previous plan, by `factor` times a bound on the
-/// curvature that the linearisation leaves out.
+/// Weighs the difference between the force of each stage and that of the previous plan, by `cost.proximal` times a bound on
+/// the curvature that the linearisation leaves out.
 ///
 /// Drive and braking cost lateral force, `f(a) = f(0) (1 + (e a/g)⁴)^(-1/2)` for each axle. Close to the end of the grip a
 /// tangent along a plan that brakes promises more lateral force for less braking, and more again for drive, where there is
@@ -36,13 +36,14 @@ const LARGEST_WEIGHT: f64 = 100.0;
 /// force of each axle is its share of the lateral acceleration of a steady bend, `v_x omega`. Without a previous plan there
 /// is no term.
 pub(super) fn proximal(
-    factor: f64,
-    vehicle: &VehicleParameters,
-    dt: f64,
-    tyres: &[TyreLimits],
-    (operating, guess): (&[State], &Guess),
+    setup: &Setup,
+    road: &Road,
+    dynamics: &Linearisation,
+    guess: &Guess,
     qp: &mut OcpQp,
 ) {
+    let (vehicle, operating) = (setup.vehicle, &dynamics.x);
+    let factor = setup.settings.cost.proximal;
     let known = factor > 0.0 && !guess.x.is_empty();
     let (l_f, l_r) = (vehicle.l_f, vehicle.l_r);
     let gyration = vehicle.yaw_inertia / vehicle.mass;
@@ -52,16 +53,16 @@ pub(super) fn proximal(
         let mut weight = 0.0;
         if known {
             p = qp.state_gradient(t, &operating[t + 1], &p);
-            let lateral = -dt * x[V_X] * x[OMEGA] / (l_f + l_r);
+            let lateral = -setup.dt * x[V_X] * x[OMEGA] / (l_f + l_r);
             let front = lateral * l_r * (p[V_Y] + p[OMEGA] * l_f / gyration);
             let rear = lateral * l_f * (p[V_Y] - p[OMEGA] * l_r / gyration);
-            let [e_f, e_r] = tyres[t].coupling;
+            let [e_f, e_r] = road.tyres[t].coupling;
             let curvature = LARGEST_CURVATURE * (front.max(0.0) * e_f + rear.max(0.0) * e_r);
             weight = (factor * curvature).min(LARGEST_WEIGHT);
         }
         let stage = &mut qp.stages_mut()[t];
         stage.proximal = Input::new(weight, 0.0);
-        stage.previous = Input::new(u[FORCE] / vehicle.mass, 0.0);
+        stage.planned = Input::new(u[FORCE] / vehicle.mass, 0.0);
     }
 }
 

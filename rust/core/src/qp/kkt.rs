@@ -123,7 +123,7 @@ impl OcpQp {
         let u = &solution.u[t];
         let du = u - self.previous(&solution.u, t);
         let state_part = stage.b.tr_mul(&solution.adjoint[t + 1]);
-        let displacement = u - stage.previous;
+        let displacement = u - stage.planned;
         let cost_part = u.component_mul(&self.r)
             + displacement.component_mul(&stage.proximal)
             + du.component_mul(&self.r_d);

@@ -104,7 +104,7 @@ pub struct Stage {
     /// Diagonal of `D_t`, not negative.
     pub proximal: Input,
     /// `ū_t`, the input of the previous plan.
-    pub previous: Input,
+    pub planned: Input,
     /// Lower bound of `u_t`.
     pub u_min: Input,
     /// Upper bound of `u_t`.
@@ -126,7 +126,7 @@ impl Stage {
             q: SMatrix::identity(),
             reference: State::zeros(),
             proximal: Input::zeros(),
-            previous: Input::zeros(),
+            planned: Input::zeros(),
             u_min: Input::repeat(-1.0),
             u_max: Input::repeat(1.0),
             du_min: Input::repeat(-1.0),
@@ -236,7 +236,7 @@ impl OcpQp {
                     && finite(s.q.as_slice())
                     && finite(s.reference.as_slice())
                     && finite(s.proximal.as_slice())
-                    && finite(s.previous.as_slice())
+                    && finite(s.planned.as_slice())
                     && (0..NU).all(|i| s.u_min[i] <= s.u_max[i] && s.du_min[i] <= s.du_max[i])
                     && finite(s.u_min.as_slice())
                     && finite(s.u_max.as_slice())

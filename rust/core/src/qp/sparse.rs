@@ -200,7 +200,7 @@ impl SparseQp {
             let before = if t == 0 { qp.u_prev } else { Input::zeros() };
             for i in 0..NU {
                 self.q[layout.input(t, i)] =
-                    -qp.r_d[i] * before[i] - stage.proximal[i] * stage.previous[i];
+                    -qp.r_d[i] * before[i] - stage.proximal[i] * stage.planned[i];
                 self.l[layout.input_row(t, i)] = stage.u_min[i];
                 self.u[layout.input_row(t, i)] = stage.u_max[i];
                 self.l[layout.rate_row(t, i)] = stage.du_min[i] + before[i];

@@ -85,7 +85,8 @@ pub fn step(
         &setup,
         &x0,
         &rows.u_prev,
-        (&ws.dynamics, &ws.guess),
+        &ws.dynamics,
+        &ws.guess,
         &road,
         &mut ws.qp,
     );

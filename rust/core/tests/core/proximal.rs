@@ -2,9 +2,10 @@
 #![allow(clippy::unwrap_used)]
 
 use egp_core::library::encode;
+use egp_core::solver::{ClarabelSolver, RiccatiSolver};
 use egp_core::vehicle::ModelParameters;
 use egp_core::{Input, Kernel, Library, Settings, Status, StepReply, VehicleParameters, step};
-use egp_core::{Workspace, qp::OcpSolution, solver::QpSolver, solver::RiccatiSolver};
+use egp_core::{OcpSolution, QpSolver, Workspace};
 use egp_testing::drives::Drive;
 use egp_testing::libraries;
 use egp_testing::requests::Request;
@@ -15,14 +16,10 @@ const MASS: f64 = VehicleParameters::FORD_ESCORT.mass;
 /// A library of one vehicle on friction 1, whose braking costs lateral force at the front and whose drive at the rear.
 fn fitted() -> Library {
     let mut spec = libraries::spec(Kernel::Rbf, &[1.0], 20, 0);
-    let data = &mut spec.members[0];
-    data.vehicle = Some(ModelParameters::SingleTrack([
+    let vehicle = ModelParameters::SingleTrack([
         1225.0, 0.9, 1.5, 1.6, 0.5, 0.5, 0.8, 0.3, 2.2, 0.9, 16.5, 1.4, 2.2, 0.3, 1.0, 25.0, 1.1,
-    ]));
-    (data.inputs, data.targets, data.alpha) = (vec![], vec![], Default::default());
-    (data.target_mean, data.constant, data.outputscale) = ([0.0; 3], [0.0; 3], [0.0; 3]);
-    (data.golden_z, data.golden_mean) = (vec![], vec![]);
-    (data.golden_jacobian, data.golden_variance) = (vec![], vec![]);
+    ]);
+    libraries::leave_vehicle(&mut spec.members[0], vehicle);
     Library::from_bytes(&encode(&spec).unwrap()).unwrap()
 }
 
@@ -70,21 +67,25 @@ fn consecutive_plans_converge_at_the_end_of_the_grip_and_alternate_without_the_t
 }
 
 #[test]
-fn a_heavy_term_holds_the_inputs_of_the_previous_plan() {
+fn a_heavy_term_holds_the_force_of_the_previous_plan() {
     let mut drive = Drive::new(3);
     let mut qp = drive.problem(20);
-    let mut solver = RiccatiSolver::new(20, &Settings::default().solver);
+    let settings = Settings::default().solver;
+    let mut riccati = RiccatiSolver::new(20, &settings);
+    let mut clarabel = ClarabelSolver::new(&qp, &settings).unwrap();
     let mut solution = OcpSolution::new(20);
-    assert_eq!(solver.solve(&qp, &[], &mut solution), Status::Solved);
+    assert_eq!(riccati.solve(&qp, &[], &mut solution), Status::Solved);
     let free = solution.u.clone();
-    // Between the solution and the middle of the bounds, which is feasible.
+    // A tenth less than the solution without the term.
     for (stage, u) in qp.stages_mut().iter_mut().zip(&free) {
-        (stage.proximal, stage.previous) = (Input::new(1e4, 0.0), u * 0.9);
+        (stage.proximal, stage.planned) = (Input::new(1e4, 0.0), u * 0.9);
     }
-    assert_eq!(solver.solve(&qp, &[], &mut solution), Status::Solved);
-    qp.check(&mut solution);
-    assert!(solution.kkt.worst() < 1e-6, "{:?}", solution.kkt);
-    for (u, free) in solution.u.iter().zip(&free) {
-        assert!((u[0] - 0.9 * free[0]).abs() < 0.05, "{u:?} {free:?}");
+    for solver in [&mut riccati as &mut dyn QpSolver, &mut clarabel] {
+        assert_eq!(solver.solve(&qp, &[], &mut solution), Status::Solved);
+        qp.check(&mut solution);
+        assert!(solution.kkt.worst() < 1e-5, "{:?}", solution.kkt);
+        for (u, free) in solution.u.iter().zip(&free) {
+            assert!((u[0] - 0.9 * free[0]).abs() < 0.05, "{u:?} {free:?}");
+        }
     }
 }

@@ -307,14 +307,11 @@ fn by_default_the_slip_is_bounded_by_the_blended_peaks_of_the_members() {
     let mut spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0);
     // B and C of the front tyres; the second ones peak at a smaller slip, although the friction is larger.
     for (data, [stiffness, shape]) in spec.members.iter_mut().zip([[15.0, 1.6], [40.0, 1.35]]) {
-        data.vehicle = Some(ModelParameters::SingleTrack([
+        let vehicle = ModelParameters::SingleTrack([
             1225.0, 0.9, 1.5, 1.6, 0.45, 0.5, 0.8, 0.3, 0.3, 0.9, stiffness, shape, 0.3, 0.3, 1.1,
             20.0, 1.2,
-        ]));
-        (data.inputs, data.targets, data.alpha) = (vec![], vec![], Default::default());
-        (data.target_mean, data.constant, data.outputscale) = ([0.0; 3], [0.0; 3], [0.0; 3]);
-        (data.golden_z, data.golden_mean) = (vec![], vec![]);
-        (data.golden_jacobian, data.golden_variance) = (vec![], vec![]);
+        ]);
+        libraries::leave_vehicle(data, vehicle);
     }
     let library = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
     let mut request = Request::circle();

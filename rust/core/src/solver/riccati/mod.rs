@@ -179,7 +179,7 @@ fn load(stage: &mut Stage, source: &qp::Stage, qp: &OcpQp) {
     stage.gradient[P_X] -= stage.cost.cross * source.reference[P_Y];
     stage.gradient[P_Y] -= stage.cost.cross * source.reference[P_X];
     stage.cost.u = (qp.r + source.proximal).into();
-    stage.input_gradient = (-source.proximal.component_mul(&source.previous)).into();
+    stage.input_gradient = (-source.proximal.component_mul(&source.planned)).into();
     stage.rate = qp.r_d.into();
     stage.rows = load_rows(source, qp);
 }
