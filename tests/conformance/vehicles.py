@@ -10,7 +10,7 @@ import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from signal import SIGCONT, SIGSTOP
+from signal import SIGCONT
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -27,6 +27,7 @@ from egp_service._core import (
     VehicleParameters,
     decode_ready,
 )
+from frozen import freeze
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -205,7 +206,7 @@ class Processes:
 
     def freeze(self, replica: str) -> None:
         """Stop a replica as a machine does that hangs."""
-        self._running[replica].send_signal(SIGSTOP)
+        freeze(self._running[replica])
 
     def thaw(self, replica: str) -> None:
         """Let it go on."""

@@ -24,6 +24,7 @@ from egp_service._core import EgpError
 from egp_service.cli import app
 from egp_service.control.service_process import ServiceProcess
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
+from frozen import freeze
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -279,7 +280,7 @@ def test_a_request_to_two_replicas_is_one_trace(tmp_path: Path) -> None:
                 wait_until_listening(endpoint)
             time.sleep(1.0)  # until the vehicle is linked to both
             first = vehicle.step().replica
-            processes[first].send_signal(signal.SIGSTOP)
+            freeze(processes[first])
             step = vehicle.step()
             assert (step.status, step.replica) == ("solved", {"a": "b", "b": "a"}[first])
             processes[first].send_signal(signal.SIGCONT)
