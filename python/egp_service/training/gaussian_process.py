@@ -131,6 +131,10 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
         """Return the prior over f at z."""
         return gpytorch.distributions.MultivariateNormal(self.mean_module(z), self.covar_module(z))
 
+    def replace_targets(self, y: torch.Tensor) -> None:
+        """Predict from other z-scored targets (M,), under the same hyperparameters."""
+        super().set_train_data(targets=y, strict=False)
+
     @property
     def inputs(self) -> torch.Tensor:
         """The z-scored training inputs (M, 6)."""

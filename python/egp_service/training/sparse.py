@@ -1,11 +1,12 @@
 """A process with few points that uses all transitions.
 
-The few hundred transitions that a member keeps do not average the noise of a log. Here the
-member's inputs are the inducing points of Titsias' variational approximation (2009), which is
-fitted to all transitions. The member's targets are then chosen such that the exact process with
-these points and targets has the mean of the approximation, so that a library holds and predicts it
-like any other process. Such targets are averages, and it does not matter how noisy the chosen
-transitions were.
+The few hundred transitions that a member keeps do not average the noise of a log, nor what states
+that are not measured do to a simulated vehicle. Here the member's inputs are the inducing points of
+Titsias' variational approximation ("Variational Learning of Inducing Variables in Sparse Gaussian
+Processes", 2009), which is fitted to all transitions. The member's targets are then chosen such
+that the exact process with these points and targets has the mean of the approximation, so that a
+library holds and predicts it like any other process. Such targets are averages, and it does not
+matter how noisy the chosen transitions were.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _JITTER: Final = 1e-8  # of the prior variance, on the covariance of the inducing points
+_BLOCK: Final = 4096  # transitions whose covariances with the inducing points are held at a time
 
 
 def fit_sparse(
@@ -54,7 +56,7 @@ def fit_sparse(
         if found is not None and torch.equal(point, found[0]):
             return found[1]
         optimiser.zero_grad()
-        loss = -_bound(process, z, y)[0] / len(y)
+        loss = -_bound(process, z, y) / len(y)
         loss.backward()  # type: ignore[no-untyped-call]
         found = point, loss
         return loss
@@ -74,7 +76,7 @@ def fit_sparse(
 def posterior_mean(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
     """Mean (n,) of the approximation at z (n, 6) given z and the z-scored targets y (n,)."""
     with torch.no_grad(), exact():
-        _, alpha = _bound(process, z, y)
+        alpha = _weights(process, z, y)
         K = process.covar_module(z, process.inputs).to_dense()
         mean: torch.Tensor = process.mean_module(z) + K @ alpha
     return mean
@@ -87,32 +89,45 @@ def average_targets(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) ->
     `constant + (K + s² I) alpha`.
     """
     with torch.no_grad(), exact():
-        _, alpha = _bound(process, z, y)
+        alpha = _weights(process, z, y)
         K = process.covar_module(process.inputs).to_dense()
         K.diagonal().add_(process.likelihood.noise)
         targets: torch.Tensor = process.mean_module(process.inputs) + K @ alpha
     return targets
 
 
-def _bound(
-    process: OutputProcess, z: torch.Tensor, y: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Titsias' lower bound on the log marginal likelihood, and the weights alpha (M,).
-
-    With `A = L⁻¹ K_mn / s`, `K_mm = L Lᵀ` and `B = I + A Aᵀ`, as in Titsias (2009), eq. (9).
-    """
-    inducing, noise = process.inputs, process.likelihood.noise[0]
+def _factor(process: OutputProcess) -> torch.Tensor:
+    """Cholesky factor L of the covariance of the inducing points."""
+    K = process.covar_module(process.inputs).to_dense()
     prior = process.covar_module.outputscale
-    K = process.covar_module(inducing).to_dense()
-    eye = torch.eye(len(inducing), dtype=K.dtype, device=K.device)
-    L = torch.linalg.cholesky(K + _JITTER * prior * eye)
-    A = torch.linalg.solve_triangular(
-        L, process.covar_module(inducing, z).to_dense() / noise.sqrt(), upper=False
-    )
-    LB = torch.linalg.cholesky(eye + A @ A.T)
-    rest = (y - process.mean_module(z)) / noise.sqrt()
+    eye = torch.eye(len(K), dtype=K.dtype, device=K.device)
+    factor: torch.Tensor = torch.linalg.cholesky(K + _JITTER * prior * eye)
+    return factor
+
+
+def _scaled(
+    process: OutputProcess, L: torch.Tensor, z: torch.Tensor, y: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return `A = L⁻¹ K_mn / s` (M, n) and `(y - m) / s` (n,).
+
+    K_mn is the covariance between the inducing points and z.
+    """
+    std = process.likelihood.noise[0].sqrt()
+    across = process.covar_module(process.inputs, z).to_dense() / std
+    A = torch.linalg.solve_triangular(L, across, upper=False)
+    return A, (y - process.mean_module(z)) / std
+
+
+def _bound(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """Titsias' lower bound on the log marginal likelihood (eq. 9).
+
+    The matrix to invert is `B = I + A Aᵀ`, with A as `_scaled` returns it.
+    """
+    noise, prior = process.likelihood.noise[0], process.covar_module.outputscale
+    A, rest = _scaled(process, _factor(process), z, y)
+    LB = torch.linalg.cholesky(torch.eye(len(A), dtype=A.dtype, device=A.device) + A @ A.T)
     c = torch.linalg.solve_triangular(LB, (A @ rest)[:, None], upper=False)
-    bound = 0.5 * (
+    bound: torch.Tensor = 0.5 * (
         (c * c).sum()
         - rest @ rest
         - len(y) * torch.log(2.0 * torch.pi * noise)
@@ -120,5 +135,23 @@ def _bound(
         - len(y) * prior / noise
         + (A * A).sum()
     )
-    inner = torch.linalg.solve_triangular(LB.T, c, upper=True)
-    return bound, torch.linalg.solve_triangular(L.T, inner, upper=True)[:, 0]
+    return bound
+
+
+def _weights(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """Weights alpha (M,) of the approximation's mean, `constant + k(z, Z) alpha`.
+
+    They are `L⁻ᵀ B⁻¹ A (y - m) / s`. The sums over the transitions are computed block by block, so
+    that the memory does not grow with a log.
+    """
+    L = _factor(process)
+    B = torch.eye(len(L), dtype=L.dtype, device=L.device)
+    b = L.new_zeros(len(L), 1)
+    for block in range(0, len(y), _BLOCK):
+        rows = slice(block, block + _BLOCK)
+        A, rest = _scaled(process, L, z[rows], y[rows])
+        B += A @ A.T
+        b += A @ rest[:, None]
+    inner = torch.cholesky_solve(b, torch.linalg.cholesky(B))
+    alpha: torch.Tensor = torch.linalg.solve_triangular(L.T, inner, upper=True)[:, 0]
+    return alpha
