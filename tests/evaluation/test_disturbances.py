@@ -157,6 +157,10 @@ def test_differences_are_paired_by_seed() -> None:
     # The residual takes a part of what the undisturbed members lack.
     found += runs(FIRST, ENSEMBLE + ELSEWHERE + WITH_RESIDUAL, 0.0012)
     assert rows(found) == [(*gains, "+0.80 (+0.80 to +0.80)")]
+    # Where one of the two completes no run, there is no pair.
+    none = [replace(o, completed=False) if o.contender == FITTED else o for o in found]
+    ((_, text, *_),) = rows(none)
+    assert text == "no seed that both completed, completed 20 and 0 of 20"
 
 
 def test_the_claim_needs_half_of_the_disturbances() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -154,6 +155,8 @@ def rows(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
 def _millimetres(comparison: Comparison) -> str:
     gain, (first, second) = comparison.gain, comparison.completed
     text = f"{1e3 * gain.value:+.2f} ({1e3 * gain.low:+.2f} to {1e3 * gain.high:+.2f})"
+    if math.isnan(gain.value):
+        text = "no seed that both completed"
     if min(first, second) < comparison.runs:
         text += f", completed {first} and {second} of {comparison.runs}"
     return text
