@@ -128,6 +128,21 @@ def test_a_library_without_all_members_is_refused() -> None:
     require_members(library, [])
 
 
+def test_a_vehicle_that_is_pushed_to_an_edge_comes_back(tmp_path: Path) -> None:
+    path = tmp_path / "two.safetensors"
+    write_library_subset(SHIPPED, path, [0, 3])
+    (narrow,) = (e for e in EXPERIMENTS if e.name == "narrow-track")
+    (trial,) = (
+        t for t in narrow.trials([5]) if (t.condition, t.contender.name) == ("95% of grip", ORACLE)
+    )
+    scenario = replace(
+        trial.scenario, library=str(path), control=dict(trial.contender.control or {})
+    )
+    run = drive_trial(replace(trial, scenario=scenario))
+    # With the penalty of the edges in the proximal term, plans were held and it was 1.7 m off.
+    assert run.summary.lateral_error.max < 0.4
+
+
 def test_weights_settle_after_a_friction_step(tmp_path: Path) -> None:
     path = tmp_path / "two.safetensors"
     write_library_subset(SHIPPED, path, [0, 3])

@@ -32,7 +32,8 @@ const LARGEST_WEIGHT: f64 = 100.0;
 /// quadratic programming method*, CDC 2016, for convex Hessians in sequential programming). The term vanishes where the plan
 /// does not change, and where lateral force is not scarce: there the multipliers are small.
 ///
-/// Multipliers are those of the cost and of the soft bounds along the operating trajectory, `p_t = ∇_x + A_tᵀ p_{t+1}`; the
+/// Multipliers are those of the cost and of the soft bounds along the operating trajectory, `p_t = ∇_x + A_tᵀ p_{t+1}`, but not
+/// of the track's edges, whose penalty would hold the plan of a vehicle that has to come back from beyond one. The
 /// force of each axle is its share of the lateral acceleration of a steady bend, `v_x omega`. Without a previous plan there
 /// is no term.
 pub(super) fn proximal(

@@ -194,12 +194,13 @@ impl OcpQp {
         t.checked_sub(1).map_or(&self.u_prev, |before| &u[before])
     }
 
-    /// Gradient of the cost in `x_{t+1}` at the state `x`, penalties of the soft rows included, with the multiplier
-    /// `adjoint` of transition `t + 1`. At the end of the horizon the latter is not used.
+    /// Gradient of the cost in `x_{t+1}` at the state `x`, penalties of the soft rows without the track's edges included, with
+    /// the multiplier `adjoint` of transition `t + 1`. At the end of the horizon the latter is not used.
     pub(crate) fn state_gradient(&self, t: usize, x: &State, adjoint: &State) -> State {
         let stage = &self.stages[t];
         let mut gradient = stage.q * (x - stage.reference);
-        for (row, penalty) in stage.soft[..self.n_soft].iter().zip(&self.penalty) {
+        let rows = stage.soft[..self.n_soft].iter().zip(&self.penalty);
+        for (_, (row, penalty)) in rows.enumerate().filter(|(i, _)| *i != SOFT_TRACK) {
             let value = row.normal.dot(x);
             let (excess, sign) = if value > row.upper {
                 (value - row.upper, 1.0)
