@@ -83,10 +83,9 @@ along the yaw in the middle of the period. All controllers here bound the slip o
 near their peak, which depends on the estimated friction, and the drive by the load of the wheels
 inside a bend, and weigh the change of the force from the previous plan. The paper's reference
 moves at the present speed; here it follows a speed profile that contains the braking. Corrections
-of a vehicle are
-learned with one kernel for all three outputs, whole changes with one kernel per output, as in the
-paper. Tracks are computed from their definitions or drawn from a seed; frictions are those of the
-paper's text."""
+of a vehicle are learned with one kernel for all three outputs, whole changes with one kernel per
+output, as in the paper. Tracks are computed from their definitions or drawn from a seed; frictions
+are those of the paper's text."""
 
 
 _DEPARTURES = """ Each departure was driven again, in the same states up to the last border of

@@ -4,8 +4,7 @@ A member's kind is what its processes are added to, and whether it has any. Kind
 four of five blocks of the training data and compared on the fifth by the likelihood of
 `open_loop.skill`: heavy-tailed, over one period and rollouts up to 2 s, in all outputs. The best
 one is trained again on all blocks, with the noise that its errors on the fifth had. The exception
-is `single-track + GPs`: its processes hold single transitions, which their noise weighs, so that
-another noise would also change the predictions that were compared; it keeps the noise of its fit.
+is `single-track + GPs`: its outputs share one noise, and it keeps that of its fit.
 
 A model with more parameters is taken only where it predicts better, with one exception: outside its
 data only a single-track vehicle predicts slides, so that it is preferred unless another kind is

@@ -33,7 +33,8 @@ class TrainedMember:
     validation: Dataset
     """The held-out trajectories."""
     inputs: NDArray[np.float64]
-    """The chosen transitions' inputs (M, 6) and targets (M, 3), physical units."""
+    """The chosen transitions' inputs (M, 6) and targets (M, 3), physical units. Targets are the
+    transitions' changes, or averages over all transitions (`sparse.average_targets`)."""
     targets: NDArray[np.float64]
     input_mean: NDArray[np.float64]
     input_std: NDArray[np.float64]
