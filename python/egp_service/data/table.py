@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import gzip
+import zlib
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _SEPARATORS: Final = (";", "\t")
+_GZIP: Final = b"\x1f\x8b"  # the first bytes of a compressed file (RFC 1952)
 _DECIMAL_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
 _MOST_NAMES: Final = 20
 # What follows the name of a column that another one has, too; then comes its place from 1 on.
@@ -25,7 +28,7 @@ _PLACE: Final = " (column "
 
 
 def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
-    """Read a Parquet file (`.parquet`) or a CSV file.
+    """Read a Parquet file (`.parquet`) or a CSV file, which may be compressed by gzip.
 
     In CSV files lines that begin with `#` are comments, and a byte-order mark is left out. If the
     header has no `separator` but semicolons or tabs, those separate. Columns of one name get their
@@ -44,7 +47,10 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
         except pl.exceptions.PolarsError as error:
             raise EgpError(f"{path}: not a readable Parquet file ({error})") from error
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        content = path.read_bytes()
+        if content.startswith(_GZIP):
+            content = gzip.decompress(content)
+        text = content.decode("utf-8-sig")
         if "\r" in text and "\n" not in text:
             raise EgpError(f"{path}: lines end with CR only: save the file with LF or CR LF")
         lines = text.splitlines()
@@ -52,8 +58,10 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
         if separator not in header:
             separator = next((other for other in _SEPARATORS if other in header), separator)
         columns = _header(header, separator)
-        frame = pl.read_csv(path, separator=separator, comment_prefix="#", infer_schema_length=None)
-    except (UnicodeDecodeError, csv.Error) as error:
+        frame = pl.read_csv(
+            content, separator=separator, comment_prefix="#", infer_schema_length=None
+        )
+    except (UnicodeDecodeError, csv.Error, OSError, EOFError, zlib.error) as error:
         raise EgpError(f"{path}: not a readable CSV file ({error})") from error
     except pl.exceptions.PolarsError as error:
         with contextlib.suppress(csv.Error):

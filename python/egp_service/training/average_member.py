@@ -40,9 +40,10 @@ periods. With 2 instead of 0.5 the error of v_x after 1 s on a log of an oval wa
 of 0.74 m/s."""
 _MEASURED: Final = dataclasses.replace(SMOOTH, noise=1e-6)
 """Bounds for the noise that the final errors have, which nothing has to be fitted with."""
-_POINTS: Final = 150  # inducing points; smooth functions under noise need few
+ITERATIONS: Final = 25
+"""Iterations of the fit of each output's process."""
+_POINTS: Final = 150  # at most, inducing points; smooth functions under noise need few
 _ROWS: Final = 3000  # transitions that the hyperparameters are fitted to
-_ITERATIONS: Final = 25
 _OUTLIER: Final = 4.0  # robust standard deviations
 _ROUNDS: Final = 4
 _MAD: Final = 1.4826
@@ -81,8 +82,8 @@ def average_member(
     """Train a member on training data, with the held-out ones in `part`.
 
     Without `report` it gets no processes. Otherwise `report` gets the stage, the loss and the
-    number of iterations so far. The noise's standard deviations are multiplied by `widening` (3,),
-    which `widening_on` computes from a member of other blocks.
+    number of iterations so far, of `ITERATIONS` for each output. The noise's standard deviations
+    are multiplied by `widening` (3,), which `widening_on` computes from a member of other blocks.
 
     Raises:
         EgpError: if a fit fails.
@@ -107,7 +108,7 @@ def average_member(
     if report is not None:
         rows = rng.permutation(moving)[:_ROWS]
         kept = _without_outliers(z, y, moving)
-        chosen, values = _fit((z, kept), rows, settings.kernel, rng, report)
+        chosen, values = _fit((z, kept), rows, settings, rng, report)
     final = [
         _final((z, y[:, j]), chosen, values[j], settings.kernel, moving=moving, widen=widen[j])
         for j in range(NY)
@@ -166,22 +167,24 @@ def _without_outliers(z: torch.Tensor, y: torch.Tensor, moving: NDArray[np.int64
 def _fit(
     data: tuple[torch.Tensor, torch.Tensor],
     rows: NDArray[np.int64],
-    kernel: KernelName,
+    settings: TrainingSettings,
     rng: np.random.Generator,
     report: Callable[[str, float, int], None],
 ) -> tuple[NDArray[np.int64], list[Hyperparameters]]:
     """Return the rows of the inducing points and the hyperparameters of each output."""
     z, y = data
-    count = min(_POINTS, len(rows))
+    count = min(_POINTS, settings.max_points, len(rows))
     processes = []
     for j, name in enumerate(GP_OUTPUT):
-        process = OutputProcess(z[rows[:count]], y[rows[:count], j].contiguous(), kernel, SMOOTH)
+        process = OutputProcess(
+            z[rows[:count]], y[rows[:count], j].contiguous(), settings.kernel, SMOOTH
+        )
         process.assign(START)
 
         def on_step(iteration: int, loss: float, j: int = j, name: str = name) -> None:
-            report(f"sparse fit of {name}", loss, j * _ITERATIONS + iteration)
+            report(f"sparse fit of {name}", loss, j * ITERATIONS + iteration)
 
-        fit_sparse(process, z[rows], y[rows, j], _ITERATIONS, on_step)
+        fit_sparse(process, z[rows], y[rows, j], ITERATIONS, on_step)
         processes.append(process)
     chosen = rows[select(z[rows], processes, count, rng)]
     return chosen, [process.hyperparameters for process in processes]

@@ -21,7 +21,7 @@ from egp_service.data.alignment import align
 from egp_service.data.dataset import Dataset, check_one_car, merge
 from egp_service.data.experiment import check_seed
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NZ
-from egp_service.training.choice import KINDS, best_member
+from egp_service.training.choice import BUDGET, best_member
 from egp_service.training.delays import find_delays
 from egp_service.training.exact_member import exact_member, spread
 from egp_service.training.kernel import KernelName
@@ -47,14 +47,16 @@ class TrainingSettings:
     mean: Literal["single-track", "constant", "best"] = "single-track"
     """Prior mean of the GPs: a vehicle fitted to the surface, or constants as in the paper.
 
-    With "best" each member takes the kind of `choice.KINDS` that predicts held-out blocks best.
+    With "best" each member takes the kind of `choice.KINDS` that predicts held-out blocks best. Its
+    processes are sparse (`average_member`): they have at most 150 transitions, and `first_points`,
+    `restarts` and `max_iterations` do not apply.
 
-    The residuals of a vehicle are small and hardly determine the kernels, so all (z-scored) outputs
-    share one kernel and noise, which halves the time of a prediction. With constants each output
-    has its own kernel.
+    The residuals of a vehicle are small and hardly determine the kernels, so with "single-track"
+    all (z-scored) outputs share one kernel and noise, which halves the time of a prediction. With
+    constants each output has its own kernel.
     """
     max_points: int = 400
-    """Number of transitions of a member; the control step's time grows with it."""
+    """Largest number of transitions of a member; the control step's time grows with it."""
     first_points: int = 400
     """Number of random transitions of the first fit, whose lengthscales choose the final ones."""
     restarts: int = 1
@@ -165,8 +167,8 @@ def train_parts(
         EgpError: if a fit fails.
 
     """
-    fits = len(KINDS) if settings.mean == "best" else 1
-    budget = len(parts) * fits * (settings.restarts + 2) * settings.max_iterations
+    exact = (settings.restarts + 2) * settings.max_iterations
+    budget = len(parts) * (BUDGET if settings.mean == "best" else exact)
     members: list[TrainedMember] = []
     with one_thread(settings.max_points):
         for data, _ in parts:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import Cluster, check_outputs
+from egp_service.cli.options import Cluster, check_outputs, check_unused
 from egp_service.training.kernel import KernelName
 
 if TYPE_CHECKING:
@@ -34,8 +34,13 @@ def train(
         Literal["single-track", "constant", "best"],
         typer.Option(help="Prior mean of the GPs; best tries vehicles and constants, also alone."),
     ] = "best",
-    max_points: Annotated[int, typer.Option(help="Number of transitions of a member.")] = 400,
-    restarts: Annotated[int, typer.Option(help="Additional random starts of each fit.")] = 1,
+    max_points: Annotated[
+        int, typer.Option(help="Largest number of transitions of a member; best keeps up to 150.")
+    ] = 400,
+    restarts: Annotated[
+        int | None,
+        typer.Option(help="Additional random starts of each fit, by default 1; not with best."),
+    ] = None,
     validation: Annotated[
         float, typer.Option(help="Share of the trajectories for validation.")
     ] = 0.2,
@@ -64,8 +69,9 @@ def train(
     training; the command says by how much. With best, training takes minutes for
     each member; single-track and constant, which try nothing else, are faster.
 
-    Of more than --max-points transitions, half are selected uniformly and half
-    by the variance of a first fit.
+    With best, GPs are sparse: up to 150 points average all transitions.
+    Otherwise, of more than --max-points transitions, half are selected uniformly
+    and half by the variance of a first fit.
 
     The library states its vehicle, from which controller, gate and speed
     profile take their defaults. The file of --vehicle states, in SI units:
@@ -109,6 +115,11 @@ def train(
         raise EgpError("expected either datasets or --recipe")
     if cluster is not None and recipe is None:
         raise EgpError("--cluster needs a --recipe, whose data the cluster collects")
+    if recipe is None and mean == "best":
+        check_unused(
+            {"--restarts": restarts is not None},
+            "cannot be used with --mean best: add --mean single-track or constant",
+        )
     if recipe is not None:
         plan = Recipe.read(recipe)
         settings = plan.training
@@ -119,7 +130,7 @@ def train(
             kernel=kernel,
             mean=mean,
             max_points=max_points,
-            restarts=restarts,
+            restarts=1 if restarts is None else restarts,
             validation_fraction=validation,
             seed=seed,
         )
