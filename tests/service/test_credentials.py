@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 from security_programs import secrets
+from typer.testing import CliRunner
 
 from egp_service import EgpError
+from egp_service.cli import app
+from egp_service.shipped import DEMO_LIBRARY
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -193,3 +196,24 @@ def test_a_vehicle_with_two_keys_and_a_damaged_authority_are_errors(tmp_path: Pa
             write()
         file.write_bytes(before)
     write()
+
+
+@pytest.mark.parametrize(("days", "warned"), [(10, True), (60, False)])
+def test_a_check_warns_of_a_certificate_that_expires_soon(
+    tmp_path: Path, days: int, *, warned: bool
+) -> None:
+    from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
+
+    write_credentials(tmp_path, "f", ["a"], hosts=["127.0.0.1"], port=7447, days=days)
+    config = tmp_path / "service.toml"
+    lines = (
+        f"library = '{DEMO_LIBRARY}'",
+        f"zenoh_file = '{tmp_path / 'service.json5'}'",
+        f"vehicle_keys = '{tmp_path / 'vehicles.keys'}'",
+    )
+    config.write_text("\n".join(lines), encoding="utf-8")
+    result = CliRunner().invoke(app, ["serve", "--config", str(config), "--check"])
+    assert result.exit_code == 0, result.output
+    warning = "A certificate of this service expires in 10 days: renew it with `egp keys`."
+    assert (warning in result.output) == warned
+    assert "valid" in result.output

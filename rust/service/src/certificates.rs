@@ -94,7 +94,7 @@ pub(crate) fn show(end: i64, registry: &mut Registry) {
 }
 
 /// The days until a certificate with this end expires, if it is time to renew it.
-fn days_left(end: i64, now: i64) -> Option<i64> {
+pub(crate) fn days_left(end: i64, now: i64) -> Option<i64> {
     let days = (end - now) / DAY;
     (days < SOON).then_some(days)
 }

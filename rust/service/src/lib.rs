@@ -48,6 +48,6 @@ pub use logging::init_logging;
 pub use network::NetworkError;
 pub use query::Query;
 pub use replica::Replica;
-pub use serve::{ServeError, check, serve};
+pub use serve::{Checked, ServeError, check, serve};
 pub use server::{Server, StartError};
 pub use signature::SignatureError;

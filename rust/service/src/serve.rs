@@ -6,6 +6,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use thiserror::Error;
 
+use crate::certificates::{days_left, now};
 use crate::config::ServiceConfig;
 use crate::guard::Guard;
 use crate::handler::Handler as _;
@@ -29,12 +30,21 @@ pub enum ServeError {
     Start(#[from] StartError),
 }
 
+/// What [`check`] found.
+#[derive(Debug)]
+pub struct Checked {
+    /// What the service would serve.
+    pub served: Ready,
+    /// The days until the first certificate expires, if it is time to renew it.
+    pub certificate_days: Option<i64>,
+}
+
 /// Checks all that a service needs to start, and returns what it would serve: the log filter, library, settings, the file
 /// of traces, the host for HTTP, and a zenoh session, which listens on free ports and connects to nothing.
 ///
 /// # Errors
 /// [`ServeError`] as [`serve`] would report it.
-pub fn check(config: &ServiceConfig) -> Result<Ready, ServeError> {
+pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
     log_filter(&config.log).map_err(ServeError::Logging)?;
     config.validate().map_err(StartError::from)?;
     if let Some(wanted) = wanted(config) {
@@ -46,10 +56,13 @@ pub fn check(config: &ServiceConfig) -> Result<Ready, ServeError> {
     let traces = config.traces.as_deref().map(TraceFile::check);
     traces.transpose().map_err(StartError::from)?;
     config.http.map(HttpListener::check).transpose()?;
-    configuration(config.zenoh_file.as_deref(), &config.zenoh)
-        .and_then(|(zenoh, _)| rehearse(zenoh))
-        .map_err(StartError::from)?;
-    Ok(libraries.describe())
+    let (zenoh, end) =
+        configuration(config.zenoh_file.as_deref(), &config.zenoh).map_err(StartError::from)?;
+    rehearse(zenoh).map_err(StartError::from)?;
+    Ok(Checked {
+        served: libraries.describe(),
+        certificate_days: end.and_then(|end| days_left(end, now())),
+    })
 }
 
 /// Fetches the library first if the configuration states one by its hash. Serves until SIGTERM or SIGINT, then drains.

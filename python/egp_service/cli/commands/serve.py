@@ -131,7 +131,13 @@ def serve(
     _add_endpoints(table, {"listen/endpoints": listen, "connect/endpoints": connect})
     if check:
         with naming(config):
-            _show(check_service(dumps(table)))
+            served, days = check_service(dumps(table))
+        _show(served)
+        if days is not None:
+            typer.echo(
+                f"A certificate of this service expires in {days} days: renew it with `egp keys`.",
+                err=True,
+            )
         return
     if config is None or listen:
         check_free(listen or ["tcp/127.0.0.1:7447"])

@@ -122,7 +122,11 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     if !check {
         return Ok(serve(&config)?);
     }
-    let served = egp_service::check(&config)?;
+    let checked = egp_service::check(&config)?;
+    if let Some(days) = checked.certificate_days {
+        eprintln!("a certificate of this service expires in {days} days; renew it with `egp keys`");
+    }
+    let served = checked.served;
     println!("surfaces: {}", served.members.join(", "));
     println!(
         "period {} s, horizon {}, window {}",

@@ -90,7 +90,7 @@ fn a_check_finds_what_would_prevent_a_start() {
     let mut good = config(&format!("tcp/{}", busy.local_addr().unwrap()));
     good.library = library;
     // The port may be that of the service that runs already.
-    assert_eq!(check(&good).unwrap().members.len(), 2);
+    assert_eq!(check(&good).unwrap().served.members.len(), 2);
     let zenoh = |key: &str, value: &str| {
         let mut bad = good.clone();
         bad.zenoh.insert(key.to_owned(), value.to_owned());
