@@ -186,14 +186,15 @@ def test_a_member_of_a_measured_drive_has_skill(exact: Dataset) -> None:
     measured = measure(exact, Sensors(), np.random.default_rng(0))
     (outcome,) = evaluate_logs([measured], known_vehicle("commonroad-1"), SETTINGS)
     rms = outcome.skill.rms
-    assert np.all(rms[OURS][0] <= 1.02 * rms[NO_CHANGE][0])
-    assert outcome.skill.likelihood[OURS] > 0.0
+    # Over one period; with three seeds of the sensors at most 0.52 times.
+    assert np.all(rms[OURS][0] <= 0.6 * rms[NO_CHANGE][0])
     # The sensors are late by a period, 40 ms, and their filter by 16 ms.
     assert outcome.delays.measurement == pytest.approx(0.056, abs=0.02)
     assert outcome.delays.force == pytest.approx(0.056, abs=0.02)
-    # Over all durations and outputs; measured 0.3 nats more.
-    assert outcome.skill.likelihood[OURS] > outcome.skill.likelihood[LINEAR] - 0.1
-    assert np.all(outcome.coverage > 0.85)
+    # Over all durations and outputs; with three seeds 1.16 to 1.20 nats more.
+    assert outcome.skill.likelihood[OURS] > outcome.skill.likelihood[LINEAR] + 1.0
+    # The goal of the oval's log; with three seeds 94.9 to 97.1 %.
+    assert np.all((outcome.coverage >= 0.92) & (outcome.coverage <= 0.97))
     assert np.all(outcome.with_residual <= 1.02 * rms[OURS][0])
     assert np.all(outcome.residual_coverage > 0.85)
     assert outcome.predicted.shape == outcome.member.validation.y.shape
