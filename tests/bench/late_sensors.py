@@ -41,9 +41,7 @@ SENSORS: Final = Sensors()
 DT: Final = 0.04
 FRICTION: Final = 0.9
 VELOCITIES: Final = (2, 4, 5)  # of the state [X, Y, v_x, yaw, v_y, omega, delta]
-TRAINING: Final = TrainingSettings(
-    mean="single-track", restarts=0, max_iterations=60, first_points=300
-)
+TRAINING: Final = TrainingSettings(mean="best")  # the default of `egp train`
 
 
 class Sensed:
