@@ -248,11 +248,15 @@ def test_members_hold_the_subset_without_validation_data(members: list[TrainedMe
         assert not kept & {row.tobytes() for row in member.validation.z}
 
 
-@pytest.mark.parametrize(("mean", "fits"), [("constant", 6), ("single-track", 2)])
-def test_progress_reaches_every_fit(mean: Literal["constant", "single-track"], fits: int) -> None:
+# Two of each output, two of all together, and one of each output for three kinds.
+@pytest.mark.parametrize(("mean", "fits"), [("constant", 6), ("single-track", 2), ("best", 9)])
+def test_progress_reaches_every_fit(
+    mean: Literal["constant", "single-track", "best"], fits: int
+) -> None:
     seen: list[FitProgress] = []
-    train([surface()], dataclasses.replace(SETTINGS, mean=mean, max_iterations=5), seen.append)
-    assert len({step.stage for step in seen}) == fits  # two of each output, or of all together
+    settings = dataclasses.replace(SETTINGS, mean=mean, max_iterations=5)
+    train([surface()], settings, seen.append, vehicle=TOY)
+    assert len({step.stage for step in seen}) == fits
     assert all(0 < step.done <= step.total for step in seen)
     assert [step.done for step in seen] == sorted(step.done for step in seen)
     assert all(np.isfinite(step.loss) for step in seen)

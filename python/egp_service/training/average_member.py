@@ -182,7 +182,7 @@ def _fit(
         process.assign(START)
 
         def on_step(iteration: int, loss: float, j: int = j, name: str = name) -> None:
-            report(f"sparse fit of {name}", loss, j * ITERATIONS + iteration)
+            report(f"sparse fit of {name}", loss, j * ITERATIONS + iteration + 1)
 
         fit_sparse(process, z[rows], y[rows, j], ITERATIONS, on_step)
         processes.append(process)
