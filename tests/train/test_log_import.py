@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -286,19 +285,6 @@ def test_spreadsheets_of_other_countries(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         _import(tmp_path / "tabs.csv").z, _import(tmp_path / "drive.csv").z
     )
-
-
-def test_a_compressed_log_is_read_and_a_damaged_one_is_an_error(tmp_path: Path) -> None:
-    _write(tmp_path / "drive.csv", _log())
-    compressed = gzip.compress((tmp_path / "drive.csv").read_bytes())
-    (tmp_path / "drive.csv.gz").write_bytes(compressed)
-    np.testing.assert_array_equal(
-        _import(tmp_path / "drive.csv.gz").z, _import(tmp_path / "drive.csv").z
-    )
-    for damaged in (compressed[:-100], compressed[:20] + b"?" + compressed[21:], compressed[:2]):
-        (tmp_path / "damaged.csv.gz").write_bytes(damaged)
-        with pytest.raises(EgpError, match=r"damaged\.csv\.gz: not a readable CSV file"):
-            _import(tmp_path / "damaged.csv.gz")
 
 
 def test_columns_whose_names_differ_by_spaces_are_an_error(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ _MEASURED: Final = dataclasses.replace(SMOOTH, noise=1e-6)
 """Bounds for the noise that the final errors have, which nothing has to be fitted with."""
 ITERATIONS: Final = 25
 """Iterations of the fit of each output's process."""
-_POINTS: Final = 150  # at most, inducing points; smooth functions under noise need few
+_POINTS: Final = 150  # inducing points at most; smooth functions under noise need few
 _ROWS: Final = 3000  # transitions that the hyperparameters are fitted to
 _OUTLIER: Final = 4.0  # robust standard deviations
 _ROUNDS: Final = 4

@@ -47,8 +47,9 @@ KINDS: Final = (
     "single-track + GPs",
 )
 """Kinds of members, the simplest first."""
+_FITTED: Final = tuple(kind for kind in KINDS if kind.endswith(" + GPs"))
 _FIT: Final = NY * ITERATIONS
-BUDGET: Final = (sum(kind.endswith(" + GPs") for kind in KINDS) + 1) * _FIT
+BUDGET: Final = (len(_FITTED) + 1) * _FIT
 """Largest number of iterations of a choice: the kinds with processes, and the best kind again."""
 MARGIN: Final = 0.25
 """Nats per error by which another kind must be better than the best single-track vehicle. On two
@@ -78,7 +79,6 @@ def best_member(
     data, _ = part
     inner = hold_out(data)
     seed = int(rng.integers(2**32))
-    fits = 0
     means = {
         NO_CHANGE: PriorMean(constant=False),
         "constant": PriorMean(),
@@ -87,28 +87,28 @@ def best_member(
     }
 
     def trained(
-        kind: str, on: tuple[Dataset, Dataset], widening: NDArray[np.float64] | None = None
+        kind: str,
+        on: tuple[Dataset, Dataset],
+        before: int,
+        widening: NDArray[np.float64] | None = None,
     ) -> TrainedMember:
-        nonlocal fits
-        name, _, processes = kind.partition(" + ")
-        again = np.random.default_rng(seed)
-        before = fits * _FIT
-        fits += bool(processes)
-
         def on_fit(stage: str, loss: float, done: int) -> None:
             report(f"{kind}: {stage}", loss, before + done)
 
-        on_processes = on_fit if processes else None
-        return average_member(on, means[name], settings, again, on_processes, widening=widening)
+        mean = means[kind.partition(" + ")[0]]
+        again = np.random.default_rng(seed)
+        on_processes = on_fit if kind in _FITTED else None
+        return average_member(on, mean, settings, again, on_processes, widening=widening)
 
-    candidates = {kind: trained(kind, inner) for kind in KINDS}
+    before = {kind: number * _FIT for number, kind in enumerate(_FITTED)}
+    candidates = {kind: trained(kind, inner, before.get(kind, 0)) for kind in KINDS}
     compared = skill(
         {kind: member.predict_mean for kind, member in candidates.items() if kind != NO_CHANGE},
         inner[1],
     )
     best = preferred(compared.likelihood)
     widening = widening_on(candidates[best])
-    member = trained(best, part, widening)
+    member = trained(best, part, len(_FITTED) * _FIT, widening)
     return dataclasses.replace(
         member, vehicle=fitted, kind=best, likelihoods=dict(compared.likelihood)
     )

@@ -329,13 +329,13 @@ fn until_signal<T: Send, E: Display + Send>(
     }
 }
 
-/// Check all that a service needs to start, as `egp-server --check` does. Return what it would serve, and the days until its
-/// first certificate expires if these are less than 30, otherwise `None`.
+/// Check all that a service needs to start, as `egp-server --check` does. Return what it would serve, and a warning if one of
+/// its certificates expires within 30 days, otherwise `None`.
 #[pyfunction]
-pub fn check_service(py: Python<'_>, config_toml: &str) -> PyResult<(Replica, Option<i64>)> {
+pub fn check_service(py: Python<'_>, config_toml: &str) -> PyResult<(Replica, Option<String>)> {
     let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
     let checked = (py.detach(|| egp_service::check(&config))).map_err(raise)?;
-    Ok((Replica::of(py, checked.served)?, checked.certificate_days))
+    Ok((Replica::of(py, checked.served)?, checked.warning))
 }
 
 /// Discards the exception that Python's own handler of a signal raises once a service has ended because of the signal.

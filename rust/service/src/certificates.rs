@@ -85,16 +85,21 @@ pub(crate) fn show(end: i64, registry: &mut Registry) {
     gauge.set(end);
     let help = "Unix time at which the first certificate of the network expires";
     registry.register_with_unit("certificate_expiry", help, Unit::Seconds, gauge);
-    if let Some(days) = days_left(end, now()) {
-        tracing::warn!(
-            days,
-            "a certificate of this service expires soon; renew it with `egp keys`"
-        );
+    if let Some(warning) = warning(end, now()) {
+        tracing::warn!("{warning}");
     }
 }
 
+/// What to tell of a certificate with this end, if it is time to renew it.
+pub(crate) fn warning(end: i64, now: i64) -> Option<String> {
+    let days = days_left(end, now)?;
+    Some(format!(
+        "a certificate of this service expires in {days} days; renew it with `egp keys`"
+    ))
+}
+
 /// The days until a certificate with this end expires, if it is time to renew it.
-pub(crate) fn days_left(end: i64, now: i64) -> Option<i64> {
+fn days_left(end: i64, now: i64) -> Option<i64> {
     let days = (end - now) / DAY;
     (days < SOON).then_some(days)
 }

@@ -6,7 +6,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use thiserror::Error;
 
-use crate::certificates::{days_left, now};
+use crate::certificates::{now, warning};
 use crate::config::ServiceConfig;
 use crate::guard::Guard;
 use crate::handler::Handler as _;
@@ -35,8 +35,8 @@ pub enum ServeError {
 pub struct Checked {
     /// What the service would serve.
     pub served: Ready,
-    /// The days until the first certificate expires, if it is time to renew it.
-    pub certificate_days: Option<i64>,
+    /// What to tell of the first certificate that expires, if it is time to renew it.
+    pub warning: Option<String>,
 }
 
 /// Checks all that a service needs to start, and returns what it would serve: the log filter, library, settings, the file
@@ -61,7 +61,7 @@ pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
     rehearse(zenoh).map_err(StartError::from)?;
     Ok(Checked {
         served: libraries.describe(),
-        certificate_days: end.and_then(|end| days_left(end, now())),
+        warning: end.and_then(|end| warning(end, now())),
     })
 }
 

@@ -131,13 +131,10 @@ def serve(
     _add_endpoints(table, {"listen/endpoints": listen, "connect/endpoints": connect})
     if check:
         with naming(config):
-            served, days = check_service(dumps(table))
+            served, warning = check_service(dumps(table))
         _show(served)
-        if days is not None:
-            typer.echo(
-                f"A certificate of this service expires in {days} days: renew it with `egp keys`.",
-                err=True,
-            )
+        if warning is not None:
+            typer.echo(f"egp: {warning}", err=True)
         return
     if config is None or listen:
         check_free(listen or ["tcp/127.0.0.1:7447"])

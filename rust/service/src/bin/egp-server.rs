@@ -123,8 +123,8 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
         return Ok(serve(&config)?);
     }
     let checked = egp_service::check(&config)?;
-    if let Some(days) = checked.certificate_days {
-        eprintln!("a certificate of this service expires in {days} days; renew it with `egp keys`");
+    if let Some(warning) = checked.warning {
+        eprintln!("egp-server: {warning}");
     }
     let served = checked.served;
     println!("surfaces: {}", served.members.join(", "));
