@@ -38,6 +38,8 @@ GP_INPUT: Final = {name: STATE[name] for name in GP_STATE_NAMES} | INPUT
 """Input z of a GP; its first `NY` quantities are those whose changes are the outputs."""
 GP_OUTPUT: Final = {"d_v_x": "m/s", "d_v_y": "m/s", "d_omega": "rad/s"}
 """Output y of a GP: the changes of `v_x`, `v_y` and `omega` over one control period."""
+TILT: Final = {"grade": "rad", "bank": "rad"}
+"""Tilt of a road: positive uphill, and positive where the left side is the higher one."""
 MOTION_LABELS: Final = ("v_x, m/s", "v_y, m/s", "ω, rad/s")
 """Labels of the columns `MOTION` in figures and tables."""
 NX: Final = len(STATE)

@@ -66,7 +66,7 @@ def _noise(dataset: Dataset) -> NDArray[np.float64]:
     unknown = np.full(NY, np.nan)
     if len(dataset) <= _ORDER:
         return unknown
-    states, y = dataset.z[:, :NY], dataset.y
+    states, y = dataset.z[:, :NY], dataset.y + dataset.by_gravity
     apart = dataset.step[_ORDER:].astype(np.int64) - dataset.step[:-_ORDER]
     whole = (dataset.trajectory[_ORDER:] == dataset.trajectory[:-_ORDER]) & (apart == _ORDER)
     whole &= states[_ORDER:, V_X] > _MOVING

@@ -2,7 +2,8 @@
 
 A row is one control period: the GP input `z` at its start, the change `y` of `[v_x, v_y, omega]`
 over it, and its position (`trajectory`, `step`). Rows of one trajectory with consecutive steps are
-consecutive in time, so a rollout can be replayed from the file.
+consecutive in time, so a rollout can be replayed from the file. Where the tilt of the road was
+measured, `y` is the change without that by gravity, and the columns `grade` and `bank` state it.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import polars as pl
 
-from egp_service._core import EgpError
+from egp_service._core import GRAVITY, EgpError
 from egp_service.files import replacing
-from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ
+from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ, TILT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -76,8 +77,10 @@ class Provenance:
 class Dataset:
     """Transitions `z` (n, 6) to `y` (n, 3) with their trajectory and step, in SI units.
 
-    `gaps` has the lengths in s of the gaps between trajectories of an imported log; the file does
-    not state them.
+    `tilt` (n, 2) is the grade and bank of the road in rad, as `quantities.TILT` defines them, or
+    None if they were not measured. With them `y` is the change on a level road, so that members
+    describe the vehicle and not the place. `gaps` has the lengths in s of the gaps between
+    trajectories of an imported log; the file does not state them.
     """
 
     z: NDArray[np.float64]
@@ -86,6 +89,7 @@ class Dataset:
     step: NDArray[np.uint32]
     provenance: Provenance
     gaps: tuple[float, ...] = ()
+    tilt: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and values; users of a dataset need no further checks."""
@@ -101,7 +105,13 @@ class Dataset:
                 raise EgpError(f"{name} has shape {array.shape}: expected {shape}")
         if n == 0:
             raise EgpError("the dataset is empty: expected at least one transition")
-        for names, values in ((GP_INPUT, self.z), (GP_OUTPUT, self.y)):
+        checked: list[tuple[dict[str, str], NDArray[np.float64]]]
+        checked = [(GP_INPUT, self.z), (GP_OUTPUT, self.y)]
+        if self.tilt is not None:
+            if self.tilt.shape != (n, len(TILT)):
+                raise EgpError(f"tilt has shape {self.tilt.shape}: expected {(n, len(TILT))}")
+            checked.append((TILT, self.tilt))
+        for names, values in checked:
             bad = np.argwhere(~np.isfinite(values))
             if len(bad):
                 row, column = bad[0]
@@ -112,6 +122,19 @@ class Dataset:
         """Count the transitions."""
         return len(self.z)
 
+    @property
+    def by_gravity(self) -> NDArray[np.float64]:
+        """Changes (n, 3) of `[v_x, v_y, omega]` by gravity along the tilted road, not part of `y`.
+
+        They are `-g dt [sin(grade), cos(grade) sin(bank), 0]`, and zero without a tilt.
+        """
+        found = np.zeros((len(self), NY))
+        if self.tilt is not None:
+            grade, bank = self.tilt.T
+            found[:, 0] = -GRAVITY * self.provenance.dt * np.sin(grade)
+            found[:, 1] = -GRAVITY * self.provenance.dt * np.cos(grade) * np.sin(bank)
+        return found
+
     def select(self, rows: NDArray[Any]) -> Dataset:
         """Return the given rows (indices or mask) as a dataset of the same provenance."""
         return dataclasses.replace(
@@ -121,6 +144,7 @@ class Dataset:
             trajectory=self.trajectory[rows],
             step=self.step[rows],
             gaps=(),
+            tilt=None if self.tilt is None else self.tilt[rows],
         )
 
     def digest(self) -> str:
@@ -137,14 +161,17 @@ class Dataset:
 
     def write(self, path: Path) -> None:
         """Write the file atomically; raises `OSError` that names `path` if it cannot be written."""
+        units = GP_INPUT | GP_OUTPUT
+        numbers = np.hstack([self.z, self.y])
+        if self.tilt is not None:
+            units, numbers = units | TILT, np.hstack([numbers, self.tilt])
         frame = pl.DataFrame(
-            {name: self.z[:, i] for i, name in enumerate(GP_INPUT)}
-            | {name: self.y[:, i] for i, name in enumerate(GP_OUTPUT)}
+            dict(zip(units, numbers.T, strict=True))
             | {"trajectory": self.trajectory, "step": self.step}
         )
         metadata = {
             "schema": SCHEMA,
-            "units": GP_INPUT | GP_OUTPUT,
+            "units": units,
             **self.provenance.metadata(),
         }
         with replacing(path) as beside:
@@ -163,15 +190,16 @@ class Dataset:
         if not path.is_file():
             raise EgpError(f"{path}: no such file")
         try:
-            provenance = _provenance(pl.read_parquet_metadata(path))
+            provenance, tilted = _provenance(pl.read_parquet_metadata(path))
             frame = pl.read_parquet(path)
-            _check_columns(frame)
+            _check_columns(frame, [*GP_INPUT, *GP_OUTPUT, *(TILT if tilted else ())])
             return Dataset(
                 z=frame.select(*GP_INPUT).to_numpy().astype(np.float64),
                 y=frame.select(*GP_OUTPUT).to_numpy().astype(np.float64),
                 trajectory=frame["trajectory"].to_numpy().astype(np.uint32),
                 step=frame["step"].to_numpy().astype(np.uint32),
                 provenance=provenance,
+                tilt=frame.select(*TILT).to_numpy().astype(np.float64) if tilted else None,
             )
         except pl.exceptions.PolarsError as error:
             raise EgpError(
@@ -186,8 +214,9 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
     """Join datasets of one surface; trajectories are renumbered so that they stay distinct.
 
     Raises:
-        EgpError: if they differ in dt, vehicle, surface or friction, or two have the same
-            transitions, which would be among training and held-out data at once.
+        EgpError: if they differ in dt, vehicle, surface or friction, only some state the tilt of
+            the road, or two have the same transitions, which would be among training and held-out
+            data at once.
 
     """
     first = datasets[0].provenance
@@ -196,6 +225,12 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
             ours, theirs = getattr(first, field), getattr(other, field)
             if ours != theirs:
                 raise EgpError(f"cannot merge: {field} is {ours} in one and {theirs} in another")
+    tilts = [dataset.tilt for dataset in datasets if dataset.tilt is not None]
+    if len(tilts) not in (0, len(datasets)):
+        raise EgpError(
+            f"cannot merge: {len(tilts)} of {len(datasets)} datasets of surface '{first.surface}' "
+            "state the road's grade or bank; import all with these columns, or none"
+        )
     digests = [dataset.digest() for dataset in datasets] if len(datasets) > 1 else []
     if len(set(digests)) < len(digests):
         again = next(n for n, digest in enumerate(digests) if digest in digests[:n])
@@ -221,6 +256,7 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
             force_from_a_x=any(d.provenance.force_from_a_x for d in datasets),
         ),
         gaps=tuple(gap for dataset in datasets for gap in dataset.gaps),
+        tilt=np.concatenate(tilts) if tilts else None,
     )
 
 
@@ -236,8 +272,11 @@ def check_one_car(datasets: Sequence[Dataset], what: str) -> None:
             )
 
 
-def _provenance(metadata: dict[str, str]) -> Provenance:
-    """Read the metadata of `Dataset.write`; other schemas, units, keys or types are errors."""
+def _provenance(metadata: dict[str, str]) -> tuple[Provenance, bool]:
+    """Read the metadata of `Dataset.write`; other schemas, units, keys or types are errors.
+
+    Returns the provenance, and whether the file states the tilt of the road.
+    """
     text = metadata.get(METADATA_KEY)
     if text is None:
         raise EgpError(
@@ -255,8 +294,11 @@ def _provenance(metadata: dict[str, str]) -> Provenance:
     schema, units = fields.pop("schema", None), fields.pop("units", None)
     if schema != SCHEMA:
         raise EgpError(f"dataset schema {schema}: this version reads schema {SCHEMA}")
-    if units != GP_INPUT | GP_OUTPUT:
-        raise EgpError(f"units are {units}: expected {GP_INPUT | GP_OUTPUT}")
+    tilted = units == GP_INPUT | GP_OUTPUT | TILT
+    if not tilted and units != GP_INPUT | GP_OUTPUT:
+        raise EgpError(
+            f"units are {units}: expected {GP_INPUT | GP_OUTPUT}, and {TILT} where they are known"
+        )
     expected = {field.name: str(field.type) for field in dataclasses.fields(Provenance)}
     fields = {"force_from_a_x": False, **fields}
     if fields.keys() != expected.keys():
@@ -265,11 +307,12 @@ def _provenance(metadata: dict[str, str]) -> Provenance:
         types, called = _TYPES[expected[name]]
         if isinstance(value, bool) != (types == (bool,)) or not isinstance(value, types):
             raise EgpError(f"{name} is {value!r} in the metadata: expected {called}")
-    return Provenance(**fields)
+    return Provenance(**fields), tilted
 
 
-def _check_columns(frame: pl.DataFrame) -> None:
-    for name in (*GP_INPUT, *GP_OUTPUT):
+def _check_columns(frame: pl.DataFrame, names: Sequence[str]) -> None:
+    """Errors unless the columns `names` are numbers, and there are those of the position."""
+    for name in names:
         if name not in frame.columns:
             raise EgpError(f"column {name} is missing: found {frame.columns}")
         if not frame[name].dtype.is_float():
@@ -279,6 +322,6 @@ def _check_columns(frame: pl.DataFrame) -> None:
             raise EgpError(f"column {name} is missing: found {frame.columns}")
         if not frame[name].dtype.is_integer():
             raise EgpError(f"column {name} is {frame[name].dtype}: expected integers")
-    for name in (*GP_INPUT, *GP_OUTPUT, *_INDEX):
+    for name in (*names, *_INDEX):
         if frame[name].null_count():
             raise EgpError(f"column {name} has {frame[name].null_count()} empty values")

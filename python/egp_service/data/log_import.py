@@ -14,7 +14,7 @@ from egp_service.data.dataset import Dataset, Provenance
 from egp_service.data.messages import is_recording
 from egp_service.data.recording import read_recording, topics
 from egp_service.data.table import comes_twice, numbers, read_table, some
-from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY
+from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY, TILT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -42,7 +42,7 @@ UNITS: Final = {
     "g": ("m/s2", STANDARD_GRAVITY),
 }
 
-_SI_UNITS: Final = {"time": "s", "a_x": "m/s2"} | GP_INPUT
+_SI_UNITS: Final = {"time": "s", "a_x": "m/s2"} | GP_INPUT | TILT
 # Largest plausible magnitude of each quantity; larger values indicate a wrong unit.
 _LARGEST: Final = {
     "time": np.inf,
@@ -53,6 +53,8 @@ _LARGEST: Final = {
     "F_x": 1e5,
     "a_x": 30.0,
     "delta_dot": 6.0,
+    "grade": 0.7,
+    "bank": 0.7,
 }
 _STEERING: Final = {"delta", "delta_dot"}
 # Share of the rows from which larger values are a wrong unit, and not single wrong rows.
@@ -100,9 +102,11 @@ def import_log(
 
     Faster logs are thinned: states are those at the ends of a period, the force is its mean over
     the period, and the steering rate is the change of `delta`, so that it is consistent with the
-    steering angle. A `delta_dot` column is only compared with this rate. A gap in time starts a new
-    trajectory. Steering angles are divided by `steering_ratio`, that of the steering wheel's angle
-    to the road wheels'. A known `wheelbase` in m sharpens the checks of steering and speed.
+    steering angle. A `delta_dot` column is only compared with this rate. With columns for `grade`
+    or `bank` of the road (`quantities.TILT`), the changes are those without gravity's part, which
+    follows from the means of these angles over the period. A gap in time starts a new trajectory.
+    Steering angles are divided by `steering_ratio`, that of the steering wheel's angle to the road
+    wheels'. A known `wheelbase` in m sharpens the checks of steering and speed.
 
     Raises:
         EgpError: if columns are missing, magnitudes are implausible, columns contradict each other,
@@ -136,19 +140,25 @@ def _transitions(
     log: Mapping[str, NDArray[np.float64]], columns: Mapping[str, Column], provenance: Provenance
 ) -> Dataset:
     pieces, every, gaps = _pieces(log["time"], provenance.dt)
-    z, y, trajectory, step = [], [], [], []
+    z, y, trajectory, step, tilt = [], [], [], [], []
     for number, (first, last) in enumerate(pieces):
         ends = np.arange(first, last, every)
         state = np.column_stack([log[q][ends] for q in GP_STATE_NAMES])
-        force = np.add.reduceat(log["F_x"][first : ends[-1]], ends[:-1] - first) / every
+        force, *angles = (
+            np.add.reduceat(log[q][first : ends[-1]], ends[:-1] - first) / every
+            if q in log
+            else np.zeros(len(ends) - 1)
+            for q in ("F_x", *TILT)
+        )
         delta_dot = np.diff(log["delta"][ends]) / provenance.dt
         if "delta_dot" in log:
             _check_rate(delta_dot, log["delta_dot"][ends[:-1]], columns["delta_dot"])
         z.append(np.column_stack([state[:-1], force, delta_dot]))
+        tilt.append(np.column_stack(angles))
         y.append(np.diff(state[:, :NY], axis=0))
         trajectory.append(np.full(len(force), number, dtype=np.uint32))
         step.append(np.arange(len(force), dtype=np.uint32))
-    return Dataset(
+    found = Dataset(
         z=np.concatenate(z),
         y=np.concatenate(y),
         trajectory=np.concatenate(trajectory),
@@ -156,6 +166,10 @@ def _transitions(
         provenance=provenance,
         gaps=gaps,
     )
+    if not TILT.keys() & log.keys():
+        return found
+    found = dataclasses.replace(found, tilt=np.concatenate(tilt))
+    return dataclasses.replace(found, y=found.y - found.by_gravity)
 
 
 def _check_separator(separator: str) -> None:

@@ -44,11 +44,12 @@ def measure(dataset: Dataset, sensors: Sensors, rng: np.random.Generator) -> Dat
     Where a trajectory begins, the sensors have measured its first state for a long time.
     """
     follows = (np.diff(dataset.trajectory) == 0) & (np.diff(dataset.step.astype(np.int64)) == 1)
-    z, y = dataset.z.copy(), dataset.y.copy()
+    z, y, by_gravity = dataset.z.copy(), dataset.y.copy(), dataset.by_gravity
     for rows in np.split(np.arange(len(dataset)), np.flatnonzero(~follows) + 1):
-        exact = np.vstack([dataset.z[rows, :NY], dataset.z[rows[-1:], :NY] + dataset.y[rows[-1:]]])
+        end = dataset.z[rows[-1], :NY] + y[rows[-1]] + by_gravity[rows[-1]]
+        exact = np.vstack([dataset.z[rows, :NY], end])
         measured = _measured(exact, dataset.provenance.dt, sensors, rng)
-        z[rows, :NY], y[rows] = measured[:-1], np.diff(measured, axis=0)
+        z[rows, :NY], y[rows] = measured[:-1], np.diff(measured, axis=0) - by_gravity[rows]
     return dataclasses.replace(dataset, z=z, y=y)
 
 

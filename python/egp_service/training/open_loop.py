@@ -1,7 +1,8 @@
 """Open-loop errors: predictions of held-out transitions over one period and in rollouts.
 
 A rollout starts at a measured state and repeats the prediction with the measured steering angles
-and inputs. Its error is the distance of `[v_x, v_y, omega]` from the measured ones at its end.
+and inputs, and with gravity where the tilt of the road was measured. Its error is the distance of
+`[v_x, v_y, omega]` from the measured ones at its end.
 """
 
 from __future__ import annotations
@@ -108,11 +109,13 @@ def rollout(
     predict: Predictor, dataset: Dataset, start: NDArray[np.int64], periods: int
 ) -> NDArray[np.float64]:
     """Return the errors (n, 3) after rollouts of `periods` periods from the rows `start`."""
+    by_gravity = dataset.by_gravity
     state = dataset.z[start, :NY]
     for k in range(periods):
-        state = state + predict(np.hstack([state, dataset.z[start + k, NY:]]))
+        predicted = predict(np.hstack([state, dataset.z[start + k, NY:]]))
+        state = state + predicted + by_gravity[start + k]
     end = start + periods - 1
-    return np.asarray(state - (dataset.z[end, :NY] + dataset.y[end]))
+    return np.asarray(state - (dataset.z[end, :NY] + dataset.y[end] + by_gravity[end]))
 
 
 def linear(dataset: Dataset, axles: Sequence[float]) -> Predictor:

@@ -89,7 +89,9 @@ def collect(
 
     Drives the simulated car on tracks, at increasing speed and with exploration
     noise, and from random states. With --from-log it imports a log instead,
-    which must contain time, v_x, v_y, omega, delta, and F_x or a_x. Columns that
+    which must contain time, v_x, v_y, omega, delta, and F_x or a_x. With columns
+    for the road's grade (positive uphill) and bank (positive if the left side is
+    the higher one), the data are those of a level road. Columns that
     contradict each other are errors: most wrong units and signs, swapped columns,
     stuck sensors. No other column tells the sign or unit of v_y, and not every
     swap is found: look at the ranges that are printed. Errors count the rows of a
