@@ -81,12 +81,13 @@ def test_library_predicts_what_gpytorch_does(
             np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
 
 
-# Drive and braking differ everywhere.
+# Drive and braking differ everywhere. The last two are rolling resistance and drag.
 VEHICLE = np.array(
     [
         *(1200.0, 0.9, 1.5, 1.6, 0.5, 0.5, 0.8),
         *(1.9, 1.2, 0.9, 15.0, 1.6),
         *(0.6, 1.1, 1.0, 20.0, 1.3),
+        *(0.2, 6e-4),
     ]
 )
 
@@ -98,8 +99,11 @@ ON_ICE[[7, 8, 12, 13]] *= 12.0
 ON_ICE[[10, 15]] = 6.0, 7.0
 
 
+@pytest.mark.parametrize("simulated", [False, True])
 @pytest.mark.parametrize("known", [VEHICLE, ON_ICE], ids=["road", "ice"])
-def test_the_vehicle_is_found_again(known: NDArray[np.float64]) -> None:
+def test_the_vehicle_is_found_again(known: NDArray[np.float64], *, simulated: bool) -> None:
+    # A simulated car has no resistance, and none is fitted.
+    known = known[: len(known) - 2 * simulated]
     rng = np.random.default_rng(0)
     bounds = np.array([8.0, 0.6, 0.5, 0.1, 6000.0, 0.3])
     z = np.array([15.0, *np.zeros(5)]) + bounds * rng.uniform(-1.0, 1.0, (2000, 6))
@@ -110,10 +114,22 @@ def test_the_vehicle_is_found_again(known: NDArray[np.float64]) -> None:
         y=y,
         trajectory=np.arange(2000, dtype=np.uint32),
         step=np.zeros(2000, dtype=np.uint32),
+        provenance=provenance(vehicle="commonroad-2" if simulated else "own car"),
     )
     (found,) = fit_vehicle([data], None, [rng])
-    error = np.abs(prior_mean.predict(z, found.values, 0.05) - y).max(axis=0)
-    assert np.all(error < 1e-3 * y.std(axis=0))
+    assert len(found.values) == len(known)
+    error = prior_mean.predict(z, found.values, 0.05) - y
+    if not simulated:
+        assert found.parameters[-1].value == pytest.approx(known[-1], rel=0.02)
+        # Rolling resistance and a slope slow alike: their sum is found, and the slope is no result.
+        error -= error.mean(axis=0)
+    assert np.all(np.abs(error).max(axis=0) < 1e-3 * y.std(axis=0))
+
+
+def test_a_force_from_the_acceleration_contains_the_resistance() -> None:
+    stated = dataclasses.replace(surface(), provenance=provenance(force_from_a_x=True))
+    (found,) = fit_vehicle([stated], None, [np.random.default_rng(0)])
+    assert not {"c_0", "c_2"} & {parameter.name for parameter in found.parameters}
 
 
 def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) -> None:
@@ -130,12 +146,22 @@ def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) ->
         member, single_track=VEHICLE, targets=member.targets - known + vehicle
     )
     export(tmp_path / "other", [other], settings, {}, TOY)
+    free = prior_mean.predict(member.inputs, VEHICLE[:17], 0.05)
+    without = dataclasses.replace(
+        member, single_track=VEHICLE[:17], targets=member.targets - known + free
+    )
+    export(tmp_path / "free", [without], settings, {}, TOY)
     z = surface(0.8, seed=9).z
     assert (z[:, 4] > 0.0).any()
     assert (z[:, 4] < 0.0).any()
-    for name, trained in (("vehicle", member), ("other", other)):
+    for name, trained in (("vehicle", member), ("other", other), ("free", without)):
         library = Library.load(tmp_path / name)
-        np.testing.assert_array_equal(library.members[0].single_track, trained.single_track)
+        read = library.members[0]
+        assert read.single_track is not None
+        assert read.resistance is not None
+        own = [read.single_track, read.resistance][: 1 if name == "free" else 2]
+        np.testing.assert_array_equal(np.concatenate(own), trained.single_track)
+        assert name != "free" or not read.resistance.any()
         for ours, theirs in zip(library.predict(z), trained.predict(z), strict=True):
             np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
 

@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 DT = 0.05
 GYRATION = TOY.yaw_inertia / TOY.mass
 BODY = [TOY.mass, TOY.l_f, TOY.l_r, GYRATION, 0.5]
-DRY = np.array([*BODY, 0.5, 0.8, 1.2, 1.2, 0.9, 15.0, 1.5, 0.8, 1.1, 1.0, 18.0, 1.3])
-ICE = np.array([*BODY, 0.05, 0.09, 9.0, 9.0, 0.1, 8.0, 1.5, 7.0, 9.0, 0.11, 9.0, 1.3])
+DRAG = 5e-4
+DRY = np.array([*BODY, 0.5, 0.8, 1.2, 1.2, 0.9, 15.0, 1.5, 0.8, 1.1, 1.0, 18.0, 1.3, 0.15, DRAG])
+ICE = np.array([*BODY, 0.05, 0.09, 9.0, 9.0, 0.1, 8.0, 1.5, 7.0, 9.0, 0.11, 9.0, 1.3, 0.3, DRAG])
 WHOLE = np.array([8.0, 0.6, 0.5, 0.1, 6000.0, 0.3])
 # A drive in which the car hardly turns.
 STRAIGHT = np.array([8.0, 0.0, 0.0, 0.0, 3000.0, 0.0])
@@ -44,7 +45,7 @@ STRAIGHT = np.array([8.0, 0.0, 0.0, 0.0, 3000.0, 0.0])
 def drive(
     vehicle: NDArray[np.float64], spread: NDArray[np.float64], noise: float, seed: int
 ) -> Dataset:
-    """Transitions of a vehicle (17,) from independent states."""
+    """Transitions of a vehicle (19,) from independent states."""
     rng = np.random.default_rng(seed)
     z = np.array([15.0, *np.zeros(5)]) + spread * rng.uniform(-1.0, 1.0, (1500, 6))
     y = prior_mean.predict(z, vehicle, DT) + noise * rng.standard_normal((1500, 3))
@@ -77,13 +78,21 @@ def test_trial_points_without_a_solution_are_left_again() -> None:
 
 
 def test_surfaces_share_the_body_and_differ_in_the_tyres() -> None:
-    surfaces = [drive(DRY, WHOLE, 0.003, 0), drive(ICE, WHOLE, 0.003, 1)]
+    # The road is known to be level: otherwise a slope might be what slows the car.
+    surfaces = [
+        dataclasses.replace(drive(vehicle, WHOLE, 0.003, seed), tilt=np.zeros((1500, 2)))
+        for seed, vehicle in enumerate((DRY, ICE))
+    ]
     dry, ice = (vehicle.values for vehicle in fit_vehicle(surfaces, TOY, rngs(2)))
     np.testing.assert_array_equal(dry[:5], ice[:5])
     # Measured: 1 % of the mass, 3 % of the peaks.
     np.testing.assert_allclose(dry[:3], BODY[:3], rtol=0.03)
     np.testing.assert_allclose(dry[[9, 14]], DRY[[9, 14]], rtol=0.1)
     np.testing.assert_allclose(ice[[9, 14]], ICE[[9, 14]], rtol=0.1)
+    # Drag belongs to the body, and rolling resistance to the road.
+    assert dry[18] == ice[18] == pytest.approx(DRAG, rel=0.1)
+    assert dry[17] == pytest.approx(DRY[17], abs=0.05)
+    assert ice[17] == pytest.approx(ICE[17], abs=0.05)
 
 
 def test_intervals_hold_the_vehicle() -> None:

@@ -148,6 +148,13 @@ class Member:
         friction D, stiffness B and shape C.
         """
     @property
+    def resistance(self) -> NDArray[np.float64] | None:
+        """Rolling resistance c_0 in m/s² and drag c_2 in 1/m (2,) of the single-track vehicle.
+
+        It slows by c_0 v_x / max(|v_x|, 3 m/s) + c_2 v_x |v_x|. Zeros unless the library states
+        them, and None without such a vehicle.
+        """
+    @property
     def kinematic(self) -> NDArray[np.float64] | None:
         """Parameters (3,) of a vehicle whose wheels roll without slip, or None.
 
@@ -180,6 +187,7 @@ class MemberData:
         golden_variance: ArrayLike,
         single_track: ArrayLike | None = None,
         kinematic: ArrayLike | None = None,
+        resistance: ArrayLike | None = None,
     ) -> MemberData: ...
 
 def write_library(

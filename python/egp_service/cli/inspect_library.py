@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from egp_service._core import Member
 
 BODY: Final = ("m kg", "l_f m", "l_r m", "k² m²", "h m", "D_x drive", "D_x brake")
+RESISTANCE: Final = ("c_0 m/s²", "c_2 1/m")
 AXLE: Final = ("e drive", "e brake", "D", "B", "C")
 
 
@@ -43,7 +44,7 @@ def inspect(path: Path, console: Console | None = None) -> None:
         console.print(hyperparameters(member), envelope(member))
         for parameters in (member.single_track, member.kinematic):
             if parameters is not None:
-                console.print(*vehicle(member.label, parameters))
+                console.print(*vehicle(member.label, parameters, member.resistance))
     for label, fitted in _fitted(library).items():
         console.print(vehicle_table(label, fitted))
 
@@ -157,14 +158,20 @@ def hyperparameters(member: Member) -> Table:
     return table
 
 
-def vehicle(label: str, parameters: NDArray[np.float64]) -> tuple[Table, ...]:
+def vehicle(
+    label: str, parameters: NDArray[np.float64], resistance: NDArray[np.float64] | None
+) -> tuple[Table, ...]:
     """Return tables of a member's vehicle: body and, of a single-track vehicle, axles.
 
-    The body of a kinematic vehicle has only the first three of its parameters.
+    The body of a kinematic vehicle has only the first three of its parameters. A resistance of
+    zeros is not shown.
     """
     values = [f"{value:.4g}" for value in parameters]
-    body = Table(*BODY[: len(values)], title=escape(f"{label}: the vehicle"), box=box.SIMPLE_HEAD)
-    body.add_row(*values[: len(BODY)])
+    heads, cells = [*BODY[: len(values)]], values[: len(BODY)]
+    if resistance is not None and resistance.any():
+        heads, cells = [*heads, *RESISTANCE], [*cells, *(f"{value:.3g}" for value in resistance)]
+    body = Table(*heads, title=escape(f"{label}: the vehicle"), box=box.SIMPLE_HEAD)
+    body.add_row(*cells)
     if len(values) <= len(BODY):
         return (body,)
     axles = Table("", *AXLE, box=box.SIMPLE_HEAD)

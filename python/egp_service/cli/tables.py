@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 _SYMBOLS: Final = """\
 m in kg; l_f, l_r, height h in m; k² = I_z / m in m²; D, B, C: peak, stiffness
 and shape of the front (f) and rear (r) tyres' lateral force; D_d, D_b: friction
-for drive and braking; e: how much these reduce the lateral force. From prior: in
-standard deviations of the prior. The intervals tell how well the data determine
-these numbers; the error of the single-track equations is not in them
-(docs/your-car.md)."""
+for drive and braking; e: how much these reduce the lateral force; c_0: rolling
+resistance in m/s², c_2: drag in 1/m. From prior: in standard deviations of the
+prior. The intervals tell how well the data determine these numbers; the error of
+the single-track equations is not in them (docs/your-car.md)."""
 MOTION_NAMES: Final = tuple(list(STATE)[column] for column in MOTION)
 
 

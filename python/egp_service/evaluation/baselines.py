@@ -14,7 +14,7 @@ from egp_service._core import EgpError, Library, MemberData, VehicleParameters, 
 from egp_service.quantities import NY, NZ
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -65,7 +65,9 @@ def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: 
         alone = [_fitted(member) for member in chosen]
     elif kind in KINDS:
         name, parameters = f"commonroad-{vehicle}", VehicleParameters.commonroad(vehicle)
-        model = single_track(vehicle) if kind == "single-track" else kinematic(vehicle)
+        model = {"kinematic": kinematic(vehicle)}
+        if kind == "single-track":
+            model = {"single_track": single_track(vehicle)}
         envelope = np.array(
             [
                 np.min([member.envelope[0] for member in chosen], axis=0),
@@ -89,9 +91,10 @@ def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: 
 def _fitted(member: Member) -> MemberData:
     if member.single_track is None:
         raise EgpError(f"{member.label} has no vehicle: train with mean = 'single-track'")
-    return _vehicle_alone(
-        member.label, member.friction, member, member.envelope, member.single_track
-    )
+    vehicle = {"single_track": member.single_track}
+    if member.resistance is not None and member.resistance.any():
+        vehicle["resistance"] = member.resistance
+    return _vehicle_alone(member.label, member.friction, member, member.envelope, vehicle)
 
 
 def _vehicle_alone(
@@ -99,11 +102,12 @@ def _vehicle_alone(
     friction: float,
     like: Member,
     envelope: NDArray[np.float64],
-    parameters: NDArray[np.float64],
+    vehicle: Mapping[str, NDArray[np.float64]],
 ) -> MemberData:
-    """Return a member without training points; its noise and its data are those of `like`."""
-    names = {3: "kinematic", 17: "single_track"}
-    vehicle = {names[len(parameters)]: parameters}
+    """Return a member without training points; its noise and its data are those of `like`.
+
+    `vehicle` has the parameters that `MemberData` takes.
+    """
     return MemberData(
         label=label,
         friction=friction,

@@ -96,8 +96,9 @@ class Member:
 
         self.input_mean, self.input_std = tensor("input_mean"), tensor("input_std")
         self.target_mean, self.target_std = tensor("target_mean"), tensor("target_std")
-        vehicle = f"members.{index}.single_track"
-        self._vehicle = torch.from_numpy(tensors[vehicle].copy()) if vehicle in tensors else None
+        vehicle = [f"members.{index}.{name}" for name in ("single_track", "resistance")]
+        known = [found for name in vehicle if (found := tensors.get(name)) is not None]
+        self._vehicle = torch.from_numpy(np.concatenate(known)) if known else None
         self._dt = dt
         inputs = tensor("inputs")
         x = (inputs - self.input_mean) / self.input_std

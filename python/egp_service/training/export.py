@@ -9,6 +9,7 @@ import numpy as np
 
 from egp_service._core import MemberData, write_library
 from egp_service.data.channels import channels
+from egp_service.training.prior_mean import SINGLE_TRACK
 from egp_service.vehicle import known_vehicle, simulated_vehicle
 
 if TYPE_CHECKING:
@@ -97,6 +98,7 @@ def _member(member: TrainedMember) -> MemberData:
     golden_z = _golden_points(member.inputs)
     golden_mean, golden_jacobian, golden_variance = member.predict(golden_z)
     values = [process.hyperparameters for process in member.processes]
+    fitted = member.single_track
     return MemberData(
         label=member.dataset.provenance.surface,
         friction=member.dataset.provenance.friction,
@@ -118,7 +120,8 @@ def _member(member: TrainedMember) -> MemberData:
         golden_mean=golden_mean,
         golden_jacobian=golden_jacobian,
         golden_variance=golden_variance,
-        single_track=member.single_track,
+        single_track=None if fitted is None else fitted[:SINGLE_TRACK],
+        resistance=None if fitted is None or len(fitted) == SINGLE_TRACK else fitted[SINGLE_TRACK:],
         kinematic=member.kinematic,
     )
 

@@ -63,20 +63,28 @@ TYRES: Final = {
     "C_r": _SHAPE,
 }
 """Parameters of the tyres on a road."""
-PARAMETERS: Final = BODY | TYRES
+DRAG: Final = {"c_2": Parameter(4e-4, 0.7, 4e-6, 1e-2)}
+"""Drag per mass in 1/m, which does not depend on the road."""
+ROLLING: Final = {"c_0": Parameter(0.15, 0.7, 1.5e-3, 2.0)}
+"""Rolling resistance on a road, m/s²."""
+SINGLE_TRACK: Final = len(BODY) + len(TYRES)
+"""Number of parameters without a resistance."""
+PARAMETERS: Final = BODY | TYRES | ROLLING | DRAG
 """All parameters, in the order of `change`."""
 
 
 def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
     """Change of `[v_x, v_y, omega]` (n, 3) over `dt` at inputs z (n, 6).
 
-    The parameters (17,) are common to all inputs, or each input has its own (n, 17).
+    The parameters (17,) or, with a resistance, (19,) are common to all inputs, or each input has
+    its own (n, 17) or (n, 19).
 
     This is one explicit Euler step with the steering angle in the middle of the period, by the
     equations of `SingleTrack` in Rust.
     """
     v_x, v_y, omega, delta, force, delta_dot = z.unbind(-1)
-    mass, l_f, l_r, gyration, height, drive, brake, *tyres = parameters.unbind(-1)
+    mass, l_f, l_r, gyration, height, drive, brake, *rest = parameters.unbind(-1)
+    tyres, resistance = rest[:10], rest[10:]
     steering = delta + 0.5 * dt * delta_dot
     a = force / mass
     driven = force > 0.0
@@ -96,8 +104,12 @@ def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor
     front = lateral(l_f, steering, (GRAVITY * l_r - height * a_x) / wheelbase, 0)
     rear = lateral(-l_r, 0.0, (GRAVITY * l_f + height * a_x) / wheelbase, 1)
     across = front * torch.cos(steering)
+    ahead = a_x - front * torch.sin(steering) + v_y * omega
+    if resistance:
+        rolling, drag = resistance
+        ahead = ahead - rolling * (v_x / SLOWEST).clamp(-1.0, 1.0) - drag * v_x * v_x.abs()
     rate = [
-        a_x - front * torch.sin(steering) + v_y * omega,
+        ahead,
         across + rear - v_x * omega,
         (l_f * across - l_r * rear) / gyration,
     ]

@@ -43,7 +43,8 @@ class TrainedMember:
     target_std: NDArray[np.float64]
     processes: tuple[OutputProcess, ...]
     single_track: NDArray[np.float64] | None
-    """Parameters (17,) of the single-track vehicle that is the prior mean, if any."""
+    """Parameters (17,), or (19,) with a resistance, of the single-track vehicle that is the prior
+    mean, if any."""
     kinematic: NDArray[np.float64] | None
     """Parameters (3,) of the kinematic vehicle that is the prior mean, if any."""
     vehicle: FittedVehicle | None

@@ -1,12 +1,13 @@
 """The fit of one vehicle on several surfaces, with what is known about it as priors.
 
-The body (mass, axles, yaw inertia, height) is the same on all surfaces; the tyres belong to a
-surface. The logarithm of each parameter has a Gaussian prior. With a vehicle's parameters the
-priors of the body are narrow; without them they cover small cars to vans. The fit is the maximum a
-posteriori by robust least squares. Its intervals are those of the Laplace approximation with the
-Gauss-Newton Hessian (Bishop, *Pattern Recognition and Machine Learning*, section 4.4). They hold if
-the equations do: a vehicle that is no single track has a nearest one, and its parameters are what
-the intervals are about (`tests/bench/vehicle_intervals.py` measures how far off they are).
+The body (mass, axles, yaw inertia, height, drag) is the same on all surfaces; the tyres and the
+rolling resistance belong to a surface. The logarithm of each parameter has a Gaussian prior. With a
+vehicle's parameters the priors of the body are narrow; without them they cover small cars to vans.
+The fit is the maximum a posteriori by robust least squares. Its intervals are those of the Laplace
+approximation with the Gauss-Newton Hessian (Bishop, *Pattern Recognition and Machine Learning*,
+section 4.4). They hold if the equations do: a vehicle that is no single track has a nearest one,
+and its parameters are what the intervals are about (`tests/bench/vehicle_intervals.py` measures how
+far off they are).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from egp_service._core import EgpError
 from egp_service.data.channels import channels
 from egp_service.quantities import NY
 from egp_service.training.normal_equations import Compressed
-from egp_service.training.prior_mean import BODY, PARAMETERS, TYRES, change
+from egp_service.training.prior_mean import BODY, DRAG, PARAMETERS, ROLLING, TYRES, change
 from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ _QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95
 _MAD: Final = 1.4826  # standard deviation of a normal distribution over its median absolute value
 # Standard deviations of constant disturbances, m/s², m/s², rad/s²: slope, bank, crosswind.
 _DISTURBANCE: Final = np.array([0.3, 1.0, 0.1])
+_LEFT: Final = 0.1  # Share of it that a measured grade and bank leave.
 # Widths of the priors that a vehicle's parameters give.
 _KNOWN_WIDTHS: Final = {"m": 0.03, "l_f": 0.02, "l_r": 0.02, "k²": 0.15}
 # The data determine a parameter if they narrow its prior to at most this share and, for one that a
@@ -87,7 +89,10 @@ class FittedParameter:
 
 @dataclasses.dataclass(frozen=True)
 class FittedVehicle:
-    """The vehicle on one surface: its parameters in the order of `PARAMETERS`."""
+    """The vehicle on one surface: its parameters in the order of `PARAMETERS`.
+
+    Those of the resistance, the last two, are left out where the data do not contain one.
+    """
 
     parameters: tuple[FittedParameter, ...]
     derived: tuple[FittedParameter, ...] = ()
@@ -95,7 +100,7 @@ class FittedVehicle:
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """The values (17,), as `prior_mean.predict` takes them."""
+        """The values (17,) or (19,), as `prior_mean.predict` takes them."""
         return np.array([parameter.value for parameter in self.parameters])
 
     def summary(self) -> dict[str, dict[str, float | bool]]:
@@ -137,15 +142,25 @@ def fit_vehicle(
     along, so that a slope or a bank does not change the tyres; it is not part of the result. Each
     surface has a generator of random numbers, which chooses its transitions.
 
+    Drag and rolling resistance are fitted unless the car is a simulated one, which has none, or the
+    force of a surface follows from the changes of the speed, which contain both. Rolling resistance
+    and a constant slope slow alike; only with a measured tilt the data tell one from the other.
+
     Raises:
         EgpError: if the fit does not converge, or a vehicle is outside the range of the search.
 
     """
     parts = [_Surface.of(dataset, rng) for dataset, rng in zip(surfaces, rngs, strict=True)]
-    problem = _Problem(parts, priors(vehicle))
+    about = [data.provenance for data in surfaces]
+    slowed = simulated_vehicle(about[0].vehicle) is None
+    slowed = slowed and not any(own.force_from_a_x for own in about)
+    problem = _Problem(parts, priors(vehicle), slowed=slowed)
     found = problem.solve(np.zeros(problem.size))
     for surface, unknowns in zip(problem.surfaces, problem.parts(found), strict=True):
-        surface.weigh(*problem.physical(unknowns))
+        surface.weigh(*problem.physical(surface, torch.from_numpy(unknowns)))
+    if slowed and any(surface.circular for surface in parts):
+        problem = _Problem(parts, priors(vehicle), slowed=False)
+        found = np.zeros(problem.size)
     return problem.vehicles(problem.solve(found))
 
 
@@ -159,6 +174,8 @@ class _Surface:
     y: torch.Tensor
     scale: torch.Tensor
     """Scale of the robust loss (3,)."""
+    disturbance: torch.Tensor
+    """Standard deviations (3,) of the constant disturbance."""
     noise: NDArray[np.float64]
     """Standard deviations (3,) of the changes by the noise of measured states; zero for simulated
     data. A force that was computed from the measured speed predicts its changes better than this,
@@ -174,13 +191,15 @@ class _Surface:
         """Choose at most `_FIT_POINTS` transitions."""
         rows = rng.permutation(len(dataset))[:_FIT_POINTS]
         z, y = torch.from_numpy(dataset.z[rows]), torch.from_numpy(dataset.y[rows])
+        scale = torch.from_numpy(_OUTLIER * dataset.y.std(axis=0))
+        left = 1.0 if dataset.tilt is None else _LEFT
         noise = np.zeros(NY)
         if simulated_vehicle(dataset.provenance.vehicle) is None:
             noise = math.sqrt(2.0) * np.nan_to_num(channels(dataset).noise)
-        return _Surface(dataset, z, y, torch.from_numpy(_OUTLIER * dataset.y.std(axis=0)), noise)
+        return _Surface(dataset, z, y, scale, torch.from_numpy(left * _DISTURBANCE), noise)
 
     def weigh(self, parameters: torch.Tensor, disturbance: torch.Tensor) -> None:
-        """Set scale and weight by the errors of a vehicle (17,) under a disturbance (3,)."""
+        """Set scale and weight by the errors of a vehicle under a disturbance (3,)."""
         data = self.dataset
         dt = data.provenance.dt
         predicted = change(torch.from_numpy(data.z), parameters, dt) + dt * disturbance
@@ -198,52 +217,63 @@ class _Surface:
 class _Problem:
     """Robust least squares in the logarithms of the parameters over the priors' centres.
 
-    The unknowns are those of the body, then for each surface those of the tyres and the
-    disturbances in units of their priors' widths.
+    The unknowns are those of the body, then for each surface those of the road (the tyres) and the
+    disturbances in units of their priors' widths. If the vehicle is `slowed`, the body has a drag
+    and the road a rolling resistance.
     """
 
-    def __init__(self, surfaces: Sequence[_Surface], prior: dict[str, Prior]) -> None:
+    def __init__(
+        self, surfaces: Sequence[_Surface], prior: dict[str, Prior], *, slowed: bool
+    ) -> None:
         self.surfaces = surfaces
         self._dt = surfaces[0].dataset.provenance.dt
-        self._centre = np.array([prior[name].centre for name in PARAMETERS])
-        widths = np.array([prior[name].width for name in PARAMETERS])
-        low = np.log([p.low for p in PARAMETERS.values()] / self._centre)
-        high = np.log([p.high for p in PARAMETERS.values()] / self._centre)
-        for (name, bounds), below, above in zip(PARAMETERS.items(), low, high, strict=True):
+        self._body = [*BODY, *(DRAG if slowed else ())]
+        road = [*TYRES, *(ROLLING if slowed else ())]
+        own = [*self._body, *road]
+        self.names = [name for name in PARAMETERS if name in own]
+        self._order = [own.index(name) for name in self.names]
+        self._centre = np.array([prior[name].centre for name in own])
+        widths = np.array([prior[name].width for name in own])
+        low = np.log([PARAMETERS[name].low for name in own] / self._centre)
+        high = np.log([PARAMETERS[name].high for name in own] / self._centre)
+        for name, below, above in zip(own, low, high, strict=True):
             if not below < 0.0 < above:
+                bounds = PARAMETERS[name]
                 raise EgpError(
                     f"the vehicle's {name} is {prior[name].centre:g}: expected {bounds.low:g} to "
                     f"{bounds.high:g}; check the units of its file, or train with --mean constant"
                 )
-        self._own = len(TYRES) + NY
-        self.size = len(BODY) + len(surfaces) * self._own
+        self._own = len(road) + NY
+        self.size = len(self._body) + len(surfaces) * self._own
         self._low, self._high = self._all(low, -np.inf), self._all(high, np.inf)
         self._width = self._all(widths, 1.0)
 
     def _all(self, values: NDArray[np.float64], disturbance: float) -> NDArray[np.float64]:
-        """Return the values (17,) of parameters for all unknowns."""
-        own = np.concatenate([values[len(BODY) :], np.full(NY, disturbance)])
-        return np.concatenate([values[: len(BODY)], np.tile(own, len(self.surfaces))])
+        """Return the values of a surface's parameters for all unknowns."""
+        body, road = np.split(values, [len(self._body)])
+        own = np.concatenate([road, np.full(NY, disturbance)])
+        return np.concatenate([body, np.tile(own, len(self.surfaces))])
 
     def _columns(self, number: int) -> NDArray[np.int64]:
-        first = len(BODY) + number * self._own
-        return np.concatenate([np.arange(len(BODY)), np.arange(first, first + self._own)])
+        body = len(self._body)
+        first = body + number * self._own
+        return np.concatenate([np.arange(body), np.arange(first, first + self._own)])
 
     def parts(self, x: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the unknowns of each surface: body, tyres, disturbances (20,)."""
+        """Return the unknowns of each surface: body, road, disturbances."""
         return [x[self._columns(number)] for number in range(len(self.surfaces))]
 
-    def physical(self, unknowns: NDArray[np.float64]) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return parameters (17,) and disturbance (3,) in physical units."""
-        return self._physical(torch.from_numpy(unknowns))
-
-    def _physical(self, unknowns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        parameters = torch.from_numpy(self._centre) * unknowns[..., : len(PARAMETERS)].exp()
-        return parameters, torch.from_numpy(_DISTURBANCE) * unknowns[..., len(PARAMETERS) :]
+    def physical(
+        self, surface: _Surface, unknowns: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the parameters of `names` and the disturbance (3,) in physical units."""
+        count = len(self._centre)
+        parameters = torch.from_numpy(self._centre) * unknowns[..., :count].exp()
+        return parameters[..., self._order], surface.disturbance * unknowns[..., count:]
 
     def _errors(self, surface: _Surface, unknowns: torch.Tensor) -> torch.Tensor:
         """Errors of a surface (3n,), whose squares are the robust loss `soft_l1`."""
-        parameters, disturbance = self._physical(unknowns)
+        parameters, disturbance = self.physical(surface, unknowns)
         predicted = change(surface.z, parameters, self._dt) + self._dt * disturbance
         error = (predicted - surface.y) / surface.scale
         # 2 (sqrt(1 + e²) - 1) = (e sqrt(2 / (1 + sqrt(1 + e²))))²
@@ -253,7 +283,7 @@ class _Problem:
     def _errors_and_slopes(
         self, surface: _Surface, own: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the errors (3n,) of a surface and their derivatives (3n, 20) by its unknowns.
+        """Return the errors (3n,) of a surface and their derivatives (3n, u) by its u unknowns.
 
         Each transition gets a copy of the unknowns, so that the sum of an output's errors has the
         derivatives of all transitions: three backward passes suffice.
@@ -301,8 +331,8 @@ class _Problem:
         circular = any(surface.circular for surface in self.surfaces)
         found = []
         for number in range(len(self.surfaces)):
-            columns = self._columns(number)[: len(PARAMETERS)]
-            rows = zip(PARAMETERS, self._centre, columns, strict=True)
+            columns = self._columns(number)[self._order]
+            rows = zip(self.names, self._centre[self._order], columns, strict=True)
             parameters = tuple(
                 FittedParameter(
                     name,

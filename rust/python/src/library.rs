@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use egp_core::gp::Hyperparameters;
 use egp_core::library;
-use egp_core::vehicle::ModelParameters;
+use egp_core::vehicle::{ModelParameters, Resistance, VehicleModel};
 use egp_core::{GpInput, GpJacobian, NY, NZ, VarianceScratch};
 use egp_engine::read_library;
 use pyo3::exceptions::{PyIndexError, PyOSError};
@@ -285,6 +285,18 @@ impl Member {
         match self.get().vehicle()?.parameters() {
             ModelParameters::SingleTrack(parameters) => Some(vector(py, parameters)),
             ModelParameters::Kinematic(_) => None,
+        }
+    }
+
+    #[doc = doc!(Member.resistance)]
+    #[getter]
+    fn resistance<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
+        match self.get().vehicle()? {
+            VehicleModel::SingleTrack(vehicle) => {
+                let Resistance { rolling, drag } = vehicle.resistance();
+                Some(vector(py, [rolling, drag]))
+            }
+            VehicleModel::Kinematic(_) => None,
         }
     }
 

@@ -23,7 +23,8 @@ use crate::parameters::VehicleParameters;
 /// Shapes: inputs (M, 6), targets (M, 3), input_mean and input_std (6,), target_mean and target_std (3,), lengthscales
 /// (3, 6), outputscale, noise and constant (3,), alpha (3, M), envelope (2, 6), golden_z (G, 6), golden_mean (G, 3),
 /// golden_jacobian (G, 3, 6), golden_variance (G, 3); `single_track` (17,) or `kinematic` (3,) as in `Member`, with
-/// which targets and golden arrays include that vehicle's part and `y` is the rest of the targets.
+/// which targets and golden arrays include that vehicle's part and `y` is the rest of the targets; `resistance` (2,),
+/// positive, of a single-track vehicle that has one.
 ///
 /// A member with a vehicle may be a vehicle alone, with M = 0, any G, and the outputscale 0. Its variance is then that of
 /// the noise.
@@ -36,7 +37,7 @@ impl MemberData {
     #[pyo3(signature = (
         *, label, friction, dataset, inputs, targets, input_mean, input_std, target_mean, target_std, lengthscales,
         outputscale, noise, constant, alpha, envelope, golden_z, golden_mean, golden_jacobian, golden_variance,
-        single_track = None, kinematic = None
+        single_track = None, kinematic = None, resistance = None
     ))]
     #[allow(clippy::too_many_arguments)]
     fn new(
@@ -61,6 +62,7 @@ impl MemberData {
         golden_variance: Matrix<'_>,
         single_track: Option<Vector<'_>>,
         kinematic: Option<Vector<'_>>,
+        resistance: Option<Vector<'_>>,
     ) -> PyResult<Self> {
         let vehicle = match (single_track, kinematic) {
             (None, None) => None,
@@ -72,6 +74,14 @@ impl MemberData {
                 ));
             }
         };
+        if resistance.is_some() && !matches!(vehicle, Some(ModelParameters::SingleTrack(_))) {
+            return Err(EgpError::new_err(
+                "`resistance` is that of a single-track vehicle: give `single_track`, too",
+            ));
+        }
+        let resistance = resistance
+            .map(|values| fixed("resistance", &values))
+            .transpose()?;
         Ok(Self(library::MemberData {
             label,
             friction,
@@ -101,6 +111,7 @@ impl MemberData {
             golden_jacobian: layers("golden_jacobian", &golden_jacobian)?,
             golden_variance: rows("golden_variance", &golden_variance)?,
             vehicle,
+            resistance,
         }))
     }
 }

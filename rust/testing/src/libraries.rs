@@ -103,6 +103,7 @@ fn member(outputs: &Outputs, kernel: Kernel, friction: f64, n: usize, seed: u64)
         noise: [1e-3, 2e-3, 5e-3],
         constant: [0.1, 0.0, -0.2],
         vehicle: None,
+        resistance: None,
         alpha: Default::default(),
         envelope: [
             std::array::from_fn(|d| CENTRE[d] - HALF_WIDTH[d]),

@@ -66,6 +66,8 @@ pub struct MemberData {
     pub constant: [f64; NY],
     /// The vehicle that the GPs are added to, if any.
     pub vehicle: Option<ModelParameters>,
+    /// Rolling resistance (m/s²) and drag (1/m) of a single-track vehicle, `[2]`, if it has any.
+    pub resistance: Option<[f64; 2]>,
     /// `(K + s² I)⁻¹ (y - m)`, `[3, M]`.
     pub alpha: [Vec<f64>; NY],
     /// Smallest and largest inputs for which the member is meant: those of the data it was fitted to, `[2, 6]`.
@@ -85,6 +87,8 @@ pub(super) type Tensor = (&'static str, Vec<usize>, Vec<f64>);
 
 /// Where the tensors of one member come from.
 pub(super) trait TensorSource {
+    /// Whether there is such a tensor.
+    fn has(&self, name: &'static str) -> bool;
     /// The first dimension of a tensor.
     fn leading(&self, name: &'static str) -> Result<usize, LibraryError>;
     /// The numbers of a tensor, which must have that shape.
@@ -154,6 +158,9 @@ impl MemberData {
                 tensors.push(("kinematic", vec![p.len()], p.to_vec()));
             }
         }
+        if let Some(resistance) = self.resistance {
+            tensors.push(("resistance", vec![2], resistance.to_vec()));
+        }
         tensors
     }
 
@@ -191,6 +198,11 @@ impl MemberData {
                 Some(ModelParameters::Kinematic(row(&parameters)))
             }
         };
+        let resistance = if metadata.mean == PriorMean::SingleTrack && source.has("resistance") {
+            Some(row(&source.take("resistance", &[2])?))
+        } else {
+            None
+        };
         Ok(Self {
             label: metadata.label.clone(),
             friction: metadata.friction,
@@ -206,6 +218,7 @@ impl MemberData {
             noise,
             constant,
             vehicle,
+            resistance,
             alpha: std::array::from_fn(|o| alpha[o * m..(o + 1) * m].to_vec()),
             envelope: row(&rows(&source.take("envelope", &[2, NZ])?)),
             golden_z: rows(&source.take("golden_z", &[g, NZ])?),

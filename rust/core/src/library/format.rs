@@ -118,6 +118,10 @@ impl<'a> Source<'a, '_> {
 }
 
 impl TensorSource for Source<'_, '_> {
+    fn has(&self, name: &'static str) -> bool {
+        self.view(name).is_ok()
+    }
+
     fn leading(&self, name: &'static str) -> Result<usize, LibraryError> {
         Ok(self.view(name)?.shape().first().copied().unwrap_or(0))
     }

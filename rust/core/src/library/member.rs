@@ -5,7 +5,7 @@ use egp_parameters::{GRAVITY, VehicleParameters};
 use super::data::MemberData;
 use crate::gp::{Gp, Horizon, Hyperparameters, SingularCovariance};
 use crate::scaler::Scaler;
-use crate::vehicle::{TyreLimits, VehicleModel};
+use crate::vehicle::{Resistance, TyreLimits, VehicleModel};
 use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
 
 /// Distance between the wheels of an axle as a share of the vehicle's width. It is 0.83, 0.86 and 0.85 at the front of
@@ -47,6 +47,8 @@ impl Member {
             .map(|&z| input_scaler.scale(&z.into()))
             .collect();
         let gp = Gp::new(kernel, &inputs, &hyperparameters, &data.alpha)?;
+        let [rolling, drag] = data.resistance.unwrap_or_default();
+        let resistance = Resistance { rolling, drag };
         Ok(Self {
             label: data.label.clone(),
             friction: data.friction,
@@ -58,7 +60,7 @@ impl Member {
             gp,
             vehicle: data
                 .vehicle
-                .map(|parameters| VehicleModel::new(&parameters, dt)),
+                .map(|parameters| VehicleModel::new(&parameters, dt).with_resistance(resistance)),
         })
     }
 

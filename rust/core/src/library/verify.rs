@@ -9,7 +9,7 @@ use super::member::Member;
 use crate::{GpInput, GpJacobian, NY, NZ, VarianceScratch};
 
 /// Tensors whose numbers must be positive.
-const POSITIVE: [&str; 7] = [
+const POSITIVE: [&str; 8] = [
     "input_std",
     "target_std",
     "lengthscales",
@@ -17,6 +17,7 @@ const POSITIVE: [&str; 7] = [
     "noise",
     "single_track",
     "kinematic",
+    "resistance",
 ];
 /// Positive numbers whose quotients and squares are finite.
 const SCALES: RangeInclusive<f64> = 1e-100..=1e100;

@@ -7,6 +7,7 @@ mod frame;
 mod kinematic;
 mod kinematics;
 mod model;
+mod resistance;
 mod single_track;
 mod tyre_limits;
 
@@ -15,6 +16,7 @@ pub use frame::{Frame, wrap};
 pub use kinematic::{KINEMATIC_PARAMETERS, Kinematic};
 pub use kinematics::{gp_input, jacobians, successor};
 pub use model::{ModelParameters, VehicleModel};
+pub use resistance::Resistance;
 pub use single_track::{LARGEST_PEAK_SLIP, SINGLE_TRACK_PARAMETERS, SLOWEST, SingleTrack};
 pub use tyre_limits::TyreLimits;
 

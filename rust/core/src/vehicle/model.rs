@@ -1,6 +1,6 @@
 //! The vehicles that a member may contain.
 
-use super::{KINEMATIC_PARAMETERS, Kinematic, SINGLE_TRACK_PARAMETERS, SingleTrack};
+use super::{KINEMATIC_PARAMETERS, Kinematic, Resistance, SINGLE_TRACK_PARAMETERS, SingleTrack};
 use crate::{GpInput, GpJacobian, GpOutput};
 
 /// A vehicle that predicts the change of `[v_x, v_y, omega]` over one period.
@@ -28,6 +28,15 @@ impl VehicleModel {
         match parameters {
             ModelParameters::SingleTrack(p) => Self::SingleTrack(SingleTrack::new(p, dt)),
             ModelParameters::Kinematic(p) => Self::Kinematic(Kinematic::new(p, dt)),
+        }
+    }
+
+    /// The same vehicle with another resistance, if its tyres slip; wheels that roll without slip have none.
+    #[must_use]
+    pub fn with_resistance(self, resistance: Resistance) -> Self {
+        match self {
+            Self::SingleTrack(vehicle) => Self::SingleTrack(vehicle.with_resistance(resistance)),
+            Self::Kinematic(_) => self,
         }
     }
 

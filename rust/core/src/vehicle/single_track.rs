@@ -7,6 +7,7 @@ use egp_parameters::GRAVITY;
 use nalgebra::{SMatrix, SVector};
 
 use super::axles::{Axle, Axles, Forces, Motion, Sides, Slopes};
+use super::resistance::Resistance;
 use crate::{GpInput, GpJacobian, GpOutput, NY};
 
 /// Slip angles lose their meaning when the vehicle stands; below this speed, m/s, they are taken at it or left alone.
@@ -36,10 +37,12 @@ const FRICTION_POWERS: [i32; SINGLE_TRACK_PARAMETERS] =
 /// ```text
 /// a_x = a / (1 + (a / (g D_x))⁴)^¼                          what the tyres let through
 /// f   = n D sin(C atan(B alpha)) / sqrt(1 + (e a / g)⁴)     lateral, less under braking and drive
-/// dv_x/dt   = a_x - f_f sin(delta) + v_y omega
+/// dv_x/dt   = a_x - f_f sin(delta) + v_y omega - r(v_x)
 /// dv_y/dt   = f_f cos(delta) + f_r - v_x omega
 /// domega/dt = (l_f f_f cos(delta) - l_r f_r) / k²
 /// ```
+///
+/// The [`Resistance`] `r` is zero unless stated.
 ///
 /// `D_x`, and `e` of each axle, are one number for drive and another for braking: a vehicle that drives one axle and
 /// brakes two spins its wheels long before it locks them, and what spins does not steer.
@@ -54,6 +57,7 @@ pub struct SingleTrack {
     gyration: f64,
     grip: Sides,
     axles: [Axle; 2],
+    resistance: Resistance,
     parameters: [f64; SINGLE_TRACK_PARAMETERS],
 }
 
@@ -84,27 +88,41 @@ impl SingleTrack {
                 axle(l_f, [ef_d, ef_b, d_f, b_f, c_f]),
                 axle(-l_r, [er_d, er_b, d_r, b_r, c_r]),
             ],
+            resistance: Resistance::default(),
             parameters: *parameters,
         }
+    }
+
+    /// The same vehicle with another resistance.
+    #[must_use]
+    pub fn with_resistance(self, resistance: Resistance) -> Self {
+        Self { resistance, ..self }
     }
 
     /// The same vehicle on a road of `ratio` times the friction: its tyres transmit `ratio` times the force, with the
     /// same slope at zero slip.
     pub(crate) fn with_friction(&self, ratio: f64) -> Self {
         let scaled = |i: usize| self.parameters[i] * ratio.powi(FRICTION_POWERS[i]);
-        Self::new(&std::array::from_fn(scaled), self.dt)
+        Self::new(&std::array::from_fn(scaled), self.dt).with_resistance(self.resistance)
     }
 
-    /// The vehicle whose parameters lie at `share` of the way to those of `other`, geometrically.
+    /// The vehicle whose parameters lie at `share` of the way to those of `other`, geometrically, and its resistance
+    /// linearly.
     pub(crate) fn between(&self, other: &Self, share: f64) -> Self {
         let blend = |a: f64, b: f64| a * (b / a).powf(share);
         let blended = |i: usize| blend(self.parameters[i], other.parameters[i]);
         Self::new(&std::array::from_fn(blended), self.dt)
+            .with_resistance(self.resistance.between(&other.resistance, share))
     }
 
     /// The parameters, in the order of [`SingleTrack::new`].
     pub fn parameters(&self) -> &[f64; SINGLE_TRACK_PARAMETERS] {
         &self.parameters
+    }
+
+    /// Rolling resistance and drag.
+    pub fn resistance(&self) -> Resistance {
+        self.resistance
     }
 
     /// Slip angle in rad at which the lateral force of the front axle is largest, `tan(pi / (2 C)) / B`, or
@@ -169,7 +187,8 @@ impl SingleTrack {
             v_x, v_y, omega, ..
         } = *motion;
         let a_x = forces.longitudinal[2 * place];
-        let mut rate = GpOutput::new(a_x + v_y * omega, -v_x * omega, 0.0);
+        let ahead = a_x + v_y * omega - self.resistance.deceleration(v_x);
+        let mut rate = GpOutput::new(ahead, -v_x * omega, 0.0);
         for (axle, f) in self.axles.iter().zip(&forces.lateral[2 * place..]) {
             rate += *f * self.across(axle, motion);
         }
@@ -191,6 +210,7 @@ impl SingleTrack {
         let mut by = SMatrix::<f64, NY, 5>::zeros();
         let a_x_by_a = slopes.longitudinal[2 * place];
         (by[(0, 1)], by[(0, 2)], by[(0, 4)]) = (omega, v_y, a_x_by_a);
+        by[(0, 0)] -= self.resistance.slope(v_x);
         (by[(1, 0)], by[(1, 2)]) = (-omega, -v_x);
         for (lane, axle) in (2 * place..).zip(&self.axles) {
             let [speed, lateral, steering, a] = slopes.lateral.map(|slope| slope[lane]);
@@ -244,7 +264,8 @@ mod tests {
 
     #[test]
     fn the_jacobian_is_that_of_finite_differences() {
-        let car = SingleTrack::new(&CAR, 0.02);
+        let (rolling, drag) = (0.15, 4e-4);
+        let car = SingleTrack::new(&CAR, 0.02).with_resistance(Resistance { rolling, drag });
         let steps = [1e-5, 1e-5, 1e-6, 1e-6, 1e-1, 1e-5];
         for z in inputs() {
             let (value, jacobian) = car.change_jacobian(&z);
@@ -276,28 +297,10 @@ mod tests {
 
     #[test]
     fn it_turns_as_its_understeer_gradient_says() {
-        // Small angles: delta = omega (L / v + K v), K = (l_r / s_f - l_f / s_r) / L with s = g B C D of an axle's load
-        // share, here by Newton's method on v_y and omega.
+        // Small angles: delta = omega (L / v + K v), K = (1 / s_f - 1 / s_r) / g with s = B C D of an axle, here by
+        // Newton's method on v_y and omega.
         let car = SingleTrack::new(&CAR, 0.02);
-        let [
-            _,
-            l_f,
-            l_r,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            d_f,
-            b_f,
-            c_f,
-            _,
-            _,
-            d_r,
-            b_r,
-            c_r,
-        ] = CAR;
+        let [slope_f, slope_r] = [9, 14].map(|d| CAR[d] * CAR[d + 1] * CAR[d + 2]); // B C D
         let (v, delta) = (20.0, 1e-4);
         let mut z = GpInput::new(v, 0.0, 0.0, delta, 0.0, 0.0);
         for _ in 0..5 {
@@ -306,10 +309,19 @@ mod tests {
             let step = lateral.try_inverse().unwrap() * change.fixed_rows::<2>(1);
             (z[1], z[2]) = (z[1] - step[0], z[2] - step[1]);
         }
-        let wheelbase = l_f + l_r;
-        let gradient = (1.0 / (b_f * c_f * d_f) - 1.0 / (b_r * c_r * d_r)) / GRAVITY;
+        let wheelbase = CAR[1] + CAR[2];
+        let gradient = (1.0 / slope_f - 1.0 / slope_r) / GRAVITY;
         let omega = v * delta / (wheelbase + gradient * v * v);
         assert!((z[2] / omega - 1.0).abs() < 1e-6, "{} {omega}", z[2]);
+    }
+
+    #[test]
+    fn other_friction_leaves_the_resistance() {
+        let (rolling, drag) = (0.15, 4e-4);
+        let free = SingleTrack::new(&CAR, 0.02);
+        let car = free.with_resistance(Resistance { rolling, drag });
+        assert_eq!(car.with_friction(0.5).resistance(), car.resistance());
+        assert_eq!(car.between(&free, 0.5).resistance().rolling, 0.5 * rolling);
     }
 
     #[test]

@@ -1,9 +1,11 @@
 //! The library file as bytes. Python tests check the errors for invalid files with an independent writer.
 #![allow(clippy::unwrap_used)]
 
-use egp_core::library::{LibraryError, LibrarySpec, MAX_FILE_BYTES, MAX_HEADER_BYTES, encode};
+use egp_core::library::{
+    LibraryError, LibrarySpec, MAX_FILE_BYTES, MAX_HEADER_BYTES, encode, subset,
+};
 use egp_core::settings::WeightSettings;
-use egp_core::vehicle::{ModelParameters, SINGLE_TRACK_PARAMETERS, VehicleModel};
+use egp_core::vehicle::{ModelParameters, Resistance, SINGLE_TRACK_PARAMETERS, VehicleModel};
 use egp_core::weights::WindowNoise;
 use egp_core::{
     Ensemble, GpJacobian, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, Sequential,
@@ -146,6 +148,44 @@ fn a_fitted_vehicle_has_a_peak_slip_of_its_own_and_other_members_that_of_their_f
     assert!((fitted[0] - 1.4966 / 15.0).abs() < 1e-5, "{fitted:?}");
     assert_eq!(fitted[1], 0.2 * 1.1);
     assert_eq!(peaks(KINEMATIC), [0.2 * 0.5, 0.2 * 1.1]);
+}
+
+#[test]
+fn a_resistance_slows_the_vehicle_and_needs_one() {
+    let (rolling, drag) = (0.15, 4e-4);
+    let mut spec = with_vehicle_alone(SINGLE_TRACK);
+    let free = VehicleModel::new(&SINGLE_TRACK, spec.dt);
+    let vehicle = free.with_resistance(Resistance { rolling, drag });
+    let data = &mut spec.members[0];
+    data.resistance = Some([rolling, drag]);
+    for (g, z) in data.golden_z.iter().enumerate() {
+        let (change, slopes) = vehicle.change_jacobian(&(*z).into());
+        data.golden_mean[g] = change.into();
+        data.golden_jacobian[g] = std::array::from_fn(|o| std::array::from_fn(|d| slopes[(o, d)]));
+    }
+    let bytes = encode(&spec).unwrap();
+    let library = Library::from_bytes(&bytes).unwrap();
+    let Some(VehicleModel::SingleTrack(read)) = library.members()[0].vehicle() else {
+        unreachable!();
+    };
+    assert_eq!(read.resistance(), Resistance { rolling, drag });
+    let z = [20.0, 0.0, 0.0, 0.0, 0.0, 0.0].into();
+    let slower = library.members()[0].mean(&z)[0] - free.change(&z)[0];
+    assert!((slower + spec.dt * (0.15 + 0.16)).abs() < 1e-12, "{slower}");
+    // A part of the library keeps it.
+    let part = Library::from_bytes(&subset(&bytes, &[0]).unwrap()).unwrap();
+    assert_eq!(part.members()[0].mean(&z), library.members()[0].mean(&z));
+    spec.members[0].resistance = Some([rolling, 0.0]);
+    assert!(matches!(
+        encode(&spec),
+        Err(LibraryError::NotPositive { .. })
+    ));
+    let mut rolls = with_vehicle_alone(KINEMATIC);
+    rolls.members[0].resistance = Some([rolling, drag]);
+    assert!(matches!(
+        encode(&rolls),
+        Err(LibraryError::UnexpectedTensor { .. })
+    ));
 }
 
 #[test]

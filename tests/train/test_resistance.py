@@ -1,4 +1,4 @@
-"""Logs of tilted roads: gravity is taken out where grade and bank were measured."""
+"""What slows a car beside its tyres: gravity on a tilted road, rolling resistance and drag."""
 
 from __future__ import annotations
 
@@ -26,6 +26,10 @@ from egp_service.vehicle import known_vehicle
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
+    from egp_service.training.vehicle_fit import FittedVehicle
+
 DT = 0.02
 CAR = known_vehicle("commonroad-1")
 COLUMNS = {
@@ -38,30 +42,35 @@ COLUMNS = {
     "grade": "rad",
     "bank": "rad",
 }
+ROLLING, DRAG = 0.2, 5e-4
 TILTS = [(-0.08, -0.15), (0.0, 0.0), (0.08, 0.15)]
 
 
-def _drive(number: int) -> pl.DataFrame:
-    """Return 30 s of the simulated car on a road with one of `TILTS`, at about 15 m/s."""
-    grade, bank = TILTS[number]
+def _drive(tilt: tuple[float, float], seed: int, speed: float = 15.0) -> pl.DataFrame:
+    """Return 30 s of a car on a road with grade and bank `tilt`, at about this speed in m/s.
+
+    It is the simulated car, whose force loses the resistance that a real one has.
+    """
+    grade, bank = tilt
     car = Plant(disturbances={"grade": grade, "bank": bank})
-    car.reset(0.0, 0.0, 0.0, 14.0)
+    car.reset(0.0, 0.0, 0.0, speed - 1.0)
     rows = []
     for k in range(1500):
         _, _, v_x, _, v_y, omega, delta = car.vehicle_state
-        wanted = 0.06 * np.sin(0.06 * k + number) * min(k / 100, 1.0)
+        wanted = 0.06 * (15.0 / speed) ** 2 * np.sin(0.06 * k + seed) * min(k / 100, 1.0)
         rate = float(np.clip((wanted - delta) / 0.1, -0.4, 0.4))
-        a = 9.81 * np.sin(grade) + 1.5 * np.sin(0.05 * k) + 0.5 * (15.0 - v_x)
+        resistance = ROLLING + DRAG * v_x**2
+        a = 9.81 * np.sin(grade) + resistance + 1.5 * np.sin(0.05 * k) + 0.5 * (speed - v_x)
         rows.append([DT * k, v_x, v_y, omega, delta, CAR.mass * a, grade, bank])
-        car.step(np.array([CAR.mass * a, rate]), DT, 0.8)
+        car.step(np.array([CAR.mass * (a - resistance), rate]), DT, 0.8)
     return pl.DataFrame(np.array(rows), schema=list(COLUMNS), orient="row")
 
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("tilted")
-    for number in range(len(TILTS)):
-        _drive(number).write_csv(folder / f"{number}.csv")
+    for number, tilt in enumerate(TILTS):
+        _drive(tilt, number).write_csv(folder / f"{number}.csv")
     return [folder / f"{number}.csv" for number in range(len(TILTS))]
 
 
@@ -71,21 +80,42 @@ def _imported(logs: list[Path], without: tuple[str, ...] = ()) -> Dataset:
     return merge([import_log(p, columns, dataclasses.replace(about, method=p.name)) for p in logs])
 
 
-def _after_a_second(data: Dataset) -> tuple[np.ndarray, float]:
-    """Return errors (3,) of a fitted vehicle after 1 s, and its smaller peak of both axles."""
+def _fitted(data: Dataset) -> FittedVehicle:
     (found,) = fit_vehicle([data], CAR, [np.random.default_rng(0)])
-    compared = skill({"fitted": lambda z: prior_mean.predict(z, found.values, DT)}, data)
-    values = {parameter.name: parameter.value for parameter in found.parameters}
-    rms: np.ndarray = compared.rms["fitted"][compared.durations.index(1.0)]
-    return rms, min(values["D_f"], values["D_r"])
+    return found
+
+
+def _after_a_second(vehicle: FittedVehicle, data: Dataset) -> NDArray[np.float64]:
+    """Return the RMS errors (3,) of a fitted vehicle after 1 s."""
+    compared = skill({"fitted": lambda z: prior_mean.predict(z, vehicle.values, DT)}, data)
+    return np.asarray(compared.rms["fitted"][compared.durations.index(1.0)])
 
 
 def test_a_vehicle_is_fitted_to_tilted_roads_if_the_tilt_was_measured(logs: list[Path]) -> None:
-    known, peak = _after_a_second(_imported(logs))
-    unknown, _ = _after_a_second(_imported(logs, ("grade", "bank")))
+    level, tilted = _imported(logs), _imported(logs, ("grade", "bank"))
+    vehicle = _fitted(level)
+    known, unknown = _after_a_second(vehicle, level), _after_a_second(_fitted(tilted), tilted)
     # Errors in m/s, m/s and rad/s: 0.026, 0.027, 0.007 with the tilt, 0.45, 0.13, 0.028 without.
     assert np.all(known <= [0.1 * unknown[0], 0.25 * unknown[1], 0.4 * unknown[2]])
-    assert peak == pytest.approx(0.66, abs=0.1)
+    fitted = {parameter.name: parameter.value for parameter in vehicle.parameters}
+    assert min(fitted["D_f"], fitted["D_r"]) == pytest.approx(0.66, abs=0.1)
+    at_15 = fitted["c_0"] + 225.0 * fitted["c_2"]
+    assert at_15 == pytest.approx(ROLLING + 225.0 * DRAG, abs=0.03)
+
+
+def test_drag_is_known_at_speeds_beyond_the_data(tmp_path: Path) -> None:
+    drives = {"slow": 9.0, "middle": 13.0, "quick": 17.0, "fast": 27.0}
+    for number, (name, speed) in enumerate(drives.items()):
+        _drive((0.0, 0.0), number, speed).write_csv(tmp_path / f"{name}.csv")
+    *slow, fast = (tmp_path / f"{name}.csv" for name in drives)
+    data, faster = _imported(slow), _imported([fast])
+    # Data that are said to have their force from the acceleration are fitted without resistance.
+    stated = dataclasses.replace(data.provenance, force_from_a_x=True)
+    without = _fitted(dataclasses.replace(data, provenance=stated))
+    assert len(without.values) == 17
+    known, unknown = (_after_a_second(found, faster) for found in (_fitted(data), without))
+    # 0.02 and 0.52 m/s.
+    assert known[0] < 0.2 * unknown[0]
 
 
 def test_changes_are_those_of_a_level_road(logs: list[Path]) -> None:
