@@ -1,8 +1,10 @@
-"""Atomic writing of files: a temporary file is renamed when it is complete."""
+"""Atomic writing of files: a temporary file is renamed when it is complete; locks of folders."""
 
 from __future__ import annotations
 
 import errno
+import fcntl
+import os
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -36,6 +38,18 @@ def replacing(path: Path) -> Iterator[Path]:
         if error.filename is not None and temporary in str(error.filename):
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Make a folder, and wait until no other process is within this context with it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -34,7 +34,8 @@ def test_tensors_are_those_of_the_table(header: dict[str, Any]) -> None:
     for index, member in enumerate(metadata["members"]):
         golden = header[f"members.{index}.golden_z"]["shape"][0]
         sizes = {"M": member["n"], "G": golden}
-        for name, shape in TENSORS.items():
+        # The simulated car has no resistance.
+        for name, shape in (item for item in TENSORS.items() if item[0] != "resistance"):
             extents = [sizes.get(extent) or int(extent) for extent in shape.split(", ")]
             written[f"members.{index}.{name}"] = {"dtype": "F64", "shape": extents}
     found = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import time
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ import pytest
 import zenoh
 from security_programs import (
     GATE,
+    LIBRARY,
     LINK_SECONDS,
     PATIENCE,
     client,
@@ -26,6 +28,7 @@ from security_programs import (
 from egp_service import StatusPublisher, VehicleClient
 from egp_service._core import RoadBelief, RoadKey, vehicle_key
 from egp_service._core.testing import MAP_HEALTH_KEY, live_key
+from egp_service.control.endpoints import why_unreachable
 from egp_service.control.fleet_map import FleetMap
 from egp_service.monitor.listener import Listener
 from egp_service.simulation.course import build_path
@@ -46,6 +49,27 @@ def answered(session: zenoh.Session, key: str) -> bool:
 
 def forge(query: zenoh.Query) -> None:
     query.reply(query.key_expr, b"forged")
+
+
+def test_a_stranger_who_says_nothing_is_disconnected_soon(tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="the extra `security` is not installed")
+    from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
+
+    endpoint = free_endpoint("tls")
+    port = int(endpoint.rpartition(":")[2])
+    own = tmp_path / "own"
+    write_credentials(own, "f", ["a"], hosts=["127.0.0.1"], port=port, days=1)
+    config = tmp_path / "service.toml"
+    config.write_text(f'library = "{LIBRARY}"\nzenoh_file = "{own / "service.json5"}"\n')
+    with program("-m", "egp_service", "serve", "--config", str(config), folder=tmp_path):
+        late = time.monotonic() + PATIENCE
+        while why_unreachable(f"tcp/127.0.0.1:{port}") is not None and time.monotonic() < late:
+            time.sleep(0.05)
+        with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as stranger:
+            begun = time.monotonic()
+            assert stranger.recv(1) == b""
+        # By default zenoh waits for 10 s.
+        assert time.monotonic() - begun < 6.0
 
 
 def test_certificates_give_each_identity_its_own_keys(tmp_path: Path) -> None:

@@ -36,6 +36,16 @@ GATE = gate_settings(SCENARIO)
 MASS = 1225.887
 
 
+def test_a_service_that_accepts_and_says_nothing_takes_no_longer_than_the_timeout() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        endpoint = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
+        begun = time.monotonic()
+        with pytest.raises(ServiceUnreachableError):
+            VehicleClient.connect(endpoint, gate=GATE, timeout=1.0)
+    # zenoh alone waits for 10 s.
+    assert time.monotonic() - begun < 5.0
+
+
 @pytest.fixture
 def service() -> Iterator[ServiceProcess]:
     with ServiceProcess(LIBRARY, {}) as running:

@@ -10,22 +10,25 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+import zenoh
 from mcap.reader import make_reader
 from typer.testing import CliRunner
 
-from egp_service._core import EgpError
+from egp_service._core import EgpError, RoadBelief, RoadKey, encode_tile_evidence
 from egp_service.cli import app, signals
 from egp_service.cli.status_line import MODE_STYLES
 from egp_service.control.endpoints import why_unreachable
 from egp_service.control.service_process import ServiceProcess
+from egp_service.control.session import session_config
+from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import library_path, load_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 LIBRARY = library_path(load_scenario("rounded-rectangle"))
 PATIENCE = 60.0
@@ -45,6 +48,12 @@ def wait_until(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.02)
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port: int = probe.getsockname()[1]
+        return port
 
 
 def group_lives(leader: int) -> bool:
@@ -90,6 +99,77 @@ def test_a_signal_ends_a_drive_with_its_service_and_its_files(
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+
+
+def test_a_drive_that_is_killed_leaves_no_service_and_no_files_of_it(tmp_path: Path) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    scenario = tmp_path / "long.toml"
+    scenario.write_text(LONG, encoding="utf-8")
+    runs = tmp_path / "runs"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "egp_service", "drive", "-s", str(scenario), "-o", str(runs)],
+        env=os.environ | {"TMPDIR": str(temporary)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        wait_until(lambda: any(file.stat().st_size for file in runs.glob("*/run.mcap")))
+        assert list(temporary.glob("egp-service-*"))
+        process.kill()
+        process.wait()
+        wait_until(lambda: not group_lives(process.pid))
+        assert not list(temporary.glob("egp-service-*"))
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("command", ["serve", "map"])
+def test_a_log_that_cannot_be_written_ends_nothing(command: str) -> None:
+    library = [str(LIBRARY)] if command == "serve" else []
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with Path("/dev/full").open("w") as full:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "egp_service", command, *library, "--listen", endpoint],
+            stderr=full,
+        )
+    try:
+        wait_until(lambda: why_unreachable(endpoint) is None or process.poll() is not None)
+        assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE) == 0
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_map_that_could_not_write_a_road_has_status_1(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "egp_service", "map", "--listen", endpoint]
+    command += ["--folder", str(tmp_path / "roads")]
+    # No file may have more than two blocks.
+    process = subprocess.Popen(
+        ["/bin/sh", "-c", 'ulimit -f 2; exec "$@"', "sh", *command],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        wait_until(lambda: why_unreachable(endpoint) is None)
+        config = session_config([endpoint], PATIENCE, {})
+        belief = RoadBelief(build_path(load_scenario("random")))
+        key = RoadKey("depot", "car", "ring")
+        with zenoh.open(config) as session:
+            payload = encode_tile_evidence(belief.tile(0), 0.0)
+            (answer,) = session.get(key.tile(0), payload=payload, timeout=PATIENCE)
+            assert answer.ok is not None
+        process.send_signal(signal.SIGTERM)
+        _, errors = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+    assert process.returncode == 1
+    assert "1 roads of the map were not written" in errors
 
 
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
@@ -225,11 +305,11 @@ def test_the_status_line_has_a_style_for_every_mode() -> None:
 def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -> None:
     short = tmp_path / "short.toml"
     short.write_text(LONG.replace("50.0", "0.02"), encoding="utf-8")
-    zenoh = tmp_path / "zenoh.json5"
+    settings = tmp_path / "zenoh.json5"
     arguments = ["drive", "-s", str(short), "--no-pictures", "-o", str(tmp_path / "runs")]
     with ServiceProcess(LIBRARY, {}) as service:
-        zenoh.write_text(f"{{connect: {{endpoints: ['{service.endpoint}']}}}}", encoding="utf-8")
-        result = CliRunner().invoke(app, [*arguments, "--zenoh", str(zenoh)])
+        settings.write_text(f"{{connect: {{endpoints: ['{service.endpoint}']}}}}", encoding="utf-8")
+        result = CliRunner().invoke(app, [*arguments, "--zenoh", str(settings)])
         assert result.exit_code == 0, result.output
         # The same service answers the recorded requests.
         (recording,) = (tmp_path / "runs").glob("*/run.mcap")
@@ -252,8 +332,8 @@ def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -
         result = CliRunner().invoke(app, [*replay, "--figure", str(name)])
         assert isinstance(result.exception, EgpError)
         assert expected in str(result.exception)
-    zenoh.write_text("{conect: {}}", encoding="utf-8")
-    result = CliRunner().invoke(app, [*arguments, "--zenoh", str(zenoh)])
+    settings.write_text("{conect: {}}", encoding="utf-8")
+    result = CliRunner().invoke(app, [*arguments, "--zenoh", str(settings)])
     assert isinstance(result.exception, EgpError)
     assert "zenoh.json5" in str(result.exception)
 

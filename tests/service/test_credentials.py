@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from base64 import b64decode
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
@@ -80,6 +82,20 @@ def test_a_vehicle_is_renewed_with_its_key_and_endpoints(tmp_path: Path) -> None
     assert endpoints(own / "vehicles" / "f@b.json5") == ["tls/other.example:7447"]
 
 
+def test_calls_at_the_same_time_complete_one_folder(tmp_path: Path) -> None:
+    own, names = tmp_path / "own", ["a", "b", "c", "d"]
+    command = [sys.executable, "-m", "egp_service", "keys", str(own), "--host", "localhost"]
+    calls = [
+        subprocess.Popen([*command, "--vehicle", name], stdout=subprocess.DEVNULL) for name in names
+    ]
+    assert [call.wait(60.0) for call in calls] == [0, 0, 0, 0]
+    ring = (own / "vehicles.keys").read_text(encoding="utf-8")
+    assert re.findall(r"^default/(\w) ", ring, re.MULTILINE) == names
+    files = [own / "vehicles" / f"default@{name}.json5" for name in names]
+    tls = [json.loads(file.read_text())["transport"]["link"]["tls"] for file in files]
+    assert len({one["root_ca_certificate_base64"] for one in tls}) == 1
+
+
 def test_a_further_vehicle_moves_no_endpoint_unless_it_is_said(tmp_path: Path) -> None:
     own = secrets(tmp_path / "own", "tls/127.0.0.1:7460")
     from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
@@ -95,9 +111,13 @@ def test_a_further_vehicle_moves_no_endpoint_unless_it_is_said(tmp_path: Path) -
         assert endpoints(own / "vehicles" / f"f@{vehicle}.json5") == [
             f"tls/other.example:{port or 7460}"
         ]
-        assert endpoints(own / "service.json5", "listen") == [f"tls/[::]:{port or 7460}"]
-        assert endpoints(own / "map.json5", "listen") == ["tls/[::]:7448"]
-        assert endpoints(router, "listen") == ["tls/10.0.0.5:7470"]
+        for file, listening in (
+            (own / "service.json5", f"tls/[::]:{port or 7460}"),
+            (own / "map.json5", "tls/[::]:7448"),
+            (router, "tls/10.0.0.5:7470"),
+        ):
+            expected = f"{listening}#tls_handshake_timeout_ms=2000"
+            assert endpoints(file, "listen") == [expected]
         for name in ("operator", "monitor"):
             assert endpoints(own / f"{name}.json5") == ["tls/127.0.0.1:7460"]
     assert "service.json5 listens on port 7480 from now on, in place of 7460" in told[0]

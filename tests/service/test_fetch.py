@@ -98,6 +98,27 @@ def test_a_new_replica_starts_from_a_hash_and_passes_the_library_on(tmp_path: Pa
     assert not [name for name in files(tmp_path) if name.endswith(".part")]
 
 
+def test_a_library_that_cannot_be_written_leaves_the_old_one_and_its_signature(
+    tmp_path: Path, output: Path
+) -> None:
+    own = secrets(tmp_path / "own", "tls/127.0.0.1:7460")
+    shutil.copy(LARGE, tmp_path / "large.safetensors")
+    shutil.copy(LIBRARY, output)
+    for file in (tmp_path / "large.safetensors", output):
+        sign_library(file, own / "library.key")
+    before = {path: path.read_bytes() for path in output.parent.iterdir()}
+    endpoint = free_endpoint()
+    with service(tmp_path, endpoint, f'libraries = ["{tmp_path / "large.safetensors"}"]'):
+        command = [sys.executable, "-m", "egp_service", "fetch", SHA256, "-o", str(output)]
+        command += ["--connect", endpoint, "--keys", str(own / "library.pub")]
+        # No file may have more than 20 blocks.
+        limited = ["/bin/sh", "-c", 'ulimit -f 20; exec "$@"', "sh", *command]
+        fetched = subprocess.run(limited, capture_output=True, text=True, check=False)
+    assert fetched.returncode == 1
+    assert f"cannot write {output}: File too large" in fetched.stderr
+    assert {path: path.read_bytes() for path in output.parent.iterdir()} == before
+
+
 def test_a_library_is_fetched_through_a_router(tmp_path: Path, output: Path) -> None:
     endpoint = free_endpoint()
     route = ("-m", "egp_service", "router", "--listen", endpoint)

@@ -28,7 +28,7 @@ from egp_service.cli.access import (
 )
 from egp_service.cli.certificates import Authority, Identity, listening_hosts
 from egp_service.cli.signing import new_signing_key, public_line
-from egp_service.files import replacing
+from egp_service.files import locked, replacing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -52,8 +52,9 @@ _LONGEST_AT_CLIENT, _LONGEST_AT_SERVICE = 1 << 20, 1 << 23
 # Sessions of each vehicle at a service or router (control, status, map and one that replaces a lost
 # one), and of operators and services together.
 _SESSIONS_OF_VEHICLE, _OTHER_SESSIONS = 4, 16
-# Time in which a connection must become a session, ms.
+# Time in which a connection must become a session after its handshake, which may take as long, ms.
 _ACCEPT_MS = 2000
+_HANDSHAKE = f"tls_handshake_timeout_ms={_ACCEPT_MS}"
 # A reply has the quality of service of its query, which waits for room on a link by default.
 _REPLIES_DO_NOT_WAIT = {
     "messages": ["query"],
@@ -86,6 +87,19 @@ def write_credentials(
     """
     names = list(dict.fromkeys(_vehicle(fleet, vehicle) for vehicle in vehicles))
     _check_hosts(hosts)
+    with locked(folder):
+        return _write_all(folder, names, hosts=hosts, port=port, days=days, report=report)
+
+
+def _write_all(
+    folder: Path,
+    names: Sequence[str],
+    *,
+    hosts: Sequence[str],
+    port: int | None,
+    days: int,
+    report: Callable[[str], None],
+) -> list[str]:
     ring = folder / "vehicles.keys"
     keys = _read_keys(ring)
     new = [name for name in names if name not in keys]
@@ -255,10 +269,17 @@ def _endpoints(file: Path, direction: str) -> list[str]:
         return list(json.loads(file.read_text(encoding="utf-8"))[direction]["endpoints"])
 
 
+def _impatient(endpoint: str) -> str:
+    """Return an endpoint with a time for the handshake, unless it states one."""
+    if _HANDSHAKE.partition("=")[0] in endpoint:
+        return endpoint
+    return f"{endpoint}{';' if '#' in endpoint else '#'}{_HANDSHAKE}"
+
+
 def _port(file: Path, endpoints: Sequence[str]) -> int:
     """Return the port of the first endpoint at which a configuration listens."""
     with _as_written(file):
-        return int(endpoints[0].rpartition(":")[2])
+        return int(re.split("[?#]", endpoints[0])[0].rpartition(":")[2])
 
 
 @contextmanager
@@ -328,7 +349,7 @@ def _listener(
         "mode": "router" if name == ROUTER else "peer",
         "scouting": _SCOUTING,
         "connect": {"retry": _RETRY},
-        "listen": {"endpoints": list(endpoints)},
+        "listen": {"endpoints": [_impatient(endpoint) for endpoint in endpoints]},
         "transport": _transport(tls, _LONGEST_AT_SERVICE) | {"unicast": sessions},
         "access_control": listener_access(name, vehicles),
         "low_pass_filter": size_limits(),

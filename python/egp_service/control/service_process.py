@@ -31,7 +31,8 @@ class ServiceProcess:
     """`egp serve` on a free loopback port; clients connect to `endpoint`.
 
     `stop` drains the service as SIGTERM does in production, `kill` and `freeze` simulate failures,
-    and `start` starts it again at the same endpoint.
+    and `start` starts it again at the same endpoint. It also ends, and removes its files, if this
+    process is killed.
     """
 
     def __init__(self, library: Path, settings: Mapping[str, object]) -> None:
@@ -57,9 +58,12 @@ class ServiceProcess:
         """Start the service and wait until it listens, or raise `ServiceStartError`."""
         config, log_file = self._folder / "service.toml", self._folder / "log.txt"
         config.write_text(dumps(self._config), encoding="utf-8")
-        command = [sys.executable, "-m", "egp_service", "serve", "--config", str(config)]
+        child = "egp_service.control.service_child"
+        command = [sys.executable, "-m", child, "serve", "--config", str(config)]
         with log_file.open("ab") as log:
-            self._process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT
+            )
         deadline = time.monotonic() + START_SECONDS
         while not _listens(self.endpoint):
             if self._process.poll() is not None or time.monotonic() > deadline:
@@ -80,14 +84,20 @@ class ServiceProcess:
         try:
             self._process.wait(DRAIN_SECONDS)
         except subprocess.TimeoutExpired:
-            self.kill()
-        self._process = None
+            self._process.kill()
+        self._ended()
 
     def kill(self) -> None:
         """End the service immediately."""
         if self._process is not None:
             self._process.kill()
+            self._ended()
+
+    def _ended(self) -> None:
+        if self._process is not None:
             self._process.wait()
+            if self._process.stdin is not None:
+                self._process.stdin.close()
             self._process = None
 
     def freeze(self) -> None:

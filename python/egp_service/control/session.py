@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 _PAUSE_SECONDS = 0.1
 _TOKEN_SECONDS = 1.0
+# How long a link may take to become a session, ms, at the key of zenoh's configuration.
+_OPEN_TIMEOUT = "transport/unicast/open_timeout"
+_LEAST_OPEN_MS = 500
 # Above the size of any message of the service; receiving a larger one could delay a step.
 _MAX_MESSAGE_BYTES = 1 << 20
 _DEFAULTS: Mapping[str, object] = MappingProxyType(
@@ -91,8 +94,12 @@ def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:
 
     In zenoh's client mode, in which there is no session without a link, each endpoint is tried, and
     all of them again until `patience` seconds have passed. With more time zenoh itself would try
-    the first endpoint alone. Raises `zenoh.ZError` if no session opens.
+    the first endpoint alone. A peer that accepts a connection and then says nothing costs at most
+    that time, too. Raises `zenoh.ZError` if no session opens.
     """
+    stated = json.loads(config.get_json(_OPEN_TIMEOUT))
+    open_ms = min(stated, max(_LEAST_OPEN_MS, round(1e3 * patience)))
+    config.insert_json5(_OPEN_TIMEOUT, str(open_ms))
     client = config.get_json("mode") == '"client"'
     if client:
         config.insert_json5("connect/timeout_ms", "0")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import signal
 import socket
 import time
 from importlib import resources
@@ -38,6 +39,8 @@ REFRESH_SECONDS: Final = 0.1
 RETRY_MS: Final = 300
 """Time after which a page connects again to a monitor that ended."""
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
+# As a request names them, with brackets about an address that has colons.
+_NAMED: Final = ["127.0.0.1", "localhost", "::1", "[::1]"]
 _HEADERS: Final = [
     (b"content-security-policy", b"default-src 'self'; frame-ancestors 'none'; base-uri 'none'"),
     (b"x-content-type-options", b"nosniff"),
@@ -130,7 +133,7 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 def serve(listener: Listener, bound: socket.socket, host: str) -> None:
-    """Serve the page until SIGTERM or SIGINT.
+    """Serve the page until SIGTERM, SIGINT or SIGHUP.
 
     On a loopback address only requests that name it as their host are answered, so that a foreign
     page cannot read the data by a name that resolves to this machine.
@@ -149,7 +152,7 @@ def serve(listener: Listener, bound: socket.socket, host: str) -> None:
         chosen = request.query_params.get("vehicle", "")
         return StreamingResponse(refresh.stream(chosen), media_type="text/event-stream")
 
-    hosts = list(_LOOPBACK) if host in _LOOPBACK else ["*"]
+    hosts = _NAMED if host in _LOOPBACK else ["*"]
     app = Starlette(
         routes=[Route("/events", events), Mount("/", StaticFiles(directory=str(PAGE), html=True))],
         middleware=[Middleware(_Headers), Middleware(TrustedHostMiddleware, allowed_hosts=hosts)],
@@ -157,4 +160,6 @@ def serve(listener: Listener, bound: socket.socket, host: str) -> None:
     )
     config = uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=1, ws="none")
     server = uvicorn.Server(config)
+    # An exception within the event loop would end in a traceback of every open page.
+    signal.signal(signal.SIGHUP, server.handle_exit)
     server.run(sockets=[bound])

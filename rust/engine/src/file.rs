@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, Read as _, Write as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use egp_core::library::MAX_FILE_BYTES;
@@ -37,23 +37,54 @@ pub fn read_regular(path: &Path, most: u64) -> io::Result<Vec<u8>> {
 /// [`io::Error`] if the file cannot be written. The path then has the old bytes, unless only the last step failed, which
 /// writes the folder's entry to the disk.
 pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    static CALLS: AtomicU64 = AtomicU64::new(0);
-    let number = CALLS.fetch_add(1, Ordering::Relaxed);
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}.{number}.part", std::process::id()));
-    let beside = path.with_file_name(name);
-    let written = File::create(&beside).and_then(|mut file| {
+    Replacement::write(path, bytes)?.replace()
+}
+
+/// New bytes of a file that are written beside it. They are removed unless [`Replacement::replace`] puts them in its place, so
+/// that of several files all or none are replaced where one cannot be written.
+pub struct Replacement {
+    path: PathBuf,
+    beside: PathBuf,
+}
+
+impl Replacement {
+    /// Writes the bytes beside the file, to the disk.
+    ///
+    /// # Errors
+    /// [`io::Error`] if they cannot be written, or the path is a folder, which no file can replace.
+    pub fn write(path: &Path, bytes: &[u8]) -> io::Result<Self> {
+        static CALLS: AtomicU64 = AtomicU64::new(0);
+        if path.is_dir() {
+            return Err(io::Error::from(io::ErrorKind::IsADirectory));
+        }
+        let number = CALLS.fetch_add(1, Ordering::Relaxed);
+        let mut name = path.file_name().unwrap_or_default().to_owned();
+        name.push(format!(".{}.{number}.part", std::process::id()));
+        let written = Self {
+            path: path.to_owned(),
+            beside: path.with_file_name(name),
+        };
+        let mut file = File::create(&written.beside)?;
         file.write_all(bytes)?;
         file.sync_all()?;
-        fs::rename(&beside, path)
-    });
-    if written.is_err() {
-        // The first error is the one to report, and a file that was not made need not be removed.
-        let _ = fs::remove_file(&beside);
-        return written;
+        Ok(written)
     }
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
-    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+
+    /// Replaces the file.
+    ///
+    /// # Errors
+    /// As [`replace_file`].
+    pub fn replace(self) -> io::Result<()> {
+        fs::rename(&self.beside, &self.path)?;
+        let folder = self.path.parent();
+        let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
+        File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+    }
+}
+
+impl Drop for Replacement {
+    fn drop(&mut self) {
+        // After `replace`, or if the file was not made, there is nothing to remove.
+        let _ = fs::remove_file(&self.beside);
+    }
 }

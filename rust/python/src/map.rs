@@ -16,9 +16,9 @@ use crate::service::after_signal;
 #[pyfunction]
 pub fn serve_map(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     let config = MapConfig::from_toml(config_toml).map_err(raise)?;
-    py.detach(|| egp_service::map::serve_map(&config))
-        .map_err(raise)?;
-    after_signal(py)
+    let ended = py.detach(|| egp_service::map::serve_map(&config));
+    after_signal(py)?;
+    ended.map_err(raise)
 }
 
 /// The keys of a road of a fleet for one vehicle. Raises `InvalidArgumentError` for a text that is no name.

@@ -267,8 +267,9 @@ impl Server {
 #[pyfunction]
 pub fn serve(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
-    py.detach(|| egp_service::serve(&config)).map_err(raise)?;
-    after_signal(py)
+    let ended = py.detach(|| egp_service::serve(&config));
+    after_signal(py)?;
+    ended.map_err(raise)
 }
 
 /// Fetch the library with this SHA-256 (64 hexadecimal digits) from any replica that the zenoh settings of `network_toml`

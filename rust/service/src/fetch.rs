@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use std::{fs, io};
 
 use egp_core::library::{self, MAX_FILE_BYTES};
-use egp_engine::{read_library, replace_file};
+use egp_engine::{Replacement, read_library, replace_file};
 use egp_wire::keys::Name;
 use egp_wire::{Code, LIBRARY_PART_BYTES, LibraryFile, LibraryId, MessageLimits};
 use egp_wire::{WireError, library_keys};
@@ -110,14 +110,19 @@ impl Wanted<'_> {
         library::hex(&self.id)
     }
 
-    /// Replaces the signature and then the library, so that a service that watches the library finds its signature.
+    /// Writes library and signature beside their files. Then it replaces the signature and after it the library, so that a
+    /// service that watches the library finds its signature.
     fn write(&self, bytes: &[u8], signature: Option<Signature>) -> Result<(), FetchError> {
         let beside = signature_path(self.file);
+        let written = Replacement::write(self.file, bytes);
+        let written = written.map_err(|source| unwritten(self.file, source))?;
         if let Some(signature) = signature {
             let line = format!("{}\n", library::hex(&signature));
             replace_file(&beside, line.as_bytes()).map_err(|source| unwritten(&beside, source))?;
         }
-        replace_file(self.file, bytes).map_err(|source| unwritten(self.file, source))?;
+        written
+            .replace()
+            .map_err(|source| unwritten(self.file, source))?;
         if signature.is_none() && beside.exists() {
             // It is the signature of what the file held before.
             fs::remove_file(&beside).map_err(|source| unwritten(&beside, source))?;

@@ -1,13 +1,14 @@
 //! Health, readiness and metrics over HTTP, for orchestrators and Prometheus; no other file of this crate uses hyper.
 //!
-//! Each connection has one request, whose body is not read, and is closed after [`PATIENCE`] at the latest, so that a client
-//! that stops in the middle takes a place for this time only.
+//! Each connection has one request, whose body is not read. It is closed after [`PATIENCE`], or if [`CONNECTIONS`] newer ones
+//! came, so that clients that stop in the middle do not keep others waiting.
 
+use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::io;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
@@ -20,7 +21,8 @@ use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::TokioIo;
 use tokio::net::TcpStream;
 use tokio::runtime::{Builder, Runtime};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+use tokio::sync::oneshot;
+use tokio::task::AbortHandle;
 use tokio::time;
 
 use crate::intake::Shared;
@@ -28,10 +30,10 @@ use crate::query::Query;
 use crate::server::StartError;
 
 /// How long a connection may last.
-const PATIENCE: Duration = Duration::from_secs(5);
+const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Connections at a time; further ones wait.
-const CONNECTIONS: usize = 32;
+/// Connections at a time; a further one closes the oldest.
+const CONNECTIONS: usize = 256;
 
 /// How long no connection is accepted after the system could not accept one, for instance for want of descriptors.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -65,13 +67,14 @@ impl HttpListener {
             .map_err(|reason| unusable(address, &reason))
     }
 
-    /// Answers requests in a thread of its own.
+    /// Answers requests in a thread of its own, as not ready until `serving` is set.
     ///
     /// # Errors
     /// [`StartError::Thread`] if the system cannot start the thread.
     pub(crate) fn answer<Q: Query + Send + 'static>(
         self,
         shared: Arc<Shared<Q>>,
+        serving: Arc<AtomicBool>,
     ) -> Result<HttpEndpoint, StartError> {
         if let Ok(address) = self.0.local_addr() {
             tracing::info!(%address, "health, ready and metrics over HTTP");
@@ -83,7 +86,8 @@ impl HttpListener {
             .build()?;
         let (stop, stopped) = oneshot::channel();
         let thread = thread::Builder::new().name("egp-http".to_owned());
-        let thread = thread.spawn(move || run(&runtime, self.0, shared, stopped))?;
+        let pages = Pages { shared, serving };
+        let thread = thread.spawn(move || run(&runtime, self.0, pages, stopped))?;
         Ok(HttpEndpoint {
             stop: Some(stop),
             thread: Some(thread),
@@ -121,13 +125,13 @@ impl Drop for HttpEndpoint {
 fn run<Q: Query + Send + 'static>(
     runtime: &Runtime,
     listener: TcpListener,
-    shared: Arc<Shared<Q>>,
+    pages: Pages<Q>,
     stopped: oneshot::Receiver<()>,
 ) {
     runtime.block_on(async move {
         match tokio::net::TcpListener::from_std(listener) {
             Ok(listener) => {
-                tokio::spawn(accept(listener, shared));
+                tokio::spawn(accept(listener, Arc::new(pages)));
                 // Nothing is ever sent: the channel closes.
                 let _ = stopped.await;
             }
@@ -138,13 +142,18 @@ fn run<Q: Query + Send + 'static>(
 
 async fn accept<Q: Query + Send + 'static>(
     listener: tokio::net::TcpListener,
-    shared: Arc<Shared<Q>>,
+    pages: Arc<Pages<Q>>,
 ) {
-    let places = Arc::new(Semaphore::new(CONNECTIONS));
-    while let Ok(place) = places.clone().acquire_owned().await {
+    let mut open = VecDeque::<AbortHandle>::new();
+    loop {
         match listener.accept().await {
             Ok((stream, _)) => {
-                tokio::spawn(converse(stream, shared.clone(), place));
+                open.push_back(tokio::spawn(converse(stream, pages.clone())).abort_handle());
+                if open.len() > CONNECTIONS
+                    && let Some(oldest) = open.pop_front()
+                {
+                    oldest.abort();
+                }
             }
             Err(error) => {
                 tracing::debug!(%error, "connection for HTTP not accepted");
@@ -154,14 +163,10 @@ async fn accept<Q: Query + Send + 'static>(
     }
 }
 
-/// Answers the request of a connection, which has one of the places.
-async fn converse<Q: Query + Send + 'static>(
-    stream: TcpStream,
-    shared: Arc<Shared<Q>>,
-    _place: OwnedSemaphorePermit,
-) {
+/// Answers the request of a connection.
+async fn converse<Q: Query + Send + 'static>(stream: TcpStream, pages: Arc<Pages<Q>>) {
     let answer = service_fn(move |request| {
-        let response = respond(&shared, &request);
+        let response = pages.respond(&request);
         async move { Ok::<_, Infallible>(response) }
     });
     let answered = http1::Builder::new()
@@ -174,41 +179,59 @@ async fn converse<Q: Query + Send + 'static>(
     }
 }
 
-fn respond<Q: Query>(shared: &Shared<Q>, request: &Request<Incoming>) -> Response<Full<Bytes>> {
-    let answered = [Method::GET, Method::HEAD].contains(request.method());
-    let (status, content, text) = if answered {
-        page(shared, request.uri().path())
-    } else {
-        let text = "expected the method GET or HEAD\n";
-        (StatusCode::METHOD_NOT_ALLOWED, TEXT, text.to_owned())
-    };
-    let mut response = Response::new(Full::from(text));
-    *response.status_mut() = status;
-    let headers = response.headers_mut();
-    headers.insert(CONTENT_TYPE, HeaderValue::from_static(content));
-    if !answered {
-        headers.insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
-    }
-    response
+/// What the pages show.
+struct Pages<Q> {
+    shared: Arc<Shared<Q>>,
+    /// Whether vehicles can see the service.
+    serving: Arc<AtomicBool>,
 }
 
-/// Status, content type and text of the page with this path.
-fn page<Q: Query>(shared: &Shared<Q>, path: &str) -> (StatusCode, &'static str, String) {
-    match path {
-        "/health" => (StatusCode::OK, TEXT, "ok\n".to_owned()),
-        "/ready" if shared.draining.load(Ordering::Relaxed) => (
-            StatusCode::SERVICE_UNAVAILABLE,
-            TEXT,
-            "draining\n".to_owned(),
-        ),
-        "/ready" => (StatusCode::OK, TEXT, "ready\n".to_owned()),
-        "/metrics" => {
-            let text = shared.metrics.text(shared.queue.len());
-            (StatusCode::OK, OPEN_METRICS, text)
+impl<Q: Query> Pages<Q> {
+    fn respond(&self, request: &Request<Incoming>) -> Response<Full<Bytes>> {
+        let answered = [Method::GET, Method::HEAD].contains(request.method());
+        let (status, content, text) = if answered {
+            self.page(request.uri().path())
+        } else {
+            let text = "expected the method GET or HEAD\n";
+            (StatusCode::METHOD_NOT_ALLOWED, TEXT, text.to_owned())
+        };
+        let mut response = Response::new(Full::from(text));
+        *response.status_mut() = status;
+        let headers = response.headers_mut();
+        headers.insert(CONTENT_TYPE, HeaderValue::from_static(content));
+        if !answered {
+            headers.insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
         }
-        _ => {
-            let text = "no such page: expected /health, /ready or /metrics\n";
-            (StatusCode::NOT_FOUND, TEXT, text.to_owned())
+        response
+    }
+
+    /// Status, content type and text of the page with this path.
+    fn page(&self, path: &str) -> (StatusCode, &'static str, String) {
+        match path {
+            "/health" => (StatusCode::OK, TEXT, "ok\n".to_owned()),
+            "/ready" => match self.not_ready() {
+                Some(state) => (StatusCode::SERVICE_UNAVAILABLE, TEXT, format!("{state}\n")),
+                None => (StatusCode::OK, TEXT, "ready\n".to_owned()),
+            },
+            "/metrics" => {
+                let text = self.shared.metrics.text(self.shared.queue.len());
+                (StatusCode::OK, OPEN_METRICS, text)
+            }
+            _ => {
+                let text = "no such page: expected /health, /ready or /metrics\n";
+                (StatusCode::NOT_FOUND, TEXT, text.to_owned())
+            }
+        }
+    }
+
+    /// Why the service is not ready, if it is not.
+    fn not_ready(&self) -> Option<&'static str> {
+        if self.shared.draining.load(Ordering::Relaxed) {
+            Some("draining")
+        } else if self.serving.load(Ordering::Relaxed) {
+            None
+        } else {
+            Some("starting")
         }
     }
 }

@@ -11,6 +11,7 @@
 
 mod certificates;
 mod config;
+mod descriptors;
 mod events;
 mod fetch;
 mod fetch_error;

@@ -14,6 +14,8 @@ pub fn init_logging(filter: &str, json: bool) -> Result<(), String> {
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())
+        // A line that cannot be written is lost. The report of that loss would go to standard error, too, and fail with a panic.
+        .log_internal_errors(false)
         .with_writer(std::io::stderr);
     // A process that has set up its own logging keeps it.
     let _ = if json {

@@ -2,7 +2,7 @@
 
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
-use std::{borrow::Cow, collections::BTreeMap, fs::File, path::Path, thread};
+use std::{borrow::Cow, collections::BTreeMap, fs::File, net::SocketAddr, path::Path, thread};
 
 use egp_wire::{WireError, keys, keys::Name};
 use serde_json::Value;
@@ -14,7 +14,7 @@ use zenoh::{Config, Wait};
 
 use crate::certificates::{self, SETTINGS};
 use crate::query::{Answer, Query};
-use crate::zenoh_settings::{DEFAULTS, free_ports};
+use crate::zenoh_settings::{DEFAULTS, foreign, free_ports, listens_on};
 
 /// Time for which a service in zenoh's mode `client` waits for its routers.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
@@ -65,19 +65,37 @@ pub(crate) fn configuration(
 
 /// Opens a session with this configuration and closes it again, to see whether a service could start: listeners take a
 /// free port in place of their own, on which a service may be running, and no router or peer is contacted. A client with
-/// endpoints to connect to is opened as a peer, because zenoh opens no client that connects to nothing.
+/// endpoints to connect to is opened as a peer, because zenoh opens no client that connects to nothing. Errors if zenoh would
+/// listen on the address of `http`, too.
 ///
 /// # Errors
 /// [`NetworkError`] if zenoh opens no session, or a file that the configuration names cannot be read.
-pub(crate) fn rehearse(mut config: Config) -> Result<(), NetworkError> {
+pub(crate) fn rehearse(mut config: Config, http: Option<SocketAddr>) -> Result<(), NetworkError> {
     for (key, value) in tls(&config, &["listen_private_key", "connect_private_key"])? {
         if let Some(path) = value.as_str() {
             File::open(path).map_err(|e| NetworkError::new(format!("{key} {path}"), &e))?;
         }
     }
     let mut listen = json(&config, "listen/endpoints")?;
+    if let Some((address, endpoint)) =
+        http.and_then(|address| Some((address, listens_on(listen.clone(), address)?)))
+    {
+        let reason = "zenoh listens there, too; choose another address for `http`";
+        return Err(NetworkError::new(
+            format!("http {address} and {endpoint}"),
+            &reason,
+        ));
+    }
+    let connect = json(&config, "connect/endpoints")?;
+    if let Some(endpoint) = foreign(connect.clone()) {
+        let reason = format!("connect/endpoints has {endpoint}");
+        return Err(NetworkError::new(
+            reason,
+            &"expected tcp/HOST:PORT or tls/HOST:PORT",
+        ));
+    }
+    let connects = connect != Value::Array(Vec::new());
     free_ports(&mut listen);
-    let connects = json(&config, "connect/endpoints")? != Value::Array(Vec::new());
     let mode = match json(&config, "mode")? {
         Value::String(mode) if mode == "client" && connects => Value::from("peer"),
         mode => mode,

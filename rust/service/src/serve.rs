@@ -8,6 +8,7 @@ use thiserror::Error;
 
 use crate::certificates::{now, warning};
 use crate::config::ServiceConfig;
+use crate::descriptors::allow_all;
 use crate::guard::Guard;
 use crate::handler::Handler as _;
 use crate::http::HttpListener;
@@ -58,7 +59,7 @@ pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
     config.http.map(HttpListener::check).transpose()?;
     let (zenoh, end) =
         configuration(config.zenoh_file.as_deref(), &config.zenoh).map_err(StartError::from)?;
-    rehearse(zenoh).map_err(StartError::from)?;
+    rehearse(zenoh, config.http).map_err(StartError::from)?;
     Ok(Checked {
         served: libraries.describe(),
         warning: end.and_then(|end| warning(end, now())),
@@ -72,6 +73,7 @@ pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
 /// [`ServeError`] if the service does not start.
 pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
     init_logging(&config.log, config.log_json).map_err(ServeError::Logging)?;
+    allow_all();
     // Signals are registered before the start, so that an early one is not lost.
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).map_err(ServeError::Signals)?;
     let mut ended = false;

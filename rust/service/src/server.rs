@@ -161,7 +161,11 @@ impl Server {
             traces,
             offer: offering,
         });
+        let serving = Arc::new(AtomicBool::new(false));
         let http = config.http.map(HttpListener::bind).transpose()?;
+        let http = http
+            .map(|listener| listener.answer(shared.clone(), serving.clone()))
+            .transpose()?;
         let network = Network::open_patiently(zenoh, PATIENCE, stopped)?;
         let mut server = Self {
             shared,
@@ -171,7 +175,7 @@ impl Server {
             offerer: None,
             reporter: None,
             reloader: None,
-            http: None,
+            http,
         };
         server.start_workers(handler)?;
         let (shared, handler) = (server.shared.clone(), handler.clone());
@@ -193,9 +197,7 @@ impl Server {
         }
         // The announcement comes last, because clients ask as soon as they see it.
         server.network.announce(&replica)?;
-        server.http = http
-            .map(|listener| listener.answer(server.shared.clone()))
-            .transpose()?;
+        serving.store(true, Ordering::Relaxed);
         tracing::info!(
             replica = %replica,
             workers,

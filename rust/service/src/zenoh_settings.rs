@@ -1,4 +1,6 @@
-//! Settings of zenoh as texts: the service's defaults, and the ports of endpoints.
+//! Settings of zenoh as texts: the service's defaults, and what endpoints say.
+
+use std::net::{IpAddr, SocketAddr};
 
 use serde_json::Value;
 
@@ -34,20 +36,104 @@ pub(crate) const DEFAULTS: [(&str, &str); 9] = [
     ("transport/shared_memory/enabled", "false"),
 ];
 
-/// Replaces the port of each endpoint, `PROTOCOL/HOST:PORT?METADATA#CONFIGURATION`, by 0.
-pub(crate) fn free_ports(endpoints: &mut Value) {
+/// Protocols of the links that this program is built with.
+const PROTOCOLS: [&str; 2] = ["tcp", "tls"];
+
+/// All endpoints of a setting, `PROTOCOL/HOST:PORT?METADATA#CONFIGURATION`: one, a list, or lists by zenoh's mode.
+fn each(endpoints: &mut Value, act: &mut dyn FnMut(&mut String)) {
     match endpoints {
-        Value::String(endpoint) => {
-            let end = endpoint.find(['?', '#']).unwrap_or(endpoint.len());
-            let (address, rest) = endpoint.split_at(end);
-            if let Some((host, port)) = address.rsplit_once(':')
-                && port.parse::<u16>().is_ok()
-            {
-                *endpoint = format!("{host}:0{rest}");
-            }
-        }
-        Value::Array(list) => list.iter_mut().for_each(free_ports),
-        Value::Object(modes) => modes.values_mut().for_each(free_ports),
+        Value::String(endpoint) => act(endpoint),
+        Value::Array(list) => list.iter_mut().for_each(|one| each(one, act)),
+        Value::Object(modes) => modes.values_mut().for_each(|one| each(one, act)),
         _ => {}
+    }
+}
+
+/// An endpoint as `PROTOCOL/HOST`, its port, and what follows; `None` without a port.
+fn parts(endpoint: &str) -> Option<(&str, u16, &str)> {
+    let end = endpoint.find(['?', '#']).unwrap_or(endpoint.len());
+    let (address, rest) = endpoint.split_at(end);
+    let (host, port) = address.rsplit_once(':')?;
+    Some((host, port.parse().ok()?, rest))
+}
+
+/// Replaces the port of each endpoint by 0.
+pub(crate) fn free_ports(endpoints: &mut Value) {
+    each(endpoints, &mut |endpoint| {
+        if let Some((host, _, rest)) = parts(endpoint) {
+            *endpoint = format!("{host}:0{rest}");
+        }
+    });
+}
+
+/// The first endpoint whose protocol this program does not speak.
+pub(crate) fn foreign(mut endpoints: Value) -> Option<String> {
+    let mut found = None;
+    each(&mut endpoints, &mut |endpoint| {
+        let protocol = endpoint.split_once('/').map(|(protocol, _)| protocol);
+        if protocol.is_none_or(|protocol| !PROTOCOLS.contains(&protocol)) {
+            found.get_or_insert_with(|| endpoint.clone());
+        }
+    });
+    found
+}
+
+/// The first endpoint that would take the address from another listener of this process, or it from this one.
+pub(crate) fn listens_on(mut endpoints: Value, address: SocketAddr) -> Option<String> {
+    let mut found = None;
+    each(&mut endpoints, &mut |endpoint| {
+        let Some((place, port, _)) = parts(endpoint) else {
+            return;
+        };
+        let host = place.split_once('/').map_or("", |(_, host)| host);
+        let ip = host.trim_matches(['[', ']']).parse::<IpAddr>().ok();
+        let same =
+            |ip: IpAddr| ip == address.ip() || ip.is_unspecified() || address.ip().is_unspecified();
+        if port != 0 && port == address.port() && ip.is_some_and(same) {
+            found.get_or_insert_with(|| endpoint.clone());
+        }
+    });
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn ports_become_free_and_nothing_else_changes() {
+        let mut endpoints =
+            json!({"peer": ["tcp/[::]:7447#iface=lo", "tls/a.b:1?rel=1"], "router": "tcp/c"});
+        free_ports(&mut endpoints);
+        let expected =
+            json!({"peer": ["tcp/[::]:0#iface=lo", "tls/a.b:0?rel=1"], "router": "tcp/c"});
+        assert_eq!(endpoints, expected);
+    }
+
+    #[test]
+    fn a_protocol_that_is_not_built_in_is_found() {
+        assert_eq!(foreign(json!(["tcp/a:1", "tls/b:2"])), None);
+        let found = foreign(json!({"client": ["tcp/a:1", "udp/b:2"]}));
+        assert_eq!(found.as_deref(), Some("udp/b:2"));
+        assert_eq!(foreign(json!("here")).as_deref(), Some("here"));
+    }
+
+    #[test]
+    fn an_address_is_compared_with_those_that_are_listened_on() {
+        let endpoints = json!(["tcp/127.0.0.1:7447", "tls/[::]:7450#x=1", "tcp/host:7452"]);
+        for (address, same) in [
+            ("127.0.0.1:7447", true),
+            ("0.0.0.0:7447", true),
+            ("127.0.0.2:7447", false),
+            ("127.0.0.1:7450", true),
+            ("127.0.0.1:7451", false),
+            ("127.0.0.1:7452", false),
+        ] {
+            let address = address.parse().ok();
+            let found = address.and_then(|address| listens_on(endpoints.clone(), address));
+            assert_eq!(found.is_some(), same, "{address:?}");
+        }
     }
 }

@@ -1,5 +1,6 @@
 """`egp router`."""
 
+import resource
 import signal
 from pathlib import Path
 from typing import Annotated
@@ -44,6 +45,9 @@ def router(
 
     endpoints = listen or ([] if zenoh else ["tcp/127.0.0.1:7449"])
     check_free(endpoints)
+    # Each connection takes a descriptor, also that of a stranger before its handshake ends.
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     # The signal may come while the session opens, which lets vehicles in before it returns.
     with until_signal(), Router(endpoints, connect or (), zenoh) as running:
         Console(soft_wrap=True, markup=False).print(f"Routing on {', '.join(running.endpoints)}.")

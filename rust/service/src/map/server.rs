@@ -20,6 +20,7 @@ use super::keeper::{Keeper, clocks};
 use super::store::Store;
 use crate::certificates;
 use crate::config::ConfigError;
+use crate::descriptors::allow_all;
 use crate::logging::init_logging;
 use crate::network::{Network, NetworkError, PATIENCE, configuration};
 
@@ -162,6 +163,7 @@ impl Drop for MapServer {
 /// [`MapError`] if the service does not start, or if something is not written at the end.
 pub fn serve_map(config: &MapConfig) -> Result<(), MapError> {
     init_logging(&config.log, config.log_json).map_err(MapError::Logging)?;
+    allow_all();
     // Signals are registered before the start, so that an early one is not lost.
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP])?;
     let mut ended = false;

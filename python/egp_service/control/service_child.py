@@ -1,0 +1,37 @@
+"""The process of `ServiceProcess`: `egp serve`, which ends when the process that began it does.
+
+Its standard input is a pipe that the other process holds open, and that the system closes when that
+process ends in whatever way.
+"""
+
+from __future__ import annotations
+
+import os
+import runpy
+import shutil
+import signal
+import sys
+import threading
+from pathlib import Path
+
+
+def main() -> None:
+    """Run the command of the arguments, the last of which is a file in the service's folder."""
+    folder = Path(sys.argv[-1]).parent
+    alone = threading.Event()
+
+    def wait() -> None:
+        sys.stdin.buffer.read()
+        alone.set()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=wait, daemon=True).start()
+    try:
+        runpy.run_module("egp_service", run_name="__main__", alter_sys=True)
+    finally:
+        if alone.is_set():
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()
