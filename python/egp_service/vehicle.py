@@ -11,6 +11,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _SIMULATED: Final = "commonroad-"
+# Magnitudes of road vehicles, and those that the control step supports.
+_LIMITS: Final = {
+    "mass": (1.0, 1e5),
+    "yaw_inertia": (0.01, 1e7),
+    "l_f": (0.01, 20.0),
+    "l_r": (0.01, 20.0),
+    "width": (0.05, 10.0),
+    "a_min": (0.01, 100.0),
+    "a_max": (0.01, 100.0),
+    "steering_angle": (0.01, 1.5),
+    "steering_rate": (0.01, 10.0),
+    "peak_slip": (1e-3, 1.5),
+}
 
 
 def simulated_name(number: int) -> str:
@@ -45,6 +58,22 @@ def simulated_vehicle(name: str) -> VehicleParameters | None:
     if number == name or not number.isdecimal():
         return None
     return VehicleParameters.commonroad(int(number))
+
+
+def check_limits(vehicle: VehicleParameters, origin: str) -> None:
+    """Check that a vehicle is one that can be controlled; `origin` is for errors.
+
+    Raises:
+        EgpError: naming the first value that is too large, as one in another unit.
+
+    """
+    for name, value in vehicle.fields().items():
+        least, most = _LIMITS.get(name, (0.0, float("inf")))
+        if not least <= abs(value) <= most:
+            raise EgpError(
+                f"{origin}: {name} is {value:g}: expected a magnitude of {least:g} to {most:g}; "
+                "check its unit"
+            )
 
 
 def read_vehicle(path: Path) -> VehicleParameters:

@@ -36,7 +36,6 @@ import math
 
 class Car:
     made = 0
-    state = [0.0] * 7
 
     def __init__(self):
         Car.made += 1

@@ -141,6 +141,9 @@ def test_a_road_is_kept_in_a_file(laps: Laps, tmp_path: Path) -> None:
     other = replace(BLIND, seed=BLIND.seed + 1)
     with pytest.raises(ScenarioError, match=r"another road of .* m beside this one; delete it"):
         load_belief(other, file)
+    told = replace(BLIND, speed=replace(BLIND.speed, knows="zones"))
+    with pytest.raises(ScenarioError, match=r"random.road has no effect while speed.knows is 'zo"):
+        load_belief(told, file)
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,11 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
             "one of zones, here, weights, nothing, got 'all'",
         ),
         (("[track]", "[speed]\nrisk = 1.0\n[track]"), "speed.risk must be between 0 and 1"),
-        (("[track]", "[speed]\nfriction = 0.0\n[track]"), "speed.friction must be positive"),
+        (
+            ("[track]", '[speed]\nknows = "here"\nfriction = 0.0\n[track]'),
+            "speed.friction must be positive",
+        ),
+        (("[track]", "[speed]\nfriction = 0.3\n[track]"), "speed.friction has no effect while"),
         (("[track]", "laps = true\n[track]"), "laps must be float"),
         (("friction = 0.8", ""), r"zones\[0\]: expected `friction` or `surface`, got neither"),
         (("friction = 0.8", 'friction = 0.8\nsurface = "ice"'), r"zones\[0\]: .*got both"),

@@ -123,7 +123,7 @@ def test_a_fitted_vehicle_fits(determined: bool) -> None:  # noqa: FBT001
 
 
 def test_skill_on_a_log_fits() -> None:
-    names = (NO_CHANGE, OURS, PAPER, VEHICLE, LINEAR, f"member of {SURFACES[0]}")
+    names = (NO_CHANGE, OURS, PAPER, VEHICLE, LINEAR, f"member of {SURFACES[0]}", "wet [/x]")
     rms = {name: np.full((5, 3), 10.0 + k) for k, name in enumerate(names)}
     likelihood = dict.fromkeys(names, -12.345)
     table = skill_table(SURFACES[0], Skill((0.04, 0.2, 0.5, 1.0, 2.0), rms, likelihood))

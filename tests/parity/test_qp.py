@@ -14,7 +14,13 @@ import piqp
 import pytest
 from scipy import sparse
 
-from egp_service._core import EgpError, OcpBounds, OcpWeights, solve_ocp
+from egp_service._core import (
+    EgpError,
+    InvalidArgumentError,
+    OcpBounds,
+    OcpWeights,
+    solve_ocp,
+)
 from egp_service._core.testing import ocp_to_qp
 
 if TYPE_CHECKING:
@@ -244,6 +250,12 @@ def test_arrays_without_stages_hold_for_all() -> None:
 def test_a_problem_that_does_not_fit_is_refused(name: str, value: Array, message: str) -> None:
     with pytest.raises(EgpError, match=message):
         solve_ocp(*arguments(problem(0, 10, 3) | {name: value}))
+
+
+@pytest.mark.parametrize("guess", [np.full((10, 2), np.nan), np.full((10, 2), np.inf)])
+def test_a_guess_has_finite_numbers(guess: Array) -> None:
+    with pytest.raises(InvalidArgumentError, match="guess: expected finite numbers"):
+        solve_ocp(*arguments(problem(0, 10, 3)), guess=guess)
 
 
 def test_soft_rows_with_another_coefficient_are_the_same_problem() -> None:

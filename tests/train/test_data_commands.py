@@ -10,9 +10,11 @@ from plant_log import options, plant_log
 from surfaces import TOY, surface
 from typer.testing import CliRunner
 
-from egp_service import EgpError
+from egp_service import EgpError, VehicleParameters
 from egp_service.cli import app
 from egp_service.control.toml_text import dumps
+from egp_service.training.recipe import Recipe
+from egp_service.vehicle import check_limits, known_vehicle
 
 
 def failure(*arguments: str) -> str:
@@ -78,6 +80,69 @@ def test_brackets_are_no_markup(tmp_path: Path, label: str) -> None:
     assert result.exit_code == 0, result.output
     assert f"of 0.02 s on {label}" in result.output
     assert "x[y]/data.parquet" in re.sub(r"\s", "", result.output)
+
+
+def test_a_recipe_states_what_options_would(tmp_path: Path) -> None:
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text('[[surface]]\nlabel = "wet"\nfriction = 0.5\n', encoding="utf-8")
+    command = ["train", "--recipe", str(recipe), "-o", str(tmp_path / "library.safetensors")]
+    for option in (
+        ["--mean", "constant"],
+        ["--kernel", "rbf"],
+        ["--max-points", "30"],
+        ["--restarts", "0"],
+        ["--validation", "0.5"],
+        ["--seed", "7"],
+    ):
+        assert f"{option[0]} cannot be used with --recipe" in failure(*command, *option)
+    assert [path.name for path in tmp_path.iterdir()] == ["recipe.toml"]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[[surface]]\nlabel = 5\nfriction = 0.5", "label is 5: expected a value such as 'wet'"),
+        (
+            "[collection.sampling]\nv_x = [27.0, 2.0]",
+            "v_x is .*: expected the smaller number first",
+        ),
+        ("[collection.sampling]\nv_x = [2.0, nan]", "v_x is .*: expected 0 to 100"),
+        ("[collection.sampling]\nsideslip = -1", "sideslip is -1: expected 0 to 10"),
+        ("[collection.exploration]\nnoise = [0.0, inf]", "noise is .*: expected 0 to 10"),
+        ("[collection.exploration]\nseconds = -3.0", "seconds is -3.0: expected 0.1 to 3600"),
+        ("[collection.exploration]\nepisodes = 0", "episodes is 0: expected 1 to 100000"),
+        ("[collection.exploration]\narrivals = 3.0", "arrivals is 3.0: expected 0 to 1"),
+    ],
+)
+def test_values_of_a_recipe_have_ranges(tmp_path: Path, text: str, complaint: str) -> None:
+    recipe = tmp_path / "recipe.toml"
+    sound = '[[surface]]\nlabel = "wet"\nfriction = 0.5\n'
+    recipe.write_text(text if "[[surface]]" in text else sound + text, encoding="utf-8")
+    with pytest.raises(EgpError, match=f"recipe.toml: {complaint}"):
+        Recipe.read(recipe)
+
+
+def test_a_surface_of_a_recipe_may_differ_from_what_holds_for_all(tmp_path: Path) -> None:
+    recipe = tmp_path / "recipe.toml"
+    surface = '[[surface]]\nlabel = "{}"\nfriction = 0.5\n{}\n'
+    text = "seed = 3\n" + surface.format("a", "") + surface.format("b", "seed = 4")
+    recipe.write_text(text, encoding="utf-8")
+    assert [experiment.seed for experiment in Recipe.read(recipe).experiments] == [3, 4]
+
+
+def test_a_vehicle_in_other_units_is_an_error_before_training() -> None:
+    fields = known_vehicle("commonroad-1").fields()
+    check_limits(known_vehicle("commonroad-1"), "car")
+    for name, value in (("steering_angle", 45.0), ("mass", 1e200), ("peak_slip", 100.0)):
+        car = VehicleParameters(**(fields | {name: value}))
+        with pytest.raises(EgpError, match=f"car.toml: {name} is .*: expected a magnitude of"):
+            check_limits(car, "car.toml")
+
+
+def test_a_library_that_cannot_be_written_is_an_error_before_training(tmp_path: Path) -> None:
+    surface(trajectories=2).write(tmp_path / "wet.parquet")
+    told = failure("train", str(tmp_path / "wet.parquet"), "-o", "/proc/library.safetensors")
+    assert "/proc/library.safetensors: no file can be written there" in told
 
 
 def test_a_picture_has_an_ending_that_can_be_drawn(tmp_path: Path) -> None:

@@ -68,5 +68,5 @@ def test_single_values_that_are_too_large_are_no_wrong_unit(tmp_path: Path) -> N
 def test_a_mass_is_a_positive_number(tmp_path: Path, mass: float) -> None:
     path = tmp_path / "log.csv"
     pl.DataFrame(plant_log()).write_csv(path)
-    with pytest.raises(EgpError, match="expected a positive --mass in kg"):
+    with pytest.raises(EgpError, match="expected a --mass of 1 to 100000 kg, got"):
         import_log(path, COLUMNS, provenance(dt=0.02), mass=mass)

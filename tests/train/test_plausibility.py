@@ -33,7 +33,7 @@ def test_a_straight_road_is_no_stuck_sensor() -> None:
     check(straight)
 
 
-@pytest.mark.parametrize("quantity", ["v_x", "v_y", "omega", "delta"])
+@pytest.mark.parametrize("quantity", ["v_x", "v_y", "omega", "delta", "a_x"])
 def test_a_stuck_sensor_is_found_by_a_column_that_says_the_same(quantity: str) -> None:
     log = plant_log()
     log[quantity][500:900] = log[quantity][500]
@@ -63,6 +63,9 @@ def gentle_log() -> Log:
     [
         ("v_x", -1.0, "drives backwards: 'v_x' has probably the wrong sign"),
         ("a_x", -1.0, "slows down when it accelerates"),
+        ("a_x", 1.0 / 9.81, "times as fast as the acceleration says"),
+        ("a_x", 1e-3, "read in m/s2 hardly does"),
+        ("a_x", 0.0, "hardly does|'a_x' stays at 0"),
         ("omega", -1.0, "opposite signs"),
         ("delta", 1.0 / 57.3, "a wrong unit"),
         ("delta", 1.0 / 16.0, "a wrong unit"),

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from egp_service import EgpError
-from egp_service.data.table import read_table
+from egp_service.data.table import numbers, read_table
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,3 +26,26 @@ def test_a_compressed_table_is_read_and_a_damaged_one_is_an_error(tmp_path: Path
         compressed.write_bytes(damaged)
         with pytest.raises(EgpError, match=r"drive\.csv\.gz: not a readable CSV file"):
             read_table(compressed)
+
+
+def test_columns_of_other_types_are_read_or_an_error_in_words(tmp_path: Path) -> None:
+    texts = pl.Series("speed", ["15.5", "16", "15.5"])
+    enum = pl.Enum(["15.5", "16"])
+    for column in (texts, texts.cast(pl.Categorical), texts.cast(enum)):
+        assert numbers(tmp_path, column).tolist() == [15.5, 16.0, 15.5]
+    words = pl.Series("speed", ["fast", "slow"]).cast(pl.Categorical)
+    with pytest.raises(EgpError, match=r"column 'speed', row 0 holds 'fast', and 1 others"):
+        numbers(tmp_path, words)
+    with pytest.raises(EgpError, match="column 'speed' holds Binary, expected numbers"):
+        numbers(tmp_path, pl.Series("speed", [b"15.5"]))
+
+
+def test_points_in_time_may_be_texts(tmp_path: Path) -> None:
+    for texts in (
+        ["2026-11-24T10:15:30.00", "2026-11-24T10:15:30.02", "2026-11-24T10:15:31"],
+        ["2026-11-24 10:15:30.000Z", "2026-11-24 10:15:30.020Z", "2026-11-24 10:15:31.000Z"],
+    ):
+        found = numbers(tmp_path, pl.Series("t", texts))
+        assert found == pytest.approx([0.0, 0.02, 1.0], abs=1e-9)
+    with pytest.raises(EgpError, match="row 1 holds 'later'"):
+        numbers(tmp_path, pl.Series("t", ["2", "later"]))

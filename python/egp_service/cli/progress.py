@@ -78,7 +78,8 @@ def fitting(console: Console) -> Iterator[Callable[[FitProgress], None]]:
         TimeRemainingColumn(),
         console=console,
     ) as progress:
-        task = progress.add_task("training", total=None, loss=float("nan"))
+        # It is shown when there is something to say, and so not above an error in the data.
+        task = progress.add_task("training", total=None, loss=float("nan"), visible=False)
 
         def report(step: FitProgress) -> None:
             progress.update(
@@ -87,6 +88,7 @@ def fitting(console: Console) -> Iterator[Callable[[FitProgress], None]]:
                 completed=step.done,
                 total=step.total,
                 loss=step.loss,
+                visible=True,
             )
 
         yield report

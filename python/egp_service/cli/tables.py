@@ -163,7 +163,7 @@ def skill_table(label: str, skill: Skill) -> Table:
         title=escape(f"{label}: errors on held-out data after"),
     )
     for name, errors in skill.rms.items():
-        cells = (name, f"{skill.likelihood[name]:+.2f}")
+        cells = (escape(name), f"{skill.likelihood[name]:+.2f}")
         for column, output in enumerate(MOTION_NAMES):
             values = [
                 f"[red]{error:.4f}[/]" if error > least else f"{error:.4f}"

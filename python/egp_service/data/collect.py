@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from egp_service._core import EgpError
 from egp_service.data.dataset import Dataset, merge
 from egp_service.data.exploration import ExplorationSettings, explore
-from egp_service.data.exploration_track import ExplorationTrack
+from egp_service.data.exploration_track import ExplorationTrack, check_track
 from egp_service.data.sampling import SamplingBounds, sample
 from egp_service.workers import in_order, workers
 
@@ -45,6 +45,8 @@ class CollectionSettings:
             raise EgpError("nothing to collect: ask for runs, samples or both")
         if self.runs and not self.tracks:
             raise EgpError("runs need at least one track")
+        for name in self.tracks:
+            check_track(name)
 
 
 def collect(

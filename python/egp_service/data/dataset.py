@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 SCHEMA: Final = 1
 METADATA_KEY: Final = "egp"
+_PERIODS: Final = (1e-3, 1.0)  # s, of a library
 _INDEX: Final = ("trajectory", "step")
 # By the annotation of a field of `Provenance`: types in JSON, and how they are called.
 _TYPES: Final = {
@@ -58,8 +59,8 @@ class Provenance:
 
     def __post_init__(self) -> None:
         """Check the ranges of the values."""
-        if not (0.0 < self.dt < 1.0):
-            raise EgpError(f"dt is {self.dt} s: expected a period between 0 and 1 s")
+        if not (_PERIODS[0] <= self.dt <= _PERIODS[1]):
+            raise EgpError(f"dt is {self.dt} s: expected a period of 0.001 to 1 s")
         if not (0.0 < self.friction < 3.0):  # noqa: PLR2004 - no tyre reaches 3
             raise EgpError(f"friction is {self.friction}: expected a coefficient between 0 and 3")
         if not self.surface:

@@ -55,6 +55,17 @@ def check_seed(seed: int) -> None:
         raise EgpError(f"seed is {seed}: expected a whole number of 0 or more")
 
 
+def check_range(
+    name: str, value: float | tuple[float, ...], least: float, most: float, *, ordered: bool = True
+) -> None:
+    """Errors if a value, or one of several, is outside a range, or if these are not ascending."""
+    values = value if isinstance(value, tuple) else (value,)
+    if not all(least <= number <= most for number in values):
+        raise EgpError(f"{name} is {value}: expected {least:g} to {most:g}")
+    if ordered and list(values) != sorted(values):
+        raise EgpError(f"{name} is {value}: expected the smaller number first")
+
+
 @dataclasses.dataclass(frozen=True)
 class Experiment:
     """One vehicle on one surface."""

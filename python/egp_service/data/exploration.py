@@ -17,6 +17,7 @@ import numpy as np
 from egp_service._core import EgpError, VehicleLostError
 from egp_service.data.dataset import Dataset
 from egp_service.data.driver import Driver
+from egp_service.data.experiment import check_range
 from egp_service.quantities import DELTA, MOTION, NU, NX, OMEGA, P_X, P_Y, PSI, V_X, V_Y, gp_input
 
 if TYPE_CHECKING:
@@ -51,6 +52,17 @@ class ExplorationSettings:
     """Time after arriving until the driver slows down, s."""
     noise: tuple[float, float] = (0.0, 0.7)
     """Scale of the excitation, uniform over episodes; see `Driver`."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges of the values."""
+        check_range("episodes", self.episodes, 1, 100_000)
+        check_range("seconds", self.seconds, 0.1, 3600.0)
+        check_range("warm_up", self.warm_up, 0.0, 60.0)
+        check_range("grip", self.grip, 0.01, 3.0, ordered=False)
+        check_range("arrivals", self.arrivals, 0.0, 1.0)
+        check_range("arrival_friction", self.arrival_friction, 0.01, 3.0)
+        check_range("reaction", self.reaction, 0.0, 60.0)
+        check_range("noise", self.noise, 0.0, 10.0)
 
 
 def explore(

@@ -29,6 +29,12 @@ _PREVIEW: Final = 0.6  # s of reference for the driver
 _GRIP_STEP: Final = 0.05  # speed profiles exist for its multiples
 
 
+def check_track(name: str) -> None:
+    """Errors if there is no track of this name."""
+    if name not in TRACKS:
+        raise EgpError(f"no track '{name}' to collect on: expected one of {', '.join(TRACKS)}")
+
+
 class ExplorationTrack:
     """A closed track with speed profiles for the requested frictions and grips."""
 
@@ -39,8 +45,7 @@ class ExplorationTrack:
 
         The speed profiles are those of `vehicle`.
         """
-        if name not in TRACKS:
-            raise EgpError(f"no track '{name}' to collect on: expected one of {', '.join(TRACKS)}")
+        check_track(name)
         path = TRACKS[name](seed)
         self._path = _reversed(path) if reverse else path
         self._vehicle = vehicle

@@ -56,6 +56,7 @@ _LARGEST: Final = {
     "grade": 0.7,
     "bank": 0.7,
 }
+_HEAVIEST: Final = 1e5  # kg
 _STEERING: Final = {"delta", "delta_dot"}
 # Share of the rows from which larger values are a wrong unit, and not single wrong rows.
 _OFTEN: Final = 0.01
@@ -114,9 +115,10 @@ def import_log(
 
     """
     _check_separator(separator)
-    for option, value in (("--steering-ratio", steering_ratio), ("--mass in kg", mass)):
-        if value is not None and not 0.0 < value < np.inf:
-            raise EgpError(f"expected a positive {option}, got {value:g}")
+    if not 0.0 < steering_ratio < np.inf:
+        raise EgpError(f"expected a positive --steering-ratio, got {steering_ratio:g}")
+    if mass is not None and not 1.0 <= mass <= _HEAVIEST:
+        raise EgpError(f"expected a --mass of 1 to {_HEAVIEST:g} kg, got {mass:g}")
     if is_recording(path):
         columns = _with_time(path, columns)
         base = columns["v_x"].name

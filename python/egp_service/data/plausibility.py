@@ -36,6 +36,10 @@ _ACTIVE: Final = {"omega": 0.05, "delta": 0.02}
 # The same for the change of speed, m/s, that the acceleration about its mean implies. Vibration and
 # slopes imply less.
 _FASTER: Final = 1.0
+# Standard deviation of the change of speed, m/s², above which a vehicle certainly accelerates and
+# brakes, and the share of it below which an acceleration is none of this vehicle.
+_SPEEDING: Final = 0.5
+_DEAD: Final = 0.03
 _HEAVIEST: Final = 4000.0  # kg, for a force of a vehicle whose mass is not known
 _STUCK: Final = 5.0  # s
 _MOVING: Final = 3.0  # m/s
@@ -142,7 +146,7 @@ def _acceleration(log: Log, mass: float | None) -> NDArray[np.float64]:
 
 
 def _check_stuck(log: Log, columns: Mapping[str, Column], mass: float | None) -> None:
-    """Compare lateral columns with lateral ones, and v_x with the acceleration.
+    """Compare lateral columns with lateral ones, v_x with the acceleration, and a_x with v_x.
 
     On a straight road the former stand still while the speed changes.
     """
@@ -154,6 +158,8 @@ def _check_stuck(log: Log, columns: Mapping[str, Column], mass: float | None) ->
         "omega": {"delta": delta},
         "delta": {"omega": omega},
     }
+    if "a_x" in log:
+        witnesses["a_x"] = {}
     for quantity, others in witnesses.items():
         values = log[quantity]
         starts = np.concatenate(([0], np.flatnonzero(np.diff(values) != 0.0) + 1, [len(values)]))
@@ -165,6 +171,8 @@ def _check_stuck(log: Log, columns: Mapping[str, Column], mass: float | None) ->
                 and (
                     _speed_change(time[stretch], acceleration[stretch]) > _FASTER
                     if quantity == "v_x"
+                    else _about_line(time[stretch], log["v_x"][stretch]) > _FASTER
+                    if quantity == "a_x"
                     else any(np.std(other[stretch]) > _ACTIVE[q] for q, other in others.items())
                 )
             ):
@@ -173,6 +181,12 @@ def _check_stuck(log: Log, columns: Mapping[str, Column], mass: float | None) ->
                     f"{first} to {last - 1}, {time[last - 1] - time[first]:.0f} s, while the "
                     "vehicle moves: the sensor was probably stuck; remove these rows"
                 )
+
+
+def _about_line(time: NDArray[np.float64], v_x: NDArray[np.float64]) -> float:
+    """Range of the speeds in m/s about those of a constant acceleration."""
+    slope, start = np.polyfit(time - time[0], v_x, 1)
+    return float(np.ptp(v_x - start - slope * (time - time[0])))
 
 
 def _speed_change(time: NDArray[np.float64], acceleration: NDArray[np.float64]) -> float:
@@ -279,9 +293,17 @@ def _check_accelerating(log: Log, columns: Mapping[str, Column], mass: float | N
     moving = (log["v_x"][rows:] > _MOVING) & (log["v_x"][:-rows] > _MOVING)
     lagging = (_later(mean, change, moving, round(lag / period)) for lag in _LAGS)
     late = [pair for pair in lagging if pair is not None]
-    if not late or np.std(late[0][0]) < _EXCITED["accelerating"]:
-        return
     names = f"'{columns['v_x'].name}' and '{columns[stated].name}'"
+    active = moving.any() and float(np.std(change[moving])) > _SPEEDING
+    if active and float(np.std(mean[moving])) < _DEAD * float(np.std(change[moving])):
+        raise EgpError(
+            f"{names} contradict each other: the speed changes, and '{columns[stated].name}' read "
+            f"in {columns[stated].unit} hardly does. Its unit is probably wrong, or the sensor is "
+            "stuck"
+        )
+    # In a wrong unit one of both is small.
+    if not late or max(map(np.std, late[0])) < _EXCITED["accelerating"]:
+        return
     correlations = [float(np.corrcoef(*pair)[0, 1]) for pair in late]
     most = max(map(abs, correlations))
     best = next(i for i, found in enumerate(correlations) if abs(found) >= most - _ALIKE)

@@ -14,7 +14,13 @@ import numpy as np
 
 from egp_service._core import GRAVITY, EgpError, VehicleLostError
 from egp_service.data.dataset import Dataset
-from egp_service.data.experiment import WHEELBASE, Experiment, largest_acceleration, largest_demand
+from egp_service.data.experiment import (
+    WHEELBASE,
+    Experiment,
+    check_range,
+    largest_acceleration,
+    largest_demand,
+)
 from egp_service.quantities import DELTA, F_X, NY, NZ, OMEGA, P_X, P_Y, PSI, V_X, V_Y
 
 if TYPE_CHECKING:
@@ -39,6 +45,12 @@ class SamplingBounds:
     """Largest deviation from the steering angle of a vehicle without slip, rad."""
     omega: float = 1.2
     """Largest yaw rate, rad/s."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges of the values."""
+        check_range("v_x", self.v_x, 0.0, 100.0)
+        for name in ("sideslip", "lateral", "steering", "omega"):
+            check_range(name, getattr(self, name), 0.0, 10.0)
 
 
 def sample(

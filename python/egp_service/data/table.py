@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _SEPARATORS: Final = (";", "\t")
 _GZIP: Final = b"\x1f\x8b"  # the first bytes of a compressed file (RFC 1952)
 _DECIMAL_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
+_TIME: Final = r"^\s*\d{4}-\d\d-\d\d[T ]\d\d:"
 _MOST_NAMES: Final = 20
 # What follows the name of a column that another one has, too; then comes its place from 1 on.
 _PLACE: Final = " (column "
@@ -107,7 +108,8 @@ def some(names: Sequence[str]) -> str:
 def numbers(path: Path, column: pl.Series) -> NDArray[np.float64]:
     """Return a column's numbers; with a decimal comma if all cells have one or are whole.
 
-    Points in time are seconds since the first one, and durations are seconds.
+    Points in time, also in texts as `2026-11-24T10:15:30.25`, are seconds since the first one, and
+    durations are seconds.
 
     Raises:
         EgpError: naming column, row and content of the first cell that is no finite number. Rows
@@ -115,13 +117,19 @@ def numbers(path: Path, column: pl.Series) -> NDArray[np.float64]:
 
     """
     cells = column
+    if isinstance(column.dtype, pl.Categorical | pl.Enum):
+        column = cells = column.cast(pl.String)
+    if column.dtype == pl.String and column.str.contains(_TIME).all():
+        texts = column.str.strip_chars().str.strip_suffix("Z")
+        with contextlib.suppress(pl.exceptions.PolarsError):
+            column = cells = texts.str.to_datetime(time_unit="ns")
     if isinstance(column.dtype, pl.Datetime):
         stated = column.drop_nulls()
         if len(stated) > 0:
             cells = (column - stated[0]).dt.total_nanoseconds() * 1e-9
     elif isinstance(column.dtype, pl.Duration):
         cells = column.dt.total_nanoseconds() * 1e-9
-    elif column.dtype.is_nested():
+    elif column.dtype.is_nested() or column.dtype == pl.Binary:
         raise EgpError(f"{path}: column '{column.name}' holds {column.dtype}, expected numbers")
     elif column.dtype == pl.String:
         if (

@@ -139,7 +139,11 @@ def load_simulator(name: str) -> Simulator:
         ) from error
     # A property may need `reset` first, so it is looked for and not read.
     has = {*dir(type(simulator)), *vars(simulator)}
-    if lacking := [part for part in ("reset", "step", "state") if part not in has]:
+    lacking = [part for part in ("reset", "step", "state") if part not in has]
+    if lacking == ["state"]:
+        simulator.reset(np.array([0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0]))
+        lacking = [] if "state" in vars(simulator) else lacking
+    if lacking:
         raise PlantError(
             f"plant {name!r} has no {', '.join(lacking)}: expected reset(x), step(u, dt, friction) "
             "and state (docs/simulator.md)"

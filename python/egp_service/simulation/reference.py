@@ -197,8 +197,14 @@ def load_belief(scenario: Scenario, file: FilePath | None) -> RoadBelief:
     """Return what `file` says about the scenario's road; nothing is known without such a file.
 
     Its evidence has aged since the file was written.
-    Raises `ScenarioError` if the file cannot be read, or is about another road.
+    Raises `ScenarioError` if the file cannot be read, or is about another road, or if the reference
+    speed of the scenario does not use what is known.
     """
+    if file is not None and scenario.speed.knows != "nothing":
+        raise ScenarioError(
+            f"{scenario.name}: {file} has no effect while speed.knows is {scenario.speed.knows!r}; "
+            "set it to 'nothing' in the scenario"
+        )
     belief = RoadBelief(build_path(scenario))
     if file is not None and file.exists():
         try:

@@ -372,3 +372,8 @@ def _check_speed(speed: Speed, origin: str) -> None:
         )
     if not 0.0 < speed.risk < 1.0:
         raise ScenarioError(f"{origin}: speed.risk must be between 0 and 1, got {speed.risk}")
+    if speed.knows == "zones" and speed.friction is not None:
+        raise ScenarioError(
+            f"{origin}: speed.friction has no effect while speed.knows is 'zones'; set it to "
+            "'nothing', 'here' or 'weights', or leave out `friction`"
+        )

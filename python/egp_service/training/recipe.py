@@ -68,9 +68,7 @@ class Recipe:
             nested = {"exploration": exploration, "sampling": sampling}
             settings = _settings(CollectionSettings, collection | nested)
             surfaces = content.pop("surface")
-            experiments = tuple(
-                _settings(Experiment, dict(**content, **surface)) for surface in surfaces
-            )
+            experiments = tuple(_settings(Experiment, content | surface) for surface in surfaces)
             if on_policy.rounds > 0:
                 distinct_surfaces(experiments)
         except EgpError as error:
@@ -171,13 +169,14 @@ def training_provenance(settings: TrainingSettings) -> dict[str, str]:
 def _settings(kind: type[Settings], table: Mapping[str, Any]) -> Settings:
     """Make frozen settings of a table of TOML, whose lists become tuples.
 
-    Raises `EgpError` if a value does not have the type of the setting's default.
+    Raises `EgpError` if a value does not have the type of the setting's default, or is no text
+    where there is none.
     """
     values = {
         name: tuple(value) if isinstance(value, list) else value for name, value in table.items()
     }
     for field in dataclasses.fields(kind):
-        default = field.default
+        default = "wet" if str(field.type) == "str" else field.default
         if field.name in values and not _is_like(values[field.name], default):
             example = list(default) if isinstance(default, tuple) else default
             raise EgpError(

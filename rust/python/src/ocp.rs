@@ -13,7 +13,7 @@ use serde::de::value::Error;
 
 use crate::array::{ArrayLike, Cube, KeptMatrix, Matrix, NewVector, Vector};
 use crate::array::{array, fixed, rows, vector, wrong_shape};
-use crate::error::{EgpError, raise};
+use crate::error::{EgpError, InvalidArgumentError, raise};
 use crate::problem::{Arrays, OcpBounds, OcpWeights, scale_soft_rows};
 
 #[doc = doc!(OcpResult)]
@@ -82,6 +82,11 @@ pub fn solve_ocp<'py>(
     if !guess.is_empty() && guess.len() != qp.horizon() {
         let expected = format!("({}, {NU})", qp.horizon());
         return Err(wrong_shape("guess", &expected, &[guess.len(), NU]));
+    }
+    if !guess.iter().flatten().all(|u| u.is_finite()) {
+        return Err(InvalidArgumentError::new_err(
+            "guess: expected finite numbers",
+        ));
     }
     let mut solvers = solvers(&qp, &settings).map_err(raise)?;
     let mut solution = OcpSolution::new(qp.horizon());

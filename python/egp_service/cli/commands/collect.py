@@ -130,6 +130,7 @@ def collect(
         "--track": track,
         "--runs": runs != _RUNS,
         "--samples": samples != _SAMPLES,
+        "--seed": seed,
         "--disturbance": disturbance,
         "--jobs": jobs,
         "--cluster": cluster,

@@ -1,6 +1,7 @@
 """`egp train`."""
 
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from egp_service._core import Library
     from egp_service.training.trained import TrainedMember
     from egp_service.training.validation import Cell
+
+_MAX_POINTS = 400
+_VALIDATION = 0.2
 
 
 def train(
@@ -36,14 +40,14 @@ def train(
     ] = "best",
     max_points: Annotated[
         int, typer.Option(help="Largest number of transitions of a member; best keeps up to 150.")
-    ] = 400,
+    ] = _MAX_POINTS,
     restarts: Annotated[
         int | None,
         typer.Option(help="Additional random starts of each fit, by default 1; not with best."),
     ] = None,
     validation: Annotated[
         float, typer.Option(help="Share of the trajectories for validation.")
-    ] = 0.2,
+    ] = _VALIDATION,
     seed: Annotated[int, typer.Option(min=0, help="Seed of split, selection and starts.")] = 0,
     cluster: Cluster = None,
     picture: Annotated[
@@ -98,7 +102,7 @@ def train(
     from egp_service.training.train import TrainingSettings
     from egp_service.training.train import train as train_members
     from egp_service.training.validation import validate
-    from egp_service.vehicle import known_vehicle, read_vehicle
+    from egp_service.vehicle import check_limits, known_vehicle, read_vehicle
 
     console = Console()
     # These checks come before the minutes that training takes: files that cannot be written, a
@@ -115,7 +119,18 @@ def train(
         raise EgpError("expected either datasets or --recipe")
     if cluster is not None and recipe is None:
         raise EgpError("--cluster needs a --recipe, whose data the cluster collects")
-    if recipe is None and mean == "best":
+    if recipe is not None:
+        stated = {
+            "--vehicle": vehicle,
+            "--kernel": kernel != "matern52",
+            "--mean": mean != "best",
+            "--max-points": max_points != _MAX_POINTS,
+            "--restarts": restarts is not None,
+            "--validation": validation != _VALIDATION,
+            "--seed": seed,
+        }
+        check_unused(stated, "cannot be used with --recipe: the recipe's file states it")
+    elif mean == "best":
         check_unused(
             {"--restarts": restarts is not None},
             "cannot be used with --mean best: add --mean single-track or constant",
@@ -135,7 +150,9 @@ def train(
             seed=seed,
         )
         datasets = [Dataset.read(path) for path in data or []]
-        if car is None:
+        if car is not None:
+            check_limits(car, str(vehicle))
+        else:
             known_vehicle(datasets[0].provenance.vehicle)
         with fitting(console) as report:
             members = train_members(datasets, settings, report, vehicle=car)
@@ -153,8 +170,15 @@ def _check_writable(*files: Path | None) -> None:
     from egp_service._core import EgpError
 
     for file in files:
-        if file is not None and (file.is_dir() or not file.absolute().parent.is_dir()):
+        if file is None:
+            continue
+        if file.is_dir() or not file.absolute().parent.is_dir():
             raise EgpError(f"{file}: expected a file in a folder that exists")
+        try:
+            with TemporaryFile(dir=file.absolute().parent):
+                pass
+        except OSError as error:
+            raise EgpError(f"{file}: no file can be written there ({error.strerror})") from error
 
 
 def _show(

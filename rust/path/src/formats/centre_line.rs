@@ -4,8 +4,11 @@ use super::{Row, close, table};
 use crate::error::PathError;
 use crate::path::Path;
 
-pub(super) fn read(text: &str, scale: f64) -> Result<Path, PathError> {
-    let mut rows = table(text, ',', ["x_m", "y_m", "w_tr_right_m", "w_tr_left_m"])?;
+/// The columns in their usual order.
+pub(super) const COLUMNS: [&str; 4] = ["x_m", "y_m", "w_tr_right_m", "w_tr_left_m"];
+
+pub(super) fn read(text: &str, delimiter: char, scale: f64) -> Result<Path, PathError> {
+    let mut rows = table(text, delimiter, COLUMNS)?;
     close(&mut rows, |&[x, y, ..]| [x, y])?;
     let (points, widths): (Vec<_>, Vec<_>) = rows
         .iter()

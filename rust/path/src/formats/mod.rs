@@ -6,7 +6,7 @@ mod raceline;
 use crate::error::{PathError, check};
 use crate::path::Path;
 
-/// Reads a closed track in either format: `;` separates the columns of a raceline, `,` those of a centre line. Lines
+/// Reads a closed track in either format: `;` separates the columns of a raceline, `,` or `;` those of a centre line. Lines
 /// that start with `#` are comments. The last line before the data that has the name of a column, a comment or not, is a
 /// header, which must have all names, in any order. A byte order mark at the start is skipped.
 ///
@@ -25,8 +25,11 @@ pub fn read_track(text: &str, scale: f64) -> Result<Path, PathError> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let first = text.lines().find(|line| is_row(line));
     match first {
+        Some(line) if line.split(';').count() == centre_line::COLUMNS.len() => {
+            centre_line::read(text, ';', scale)
+        }
         Some(line) if line.contains(';') => raceline::read(text, scale),
-        Some(_) => centre_line::read(text, scale),
+        Some(_) => centre_line::read(text, ',', scale),
         None => Err(PathError::TooFewPoints(0)),
     }
 }

@@ -83,6 +83,16 @@ fn centre_lines_have_left_and_right_widths() {
 }
 
 #[test]
+fn the_columns_of_a_centre_line_may_be_separated_by_semicolons() {
+    let text = centre_line();
+    let path = read_track(&text, 1.0).unwrap();
+    for other in [text.replace(',', ";"), text.replacen("# ", "", 1).replace(',', ";")] {
+        let read = read_track(&other, 1.0).unwrap();
+        assert_eq!(read.sample(10.0), path.sample(10.0));
+    }
+}
+
+#[test]
 fn a_header_may_name_the_columns_in_any_order() {
     let (header, rows) = centre_line()
         .split_once('\n')
