@@ -14,7 +14,7 @@ use zenoh::{Config, Wait};
 
 use crate::certificates::{self, SETTINGS};
 use crate::query::{Answer, Query};
-use crate::zenoh_settings::{DEFAULTS, foreign, free_ports, listens_on};
+use crate::zenoh_settings::{DEFAULTS, check_endpoints, free_ports};
 
 /// Time for which a service in zenoh's mode `client` waits for its routers.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
@@ -77,23 +77,9 @@ pub(crate) fn rehearse(mut config: Config, http: Option<SocketAddr>) -> Result<(
         }
     }
     let mut listen = json(&config, "listen/endpoints")?;
-    if let Some((address, endpoint)) =
-        http.and_then(|address| Some((address, listens_on(listen.clone(), address)?)))
-    {
-        let reason = "zenoh listens there, too; choose another address for `http`";
-        return Err(NetworkError::new(
-            format!("http {address} and {endpoint}"),
-            &reason,
-        ));
-    }
     let connect = json(&config, "connect/endpoints")?;
-    if let Some(endpoint) = foreign(connect.clone()) {
-        let reason = format!("connect/endpoints has {endpoint}");
-        return Err(NetworkError::new(
-            reason,
-            &"expected tcp/HOST:PORT or tls/HOST:PORT",
-        ));
-    }
+    check_endpoints(&listen, &connect, http)
+        .map_err(|(doing, why)| NetworkError::new(doing, &why))?;
     let connects = connect != Value::Array(Vec::new());
     free_ports(&mut listen);
     let mode = match json(&config, "mode")? {

@@ -66,8 +66,32 @@ pub(crate) fn free_ports(endpoints: &mut Value) {
     });
 }
 
+/// Checks that zenoh can connect to all endpoints, and that it does not listen on the address of `http`.
+///
+/// # Errors
+/// What cannot be used, and what to do.
+pub(crate) fn check_endpoints(
+    listen: &Value,
+    connect: &Value,
+    http: Option<SocketAddr>,
+) -> Result<(), (String, &'static str)> {
+    if let Some(address) = http
+        && let Some(endpoint) = listens_on(listen.clone(), address)
+    {
+        let advice = "zenoh listens there, too; choose another address for `http`";
+        return Err((format!("http {address} and {endpoint}"), advice));
+    }
+    match foreign(connect.clone()) {
+        None => Ok(()),
+        Some(endpoint) => Err((
+            format!("connect/endpoints has {endpoint}"),
+            "expected tcp/HOST:PORT or tls/HOST:PORT",
+        )),
+    }
+}
+
 /// The first endpoint whose protocol this program does not speak.
-pub(crate) fn foreign(mut endpoints: Value) -> Option<String> {
+fn foreign(mut endpoints: Value) -> Option<String> {
     let mut found = None;
     each(&mut endpoints, &mut |endpoint| {
         let protocol = endpoint.split_once('/').map(|(protocol, _)| protocol);
@@ -79,7 +103,7 @@ pub(crate) fn foreign(mut endpoints: Value) -> Option<String> {
 }
 
 /// The first endpoint that would take the address from another listener of this process, or it from this one.
-pub(crate) fn listens_on(mut endpoints: Value, address: SocketAddr) -> Option<String> {
+fn listens_on(mut endpoints: Value, address: SocketAddr) -> Option<String> {
     let mut found = None;
     each(&mut endpoints, &mut |endpoint| {
         let Some((place, port, _)) = parts(endpoint) else {

@@ -48,6 +48,7 @@ impl Resistance {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::vehicle::{SINGLE_TRACK_PARAMETERS, SingleTrack};
 
     const CAR: Resistance = Resistance {
         rolling: 0.15,
@@ -67,6 +68,14 @@ mod tests {
             let rise = CAR.deceleration(v_x + 1e-6) - CAR.deceleration(v_x - 1e-6);
             assert!((rise / 2e-6 - CAR.slope(v_x)).abs() < 1e-8, "{v_x}");
         }
+    }
+
+    #[test]
+    fn other_friction_leaves_it() {
+        let free = SingleTrack::new(&[1.0; SINGLE_TRACK_PARAMETERS], 0.02);
+        let car = free.with_resistance(CAR);
+        assert_eq!(car.with_friction(0.5).resistance(), CAR);
+        assert_eq!(car.between(&free, 0.5).resistance().rolling, 0.075);
     }
 
     #[test]

@@ -22,7 +22,6 @@ const SATURATED: f64 = 1.5;
 
 /// Number of parameters of a [`SingleTrack`].
 pub const SINGLE_TRACK_PARAMETERS: usize = 17;
-
 /// Powers of a factor on the friction in the parameters, in the order of [`SingleTrack::new`]: what the tyres transmit
 /// is proportional to it, and their slope at zero slip, `B C D`, does not depend on it.
 const FRICTION_POWERS: [i32; SINGLE_TRACK_PARAMETERS] =
@@ -253,6 +252,11 @@ mod tests {
         1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
     ];
 
+    const RESISTANCE: Resistance = Resistance {
+        rolling: 0.15,
+        drag: 4e-4,
+    };
+
     fn inputs() -> [GpInput; 4] {
         [
             GpInput::new(15.0, 0.3, 0.4, 0.05, 2000.0, 0.1),
@@ -264,8 +268,7 @@ mod tests {
 
     #[test]
     fn the_jacobian_is_that_of_finite_differences() {
-        let (rolling, drag) = (0.15, 4e-4);
-        let car = SingleTrack::new(&CAR, 0.02).with_resistance(Resistance { rolling, drag });
+        let car = SingleTrack::new(&CAR, 0.02).with_resistance(RESISTANCE);
         let steps = [1e-5, 1e-5, 1e-6, 1e-6, 1e-1, 1e-5];
         for z in inputs() {
             let (value, jacobian) = car.change_jacobian(&z);
@@ -313,15 +316,6 @@ mod tests {
         let gradient = (1.0 / slope_f - 1.0 / slope_r) / GRAVITY;
         let omega = v * delta / (wheelbase + gradient * v * v);
         assert!((z[2] / omega - 1.0).abs() < 1e-6, "{} {omega}", z[2]);
-    }
-
-    #[test]
-    fn other_friction_leaves_the_resistance() {
-        let (rolling, drag) = (0.15, 4e-4);
-        let free = SingleTrack::new(&CAR, 0.02);
-        let car = free.with_resistance(Resistance { rolling, drag });
-        assert_eq!(car.with_friction(0.5).resistance(), car.resistance());
-        assert_eq!(car.between(&free, 0.5).resistance().rolling, 0.5 * rolling);
     }
 
     #[test]

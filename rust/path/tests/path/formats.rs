@@ -86,7 +86,10 @@ fn centre_lines_have_left_and_right_widths() {
 fn the_columns_of_a_centre_line_may_be_separated_by_semicolons() {
     let text = centre_line();
     let path = read_track(&text, 1.0).unwrap();
-    for other in [text.replace(',', ";"), text.replacen("# ", "", 1).replace(',', ";")] {
+    for other in [
+        text.replace(',', ";"),
+        text.replacen("# ", "", 1).replace(',', ";"),
+    ] {
         let read = read_track(&other, 1.0).unwrap();
         assert_eq!(read.sample(10.0), path.sample(10.0));
     }
