@@ -10,7 +10,7 @@ RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
 
-demo: .venv/built-viz ## Set up, then drive a lap over three surfaces and draw it
+demo: .venv/built-viz ## Set up, then drive six laps over three surfaces and draw them
 	$(BIN)/egp demo
 
 # Compilers have the machine to themselves. Then tests that mostly wait and have deadlines to keep run beside tests that need

@@ -159,8 +159,6 @@ def test_client() -> None:
     )
     arguments = zip(connect.args.kwonlyargs, connect.args.kw_defaults, strict=True)
     defaults = {a.arg: default and ast.literal_eval(default) for a, default in arguments}
-    # Zenoh's own documentation describes the settings of zenoh.
-    del defaults["zenoh_config"]
     assert documented("Client") == defaults
 
 

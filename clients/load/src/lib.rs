@@ -27,7 +27,8 @@ use crate::report::Report;
 use crate::tally::Tally;
 
 /// The text of `--help` behind the options.
-const HELP: &str = r"Loads a running service with simulated vehicles and reports answer times and errors.
+const HELP: &str = r"Loads a running service with simulated vehicles and reports answer times and
+errors.
 
     egp serve library.safetensors --workers 1
     egp load --vehicles 8 --seconds 20 --json load.json
@@ -44,21 +45,21 @@ slow down its own test. The vehicles' schedules are spread evenly over the
 period.
 
 A period is a miss if no solved plan came within the budget. The gate then
-continues with the last plan (tail) and finally stops the vehicle; stopped, spun
-or lost vehicles are put back on the track and counted.
+continues with the last plan (tail) and finally stops the vehicle; stopped,
+spun or lost vehicles are put back on the track and counted.
 
 With --requests the vehicles have no plant: each sends the requests of a
 recording, which must be of the library that is served; `egp load --replay
-run.mcap` extracts them from what `egp drive` writes. Sending them costs little,
-so that this shows what the service carries. A request counts as in time if its
-plan came within the budget from when it was due. With --ramp the number of
-vehicles rises by a quarter as long as at least this fraction is in time;
---seconds is for each rate.
+run.mcap` extracts them from what `egp drive` writes. Sending them costs
+little, so that this shows what the service carries. A request counts as in
+time if its plan came within the budget from when it was due. With --ramp the
+number of vehicles rises by a quarter as long as at least this fraction is in
+time; --seconds is for each rate.
 
 Look at `generator lag` first: the delay with which requests were sent because
-this program or its machine was busy. If it is far above a millisecond, the other
-times describe the generator instead of the service; give the generator cores of
-its own or fewer vehicles.";
+this program or its machine was busy. If it is far above a millisecond, the
+other times describe the generator instead of the service; give the generator
+cores of its own or fewer vehicles.";
 
 /// Loads a running service with simulated vehicles and reports answer times and errors.
 #[derive(Parser)]

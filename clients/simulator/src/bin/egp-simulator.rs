@@ -12,15 +12,18 @@ use egp_vehicle::{GateLimits, Mode, VehicleConfig};
 /// The text of `--help` behind the options.
 const HELP: &str = r"Drives a simulated car through a running service, in real time.
 
-Start the service first, then the car; on one machine they need no further settings:
+Start the service first, then the car; on one machine they need no further
+settings:
 
     egp-server --library surfaces.safetensors
     egp-simulator --friction 0.5,0.8,1.1 --grip 0.8
 
-The track is divided evenly among the friction coefficients. The status line shows where the car is, how
-far it is from the reference, where its commands come from (NORMAL: a new plan; TAIL: the rest of the
-last one; STOP: braking, because that has run out; WAITING: braking until the first plan), and the weights
-of the library's surfaces. If you stop the service while the car drives, you see TAIL, then STOP.";
+The track is divided evenly among the friction coefficients. The status line
+shows where the car is, how far it is from the reference, where its commands
+come from (NORMAL: a new plan; TAIL: the rest of the last one; STOP: braking,
+because that has run out; WAITING: braking until the first plan), and the
+weights of the library's surfaces. If you stop the service while the car
+drives, you see TAIL, then STOP.";
 
 /// Drives a simulated car through a running service, in real time.
 #[derive(Parser)]

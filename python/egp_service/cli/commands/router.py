@@ -31,8 +31,8 @@ def router(
     """Route between vehicles and services until SIGTERM or Ctrl-C.
 
     Vehicles and services connect to it and need not reach each other. It routes
-    as zenohd does, and is meant for tests and small fleets; docs/security.md has
-    a configuration for zenohd.
+    as zenohd does, and is meant for tests and small fleets. `egp keys` writes
+    router.json5, which zenohd reads, too (docs/security.md).
 
     For example:
       egp router --listen tcp/0.0.0.0:7449

@@ -14,7 +14,8 @@ Try it on this machine:
 
     egp-server --library surfaces.safetensors
 
-In production, write a TOML file and pass it as --config; options of the command line override the file:
+In production, write a TOML file and pass it as --config; options of the
+command line override the file:
 
     library = "surfaces.safetensors"   # made by `egp train`
     replica = "garage-1"               # unique among the replicas that vehicles can reach
@@ -28,14 +29,17 @@ In production, write a TOML file and pass it as --config; options of the command
     [zenoh]                            # any zenoh setting: its key path and its JSON5 value
     "listen/endpoints" = '["tls/0.0.0.0:7447"]'
 
-Without "listen/endpoints" it listens on tcp/127.0.0.1:7447 only. A service that other machines reach
-needs keys, TLS and access control (see `egp keys`): others could answer in its place, and command the cars.
+Without "listen/endpoints" it listens on tcp/127.0.0.1:7447 only. A service
+that other machines reach needs keys, TLS and access control (see `egp keys`):
+others could answer in its place, and command the cars.
 
-Vehicles ask on egp/v1/r/REPLICA/FLEET/VEHICLE/step. The service answers its state on the keys health,
-ready and metrics of egp/v1/r/REPLICA, and announces itself by the liveliness token egp/v1/@live/REPLICA.
-On SIGHUP, or with --watch when the file changes, it loads and checks the library again beside the old one.
-Vehicles that start from then on get the new library; those that drive keep theirs, which is still served.
-On SIGTERM it drains: it withdraws the token, answers the requests that wait, and ends with status 0."#;
+Vehicles ask on egp/v1/r/REPLICA/FLEET/VEHICLE/step. The service answers its
+state on the keys health, ready and metrics of egp/v1/r/REPLICA, and announces
+itself by the liveliness token egp/v1/@live/REPLICA. On SIGHUP, or with
+--watch when the file changes, it loads and checks the library again beside
+the old one. Vehicles that start from then on get the new library; those that
+drive keep theirs, which is still served. On SIGTERM it drains: it withdraws
+the token, answers the requests that wait, and ends with status 0."#;
 
 /// Answers the control steps of vehicles over zenoh.
 #[derive(Parser)]
