@@ -33,6 +33,16 @@ def test_a_straight_road_is_no_stuck_sensor() -> None:
     check(straight)
 
 
+def test_a_bend_at_a_constant_steering_angle_is_no_stuck_sensor() -> None:
+    """The constant steering-wheel angle test of ISO 4138: the speed rises in a circle."""
+    time = np.arange(0.0, 40.0, 0.02)
+    v_x = 5.0 + 0.3 * time
+    omega = 0.1 * v_x / (2.4 + 0.003 * v_x**2)
+    delta, v_y = np.full_like(time, 0.1), 1.5 * omega - 0.02 * v_x * omega
+    log = {"time": time, "v_x": v_x, "v_y": v_y, "omega": omega, "delta": delta}
+    check(log | {"a_x": 0.3 - v_y * omega})
+
+
 @pytest.mark.parametrize("quantity", ["v_x", "v_y", "omega", "delta", "a_x"])
 def test_a_stuck_sensor_is_found_by_a_column_that_says_the_same(quantity: str) -> None:
     log = plant_log()
