@@ -273,3 +273,15 @@ def pixels(picture: bytes, colours: list[tuple[int, int, int]]) -> list[int]:
     """Count the pixels of each colour, of which a legend has about 20."""
     image = np.asarray(Image.open(BytesIO(picture)).convert("RGB"), dtype=np.int64)
     return [int((np.abs(image - colour).max(axis=2) < 12).sum()) for colour in colours]
+
+
+def test_a_recording_that_begins_without_replies_is_shown(tmp_path: Path) -> None:
+    with Controller(shipped.DEMO_LIBRARY, gate=Plant().parameters.gate_limits()) as controller:
+        s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+        reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
+        with Recorder(tmp_path / "run.mcap", controller) as recorder:
+            for number in range(5):
+                x = np.array([0.0, 0.2, 15.0, 0.0, 0.0, 0.0, 0.0]) + (np.nan if number < 2 else 0.0)
+                recorder.add(controller.step(x, reference), x, number * controller.dt)
+    view(tmp_path / "run.mcap", "--save", tmp_path / "run.rrd")
+    assert (tmp_path / "run.rrd").stat().st_size > 0

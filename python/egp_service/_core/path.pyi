@@ -192,10 +192,16 @@ def horizon_reference(
     dt: float,
     horizon: int,
     hint: float | None = None,
+    *,
+    catch_up: bool = True,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, Projection]:
     """Return reference rows `[p_x, p_y, v_x, psi]` (horizon + 1, 4), widths and projection.
 
     `x` is the vehicle's state (7,). Rows follow the profile by time from the vehicle's projection;
     yaw is unwrapped relative to the vehicle's. Widths `[left, right]` (horizon + 1, 2) are None for
     a path without. Pass the last projection's `s` as `hint`.
+
+    If the profile is more than 2 m/s above the vehicle's `v_x`, as at a start, the rows catch up
+    with it: after `t` seconds their speed is at most `v_x + 2 m/s + 1 m/s² t`. Without `catch_up`
+    they follow the profile however far the vehicle is behind.
     """

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Final, Self
 import numpy as np
 import zenoh
 
-from egp_service._core import EgpError, vehicle_key, vehicle_road_key
+from egp_service._core import EgpError, InvalidArgumentError, vehicle_key, vehicle_road_key
 from egp_service.control.messages import message_class
 from egp_service.control.session import direct, open_session, session_config
 from egp_service.control.step_record import step_record
-from egp_service.quantities import POSITION
+from egp_service.quantities import NX, POSITION
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -118,6 +118,11 @@ class StatusPublisher:
         rad, `time` the time since the start in s, `lateral_error` the distance from the reference
         in m, positive to the left. `truth` is the message `PlantTruth` of a simulated vehicle.
         """
+        state = np.asarray(x, dtype=np.float64)
+        if state.shape != (NX,):
+            raise InvalidArgumentError(f"x has shape {state.shape}: expected ({NX},)")
+        if self._session.is_closed():
+            raise EgpError("the publisher was closed")
         missed = step.mode != "normal"
         self._periods += 1
         self._misses += missed
@@ -140,7 +145,7 @@ class StatusPublisher:
         self._last = message_class("VehicleStatus")(
             **self._common,
             **self._counts(),
-            step=step_record(step, np.asarray(x, dtype=np.float64), time),
+            step=step_record(step, state, time),
             truth=truth,
             lateral_error=lateral_error,
             plan=plan,

@@ -8,7 +8,7 @@ import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, Self, TypeAlias
 
 from egp_service._core import InvalidArgumentError
 
@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     Measured: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike | None, ArrayLike | None]
     """State (7,), reference (T+1, 4), widths (T+1, 2) and friction of the road (T+2, 2) of one
     period."""
+
+
+_LONGEST: Final = 10.0
+"""Largest time for a step that a request states, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,15 +196,16 @@ class StepController(ABC):
         Call it once each period. It returns within `deadline` seconds (default: 0.8 `dt`), with a
         command whatever happens to the service; without a service it takes as long as the control
         step, and `deadline` is only stated in the request. A deadline of 0 or less is over, and
-        there is a command as well. Raises `InvalidArgumentError` when arguments have the wrong
-        shape, `deadline` is not finite, or the reference cannot be meant; a measured state that is
-        not finite is no error but a stop.
+        there is a command as well; more than 10 s count as 10 s. Raises `InvalidArgumentError` when
+        arguments have the wrong shape, `deadline` is not finite, or the reference cannot be meant;
+        a measured state that is not finite is no error but a stop.
         """
         start = time.monotonic()
         if deadline is not None and not math.isfinite(deadline):
             raise InvalidArgumentError(f"expected a finite deadline in s, got {deadline}")
         with self._lock:
             budget = self._driver.budget if deadline is None else max(deadline, 0.0)
+            budget = min(budget, _LONGEST)
             decision = self._decide(start, budget, (x, reference, widths, road_friction))
             return Step.of(decision, self._driver.weights, time.monotonic() - start)
 

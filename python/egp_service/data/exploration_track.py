@@ -69,7 +69,9 @@ class ExplorationTrack:
         """Return reference rows `[p_x, p_y, v_x, psi]` ahead, and whether x is near the track."""
         profile = self._profile(friction, grip)
         preview = math.ceil(_PREVIEW / dt)
-        reference, _, projection = horizon_reference(self._path, profile, x, dt, preview)
+        reference, _, projection = horizon_reference(
+            self._path, profile, x, dt, preview, catch_up=False
+        )
         return reference, abs(projection.lateral) < _LEAVE
 
     def _profile(self, friction: float, grip: float) -> SpeedProfile:

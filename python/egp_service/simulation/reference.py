@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from egp_service._core import Friction, Path, SpeedProfile
     from egp_service.control.step import Step
-    from egp_service.simulation.scenario import Scenario
+    from egp_service.simulation.scenario import Scenario, Speed
 
 
 class SpeedReference(ABC):
@@ -122,6 +122,11 @@ class _Weighted(_Planned):
         self._blended = float(self._frictions.mean())  # the first step begins with equal weights
 
     def found(self, step: Step) -> None:
+        if 0 < step.weights.size != self._frictions.size:
+            raise ScenarioError(
+                f"speed.knows is 'weights', and the service has {step.weights.size} members, not "
+                f"{self._frictions.size} as the scenario's library: name its own in the scenario"
+            )
         if step.weights.size:
             self._blended = float(step.weights @ self._frictions)
 
@@ -193,6 +198,16 @@ def speed_reference(scenario: Scenario, path: Path, belief: RoadBelief) -> Speed
     return _Believed(scenario, path, belief)
 
 
+def unused(speed: Speed) -> str | None:
+    """Say why the reference speed does not use what is known about the road; None if it does."""
+    if speed.knows != "nothing":
+        return f"speed.knows is {speed.knows!r}; set it to 'nothing' in the scenario"
+    for name in ("constant", "friction"):
+        if getattr(speed, name):
+            return f"speed.{name} is {getattr(speed, name)}; leave it out in the scenario"
+    return None
+
+
 def load_belief(scenario: Scenario, file: FilePath | None) -> RoadBelief:
     """Return what `file` says about the scenario's road; nothing is known without such a file.
 
@@ -200,11 +215,8 @@ def load_belief(scenario: Scenario, file: FilePath | None) -> RoadBelief:
     Raises `ScenarioError` if the file cannot be read, or is about another road, or if the reference
     speed of the scenario does not use what is known.
     """
-    if file is not None and scenario.speed.knows != "nothing":
-        raise ScenarioError(
-            f"{scenario.name}: {file} has no effect while speed.knows is {scenario.speed.knows!r}; "
-            "set it to 'nothing' in the scenario"
-        )
+    if file is not None and (reason := unused(scenario.speed)):
+        raise ScenarioError(f"{scenario.name}: {file} has no effect while {reason}")
     belief = RoadBelief(build_path(scenario))
     if file is not None and file.exists():
         try:

@@ -246,7 +246,9 @@ def _weights_figure(run: Run) -> Figure:
     middle.fill_between(
         trace.distance, lower, upper, color=FOUND, alpha=0.35, linewidth=0, label="found, 90 %"
     )
-    middle.plot(distance, weights @ run.frictions, color=ALARM, label="the members', weighted")
+    # A service may have another library than the scenario, whose members' frictions are not known.
+    if len(run.frictions) == weights.shape[1]:
+        middle.plot(distance, weights @ run.frictions, color=ALARM, label="the members', weighted")
     if run.scenario.speed.knows != "zones":
         middle.plot(trace.distance, trace.friction_planned, color=PLANNED, label="planned for")
     middle.set(ylabel="μ", ylim=(0.0, 1.4))

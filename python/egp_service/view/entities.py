@@ -65,8 +65,10 @@ def log_run(recording: rr.RecordingStream, run: RecordedRun) -> None:
             _log_curve(recording, path, rr.SeriesLines(names=name, colors=colour), messages, values)
     for i, member in enumerate(run.members):
         path = f"weights/{rr.escape_entity_path_part(member)}"
-        values = [step.weights[i] for step in run.steps.values()]
-        _log_curve(recording, path, rr.SeriesLines(names=member), run.steps, values)
+        # There are no weights before the first reply.
+        known = {time: step for time, step in run.steps.items() if i < len(step.weights)}
+        values = [step.weights[i] for step in known.values()]
+        _log_curve(recording, path, rr.SeriesLines(names=member), known, values)
     _log_states(recording, run.steps)
 
 

@@ -73,3 +73,40 @@ pub fn horizon_reference(
     }
     Ok(projection)
 }
+
+/// Speed in m/s by which a reference may be ahead of a vehicle's, so that lags of the control change nothing.
+const LAG: f64 = 2.0;
+
+/// How fast a reference gains speed on the way to a profile that a vehicle is far below, m/s²: what cars reach on snow.
+const PICK_UP: f64 = 1.0;
+
+/// Replaces the rows of [`horizon_reference`] if its first speed is more than 2 m/s above the vehicle's `v_x`, as at a start:
+/// the speed is then at most `v_x + 2 m/s + 1 m/s² t` after `t` seconds, and the positions are those that it leads to. A
+/// reference that leaves the vehicle behind lies in the next bend, and its error of the speed outweighs that of the position.
+///
+/// `from` is the arc length of the vehicle's projection. Allocates nothing.
+pub fn catch_up(
+    path: &Path,
+    profile: &SpeedProfile,
+    from: f64,
+    v_x: f64,
+    dt: f64,
+    reference: &mut [[f64; 4]],
+    widths: &mut [[f64; 2]],
+) {
+    let Some([_, _, first, mut yaw]) = reference.first().copied() else {
+        return;
+    };
+    if first <= v_x + LAG {
+        return;
+    }
+    let mut s = profile.unwrapped(from);
+    for (stage, (row, edges)) in reference.iter_mut().zip(widths).enumerate() {
+        let most = v_x.max(0.0) + LAG + PICK_UP * stage as f64 * dt;
+        let (sample, v) = (path.sample(s), profile.speed(s).min(most));
+        yaw += (sample.yaw - yaw) - TAU * ((sample.yaw - yaw) / TAU).round();
+        *row = [sample.x, sample.y, v, yaw];
+        *edges = [sample.left, sample.right];
+        s += v * dt;
+    }
+}

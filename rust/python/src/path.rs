@@ -359,7 +359,8 @@ impl SpeedProfile {
 
 #[doc = doc!(horizon_reference)]
 #[pyfunction]
-#[pyo3(signature = (path, profile, x, dt, horizon, hint = None))]
+#[pyo3(signature = (path, profile, x, dt, horizon, hint = None, *, catch_up = true))]
+#[allow(clippy::too_many_arguments)] // the arguments are unrelated
 pub fn horizon_reference<'py>(
     py: Python<'py>,
     path: &Path,
@@ -368,8 +369,9 @@ pub fn horizon_reference<'py>(
     dt: f64,
     horizon: u16,
     hint: Option<f64>,
+    catch_up: bool,
 ) -> PyResult<Reference<'py>> {
-    let [p_x, p_y, _, psi, ..] = fixed::<7>("x", &x)?;
+    let [p_x, p_y, v_x, psi, ..] = fixed::<7>("x", &x)?;
     let stages = usize::from(horizon) + 1;
     let mut reference = vec![[0.0; 4]; stages];
     let mut widths = vec![[0.0; 2]; stages];
@@ -384,6 +386,10 @@ pub fn horizon_reference<'py>(
         &mut widths,
     )
     .map_err(raise)?;
+    if catch_up {
+        let (rows, edges) = (&mut reference, &mut widths);
+        egp_path::catch_up(&path.0, &profile.0, projection.s, v_x, dt, rows, edges);
+    }
     let widths = (path.0.has_widths())
         .then(|| array(py, widths.into_flattened(), [stages, 2]))
         .transpose()?;

@@ -155,13 +155,8 @@ def drive(
             console=console,
         ) as publish,
     ):
-        if controller.library_file is None:
-            console.print(
-                f"The service has library {controller.library.hex()[:12]}…, which is not the "
-                f"scenario's ({chosen.library}).",
-                markup=False,
-                highlight=False,
-            )
+        if connect or zenoh:
+            _show_differences(console, chosen, controller)
         folder = new_folder(output, chosen.name)
         with StatusLine(console) as line:
 
@@ -221,6 +216,19 @@ def _name(vehicle: str | None) -> tuple[str, str]:
     return fleet if slash else "default", name
 
 
+def _show_differences(console: Console, scenario: "Scenario", controller: "StepController") -> None:
+    """Say what a service that was not started here has in place of the scenario's."""
+    texts = []
+    if controller.library_file is None:
+        own = controller.library.hex()[:12]
+        texts.append(f"The service has library {own}…, not the scenario's ({scenario.library}).")
+    if scenario.control:
+        names = ", ".join(scenario.control)
+        texts.append(f"The service has its own settings, not the scenario's [control]: {names}.")
+    for text in texts:
+        console.print(text, markup=False, highlight=False)
+
+
 def _show(console: Console, summary: "Summary") -> None:
     from egp_service.cli.tables import no_plan, summary_table
 
@@ -240,6 +248,7 @@ def _fleet_map(
 ) -> "Iterator[Callable[[], None]]":
     """Give what to call in each period, and say at the end what the map contributed."""
     from egp_service.simulation.course import road_name
+    from egp_service.simulation.reference import unused
     from egp_service.simulation.scenario import ScenarioError
 
     if endpoint is None:
@@ -247,11 +256,8 @@ def _fleet_map(
         return
     if vehicle is None:
         raise typer.BadParameter("--fleet needs the car's name: give --vehicle")
-    if scenario.speed.knows != "nothing":
-        raise ScenarioError(
-            f"{scenario.name}: --fleet has no effect while speed.knows is "
-            f"{scenario.speed.knows!r}; set it to 'nothing' in the scenario"
-        )
+    if reason := unused(scenario.speed):
+        raise ScenarioError(f"{scenario.name}: --fleet has no effect while {reason}")
     from egp_service.cli.tables import map_summary
     from egp_service.control.fleet_map import FleetMap
 

@@ -14,6 +14,13 @@ const INTERIOR: f64 = 0.01;
 /// Smallest share of the drive that is left in a bend, so that a vehicle at the end of its grip can hold its speed.
 const LEAST_DRIVE: f64 = 0.1;
 
+/// Share of the drive that is left to a vehicle far below its reference speed: 0.7 times `g D_x` of the largest 1.5, which is 66 %
+/// of the largest acceleration and with which wheels that spin find their grip again. With 0.8 they go on spinning.
+const CATCHING_UP: f64 = 0.7 / 1.5;
+
+/// Speeds in m/s below the reference between which the drive is limited to this share.
+const BEHIND: [f64; 2] = [1.0, 1.5];
+
 /// Number of soft rows for these settings; the rows of the envelope are the last ones.
 pub fn soft_rows(soft: &Soft) -> usize {
     if soft.envelope.is_some() {
@@ -48,22 +55,29 @@ pub(super) fn penalties(soft: &Soft) -> [Penalty; MAX_SOFT] {
 /// than the inner one can transmit spins it, and a wheel that spins does not steer until it has slowed down, which takes
 /// longer than the bend and is no state of the model. The drive is therefore bounded by the share of the load that the wheels
 /// inside the bend keep, `1 - transfer |v_x omega|`.
+///
+/// A vehicle far below its reference speed, as at a start, would drive with all that adds to its acceleration, and spin its
+/// wheels on a straight road. Its drive has a smaller bound.
 pub(super) fn hard(
     vehicle: &VehicleParameters,
     dt: f64,
     operating: &[State],
+    reference: &[State],
     tyres: &[TyreLimits],
     qp: &mut OcpQp,
 ) {
     let slew = Input::new(vehicle.a_slew * dt, vehicle.steering_slew * dt);
     let (mut low, mut high) = (qp.u_prev, qp.u_prev);
-    let road = operating.iter().zip(tyres);
-    for (stage, (x, tyres)) in qp.stages_mut().iter_mut().zip(road) {
+    let road = operating.iter().zip(reference).zip(tyres);
+    for (stage, ((x, wanted), tyres)) in qp.stages_mut().iter_mut().zip(road) {
         let inside = 1.0 - tyres.transfer * (x[V_X] * x[OMEGA]).abs();
+        let [little, much] = BEHIND;
+        let behind = ((wanted[V_X] - x[V_X] - little) / (much - little)).clamp(0.0, 1.0);
+        let catching_up = 1.0 - (1.0 - CATCHING_UP) * behind;
         let drive = vehicle
             .a_max
             .min(vehicle.power / x[V_X].max(f64::MIN_POSITIVE))
-            .min(tyres.drive * inside.max(LEAST_DRIVE));
+            .min(tyres.drive * inside.max(LEAST_DRIVE).min(catching_up));
         stage.u_min = Input::new(vehicle.a_min.max(-tyres.brake), -vehicle.steering_rate);
         stage.u_max = Input::new(drive, vehicle.steering_rate);
         stage.du_min = -slew;
@@ -162,7 +176,7 @@ mod tests {
             let mut qp = OcpQp::new(1, 3);
             let mut x = State::ith(V_X, 10.0);
             x[OMEGA] = omega;
-            hard(&car, 0.1, &[x; 2], &[tyres; 2], &mut qp);
+            hard(&car, 0.1, &[x; 2], &[x; 2], &[tyres; 2], &mut qp);
             (qp.stages()[0].u_max[0], qp.stages()[0].u_min[0])
         };
         // At 10 m/s the lateral acceleration is 10 omega; the inner wheels keep 1 - 0.8 omega of their load.
@@ -171,6 +185,25 @@ mod tests {
         assert_eq!(bounds(0.5), bounds(-0.5));
         assert_eq!(bounds(2.0).0, 4.0 * LEAST_DRIVE);
         assert_eq!(bounds(0.0).1, bounds(0.5).1);
+    }
+
+    #[test]
+    fn a_vehicle_far_below_its_reference_has_less_drive() {
+        let car = VehicleParameters::FORD_ESCORT;
+        let tyres = TyreLimits {
+            drive: 3.0,
+            brake: 9.0,
+            ..TyreLimits::default()
+        };
+        let drive = |behind: f64| {
+            let mut qp = OcpQp::new(1, 3);
+            let (x, wanted) = (State::ith(V_X, 5.0), State::ith(V_X, 5.0 + behind));
+            hard(&car, 0.1, &[x; 2], &[wanted; 2], &[tyres; 2], &mut qp);
+            qp.stages()[0].u_max[0]
+        };
+        assert_eq!((drive(-3.0), drive(1.0)), (3.0, 3.0));
+        assert!((drive(1.5) - 1.4).abs() < 1e-12 && drive(9.0) == drive(1.5));
+        assert!(drive(1.25) < 3.0 && drive(1.25) > 1.4);
     }
 
     #[test]
@@ -189,7 +222,7 @@ mod tests {
                     transfer: 0.05,
                     ..TyreLimits::default()
                 }; 21];
-                hard(&car, dt, &operating, &tyres, &mut qp);
+                hard(&car, dt, &operating, &operating, &tyres, &mut qp);
                 let (mut low, mut high) = (qp.u_prev, qp.u_prev);
                 for stage in qp.stages() {
                     for i in 0..NU {

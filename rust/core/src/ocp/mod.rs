@@ -87,6 +87,6 @@ pub fn assemble(
             &mut stage.soft,
         );
     }
-    bounds::hard(vehicle, dt, &dynamics.x, road.tyres, qp);
+    bounds::hard(vehicle, dt, &dynamics.x, road.x, road.tyres, qp);
     proximal::proximal(setup, road, dynamics, guess, qp);
 }

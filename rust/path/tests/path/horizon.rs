@@ -6,7 +6,9 @@ use std::f64::consts::{PI, TAU};
 
 use egp_parameters::VehicleParameters;
 use egp_path::tracks::RoundedRectangle;
-use egp_path::{Path, PathError, Projection, SpeedLimits, SpeedProfile, Zone, horizon_reference};
+use egp_path::{
+    Path, PathError, Projection, SpeedLimits, SpeedProfile, Zone, catch_up, horizon_reference,
+};
 
 /// The speed limits of the simulated car.
 fn car() -> SpeedLimits {
@@ -172,4 +174,35 @@ fn a_vehicle_behind_a_standing_start_is_led_on_to_the_path() {
     assert!((found.s + 0.1).abs() < 1e-9);
     assert_eq!(behind, at_start);
     assert!(behind[40][0] > 1.0 && behind[40][2] > 1.0);
+}
+
+#[test]
+fn a_vehicle_far_below_the_profile_is_not_left_behind() {
+    let path = RoundedRectangle::default().path().unwrap();
+    let profile = SpeedProfile::new(&path, &car()).unwrap();
+    let at = path.sample(20.0);
+    let (rows, widths, found) = reference(&path, &profile, [at.x, at.y], at.yaw);
+    let with = |v_x: f64| {
+        let (mut rows, mut widths) = (rows.clone(), widths.clone());
+        catch_up(&path, &profile, found.s, v_x, DT, &mut rows, &mut widths);
+        (rows, widths)
+    };
+    // Up to 2 m/s below nothing changes.
+    assert_eq!(with(rows[0][2] - 1.99), (rows.clone(), widths.clone()));
+    let (slower, edges) = with(0.0);
+    let mut s = found.s;
+    for (k, row) in slower.iter().enumerate() {
+        let v = 2.0 + k as f64 * DT;
+        assert!((row[2] - v).abs() < 1e-12, "stage {k}: {}", row[2]);
+        let expected = path.sample(s);
+        assert!((row[0] - expected.x).hypot(row[1] - expected.y) < 1e-9);
+        assert!((row[3] - at.yaw).abs() < 1.0);
+        s += v * DT;
+    }
+    assert_eq!(edges.len(), widths.len());
+    // The profile is not exceeded.
+    let low = SpeedProfile::constant(&path, 2.5).unwrap();
+    let (mut rows, mut widths) = (vec![[0.0, 0.0, 2.5, at.yaw]; 41], vec![[0.0; 2]; 41]);
+    catch_up(&path, &low, found.s, 0.0, DT, &mut rows, &mut widths);
+    assert_eq!(rows[40][2], 2.5);
 }

@@ -1,0 +1,42 @@
+"""Starts far below the reference speed: wheels do not spin, and the vehicle keeps its path."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from egp_service import Controller, Plant, shipped
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.in_process import in_process_controller
+from egp_service.simulation.scenario import Zone, load_scenario, told_zones
+
+BASE = told_zones(load_scenario("rounded-rectangle"))
+
+
+@pytest.mark.parametrize("friction", [0.5, 0.8, 1.1])
+@pytest.mark.parametrize("v_start", [0.0, 3.0])
+def test_a_slow_start_keeps_the_path(friction: float, v_start: float) -> None:
+    speed = replace(BASE.speed, v_start=v_start, v_max=20.0)
+    scenario = replace(BASE, laps=0.1, zones=(Zone(0.0, friction),), speed=speed)
+    with in_process_controller(scenario) as controller:
+        run = drive(scenario, controller, lambda _: None)
+    assert run.summary.ending.completed
+    # From a standstill on 0.5 0.27 m, otherwise 0.04 m. Before the drive was bounded for vehicles
+    # below their reference, and the reference waited for them, 1.2 to 5.5 m.
+    assert run.summary.lateral_error.max < (0.4 if (friction, v_start) == (0.5, 0.0) else 0.1)
+    # The force does not alternate between its slew limits.
+    steps = np.diff(run.trace.u[:, 0])
+    largest = 0.9 * np.abs(steps).max()
+    turns = (np.sign(steps[1:]) != np.sign(steps[:-1])) & (np.abs(steps[1:]) > largest)
+    assert turns.sum() <= 5
+
+
+def test_a_deadline_of_a_minute_is_one_of_ten_seconds() -> None:
+    with Controller(shipped.DEMO_LIBRARY, gate=Plant().parameters.gate_limits()) as controller:
+        s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+        reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
+        for deadline in (9.9, 60.0, 1e30):
+            step = controller.step([0, 0.2, 15, 0, 0, 0, 0], reference, deadline=deadline)
+            assert (step.mode, step.status) == ("normal", "solved"), step.detail
