@@ -130,7 +130,9 @@ def test_the_reference_moves_by_time_from_the_projection() -> None:
             )
             travelled += stage * 0.05 / steps * profile.speed(np.array([middle]))[0]
         x, y, yaw, *_ = (column[0] for column in path.sample(np.array([s, travelled])[:1]))
-        reference, widths, found = horizon_reference(path, profile, state(x, y, yaw), 0.05, 20, s)
+        x0 = state(x, y, yaw)
+        x0[2] = profile.speed(np.array([s]))[0]
+        reference, widths, found = horizon_reference(path, profile, x0, 0.05, 20, s)
         assert found.s == pytest.approx(s, abs=1e-6)
         assert widths is not None
         assert (reference.shape, widths.shape) == ((21, 4), (21, 2))
