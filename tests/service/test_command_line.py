@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -12,6 +13,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.request import urlopen
 
 import pytest
 import zenoh
@@ -193,6 +195,38 @@ def test_a_server_that_is_asked_to_end_has_status_0(sent: signal.Signals) -> Non
         rest, _ = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, (command, first, rest)
         assert b"Traceback" not in rest
+
+
+def test_sighup_ends_the_monitor_on_any_loopback_address() -> None:
+    port = free_port()
+    command = ["monitor", "--listen", "tcp/127.0.0.1:0", "--host", "::1", "--port", str(port)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "egp_service", *command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    assert process.stdout is not None
+    process.stdout.readline()  # the address of the page
+    with urlopen(f"http://[::1]:{port}/", timeout=PATIENCE) as answer:
+        assert answer.status == 200
+    process.send_signal(signal.SIGHUP)
+    rest, _ = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, rest) == (0, b"")
+
+
+def test_a_service_may_have_as_many_connections_as_the_system_lets_it() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "egp_service", "serve", str(LIBRARY), "--listen", endpoint]
+    limited = ["/bin/sh", "-c", 'ulimit -Sn 256; exec "$@"', "sh", *command]
+    process = subprocess.Popen(limited, stderr=subprocess.DEVNULL)
+    try:
+        wait_until(lambda: why_unreachable(endpoint) is None)
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        assert resource.prlimit(process.pid, resource.RLIMIT_NOFILE) == (most, most)
+    finally:
+        process.kill()
+        process.wait()
 
 
 def test_a_service_warns_if_another_one_has_its_name() -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import re
 from typing import TYPE_CHECKING
 
+import log_faults
 import numpy as np
 import polars as pl
 import pytest
@@ -18,6 +19,7 @@ from egp_service.data.channels import channels
 from egp_service.data.dataset import Dataset, merge
 from egp_service.data.log_import import Column, import_log
 from egp_service.data.sensors import Sensors, measure
+from egp_service.quantities import TILT
 from egp_service.training import prior_mean
 from egp_service.training.open_loop import skill
 from egp_service.training.vehicle_fit import fit_vehicle
@@ -32,16 +34,7 @@ if TYPE_CHECKING:
 
 DT = 0.02
 CAR = known_vehicle("commonroad-1")
-COLUMNS = {
-    "time": "s",
-    "v_x": "m/s",
-    "v_y": "m/s",
-    "omega": "rad/s",
-    "delta": "rad",
-    "F_x": "N",
-    "grade": "rad",
-    "bank": "rad",
-}
+COLUMNS = log_faults.UNITS | TILT
 ROLLING, DRAG = 0.2, 5e-4
 TILTS = [(-0.08, -0.15), (0.0, 0.0), (0.08, 0.15)]
 

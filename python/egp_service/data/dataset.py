@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SCHEMA: Final = 1
 METADATA_KEY: Final = "egp"
-_PERIODS: Final = (1e-3, 1.0)  # s, of a library
+_PERIODS: Final = (1e-3, 1.0)  # s, the shortest and the longest that a library may have
 _INDEX: Final = ("trajectory", "step")
 # By the annotation of a field of `Provenance`: types in JSON, and how they are called.
 _TYPES: Final = {

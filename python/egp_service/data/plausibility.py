@@ -37,7 +37,7 @@ _ACTIVE: Final = {"omega": 0.05, "delta": 0.02}
 # slopes imply less.
 _FASTER: Final = 1.0
 # Standard deviation of the change of speed, m/s², above which a vehicle certainly accelerates and
-# brakes, and the share of it below which an acceleration is none of this vehicle.
+# brakes, and the share of it that the acceleration of the log has at least.
 _SPEEDING: Final = 0.5
 _DEAD: Final = 0.03
 _HEAVIEST: Final = 4000.0  # kg, for a force of a vehicle whose mass is not known

@@ -198,7 +198,7 @@ def speed_reference(scenario: Scenario, path: Path, belief: RoadBelief) -> Speed
     return _Believed(scenario, path, belief)
 
 
-def unused(speed: Speed) -> str | None:
+def why_unused(speed: Speed) -> str | None:
     """Say why the reference speed does not use what is known about the road; None if it does."""
     if speed.knows != "nothing":
         return f"speed.knows is {speed.knows!r}; set it to 'nothing' in the scenario"
@@ -215,7 +215,7 @@ def load_belief(scenario: Scenario, file: FilePath | None) -> RoadBelief:
     Raises `ScenarioError` if the file cannot be read, or is about another road, or if the reference
     speed of the scenario does not use what is known.
     """
-    if file is not None and (reason := unused(scenario.speed)):
+    if file is not None and (reason := why_unused(scenario.speed)):
         raise ScenarioError(f"{scenario.name}: {file} has no effect while {reason}")
     belief = RoadBelief(build_path(scenario))
     if file is not None and file.exists():

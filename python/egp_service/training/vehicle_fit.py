@@ -46,7 +46,8 @@ _QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95
 _MAD: Final = 1.4826  # standard deviation of a normal distribution over its median absolute value
 # Standard deviations of constant disturbances, m/s², m/s², rad/s²: slope, bank, crosswind.
 _DISTURBANCE: Final = np.array([0.3, 1.0, 0.1])
-_LEFT: Final = 0.1  # Share of it that a measured grade and bank leave.
+# Share of these standard deviations that is left where grade and bank of the road were measured.
+_LEFT: Final = 0.1
 # Widths of the priors that a vehicle's parameters give.
 _KNOWN_WIDTHS: Final = {"m": 0.03, "l_f": 0.02, "l_r": 0.02, "k²": 0.15}
 # The data determine a parameter if they narrow its prior to at most this share and, for one that a

@@ -248,7 +248,7 @@ def _fleet_map(
 ) -> "Iterator[Callable[[], None]]":
     """Give what to call in each period, and say at the end what the map contributed."""
     from egp_service.simulation.course import road_name
-    from egp_service.simulation.reference import unused
+    from egp_service.simulation.reference import why_unused
     from egp_service.simulation.scenario import ScenarioError
 
     if endpoint is None:
@@ -256,7 +256,7 @@ def _fleet_map(
         return
     if vehicle is None:
         raise typer.BadParameter("--fleet needs the car's name: give --vehicle")
-    if reason := unused(scenario.speed):
+    if reason := why_unused(scenario.speed):
         raise ScenarioError(f"{scenario.name}: --fleet has no effect while {reason}")
     from egp_service.cli.tables import map_summary
     from egp_service.control.fleet_map import FleetMap

@@ -124,6 +124,34 @@ fn pages_and_log_follow_a_process_from_start_to_drain() {
 }
 
 #[test]
+fn a_service_that_waits_for_its_router_is_alive_and_not_ready() {
+    let (router, http) = (free_endpoint(), free_address());
+    let library = library_file("waiting.safetensors");
+    let config = library.with_extension("toml");
+    let text = format!(
+        "library = \"{}\"\nhttp = \"{http}\"\nlog = \"off\"\n[zenoh]\nmode = '\"client\"'\n\
+         \"listen/endpoints\" = '[]'\n\"connect/endpoints\" = '[\"{router}\"]'\n",
+        library.display()
+    );
+    std::fs::write(&config, text).unwrap();
+    let mut process = Command::new(env!("CARGO_BIN_EXE_egp-server"))
+        .arg("--config")
+        .arg(&config)
+        .spawn()
+        .unwrap();
+    let late = Instant::now() + Duration::from_secs(20);
+    while ask(http, "GET", "/health").is_err() && Instant::now() < late {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let page = |path: &str| ask(http, "GET", path).unwrap();
+    let (health, ready) = (page("/health"), page("/ready"));
+    process.kill().unwrap();
+    process.wait().unwrap();
+    assert_eq!(health, (200, "ok\n".to_owned()));
+    assert_eq!(ready, (503, "starting\n".to_owned()));
+}
+
+#[test]
 fn requests_that_announce_a_body_or_never_end_harm_nobody() {
     let (endpoint, http) = (free_endpoint(), free_address());
     let mut process = start("bodies.safetensors", &endpoint, http);
