@@ -1,4 +1,4 @@
-"""Starts far below the reference speed: wheels do not spin, and the vehicle keeps its path."""
+"""Drives that begin badly: far below the reference speed, or with arguments out of range."""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from egp_service import Controller, Plant, shipped
+from egp_service import (
+    Controller,
+    EgpError,
+    InvalidArgumentError,
+    Plant,
+    StatusPublisher,
+    shipped,
+)
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.scenario import Zone, load_scenario, told_zones
@@ -31,6 +38,19 @@ def test_a_slow_start_keeps_the_path(friction: float, v_start: float) -> None:
     largest = 0.9 * np.abs(steps).max()
     turns = (np.sign(steps[1:]) != np.sign(steps[:-1])) & (np.abs(steps[1:]) > largest)
     assert turns.sum() <= 5
+
+
+def test_a_status_that_cannot_be_published_is_an_error_at_once() -> None:
+    x = np.array([0.0, 0.2, 15.0, 0.0, 0.0, 0.0, 0.0])
+    with Controller(shipped.DEMO_LIBRARY, gate=Plant().parameters.gate_limits()) as controller:
+        s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+        step = controller.step(x, np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s]))
+        with StatusPublisher(controller, "tcp/127.0.0.1:9") as status:
+            status.add(step, x, 0.0)
+            with pytest.raises(InvalidArgumentError, match=r"x has shape \(3,\): expected \(7,\)"):
+                status.add(step, x[:3], 0.02)
+        with pytest.raises(EgpError, match="the publisher was closed"):
+            status.add(step, x, 0.04)
 
 
 def test_a_deadline_of_a_minute_is_one_of_ten_seconds() -> None:

@@ -141,9 +141,14 @@ def test_a_road_is_kept_in_a_file(laps: Laps, tmp_path: Path) -> None:
     other = replace(BLIND, seed=BLIND.seed + 1)
     with pytest.raises(ScenarioError, match=r"another road of .* m beside this one; delete it"):
         load_belief(other, file)
-    told = replace(BLIND, speed=replace(BLIND.speed, knows="zones"))
-    with pytest.raises(ScenarioError, match=r"random.road has no effect while speed.knows is 'zo"):
-        load_belief(told, file)
+    for change, reason in (
+        ({"knows": "zones"}, "speed.knows is 'zones'"),
+        ({"constant": True}, "speed.constant is True"),
+        ({"friction": 0.5}, "speed.friction is 0.5"),
+    ):
+        deaf = replace(BLIND, speed=replace(BLIND.speed, **change))
+        with pytest.raises(ScenarioError, match=f"random.road has no effect while {reason}"):
+            load_belief(deaf, file)
 
 
 @pytest.mark.parametrize(
