@@ -243,6 +243,28 @@ def test_a_replay_shows_where_other_settings_matter(lap: Lap, tmp_path: Path) ->
     assert re.search(r"softer\.toml: .*line 2.*laterall", str(refused.exception), re.DOTALL)
 
 
+def test_a_replay_with_another_prior_solver_and_window(lap: Lap, tmp_path: Path) -> None:
+    settings = tmp_path / "other.toml"
+    command = ["replay", str(lap.folder / "run.mcap"), "--settings", str(settings), "--no-pictures"]
+    for text, shown in (
+        ("weights.prior = { kind = 'l1', alpha = 1e-5 }", "weights.prior.kind: quadratic → l1"),
+        ("solver.kind = 'clarabel'", "solver.kind: riccati → clarabel"),
+        ("weights.window = 10", "weights.window: 25 → 10"),
+    ):
+        settings.write_text(text)
+        result = CliRunner().invoke(app, command)
+        assert result.exit_code == 0, result.exception
+        assert shown in result.output
+    recorded = read_recording(lap.folder / "run.mcap")
+    again = replay(recorded, library_path(SCENARIO), {"weights": {"window": 10}})
+    assert {answer.status for answer in again.now} == {"solved"}
+    # In the first periods no request has more than ten transitions.
+    assert again.same[:10].all()
+    assert not again.same[11:50].any()
+    with pytest.raises(RecordingError, match=r"weights\.window = 25"):
+        replay(recorded, library_path(SCENARIO), {"weights": {"window": 26}})
+
+
 def test_a_replay_with_another_library(lap: Lap, tmp_path: Path) -> None:
     library = tmp_path / "one.safetensors"
     write_library_subset(library_path(SCENARIO), library, [1])

@@ -353,9 +353,10 @@ def test_a_drive_writes_its_traces(tmp_path: Path) -> None:
         result = CliRunner().invoke(app, [*drive, *options])
     assert result.exit_code == 0, result.output
     assert {span.instance for span in read(traces)} == {"default/vehicle-1"}
-    result = CliRunner().invoke(app, [*drive, "--traces", str(traces)])
-    assert result.exit_code == 2
-    assert "no use without" in result.output
+    for unused in (["--traces", str(traces)], ["--vehicle", "car-2"]):
+        result = CliRunner().invoke(app, [*drive, *unused])
+        assert result.exit_code == 2
+        assert "no use without" in result.output
 
 
 def test_a_file_that_cannot_be_written_is_named_at_the_start(tmp_path: Path) -> None:

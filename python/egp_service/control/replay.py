@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import Engine, RefusedError, decode_reply
+from egp_service._core import Engine, RefusedError, decode_ready, decode_reply
 from egp_service.control.messages import message_class
 from egp_service.control.recorded import RecordingError
 from egp_service.control.toml_text import dumps
@@ -97,19 +97,20 @@ class Replay:
 def replay(recorded: Recorded, library: Path, settings: Mapping[str, object]) -> Replay:
     """Answer the recorded requests again with a library file and settings.
 
-    Requests are sent unchanged to the library
-    that they name. For another library they name that one, and leave out what only the members of
-    the recorded one give: their predictions and, if the members' names differ, the weights.
+    Requests are sent unchanged to the library that they name. For another library they name that
+    one, and leave out what only the members of the recorded one give: their predictions and, if the
+    members' names differ, the weights. For a shorter window they leave out the oldest transitions.
 
     Raises:
-        RecordingError: if the period or the horizon differ from the recorded ones, or no recorded
-            request had a reply.
+        RecordingError: if the period or the horizon differ from the recorded ones, the window is
+            longer than the recorded one, or no recorded request had a reply.
         EgpError: for a library or settings that cannot be used.
 
     """
     engine = Engine(str(library), dumps(settings))
-    _check(recorded, engine)
-    change = _retarget(recorded, engine)
+    window = decode_ready(engine.ready).history
+    _check(recorded, engine, window)
+    change = _retarget(recorded, engine, window)
     steps = [(step, step.reply) for step in recorded.steps if step.reply is not None]
     if not steps:
         raise RecordingError("no request in the recording has a reply, so nothing can be compared")
@@ -135,7 +136,7 @@ def replay(recorded: Recorded, library: Path, settings: Mapping[str, object]) ->
     )
 
 
-def _check(recorded: Recorded, engine: Engine) -> None:
+def _check(recorded: Recorded, engine: Engine, window: int) -> None:
     dt, horizon = float(recorded.about["dt"]), int(recorded.about["horizon"])
     if engine.dt != dt:
         raise RecordingError(
@@ -147,20 +148,39 @@ def _check(recorded: Recorded, engine: Engine) -> None:
             f"the recorded references have a horizon of {horizon} periods, the settings "
             f"{engine.horizon}: state horizon = {horizon}, or drive again"
         )
+    longest = _window(recorded)
+    if longest is not None and window > longest:
+        raise RecordingError(
+            f"the recorded requests hold {longest} transitions at most, and the settings' window "
+            f"has {window}: state weights.window = {longest} or less, or drive again"
+        )
 
 
-def _retarget(recorded: Recorded, engine: Engine) -> Callable[[bytes], bytes]:
-    """Give what makes a recorded request one to the engine's library."""
-    if engine.library_id.hex() == recorded.about["library"]:
+def _window(recorded: Recorded) -> int | None:
+    """Give the window with which was driven; None if the recording does not hold it."""
+    weights = (recorded.settings or {}).get("weights")
+    return int(weights["window"]) if isinstance(weights, dict) and "window" in weights else None
+
+
+def _retarget(recorded: Recorded, engine: Engine, window: int) -> Callable[[bytes], bytes]:
+    """Give what makes a recorded request one to the engine's library and window."""
+    other_library = engine.library_id.hex() != recorded.about["library"]
+    if not other_library and window == _window(recorded):
         return lambda request: request
     other_members = engine.members != recorded.members
 
     def change(data: bytes) -> bytes:
         request = message_class("StepRequest").FromString(data)
         request.library = engine.library_id
-        request.ClearField("history_f")
         if other_members:
             request.ClearField("weights")
+        rows = request.history_z.shape[0] if request.HasField("history_z") else 0
+        if other_library or rows > window:
+            request.ClearField("history_f")
+        for history in (request.history_z, request.history_y) if rows > window else ():
+            # Rows are the newest first.
+            history.data = history.data[: len(history.data) // rows * window]
+            history.shape[0] = window
         changed: bytes = request.SerializeToString()
         return changed
 

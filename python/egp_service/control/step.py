@@ -97,7 +97,7 @@ class Step:
     of a component over its range, in half widths of that range; 0 inside."""
     lost: bool = False
     """Whether the vehicle counts as lost (far outside the training data, far from the reference, or
-    pointing away from it) and is therefore stopped."""
+    pointing away from it) and is therefore stopped, until `reset()`."""
 
     def __repr__(self) -> str:
         """Return mode, status, command, weights and friction in one line."""

@@ -125,6 +125,8 @@ class _Loop:
         self._s = 0.0
         self._distance = 0.0
         self._ticks = 0
+        # Why the gate began to stop the vehicle.
+        self._stopped = ""
         laps = scenario.laps if self.path.closed else 1.0
         self._goal = laps * self.path.length
         told = laps * build_profile(scenario, self.path).lap_time
@@ -194,8 +196,10 @@ class _Loop:
             return self._ending("completed")
         if abs(period.truth.lateral_error) > self._scenario.leave_distance:
             return self._ending(f"left the road: {period.truth.lateral_error:+.1f} m off the path")
-        if period.step.mode == "stop" and self._plant.state[V_X] < STANDSTILL:
-            return self._ending(f"stopped by the gate: {period.step.detail or period.step.status}")
+        if period.step.mode == "stop":
+            self._stopped = self._stopped or period.step.detail or period.step.status
+            if self._plant.state[V_X] < STANDSTILL:
+                return self._ending(f"stopped by the gate: {self._stopped}")
         if self._time > self._time_limit:
             return self._ending(TOO_LONG)
         return None

@@ -94,18 +94,31 @@ impl Situation {
     }
 }
 
-/// Counts the successive periods that a vehicle spends beyond a limit.
+/// Counts the successive periods that a vehicle spends beyond a limit, and remembers why it was lost.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct LostDetector {
     periods: u32,
+    lost: Option<Lost>,
 }
 
 impl LostDetector {
-    /// Whether the vehicle counts as lost in this period, and why.
+    /// Notes the situation of a period. Returns [`LostDetector::lost`].
     pub(crate) fn observe(&mut self, situation: &Situation) -> Option<Lost> {
-        let lost = situation.beyond();
-        self.periods = if lost.is_some() { self.periods + 1 } else { 0 };
-        lost.filter(|_| self.periods >= PATIENCE)
+        let beyond = situation.beyond();
+        self.periods = if beyond.is_some() {
+            self.periods + 1
+        } else {
+            0
+        };
+        if self.periods >= PATIENCE {
+            self.lost = self.lost.or(beyond);
+        }
+        self.lost
+    }
+
+    /// Why the vehicle counts as lost. It remains lost, for the reason that came first, because the stop lasts as well.
+    pub(crate) fn lost(&self) -> Option<Lost> {
+        self.lost
     }
 }
 
@@ -165,8 +178,12 @@ mod tests {
             .collect();
         assert_eq!(
             verdicts,
-            [false, false, false, false, false, true, true, false]
+            [false, false, false, false, false, true, true, true]
         );
+        let far = situation([60.0, 2.0, 10.0, 3.0, 0.0, 0.0, 0.0]);
+        let reason = detector.observe(&far);
+        assert_eq!(reason, spin.beyond(), "the first reason is kept");
+        assert_eq!(reason, detector.lost());
     }
 
     #[test]

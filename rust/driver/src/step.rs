@@ -34,7 +34,7 @@ pub struct Step {
     /// Where the vehicle is relative to the library's training data and to the reference; `None` if the measurement is
     /// not usable.
     pub situation: Option<Situation>,
-    /// Why the vehicle counts as lost and is therefore stopped; none while it does not.
+    /// Why the vehicle counts as lost and is therefore stopped, until the driver is reset; none while it does not.
     pub lost: Option<Lost>,
 }
 

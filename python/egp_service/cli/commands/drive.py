@@ -132,6 +132,10 @@ def drive(
         chosen = replace(chosen, seed=seed)
     if chosen.plant is not None:
         load_simulator(chosen.plant)  # reports a class that cannot be made before a folder is
+    if vehicle is not None and not (connect or zenoh or fleet or monitor):
+        raise typer.BadParameter(
+            "--vehicle has no use without --connect, --zenoh, --fleet or --monitor"
+        )
     belief = load_belief(chosen, road)
     fleet_name, name = _name(vehicle)
     with (

@@ -118,6 +118,10 @@ def _over(base: "Mapping[str, object]", other: "Mapping[str, object]") -> dict[s
     merged = dict(base)
     for key, value in other.items():
         below = merged.get(key)
-        nested = isinstance(value, dict) and isinstance(below, dict)
-        merged[key] = _over(below, value) if nested else value  # type: ignore[arg-type]
+        if isinstance(value, dict) and isinstance(below, dict):
+            # The strengths of the two kinds of prior have other names.
+            other_kind = key == "prior" and value.get("kind", below["kind"]) != below["kind"]
+            merged[key] = value if other_kind else _over(below, value)
+        else:
+            merged[key] = value
     return merged

@@ -282,7 +282,7 @@ fn domains(mass: f64, rows: &Rows) -> Result<(), StepError> {
         let distance = (row[0] - x[P_X]).hypot(row[1] - x[P_Y]);
         let quantity = "distance of a reference point from the vehicle (m)";
         within(["reference", quantity], distance, 0.0, 1000.0)?;
-        within(["reference", "reference.v_x (m/s)"], row[2], 0.0, 100.0)?;
+        within(["reference", "reference.v_x (m/s)"], row[2], -1.0, 100.0)?;
     }
     for width in rows.widths.iter().flatten() {
         within(["widths", "widths (m)"], *width, -1000.0, 1000.0)?;

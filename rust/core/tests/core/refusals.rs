@@ -50,6 +50,7 @@ fn errors_of_malformed_requests_name_the_field() {
     assert_eq!(domain(reject(|r| r.x[2] = 200.0)), "x");
     assert_eq!(domain(reject(|r| r.u_prev[0] = 1e6)), "u_prev");
     assert_eq!(domain(reject(|r| r.reference[0] = 2000.0)), "reference");
+    assert_eq!(domain(reject(|r| r.reference[2] = -1.1)), "reference");
     assert_eq!(domain(reject(|r| r.widths[3] = 2000.0)), "widths");
     for (friction, std) in [(0.0, 0.1), (3.1, 0.1), (0.5, -0.1), (0.5, 3.1)] {
         let mut request = warm();

@@ -216,6 +216,9 @@ fn any_measured_state_gets_a_plan() {
             (|r: &mut Request| r.x[2] = 0.0) as fn(&mut Request),
         ),
         ("rolling back", |r| r.x[2] = -0.5),
+        ("reference of a standstill, rounded", |r| {
+            r.reference.chunks_mut(4).for_each(|row| row[2] = -1e-15)
+        }),
         ("too fast", |r| r.x[2] = 75.0),
         ("off the track", |r| r.x[1] = -40.0),
         ("sliding sideways", |r| (r.x[4], r.x[5]) = (6.0, 2.5)),

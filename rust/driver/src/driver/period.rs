@@ -88,8 +88,9 @@ impl Driver {
 
     /// Decides the open period, whose deadline has passed.
     pub(super) fn expire(&mut self, now: Time) {
+        // There may have been no time left to ask anyone.
         if let Some(run) = &mut self.running
-            && !run.awaited.is_empty()
+            && (!run.awaited.is_empty() || (run.asked == 0 && !run.remaining.is_empty()))
         {
             run.outcome = Outcome::Late;
             for (id, replica) in &run.awaited {
@@ -199,7 +200,7 @@ impl Driver {
             late: std::mem::take(&mut self.late),
             asked: 0,
             situation: None,
-            lost: None,
+            lost: self.lost.lost(),
         };
         self.actions.push_back(Action::Command(Box::new(step)));
     }

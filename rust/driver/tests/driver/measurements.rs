@@ -44,6 +44,23 @@ fn a_lost_vehicle_is_stopped_and_goes_on_asking() {
         assert_eq!(step.command.mode == Mode::Stop, lost.is_some());
         assert!(step.outcome.is_solved());
     }
+    // On its way to a standstill it still counts as lost, also while its state cannot be measured.
+    let mut unmeasured = measurement();
+    unmeasured.x[2] = f64::NAN;
+    for (period, measured) in [(4, measurement()), (5, unmeasured)] {
+        let now = PERIOD * period;
+        driver.tick(now, now + BUDGET, measured).unwrap();
+        if period == 4 {
+            let query = asked(&mut driver);
+            driver.replied(now, query.id, &solved(&query).encode(), b"");
+        }
+        assert_eq!(decided(&mut driver).lost, Some(Lost::Distance(26.0)));
+    }
+    driver.reset();
+    driver.tick(ms(200), ms(216), measurement()).unwrap();
+    let query = asked(&mut driver);
+    driver.replied(ms(200), query.id, &solved(&query).encode(), b"");
+    assert_eq!(decided(&mut driver).lost, None);
 }
 
 #[test]

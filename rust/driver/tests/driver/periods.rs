@@ -281,7 +281,7 @@ fn nobody_is_asked_without_a_replica_or_without_time() {
     let mut hurried = driver(&["a"]);
     hurried.tick(ms(20), ms(20), measurement()).unwrap();
     let step = decided(&mut hurried);
-    assert_eq!((step.outcome, step.asked), (Outcome::Unreachable, 0));
+    assert_eq!((step.outcome, step.asked), (Outcome::Late, 0));
 
     let mut failed = driver(&["a", "b"]);
     tick(&mut failed, ms(40));
