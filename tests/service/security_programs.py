@@ -98,16 +98,22 @@ def first(
 
 
 def drive(vehicle: VehicleClient) -> list[Step]:
-    """Drive straight on, with the same measurement in each period."""
+    """Drive straight on, with the same measurement in each period.
+
+    Each period has its time, as that of a car. Now and then zenoh's TLS loses a link for some
+    hundredths of a second (docs/security.md, section 3).
+    """
     s = 15.0 * vehicle.dt * np.arange(vehicle.horizon + 1)
     zero = np.zeros_like(s)
     reference = np.column_stack([s, zero, zero + 15.0, zero])
     x = np.array([0.0, 0.3, 15.0, 0.0, 0.0, 0.0, 0.0])
     steps = []
     for _ in range(STEPS):
+        due = time.monotonic() + vehicle.dt
         steps.append(vehicle.step(x, reference, deadline=0.5))
         if steps[-1].mode == "stop":
             vehicle.reset()
+        time.sleep(max(0.0, due - time.monotonic()))
     return steps
 
 
@@ -116,6 +122,8 @@ def secrets(folder: Path, endpoint: str) -> Path:
     pytest.importorskip("cryptography", reason="the extra `security` is not installed")
     from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
 
-    port = int(endpoint.rpartition(":")[2])
-    write_credentials(folder, "f", ["a", "b"], hosts=["127.0.0.1"], port=port, days=1)
+    protocol, _, address = endpoint.partition("/")
+    port = int(address.rpartition(":")[2])
+    hosts = ["127.0.0.1"]
+    write_credentials(folder, "f", ["a", "b"], hosts=hosts, port=port, protocol=protocol, days=1)
     return folder

@@ -120,7 +120,33 @@ def test_a_further_vehicle_moves_no_endpoint_unless_it_is_said(tmp_path: Path) -
             assert endpoints(file, "listen") == [expected]
         for name in ("operator", "monitor"):
             assert endpoints(own / f"{name}.json5") == ["tls/127.0.0.1:7460"]
-    assert "service.json5 listens on port 7480 from now on, in place of 7460" in told[0]
+    moved = "service.json5 listens by tls on port 7480 from now on, in place of tls on port 7460"
+    assert moved in told[0]
+
+
+def test_a_folder_changes_its_protocol_if_it_is_said(tmp_path: Path) -> None:
+    own = secrets(tmp_path / "own", "tls/127.0.0.1:7460")
+    folder = str(own)
+    told: list[str] = []
+    router = own / "router.json5"
+    router.write_text(router.read_text().replace("tls/[::]:7449", "tls/10.0.0.5:7470"))
+    for options in (["--protocol", "quic"], []):
+        command = ["keys", folder, "--fleet", "f", "--vehicle", f"c{len(told)}", "--host", "h"]
+        result = CliRunner().invoke(app, [*command, "--days", "1", *options])
+        assert result.exit_code == 0, result.exception
+        told.append(result.output)
+        for file, listening in (
+            (own / "service.json5", "quic/[::]:7460"),
+            (own / "map.json5", "quic/[::]:7448"),
+            (router, "quic/10.0.0.5:7470"),
+        ):
+            assert endpoints(file, "listen") == [listening]
+    for vehicle in ("c0", "c1"):
+        assert endpoints(own / "vehicles" / f"f@{vehicle}.json5") == ["quic/h:7460"]
+    assert endpoints(own / "operator.json5") == ["tls/127.0.0.1:7460"]
+    first, second = told
+    assert "listens by quic on port 7460 from now on, in place of tls on port 7460" in first
+    assert "from now on" not in second
 
 
 def test_an_expired_authority_makes_no_certificates(

@@ -132,10 +132,7 @@ def drive(
         chosen = replace(chosen, seed=seed)
     if chosen.plant is not None:
         load_simulator(chosen.plant)  # reports a class that cannot be made before a folder is
-    if vehicle is not None and not (connect or zenoh or fleet or monitor):
-        raise typer.BadParameter(
-            "--vehicle has no use without --connect, --zenoh, --fleet or --monitor"
-        )
+    _check_use(vehicle, connect, zenoh, fleet, monitor)
     belief = load_belief(chosen, road)
     fleet_name, name = _name(vehicle)
     with (
@@ -212,6 +209,14 @@ def _controller(
         key_file=key,
         traces=traces,
     )
+
+
+def _check_use(vehicle: str | None, *others: str | Path | None) -> None:
+    """Check that something is told the car's name."""
+    if vehicle is not None and not any(others):
+        raise typer.BadParameter(
+            "--vehicle has no use without --connect, --zenoh, --fleet or --monitor"
+        )
 
 
 def _name(vehicle: str | None) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 """`egp keys`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -29,6 +29,13 @@ def keys(
             min=1, max=65535, help="Port of the service; by default that of its file, or 7447."
         ),
     ] = None,
+    protocol: Annotated[
+        Literal["tls", "quic"] | None,
+        typer.Option(
+            help="Protocol of service, map and router; by default that of the service's file, or "
+            "tls. docs/security.md compares them."
+        ),
+    ] = None,
     days: Annotated[
         int,
         typer.Option(
@@ -45,8 +52,8 @@ def keys(
     vehicle that there is, it renews the certificate: the .json5 file is written
     anew, with the same endpoints if it is still there, and the secret key stays.
     Another --host is for the new vehicles; operator and monitor keep their
-    endpoints, and the service its port. Keep ca.key and library.key where no
-    service and no vehicle is; all other files go where their name says.
+    endpoints, and the service its port and protocol. Keep ca.key and library.key
+    where no service and no vehicle is; all other files go where their name says.
 
     For example:
       egp keys secrets --vehicle car-1 --vehicle car-2 --host control.example
@@ -58,7 +65,16 @@ def keys(
     def report(text: str) -> None:
         console.print(text, markup=False, highlight=False)
 
-    new = write_credentials(folder, fleet, vehicle, hosts=host, port=port, days=days, report=report)
+    new = write_credentials(
+        folder,
+        fleet,
+        vehicle,
+        hosts=host,
+        port=port,
+        protocol=protocol,
+        days=days,
+        report=report,
+    )
     renewed = [name for own in dict.fromkeys(vehicle) if (name := f"{fleet}/{own}") not in new]
     console.print(f"New vehicles: {', '.join(new) or 'none'}")
     if renewed:
