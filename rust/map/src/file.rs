@@ -3,12 +3,13 @@
 use std::collections::HashMap;
 
 use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView, serialize};
+use sha2::{Digest as _, Sha256};
 
 use crate::grid::{LEVELS, Row};
 use crate::{MergeSettings, RoadBelief};
 
 const TENSOR: &str = "evidence";
-const SCHEMA: &str = "egp-road-belief-2";
+const SCHEMA: &str = "egp-road-belief-3";
 /// Largest difference in m between the length of a road and that of a file.
 const SAME: f64 = 1e-3;
 /// Largest distance in m between the points of a road and those of a file: more than rounding, less than a lane.
@@ -72,7 +73,9 @@ impl RoadBelief {
         // One key only: the order of several would differ from run to run.
         let mut road = vec![self.length().to_string(), kind(self.closed()).to_owned()];
         road.extend(self.shape.as_flattened().iter().map(f64::to_string));
-        let metadata = HashMap::from([(SCHEMA.to_owned(), road.join(" "))]);
+        let road = road.join(" ");
+        let stated = format!("{} {road}", checksum(&road, &values));
+        let metadata = HashMap::from([(SCHEMA.to_owned(), stated)]);
         let shape = vec![self.evidence().len(), LEVELS];
         let view = TensorView::new(Dtype::F64, shape, &values)?;
         Ok(serialize([(TENSOR, view)], Some(metadata))?)
@@ -95,10 +98,10 @@ impl RoadBelief {
         let remaining = MergeSettings::default().remaining(age);
         let content = |text: &str| StoredBeliefError::Content(text.to_owned());
         let (_, header) = SafeTensors::read_metadata(bytes)?;
-        let road = (header.metadata().as_ref())
-            .and_then(|metadata| metadata.get(SCHEMA))
+        let (stated, described) = (header.metadata().as_ref())
+            .and_then(|metadata| metadata.get(SCHEMA)?.split_once(' '))
             .ok_or_else(|| content(&format!("its metadata have no key {SCHEMA}")))?;
-        let mut road = road.split(' ');
+        let mut road = described.split(' ');
         let (stored, stored_kind) = (road.next().unwrap_or(""), road.next().unwrap_or(""));
         let stored: f64 = (stored.parse()).map_err(|_| content("its length is not a number"))?;
         let shape: Vec<f64> = (road.map(str::parse).collect::<Result<_, _>>())
@@ -131,6 +134,9 @@ impl RoadBelief {
             .find(|value| !(f64::MIN..=0.0).contains(*value))
         {
             return Err(content(&format!("its evidence has the number {value}")));
+        }
+        if checksum(described, tensor.data()) != stated {
+            return Err(content("its checksum does not fit, so that it is damaged"));
         }
         let rows: &[Row] = values.as_chunks().0;
         for (cell, row) in rows.iter().enumerate() {
@@ -165,6 +171,13 @@ impl RoadBelief {
             _ => Ok(()),
         }
     }
+}
+
+/// SHA-256 of a road's description and of the evidence, as hexadecimal digits.
+fn checksum(road: &str, evidence: &[u8]) -> String {
+    let digest = Sha256::new().chain_update(road).chain_update(evidence);
+    let digest = digest.finalize();
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn kind(closed: bool) -> &'static str {
