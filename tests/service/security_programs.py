@@ -122,8 +122,6 @@ def secrets(folder: Path, endpoint: str) -> Path:
     pytest.importorskip("cryptography", reason="the extra `security` is not installed")
     from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
 
-    protocol, _, address = endpoint.partition("/")
-    port = int(address.rpartition(":")[2])
-    hosts = ["127.0.0.1"]
-    write_credentials(folder, "f", ["a", "b"], hosts=hosts, port=port, protocol=protocol, days=1)
+    port = int(endpoint.rpartition(":")[2])
+    write_credentials(folder, "f", ["a", "b"], hosts=["127.0.0.1"], port=port, days=1)
     return folder

@@ -72,18 +72,15 @@ def test_a_stranger_who_says_nothing_is_disconnected_soon(tmp_path: Path) -> Non
         assert time.monotonic() - begun < 6.0
 
 
-@pytest.mark.parametrize("protocol", ["tls", "quic"])
-def test_certificates_give_each_identity_its_own_keys(tmp_path: Path, protocol: str) -> None:
+def test_certificates_give_each_identity_its_own_keys(tmp_path: Path) -> None:
     pytest.importorskip("cryptography", reason="the extra `security` is not installed")
     from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
 
-    endpoint = free_endpoint(protocol)
+    endpoint = free_endpoint("tls")
     port = int(endpoint.rpartition(":")[2])
     folders = {name: tmp_path / name for name in ("own", "foreign")}
     for folder in folders.values():
-        write_credentials(
-            folder, "f", ["a"], hosts=["127.0.0.1"], port=port, protocol=protocol, days=1
-        )
+        write_credentials(folder, "f", ["a"], hosts=["127.0.0.1"], port=port, days=1)
     own = folders["own"]
     # The service is still reached under the host of the first call.
     both = ["a", "b"]
@@ -183,13 +180,10 @@ def rogue(file: Path, endpoint: str) -> Iterator[zenoh.Session]:
         yield session
 
 
-@pytest.mark.parametrize("protocol", ["tls", "quic"])
 @pytest.mark.parametrize("hub", ["service", "router"])
-def test_no_certificate_forges_what_services_and_vehicles_publish(
-    tmp_path: Path, hub: str, protocol: str
-) -> None:
+def test_no_certificate_forges_what_services_and_vehicles_publish(tmp_path: Path, hub: str) -> None:
     """The rogues are vehicle b and the operator, at a service or at a router before it."""
-    endpoint = free_endpoint(protocol)
+    endpoint = free_endpoint("tls")
     own = secrets(tmp_path / "own", endpoint)
     routed = hub == "router"
     vehicle_file = own / "vehicles" / "f@a.json5"

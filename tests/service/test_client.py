@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import queue
+import signal
 import socket
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +17,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from egp_service import Controller, InvalidArgumentError, VehicleClient
+from egp_service import Controller, EgpError, InvalidArgumentError, VehicleClient
 from egp_service._core.testing import live_key
 from egp_service.control.client import Announcement, Network, ServiceUnreachableError
 from egp_service.control.service_process import ServiceProcess, ServiceStartError
@@ -182,6 +184,46 @@ def test_a_frozen_service_costs_no_more_than_the_deadline(service: ServiceProces
         service.kill()
     assert (step.mode, step.status) == ("tail", "late")
     assert step.timings.total < 3.0
+
+
+def test_a_handler_of_a_signal_may_reset_within_a_step(service: ServiceProcess) -> None:
+    with VehicleClient.connect([service.endpoint], gate=GATE) as client:
+        vehicle, seen = Standstill(client), list[str]()
+        vehicle.step(deadline=5.0)
+        service.freeze()
+
+        def handle(*_: object) -> None:
+            client.reset()
+            with pytest.raises(EgpError, match="which a signal interrupts"):
+                vehicle.step()
+            seen.append("reset")
+
+        before = signal.signal(signal.SIGALRM, handle)
+        try:
+            signal.setitimer(signal.ITIMER_REAL, 0.05)
+            step = vehicle.step(deadline=0.5)
+        finally:
+            signal.signal(signal.SIGALRM, before)
+        assert (seen, step.mode, step.status) == (["reset"], "tail", "late")
+        service.kill()
+        assert vehicle.step(deadline=0.1).mode == "waiting", "the reset comes after the step"
+
+
+def test_the_deadline_can_be_read_while_another_thread_steps() -> None:
+    with Controller(LIBRARY, gate=GATE) as controller:
+        vehicle, over = Standstill(controller), threading.Event()
+
+        def steps() -> None:
+            while not over.is_set():
+                vehicle.step()
+
+        stepping = threading.Thread(target=steps)
+        stepping.start()
+        try:
+            assert {controller.deadline for _ in range(50)} == {0.8 * controller.dt}
+        finally:
+            over.set()
+            stepping.join()
 
 
 def test_a_measurement_that_is_not_finite_stops_the_vehicle() -> None:

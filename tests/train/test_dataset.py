@@ -45,6 +45,22 @@ def test_digest_sees_a_single_bit() -> None:
     assert dataclasses.replace(dataset, z=z).digest() != dataset.digest()
 
 
+@pytest.mark.parametrize("wrong", [-1, 2**32, 0.5])
+def test_numbers_of_trajectories_are_not_changed_silently(tmp_path: Path, wrong: float) -> None:
+    dataset = surface()
+    numbers = dataset.trajectory.astype(type(wrong))
+    numbers[3] = wrong
+    with pytest.raises(EgpError, match="trajectory"):
+        dataclasses.replace(dataset, trajectory=numbers)
+    file = tmp_path / "wet.parquet"
+    dataset.write(file)
+    metadata = pl.read_parquet_metadata(file)
+    frame = pl.read_parquet(file).with_columns(trajectory=pl.Series(numbers))
+    frame.write_parquet(file, metadata={METADATA_KEY: metadata[METADATA_KEY]})
+    with pytest.raises(EgpError, match=r"wet\.parquet.*trajectory"):
+        Dataset.read(file)
+
+
 def test_merging_keeps_trajectories_apart() -> None:
     first, second = surface(seed=1, trajectories=3), surface(seed=2, trajectories=4)
     merged = merge([first, second])

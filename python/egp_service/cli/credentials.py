@@ -45,8 +45,6 @@ _MONITOR = "monitor"
 _LONGEST = 64
 _SCOUTING = {"multicast": {"enabled": False}}
 _RETRY = {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2}
-# Protocols with certificates; the first one is that of a new folder.
-_PROTOCOLS = ("tls", "quic")
 # Ports of `egp serve`, `egp map` and `egp router` by default.
 _PORTS = {SERVICE: 7447, MAP: 7448, ROUTER: 7449}
 # Largest messages that a vehicle, and that a service or router receives, bytes.
@@ -72,7 +70,6 @@ def write_credentials(
     *,
     hosts: Sequence[str],
     port: int | None = None,
-    protocol: str | None = None,
     days: int,
     report: Callable[[str], None] = lambda _: None,
 ) -> list[str]:
@@ -81,9 +78,8 @@ def write_credentials(
     The other `vehicles` keep their secret keys and endpoints, and get new certificates; so do
     operator and monitor. The files of new ones connect to `hosts`. The certificates of service, map
     and router are also valid for the hosts of earlier calls, and they listen where they did. The
-    service listens on `port` if it is given, and all three by `protocol`, `tls` or `quic`, which
-    `report` is told if it changes; new ones listen on 7447 and by TLS without them. `report` is
-    also told if certificates cannot be valid for `days`.
+    service listens on `port` if it is given, which `report` is told if it changes; a new one
+    listens on 7447 without it. `report` is also told if certificates cannot be valid for `days`.
 
     Raises `EgpError` before anything is written for a name or host that cannot be used, for a file
     that is not as an earlier call wrote it, and if the folder's authority has expired or lacks its
@@ -92,9 +88,7 @@ def write_credentials(
     names = list(dict.fromkeys(_vehicle(fleet, vehicle) for vehicle in vehicles))
     _check_hosts(hosts)
     with locked(folder):
-        return _write_all(
-            folder, names, hosts=hosts, port=port, protocol=protocol, days=days, report=report
-        )
+        return _write_all(folder, names, hosts=hosts, port=port, days=days, report=report)
 
 
 def _write_all(
@@ -103,7 +97,6 @@ def _write_all(
     *,
     hosts: Sequence[str],
     port: int | None,
-    protocol: str | None,
     days: int,
     report: Callable[[str], None],
 ) -> list[str]:
@@ -111,10 +104,21 @@ def _write_all(
     keys = _read_keys(ring)
     new = [name for name in names if name not in keys]
     keys |= {name: secrets.token_hex(32) for name in new}
-    listening, protocol, reached_at = _listening(folder, port, protocol, report)
-    endpoints = [
-        f"{protocol}/{f'[{host}]' if ':' in host else host}:{reached_at}" for host in hosts
-    ]
+    listening = {
+        end: _endpoints(folder / f"{end}.json5", "listen") or [f"tls/[::]:{at}"]
+        for end, at in _PORTS.items()
+    }
+    service = folder / f"{SERVICE}.json5"
+    reached_at = _port(service, listening[SERVICE])
+    if port is not None and port != reached_at:
+        if service.exists():
+            report(
+                f"{service} listens on port {port} from now on, in place of {reached_at}. Vehicles "
+                "that are not new, operator and monitor keep their endpoints: change these in "
+                f"their files, or repeat the command with --port {reached_at}."
+            )
+        listening[SERVICE], reached_at = [f"tls/[::]:{port}"], port
+    endpoints = [f"tls/{host}:{reached_at}" for host in hosts]
     files = {name: folder / "vehicles" / f"{name.replace('/', '@')}.json5" for name in names}
     for name, file in files.items():
         if name not in new and not file.exists():
@@ -153,34 +157,6 @@ def _write_all(
     return new
 
 
-def _listening(
-    folder: Path, port: int | None, protocol: str | None, report: Callable[[str], None]
-) -> tuple[dict[str, list[str]], str, int]:
-    """Return where service, map and router listen, and protocol and port of the service."""
-    listening = {end: _endpoints(folder / f"{end}.json5", "listen") for end in _PORTS}
-    service, known = folder / f"{SERVICE}.json5", bool(listening[SERVICE])
-    used = (_PROTOCOLS[0], _PORTS[SERVICE])
-    if known:
-        used = _protocol_and_port(service, listening[SERVICE])
-    protocol, port = protocol or used[0], port or used[1]
-    if known and (protocol, port) != used:
-        report(
-            f"{service} listens by {protocol} on port {port} from now on, in place of {used[0]} on "
-            f"port {used[1]}. Vehicles that are not new, operator and monitor keep their "
-            "endpoints: change these in their files, or repeat the command with "
-            f"--protocol {used[0]} --port {used[1]}."
-        )
-    for end, endpoints in listening.items():
-        if not endpoints:
-            listening[end] = [f"{protocol}/[::]:{_PORTS[end]}"]
-        elif protocol != used[0]:
-            addresses = [_address(endpoint).partition("/")[2] for endpoint in endpoints]
-            listening[end] = [f"{protocol}/{address}" for address in addresses]
-    if port != _protocol_and_port(service, listening[SERVICE])[1]:
-        listening[SERVICE] = [f"{protocol}/[::]:{port}"]
-    return listening, protocol, port
-
-
 def _vehicle(fleet: str, vehicle: str) -> str:
     name = f"{fleet}/{vehicle}"
     for part in (fleet, vehicle):
@@ -198,14 +174,20 @@ def _vehicle(fleet: str, vehicle: str) -> str:
 def _check_hosts(hosts: Sequence[str]) -> None:
     for host in hosts:
         try:
-            ipaddress.ip_address(host)
+            address = ipaddress.ip_address(host)
         except ValueError:
             if not _HOST_NAME.fullmatch(host):
                 raise EgpError(
-                    f"host {host!r}: expected an IP address, or a name of letters (A-Z a-z), "
+                    f"host {host!r}: expected an IPv4 address, or a name of letters (A-Z a-z), "
                     "digits, hyphens, underscores and dots; --port gives the port, and a name with "
                     "other letters is written in its form that begins with xn--"
                 ) from None
+        else:
+            if isinstance(address, ipaddress.IPv6Address):
+                raise EgpError(
+                    f"host {host}: zenoh does not compare an IPv6 address with a certificate; give "
+                    "a host name that resolves to it"
+                )
 
 
 def _authority(folder: Path, days: int, report: Callable[[str], None]) -> Authority:
@@ -294,22 +276,16 @@ def _endpoints(file: Path, direction: str) -> list[str]:
 
 
 def _impatient(endpoint: str) -> str:
-    """Return an endpoint of TLS with a time for the handshake, unless it states one."""
-    if _HANDSHAKE.partition("=")[0] in endpoint or not endpoint.startswith("tls/"):
+    """Return an endpoint with a time for the handshake, unless it states one."""
+    if _HANDSHAKE.partition("=")[0] in endpoint:
         return endpoint
     return f"{endpoint}{';' if '#' in endpoint else '#'}{_HANDSHAKE}"
 
 
-def _address(endpoint: str) -> str:
-    """Return an endpoint without what zenoh may have behind its port."""
-    return re.split("[?#]", endpoint)[0]
-
-
-def _protocol_and_port(file: Path, endpoints: Sequence[str]) -> tuple[str, int]:
-    """Return protocol and port of the first endpoint at which a configuration listens."""
+def _port(file: Path, endpoints: Sequence[str]) -> int:
+    """Return the port of the first endpoint at which a configuration listens."""
     with _as_written(file):
-        address = _address(endpoints[0])
-        return address.partition("/")[0], int(address.rpartition(":")[2])
+        return int(re.split("[?#]", endpoints[0])[0].rpartition(":")[2])
 
 
 @contextmanager
@@ -340,7 +316,7 @@ def _tls(authority: Authority, identities: dict[str, Identity]) -> dict[str, obj
 def _transport(tls: dict[str, object], longest: int) -> dict[str, object]:
     return {
         "link": {
-            "protocols": list(_PROTOCOLS),
+            "protocols": ["tls"],
             "tx": {"lease": 2000},
             "rx": {"max_message_size": longest},
             "tls": tls,

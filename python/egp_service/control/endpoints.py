@@ -13,9 +13,7 @@ if TYPE_CHECKING:
 
 _FORM: Final = re.compile(r"[a-z][a-z-]*/.+")
 _REACH_SECONDS: Final = 1.0
-_ADDRESS: Final = re.compile(
-    r"(?P<protocol>tcp|tls|quic)/\[?(?P<host>[^\]/]*)\]?:(?P<port>\d+)([?#].*)?"
-)
+_TCP: Final = re.compile(r"(?:tcp|tls)/\[?(?P<host>[^\]/]*)\]?:(?P<port>\d+)([?#].*)?")
 
 
 def check_endpoints(endpoints: Sequence[str]) -> None:
@@ -34,7 +32,7 @@ def check_endpoints(endpoints: Sequence[str]) -> None:
 
 
 def check_free(endpoints: Sequence[str]) -> None:
-    """Check that a service can listen on `endpoints`.
+    """Check that a service can listen on the TCP ports among `endpoints`.
 
     Raises:
         EgpError: if a port is in use or may not be used, or the host has no such address.
@@ -52,8 +50,8 @@ def check_free(endpoints: Sequence[str]) -> None:
 
 def why_unreachable(endpoint: str) -> str | None:
     """Say why nobody can be reached at an endpoint; `None` if somebody can, or if it is not TCP."""
-    found = _ADDRESS.fullmatch(endpoint)
-    if found is None or found["protocol"] == "quic":
+    found = _TCP.fullmatch(endpoint)
+    if found is None:
         return None
     try:
         socket.create_connection((found["host"], int(found["port"])), _REACH_SECONDS).close()
@@ -63,28 +61,19 @@ def why_unreachable(endpoint: str) -> str | None:
 
 
 def why_not_free(endpoint: str) -> str | None:
-    """Say why a service cannot listen on an endpoint; `None` if it can, or if it is another one.
-
-    Endpoints of TCP, TLS and QUIC are known.
-    """
-    found = _ADDRESS.fullmatch(endpoint)
+    """Say why a service cannot listen on an endpoint; `None` if it can, or if it is not TCP."""
+    found = _TCP.fullmatch(endpoint)
     if found is None:
         return None
     host, port = found["host"], int(found["port"])
-    datagrams = found["protocol"] == "quic"
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
-            host,
-            port,
-            type=socket.SOCK_DGRAM if datagrams else socket.SOCK_STREAM,
-            flags=socket.AI_PASSIVE,
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
         with socket.socket(family, kind, protocol) as probe:
-            if not datagrams:
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
-            if not datagrams:
-                probe.listen()
+            probe.listen()
     except (OSError, OverflowError) as error:
         return (error.strerror if isinstance(error, OSError) else None) or str(error)
     return None

@@ -6,9 +6,11 @@ import json
 import os
 import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from google.protobuf.message import DecodeError
 from mcap.records import Channel, Chunk, Footer, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
@@ -19,7 +21,6 @@ from egp_service.control.recorder import ABOUT, NANOSECONDS, SCENARIO, SETTINGS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from pathlib import Path
     from typing import BinaryIO
 
     from mcap.records import McapRecord
@@ -92,7 +93,7 @@ def missing(end: Footer | Damage | None) -> str:
     return "" if end else "The recording was interrupted; its last steps are missing."
 
 
-def read_recording(path: Path) -> Recorded:
+def read_recording(path: str | Path) -> Recorded:
     """Read a recording of `Recorder` or `egp drive`.
 
     Raises:
@@ -100,6 +101,15 @@ def read_recording(path: Path) -> Recorded:
         OSError: if the file cannot be read.
 
     """
+    try:
+        return _read(Path(path))
+    except RecordingError:
+        raise
+    except (KeyError, ValueError, DecodeError, EgpError) as error:
+        raise RecordingError(f"{path}: the recording is damaged ({error!r})") from error
+
+
+def _read(path: Path) -> Recorded:
     metadata: dict[str, Mapping[str, str]] = {}
     topics: dict[int, str] = {}
     requests: list[tuple[float, bytes]] = []

@@ -8,10 +8,11 @@ from __future__ import annotations
 import json
 import math
 import platform
+from contextlib import contextmanager
 from importlib.metadata import version
 from itertools import starmap
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Self
+from typing import IO, TYPE_CHECKING, Final, Self, cast
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -26,12 +27,12 @@ from mcap_protobuf.schema import register_schema
 
 from egp_service._core import InvalidArgumentError, vector_instructions
 from egp_service.control.messages import message_class
-from egp_service.control.step_record import step_record
+from egp_service.control.step_record import measured_state, step_record
 from egp_service.control.toml_text import dumps
-from egp_service.quantities import NX, P_X, P_Y, PSI
+from egp_service.quantities import P_X, P_Y, PSI
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from google.protobuf.message import Message
     from numpy.typing import ArrayLike, NDArray
@@ -61,7 +62,8 @@ class Recorder:
     The file holds what is needed to repeat the steps: the requests and replies as sent, the
     identity of the library, the settings and the versions (`egp replay`). The settings of a service
     are known to the recorder only if it was started by this package. What was recorded before an
-    interruption stays readable.
+    interruption stays readable, but for at most 50 steps. An exception while it is written to, such
+    as that of a full disk or an interruption, ends the recording.
     """
 
     def __init__(
@@ -74,22 +76,24 @@ class Recorder:
         """Create the file `path` for the steps of `controller`.
 
         `notes` are further metadata records, each a name with a mapping of texts. Raises `OSError`
-        if the file cannot be written.
+        if the file cannot be written, and `InvalidArgumentError` for notes that are no texts or
+        have the name of a record of the recorder; a file that is there then stays as it is.
         """
         path = Path(path)
+        about = _about(controller) | _checked_notes(notes or {})
         path.parent.mkdir(parents=True, exist_ok=True)
         self._channels: dict[str, int] = {}
         self._steps = 0
-        about = _about(controller) | dict(notes or {})
-        self._stream = path.open("wb")
+        self._ended = "it is closed"
+        self._file = _File(path)
         try:
-            self._writer = Writer(self._stream)
+            self._writer = Writer(cast("IO[bytes]", self._file))
             self._writer.start(profile="egp.v1", library="egp-service")
             for name, texts in about.items():
-                self._writer.add_metadata(name, dict(texts))
-            self._writer.flush()  # type: ignore[no-untyped-call]
+                self._writer.add_metadata(name, texts)
+            self._flush()
         except BaseException:
-            self._stream.close()
+            self._file.close()
             path.unlink()  # it has no header, or nothing else
             raise
 
@@ -99,76 +103,73 @@ class Recorder:
         `x` is the measured state (7,), `[p_x, p_y, v_x, psi, v_y, omega, delta]` in SI units and
         rad, `time` the time since the start of the recording in s. Raises `InvalidArgumentError`,
         and records nothing, for a time that is negative, above 292 years or not finite, for a state
-        of another shape, and after `close`.
+        of another shape, and after the end of the recording. Raises `OSError` if the file cannot be
+        written to, which ends it.
         """
         state = self._checked(x, time)
-        self.encoded("/request", "StepRequest", time, [step.request] if step.request else [])
+        request, reply = message_class("StepRequest"), message_class("StepReply")
         replies = [*step.late, *([] if step.reply is None else [step.reply])]
-        self.encoded("/reply", "StepReply", time, replies)
-        self.message("/step", step_record(step, state, time), time)
-        if np.isfinite(state).all():
-            pose = _pose(*state[[P_X, P_Y, PSI]])
-            stamp = timestamp(time)
-            self.message("/pose", PoseInFrame(timestamp=stamp, frame_id=MAP, pose=pose), time)
-            transform = FrameTransform(
-                timestamp=stamp,
-                parent_frame_id=MAP,
-                child_frame_id=VEHICLE,
-                translation=pose.position,
-                rotation=pose.orientation,
-            )
-            self.message("/tf", transform, time)
-        if step.plan_x is not None:
-            poses = list(starmap(_pose, step.plan_x[:, [P_X, P_Y, PSI]]))
-            plan = PosesInFrame(timestamp=timestamp(time), frame_id=MAP, poses=poses)
-            self.message("/plan", plan, time)
-        self._steps += 1
-        if self._steps % FLUSH_STEPS == 0:
-            self._writer.flush()  # type: ignore[no-untyped-call]
+        # What is written is made first, so that an exception leaves no part of a step.
+        messages = [("/request", request, step.request)] if step.request else []
+        messages += [("/reply", reply, data) for data in replies]
+        for topic, message in _described(step, state, time):
+            messages.append((topic, type(message), message.SerializeToString()))
+        with self._whole():
+            self._write(messages, time)
+            self._steps += 1
+            if self._steps % FLUSH_STEPS == 0:
+                self._flush()
 
     def _checked(self, x: ArrayLike, time: float) -> NDArray[np.float64]:
         """Return the state as an array; nothing of a step is written before all of it is valid."""
-        if self._stream.closed:
+        if self._file.closed:
             raise InvalidArgumentError(
-                "the recording is closed: add its steps before `close`, or make another `Recorder`"
+                f"the recording has ended, because {self._ended}: make another `Recorder`"
             )
         if not 0.0 <= time < LATEST:
             raise InvalidArgumentError(
                 f"expected for time the seconds since the start of the recording, from 0 to less "
                 f"than {LATEST:.3g}, got {time}"
             )
-        try:
-            state = np.asarray(x, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InvalidArgumentError(f"expected numbers for x, got {x!r}: {error}") from error
-        if state.shape != (NX,):
-            raise InvalidArgumentError(f"expected x of shape ({NX},), got {state.shape}")
-        return state
+        return measured_state(x)
 
     def message(self, topic: str, message: Message, time: float) -> None:
         """Record a protobuf message on a topic of its own."""
-        self._write(topic, type(message), time, message.SerializeToString())
+        data = message.SerializeToString()
+        with self._whole():
+            self._write([(topic, type(message), data)], time)
 
-    def encoded(self, topic: str, name: str, time: float, messages: list[bytes]) -> None:
-        """Record messages `egp.v1.NAME` as the bytes that were exchanged."""
-        for data in messages:
-            self._write(topic, message_class(name), time, data)
-
-    def _write(self, topic: str, kind: type[Message], time: float, data: bytes) -> None:
-        if topic not in self._channels:
-            self._channels[topic] = self._writer.register_channel(
-                topic, message_encoding="protobuf", schema_id=register_schema(self._writer, kind)
-            )
+    def _write(self, messages: Sequence[tuple[str, type[Message], bytes]], time: float) -> None:
         stamp = round(time * NANOSECONDS)
-        self._writer.add_message(self._channels[topic], stamp, data, stamp)
+        for topic, kind, data in messages:
+            if topic not in self._channels:
+                self._channels[topic] = self._writer.register_channel(
+                    topic,
+                    message_encoding="protobuf",
+                    schema_id=register_schema(self._writer, kind),
+                )
+            self._writer.add_message(self._channels[topic], stamp, data, stamp)
+
+    def _flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._file.good = self._file.tell()
+
+    @contextmanager
+    def _whole(self) -> Iterator[None]:
+        """End the recording with what was written last as a whole if an exception comes."""
+        try:
+            yield
+        except BaseException as error:
+            self._ended = f"writing it was interrupted by {error!r}"
+            self._file.cut()
+            raise
 
     def close(self) -> None:
         """Complete the file with its index."""
-        if not self._stream.closed:
-            try:
+        if not self._file.closed:
+            with self._whole():
                 self._writer.finish()  # type: ignore[no-untyped-call]
-            finally:
-                self._stream.close()
+                self._file.close()
 
     def __enter__(self) -> Self:
         """Use as a context manager to complete the file at the end."""
@@ -177,6 +178,75 @@ class Recorder:
     def __exit__(self, *_: object) -> None:
         """Complete the file, also after an error."""
         self.close()
+
+
+class _File:
+    """An unbuffered file of which the part up to `good` can be kept."""
+
+    def __init__(self, path: Path) -> None:
+        self._raw = path.open("wb", buffering=0)
+        self.good = 0
+        self.tell, self.close = self._raw.tell, self._raw.close
+
+    @property
+    def closed(self) -> bool:
+        """Whether the file is closed."""
+        return self._raw.closed
+
+    def write(self, data: bytes) -> int:
+        """Write all of the data."""
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._raw.write(rest) :]
+        return len(data)
+
+    def flush(self) -> None:
+        """Do nothing, as there is no buffer."""
+
+    def cut(self) -> None:
+        """Keep the good part, and close the file."""
+        if not self._raw.closed:
+            self._raw.truncate(self.good)
+            self._raw.close()
+
+
+def _described(
+    step: Step, state: NDArray[np.float64], time: float
+) -> Iterator[tuple[str, Message]]:
+    """Give the messages that show a step, with their topics."""
+    yield "/step", step_record(step, state, time)
+    stamp = timestamp(time)
+    if np.isfinite(state).all():
+        pose = _pose(*state[[P_X, P_Y, PSI]])
+        yield "/pose", PoseInFrame(timestamp=stamp, frame_id=MAP, pose=pose)
+        transform = FrameTransform(
+            timestamp=stamp,
+            parent_frame_id=MAP,
+            child_frame_id=VEHICLE,
+            translation=pose.position,
+            rotation=pose.orientation,
+        )
+        yield "/tf", transform
+    if step.plan_x is not None:
+        poses = list(starmap(_pose, step.plan_x[:, [P_X, P_Y, PSI]]))
+        yield "/plan", PosesInFrame(timestamp=stamp, frame_id=MAP, poses=poses)
+
+
+def _checked_notes(notes: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
+    """Return the notes if they can be written."""
+    checked = {}
+    for name, texts in notes.items():
+        if name in (ABOUT, SETTINGS):
+            raise InvalidArgumentError(f"notes: {name} is a record of the recorder; rename it")
+        try:
+            checked[name] = dict(texts)
+            for text in (name, *checked[name], *checked[name].values()):
+                text.encode()
+        except (TypeError, ValueError, AttributeError) as error:
+            raise InvalidArgumentError(
+                f"notes: expected a mapping of texts for {name!r}, got {texts!r} ({error})"
+            ) from error
+    return checked
 
 
 def timestamp(time: float) -> Timestamp:

@@ -12,14 +12,13 @@ import time as clock
 from collections import deque
 from typing import TYPE_CHECKING, Final, Self
 
-import numpy as np
 import zenoh
 
-from egp_service._core import EgpError, InvalidArgumentError, vehicle_key, vehicle_road_key
+from egp_service._core import EgpError, vehicle_key, vehicle_road_key
 from egp_service.control.messages import message_class
 from egp_service.control.session import direct, open_session, session_config
-from egp_service.control.step_record import step_record
-from egp_service.quantities import NX, POSITION
+from egp_service.control.step_record import measured_state, step_record
+from egp_service.quantities import POSITION
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -118,9 +117,7 @@ class StatusPublisher:
         rad, `time` the time since the start in s, `lateral_error` the distance from the reference
         in m, positive to the left. `truth` is the message `PlantTruth` of a simulated vehicle.
         """
-        state = np.asarray(x, dtype=np.float64)
-        if state.shape != (NX,):
-            raise InvalidArgumentError(f"x has shape {state.shape}: expected ({NX},)")
+        state = measured_state(x)
         if self._session.is_closed():
             raise EgpError("the publisher was closed")
         missed = step.mode != "normal"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal, Self, TypeAlias
 
-from egp_service._core import InvalidArgumentError
+from egp_service._core import EgpError, InvalidArgumentError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -176,6 +176,7 @@ class StepController(ABC):
         """Make what all controllers have."""
         # The same thread may come twice, for instance in a handler of a signal.
         self._lock = threading.RLock()
+        self._stepping = self._to_reset = False
 
     def step(
         self,
@@ -198,7 +199,8 @@ class StepController(ABC):
         step, and `deadline` is only stated in the request. A deadline of 0 or less is over, and
         there is a command as well; more than 10 s count as 10 s. Raises `InvalidArgumentError` when
         arguments have the wrong shape, `deadline` is not finite, or the reference cannot be meant;
-        a measured state that is not finite is no error but a stop.
+        a measured state that is not finite is no error but a stop. Raises `EgpError` in a handler
+        of a signal that interrupts another step of this controller.
         """
         start = time.monotonic()
         if deadline is not None and not math.isfinite(deadline):
@@ -206,13 +208,26 @@ class StepController(ABC):
         with self._lock:
             budget = self._driver.budget if deadline is None else max(deadline, 0.0)
             budget = min(budget, _LONGEST)
-            decision = self._decide(start, budget, (x, reference, widths, road_friction))
-            return Step.of(decision, self._driver.weights, time.monotonic() - start)
+            if self._stepping:
+                raise EgpError(
+                    "this thread is within a step of this controller, which a signal interrupts; "
+                    "step again after it"
+                )
+            self._stepping = True
+            try:
+                decision = self._decide(start, budget, (x, reference, widths, road_friction))
+                return Step.of(decision, self._driver.weights, time.monotonic() - start)
+            finally:
+                self._stepping = False
+                if self._to_reset:
+                    self._to_reset = False
+                    self._driver.reset()
 
     @property
     def deadline(self) -> float:
         """Time that a step may take unless its call states another one, s."""
-        return self._driver.budget
+        with self._lock:
+            return self._driver.budget
 
     @abstractmethod
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
@@ -221,10 +236,14 @@ class StepController(ABC):
     def reset(self) -> None:
         """Leave STOP and forget the past, for instance after the vehicle was moved.
 
-        The command that the actuators apply is not forgotten.
+        The command that the actuators apply is not forgotten. In a handler of a signal that
+        interrupts a step, the reset comes at the end of that step.
         """
         with self._lock:
-            self._driver.reset()
+            if self._stepping:
+                self._to_reset = True
+            else:
+                self._driver.reset()
 
     def close(self) -> None:  # noqa: B027 - most controllers have nothing to close
         """Release the controller's resources."""

@@ -5,15 +5,33 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from egp_service._core import InvalidArgumentError
 from egp_service.control.messages import message_class
-from egp_service.quantities import STATE
+from egp_service.quantities import NX, STATE
 
 if TYPE_CHECKING:
-    import numpy as np
     from google.protobuf.message import Message
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from egp_service.control.step import Step
+
+
+def measured_state(x: ArrayLike) -> NDArray[np.float64]:
+    """Return a measured state as an array (7,).
+
+    Raises:
+        InvalidArgumentError: for another shape, or for what are no numbers.
+
+    """
+    try:
+        state = np.asarray(x, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidArgumentError(f"expected numbers for x, got {x!r}: {error}") from error
+    if state.shape != (NX,):
+        raise InvalidArgumentError(f"x has shape {state.shape}: expected ({NX},)")
+    return state
 
 
 def step_record(step: Step, state: NDArray[np.float64], time: float) -> Message:

@@ -9,6 +9,7 @@ measured, `y` is the change without that by gravity, and the columns `grade` and
 from __future__ import annotations
 
 import dataclasses
+import errno
 import hashlib
 import json
 from typing import TYPE_CHECKING, Any, Final
@@ -104,6 +105,8 @@ class Dataset:
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
                 raise EgpError(f"{name} has shape {array.shape}: expected {shape}")
+        for name, numbers in (("trajectory", self.trajectory), ("step", self.step)):
+            _check_numbers(name, numbers)
         if n == 0:
             raise EgpError("the dataset is empty: expected at least one transition")
         checked: list[tuple[dict[str, str], NDArray[np.float64]]]
@@ -176,9 +179,12 @@ class Dataset:
             **self.provenance.metadata(),
         }
         with replacing(path) as beside:
-            frame.write_parquet(
-                beside, metadata={METADATA_KEY: json.dumps(metadata, sort_keys=True)}
-            )
+            try:
+                frame.write_parquet(
+                    beside, metadata={METADATA_KEY: json.dumps(metadata, sort_keys=True)}
+                )
+            except pl.exceptions.ComputeError as error:  # such as that of a full disk
+                raise OSError(errno.EIO, str(error), str(path)) from error
 
     @staticmethod
     def read(path: Path) -> Dataset:
@@ -188,6 +194,8 @@ class Dataset:
             EgpError: if the file is missing or invalid; the message names the file and the problem.
 
         """
+        if path.is_dir():
+            raise EgpError(f"{path}: this is a folder; name the .parquet file in it")
         if not path.is_file():
             raise EgpError(f"{path}: no such file")
         try:
@@ -197,8 +205,8 @@ class Dataset:
             return Dataset(
                 z=frame.select(*GP_INPUT).to_numpy().astype(np.float64),
                 y=frame.select(*GP_OUTPUT).to_numpy().astype(np.float64),
-                trajectory=frame["trajectory"].to_numpy().astype(np.uint32),
-                step=frame["step"].to_numpy().astype(np.uint32),
+                trajectory=_numbers(frame, "trajectory"),
+                step=_numbers(frame, "step"),
                 provenance=provenance,
                 tilt=frame.select(*TILT).to_numpy().astype(np.float64) if tilted else None,
             )
@@ -209,6 +217,21 @@ class Dataset:
             ) from error
         except EgpError as error:
             raise EgpError(f"{path}: {error}") from error
+
+
+def _numbers(frame: pl.DataFrame, name: str) -> NDArray[np.uint32]:
+    numbers = frame[name].to_numpy()
+    _check_numbers(name, numbers)
+    return numbers.astype(np.uint32)
+
+
+def _check_numbers(name: str, numbers: NDArray[Any]) -> None:
+    """Check numbers of trajectories or steps, of which a conversion would make other ones."""
+    if numbers.dtype.kind not in "iu":
+        raise EgpError(f"{name} has the type {numbers.dtype}: expected integers")
+    wrong = np.flatnonzero((numbers < 0) | (numbers >= 2**32))
+    if len(wrong):
+        raise EgpError(f"{name}, row {wrong[0]} is {numbers[wrong[0]]}: expected 0 to {2**32 - 1}")
 
 
 def merge(datasets: Sequence[Dataset]) -> Dataset:

@@ -37,7 +37,7 @@ pub(crate) const DEFAULTS: [(&str, &str); 9] = [
 ];
 
 /// Protocols of the links that this program is built with.
-const PROTOCOLS: [&str; 3] = ["quic", "tcp", "tls"];
+const PROTOCOLS: [&str; 2] = ["tcp", "tls"];
 
 /// All endpoints of a setting, `PROTOCOL/HOST:PORT?METADATA#CONFIGURATION`: one, a list, or lists by zenoh's mode.
 fn each(endpoints: &mut Value, act: &mut dyn FnMut(&mut String)) {
@@ -85,7 +85,7 @@ pub(crate) fn check_endpoints(
         None => Ok(()),
         Some(endpoint) => Err((
             format!("connect/endpoints has {endpoint}"),
-            "expected tcp/HOST:PORT, tls/HOST:PORT or quic/HOST:PORT",
+            "expected tcp/HOST:PORT or tls/HOST:PORT",
         )),
     }
 }
@@ -109,14 +109,11 @@ fn listens_on(mut endpoints: Value, address: SocketAddr) -> Option<String> {
         let Some((place, port, _)) = parts(endpoint) else {
             return;
         };
-        let Some((protocol, host)) = place.split_once('/') else {
-            return;
-        };
+        let host = place.split_once('/').map_or("", |(_, host)| host);
         let ip = host.trim_matches(['[', ']']).parse::<IpAddr>().ok();
         let same =
             |ip: IpAddr| ip == address.ip() || ip.is_unspecified() || address.ip().is_unspecified();
-        let tcp = protocol != "quic"; // which has ports of UDP
-        if tcp && port != 0 && port == address.port() && ip.is_some_and(same) {
+        if port != 0 && port == address.port() && ip.is_some_and(same) {
             found.get_or_insert_with(|| endpoint.clone());
         }
     });
@@ -141,7 +138,7 @@ mod tests {
 
     #[test]
     fn a_protocol_that_is_not_built_in_is_found() {
-        assert_eq!(foreign(json!(["tcp/a:1", "tls/b:2", "quic/c:3"])), None);
+        assert_eq!(foreign(json!(["tcp/a:1", "tls/b:2"])), None);
         let found = foreign(json!({"client": ["tcp/a:1", "udp/b:2"]}));
         assert_eq!(found.as_deref(), Some("udp/b:2"));
         assert_eq!(foreign(json!("here")).as_deref(), Some("here"));
@@ -149,12 +146,7 @@ mod tests {
 
     #[test]
     fn an_address_is_compared_with_those_that_are_listened_on() {
-        let endpoints = json!([
-            "tcp/127.0.0.1:7447",
-            "tls/[::]:7450#x=1",
-            "tcp/host:7452",
-            "quic/[::]:7453"
-        ]);
+        let endpoints = json!(["tcp/127.0.0.1:7447", "tls/[::]:7450#x=1", "tcp/host:7452"]);
         for (address, same) in [
             ("127.0.0.1:7447", true),
             ("0.0.0.0:7447", true),
@@ -162,7 +154,6 @@ mod tests {
             ("127.0.0.1:7450", true),
             ("127.0.0.1:7451", false),
             ("127.0.0.1:7452", false),
-            ("127.0.0.1:7453", false),
         ] {
             let address = address.parse().ok();
             let found = address.and_then(|address| listens_on(endpoints.clone(), address));

@@ -1,7 +1,7 @@
 """`egp keys`."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -18,7 +18,7 @@ def keys(
     host: Annotated[
         list[str],
         typer.Option(
-            help="Host name or address under which the service is reached; repeat for more.",
+            help="Host name or IPv4 address under which the service is reached; repeat for more.",
             show_default=False,
         ),
     ],
@@ -27,13 +27,6 @@ def keys(
         int | None,
         typer.Option(
             min=1, max=65535, help="Port of the service; by default that of its file, or 7447."
-        ),
-    ] = None,
-    protocol: Annotated[
-        Literal["tls", "quic"] | None,
-        typer.Option(
-            help="Protocol of service, map and router; by default that of the service's file, or "
-            "tls. docs/security.md compares them."
         ),
     ] = None,
     days: Annotated[
@@ -52,8 +45,8 @@ def keys(
     vehicle that there is, it renews the certificate: the .json5 file is written
     anew, with the same endpoints if it is still there, and the secret key stays.
     Another --host is for the new vehicles; operator and monitor keep their
-    endpoints, and the service its port and protocol. Keep ca.key and library.key
-    where no service and no vehicle is; all other files go where their name says.
+    endpoints, and the service its port. Keep ca.key and library.key where no
+    service and no vehicle is; all other files go where their name says.
 
     For example:
       egp keys secrets --vehicle car-1 --vehicle car-2 --host control.example
@@ -65,16 +58,7 @@ def keys(
     def report(text: str) -> None:
         console.print(text, markup=False, highlight=False)
 
-    new = write_credentials(
-        folder,
-        fleet,
-        vehicle,
-        hosts=host,
-        port=port,
-        protocol=protocol,
-        days=days,
-        report=report,
-    )
+    new = write_credentials(folder, fleet, vehicle, hosts=host, port=port, days=days, report=report)
     renewed = [name for own in dict.fromkeys(vehicle) if (name := f"{fleet}/{own}") not in new]
     console.print(f"New vehicles: {', '.join(new) or 'none'}")
     if renewed:
