@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import threading
 import tomllib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pytest
 
 from egp_service import (
     Controller,
+    EgpError,
     InvalidArgumentError,
     Library,
     Path,
     Plant,
     Recorder,
     RoadBelief,
+    SpeedPlanner,
     SpeedProfile,
     StatusPublisher,
     VehicleClient,
 )
-from egp_service._core import decode_request, merge_tiles
+from egp_service._core import decode_request, merge_tiles, solve_weights
 from egp_service.control.fleet_map import FleetMap
 from egp_service.control.recorded import read_recording
 from egp_service.control.toml_text import dumps
@@ -63,6 +65,7 @@ def belief() -> RoadBelief:
     [
         (lambda: PATH.sample([0.0, NAN]), "arc lengths s, got NaN at index 1"),
         (lambda: SpeedProfile(PATH, CAR).speed([INF]), "arc lengths s, got inf at index 0"),
+        (lambda: SpeedPlanner(PATH, CAR).places(NAN), "arc length s in m, got NaN"),
         (lambda: belief().ahead([0.0, 1.0, 100.0], 0.05), "equal distances.* 99 m from 1 to 100"),
         (lambda: belief().ahead([0.0, 1.0, NAN], 0.05), "equal distances"),
         (lambda: belief().recall(belief().to_bytes(), NAN), "for age, got NaN"),
@@ -79,6 +82,7 @@ def belief() -> RoadBelief:
             "settings: expected TOML.* got None",
         ),
         (lambda: Controller(DEMO_LIBRARY, gate={}), "gate limit mass is missing"),
+        (lambda: VehicleClient.connect([], gate=GATE), "endpoints: expected at least one"),
         (lambda: VehicleClient.connect(NOBODY, gate={}), "gate limit mass is missing"),
         (lambda: VehicleClient.connect(NOBODY, gate=GATE, timeout=INF), "for timeout, got inf"),
         (lambda: VehicleClient.connect(NOBODY, gate=GATE, timeout=NAN), "for timeout, got nan"),
@@ -96,6 +100,15 @@ def belief() -> RoadBelief:
 def test_what_cannot_be_used_is_named(call: Callable[[], Any], message: str) -> None:
     with pytest.raises(InvalidArgumentError, match=message):
         call()
+
+
+@pytest.mark.parametrize("prior", ["quadratic", "l1"])
+def test_errors_whose_squares_are_no_numbers_give_no_weights(
+    prior: Literal["quadratic", "l1"],
+) -> None:
+    predictions = np.full((2, 2, 3), 1e200)
+    with pytest.raises(EgpError, match="too large for a number"):
+        solve_weights(predictions, np.zeros((2, 3)), [0.1] * 3, [0.5, 0.5], prior, 1.0)
 
 
 def test_the_argument_is_in_a_note() -> None:

@@ -77,6 +77,7 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         ),
         (("[track]", "[speed]\nfriction = 0.3\n[track]"), "speed.friction has no effect while"),
         (("[track]", "laps = true\n[track]"), "laps must be float"),
+        (("[track]", "vehicle = -1\n[track]"), "vehicle is -1: expected a number of CommonRoad"),
         (("friction = 0.8", ""), r"zones\[0\]: expected `friction` or `surface`, got neither"),
         (("friction = 0.8", 'friction = 0.8\nsurface = "ice"'), r"zones\[0\]: .*got both"),
         (("friction = 0.8", 'surface = "mud"'), r"zones\[0\]: no surface .*dry, wet, snow, ice"),

@@ -24,13 +24,13 @@ pub enum ClientError {
     #[error(transparent)]
     Network(#[from] NetworkError),
     /// No replica announces itself, or none can be used.
-    #[error("{reason}; waited {patience:?} at {endpoints:?}, is the service running there?")]
+    #[error("{reason}; waited {patience:?} at {}, is the service running there?", places(.endpoints))]
     NoReplica {
         /// What is wrong with each replica.
         reason: DiscoveryError,
         /// How long the client waited.
         patience: Duration,
-        /// Where it connected to.
+        /// Where it connected to; empty if the zenoh file says where.
         endpoints: Vec<String>,
     },
     /// The system gives no random number, which the publication of the status needs.
@@ -45,6 +45,14 @@ pub enum ClientError {
     /// No request can be made of the reference or the widths.
     #[error(transparent)]
     Argument(#[from] InvalidArgument),
+}
+
+fn places(endpoints: &[String]) -> String {
+    if endpoints.is_empty() {
+        "the endpoints of the zenoh file".to_owned()
+    } else {
+        endpoints.join(", ")
+    }
 }
 
 /// Driver and network of one vehicle.

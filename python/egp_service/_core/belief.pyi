@@ -148,7 +148,10 @@ class SpeedPlanner:
         tyres: ArrayLike | None = None,
     ) -> SpeedPlanner: ...
     def places(self, s: float) -> NDArray[np.float64]:
-        """Return the arc lengths (n,) at which `plan` needs the friction, for a vehicle at `s`."""
+        """Return the arc lengths (n,), m, at which `plan` needs the friction for a vehicle at `s`.
+
+        Raises `InvalidArgumentError` unless `s` is finite.
+        """
     def plan(self, s: float, friction: ArrayLike, v: float | None = None) -> SpeedProfile:
         """Plan the fastest speed from `s` on for the friction coefficients (n,) at the `places`.
 

@@ -37,7 +37,8 @@ class VehicleParameters:
     def commonroad(number: int) -> VehicleParameters:
         """Return the vehicle of this CommonRoad number: 1 is a Ford Escort, 2 is a BMW 320i.
 
-        Raises `EgpError` for any other number.
+        Raises `EgpError` for any other number, and `OverflowError` for a negative one or one above
+        2³² - 1.
         """
     def fields(self) -> dict[str, float]:
         """Return all values by their names."""

@@ -39,8 +39,8 @@ REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
 _QUESTION_SECONDS = 1.0
 _POLL_SECONDS = 0.05
 _NO_LINK = (
-    "there is no link to a service: nobody listens, or, with TLS, a certificate has expired or is "
-    "of another authority"
+    "there is no link to a service: nobody listens, or, with TLS, a certificate is missing, has "
+    "expired or is of another authority"
 )
 
 
@@ -111,6 +111,10 @@ class VehicleClient(StepController):
         do; the error names each replica with the reason.
         """
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
+        if not (names or zenoh_file or zenoh_config):
+            raise InvalidArgumentError(
+                "endpoints: expected at least one, such as 'tcp/127.0.0.1:7447', or a zenoh_file"
+            )
         deadline = time.monotonic() + timeout
         keys = None if key_file is None else _read_keys(key_file)
         discovery = Discovery(

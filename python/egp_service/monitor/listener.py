@@ -49,11 +49,15 @@ class Listener:
             config = session_config(connect, _CONNECT_SECONDS, more, zenoh_file)
             self._session = open_session(config, _CONNECT_SECONDS)
         except zenoh.ZError as error:
-            hint = (
-                f"is {', '.join(listen)} in use? Choose another endpoint with --listen"
-                if listen
-                else "a session in zenoh's client mode needs a service or router that runs"
-            )
+            if "Missing TLS" in str(error):
+                hint = "a tls endpoint needs a certificate: give the monitor.json5 of `egp keys`"
+            elif listen:
+                hint = f"is {', '.join(listen)} in use? Choose another endpoint with --listen"
+            else:
+                hint = (
+                    "a session in zenoh's client mode needs a service or router that runs, and a "
+                    "certificate that has not expired"
+                )
             raise EgpError(f"zenoh cannot open a session: {error}; {hint}") from error
         self._declared = [
             self._session.declare_subscriber(VEHICLE_KEYS, direct(self._on_vehicle)),

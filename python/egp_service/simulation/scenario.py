@@ -343,6 +343,10 @@ def _check_plant(scenario: Scenario, origin: str) -> None:
         Plant(scenario.vehicle, asdict(scenario.disturbances))
     except EgpError as error:
         raise ScenarioError(f"{origin}: {error}") from error
+    except OverflowError as error:
+        raise ScenarioError(
+            f"{origin}: vehicle is {scenario.vehicle}: expected a number of CommonRoad, 1 or 2"
+        ) from error
 
 
 def _check_name(name: str, origin: str) -> None:

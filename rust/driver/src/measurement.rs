@@ -10,6 +10,9 @@ const MIN_SPACING: f64 = 0.05;
 /// Largest angle between a reference's yaw and the direction of its points, rad.
 const MAX_DEVIATION: f64 = 0.5;
 
+/// Reference speeds that a control step plans with, m/s. Rounding may make that of a standstill negative.
+const SPEEDS: std::ops::RangeInclusive<f64> = -1.0..=100.0;
+
 /// What the vehicle measured and where it is to go.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measurement {
@@ -81,7 +84,20 @@ impl Measurement {
         }
         egp_wire::check_reference(&self.reference, &self.widths)?;
         egp_wire::check_road_friction(&self.road_friction, self.reference.len())?;
+        self.check_speed()?;
         self.check_yaw()
+    }
+
+    fn check_speed(&self) -> Result<(), Invalid> {
+        let speeds = self.reference.iter().map(|row| row[2]);
+        match speeds.enumerate().find(|(_, v_x)| !SPEEDS.contains(v_x)) {
+            None => Ok(()),
+            Some((row, v_x)) => {
+                let (least, most) = (SPEEDS.start(), SPEEDS.end());
+                let reason = format!("row {row}: v_x = {v_x} m/s is outside {least} to {most} m/s");
+                Err(Invalid::field("reference", reason))
+            }
+        }
     }
 
     fn check_yaw(&self) -> Result<(), InvalidArgument> {

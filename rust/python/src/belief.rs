@@ -41,9 +41,14 @@ impl SpeedPlanner {
     }
 
     #[doc = doc!(SpeedPlanner.places)]
-    fn places<'py>(&self, py: Python<'py>, s: f64) -> NewVector<'py> {
+    fn places<'py>(&self, py: Python<'py>, s: f64) -> PyResult<NewVector<'py>> {
+        if !s.is_finite() {
+            let reason = format!("expected a finite arc length s in m, got {s}");
+            return Err(InvalidArgumentError::new_err(reason));
+        }
         let (start, step) = (self.0.start(s), self.0.step());
-        vector(py, (0..self.0.places()).map(|i| start + i as f64 * step))
+        let places = (0..self.0.places()).map(|i| start + i as f64 * step);
+        Ok(vector(py, places))
     }
 
     #[doc = doc!(SpeedPlanner.plan)]

@@ -203,10 +203,25 @@ pub fn solve_weights<'py>(
             &mut w,
         )
     });
-    if !w.iter().all(|w| w.is_finite()) {
+    let squares = errors_squared(&predictions, &measured, &noise);
+    if !squares.is_finite() || !w.iter().all(|w| w.is_finite()) {
         return Err(EgpError::new_err(
             "the squares of the errors over noise_std are too large for a number: check the units",
         ));
     }
     Ok(vector(py, w))
+}
+
+/// Sum of the squares of all errors, in standard deviations of the noise. Predictions are ordered by transition and member.
+fn errors_squared(predictions: &[f64], measured: &[[f64; NY]], noise: &GpOutput) -> f64 {
+    let members = predictions.len() / (NY * measured.len().max(1));
+    let (rows, _) = predictions.as_chunks::<NY>();
+    let measured = measured
+        .iter()
+        .flat_map(|row| std::iter::repeat_n(row, members));
+    let errors = rows.iter().zip(measured).flat_map(|(row, measured)| {
+        let pairs = row.iter().zip(measured).zip(noise.iter());
+        pairs.map(|((predicted, measured), std)| (predicted - measured) / std)
+    });
+    errors.map(|error| error * error).sum()
 }

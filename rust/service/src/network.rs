@@ -197,6 +197,16 @@ impl Query for Received {
     }
 }
 
+/// What to say of a session that zenoh did not open, for this reason of its.
+fn not_opened(reason: &str) -> &'static str {
+    if reason.contains("Missing TLS") {
+        "a tls endpoint needs a certificate and its key: state a `zenoh_file` that `egp keys` wrote; cannot open the \
+         zenoh session"
+    } else {
+        "cannot open the zenoh session"
+    }
+}
+
 /// An open session with a replica's declarations.
 pub(crate) struct Network {
     session: zenoh::Session,
@@ -212,7 +222,7 @@ impl Network {
         let listen = config.get_json("listen/endpoints").unwrap_or_default();
         let session = zenoh::open(config)
             .wait()
-            .map_err(|e| NetworkError::new("cannot open the zenoh session", &e))?;
+            .map_err(|e| NetworkError::new(not_opened(&e.to_string()), &e))?;
         Ok(Self {
             listen,
             session,

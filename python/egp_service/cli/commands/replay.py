@@ -118,10 +118,7 @@ def _over(base: "Mapping[str, object]", other: "Mapping[str, object]") -> dict[s
     merged = dict(base)
     for key, value in other.items():
         below = merged.get(key)
-        if isinstance(value, dict) and isinstance(below, dict):
-            # The strengths of the two kinds of prior have other names.
-            other_kind = key == "prior" and value.get("kind", below["kind"]) != below["kind"]
-            merged[key] = value if other_kind else _over(below, value)
-        else:
-            merged[key] = value
+        # A prior is stated as a whole: the strengths of its two kinds have other names.
+        nested = isinstance(value, dict) and isinstance(below, dict) and key != "prior"
+        merged[key] = _over(below, value) if nested else value  # type: ignore[arg-type]
     return merged

@@ -83,6 +83,14 @@ fn a_reference_or_widths_of_another_length_open_no_period() {
     let mut fast = measurement();
     fast.reference[1][2] = 1e3;
     refused(fast, "reference: row 1: v_x");
+    for v_x in [-1.1, 100.1] {
+        let mut other = measurement();
+        other.reference[1][2] = v_x;
+        refused(
+            other,
+            &format!("reference: row 1: v_x = {v_x} m/s is outside -1 to 100"),
+        );
+    }
     let mut fitting = measurement();
     fitting.widths = vec![[2.0; 2]; rows];
     driver.tick(ms(20), ms(36), fitting).unwrap();

@@ -107,6 +107,7 @@ fn a_check_finds_what_would_prevent_a_start() {
         (zenoh("no/such/key", "3"), "no/such/key"),
         (zenoh("listen/endpoints", "['bogus']"), "bogus"),
         (zenoh("listen/endpoints", "['quic/127.0.0.1:1']"), "quic"),
+        (zenoh("listen/endpoints", "['tls/127.0.0.1:1']"), "egp keys"),
         (
             zenoh("transport/link/tls/root_ca_certificate", "'nowhere.pem'"),
             "root_ca_certificate nowhere.pem",
