@@ -177,7 +177,9 @@ impl RoadBelief {
 fn checksum(road: &str, evidence: &[u8]) -> String {
     let digest = Sha256::new().chain_update(road).chain_update(evidence);
     let digest = digest.finalize();
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+    digest.iter().fold(String::new(), |digits, byte| {
+        digits + &format!("{byte:02x}")
+    })
 }
 
 fn kind(closed: bool) -> &'static str {
