@@ -186,6 +186,8 @@ def test_numbers_and_arrays_of_numpy_are_settings() -> None:
     table = {"a": np.float64(30.0), "b": np.int32(3), "c": np.arange(2.0), "d": np.bool_(1)}
     assert dumps(table) == "a = 30.0\nb = 3\nc = [0.0, 1.0]\nd = true\n"
     assert tomllib.loads(dumps({"a": np.float32(0.5)})) == {"a": 0.5}
+    with pytest.raises(EgpError, match=r"texts as names.* got 1"):
+        dumps({"a": {1: 2}})
 
 
 def test_an_error_of_the_service_names_field_unit_and_range(controller: Controller) -> None:

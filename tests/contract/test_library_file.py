@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import struct
 import tomllib
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from egp_service import EgpError
+from egp_service import EgpError, InvalidArgumentError
 from egp_service._core import (
     Engine,
     Library,
@@ -149,6 +150,26 @@ def test_measurement_delay_is_optional_and_the_default_of_the_setting(tmp_path: 
     assert used(late, "measurement_delay = 0.0") == 0.0
     with pytest.raises(EgpError, match="measurement_delay"):
         used(late, "measurement_delay = 0.6")
+
+
+def test_numbers_that_are_not_finite_are_named_and_nothing_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "absent.safetensors"
+    with pytest.raises(InvalidArgumentError, match="measurement_delay, got NaN"):
+        write_example(path, measurement_delay=math.nan)
+    with pytest.raises(InvalidArgumentError, match="measurement_noise, got inf"):
+        write_example(path, measurement_noise=np.array([0.1, math.inf, 0.1]))
+    member = MemberData(**member_arrays(0.5, 30, seed=0) | {"friction": math.nan})
+    with pytest.raises(InvalidArgumentError, match="friction, got NaN"):
+        write_library(
+            path,
+            dt=0.05,
+            kernel="rbf",
+            vehicle="commonroad-1",
+            parameters=VehicleParameters.commonroad(1),
+            members=[member],
+            provenance={},
+        )
+    assert not any(tmp_path.iterdir())
 
 
 def test_same_content_gives_same_bytes(path: Path) -> None:

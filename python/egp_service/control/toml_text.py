@@ -22,7 +22,8 @@ def dumps(table: Mapping[str, object]) -> str:
 
     Numbers and arrays of numpy are written as numbers and arrays of Python.
 
-    Raises `EgpError` for a number that is not finite, and for a value without a form here.
+    Raises `EgpError` for a number that is not finite, a name that is no text, and a value without a
+    form here.
     """
     return "\n".join(_lines(table, ())).strip() + "\n"
 
@@ -54,6 +55,8 @@ def _table_rows(value: object) -> list[Mapping[str, object]]:
 
 
 def _key(key: str) -> str:
+    if not isinstance(key, str):
+        raise EgpError(f"expected texts as names in a configuration, got {key!r}")
     return key if _BARE_KEY.fullmatch(key) else _quoted(key)
 
 

@@ -71,14 +71,20 @@ class Column:
     name: str
     unit: str
 
+    def __post_init__(self) -> None:
+        """Check the unit."""
+        if self.unit not in UNITS:
+            raise EgpError(
+                f"'{self.name}:{self.unit}': unknown unit '{self.unit}', expected one of "
+                f"{', '.join(UNITS)}"
+            )
+
     @staticmethod
     def parse(text: str) -> Column:
         """Read `name:unit`, for example `speed:km/h`."""
         name, separator, unit = text.rpartition(":")
         if not separator or not name:
             raise EgpError(f"'{text}': expected COLUMN:UNIT, for example speed:km/h")
-        if unit not in UNITS:
-            raise EgpError(f"'{text}': unknown unit '{unit}', expected one of {', '.join(UNITS)}")
         return Column(name, unit)
 
 
@@ -119,6 +125,8 @@ def import_log(
         raise EgpError(f"expected a positive --steering-ratio, got {steering_ratio:g}")
     if mass is not None and not 1.0 <= mass <= _HEAVIEST:
         raise EgpError(f"expected a --mass of 1 to {_HEAVIEST:g} kg, got {mass:g}")
+    if wheelbase is not None and not 0.0 < wheelbase < np.inf:
+        raise EgpError(f"expected a positive wheelbase in m, got {wheelbase:g}")
     if is_recording(path):
         columns = _with_time(path, columns)
         base = columns["v_x"].name

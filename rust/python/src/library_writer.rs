@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use egp_core::Kernel;
 use egp_core::library::{self, LibrarySpec};
 use egp_core::vehicle::ModelParameters;
+use egp_core::{Kernel, NY};
 use egp_engine::{read_library, replace_file};
 use pyo3::prelude::*;
 
 use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};
-use crate::error::EgpError;
+use crate::error::{EgpError, InvalidArgumentError};
 use crate::library::{Failure, os_error};
 use crate::parameters::VehicleParameters;
 
@@ -127,7 +127,8 @@ fn exactly<T, const N: usize>(name: &str, rows: Vec<T>) -> PyResult<[T; N]> {
 /// `dt` in s, `kernel` a name such as "matern52"; `vehicle` and `parameters` are name and parameters of the vehicle that the
 /// data come from; `measurement_noise` (3,) are the standard deviations of the noise of the measured
 /// `[v_x, v_y, omega]`, and `measurement_delay` the time in s by which these are late, if they are known. The same
-/// arguments give the same bytes. Raises `LibraryError` for content that fails a check, `OSError` if writing fails.
+/// arguments give the same bytes. Raises `InvalidArgumentError` for a number of these or a friction that is not finite,
+/// `LibraryError` for other content that fails a check, and `OSError` if writing fails.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // all by name
 #[pyo3(signature = (path, *, dt, kernel, vehicle, parameters, members, provenance, measurement_noise = None, measurement_delay = None))]
@@ -149,10 +150,25 @@ pub fn write_library(
         })
         .raise(py)
     };
-    let members = members.iter().map(|member| member.0.clone()).collect();
-    let measurement_noise = measurement_noise
+    let members: Vec<_> = members.iter().map(|member| member.0.clone()).collect();
+    let measurement_noise: Option<[f64; NY]> = measurement_noise
         .map(|std| fixed("measurement_noise", &std))
         .transpose()?;
+    // JSON, which holds these numbers in the file, has none that is not finite.
+    let delay = measurement_delay.map(|delay| ("measurement_delay", delay));
+    let noise = (measurement_noise.iter().flatten()).map(|std| ("measurement_noise", *std));
+    let frictions = members
+        .iter()
+        .map(|member: &library::MemberData| ("friction", member.friction));
+    let mut numbers = [("dt", dt)]
+        .into_iter()
+        .chain(delay)
+        .chain(noise)
+        .chain(frictions);
+    if let Some((name, value)) = numbers.find(|(_, value)| !value.is_finite()) {
+        let reason = format!("expected a finite number for {name}, got {value}");
+        return Err(InvalidArgumentError::new_err(reason));
+    }
     let spec = LibrarySpec {
         dt,
         kernel: Kernel::from_name(kernel).ok_or_else(unknown)?,
