@@ -17,9 +17,8 @@ from egp_service.simulation.scenario import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from egp_service import Step
+    from egp_service._core import Decision
+    from egp_service.control.step import Measured
 
 SCENARIO = told_zones(load_scenario("rounded-rectangle"))
 OUT = 20  # the period without a measurement
@@ -30,19 +29,11 @@ class Dropout(Controller):
 
     periods = 0
 
-    def step(
-        self,
-        x: ArrayLike,
-        reference: ArrayLike,
-        widths: ArrayLike | None = None,
-        *,
-        road_friction: ArrayLike | None = None,
-        deadline: float | None = None,
-    ) -> Step:
-        """Return the step."""
+    def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
         self.periods += 1
+        x, *others = measured
         x = np.full(7, np.nan) if self.periods == OUT else x
-        return super().step(x, reference, widths, road_friction=road_friction, deadline=deadline)
+        return super()._decide(start, budget, (x, *others))  # type: ignore[arg-type]
 
 
 def test_the_reason_is_that_for_which_the_stop_began() -> None:

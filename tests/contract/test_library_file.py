@@ -152,6 +152,18 @@ def test_measurement_delay_is_optional_and_the_default_of_the_setting(tmp_path: 
         used(late, "measurement_delay = 0.6")
 
 
+def write_one(path: Path, member: MemberData) -> None:
+    write_library(
+        path,
+        dt=0.05,
+        kernel="rbf",
+        vehicle="commonroad-1",
+        parameters=VehicleParameters.commonroad(1),
+        members=[member],
+        provenance={},
+    )
+
+
 def test_numbers_that_are_not_finite_are_named_and_nothing_is_written(tmp_path: Path) -> None:
     path = tmp_path / "absent.safetensors"
     with pytest.raises(InvalidArgumentError, match="measurement_delay, got NaN"):
@@ -160,15 +172,7 @@ def test_numbers_that_are_not_finite_are_named_and_nothing_is_written(tmp_path: 
         write_example(path, measurement_noise=np.array([0.1, math.inf, 0.1]))
     member = MemberData(**member_arrays(0.5, 30, seed=0) | {"friction": math.nan})
     with pytest.raises(InvalidArgumentError, match="friction, got NaN"):
-        write_library(
-            path,
-            dt=0.05,
-            kernel="rbf",
-            vehicle="commonroad-1",
-            parameters=VehicleParameters.commonroad(1),
-            members=[member],
-            provenance={},
-        )
+        write_one(path, member)
     assert not any(tmp_path.iterdir())
 
 
@@ -330,15 +334,7 @@ def test_refused_content_leaves_the_old_file(path: Path) -> None:
     arrays = member_arrays(0.5, 30, seed=0)
     arrays["alpha"][0, 0] = np.nan
     with pytest.raises(LibraryError, match=r"members\.0\.alpha"):
-        write_library(
-            path,
-            dt=0.05,
-            kernel="rbf",
-            vehicle="commonroad-1",
-            parameters=VehicleParameters.commonroad(1),
-            members=[MemberData(**arrays)],
-            provenance={},
-        )
+        write_one(path, MemberData(**arrays))
     assert path.read_bytes() == before
     assert list(path.parent.iterdir()) == [path]
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from google.protobuf.timestamp_pb2 import Timestamp
 
 from egp_service import Controller, InvalidArgumentError, Plant, Recorder
 from egp_service.control.recorded import RecordingError, read_recording
@@ -63,6 +64,8 @@ def test_a_full_disk_ends_a_recording_that_stays_readable(
     # There is room again, but the file may lack steps in between.
     with pytest.raises(InvalidArgumentError, match=r"has ended, because .* OSError"):
         recorder.add(step, X, 4.0)
+    with pytest.raises(InvalidArgumentError, match="has ended"):
+        recorder.message("/note", Timestamp(), 4.0)
     recorder.close()
     read = read_recording(file)
     assert (len(read.steps), read.complete) == (2 * FLUSH_STEPS, False)

@@ -7,18 +7,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from plant_log import COLUMNS, MASS, plant_log
+from surfaces import provenance
 
 from egp_service import EgpError
 from egp_service.data import plausibility
+from egp_service.data.log_import import import_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from plant_log import Log
 
 
 def check(log: Log) -> None:
     plausibility.check(log, COLUMNS, MASS)
+
+
+@pytest.mark.parametrize("wheelbase", [0.0, -2.5, np.nan, np.inf])
+def test_a_wheelbase_that_cannot_be_is_named_before_the_log_is_read(
+    tmp_path: Path, wheelbase: float
+) -> None:
+    with pytest.raises(EgpError, match="expected a positive wheelbase in m"):
+        import_log(tmp_path / "absent.csv", COLUMNS, provenance(), wheelbase=wheelbase)
 
 
 def test_a_straight_road_is_no_stuck_sensor() -> None:

@@ -47,6 +47,7 @@ pub enum ClientError {
     Argument(#[from] InvalidArgument),
 }
 
+/// The endpoints as a message names them.
 fn places(endpoints: &[String]) -> String {
     if endpoints.is_empty() {
         "the endpoints of the zenoh file".to_owned()

@@ -122,10 +122,7 @@ class Recorder:
 
     def _checked(self, x: ArrayLike, time: float) -> NDArray[np.float64]:
         """Return the state as an array; nothing of a step is written before all of it is valid."""
-        if self._file.closed:
-            raise InvalidArgumentError(
-                f"the recording has ended, because {self._ended}: make another `Recorder`"
-            )
+        self._check_open()
         if not 0.0 <= time < LATEST:
             raise InvalidArgumentError(
                 f"expected for time the seconds since the start of the recording, from 0 to less "
@@ -134,10 +131,17 @@ class Recorder:
         return measured_state(x)
 
     def message(self, topic: str, message: Message, time: float) -> None:
-        """Record a protobuf message on a topic of its own."""
+        """Record a protobuf message on a topic of its own; errors are those of `add`."""
+        self._check_open()
         data = message.SerializeToString()
         with self._whole():
             self._write([(topic, type(message), data)], time)
+
+    def _check_open(self) -> None:
+        if self._file.closed:
+            raise InvalidArgumentError(
+                f"the recording has ended, because {self._ended}: make another `Recorder`"
+            )
 
     def _write(self, messages: Sequence[tuple[str, type[Message], bytes]], time: float) -> None:
         stamp = round(time * NANOSECONDS)

@@ -157,7 +157,7 @@ def _check(recorded: Recorded, engine: Engine, window: int) -> None:
 
 
 def _window(recorded: Recorded) -> int | None:
-    """Give the window with which was driven; None if the recording does not hold it."""
+    """Return the window of the drive; None if the recording does not hold it."""
     weights = (recorded.settings or {}).get("weights")
     return int(weights["window"]) if isinstance(weights, dict) and "window" in weights else None
 
@@ -165,18 +165,17 @@ def _window(recorded: Recorded) -> int | None:
 def _retarget(recorded: Recorded, engine: Engine, window: int) -> Callable[[bytes], bytes]:
     """Give what makes a recorded request one to the engine's library and window."""
     other_library = engine.library_id.hex() != recorded.about["library"]
-    if not other_library and window == _window(recorded):
-        return lambda request: request
     other_members = engine.members != recorded.members
 
     def change(data: bytes) -> bytes:
         request = message_class("StepRequest").FromString(data)
+        rows = request.history_z.shape[0] if request.HasField("history_z") else 0
+        if not other_library and rows <= window:
+            return data
         request.library = engine.library_id
+        request.ClearField("history_f")
         if other_members:
             request.ClearField("weights")
-        rows = request.history_z.shape[0] if request.HasField("history_z") else 0
-        if other_library or rows > window:
-            request.ClearField("history_f")
         for history in (request.history_z, request.history_y) if rows > window else ():
             # Rows are the newest first.
             history.data = history.data[: len(history.data) // rows * window]

@@ -10,7 +10,7 @@ const MIN_SPACING: f64 = 0.05;
 /// Largest angle between a reference's yaw and the direction of its points, rad.
 const MAX_DEVIATION: f64 = 0.5;
 
-/// Reference speeds that a control step plans with, m/s. Rounding may make that of a standstill negative.
+/// Reference speeds that a control step accepts, m/s. Rounding may make that of a standstill negative.
 const SPEEDS: std::ops::RangeInclusive<f64> = -1.0..=100.0;
 
 /// What the vehicle measured and where it is to go.

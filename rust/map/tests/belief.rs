@@ -216,7 +216,7 @@ fn bytes_that_are_no_belief_about_this_road_are_errors_and_change_nothing() {
     let last = spoiled.len() - 8;
     spoiled[last..].copy_from_slice(&f64::NAN.to_le_bytes());
     assert!(refused(&spoiled, LENGTH, true).contains("NaN"));
-    // Another bit, of the container's header, of a number's last digits or of the stated length, leaves no file that is read.
+    // A single bit that changed is found wherever it is: in the header, in the description of the road, in the evidence.
     for byte in (0..400).chain((400..bytes.len()).step_by(997)) {
         let mut flipped = bytes.clone();
         flipped[byte] ^= 1;

@@ -14,7 +14,7 @@ use zenoh::{Config, Wait};
 
 use crate::certificates::{self, SETTINGS};
 use crate::query::{Answer, Query};
-use crate::zenoh_settings::{DEFAULTS, check_endpoints, free_ports};
+use crate::zenoh_settings::{DEFAULTS, check_endpoints, free_ports, not_opened};
 
 /// Time for which a service in zenoh's mode `client` waits for its routers.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
@@ -194,16 +194,6 @@ impl Query for Received {
         if let Err(error) = sent {
             tracing::warn!(key = self.key(), %error, "error reply not sent");
         }
-    }
-}
-
-/// What to say of a session that zenoh did not open, for this reason of its.
-fn not_opened(reason: &str) -> &'static str {
-    if reason.contains("Missing TLS") {
-        "a tls endpoint needs a certificate and its key: state a `zenoh_file` that `egp keys` wrote; cannot open the \
-         zenoh session"
-    } else {
-        "cannot open the zenoh session"
     }
 }
 

@@ -90,6 +90,16 @@ pub(crate) fn check_endpoints(
     }
 }
 
+/// What a session that zenoh did not open is reported with, by the reason that zenoh gives.
+pub(crate) fn not_opened(reason: &str) -> &'static str {
+    if reason.contains("Missing TLS") {
+        "a tls endpoint needs a certificate and its key: state a `zenoh_file` that `egp keys` wrote; cannot open the \
+         zenoh session"
+    } else {
+        "cannot open the zenoh session"
+    }
+}
+
 /// The first endpoint whose protocol this program does not speak.
 fn foreign(mut endpoints: Value) -> Option<String> {
     let mut found = None;
