@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import tomllib
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 from egp_service._core import EgpError, VehicleParameters
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _SIMULATED: Final = "commonroad-"
 # Magnitudes of road vehicles, and those that the control step supports.
@@ -76,7 +74,7 @@ def check_limits(vehicle: VehicleParameters, origin: str) -> None:
             )
 
 
-def read_vehicle(path: Path) -> VehicleParameters:
+def read_vehicle(path: str | Path) -> VehicleParameters:
     """Read a vehicle's parameters from a TOML file with one line for each field.
 
     Raises:
@@ -84,7 +82,7 @@ def read_vehicle(path: Path) -> VehicleParameters:
 
     """
     try:
-        fields = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        fields = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
         for name, value in fields.items():
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise TypeError(f"{name} is {value!r}: expected a number in SI units")  # noqa: TRY301

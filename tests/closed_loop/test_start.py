@@ -17,7 +17,7 @@ from egp_service import (
 )
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
-from egp_service.simulation.scenario import Zone, load_scenario, told_zones
+from egp_service.simulation.scenario import ScenarioError, Zone, load_scenario, told_zones
 
 BASE = told_zones(load_scenario("rounded-rectangle"))
 
@@ -38,6 +38,18 @@ def test_a_slow_start_keeps_the_path(friction: float, v_start: float) -> None:
     largest = 0.9 * np.abs(steps).max()
     turns = (np.sign(steps[1:]) != np.sign(steps[:-1])) & (np.abs(steps[1:]) > largest)
     assert turns.sum() <= 5
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"), [({"laps": float("nan")}, "laps"), ({"seed": -1}, "seed")]
+)
+def test_a_scenario_that_was_changed_is_checked(change: dict[str, float], complaint: str) -> None:
+    scenario = replace(BASE, **change)
+    with (
+        in_process_controller(BASE) as controller,
+        pytest.raises(ScenarioError, match=rf"rounded-rectangle: {complaint}"),
+    ):
+        drive(scenario, controller, lambda _: None)
 
 
 def test_a_status_that_cannot_be_published_is_an_error_at_once() -> None:

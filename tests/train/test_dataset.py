@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def test_comes_back_bit_for_bit(tmp_path: Path) -> None:
     written = surface()
     written.write(tmp_path / "wet.parquet")
-    read = Dataset.read(tmp_path / "wet.parquet")
+    read = Dataset.read(str(tmp_path / "wet.parquet"))
     assert read.provenance == written.provenance
     assert read.digest() == written.digest()
     assert [path.name for path in tmp_path.iterdir()] == ["wet.parquet"]
@@ -59,6 +59,11 @@ def test_numbers_of_trajectories_are_not_changed_silently(tmp_path: Path, wrong:
     frame.write_parquet(file, metadata={METADATA_KEY: metadata[METADATA_KEY]})
     with pytest.raises(EgpError, match=r"wet\.parquet.*trajectory"):
         Dataset.read(file)
+
+
+def test_merging_nothing_is_an_error() -> None:
+    with pytest.raises(EgpError, match="at least one dataset"):
+        merge([])
 
 
 def test_merging_keeps_trajectories_apart() -> None:

@@ -12,6 +12,7 @@ import dataclasses
 import errno
 import hashlib
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -23,7 +24,6 @@ from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ, TILT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -163,7 +163,7 @@ class Dataset:
             sha.update(np.ascontiguousarray(array, dtype=kind).tobytes())
         return sha.hexdigest()
 
-    def write(self, path: Path) -> None:
+    def write(self, path: str | Path) -> None:
         """Write the file atomically; raises `OSError` that names `path` if it cannot be written."""
         units = GP_INPUT | GP_OUTPUT
         numbers = np.hstack([self.z, self.y])
@@ -178,7 +178,7 @@ class Dataset:
             "units": units,
             **self.provenance.metadata(),
         }
-        with replacing(path) as beside:
+        with replacing(Path(path)) as beside:
             try:
                 frame.write_parquet(
                     beside, metadata={METADATA_KEY: json.dumps(metadata, sort_keys=True)}
@@ -187,13 +187,14 @@ class Dataset:
                 raise OSError(errno.EIO, str(error), str(path)) from error
 
     @staticmethod
-    def read(path: Path) -> Dataset:
+    def read(path: str | Path) -> Dataset:
         """Read and check a file of `write` or of another tool with the same schema.
 
         Raises:
             EgpError: if the file is missing or invalid; the message names the file and the problem.
 
         """
+        path = Path(path)
         if path.is_dir():
             raise EgpError(f"{path}: this is a folder; name the .parquet file in it")
         if not path.is_file():
@@ -238,11 +239,13 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
     """Join datasets of one surface; trajectories are renumbered so that they stay distinct.
 
     Raises:
-        EgpError: if they differ in dt, vehicle, surface or friction, only some state the tilt of
-            the road, or two have the same transitions, which would be among training and held-out
-            data at once.
+        EgpError: if there is none, they differ in dt, vehicle, surface or friction, only some state
+            the tilt of the road, or two have the same transitions, which would be among training
+            and held-out data at once.
 
     """
+    if not datasets:
+        raise EgpError("cannot merge: expected at least one dataset, got none")
     first = datasets[0].provenance
     for other in (dataset.provenance for dataset in datasets[1:]):
         for field in ("dt", "vehicle", "surface", "friction"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,7 +19,6 @@ from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY, TILT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from pathlib import Path
 
     import polars as pl
     from numpy.typing import NDArray
@@ -89,7 +89,7 @@ class Column:
 
 
 def import_log(
-    path: Path,
+    path: str | Path,
     columns: Mapping[str, Column],
     provenance: Provenance,
     *,
@@ -120,6 +120,7 @@ def import_log(
             the period is uneven or not suitable, or values are not finite.
 
     """
+    path = Path(path)
     _check_separator(separator)
     if not 0.0 < steering_ratio < np.inf:
         raise EgpError(f"expected a positive --steering-ratio, got {steering_ratio:g}")

@@ -19,7 +19,7 @@ from egp_service.quantities import NU, NX, POSITION, PSI, V_X
 from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.plant import make_plant
 from egp_service.simulation.reference import speed_reference, told_reference
-from egp_service.simulation.scenario import library_path
+from egp_service.simulation.scenario import check_scenario, library_path
 from egp_service.simulation.summary import Ending, Summary, summarise
 from egp_service.simulation.trace import Period, Trace, Truth
 
@@ -75,9 +75,10 @@ def drive(
     The members' friction coefficients, which pictures show, are read from the scenario's library
     file; the controller may use another one.
 
-    Raises `EgpError` if the scenario's track cannot be built. A loss of control is not an exception
-    but the run's ending.
+    Raises `EgpError` if a value of the scenario is out of its range or its track cannot be built. A
+    loss of control is not an exception but the run's ending.
     """
+    check_scenario(scenario, scenario.name)
     loop = _Loop(scenario, controller, belief, told_from)
     periods: list[Period] = []
     ending = None

@@ -12,7 +12,12 @@ from egp_service._core import InvalidArgumentError, VehicleLostError
 from egp_service.quantities import DELTA, NU, NX, OMEGA, P_X, P_Y, POSITION, PSI, V_X, V_Y
 from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.plant import make_plant
-from egp_service.simulation.scenario import Scenario, load_scenario, vehicle_parameters
+from egp_service.simulation.scenario import (
+    Scenario,
+    check_scenario,
+    load_scenario,
+    vehicle_parameters,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,6 +54,7 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         if not 0.0 < dt < np.inf:
             raise InvalidArgumentError(f"expected a positive number of seconds for dt, got {dt}")
         self._scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        check_scenario(self._scenario, self._scenario.name)
         self._dt = dt
         car = vehicle_parameters(self._scenario)
         self._force = car.mass * np.array([-car.a_min, car.a_max])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,8 +15,6 @@ from egp_service.simulation.course import build_path, build_profile, tyre_grips
 from egp_service.simulation.scenario import ScenarioError, library_path, vehicle_parameters
 
 if TYPE_CHECKING:
-    from pathlib import Path as FilePath
-
     from numpy.typing import NDArray
 
     from egp_service._core import Friction, Path, SpeedProfile
@@ -208,7 +207,7 @@ def why_unused(speed: Speed) -> str | None:
     return None
 
 
-def load_belief(scenario: Scenario, file: FilePath | None) -> RoadBelief:
+def load_belief(scenario: Scenario, file: str | FilePath | None) -> RoadBelief:
     """Return what `file` says about the scenario's road; nothing is known without such a file.
 
     Its evidence has aged since the file was written.
@@ -218,9 +217,10 @@ def load_belief(scenario: Scenario, file: FilePath | None) -> RoadBelief:
     if file is not None and (reason := why_unused(scenario.speed)):
         raise ScenarioError(f"{scenario.name}: {file} has no effect while {reason}")
     belief = RoadBelief(build_path(scenario))
-    if file is not None and file.exists():
+    known = None if file is None else FilePath(file)
+    if known is not None and known.exists():
         try:
-            belief.recall(file.read_bytes(), max(0.0, time.time() - file.stat().st_mtime))
+            belief.recall(known.read_bytes(), max(0.0, time.time() - known.stat().st_mtime))
         except (OSError, EgpError) as error:
             raise ScenarioError(
                 f"{file}: {error}; delete it to begin anew, or name another file"
@@ -228,9 +228,9 @@ def load_belief(scenario: Scenario, file: FilePath | None) -> RoadBelief:
     return belief
 
 
-def store_belief(belief: RoadBelief, file: FilePath) -> None:
+def store_belief(belief: RoadBelief, file: str | FilePath) -> None:
     """Write what is known about a road to `file`, which is replaced when it is complete."""
-    with replacing(file) as beside:
+    with replacing(FilePath(file)) as beside:
         beside.write_bytes(belief.to_bytes())
 
 

@@ -244,7 +244,7 @@ def parse_scenario(text: str, folder: Path, origin: str) -> Scenario:
             raise ScenarioError(f"{origin}: expected `zones` or `zones_file`, got both")
         table["zones"] = read_zone_rows(folder / table.pop("zones_file"))
     scenario = build(Scenario, table, origin)
-    _check(scenario, origin)
+    check_scenario(scenario, origin)
     if scenario.vehicle_file is not None:
         scenario = replace(scenario, vehicle_file=str(folder / scenario.vehicle_file))
     if scenario.track.file is not None:
@@ -291,8 +291,11 @@ def _one_of(
     return surface if friction is None else friction
 
 
-def _check(scenario: Scenario, origin: str) -> None:
-    """Check the ranges of the values."""
+def check_scenario(scenario: Scenario, origin: str) -> None:
+    """Check the ranges of the values, which `dataclasses.replace` may have changed.
+
+    Raises `ScenarioError`, whose message begins with `origin`.
+    """
     if not scenario.zones or scenario.zones[0].start != 0.0:
         raise ScenarioError(f"{origin}: zones must begin with one at start = 0.0")
     starts = [zone.start for zone in scenario.zones]

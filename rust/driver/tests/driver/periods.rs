@@ -237,7 +237,8 @@ fn the_last_answer_is_the_outcome_when_nobody_is_left() {
         (ended.name(), ended.detail()),
         (
             "unreachable",
-            "no replica of the service can be reached".to_owned()
+            "no replica of the service can be reached, or its access control does not admit this vehicle's certificate"
+                .to_owned()
         )
     );
     let late = outcome(&|driver, _| driver.wake(ms(36)));
