@@ -42,6 +42,8 @@ TILT: Final = {"grade": "rad", "bank": "rad"}
 """Tilt of a road: positive uphill, and positive where the left side is the higher one."""
 MOTION_LABELS: Final = ("v_x, m/s", "v_y, m/s", "ω, rad/s")
 """Labels of the columns `MOTION` in figures and tables."""
+NORMAL_95: Final = 1.959963984540054
+"""Half the width of a normal distribution's two-sided 95 % interval, in standard deviations."""
 NX: Final = len(STATE)
 NU: Final = len(INPUT)
 NZ: Final = len(GP_INPUT)

@@ -40,14 +40,11 @@ def test_a_slow_start_keeps_the_path(friction: float, v_start: float) -> None:
     assert turns.sum() <= 5
 
 
-@pytest.mark.parametrize(
-    ("change", "complaint"), [({"laps": float("nan")}, "laps"), ({"seed": -1}, "seed")]
-)
-def test_a_scenario_that_was_changed_is_checked(change: dict[str, float], complaint: str) -> None:
-    scenario = replace(BASE, **change)
+def test_a_scenario_that_was_changed_is_checked() -> None:
+    scenario = replace(BASE, laps=float("nan"))
     with (
         in_process_controller(BASE) as controller,
-        pytest.raises(ScenarioError, match=rf"rounded-rectangle: {complaint}"),
+        pytest.raises(ScenarioError, match="rounded-rectangle: laps"),
     ):
         drive(scenario, controller, lambda _: None)
 

@@ -231,7 +231,7 @@ def test_a_road_that_only_the_oracle_completes_breaks_the_claim_about_errors() -
     assert claimed() == claimed(ENSEMBLE) == (True, worst)
 
 
-def test_an_ordering_of_the_mean_outlives_one_seed() -> None:
+def test_the_order_of_the_means_may_differ_from_that_of_one_seed() -> None:
     errors = {("E(AD)", POOLED): 1.0, (POOLED, POOLED): 2.0, ("A", "D"): 3.0, ("D", "A"): 3.0}
     errors |= {("E(AD)", "T"): 3.0, ("E(ABD)", "T"): 2.0, ("E(ABCD)", "T"): 1.0}
 

@@ -13,7 +13,7 @@ use prost::Message as _;
 use thiserror::Error;
 
 use crate::config::VehicleConfig;
-use crate::network::{Event, Network, NetworkError, What};
+use crate::network::{Event, EventKind, Network, NetworkError};
 use crate::status::{Constants, Period, Status};
 use crate::traces::{StepTraces, StepTracesError};
 
@@ -237,21 +237,21 @@ impl VehicleClient {
     fn tell(&mut self, event: Event) {
         let at = self.time(event.at);
         if let Some(traces) = &mut self.traces {
-            match &event.what {
-                What::Replied(id, ..) => traces.replied(at, *id),
-                What::Refused(id, error) => traces.refused(at, *id, error),
-                What::Ended(id) => traces.ended(at, *id),
-                What::Appeared(_) | What::Gone(_) => {}
+            match &event.kind {
+                EventKind::Replied(id, ..) => traces.replied(at, *id),
+                EventKind::Refused(id, error) => traces.refused(at, *id, error),
+                EventKind::Ended(id) => traces.ended(at, *id),
+                EventKind::Appeared(_) | EventKind::Gone(_) => {}
             }
         }
-        match event.what {
-            What::Appeared(replica) => self.driver.replica_appeared(at, replica),
-            What::Gone(replica) => self.driver.replica_gone(at, &replica),
-            What::Replied(id, payload, attachment) => {
+        match event.kind {
+            EventKind::Appeared(replica) => self.driver.replica_appeared(at, replica),
+            EventKind::Gone(replica) => self.driver.replica_gone(at, &replica),
+            EventKind::Replied(id, payload, attachment) => {
                 self.driver.replied(at, id, &payload, &attachment);
             }
-            What::Refused(id, error) => self.driver.refused(at, id, &error),
-            What::Ended(id) => self.driver.ended(at, id),
+            EventKind::Refused(id, error) => self.driver.refused(at, id, &error),
+            EventKind::Ended(id) => self.driver.ended(at, id),
         }
     }
 
@@ -279,9 +279,9 @@ fn discover(
         }
         let Some(question) = discovery.next_question() else {
             // Every live replica was asked, or there is none, so wait for a change.
-            match network.next(left.min(POLL)).map(|event| event.what) {
-                Some(What::Appeared(replica)) => discovery.replica_appeared(replica),
-                Some(What::Gone(replica)) => discovery.replica_gone(&replica),
+            match network.next(left.min(POLL)).map(|event| event.kind) {
+                Some(EventKind::Appeared(replica)) => discovery.replica_appeared(replica),
+                Some(EventKind::Gone(replica)) => discovery.replica_gone(&replica),
                 _ => {}
             }
             continue;

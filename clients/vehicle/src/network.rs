@@ -34,11 +34,11 @@ impl NetworkError {
 /// An event on the network, with the time at which it was received.
 pub(crate) struct Event {
     pub(crate) at: Instant,
-    pub(crate) what: What,
+    pub(crate) kind: EventKind,
 }
 
 /// See [`Event`].
-pub(crate) enum What {
+pub(crate) enum EventKind {
     Appeared(Name),
     Gone(Name),
     /// A reply's payload and attachment; the latter is empty if there is none.
@@ -96,11 +96,11 @@ impl Network {
                 let Some(replica) = keys::replica_of_live(token.key_expr().as_str()) else {
                     return;
                 };
-                let what = match token.kind() {
-                    SampleKind::Put => What::Appeared(replica),
-                    SampleKind::Delete => What::Gone(replica),
+                let kind = match token.kind() {
+                    SampleKind::Put => EventKind::Appeared(replica),
+                    SampleKind::Delete => EventKind::Gone(replica),
                 };
-                report(&out, what);
+                report(&out, kind);
             })
             .wait()
             .map_err(|e| NetworkError::new("cannot watch the replicas", &e))?;
@@ -121,7 +121,7 @@ impl Network {
     pub(crate) fn next(&self, patience: Duration) -> Option<Event> {
         // The channel is never closed, because `self` holds a sender.
         let event = self.events.recv_timeout(patience).ok()?;
-        if let What::Gone(replica) = &event.what {
+        if let EventKind::Gone(replica) = &event.kind {
             self.look_again(replica);
         }
         Some(event)
@@ -141,7 +141,7 @@ impl Network {
             .timeout(PATIENCE)
             .callback(move |reply| {
                 if reply.result().is_ok() {
-                    report(&out, What::Appeared(replica.clone()));
+                    report(&out, EventKind::Appeared(replica.clone()));
                 }
             })
             .wait();
@@ -174,7 +174,7 @@ impl Network {
             .callback(move |reply| report(&end.1, answer(id, reply)))
             .wait();
         if sent.is_err() {
-            report(&self.sender, What::Ended(id));
+            report(&self.sender, EventKind::Ended(id));
         }
     }
 
@@ -231,27 +231,27 @@ struct End(QueryId, Sender<Event>);
 
 impl Drop for End {
     fn drop(&mut self) {
-        report(&self.1, What::Ended(self.0));
+        report(&self.1, EventKind::Ended(self.0));
     }
 }
 
-fn report(out: &Sender<Event>, what: What) {
+fn report(out: &Sender<Event>, kind: EventKind) {
     let at = Instant::now();
     // An error means that the client was dropped.
-    let _ = out.send(Event { at, what });
+    let _ = out.send(Event { at, kind });
 }
 
-fn answer(id: QueryId, reply: Reply) -> What {
+fn answer(id: QueryId, reply: Reply) -> EventKind {
     match reply.into_result() {
         Ok(sample) => {
             let attachment = sample.attachment();
-            What::Replied(
+            EventKind::Replied(
                 id,
                 sample.payload().to_bytes().into_owned(),
                 attachment.map_or_else(Vec::new, |bytes| bytes.to_bytes().into_owned()),
             )
         }
-        Err(error) => What::Refused(id, error.payload().to_bytes().into_owned()),
+        Err(error) => EventKind::Refused(id, error.payload().to_bytes().into_owned()),
     }
 }
 
@@ -325,16 +325,16 @@ mod tests {
         let next = || {
             network
                 .next(Duration::from_secs(10))
-                .map(|event| event.what)
+                .map(|event| event.kind)
         };
-        assert!(matches!(next(), Some(What::Appeared(_))));
+        assert!(matches!(next(), Some(EventKind::Appeared(_))));
 
-        report(&network.sender, What::Gone(replica));
-        assert!(matches!(next(), Some(What::Gone(_))));
-        assert!(matches!(next(), Some(What::Appeared(_))));
+        report(&network.sender, EventKind::Gone(replica));
+        assert!(matches!(next(), Some(EventKind::Gone(_))));
+        assert!(matches!(next(), Some(EventKind::Appeared(_))));
 
         token.undeclare().wait().unwrap();
-        assert!(matches!(next(), Some(What::Gone(_))));
+        assert!(matches!(next(), Some(EventKind::Gone(_))));
         assert!(network.next(Duration::from_millis(300)).is_none());
     }
 }

@@ -282,7 +282,7 @@ fn with_a_key_only_a_service_that_has_the_same_key_is_driven_with() {
         let stranger = sealed(&endpoint, keys);
         let error = connect(&endpoint).err().unwrap().to_string();
         assert!(
-            error.contains("has not the tag of this vehicle's key"),
+            error.contains("does not have the tag of this vehicle's key"),
             "{error}"
         );
         for _ in 0..20 {

@@ -49,7 +49,7 @@ def check_free(endpoints: Sequence[str]) -> None:
 
 
 def why_unreachable(endpoint: str) -> str | None:
-    """Say why nobody can be reached at an endpoint; `None` if somebody can, or if it is not TCP."""
+    """Say why no program accepts connections at an endpoint; `None` if one does, or without TCP."""
     found = _TCP.fullmatch(endpoint)
     if found is None:
         return None

@@ -77,7 +77,7 @@ class Step:
     plan_x: NDArray[np.float64] | None
     """States (T+1, 7) of the new plan, from the measured state on."""
     plan_u: NDArray[np.float64] | None
-    """(T, 2)."""
+    """Inputs (T, 2) of the new plan, `[F_x, delta_dot]` in N and rad/s."""
     sigma: NDArray[np.float64] | None
     """Standard deviations (T+1, 3) of `[v_x, v_y, omega]` along the plan, if requested."""
     friction: Friction | None
@@ -196,11 +196,13 @@ class StepController(ABC):
         each row of the reference (see `RoadBelief.preview`). The model of each stage follows it.
         Call it once each period. It returns within `deadline` seconds (default: 0.8 `dt`), with a
         command whatever happens to the service; without a service it takes as long as the control
-        step, and `deadline` is only stated in the request. A deadline of 0 or less is over, and
-        there is a command as well; more than 10 s count as 10 s. Raises `InvalidArgumentError` when
-        arguments have the wrong shape, `deadline` is not finite, or the reference cannot be meant;
-        a measured state that is not finite is no error but a stop. Raises `EgpError` in a handler
-        of a signal that interrupts another step of this controller.
+        step, and `deadline` is only stated in the request. With a deadline of 0 or less a command
+        is returned, too; values above 10 s count as 10 s. A measured state that is not finite is
+        not an error: its command is a stop.
+
+        Raises `InvalidArgumentError` if an argument has the wrong shape, `deadline` is not finite,
+        or the reference is not one to drive, for instance with a yaw in degrees. Raises `EgpError`
+        in a handler of a signal that interrupts another step of this controller.
         """
         start = time.monotonic()
         if deadline is not None and not math.isfinite(deadline):

@@ -51,7 +51,7 @@ def kinematic(vehicle: int) -> NDArray[np.float64]:
 
 
 def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: int) -> None:
-    """Write the library of a baseline to the contender with some members of the library `source`.
+    """Write the library of a baseline for comparison with members of the library `source`.
 
     `fitted` contains the vehicle of each of these members. `single-track` and `kinematic` contain
     one CommonRoad vehicle with the number `vehicle`, with the range of all their training data.

@@ -58,14 +58,16 @@ class Outcome:
     lateral_max: float
     """Largest lateral error, m."""
     lateral_rms: float
+    """RMS of the lateral error, m."""
     speed_rms: float
-    """m/s."""
+    """RMS of the speed's error, m/s."""
     off_track: float
     """Time in which a side of the vehicle was beyond the track's edge, s."""
     settling: tuple[float, ...]
     """Settling time of the weights after each friction change under excitation, s."""
     resolution: float | None
-    """Bound on the accuracy of the friction from one window, for the ensemble's friction steps."""
+    """Smallest standard deviation that a friction coefficient from one window can have, for the
+    ensemble's friction steps."""
     avoidable: bool | None
     """Whether a replay that is told everything avoids the departure; None without a departure, and
     in experiments whose departures are not replayed."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A claim and whether the outcomes support it; None if they do not have what it is about."""
+    """A claim and whether the outcomes support it; `holds` is None if no outcome concerns it."""
 
     text: str
     holds: bool | None

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.special import ndtri
 
-from egp_service.quantities import MOTION_LABELS
+from egp_service.quantities import MOTION_LABELS, NORMAL_95
 from egp_service.training.open_loop import MOVING, NO_CHANGE
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from egp_service.evaluation.logs import LogOutcome
 
-_QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
 _SHOWN: Final = 400  # transitions over time
 _LEVELS: Final = np.linspace(0.05, 0.99, 48)
 _OUTSIDE: Final = 4.0  # largest residual that is shown, in standard deviations
@@ -40,7 +39,7 @@ def draw_log(outcome: LogOutcome, path: Path) -> Path:
         ax = axes[0, column]
         ax.plot(time, truth[:_SHOWN], color="0.6", lw=0.8, label="measured")
         ax.plot(time, mean[:_SHOWN], lw=1.0, label="predicted")
-        band = _QUANTILE * std[:_SHOWN]
+        band = NORMAL_95 * std[:_SHOWN]
         ax.fill_between(time, mean[:_SHOWN] - band, mean[:_SHOWN] + band, alpha=0.2, lw=0)
         ax.set(title=f"change of {label}", xlabel="s of held-out driving")
         ax = axes[1, column]

@@ -16,7 +16,7 @@ from egp_service.data.alignment import Delays, align
 from egp_service.data.channels import Channels, channels
 from egp_service.data.dataset import check_one_car
 from egp_service.evaluation.residual import Residual, fit_residual, moving_runs
-from egp_service.quantities import NY
+from egp_service.quantities import NORMAL_95, NY
 from egp_service.training.average_member import PriorMean, average_member
 from egp_service.training.choice import hold_out
 from egp_service.training.delays import find_delays
@@ -40,7 +40,6 @@ VEHICLE: Final = "single-track alone"
 OTHER: Final = "member of {}"
 """Name of the predictor that is trained on another log."""
 LAST_CHANGE: Final = "linear and last change"
-_QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
 _WINDOW: Final = 0.5  # s, from which weights are estimated
 _STRENGTH: Final = 1e-3  # of the quadratic prior on the weights
 
@@ -145,7 +144,7 @@ def _outcome(
     residual = fit_residual(member.predict_mean, member.dataset)
     with_residual, residual_coverage = _with_residual(member, residual)
     moving = held.z[:, 0] > MOVING
-    inside = np.abs(held.y - predicted) < _QUANTILE * deviation
+    inside = np.abs(held.y - predicted) < NORMAL_95 * deviation
     return LogOutcome(
         name=log.provenance.surface,
         channels=channels(log),
@@ -194,7 +193,7 @@ def _with_residual(
     if not left:
         return np.full(NY, np.nan), np.full(NY, np.nan)
     errors = np.concatenate(left)
-    inside = np.abs(errors) < _QUANTILE * np.concatenate(deviations)
+    inside = np.abs(errors) < NORMAL_95 * np.concatenate(deviations)
     return np.sqrt(np.mean(errors**2, axis=0)), inside.mean(axis=0)
 
 

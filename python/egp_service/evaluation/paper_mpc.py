@@ -13,7 +13,7 @@ import numpy as np
 
 from egp_service._core import EgpError
 from egp_service.quantities import DELTA, NU, NX, OMEGA, PSI, V_X, V_Y
-from egp_service.training.prior_mean import SLOWEST
+from egp_service.training.prior_mean import MIN_SLIP_SPEED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -110,8 +110,8 @@ class Mpc:
         self.reference_v.value = r[1:, V_X]
         self.drive.value = np.minimum(limits["a_max"], limits["power"] / operating[:-1, V_X])
         sideways = operating[1:, V_Y] + soft["front"] * operating[1:, OMEGA]
-        moving = operating[1:, V_X] >= SLOWEST
-        direction = np.arctan(sideways / np.maximum(operating[1:, V_X], SLOWEST))
+        moving = operating[1:, V_X] >= MIN_SLIP_SPEED
+        direction = np.arctan(sideways / np.maximum(operating[1:, V_X], MIN_SLIP_SPEED))
         allowed = np.where(moving, slip, np.inf)[:, None] * np.array([-1.0, 1.0])
         self.steering.value = np.clip(direction[:, None] + allowed, -soft["delta"], soft["delta"])
         self.normal.value = np.stack([-np.sin(reference[1:, PSI]), np.cos(reference[1:, PSI])], -1)

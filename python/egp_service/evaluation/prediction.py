@@ -22,7 +22,7 @@ from egp_service.data.sampling import sample
 from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.window_noise import model_noise
-from egp_service.quantities import NY, NZ
+from egp_service.quantities import NORMAL_95, NY, NZ
 from egp_service.training.export import export
 from egp_service.training.train import TrainingSettings, train
 
@@ -38,7 +38,6 @@ _DT: Final = 0.02
 _KEEP: Final = 6  # transitions of a trajectory: five for the weights, one to predict
 _SETTLE: Final = 2  # earlier periods, in which the suspension reaches equilibrium
 _TEST_TRAJECTORIES: Final = 300
-_NOMINAL: Final = 1.959964  # half width of the 95 % interval in standard deviations
 # Strength of the quadratic prior over a window; small compared with one whitened squared error.
 _LAMBDA: Final = 1e-3
 # Strength of the paper's prior; the previous transition then determines the weights.
@@ -251,7 +250,7 @@ def _weights(
 
 
 def _coverage(error: NDArray[np.float64], variance: NDArray[np.float64]) -> list[float]:
-    inside = np.abs(error) <= _NOMINAL * np.sqrt(variance)
+    inside = np.abs(error) <= NORMAL_95 * np.sqrt(variance)
     return _floats(np.mean(inside, axis=0))
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service.evaluation.contenders import ORACLE
+from egp_service.quantities import NORMAL_95
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
     from egp_service.evaluation.campaign import Outcome
 
-_NOMINAL: Final = 1.959964
 _RESAMPLES: Final = 2000
 
 
@@ -76,9 +76,9 @@ def grouped(outcomes: Iterable[Outcome]) -> list[Group]:
 
 def wilson(successes: int, runs: int) -> Interval:
     """Wilson's interval of a share (Wilson, 1927)."""
-    share, z2 = successes / runs, _NOMINAL**2
+    share, z2 = successes / runs, NORMAL_95**2
     centre = (share + z2 / (2 * runs)) / (1 + z2 / runs)
-    half = _NOMINAL / (1 + z2 / runs) * math.sqrt(share * (1 - share) / runs + z2 / (4 * runs**2))
+    half = NORMAL_95 / (1 + z2 / runs) * math.sqrt(share * (1 - share) / runs + z2 / (4 * runs**2))
     return Interval(share, max(0.0, centre - half), min(1.0, centre + half))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from egp_service._core import EgpError
-from egp_service.quantities import GP_OUTPUT, NY, NZ
+from egp_service.quantities import GP_OUTPUT, NORMAL_95, NY, NZ
 from egp_service.training.exact_member import START
 from egp_service.training.gaussian_process import Bounds, Hyperparameters, OutputProcess
 from egp_service.training.open_loop import MOVING
@@ -47,7 +47,6 @@ _ROWS: Final = 3000  # transitions that the hyperparameters are fitted to
 _OUTLIER: Final = 4.0  # robust standard deviations
 _ROUNDS: Final = 4
 _MAD: Final = 1.4826
-_QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
 _ALONE: Final = Hyperparameters((1.0,) * NZ, outputscale=1e-9, noise=1.0, constant=0.0)
 """A process that adds nothing to its mean."""
 
@@ -144,7 +143,7 @@ def widening_on(member: TrainedMember) -> NDArray[np.float64]:
         return np.ones(NY)
     mean, _, variance = member.predict(held.z[moving])
     scaled = np.abs(held.y[moving] - mean) / np.sqrt(variance + member.noise_variance)
-    return np.clip(np.quantile(scaled, 0.95, axis=0) / _QUANTILE, 1.0, 2.0)
+    return np.clip(np.quantile(scaled, 0.95, axis=0) / NORMAL_95, 1.0, 2.0)
 
 
 def _without_outliers(z: torch.Tensor, y: torch.Tensor, moving: NDArray[np.int64]) -> torch.Tensor:
@@ -217,7 +216,7 @@ def _final(
         limit = _OUTLIER * _MAD * errors[moving].abs().median()
         kept = predicted + errors.clamp(-limit, limit)
     errors = (y - posterior_mean(process, z, kept))[moving].abs()
-    spread = torch.quantile(errors, 0.95) / _QUANTILE
+    spread = torch.quantile(errors, 0.95) / NORMAL_95
     values = dataclasses.replace(values, noise=float(widen * spread) ** 2)
     process = process_of(y.new_zeros(len(inducing)))
     targets = average_targets(process, z, kept)

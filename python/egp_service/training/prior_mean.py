@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-SLOWEST: Final = 3.0  # m/s; slip angles are computed with at least this speed
+MIN_SLIP_SPEED: Final = 3.0  # m/s; slip angles are computed with at least this speed
 
 
 class Parameter(NamedTuple):
@@ -89,7 +89,7 @@ def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor
     a = force / mass
     driven = force > 0.0
     a_x = a / (1.0 + (a / (GRAVITY * torch.where(driven, drive, brake))) ** 4) ** 0.25
-    v = v_x.clamp(min=SLOWEST)
+    v = v_x.clamp(min=MIN_SLIP_SPEED)
 
     def lateral(
         position: torch.Tensor, steered: torch.Tensor | float, load: torch.Tensor, axle: int
@@ -107,7 +107,7 @@ def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor
     ahead = a_x - front * torch.sin(steering) + v_y * omega
     if resistance:
         rolling, drag = resistance
-        ahead = ahead - rolling * (v_x / SLOWEST).clamp(-1.0, 1.0) - drag * v_x * v_x.abs()
+        ahead = ahead - rolling * (v_x / MIN_SLIP_SPEED).clamp(-1.0, 1.0) - drag * v_x * v_x.abs()
     rate = [
         ahead,
         across + rear - v_x * omega,

@@ -1,9 +1,11 @@
-"""Training of a library from datasets: one member per surface, one exact process per output.
+"""Training of a library from datasets, one member for each surface.
 
 Trajectories of each surface are split off for validation, and one single-track vehicle is fitted to
-all surfaces with a set of tyres for each (`vehicle_fit`). Then, for each surface, its residuals are
-z-scored, the lengthscales are fitted on a random subset, `max_points` transitions are chosen with
-them (`subset`), and the processes are fitted on these.
+all surfaces with a set of tyres for each (`vehicle_fit`). With `mean="best"` each member then takes
+the kind that predicts held-out blocks best (`choice`). Its processes are sparse, and each output
+has a kernel and a noise of its own (`average_member`). Otherwise the processes of a surface are
+exact (`exact_member`): the residuals are z-scored, the lengthscales are fitted on a random subset,
+`max_points` transitions are chosen with them (`subset`), and the processes are fitted on these.
 With a vehicle as prior mean the outputs' processes share kernel and noise.
 """
 

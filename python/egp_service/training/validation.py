@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import EgpError
-from egp_service.quantities import NY
+from egp_service.quantities import NORMAL_95, NY
 from egp_service.training.open_loop import LINEAR, linear, rollout, skill, starts
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 # Each variance needs a triangular solve; more rows than this change the third digit only.
 _MAX_ROWS: Final = 3000
 _EVERY: Final = 5  # rows from the start of a rollout to that of the next one
-_QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -79,7 +78,7 @@ def _cell(library: Library, index: int, surface: str, dataset: Dataset) -> Cell:
         surface=surface,
         rmse=np.sqrt(np.mean(error**2, axis=0)),
         nlpd=nlpd.mean(axis=0),
-        coverage=np.mean(np.abs(error) < _QUANTILE * np.sqrt(variance), axis=0),
+        coverage=np.mean(np.abs(error) < NORMAL_95 * np.sqrt(variance), axis=0),
         rollout=rollout_error(library, index, dataset, round(ROLLOUT / library.dt)),
     )
 

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from egp_service._core import EgpError
 from egp_service.data.channels import channels
-from egp_service.quantities import NY
+from egp_service.quantities import NORMAL_95, NY
 from egp_service.training.normal_equations import Compressed
 from egp_service.training.prior_mean import BODY, DRAG, PARAMETERS, ROLLING, TYRES, change
 from egp_service.vehicle import simulated_vehicle
@@ -42,7 +42,6 @@ _OUTLIER: Final = 0.1
 # Smallest spread of the errors in units of this scale. Without noise the errors are those of the
 # equations, which no number of transitions reduces.
 _LEAST_SPREAD: Final = 0.1
-_QUANTILE: Final = 1.959963984540054  # of the normal distribution, two-sided 95 %
 _MAD: Final = 1.4826  # standard deviation of a normal distribution over its median absolute value
 # Standard deviations of constant disturbances, m/s², m/s², rad/s²: slope, bank, crosswind.
 _DISTURBANCE: Final = np.array([0.3, 1.0, 0.1])
@@ -338,8 +337,8 @@ class _Problem:
                 FittedParameter(
                     name,
                     value=float(centre * np.exp(x[i])),
-                    low=float(centre * np.exp(x[i] - _QUANTILE * spread[i])),
-                    high=float(centre * np.exp(x[i] + _QUANTILE * spread[i])),
+                    low=float(centre * np.exp(x[i] - NORMAL_95 * spread[i])),
+                    high=float(centre * np.exp(x[i] + NORMAL_95 * spread[i])),
                     distance=float(x[i] / self._width[i]),
                     determined=bool(
                         spread[i] <= _DETERMINED * self._width[i]
@@ -364,7 +363,7 @@ class _Problem:
         both = [list(BODY).index(name) for name in ("m", "k²")]
         mass, gyration = (parameters[i] for i in both)
         value = mass.value * gyration.value
-        factor = math.exp(_QUANTILE * math.sqrt(covariance[np.ix_(both, both)].sum()))
+        factor = math.exp(NORMAL_95 * math.sqrt(covariance[np.ix_(both, both)].sum()))
         return FittedParameter(
             "I_z",
             value=value,

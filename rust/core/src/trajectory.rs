@@ -23,8 +23,8 @@ impl Guess {
 
     /// Shifts a plan made `shift` periods ago to the current time: rows `[7]` of `plan_x`, `[2]` of `plan_u`.
     ///
-    /// After the end of the plan the last force and the steering *angle* are held; holding the steering *rate* would
-    /// keep turning the wheels while plans are missing. Without a plan, or after its end, all inputs are zero.
+    /// Stages beyond the end of the plan hold the last force and the steering *angle*; holding the steering *rate* would
+    /// keep turning the wheels while plans are missing. Without a plan, or if it ended before now, all inputs are zero.
     pub fn shift(&mut self, frame: &Frame, plan_x: &[[f64; 7]], plan_u: &[[f64; 2]], shift: usize) {
         self.x.clear();
         self.u.fill(Input::zeros());

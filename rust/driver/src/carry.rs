@@ -51,7 +51,7 @@ impl Carry {
             library,
             capacity: history,
             sequence: 0,
-            history: VecDeque::with_capacity(history),
+            history: VecDeque::new(),
             weights: Vec::new(),
             plan: None,
             accepted: 0,
@@ -115,10 +115,11 @@ impl Carry {
         self.sequence += 1;
         match self.running.take() {
             Some((before, u)) => self.remember(before, u, x),
-            None => self.history.clear(), // a gap: what comes shares no state with what went
+            // Without the period before, the rows of the history would not be consecutive.
+            None => self.history.clear(),
         }
         self.x = Some(x);
-        self.forget_spent_plan(reference.len().saturating_sub(1));
+        self.discard_expired_plan(reference.len().saturating_sub(1));
         let (plan_x, plan_u, plan_shift) =
             self.plan.as_ref().map_or_else(Default::default, |plan| {
                 (plan.x.clone(), plan.u.clone(), self.age(plan.born))
@@ -240,8 +241,8 @@ impl Carry {
         u32::try_from(self.sequence - born).unwrap_or(u32::MAX)
     }
 
-    /// A plan with no row left for now, or of another horizon, starts nothing warm.
-    fn forget_spent_plan(&mut self, horizon: usize) {
+    /// Discards the plan if it has no input for this period, or another horizon.
+    fn discard_expired_plan(&mut self, horizon: usize) {
         let age = self.plan.as_ref().map(|plan| self.age(plan.born) as usize);
         let fits = self
             .plan

@@ -20,9 +20,9 @@ pub enum Unusable {
     /// Its answer is no description of a replica.
     #[error("its description is not valid: {0}")]
     Malformed(#[from] Invalid),
-    /// Its answer has not the tag of the vehicle's key.
+    /// Its answer does not have the tag of the vehicle's key.
     #[error(
-        "its answer has not the tag of this vehicle's key; does the service have the same key?"
+        "its answer does not have the tag of this vehicle's key; check that the service has the same key"
     )]
     Forged,
     /// It drains.
@@ -51,7 +51,7 @@ impl fmt::Display for DiscoveryError {
     }
 }
 
-/// A question what a replica serves.
+/// A query of a replica's `ready` key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Question {
     /// The replica.
@@ -62,7 +62,7 @@ pub struct Question {
     pub attachment: Vec<u8>,
 }
 
-/// The numbers of a discovery's questions are apart from those of its driver.
+/// Number of the first seal of a discovery. It is larger than any number of the driver, so that no number is used twice.
 const FIRST_NUMBER: u64 = 1 << 63;
 
 /// Finds a replica that can be used, asking the live ones one after another in the order of the vehicle's hash.
@@ -83,7 +83,7 @@ impl Discovery {
     /// A discovery for the driver that is to be made with `config`; no replica is known yet.
     ///
     /// # Errors
-    /// [`DriverError`] when budget, limits or gate settings are out of range.
+    /// [`DriverError`] when budget, hedge, limits or gate settings are out of range.
     pub fn new(config: &DriverConfig) -> Result<Self, DriverError> {
         config.validate()?;
         Ok(Self {

@@ -19,19 +19,21 @@ pub struct InProcessDriver {
     driver: Driver,
 }
 
-/// The driver's time stands still: with one replica that always answers, nothing depends on how much of it passes.
+/// Constant time of the driver. With one replica that answers every query at once, no decision depends on time.
 const NOW: Time = Time::ZERO;
-/// Least time that a request states. A plan is made even if the time is over, because nobody else waits for it.
-const LEAST_BUDGET: Duration = Duration::from_micros(1);
+/// Smallest budget of a request. A plan is computed even if the budget is used up.
+const MIN_BUDGET: Duration = Duration::from_micros(1);
+/// Largest budget that a request can state.
+const MAX_BUDGET: Duration = Duration::from_micros(u32::MAX as u64);
 
 impl InProcessDriver {
     /// A driver for the library that `served` describes.
     ///
     /// # Errors
-    /// [`DriverError`] when budget, limits or gate settings are out of range, or when the limits allow more than the
+    /// [`DriverError`] when budget, hedge, limits or gate settings are out of range, or when the limits allow more than the
     /// vehicle that `served` describes can do.
     pub fn new(config: DriverConfig, served: Ready) -> Result<Self, DriverError> {
-        // Nobody else can answer within a process, so a key has no use.
+        // Queries do not leave the process, so that no key is needed.
         let mut driver = Driver::new(
             DriverConfig {
                 key: None,
@@ -45,12 +47,12 @@ impl InProcessDriver {
         Ok(Self { driver })
     }
 
-    /// The driver behind it, for what does not concern time or replicas.
+    /// The driver, for calls that concern neither time nor replicas.
     pub fn driver(&self) -> &Driver {
         &self.driver
     }
 
-    /// The same, to be changed.
+    /// Mutable access to the driver, for calls that concern neither time nor replicas.
     pub fn driver_mut(&mut self) -> &mut Driver {
         &mut self.driver
     }
@@ -59,14 +61,14 @@ impl InProcessDriver {
     /// bytes from the request's.
     ///
     /// # Errors
-    /// [`InvalidArgument`] when no request can be made of reference or widths.
+    /// [`InvalidArgument`] when no request can be made of reference, widths or `road_friction`.
     pub fn step(
         &mut self,
         measurement: Measurement,
         budget: Duration,
         mut answer: impl FnMut(&[u8]) -> Answer,
     ) -> Result<Step, InvalidArgument> {
-        let deadline = NOW + budget.max(LEAST_BUDGET);
+        let deadline = NOW + budget.clamp(MIN_BUDGET, MAX_BUDGET);
         self.driver.tick(NOW, deadline, measurement)?;
         loop {
             match self.driver.next_action() {

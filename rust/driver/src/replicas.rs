@@ -9,10 +9,12 @@ use egp_wire::keys::Name;
 use crate::driver::Time;
 use crate::rank;
 
-/// How long a replica that failed is asked last, at first and at most. The time doubles with every further failure.
+/// Duration of the first demotion, for which a replica that failed is asked last. A failure after a demotion has ended doubles
+/// the duration; a failure during a demotion starts the same duration again.
 const MIN_DEMOTION: Duration = Duration::from_secs(1);
+/// Longest demotion.
 const MAX_DEMOTION: Duration = Duration::from_secs(30);
-/// A replica that has not failed for this long starts with the shortest demotion again.
+/// A replica that has not failed for this long since the end of its demotion starts with the shortest demotion again.
 const FORGIVEN: Duration = Duration::from_secs(60);
 /// Time between two probes of a demoted replica.
 const PROBE_INTERVAL: Duration = Duration::from_millis(200);

@@ -23,7 +23,7 @@ pub struct Situation {
     pub envelope: f64,
     /// Distance from the reference, m.
     pub distance: f64,
-    /// Angle from the reference's heading to the vehicle's, rad, in [-π, π].
+    /// Angle from the reference's heading to the vehicle's, rad, in (-π, π].
     pub heading: f64,
 }
 
@@ -122,7 +122,7 @@ impl LostDetector {
     }
 }
 
-/// The angle in [-π, π].
+/// The angle in (-π, π] that differs from `angle` (rad) by whole turns.
 pub(crate) fn wrap(angle: f64) -> f64 {
     let turned = angle.rem_euclid(TAU);
     if turned > PI { turned - TAU } else { turned }

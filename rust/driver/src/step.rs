@@ -52,11 +52,11 @@ pub struct Late {
 pub enum Outcome {
     /// A usable reply came in time; it holds a plan exactly if the status is solved.
     Replied(Status),
-    /// Every replica that was asked refused; the last one's reason.
+    /// The last replica that was asked answered with this error.
     Refused(WireError),
     /// The last replica that was asked sent a reply that cannot be used, for this reason.
     Unusable(Invalid),
-    /// The deadline passed.
+    /// The deadline passed while a replica was silent, or before any could be asked.
     Late,
     /// No replica is alive, or none that was asked was still there.
     Unreachable,

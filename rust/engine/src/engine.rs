@@ -5,7 +5,9 @@ use std::{path::Path, sync::Arc};
 use egp_core::{
     Library, Settings, StepError, StepReply, StepRequest, VehicleParameters, Workspace, library,
 };
-use egp_wire::{Code, Friction, MessageLimits, Ready, Reply, Request, Status, WireError};
+use egp_wire::{
+    Code, Friction, LibraryId, MessageLimits, Ready, Reply, Request, Status, WireError,
+};
 
 use crate::cores::{Cores, available_cores};
 use crate::error::EngineError;
@@ -141,20 +143,24 @@ impl Engine {
         &self.settings
     }
 
-    fn pinned(&self, request: &Request) -> Result<(), WireError> {
+    fn check_library(&self, request: &Request) -> Result<(), WireError> {
         if request.library == self.library.id() {
             return Ok(());
         }
-        Err(WireError::retryable(
-            Code::UnknownLibrary,
-            0, // another replica may serve it
-            format!(
-                "this replica serves library {}, the request pins {}; ask `ready` what a replica serves",
-                library::hex(&self.library.id()),
-                library::hex(&request.library)
-            ),
-        ))
+        Err(unknown_library(&[self.library.id()], &request.library))
     }
+}
+
+/// The error for a request that states another library than those that are served. It can be retried, because another replica
+/// may serve the library.
+pub fn unknown_library(served: &[LibraryId], stated: &LibraryId) -> WireError {
+    let served: Vec<_> = served.iter().map(|id| library::hex(id)).collect();
+    let detail = format!(
+        "this replica serves library {}, the request states {}; ask `ready` what a replica serves",
+        served.join(" and "),
+        library::hex(stated)
+    );
+    WireError::retryable(Code::UnknownLibrary, 0, detail)
 }
 
 impl Engine {
@@ -213,7 +219,7 @@ impl Engine {
         let memory = workspace;
         let _core = self.cores.as_ref().map(|cores| cores.occupy());
         memory.request.decode_from(request, &self.limits)?;
-        self.pinned(&memory.request)?;
+        self.check_library(&memory.request)?;
         egp_core::step(
             &self.library,
             &self.settings,

@@ -10,6 +10,6 @@ mod file;
 mod sync;
 
 pub use cores::available_cores;
-pub use engine::{Engine, EngineWorkspace};
+pub use engine::{Engine, EngineWorkspace, unknown_library};
 pub use error::EngineError;
 pub use file::{Replacement, read_library, read_regular, replace_file};

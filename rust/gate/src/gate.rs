@@ -1,9 +1,14 @@
 //! The gate: WAITING → NORMAL → TAIL → STOP.
 
+use std::ops::RangeInclusive;
+
 use crate::limits::{Limits, LimitsError, ROUNDING, positive};
 
 /// Largest number of inputs of a plan.
 pub const MAX_HORIZON: usize = 128;
+
+/// Accepted control periods \[s\]. With much smaller or larger ones, differences of rates overflow or vanish.
+const PERIODS: RangeInclusive<f64> = 1e-4..=10.0;
 
 /// Below this speed \[m/s\] the stopping force decreases linearly to zero, so that a stop ends in standstill.
 const HOLD_SPEED: f64 = 0.5;
@@ -50,6 +55,9 @@ pub enum GateError {
         /// The strongest deceleration of the limits.
         bound: f64,
     },
+    /// A control period that is out of range.
+    #[error("the control period is {0} s, the gate needs one from 0.0001 s to 10 s")]
+    Period(f64),
     /// A plan without inputs, or with more than [`MAX_HORIZON`].
     #[error("a plan has 1 to {MAX_HORIZON} inputs, got {0}")]
     Length(usize),
@@ -88,12 +96,12 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// A gate with periods of `dt` \[s\]. After `max_tail_ticks` periods without a new plan it brakes with
+    /// A gate with periods of `dt` \[s\], from 1e-4 to 10. After `max_tail_ticks` periods without a new plan it brakes with
     /// `stop_deceleration` \[m/s²\].
     ///
     /// # Errors
-    /// [`GateError::Limits`] if a value is not finite or has the wrong sign, or if the stopping force is outside the
-    /// limits.
+    /// [`GateError::Limits`] if a value is not finite or has the wrong sign, [`GateError::Period`] if `dt` is out of range, and [`GateError::StopDeceleration`] if the stop
+    /// needs more force than the limits allow.
     pub fn new(
         limits: Limits,
         dt: f64,
@@ -101,6 +109,9 @@ impl Gate {
         stop_deceleration: f64,
     ) -> Result<Self, GateError> {
         limits.validate()?;
+        if !(PERIODS.contains(&dt)) {
+            return Err(GateError::Period(dt));
+        }
         let stop_force = limits.mass * positive("stop_deceleration", stop_deceleration)?;
         if stop_force > -limits.force_min * (1.0 + ROUNDING) {
             return Err(GateError::StopDeceleration {
@@ -110,7 +121,7 @@ impl Gate {
         }
         Ok(Self {
             limits,
-            dt: positive("dt", dt)?,
+            dt,
             max_tail_ticks,
             stop_force: stop_force.min(-limits.force_min),
             plan: [[0.0; 2]; MAX_HORIZON],

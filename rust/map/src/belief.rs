@@ -23,6 +23,12 @@ pub(crate) const BLUR: f64 = 4.0;
 
 /// Longest road, m.
 const LONGEST: f64 = 1e6;
+/// Least length of a road, m.
+const SHORTEST: f64 = 1.0;
+/// What is expected of a length.
+const LENGTH: &str = "a length from 1 to 1e6 m";
+/// Distance, m, that no vehicle drives in a control period.
+const JUMP: f64 = 100.0;
 /// Longest window, in transitions.
 const WINDOW: f64 = 1000.0;
 
@@ -90,10 +96,17 @@ impl RoadBelief {
     /// A belief without evidence about a road of `length` m, which is a lap if `closed`.
     ///
     /// # Errors
-    /// [`BeliefError`] unless the settings are positive and finite, the length is at most 1000 km, and the window at most
+    /// [`BeliefError`] unless the settings are positive and finite, the length is from 1 m to 1000 km, and the window at most
     /// 1000 transitions.
     pub fn new(length: f64, closed: bool, settings: &BeliefSettings) -> Result<Self, BeliefError> {
-        at_most("length", length, LONGEST, "a length of at most 1e6 m")?;
+        at_most("length", length, LONGEST, LENGTH)?;
+        if length < SHORTEST {
+            return Err(BeliefError {
+                name: "length",
+                expected: LENGTH,
+                value: length,
+            });
+        }
         check_window(settings.window)?;
         for (name, value) in [
             ("change_distance", settings.change_distance),
@@ -183,6 +196,9 @@ impl RoadBelief {
                 });
             }
         }
+        if self.jumped(s) {
+            self.leave();
+        }
         let window = self.settings.window;
         self.recent = None;
         if let Some(log_likelihood) = log_likelihood
@@ -204,6 +220,20 @@ impl RoadBelief {
         }
         self.track.push_back(s);
         Ok(())
+    }
+
+    /// Whether the vehicle is farther from its last place than it can drive in a period.
+    fn jumped(&self, s: f64) -> bool {
+        let Some(last) = self.track.back() else {
+            return false;
+        };
+        let driven = (s - last).abs();
+        let around = if self.closed() {
+            self.length() - driven
+        } else {
+            f64::INFINITY
+        };
+        driven.min(around) > JUMP
     }
 
     /// Forgets where the vehicle was, for instance after it was moved; what was stored remains.

@@ -32,7 +32,7 @@ impl Grid {
         Self { edges, prior }
     }
 
-    /// The masses, or the prior if they vanish or are not numbers, so that they say nothing; and their sum.
+    /// Returns the masses and their sum. If the sum is zero or not finite, the prior takes their place.
     fn known<'a>(&'a self, masses: &'a Row) -> (&'a Row, f64) {
         let sum: f64 = masses.iter().sum();
         if sum > 0.0 && sum.is_finite() {
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn masses_that_say_nothing_are_the_prior() {
+    fn masses_without_a_finite_sum_are_the_prior() {
         let grid = Grid::new();
         let (median, prior) = (grid.quantile(&grid.prior, 0.5), grid.prior);
         for nothing in [[0.0; LEVELS], [f64::NAN; LEVELS]] {

@@ -6,8 +6,8 @@ use crate::tile::{TILE_CELLS, Tile, UNITS};
 
 /// Fractions of a tile's unit in which contributions are added. Whole numbers make the sum independent of the order.
 const FINER: f64 = 256.0;
-/// Smallest ratio of likelihoods in nats for which a vehicle says something about a cell.
-const SAYS_SOMETHING: f64 = 0.5;
+/// Smallest logarithm of a likelihood ratio, nats, from which a contribution to a cell counts as informative.
+const INFORMATIVE: f64 = 0.5;
 
 /// How contributions age, and how much each one counts.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,15 +40,15 @@ impl MergeSettings {
     /// The share of its information that a contribution keeps at an age in s. Clocks that differ a little may give a
     /// negative age, which counts as 0, as does one that is not a number.
     pub fn remaining(&self, age: f64) -> f64 {
-        (-age.max(0.0) / self.lifetime).exp()
+        (-age.max(0.0) / self.lifetime).exp().min(1.0)
     }
 }
 
 /// Merges contributions, each with its age in s.
 ///
-/// Logarithms of likelihoods are limited to the capacity and multiplied by `exp(-age / lifetime)`. Of the `n` vehicles that
-/// say something about a cell, those `(n - 1) / 2`, rounded down, that speak most strongly against a coefficient do not
-/// count for it, and the others' logarithms are added: no minority can exclude a coefficient that the others do not exclude.
+/// Logarithms of likelihoods are limited to the capacity and multiplied by `exp(-age / lifetime)`. Of the `n`
+/// contributions to a cell that are informative, the `(n - 1) / 2`, rounded down, with the smallest likelihood of a coefficient
+/// do not count for it, and the others' logarithms are added: no minority can exclude a coefficient that the others do not exclude.
 /// This is a trimmed sum. The result does not depend on the order of the contributions.
 pub fn merge<'a>(
     contributions: impl IntoIterator<Item = (&'a Tile, f64)>,
@@ -67,7 +67,7 @@ pub fn merge<'a>(
                 tile[cell].map(|byte| (f64::from(byte).min(limit) * remaining).round() as u64);
             if row
                 .iter()
-                .any(|value| *value as f64 >= SAYS_SOMETHING * UNITS * FINER)
+                .any(|value| *value as f64 >= INFORMATIVE * UNITS * FINER)
             {
                 said.push(row);
             }

@@ -19,7 +19,7 @@ pub struct TileError(usize);
 /// The likelihoods of the friction coefficients in [`TILE_CELLS`] cells of a road.
 ///
 /// Each is a byte `b` and stands for the logarithm `-b / 32` nats, relative to the likeliest coefficient of the cell. The
-/// form bounds what a tile can say: no number is missing, infinite or not a number, and no ratio of likelihoods exceeds
+/// form bounds the content of a tile: no number is missing, infinite or not a number, and no ratio of likelihoods exceeds
 /// 8 nats. Rounding changes a logarithm by at most 1/64 nat.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Tile(Vec<u8>);
@@ -44,7 +44,7 @@ impl Tile {
         Ok(Self(tile))
     }
 
-    /// A tile of logarithms in nats, the largest of each row 0; cells without a row say nothing.
+    /// A tile of logarithms in nats, the largest of each row 0; all coefficients of a cell without a row are equally likely.
     pub(crate) fn from_rows(rows: impl IntoIterator<Item = Row>) -> Self {
         let mut tile = vec![0; TILE_BYTES];
         for (cell, row) in tile.chunks_exact_mut(LEVELS).zip(rows) {
@@ -60,7 +60,7 @@ impl Tile {
         &self.0
     }
 
-    /// Whether no cell says anything.
+    /// Whether all coefficients are equally likely in each cell.
     pub fn is_empty(&self) -> bool {
         self.0.iter().all(|byte| *byte == 0)
     }

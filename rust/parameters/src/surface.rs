@@ -58,7 +58,7 @@ impl ForceCurve {
     }
 
     fn validate(&self) -> Result<(), SurfaceError> {
-        if !(self.peak.is_finite() && self.peak > 0.0) {
+        if !self.peak.is_normal() || self.peak < 0.0 {
             return Err(SurfaceError::Peak(self.peak));
         }
         for (name, value, [low, high]) in [

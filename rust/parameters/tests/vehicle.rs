@@ -33,7 +33,7 @@ fn every_field_is_listed_under_its_name() {
 }
 
 #[test]
-fn a_value_no_vehicle_has_is_refused_by_name() {
+fn an_invalid_vehicle_parameter_is_named_in_the_error() {
     for (name, _, _) in CAR.fields() {
         for wrong in ["nan", "inf", "0.0"] {
             assert_eq!(with(name, wrong).validate().unwrap_err().name, name);

@@ -48,6 +48,10 @@ pub(crate) fn parametrise(points: &[[f64; 2]], closed: bool) -> Result<ArcLength
             });
         }
         if count >= MAX_PIECES {
+            let longest = MAX_PIECES as f64 * LONGEST_STEP;
+            if length > longest {
+                return Err(PathError::TooLong { length, longest });
+            }
             return Err(PathError::TooSharp {
                 error,
                 pieces: count,

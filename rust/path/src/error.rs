@@ -33,6 +33,16 @@ pub enum PathError {
         /// Largest number of spline pieces tried.
         pieces: usize,
     },
+    /// The path is longer than the spline resolves its bends.
+    #[error(
+        "the path is {length:.0} m long, and bends are resolved on at most {longest:.0} m; split it into parts"
+    )]
+    TooLong {
+        /// Length of the path, m.
+        length: f64,
+        /// Largest length with the pieces that bends need, m.
+        longest: f64,
+    },
     /// The number of widths differs from the number of waypoints.
     #[error("expected {expected} rows of widths [left, right], one per point, got {got}")]
     WidthCount {

@@ -75,17 +75,18 @@ pub fn horizon_reference(
     Ok(projection)
 }
 
-/// Speed in m/s by which a reference may be ahead of a vehicle's, so that lags of the control change nothing.
+/// Difference in m/s up to which the reference speed may exceed the vehicle's without being changed.
 const LAG: f64 = 2.0;
 
-/// How fast a reference gains speed on the way to a profile that a vehicle is far below, m/s²: what cars reach on snow.
+/// Acceleration of the limited reference, m/s²; cars reach it on snow.
 const PICK_UP: f64 = 1.0;
 
 /// Replaces the rows of [`horizon_reference`] if its first speed is more than 2 m/s above the vehicle's `v_x`, as at a start:
-/// the speed is then at most `v_x + 2 m/s + 1 m/s² t` after `t` seconds, and the positions are those that it leads to. A
-/// reference that leaves the vehicle behind lies in the next bend, and its error of the speed outweighs that of the position.
+/// the speed is then at most `v_x + 2 m/s + 1 m/s² t` after `t` seconds, and the positions are those that it leads to.
+/// Without this limit the reference positions would be far ahead of the vehicle, and the cost of the speed error would exceed
+/// that of the position error.
 ///
-/// `from` is the arc length of the vehicle's projection. Allocates nothing.
+/// `from` is the arc length of the vehicle's projection in m, and `dt` the period in s. Allocates nothing.
 pub fn catch_up(
     path: &Path,
     profile: &SpeedProfile,

@@ -1,14 +1,20 @@
 //! Bounds of the speed along a path.
 
+use std::ops::RangeInclusive;
+
 use egp_parameters::{STANDARD_GRAVITY, VehicleParameters};
 
 use crate::error::{PathError, check};
 
-/// Largest share of the lateral peak of a surface's tyres that a reference asks for. On the peak itself a controller
-/// has nothing left with which it could correct an error.
+/// Largest share of the lateral peak of a surface's tyres that a reference uses; the rest is a reserve for corrections.
 const TYRE_SHARE: f64 = 0.95;
-/// Least share of the lowest surface's lateral grip that is left below its friction.
+/// Below the lowest known friction the lateral grip is at least this share of the lowest surface's.
 const LEAST_SHARE: f64 = 0.5;
+
+/// Speeds of a profile, m/s. Squares of other speeds, and times at them, could overflow.
+pub(crate) const SPEEDS: RangeInclusive<f64> = 1e-3..=1e4;
+/// [`SPEEDS`] in an error.
+pub(crate) const SPEED: &str = "a speed from 0.001 to 10000 m/s";
 
 /// Bounds of the speed. The friction circle of `mu g` is scaled in each direction, because a vehicle with one driven
 /// axle and load transfer reaches far less of it in acceleration than in cornering.
@@ -88,13 +94,13 @@ impl SpeedLimits {
             ("lateral", self.lateral),
             ("braking", self.braking),
             ("driving", self.driving),
-            ("v_max", self.v_max),
             ("a_brake", self.a_brake),
             ("a_drive", self.a_drive),
             ("power", self.power),
         ] {
             check(name, value, "a positive number", |x| x > 0.0)?;
         }
+        check("v_max", self.v_max, SPEED, |v| SPEEDS.contains(&v))?;
         let mut before = 0.0;
         for [friction, share] in &self.tyres {
             check("tyres", *friction, "increasing positive frictions", |mu| {
@@ -115,7 +121,9 @@ impl SpeedLimits {
                         value,
                     });
                 }
-                Some(value) => check(name, value, "a number of at least 0", |v| v >= 0.0)?,
+                Some(value) => check(name, value, "a speed from 0 to 10000 m/s", |v| {
+                    (0.0..=*SPEEDS.end()).contains(&v)
+                })?,
                 None => {}
             }
         }

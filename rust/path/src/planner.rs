@@ -27,10 +27,16 @@ impl SpeedPlanner {
     /// A planner for a path. The path's zones of friction are not used.
     ///
     /// # Errors
-    /// [`PathError`] if a limit is out of range or a closed path has a start or end speed.
+    /// [`PathError`] if a limit is out of range, a closed path has a start or end speed, or the path is shorter than 1 m.
     pub fn new(path: &Path, limits: &SpeedLimits) -> Result<Self, PathError> {
         const BETWEEN: usize = 4;
         limits.check(path.closed())?;
+        check(
+            "the path's length",
+            path.length(),
+            "at least 1 m",
+            |length| length >= 1.0,
+        )?;
         let pieces = (path.length() / SPACING).ceil();
         let step = path.length() / pieces;
         let pieces = pieces as usize;

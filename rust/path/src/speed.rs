@@ -2,7 +2,7 @@
 
 use crate::error::{PathError, check};
 use crate::knot::Knot;
-use crate::limits::SpeedLimits;
+use crate::limits::{SPEED, SPEEDS, SpeedLimits};
 use crate::path::Path;
 
 /// Speed over the arc length of one path. The acceleration is constant between knots, so that time along the path has a
@@ -71,9 +71,9 @@ impl SpeedProfile {
     /// A constant speed, independent of the friction.
     ///
     /// # Errors
-    /// [`PathError`] if the speed is not positive.
+    /// [`PathError`] if the speed is not from 0.001 to 10000 m/s.
     pub fn constant(path: &Path, speed: f64) -> Result<Self, PathError> {
-        check("speed", speed, "a positive number", |v| v > 0.0)?;
+        check("speed", speed, SPEED, |v| SPEEDS.contains(&v))?;
         Ok(Self::from_squares(
             path,
             vec![speed * speed; path.piece_count() + 1],
@@ -151,10 +151,10 @@ impl SpeedProfile {
         self.times[self.times.len() - 1]
     }
 
-    /// Speed in m/s at arc length `s`; constant beyond the profile's ends, unless it is that of a lap. The result
-    /// has no meaning unless `s` is finite.
+    /// Speed in m/s at arc length `s`; constant beyond the profile's ends, unless it is that of a lap. On a closed path `s`
+    /// may be that of any lap, also if the profile is a part of a lap. The result has no meaning unless `s` is finite.
     pub fn speed(&self, s: f64) -> f64 {
-        self.speed_after(s - self.start)
+        self.speed_after(self.unwrapped(s) - self.start)
     }
 
     /// Speed at a distance from the first knot.

@@ -13,7 +13,7 @@ pub const KINEMATIC_SPEED: f64 = 0.1;
 ///
 /// The input is first saturated by the actuator limits. As in the original, the load of a lifted wheel is negative,
 /// which pulls the vehicle down and reverses the tyre force. The equations are therefore not realistic above a lateral
-/// acceleration of about 9 m/s², where the inner rear wheel of vehicle 1 lifts. NaN is not checked and propagates.
+/// acceleration of about 9 m/s², where the inner rear wheel of vehicle 1 lifts. `x` must be finite.
 ///
 /// # Errors
 /// [`PlantError::Spun`] if a wheel contact moves backward above [`KINEMATIC_SPEED`].

@@ -76,7 +76,7 @@ proptest! {
 }
 
 #[test]
-fn a_settled_vehicle_carries_its_weight() {
+fn wheel_loads_at_rest_sum_to_the_weight() {
     for vehicle in VehicleId::ALL {
         let parameters = vehicle.parameters();
         let [front, rear] = parameters.static_wheel_loads();

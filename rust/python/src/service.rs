@@ -153,7 +153,7 @@ impl InProcessDriver {
     #[new]
     #[pyo3(signature = (engine, *, gate, want_sigma = false))]
     fn new(engine: Py<Engine>, gate: BTreeMap<String, f64>, want_sigma: bool) -> PyResult<Self> {
-        // Nobody else can be asked within a process, so the second question has no time.
+        // There is one replica only, so that no query is hedged.
         let config = driver_config("in-process", "vehicle", gate, 0.8, 1.0, want_sigma, None)?;
         let served = engine.get().served.clone();
         let driver = egp_driver::InProcessDriver::new(config, served)

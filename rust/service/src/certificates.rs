@@ -8,7 +8,7 @@ use prometheus_client::registry::{Registry, Unit};
 use serde_json::Value;
 use x509_parser::pem::Pem;
 
-/// A service warns of the end of a certificate so many days before.
+/// Number of days before the expiry of a certificate from which a service warns of it.
 const SOON: i64 = 30;
 /// A day, s.
 const DAY: i64 = 24 * 3600;

@@ -159,7 +159,7 @@ impl Fetching<'_> {
         let library = self.wanted.hex();
         if self.failures.is_empty() {
             let seconds = begun.elapsed().as_secs_f64();
-            return Err(FetchError::Nobody { library, seconds });
+            return Err(FetchError::NoAnswer { library, seconds });
         }
         let failures = std::mem::take(&mut self.failures);
         Err(FetchError::Failed { library, failures })

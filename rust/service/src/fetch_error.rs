@@ -82,7 +82,7 @@ pub enum FetchError {
         "no replica answered a question for library {library} within {seconds:.0} s; check the endpoints, and whether \
          access control lets this identity fetch libraries"
     )]
-    Nobody {
+    NoAnswer {
         /// Hash of the library.
         library: String,
         /// The time that was waited, s.

@@ -32,8 +32,8 @@ struct Seen {
 }
 
 impl Seen {
-    /// Whether the question is newer than all before it of its run, and whether the last question came from a run that began
-    /// later: then two clients have the same key. With more than `most` runs the first one is forgotten.
+    /// Returns whether the number is larger than all earlier ones of this run, and whether a known run asks again after another
+    /// run has asked, which means that two clients use one key. Beyond `most` runs the oldest one is removed.
     fn note(&mut self, run: u64, number: u64, most: usize) -> (bool, bool) {
         let Some(newest) = self.newest.get_mut(&run) else {
             self.newest.insert(run, number);
@@ -58,7 +58,7 @@ impl Seen {
 pub(crate) struct Guard {
     keys: KeyRing,
     seen: Mutex<BTreeMap<(Name, Name), Seen>>,
-    /// Requests of a vehicle after which one of another client with the same key had come.
+    /// Number of requests of a known run that follow a request of another run with the same key.
     twice: Counter,
 }
 

@@ -16,8 +16,8 @@ use crate::standing::Standing;
 use crate::sync::atomic::{AtomicBool, Ordering};
 use crate::traces::Traces;
 
-/// The part of a budget that is left for the way of request and answer through network and threads, which the service
-/// does not see. Without it, a service with too many requests computes answers that are late by little.
+/// An eighth of a budget is reserved for the transfer of request and answer, whose time the service cannot measure. Without
+/// this reserve an overloaded service would compute answers that arrive shortly after their deadline.
 const TRANSIT: u32 = 8;
 
 /// A request on its way to a worker.

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use egp_core::library;
-use egp_wire::{Code, Header, LibraryId, MessageLimits, Ready, Status, WireError};
+use egp_engine::unknown_library;
+use egp_wire::{Header, LibraryId, MessageLimits, Ready, Status, WireError};
 
 use crate::handler::{Handler, LibraryContent};
 use crate::sync::atomic::{AtomicU64, Ordering};
@@ -167,7 +167,7 @@ impl<H: Handler> LibraryTable<H> {
         let asked = Header::decode(request, &MessageLimits::default())?.library;
         let served = self.served();
         let Some(one) = served.iter().find(|one| one.id() == asked) else {
-            return Err(self.unknown(&asked));
+            return Err(unknown_library(&self.ids(), &asked));
         };
         one.asked.store(millis(now), Ordering::Relaxed);
         if memory.len() > served.len() {
@@ -187,17 +187,6 @@ impl<H: Handler> LibraryTable<H> {
         let one = served.iter().find(|one| one.id() == *library)?;
         one.handler.content(library)
     }
-
-    fn unknown(&self, asked: &LibraryId) -> WireError {
-        let ids: Vec<_> = self.ids().iter().map(|id| library::hex(id)).collect();
-        let detail = format!(
-            "this replica serves library {}, the request states {}; ask `ready` what a replica serves",
-            ids.join(" and "),
-            library::hex(asked)
-        );
-        // Another replica may serve it.
-        WireError::retryable(Code::UnknownLibrary, 0, detail)
-    }
 }
 
 /// Milliseconds since the start, at least 1.
@@ -209,6 +198,7 @@ fn millis(now: Duration) -> u64 {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use egp_testing::messages;
+    use egp_wire::Code;
 
     use super::*;
 

@@ -90,7 +90,7 @@ pub(crate) fn check_endpoints(
     }
 }
 
-/// What a session that zenoh did not open is reported with, by the reason that zenoh gives.
+/// The error message for a session that zenoh did not open, chosen by zenoh's reason.
 pub(crate) fn not_opened(reason: &str) -> &'static str {
     if reason.contains("Missing TLS") {
         "a tls endpoint needs a certificate and its key: state a `zenoh_file` that `egp keys` wrote; cannot open the \

@@ -132,8 +132,8 @@ impl World<'_> {
             return;
         }
         let uptime = (self.now + process.clock).saturating_sub(process.started);
-        if let Some(shelf) = &process.shelf {
-            shelf.uptime.set(uptime);
+        if let Some(libraries) = &process.libraries {
+            libraries.uptime.set(uptime);
         }
         let Some(machine) = &mut process.machine else {
             return;

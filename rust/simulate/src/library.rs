@@ -72,7 +72,7 @@ impl Uses {
 
 /// The libraries of one process.
 #[derive(Clone)]
-pub(crate) struct Shelf {
+pub(crate) struct ProcessLibraries {
     pub(crate) table: Arc<LibraryTable<NotedEngine>>,
     pub(crate) uptime: Uptime,
     pub(crate) uses: Uses,
@@ -81,8 +81,8 @@ pub(crate) struct Shelf {
     pub(crate) first: Vec<LibraryId>,
 }
 
-impl Shelf {
-    /// A request that the library which was loaded last computes in place of the one that is stated.
+impl ProcessLibraries {
+    /// Planted fault: computes a request with the newest library, and states the requested one in the reply.
     fn exchanged(
         &self,
         workspace: &mut TableWorkspace<EngineWorkspace>,
@@ -100,7 +100,7 @@ impl Shelf {
     }
 }
 
-impl Handler for Shelf {
+impl Handler for ProcessLibraries {
     type Workspace = TableWorkspace<EngineWorkspace>;
 
     fn describe(&self) -> Ready {

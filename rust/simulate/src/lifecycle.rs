@@ -49,14 +49,14 @@ impl World<'_> {
             process.file = File::Library(0);
         }
         process.started = self.now + process.clock;
-        let shelf = self.shelf(r);
+        let libraries = self.libraries(r);
         let queue = match self.config.mutant {
             Some(Mutant::UnboundedQueue) => 10 * QUEUE,
             _ => QUEUE,
         };
-        let machine = Replica::new(name(r)?, shelf.clone(), 1 + r % 2, queue)?;
+        let machine = Replica::new(name(r)?, libraries.clone(), 1 + r % 2, queue)?;
         let process = &mut self.replicas[r];
-        process.shelf = Some(shelf);
+        process.libraries = Some(libraries);
         process.served.clear();
         (process.commanded, process.loading, process.loaded) = (false, false, None);
         process.machine = Some(match &self.keys {

@@ -18,7 +18,8 @@ pub enum Oracle {
     Limits,
     /// A command is the planned input of the newest plan for this period, or braking once that plan's tail has ended.
     Tail,
-    /// A reply that is used was made by an engine for this vehicle's request of this period.
+    /// A reply that is used was made by an engine for a request of this vehicle; one that decides a period answers the request of
+    /// that period.
     Match,
     /// A vehicle that reaches a sound replica gets replies.
     Starvation,
@@ -51,7 +52,7 @@ pub struct Violation {
 const ROUNDING: f64 = 1e-9;
 
 /// The oracles of one vehicle.
-pub(crate) struct Witness {
+pub(crate) struct VehicleOracles {
     limits: Limits,
     dt: f64,
     max_tail: u64,
@@ -68,7 +69,7 @@ pub(crate) struct Witness {
     pub(crate) replied: Duration,
 }
 
-impl Witness {
+impl VehicleOracles {
     pub(crate) fn new(limits: Limits, dt: f64, max_tail: u64) -> Self {
         Self {
             limits,

@@ -23,7 +23,7 @@ const AGENDA: usize = 20_000;
 impl World<'_> {
     /// Ends a vehicle's control period and begins the next one.
     pub(crate) fn period(&mut self, v: usize) -> Result<(), SimulationError> {
-        if self.vehicles[v].deadline > Duration::ZERO && self.vehicles[v].witness.commands == 0 {
+        if self.vehicles[v].deadline > Duration::ZERO && self.vehicles[v].oracles.commands == 0 {
             self.broken(Oracle::Command, format!("car-{v} has no command"));
         }
         self.check(v);
@@ -35,7 +35,7 @@ impl World<'_> {
         let budget = self.vehicles[v].driver.budget();
         let now = self.time_of(v);
         let vehicle = &mut self.vehicles[v];
-        vehicle.witness.begin();
+        vehicle.oracles.begin();
         vehicle.deadline = self.now + budget;
         vehicle.driver.tick(now, now + budget, measurement)?;
         self.run.periods += 1;
@@ -56,7 +56,8 @@ impl World<'_> {
     fn check(&mut self, v: usize) {
         let now = self.now;
         let library = self.vehicles[v].driver.served().library;
-        // Since when a replica is sound and its link to the vehicle is, whether or not routers lead to it.
+        // Time since which the replica and its link to the vehicle have been sound and the replica has served the vehicle's
+        // library. Routes are not considered here.
         let sound = |(r, process): (usize, &Process)| {
             let link = self.links[v][r];
             let served = *process.served.get(&library)?;
@@ -68,7 +69,8 @@ impl World<'_> {
         let reached = |(r, process): (usize, &Process)| {
             let routed = self.routers.open(v, r);
             let routed = routed.then_some(self.routers.since[v][r]);
-            // Routers that are sound are found, so the time counts from when they are.
+            // If all routers are sound, the time counts from that moment, even before there is a route; otherwise from the
+            // start of the route.
             let routed = routers.or(routed)?;
             Some(sound((r, process))?.max(routed))
         };
@@ -80,11 +82,11 @@ impl World<'_> {
         let all = all.collect::<Option<Vec<_>>>();
         let all = all.and_then(|since| since.into_iter().max());
         let vehicle = &self.vehicles[v];
-        let replied = since.map(|since| since.max(vehicle.witness.replied));
+        let replied = since.map(|since| since.max(vehicle.oracles.replied));
         if replied.is_some_and(|last| now.saturating_sub(last) > STARVING) {
             self.broken(Oracle::Starvation, format!("car-{v} gets no reply"));
         }
-        let last = all.map(|since| since.max(self.vehicles[v].witness.replied));
+        let last = all.map(|since| since.max(self.vehicles[v].oracles.replied));
         if last.is_some_and(|last| now.saturating_sub(last) > OUTAGE) {
             self.broken(
                 Oracle::Outage,
@@ -112,7 +114,7 @@ impl World<'_> {
         while let Some(action) = self.vehicles[v].driver.next_action() {
             match action {
                 Action::Ask(query) => {
-                    self.vehicles[v].witness.asked(&query.payload);
+                    self.vehicles[v].oracles.asked(&query.payload);
                     self.ask(v, query);
                 }
                 Action::Probe(query) => self.ask(v, query),
@@ -132,7 +134,7 @@ impl World<'_> {
             let broken = {
                 let vehicle = &mut self.vehicles[v];
                 vehicle.u = step.command.u;
-                vehicle.witness.judge(self.now, &step, &self.ledger)
+                vehicle.oracles.judge(self.now, &step, &self.ledger)
             };
             for (oracle, detail) in broken {
                 self.broken(oracle, format!("car-{v}: {detail}"));

@@ -9,7 +9,7 @@ use rand::RngExt;
 
 use crate::event::{Event, Message};
 use crate::ledger::NotedEngine;
-use crate::library::{File, LoadError, Shelf, Uptime, Uses, limit};
+use crate::library::{File, LoadError, ProcessLibraries, Uptime, Uses, limit};
 use crate::oracle::Oracle;
 use crate::world::World;
 
@@ -21,7 +21,7 @@ const KEPT: Duration = Duration::from_secs(60);
 
 impl World<'_> {
     /// The libraries of a new process: that of its file, and the second one if vehicles use it.
-    pub(crate) fn shelf(&mut self, r: usize) -> Shelf {
+    pub(crate) fn libraries(&mut self, r: usize) -> ProcessLibraries {
         let (uptime, uses) = (Uptime::default(), Uses::default());
         let noted = |index: usize| NotedEngine {
             engine: self.scene.engines[index].clone(),
@@ -38,7 +38,7 @@ impl World<'_> {
         let further = further.into_iter().flatten();
         let table = LibraryTable::new(noted(file), further, limit(r));
         let first = table.ids();
-        Shelf {
+        ProcessLibraries {
             table: Arc::new(table),
             uptime,
             uses,
@@ -57,7 +57,11 @@ impl World<'_> {
     /// Begins a loading that was commanded, unless another one is under way or the process stands still.
     pub(crate) fn load_again(&mut self, r: usize) {
         let process = &mut self.replicas[r];
-        let Some(shelf) = process.shelf.as_ref().filter(|_| process.machine.is_some()) else {
+        let Some(libraries) = process
+            .libraries
+            .as_ref()
+            .filter(|_| process.machine.is_some())
+        else {
             process.commanded = false;
             return;
         };
@@ -69,7 +73,7 @@ impl World<'_> {
         let known = match file {
             File::Library(index) => {
                 let id = self.scene.engines[index].library().id();
-                shelf.table.ids().contains(&id)
+                libraries.table.ids().contains(&id)
             }
             File::Broken => true,
         };
@@ -91,10 +95,10 @@ impl World<'_> {
             return;
         }
         process.loading = false;
-        let Some(shelf) = process.shelf.clone() else {
+        let Some(libraries) = process.libraries.clone() else {
             return;
         };
-        shelf
+        libraries
             .uptime
             .set((self.now + process.clock).saturating_sub(process.started));
         let outcome = match file {
@@ -103,12 +107,12 @@ impl World<'_> {
                 let noted = NotedEngine {
                     engine: self.scene.engines[index].clone(),
                     ledger: self.ledger.clone(),
-                    uptime: shelf.uptime.clone(),
-                    uses: shelf.uses.clone(),
+                    uptime: libraries.uptime.clone(),
+                    uses: libraries.uses.clone(),
                 };
                 let id = noted.engine.library().id();
                 let load = |_: &NotedEngine| Ok::<_, LoadError>(noted);
-                shelf.table.replace(id, shelf.uptime.get(), load)
+                libraries.table.replace(id, libraries.uptime.get(), load)
             }
         };
         let text = match outcome {
@@ -116,7 +120,7 @@ impl World<'_> {
             Err(LoadError::Broken) => "no library".to_owned(),
             Err(LoadError::Full) => "no room".to_owned(),
         };
-        let count = shelf.table.ids().len();
+        let count = libraries.table.ids().len();
         self.note(&format!(
             "r{r} has loaded {file:?}: {text}, serves {count} libraries"
         ));
@@ -130,16 +134,16 @@ impl World<'_> {
         let now = self.now;
         let process = &mut self.replicas[r];
         let ids = process
-            .shelf
+            .libraries
             .as_ref()
-            .map_or_else(Vec::new, |shelf| shelf.table.ids());
+            .map_or_else(Vec::new, |libraries| libraries.table.ids());
         process.served.retain(|id, _| ids.contains(id));
         for id in ids {
             process.served.entry(id).or_insert(now);
         }
     }
 
-    /// Checks that a replica which says that it has not the library of a vehicle need not have it.
+    /// Checks that a replica does not report a library as unknown that it must still serve.
     pub(crate) fn judge_library(&mut self, v: usize, r: usize, message: &Message) {
         let Message::Error(error) = message else {
             return;
@@ -155,12 +159,12 @@ impl World<'_> {
         }
     }
 
-    /// Whether a library that a replica says it has not must be served: one that computed a reply within the last minute.
+    /// Whether a replica must serve a library: one of its replies was computed with it within the last minute.
     fn must_serve(&self, r: usize, library: &LibraryId) -> bool {
-        let used = |shelf: &Shelf| {
-            let last = shelf.uses.last(library)?;
-            Some(shelf.uptime.get().saturating_sub(last) < KEPT)
+        let used = |libraries: &ProcessLibraries| {
+            let last = libraries.uses.last(library)?;
+            Some(libraries.uptime.get().saturating_sub(last) < KEPT)
         };
-        self.replicas[r].shelf.as_ref().and_then(used) == Some(true)
+        self.replicas[r].libraries.as_ref().and_then(used) == Some(true)
     }
 }

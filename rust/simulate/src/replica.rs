@@ -11,7 +11,7 @@ use egp_service::{Query, Replica};
 use egp_wire::{LibraryId, WireError};
 
 use crate::event::Message;
-use crate::library::{File, Shelf};
+use crate::library::{File, ProcessLibraries};
 
 /// Who asked, and with which query; a flood's queries have no vehicle.
 pub(crate) type Asker = Option<(usize, QueryId)>;
@@ -114,7 +114,7 @@ pub(crate) enum Stage {
 /// A replica's process.
 pub(crate) struct Process {
     /// Intake, queue and workers; none while the process does not run.
-    pub(crate) machine: Option<Replica<Shelf, Exchange>>,
+    pub(crate) machine: Option<Replica<ProcessLibraries, Exchange>>,
     /// Counts the starts, so that what belongs to an earlier process is recognised.
     pub(crate) incarnation: u32,
     pub(crate) frozen: u32,
@@ -126,7 +126,7 @@ pub(crate) struct Process {
     /// Its library file, which it loads when it starts and on command.
     pub(crate) file: File,
     /// The libraries that it serves; those of the last process while none runs.
-    pub(crate) shelf: Option<Shelf>,
+    pub(crate) libraries: Option<ProcessLibraries>,
     /// Since when it has served each library.
     pub(crate) served: BTreeMap<LibraryId, Duration>,
     /// When the process started, on its own clock.
@@ -163,7 +163,7 @@ impl Process {
             flood: 0,
             stage: Stage::Closed,
             file: File::Library(0),
-            shelf: None,
+            libraries: None,
             served: BTreeMap::new(),
             started: Duration::ZERO,
             commanded: false,

@@ -59,7 +59,7 @@ pub(crate) struct Router {
     /// What waits in the sockets of a frozen router, with the vehicle and the replica between which it passes.
     pub(crate) held: Vec<(usize, usize, Event)>,
     /// Attempts to connect that wait for a frozen router.
-    pub(crate) knocking: Vec<Attempt>,
+    pub(crate) pending_connections: Vec<Attempt>,
 }
 
 /// One vehicle's link to one router.
@@ -71,7 +71,7 @@ pub(crate) struct Uplink {
 
 /// One replica's link to a router.
 #[derive(Clone, Copy, Default)]
-pub(crate) struct Home {
+pub(crate) struct ReplicaLink {
     pub(crate) router: Option<usize>,
     pub(crate) epoch: u32,
 }
@@ -91,7 +91,7 @@ pub(crate) struct Routers {
     /// By vehicle and router.
     pub(crate) uplinks: Vec<Vec<Uplink>>,
     /// By replica.
-    pub(crate) homes: Vec<Home>,
+    pub(crate) homes: Vec<ReplicaLink>,
     /// By vehicle and replica: since when a route leads from one to the other.
     pub(crate) since: Vec<Vec<Duration>>,
 }
@@ -105,7 +105,7 @@ impl Routers {
         Self {
             each: (0..routers).map(|_| router()).collect(),
             uplinks: vec![vec![Uplink::default(); routers]; vehicles],
-            homes: vec![Home::default(); replicas],
+            homes: vec![ReplicaLink::default(); replicas],
             since: vec![vec![Duration::ZERO; replicas]; vehicles],
         }
     }

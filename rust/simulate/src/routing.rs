@@ -62,7 +62,7 @@ impl World<'_> {
             return;
         };
         if self.routers.each[k].frozen > 0 {
-            self.routers.each[k].knocking.push(attempt);
+            self.routers.each[k].pending_connections.push(attempt);
             return;
         }
         match attempt.node {
@@ -143,8 +143,8 @@ impl World<'_> {
         router.frozen = 0;
         router.turn += 1;
         router.held.clear();
-        let knocking = std::mem::take(&mut router.knocking);
-        for attempt in knocking {
+        let pending_connections = std::mem::take(&mut router.pending_connections);
+        for attempt in pending_connections {
             self.agenda.add(self.now, Event::Connect(attempt));
         }
         self.lose_router(k, true);
@@ -215,14 +215,14 @@ impl World<'_> {
         }
         let router = &mut self.routers.each[k];
         let held = std::mem::take(&mut router.held);
-        let knocking = std::mem::take(&mut router.knocking);
+        let pending_connections = std::mem::take(&mut router.pending_connections);
         let mut due = now;
         for (_, _, event) in held {
             // Messages of one link do not overtake each other.
             due = due.max(now + latency(&mut self.rng));
             self.agenda.add(due, event);
         }
-        for attempt in knocking {
+        for attempt in pending_connections {
             let due = now + handshake(&mut self.rng);
             self.agenda.add(due, Event::Connect(attempt));
         }

@@ -9,7 +9,7 @@ use egp_plant::{Plant, VehicleState};
 use egp_wire::{KeyRing, Ready};
 
 use crate::mutant::Mutant;
-use crate::oracle::Witness;
+use crate::oracle::VehicleOracles;
 use crate::scene::{CAR, Road, Scene, SimulationError};
 
 /// The fleet of all vehicles.
@@ -22,7 +22,7 @@ const STANDSTILL: f64 = 0.5;
 /// A vehicle on the course.
 pub(crate) struct Vehicle {
     pub(crate) driver: Driver,
-    pub(crate) witness: Witness,
+    pub(crate) oracles: VehicleOracles,
     plant: Plant,
     s: f64,
     /// The command of the last period.
@@ -55,7 +55,7 @@ impl Vehicle {
             config.max_tail_ticks = 3 * MAX_TAIL;
         }
         let mut vehicle = Self {
-            witness: Witness::new(limits, served.dt, MAX_TAIL),
+            oracles: VehicleOracles::new(limits, served.dt, MAX_TAIL),
             driver: Driver::new(config, served)?,
             plant: Plant::new(CAR.parameters()),
             s: 0.0,
@@ -79,7 +79,7 @@ impl Vehicle {
             ..VehicleState::default()
         })?;
         self.driver.reset();
-        self.witness.forget_plan();
+        self.oracles.forget_plan();
         self.s = s;
         Ok(())
     }

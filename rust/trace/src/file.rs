@@ -14,7 +14,7 @@ use thiserror::Error;
 use crate::line::{Resource, line};
 use crate::span::Span;
 
-/// Time between two looks at what is to be written. Nobody wakes the thread, because that would cost a control step more
+/// Time between two looks at what is to be written. No event wakes the thread, because that would cost a control step more
 /// than all else that is done for its spans.
 const PERIOD: Duration = Duration::from_millis(200);
 /// Steps whose spans may wait, which is what 20 000 requests a second bring within a period. Their spans take some 10 MB.

@@ -6,7 +6,7 @@ use crate::{Invalid, LibraryId, MessageLimits, check};
 /// The fields that decide on admission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// Library the request pins.
+    /// SHA-256 of the library that the request states.
     pub library: LibraryId,
     /// Its sequence number.
     pub sequence: u64,

@@ -30,7 +30,8 @@ use crate::{GpInput, GpOutput, Library, NY};
 /// Reciprocal of the power of the likelihood. With 1.6 the 90 % interval contains the true value in 90 % of the informed
 /// windows, with 2 in 93 %, with 3 in 97 % (`tests/bench/calibration.py`).
 const TEMPERATURE: f64 = 1.6;
-/// Smallest logarithm of a likelihood, for which a reply has room. Without noise to speak of they are unlimited.
+/// Lower limit of the logarithms of the likelihoods, so that a reply can hold them. Without it they would go to minus infinity
+/// as the noise goes to zero.
 const LEAST: f64 = -1e6;
 /// Logarithm below which the sum of densities may lose digits or become zero.
 const UNDERFLOW: f64 = -600.0;

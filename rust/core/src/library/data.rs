@@ -66,7 +66,7 @@ pub struct MemberData {
     pub constant: [f64; NY],
     /// The vehicle that the GPs are added to, if any.
     pub vehicle: Option<ModelParameters>,
-    /// Rolling resistance (m/s²) and drag (1/m) of a single-track vehicle, `[2]`, if it has any.
+    /// Rolling resistance (m/s²) and drag (1/m) of a single-track vehicle, `[2]`, both positive, if it has any.
     pub resistance: Option<[f64; 2]>,
     /// `(K + s² I)⁻¹ (y - m)`, `[3, M]`.
     pub alpha: [Vec<f64>; NY],

@@ -1,10 +1,10 @@
-//! Why a library was refused.
+//! Errors of loading a library file.
 
 use egp_parameters::ParameterError;
 
 use crate::Kernel;
 
-/// Why a library file was refused; the running library, if any, stays.
+/// An error of loading a library file. The library that is served, if there is one, does not change.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LibraryError {
     /// More bytes than a library may have.
@@ -87,7 +87,7 @@ pub enum LibraryError {
         /// Name in the file.
         found: String,
     },
-    /// A period no controller can run at.
+    /// The control period is out of range.
     #[error(
         "dt is {found} s, it must be within {min} s and {max} s; collect data at such a period"
     )]
@@ -99,10 +99,10 @@ pub enum LibraryError {
         /// Largest accepted.
         max: f64,
     },
-    /// A vehicle parameter that no vehicle has.
+    /// A vehicle parameter is out of range.
     #[error("{0}; correct the vehicle that the library is trained for")]
     Vehicle(ParameterError),
-    /// Noise of the measured states that is no standard deviation.
+    /// A standard deviation of the measurement noise is out of range.
     #[error(
         "measurement noise is {found:?}, each standard deviation must be within 0 and 100; leave it out or train again"
     )]
@@ -110,7 +110,7 @@ pub enum LibraryError {
         /// Values in the file.
         found: [f64; crate::NY],
     },
-    /// A delay of the measured states that no sensors have.
+    /// The measurement delay is out of range.
     #[error(
         "measurement delay is {found} s, it must be within 0 and 0.5; leave it out or train again"
     )]
@@ -121,11 +121,11 @@ pub enum LibraryError {
     /// Too few or too many members, points or golden points.
     #[error("number of {what} is {found}, it must be within 1 and {limit}")]
     Count {
-        /// Of what.
+        /// What is counted.
         what: String,
-        /// How many.
+        /// Number in the file.
         found: usize,
-        /// How many are accepted.
+        /// Largest accepted number.
         limit: usize,
     },
     /// An empty label, or one that two members have.
@@ -264,7 +264,7 @@ pub enum LibraryError {
 }
 
 impl LibraryError {
-    /// A short stable name of the kind of refusal, for programs.
+    /// A short, stable name of the error, for programs.
     pub const fn code(&self) -> &'static str {
         match self {
             Self::TooLarge { .. } => "too_large",

@@ -15,14 +15,14 @@ use super::data::{LibrarySpec, MemberData, TensorSource};
 use super::limits::{MAX_FILE_BYTES, MAX_HEADER_BYTES, SCHEMA_VERSION};
 use super::metadata::Metadata;
 
-/// Key of our JSON string among the container's metadata.
+/// Key of the JSON text among the container's metadata.
 const METADATA_KEY: &str = "egp";
 /// Bytes of the header's length field.
 const LENGTH_BYTES: usize = 8;
 /// Hexadecimal digits of the seal.
 const DIGITS: usize = 64;
 
-/// The parts of the metadata that say whether, and by whom, the rest can be read.
+/// The metadata that are read first: the version of the format and the seal.
 #[derive(Deserialize)]
 struct Preamble {
     schema: u32,

@@ -1,7 +1,7 @@
 //! A library: one stored vehicle with its GPs for each surface.
 //!
 //! Loading means reading (`format`), checking (`verify`) and factoring once; afterwards a [`Library`] never
-//! changes. Its identity is the SHA-256 of its bytes, which requests pin.
+//! changes. Its identity is the SHA-256 of its bytes, which each request states.
 
 mod data;
 mod error;

@@ -41,7 +41,7 @@ pub(super) fn check_values(data: &MemberData, member: usize) -> Result<(), Libra
                 value: values[index],
             });
         }
-        // Without training points a zero prior variance is the vehicle's certainty.
+        // A member without training points has no latent variance, so that its prior variance may be zero.
         let zero_allowed = name == "outputscale" && data.inputs.is_empty();
         let wrong = |value: f64| !(SCALES.contains(&value) || (value == 0.0 && zero_allowed));
         let positive = POSITIVE.contains(&name);
@@ -54,7 +54,7 @@ pub(super) fn check_values(data: &MemberData, member: usize) -> Result<(), Libra
         }
     }
     let [min, max] = data.envelope;
-    if let Some(input) = (0..NZ).find(|&d| min[d] > max[d]) {
+    if let Some(input) = (0..NZ).find(|&d| min[d] >= max[d]) {
         let tensor = tensor_name(member, "envelope");
         return Err(LibraryError::Envelope {
             tensor,
@@ -100,7 +100,7 @@ pub(super) fn check_alpha(
     Ok(())
 }
 
-/// The trainer's predictions must come out again.
+/// Errors unless this program reproduces the trainer's predictions at the golden points.
 ///
 /// Tolerances are those of the parity tests, plus what rounding of the exporter's kernel values and covariance can
 /// contribute at most: `Σ|alpha|` amplifies the former in the mean, `1/s²` the latter in the variance.

@@ -4,7 +4,7 @@ use egp_parameters::VehicleParameters;
 
 use crate::qp::{MAX_SOFT, OcpQp, SoftRow};
 use crate::settings::{Penalty, Soft};
-use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, SLOWEST, TyreLimits, V_X, V_Y};
+use crate::vehicle::{DELTA, MIN_SLIP_SPEED, OMEGA, P_X, P_Y, PSI, TyreLimits, V_X, V_Y};
 use crate::{Input, NU, State};
 
 /// Share of a slew step by which a bound that cannot be met yet is opened beyond the reachable input, because
@@ -14,11 +14,11 @@ const INTERIOR: f64 = 0.01;
 /// Smallest share of the drive that is left in a bend, so that a vehicle at the end of its grip can hold its speed.
 const LEAST_DRIVE: f64 = 0.1;
 
-/// Share of the drive that is left to a vehicle far below its reference speed: 0.7 times `g D_x` of the largest 1.5, which is 66 %
-/// of the largest acceleration and with which wheels that spin find their grip again. With 0.8 they go on spinning.
+/// Share of the bound on the drive for a vehicle far below its reference speed. The bound falls from 1.5 to 0.7 `g D_x`, with
+/// which the vehicle has 66 % of its largest acceleration and spinning wheels stop spinning. With 0.8 they go on spinning.
 const CATCHING_UP: f64 = 0.7 / 1.5;
 
-/// Speeds in m/s below the reference between which the drive is limited to this share.
+/// Differences to the reference speed, m/s, between which the share falls from 1 to [`CATCHING_UP`].
 const BEHIND: [f64; 2] = [1.0, 1.5];
 
 /// Number of soft rows for these settings; the rows of the envelope are the last ones.
@@ -133,7 +133,7 @@ fn interval(state: usize, lower: f64, upper: f64) -> SoftRow {
 /// Technology 21(4), 2013).
 fn steering(vehicle: &VehicleParameters, slip: f64, operating: &State) -> SoftRow {
     let delta = vehicle.steering_angle;
-    if operating[V_X] < SLOWEST {
+    if operating[V_X] < MIN_SLIP_SPEED {
         return interval(DELTA, -delta, delta);
     }
     let sideways = operating[V_Y] + vehicle.l_f * operating[OMEGA];

@@ -24,14 +24,14 @@ pub struct Disturbance {
 /// same cost:
 ///
 /// ```text
-/// e_{t+1} = (A_t + B_t K_t) e_t + d_t + g_t delta,      K_t = -(R + R_d + BᵀPB)⁻¹ BᵀPA
+/// e_{t+1} = (A_t + B_t K_t) e_t + d_t + g_t xi,      K_t = -(R + R_d + BᵀPB)⁻¹ BᵀPA
 /// ```
 ///
-/// `d_t` are independent with the variances of the ensemble, and `delta ~ N(0, 1)` is the error of the friction, one for
+/// `d_t` are independent with the variances of the ensemble, and `xi ~ N(0, 1)` is the error of the friction, one for
 /// the whole horizon. The row `nᵀx <= b` of a constraint becomes
 ///
 /// ```text
-/// nᵀx_t <= b - kappa sqrt(nᵀ Sigma_t n + (nᵀ s_t)²),     Sigma_t = cov e_t for delta = 0,   s_t = ∂e_t/∂delta
+/// nᵀx_t <= b - k_sigma sqrt(nᵀ Sigma_t n + (nᵀ s_t)²),     Sigma_t = cov e_t for xi = 0,   s_t = ∂e_t/∂xi
 /// ```
 ///
 /// Hewing, Kabzan and Zeilinger, *Cautious Model Predictive Control using Gaussian Process Regression*, IEEE Transactions
@@ -49,9 +49,9 @@ impl Caution {
         }
     }
 
-    /// Tightens the track's edges and the bound on the speed in `qp` by `kappa` standard deviations. Where the edges leave
+    /// Tightens the track's edges and the bound on the speed in `qp` by `k_sigma` standard deviations. Where the edges leave
     /// no room they become the line in their middle. `disturbances` has one entry for each transition.
-    pub fn tighten(&mut self, kappa: f64, disturbances: &[Disturbance], qp: &mut OcpQp) {
+    pub fn tighten(&mut self, k_sigma: f64, disturbances: &[Disturbance], qp: &mut OcpQp) {
         self.regulate(qp);
         let mut covariance = SMatrix::<f64, NX, NX>::zeros();
         let mut common = State::zeros();
@@ -66,7 +66,7 @@ impl Caution {
             }
             let std = |normal: &State| {
                 let variance = normal.dot(&(covariance * normal)).max(0.0);
-                kappa * (variance + normal.dot(&common).powi(2)).sqrt()
+                k_sigma * (variance + normal.dot(&common).powi(2)).sqrt()
             };
             narrow(stage, std);
         }

@@ -44,7 +44,8 @@ pub struct Setup<'a> {
 /// Fills `qp` for the measured state `x0` and the input now applied, both in the vehicle's frame and SI units. `dynamics` were
 /// computed along `guess`.
 ///
-/// All slices must have the length of the horizon of `qp`.
+/// With the horizon T of `qp`, `dynamics.stages` and `guess.u` have T entries, `dynamics.x`, `road.x` and `road.tyres` T+1,
+/// and `road.widths` T+1 or none.
 pub fn assemble(
     setup: &Setup,
     x0: &State,

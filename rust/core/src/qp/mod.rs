@@ -69,7 +69,7 @@ pub const Q_PATTERN: [(usize, usize); NX + 1] = [
 /// A soft two-sided bound `lower <= gᵀx <= upper`, both finite.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SoftRow {
-    /// Normal `g`.
+    /// Normal `g`. In a row whose pattern has one state, its entry is 1, or 0 in a row that is never violated.
     pub normal: State,
     /// Lower bound.
     pub lower: f64,
@@ -225,7 +225,7 @@ impl OcpQp {
         }
     }
 
-    /// True if every number is finite and no lower bound exceeds its upper bound.
+    /// True if every number of the stages and the start is finite and no lower bound exceeds its upper bound.
     pub fn is_well_posed(&self) -> bool {
         let finite = |m: &[f64]| m.iter().all(|v| v.is_finite());
         finite(self.x0.as_slice())
@@ -252,7 +252,8 @@ impl OcpQp {
             })
     }
 
-    /// True if no entry lies outside [`A_PATTERN`], [`B_PATTERN`], [`Q_PATTERN`] and [`SOFT_PATTERN`].
+    /// True if no entry lies outside [`A_PATTERN`], [`B_PATTERN`], [`Q_PATTERN`] and [`SOFT_PATTERN`], and normals are as
+    /// [`SoftRow::normal`] says.
     pub fn keeps_pattern(&self) -> bool {
         self.stages.iter().all(|s| {
             (0..NX).all(|i| {
@@ -263,7 +264,11 @@ impl OcpQp {
                         && (s.q[(i, j)] == 0.0 || Q_PATTERN.contains(&(low, high)))
                 }) && (0..NU).all(|j| s.b[(i, j)] == 0.0 || B_PATTERN[i].contains(&j))
             }) && (0..self.n_soft).all(|j| {
-                (0..NX).all(|i| s.soft[j].normal[i] == 0.0 || SOFT_PATTERN[j].contains(&i))
+                (0..NX).all(|i| match (SOFT_PATTERN[j], s.soft[j].normal[i]) {
+                    (_, 0.0) => true,
+                    ([only], entry) => *only == i && entry == 1.0,
+                    (several, _) => several.contains(&i),
+                })
             })
         })
     }

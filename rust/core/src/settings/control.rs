@@ -16,13 +16,13 @@ pub enum Operating {
     Rollout,
 }
 
-/// The operating trajectory and the box it is kept in, which is where members know something.
+/// The operating trajectory, and the box inside which operating states are kept because members have training data there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OperatingSettings {
     /// Default `shift`.
     pub kind: Operating,
-    /// Slowest speed to linearise at, in m/s: tyre models know no standstill. Default 1.
+    /// Lowest speed to linearise at, m/s. Slip angles are not defined at standstill. Default 1.
     pub v_x_min: f64,
     /// Largest |v_y| to linearise at, in m/s. Default 8.
     pub v_y: f64,
@@ -59,7 +59,7 @@ pub struct Cost {
     pub proximal: f64,
 }
 
-/// Hard bounds: what the actuators can do, and what the training data know. By default those of the library's vehicle.
+/// Hard bounds: the limits of the actuators and of the training data. By default those of the library's vehicle.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InputBounds {
@@ -81,13 +81,14 @@ pub struct InputBounds {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Penalty {
-    /// Exact-penalty part: above it the bound is kept whenever it can be. Default 200.
+    /// Linear weight, 1 per unit of the bounded quantity. The penalty is exact: if this weight exceeds the multiplier of the
+    /// hard bound, the bound is kept wherever that is feasible. Default 200.
     pub linear: f64,
-    /// Quadratic part, which spreads an unavoidable violation over the stages. Default 2000.
+    /// Quadratic weight, 1 per squared unit; it spreads an unavoidable violation over the stages. Default 2000.
     pub quadratic: f64,
 }
 
-/// Soft bounds on states: they may be violated at a price, so that no measured state is infeasible.
+/// Soft bounds on states: they may be violated at the cost of a penalty, so that no measured state is infeasible.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Soft {
@@ -95,8 +96,9 @@ pub struct Soft {
     pub v_x_max: f64,
     /// Largest steering angle in rad. Default: the library's `steering_angle`.
     pub delta: Option<f64>,
-    /// Largest slip angle of the front tyres on friction 1, in rad, at the price of `steering`; times the blend's
-    /// friction on other surfaces; 5 is as good as none. Default: [`crate::Member::peak_slip`] of the members, blended.
+    /// Largest slip angle of the front tyres on friction 1, rad; on other surfaces it is multiplied by the friction of the
+    /// blend. Violations cost the penalty `steering`. A value of 5 rad is never reached and switches the bound off. Default:
+    /// [`crate::Member::peak_slip`] of the members, blended.
     pub slip: Option<f64>,
     /// Distance from the centre of mass to the front axle in m. Default: the library's `l_f`.
     pub front: Option<f64>,
@@ -109,13 +111,13 @@ pub struct Soft {
     /// Number of standard deviations of the plan's uncertainty by which track edges and the highest speed are tightened,
     /// at most 10. Default 0, which takes no time; any other value takes that of the standard deviations in a reply.
     pub caution: f64,
-    /// Price of speed violations.
+    /// Penalty of speed violations.
     pub speed: Penalty,
-    /// Price of steering-angle violations.
+    /// Penalty of steering-angle violations.
     pub steering: Penalty,
-    /// Price of leaving the track.
+    /// Penalty of leaving the track.
     pub track: Penalty,
-    /// Price of leaving the envelope.
+    /// Penalty of leaving the envelope.
     pub lateral_motion: Penalty,
 }
 
@@ -123,7 +125,8 @@ pub struct Soft {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SolverKind {
-    /// The structure-exploiting interior point; Clarabel takes over when a solution fails its check.
+    /// The Riccati solver: a dual active-set method, then an interior-point method. Clarabel is the fallback solver if the
+    /// solution fails its check.
     Riccati,
     /// Clarabel alone.
     Clarabel,
@@ -140,7 +143,8 @@ impl SolverKind {
 pub struct SolverSettings {
     /// Default `riccati`.
     pub kind: SolverKind,
-    /// Iteration limit; there is no time limit, which would make replies depend on the machine. Default 50.
+    /// Limit of the interior-point iterations; changes of the active set are counted in a reply as well, but are not limited by
+    /// this. There is no time limit, which would make replies depend on the machine. Default 50.
     pub max_iterations: u32,
     /// Relative tolerance handed to the solver. Default 1e-9.
     pub tolerance: f64,

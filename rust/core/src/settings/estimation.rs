@@ -9,21 +9,22 @@ use crate::NY;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WeightSettings {
-    /// Window `K`: number of past transitions that count. Default: those of 0.5 s, 25 at `dt` = 0.02 s; at most 64.
+    /// Window `K`: number of past transitions, 1 to 1000; requests hold at most 64. Default: 0.5 s, which are 25 periods of
+    /// 0.02 s, but at most 64 periods.
     pub window: Option<usize>,
     /// Weigh the window's errors by the inverse of their covariance, so that m/s and rad/s may be added. Default
     /// true; false is the paper's `S = I`.
     pub whiten: bool,
-    /// Standard deviations, the largest to expect, of the noise of the measured `[v_x, v_y, omega]`, in m/s and rad/s.
-    /// Each measured change contains two of them, each shared with a neighbouring change; the members' own noise adds
-    /// to it. Each window takes the likeliest of this, 0.3 and 0.1 of it, with all or half of the members' noise
-    /// ([`WindowNoise`](crate::weights::WindowNoise)). Ignored unless `whiten`. Default: the library's
+    /// Largest expected standard deviations of the noise of the measured `[v_x, v_y, omega]`, m/s, m/s, rad/s. A measured
+    /// change is the difference of two measured states, so that it contains the noise of both, and shares each with a
+    /// neighbouring change; the members' own noise is added. Each window uses the most likely of 1, 0.3 and 0.1 times these
+    /// values, with all or half of the members' noise ([`WindowNoise`](crate::weights::WindowNoise)). Ignored unless `whiten`. Default: the library's
     /// `measurement_noise`, and without that 0.03, 0.03, 0.005, what an inertial system aided by satellites gives.
     pub measurement: Option<[f64; NY]>,
-    /// What holds the weights when the window carries no information. Default quadratic with lambda 100.
+    /// Prior on the change of the weights. Default quadratic with lambda 100.
     pub prior: Prior,
-    /// Members with a weight at or below this are not evaluated in the control model; the rest is renormalised and
-    /// the dropped mass reported. Weights never become zero by themselves. Default 1e-3.
+    /// Members with at most this weight are not evaluated in the control model. The other weights are scaled to sum to 1,
+    /// and the weight that was left out is in the reply. Weights never become zero by themselves. Default 1e-3.
     pub threshold: f64,
     /// At most this many members are evaluated in the control model, the heaviest first. Default 8.
     pub max_active: usize,

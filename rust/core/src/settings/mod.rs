@@ -32,7 +32,8 @@ use crate::NY;
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// Horizon `T`: number of inputs in a plan. Default: those of 0.8 s, 40 at `dt` = 0.02 s; at most 100.
+    /// Horizon `T`: number of inputs in a plan, 1 to 200; requests hold at most 128. Default: 0.8 s, which are 40 periods of
+    /// 0.02 s, but at most 100 periods.
     ///
     /// Chosen by experiment, near the limit and with measurement noise: a period of 0.02 s halved the lateral error
     /// of 0.05 s with the same data; 30 inputs lost the car more often than 40, and 50 brought nothing more. At 0.05
@@ -90,7 +91,7 @@ pub enum SettingsError {
 }
 
 impl Settings {
-    /// Longest horizon accepted; a plan beyond it is no longer a plan but a typing error.
+    /// Longest accepted horizon. A larger number is most likely a typing error.
     pub const MAX_HORIZON: usize = 200;
 
     /// The horizon `T` for a period of `dt` s.

@@ -81,8 +81,8 @@ pub fn solve_with_fallback(
     last
 }
 
-/// Solves and checks: `out.status` is [`Status::Solved`] exactly if the KKT residual computed from `qp` is at most
-/// `kkt_tolerance`, independently of the status that the solver reports.
+/// Solves and checks: unless the solver reports [`Status::Infeasible`], `out.status` is [`Status::Solved`] exactly if the KKT
+/// residual computed from `qp` is at most `kkt_tolerance`. Solver and `out` must have the horizon of `qp`.
 pub fn solve_checked(
     solver: &mut dyn QpSolver,
     qp: &OcpQp,

@@ -9,8 +9,9 @@ const STEERING: usize = 3;
 
 /// The delay `d` of the measured `[v_x, v_y, omega]`: `(periods + part) dt` with `part` in [0, 1).
 ///
-/// Positions, yaw and steering angle are measured without it. The history's rows hold what was measured and applied at
-/// the same time, so that those of the older rows have the inputs that a late velocity belongs to.
+/// Positions, yaw and steering angle are measured without it. A row of the history holds
+/// a velocity and the inputs of the time at which the velocity was received. The inputs that caused this velocity are in the
+/// rows `periods` and `periods + 1` before it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Delay {
     periods: usize,

@@ -18,7 +18,9 @@ use validate::Rows;
 
 use crate::executor::for_each;
 use crate::ocp::{self, Road, Setup};
+use crate::preview::StageWeights;
 use crate::solver::{Status, solve_with_fallback};
+use crate::trajectory::Guess;
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, TyreLimits, V_X, wrap};
 use crate::{Ensemble, GpInput, GpOutput, Input, Library, Member, NY, Settings, State};
 
@@ -65,12 +67,7 @@ pub fn step(
         &settings.operating,
         edges,
     );
-    for (t, blend) in ws.stage_tyres.iter_mut().enumerate() {
-        *blend = TyreLimits::default();
-        for (limits, weight) in ws.tyres.iter().zip(ws.stages.stage(t)) {
-            *blend += *limits * *weight;
-        }
-    }
+    blend_tyre_limits(&ws.tyres, &ws.stages, &mut ws.stage_tyres);
     let road = Road {
         x: &ws.reference,
         widths: rows.widths,
@@ -109,11 +106,7 @@ pub fn step(
             .tighten(settings.soft.caution, disturbances, &mut ws.qp);
     }
 
-    ws.warm.clear();
-    if !ws.guess.x.is_empty() {
-        let scaled = |u: &Input| Input::new(u[FORCE] / ws.vehicle.mass, u[DELTA_DOT]);
-        ws.warm.extend(ws.guess.u.iter().map(scaled));
-    }
+    warm_start(&ws.guess, ws.vehicle.mass, &mut ws.warm);
     ws.solver_name = solve_with_fallback(
         &mut ws.solvers,
         &ws.qp,
@@ -131,6 +124,25 @@ pub fn step(
         }
     }
     Ok(())
+}
+
+/// The tyre limits of each stage: those of the members, blended with the weights of the stage.
+fn blend_tyre_limits(members: &[TyreLimits], stages: &StageWeights, blends: &mut [TyreLimits]) {
+    for (t, blend) in blends.iter_mut().enumerate() {
+        *blend = TyreLimits::default();
+        for (limits, weight) in members.iter().zip(stages.stage(t)) {
+            *blend += *limits * *weight;
+        }
+    }
+}
+
+/// The inputs of the previous plan as the solver scales them; none without a plan.
+fn warm_start(guess: &Guess, mass: f64, warm: &mut Vec<Input>) {
+    warm.clear();
+    if !guess.x.is_empty() {
+        let scaled = |u: &Input| Input::new(u[FORCE] / mass, u[DELTA_DOT]);
+        warm.extend(guess.u.iter().map(scaled));
+    }
 }
 
 /// A state at the measured pose in the vehicle's frame.
@@ -193,8 +205,9 @@ fn estimate_weights(
         &ws.previous,
         &mut reply.weights,
     );
-    // Where a row's inputs are not known the hypotheses would differ by what another row's inputs do. (The weights use the
-    // members' predictions, which a request in steady state has from when the inputs were known.)
+    // With a measurement delay the inputs of the oldest rows are not in the request. The friction is estimated without these
+    // rows, because `Delay::align` fills them with the inputs of another row. The weights use the members' predictions that
+    // the request carries, which were computed while the inputs were in the window.
     let known = ws
         .delay
         .map_or(history_z.len(), |delay| delay.known(history_z.len()));

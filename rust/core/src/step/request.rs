@@ -42,7 +42,7 @@ pub struct StepRequest<'a> {
 pub struct StepReply {
     /// Outcome of the QP. Only [`Status::Solved`] comes with a plan.
     pub status: Status,
-    /// Planned states, `[T+1, 7]`; row 0 is the measured state, with its late velocities if the settings state a delay.
+    /// Planned states, `[T+1, 7]`; row 0 is the measured state, not corrected for `measurement_delay`.
     /// Empty without a plan.
     pub plan_x: Vec<f64>,
     /// Planned inputs, `[T, 2]`, in N and rad/s. Empty without a plan.

@@ -65,12 +65,12 @@ pub struct Workspace {
     pub(super) friction: FrictionEstimator,
     /// The filter of the residual, if the settings ask for one.
     pub(super) residual: Option<ResidualFilter>,
-    /// What it adds to the ensemble's prediction at each stage; zero without one.
+    /// Disturbance that the residual's filter adds to the ensemble's prediction at each stage; zero without a filter.
     pub(super) offsets: Vec<GpOutput>,
     pub(super) previous: Vec<f64>,
     /// Weights of the active members at each stage.
     pub(super) stages: StageWeights,
-    /// What they transmit at each stage.
+    /// Tyre limits at each stage, blended with the weights of the stage.
     pub(super) stage_tyres: Vec<TyreLimits>,
     pub(super) reference: Vec<State>,
     pub(super) guess: Guess,
@@ -90,7 +90,8 @@ impl Workspace {
     /// Allocates the memory of a step and sets the QP solver up.
     ///
     /// # Errors
-    /// [`SetupError`] if settings are out of range or the QP solver cannot be set up.
+    /// [`SetupError`] if settings are out of range, the vehicle's limits exceed those that requests may have, or the QP solver
+    /// cannot be set up.
     pub fn new(library: &Library, settings: &Settings) -> Result<Self, SetupError> {
         settings.validate()?;
         let (n, dt) = (library.members().len(), library.dt());

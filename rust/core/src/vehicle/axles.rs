@@ -2,7 +2,7 @@
 
 use egp_parameters::GRAVITY;
 
-use super::single_track::SLOWEST;
+use super::single_track::MIN_SLIP_SPEED;
 use crate::kernel::Lanes;
 use crate::simd::{Simd, Wide, atan, sin_cos, wide};
 use crate::{GpInput, NZ};
@@ -175,7 +175,7 @@ impl Axles {
         let a_x = simd.div(a, root);
         let a_x_by_a = inverse(mul(excess, root));
 
-        let v = motion.v_x.max(SLOWEST);
+        let v = motion.v_x.max(MIN_SLIP_SPEED);
         let [position, stiffness, shape, transfer] =
             [&self.position, &self.stiffness, &self.shape, &self.transfer].map(|x| simd.load(x));
         let across = simd.mul_add(position, splat(motion.omega), splat(motion.v_y));
@@ -197,12 +197,12 @@ impl Axles {
         );
         let turn = mul(simd.mul_add(direction, direction, one), splat(-v));
         let by_lateral_speed = simd.div(by_slip, turn);
-        let by_speed = if motion.v_x > SLOWEST {
+        let by_speed = if motion.v_x > MIN_SLIP_SPEED {
             simd.sub(zero, mul(direction, by_lateral_speed))
         } else {
             zero
         };
-        // Relative; in this order nothing overflows that a force could be.
+        // Derivative relative to the lateral force. In this order of the factors no intermediate product overflows.
         let left_by_a = mul(
             mul(mul(mul(used, used), left), mul(used, left)),
             mul(splat(-2.0), coupling),

@@ -19,8 +19,8 @@ pub fn gp_input(x: &State, u: &Input) -> GpInput {
 ///
 /// Positions move along the yaw at the share `yaw_at` of the period: 0 is the paper's forward Euler method, 1/2 is right
 /// to second order in a steady bend. At speed `v` the former's path leaves a bend at `v omega dt / 2`, 6 cm over 0.8 s
-/// at 15 m/s, 0.5 rad/s and 20 ms; a controller that believes it drives on the bend's inside. `v_x` and `v_y` are those
-/// of the period's start: braking at 8 m/s², the path is as much too long.
+/// at 15 m/s, 0.5 rad/s and 20 ms; a controller that uses it drives on the inside of the bend. `v_x` and `v_y` are those
+/// at the start of the period, so that under braking at 8 m/s² the predicted path is also 6 cm too long after 0.8 s.
 pub fn successor(x: &State, u: &Input, change: &GpOutput, dt: f64, yaw_at: f64) -> State {
     let (sin, cos) = (x[PSI] + yaw_at * dt * x[OMEGA]).sin_cos();
     let mut next = *x;

@@ -17,7 +17,7 @@ pub use kinematic::{KINEMATIC_PARAMETERS, Kinematic};
 pub use kinematics::{gp_input, jacobians, successor};
 pub use model::{ModelParameters, VehicleModel};
 pub use resistance::Resistance;
-pub use single_track::{LARGEST_PEAK_SLIP, SINGLE_TRACK_PARAMETERS, SLOWEST, SingleTrack};
+pub use single_track::{LARGEST_PEAK_SLIP, MIN_SLIP_SPEED, SINGLE_TRACK_PARAMETERS, SingleTrack};
 pub use tyre_limits::TyreLimits;
 
 /// Index of `p_x` in the state, m.

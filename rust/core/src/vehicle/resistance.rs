@@ -1,6 +1,6 @@
 //! What slows a vehicle on a level road beside the forces of its drive and brakes.
 
-use super::single_track::SLOWEST;
+use super::single_track::MIN_SLIP_SPEED;
 
 /// Rolling resistance and drag of a vehicle, per mass:
 ///
@@ -22,13 +22,13 @@ pub struct Resistance {
 impl Resistance {
     /// The deceleration in m/s² at a speed in m/s.
     pub(super) fn deceleration(&self, v_x: f64) -> f64 {
-        self.rolling * (v_x / SLOWEST).clamp(-1.0, 1.0) + self.drag * v_x * v_x.abs()
+        self.rolling * (v_x / MIN_SLIP_SPEED).clamp(-1.0, 1.0) + self.drag * v_x * v_x.abs()
     }
 
     /// The derivative of the deceleration by the speed, 1/s.
     pub(super) fn slope(&self, v_x: f64) -> f64 {
-        let rolling = if v_x.abs() < SLOWEST {
-            self.rolling / SLOWEST
+        let rolling = if v_x.abs() < MIN_SLIP_SPEED {
+            self.rolling / MIN_SLIP_SPEED
         } else {
             0.0
         };

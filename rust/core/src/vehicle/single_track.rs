@@ -1,4 +1,4 @@
-//! A single-track vehicle whose tyres saturate: what a member believes where it has no data.
+//! A single-track vehicle with saturating tyres, the prior mean of a member's Gaussian processes.
 
 use std::f64::consts::FRAC_PI_2;
 use std::ops::AddAssign;
@@ -10,8 +10,9 @@ use super::axles::{Axle, Axles, Forces, Motion, Sides, Slopes};
 use super::resistance::Resistance;
 use crate::{GpInput, GpJacobian, GpOutput, NY};
 
-/// Slip angles lose their meaning when the vehicle stands; below this speed, m/s, they are taken at it or left alone.
-pub const SLOWEST: f64 = 3.0;
+/// Lowest speed, m/s, at which slip angles are computed. Below it the equations use this speed in place of `v_x`, and the bound
+/// on the slip is left out, because slip angles are not defined at standstill.
+pub const MIN_SLIP_SPEED: f64 = 3.0;
 
 /// Largest [`SingleTrack::peak_slip`], rad. Tyres on ice, whose peaks need the largest slip of the common surfaces, peak
 /// at 0.39 rad in the table of `docs/surfaces.md`. Where a fitted force peaks beyond this, the force is nearly constant.

@@ -113,8 +113,8 @@ impl WeightEstimator {
     }
 
     /// Whether the last window distinguishes the members: the worst of them explains it worse than the weights `w` do, by
-    /// at least 0.25 nats of the likelihood raised to the power 1/3. The noise of the window must have
-    /// been that of the errors.
+    /// at least 0.25 nats of the likelihood raised to the power 1/3. The last
+    /// call of [`Self::estimate`] must have used whitened errors, because log-likelihoods are compared.
     pub fn informed(&self, w: &[f64]) -> bool {
         let n = w.len();
         let product = |i: usize, j: usize| self.whitened.products(i)[j];
@@ -142,7 +142,8 @@ impl WeightEstimator {
 }
 
 /// Writes the largest `max_active` weights above `threshold`, scaled to sum to 1, to `active`; the other entries are
-/// zero. The largest weight is always kept. Returns the sum of the dropped weights.
+/// zero. The largest weight is always kept. Returns the sum of the dropped weights. `weights` must be on the simplex, and
+/// `max_active` at least 1.
 pub fn select_active(
     weights: &[f64],
     threshold: f64,

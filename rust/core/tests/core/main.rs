@@ -3,6 +3,7 @@
 mod caution;
 mod delay;
 mod ensemble;
+mod errors;
 mod executor;
 mod friction;
 mod gp;
@@ -11,7 +12,6 @@ mod library;
 mod preview;
 mod proximal;
 mod qp;
-mod refusals;
 mod residual;
 mod solvers;
 mod step;

@@ -155,9 +155,9 @@ fn the_kkt_residual_shows_each_error() {
 }
 
 /// A solver that reports success for a wrong solution.
-struct Liar;
+struct WrongSolver;
 
-impl QpSolver for Liar {
+impl QpSolver for WrongSolver {
     fn solve(&mut self, _: &OcpQp, _: &[Input], out: &mut OcpSolution) -> Status {
         out.u.fill(Input::zeros());
         Status::Solved
@@ -172,12 +172,12 @@ fn a_wrong_solution_is_not_called_solved() {
     let mut qp = random(&mut ChaCha8Rng::seed_from_u64(3), 10, 3);
     let mut solution = OcpSolution::new(10);
     assert_eq!(
-        solve_checked(&mut Liar, &qp, &[], 1e-5, &mut solution),
+        solve_checked(&mut WrongSolver, &qp, &[], 1e-5, &mut solution),
         Status::CheckFailed
     );
     qp.stages_mut()[4].c[2] = f64::NAN;
     assert_eq!(
-        solve_checked(&mut Liar, &qp, &[], 1e-5, &mut solution),
+        solve_checked(&mut WrongSolver, &qp, &[], 1e-5, &mut solution),
         Status::NumericalError
     );
     let settings = SolverSettings {

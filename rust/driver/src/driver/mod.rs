@@ -35,7 +35,7 @@ struct Pending {
     request: Request,
     /// The tag of the question, if the vehicle has a key.
     tag: Option<Tag>,
-    /// Whether an answer came that has not the key's tag.
+    /// Whether an answer without the key's tag came.
     forged: bool,
     /// Whether the replica was demoted because the deadline passed. What comes later does not demote it again.
     counted: bool,
@@ -45,7 +45,7 @@ struct Pending {
     refusal: Option<WireError>,
 }
 
-/// A question what a replica serves.
+/// A query of a replica's `ready` key.
 #[derive(Clone, Debug)]
 struct Probe {
     replica: Name,
@@ -107,7 +107,7 @@ impl Driver {
     /// A driver for a library that `served` describes, without replicas.
     ///
     /// # Errors
-    /// [`DriverError`] when budget, limits or gate settings are out of range, or when the limits allow more than the
+    /// [`DriverError`] when budget, hedge, limits or gate settings are out of range, or when the limits allow more than the
     /// vehicle that the service plans for can do.
     pub fn new(config: DriverConfig, served: Ready) -> Result<Self, DriverError> {
         let gate = config.gate(served.dt)?;
@@ -225,7 +225,7 @@ impl Driver {
         if lost.is_some() {
             self.gate.stop();
         }
-        // With no time left the service answers TOO_LATE, and the period is bridged by the tail.
+        // A request states at least 1 µs. If the deadline has passed, no replica is asked and the gate gives the command.
         let left = deadline.saturating_sub(now).as_micros();
         let budget_us = u32::try_from(left).unwrap_or(u32::MAX).max(1);
         let mut request = self.carry.request(x, reference, widths, budget_us);

@@ -122,12 +122,12 @@ impl Driver {
 
     /// A replica answered with an error.
     pub(super) fn reject(&mut self, now: Time, id: QueryId, pending: &Pending, error: WireError) {
-        // Errors of load and of leaving pass; those that a sound replica would not send do not.
-        let passing = matches!(
+        // These errors do not demote a replica: it is overloaded, drains, or has received a newer request.
+        let transient = matches!(
             error.code,
             Code::Overloaded | Code::TooLate | Code::Draining | Code::Superseded
         );
-        if !passing {
+        if !transient {
             self.demote(now, pending);
         }
         self.failed(now, id, Outcome::Refused(error));
@@ -137,7 +137,7 @@ impl Driver {
     pub(super) fn vanished(&mut self, now: Time, id: QueryId, pending: &Pending) {
         self.demote(now, pending);
         let outcome = if pending.forged {
-            let reason = "the answer has not the tag of this vehicle's key: it does not come from a service that has the key";
+            let reason = "the answer does not have the tag of this vehicle's key: it does not come from a service that has the key";
             Outcome::Unusable(Invalid::field("tag", reason))
         } else {
             Outcome::Unreachable

@@ -197,7 +197,7 @@ fn predictions_of_another_number_of_members_are_not_mixed() {
 }
 
 #[test]
-fn a_plan_of_another_horizon_starts_nothing_warm() {
+fn a_plan_of_another_horizon_is_discarded() {
     let mut carry = Carry::new(LIBRARY, 2);
     let first = period(&mut carry, 10.0, 0.0);
     let mut short = answer(&first, Status::Solved, 0.0);

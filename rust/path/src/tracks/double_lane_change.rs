@@ -27,13 +27,13 @@ pub struct Section {
     pub start: f64,
     /// End, in m from the first cones.
     pub end: f64,
-    /// y of the left cones.
+    /// y coordinate of the left cones, m.
     pub left: f64,
-    /// y of the right cones.
+    /// y coordinate of the right cones, m.
     pub right: f64,
 }
 
-/// y of both edges of the road.
+/// y coordinates of both edges of the road, m.
 #[derive(Clone, Copy)]
 struct Bounds {
     left: f64,

@@ -16,7 +16,7 @@ const HARMONICS: std::ops::RangeInclusive<u32> = 2..=7;
 
 /// A random lap, determined by its seed. In polar coordinates its radius is `r(t) = 1 + c sum a_k cos(k t + phase_k)`,
 /// scaled to the given length. It cannot cross itself because each direction occurs once. `c <= 1` is reduced until no
-/// turn is tighter than `min_radius` and no two stretches are closer than one and a half track widths.
+/// turn is tighter than `min_radius` (within 0.1 %) and no two stretches are closer than one and a half track widths.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RandomTrack {
     /// Seed of the random numbers.

@@ -1,6 +1,6 @@
 //! The roads' files: one `egp.v1.StoredRoad` for each road of each fleet.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -13,6 +13,7 @@ use egp_wire::{ROAD_TILES, VERSION, proto};
 use prost::Message as _;
 use ring::digest::{SHA256, SHA256_OUTPUT_LEN, digest};
 
+use super::file_error::{RoadFileError, system};
 use super::store::{Road, Store, StoreError, Tiles};
 
 const SUFFIX: &str = "road";
@@ -21,35 +22,6 @@ const CHECKSUM: usize = 2 + SHA256_OUTPUT_LEN;
 /// Largest file that is read, bytes: the longest road with 64 vehicles takes less.
 const LARGEST: u64 = 2 << 30;
 
-/// Why a file cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum RoadFileError {
-    /// The system's error.
-    #[error("{path}: {source}; check the folder, or name another one with --folder")]
-    System {
-        /// The file or folder.
-        path: PathBuf,
-        /// The error.
-        source: io::Error,
-    },
-    /// Another service keeps the folder.
-    #[error(
-        "another map service keeps the folder {0}; stop it, or name another folder with --folder"
-    )]
-    Locked(PathBuf),
-    /// A file of a later version of the program.
-    #[error(
-        "{path}: it has version {version}, and this program knows {VERSION}; use the program that wrote it, or name \
-         another folder with --folder"
-    )]
-    Newer {
-        /// The file.
-        path: PathBuf,
-        /// Its version.
-        version: u32,
-    },
-}
-
 /// Times of the files, ms since 1970, and of the store, s.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Clocks {
@@ -57,19 +29,13 @@ pub(crate) struct Clocks {
     pub now: f64,
 }
 
-pub(super) fn system(path: &Path) -> impl Fn(io::Error) -> RoadFileError {
-    |source| RoadFileError::System {
-        path: path.to_owned(),
-        source,
-    }
-}
-
-/// Reads the files of a folder. Contributions that are too old, or for which the store has no room, are left out. The log
-/// names a file whose contributions are all too old. It is not removed, because the system's clock may be wrong. A file
-/// that is damaged is renamed, and the other ones are read.
+/// Reads the files of a folder. Contributions that are too old are left out. A file whose contributions are all too old is
+/// renamed and not removed, because the system's clock may be wrong. A file that is damaged is renamed, too, and the other
+/// ones are read.
 ///
 /// # Errors
-/// [`RoadFileError::System`] if a file cannot be read or renamed, [`RoadFileError::Newer`] if one has a later version.
+/// [`RoadFileError::System`] if a file cannot be read or renamed, [`RoadFileError::Newer`] if one has a later version, and
+/// [`RoadFileError::Limits`] if one has contributions for which the store has no room. No file is changed then.
 pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(), RoadFileError> {
     let mut unsaved = BTreeSet::new();
     for entry in fs::read_dir(folder).map_err(system(folder))? {
@@ -87,8 +53,17 @@ pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(
         match parse(&bytes) {
             Ok((road, evidence)) => {
                 let added = add(&road, evidence, store, clocks);
+                if added.beyond > 0 {
+                    let count = added.beyond;
+                    return Err(RoadFileError::Limits { path, count });
+                }
                 if !added.useful {
-                    tracing::warn!(%file, "all evidence of this file is too old; it can be removed");
+                    let kept = set_aside(&path, "old").map_err(system(&path))?;
+                    let kept = kept.display();
+                    tracing::warn!(
+                        %file, %kept,
+                        "all evidence of this file is too old; it was renamed, and can be removed if the system's clock is right"
+                    );
                 }
                 if added.future {
                     tracing::warn!(
@@ -99,7 +74,7 @@ pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(
                 }
             }
             Err(reason) => {
-                let kept = set_aside(&path).map_err(system(&path))?;
+                let kept = set_aside(&path, "damaged").map_err(system(&path))?;
                 let kept = kept.display();
                 tracing::error!(%file, reason, %kept, "this file of a road is damaged and was renamed; the map starts without it");
             }
@@ -110,11 +85,11 @@ pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(
     Ok(())
 }
 
-/// Renames a damaged file to `NAME.damaged`, or with a number behind it if there is such a file already. Returns its path.
-fn set_aside(path: &Path) -> io::Result<PathBuf> {
+/// Renames a file to `NAME.REASON`, or with a number behind it if there is such a file already. Returns its path.
+fn set_aside(path: &Path, reason: &str) -> io::Result<PathBuf> {
     let named = |number: u32| {
         let mut name = path.as_os_str().to_owned();
-        name.push(".damaged");
+        name.push(format!(".{reason}"));
         if number > 0 {
             name.push(format!("-{number}"));
         }
@@ -180,11 +155,14 @@ struct Added {
     useful: bool,
     /// Whether a contribution was measured in the future, by the system's clock.
     future: bool,
+    /// Number of contributions for which the store has no room.
+    beyond: usize,
 }
 
 /// Adds the contributions of a file.
 fn add(road: &Road, evidence: Vec<Evidence>, store: &mut Store, clocks: Clocks) -> Added {
     let mut found = Added::default();
+    let mut vehicles: BTreeMap<u32, usize> = BTreeMap::new();
     for Evidence {
         vehicle,
         index,
@@ -201,11 +179,18 @@ fn add(road: &Road, evidence: Vec<Evidence>, store: &mut Store, clocks: Clocks) 
         found.future |= measured_ms > clocks.unix_ms;
         let age = clocks.unix_ms.saturating_sub(measured_ms) as f64 / 1e3;
         let added = store.add(&key, index, tile, clocks.now - age, clocks.now);
-        found.useful |= !matches!(added, Err(StoreError::Old { .. }));
-        if let Err(error) = added {
-            tracing::debug!(?key, %error, "stored evidence left out");
+        match added {
+            Ok(()) => *vehicles.entry(index).or_default() += 1,
+            Err(StoreError::Old { .. }) => continue,
+            Err(StoreError::Full(_) | StoreError::Vehicle(_)) => found.beyond += 1,
         }
+        found.useful = true;
     }
+    // The oldest vehicles of a tile make room for further ones.
+    let most = store.limits().vehicles;
+    found.beyond += (vehicles.values())
+        .map(|count| count.saturating_sub(most))
+        .sum::<usize>();
     found
 }
 
@@ -343,6 +328,38 @@ mod tests {
         fs::write(&file, &good[..good.len() - CHECKSUM]).unwrap();
         fs::remove_file(folder.join("other.road")).unwrap();
         assert_eq!(loaded(&folder, CLOCKS).contributions(), 1);
+        fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_file_beyond_the_limits_is_an_error_and_stays() {
+        let (folder, file) = folder("limits");
+        let bytes = fs::read(&file).unwrap();
+        for (contributions, vehicles) in [(0, 10), (10, 0)] {
+            let limits = MapLimits {
+                contributions,
+                vehicles,
+                tiles: 10,
+            };
+            let mut store = Store::new(MergeSettings::default(), limits);
+            let error = load(&folder, &mut store, CLOCKS).unwrap_err();
+            assert!(matches!(error, RoadFileError::Limits { count: 1, .. }));
+            assert_eq!(fs::read(&file).unwrap(), bytes);
+        }
+        fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_file_whose_evidence_is_too_old_is_renamed() {
+        let (folder, file) = folder("old");
+        let bytes = fs::read(&file).unwrap();
+        let later = Clocks {
+            unix_ms: CLOCKS.unix_ms + 1_000_000_000,
+            now: 0.0,
+        };
+        assert_eq!(loaded(&folder, later).contributions(), 0);
+        assert_eq!(fs::read(folder.join("depot@ring.road.old")).unwrap(), bytes);
+        assert!(!file.exists());
         fs::remove_dir_all(&folder).unwrap();
     }
 

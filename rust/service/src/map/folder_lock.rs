@@ -3,7 +3,7 @@
 use std::fs::{self, File, TryLockError};
 use std::path::Path;
 
-use super::file::{RoadFileError, system};
+use super::file_error::{RoadFileError, system};
 
 /// The file in the folder that is locked.
 const LOCK: &str = ".lock";

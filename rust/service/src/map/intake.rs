@@ -20,14 +20,14 @@ const PAYLOAD: usize = 4096;
 /// A query on its way to the keeper.
 pub(crate) struct Job {
     pub query: Received,
-    pub what: What,
+    pub kind: QueryKind,
     pub key: RoadKey,
     pub index: u32,
 }
 
 /// What a vehicle sends or asks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum What {
+pub(crate) enum QueryKind {
     /// What it measured in a tile.
     Evidence,
     /// The tiles from an index on.
@@ -50,7 +50,7 @@ impl Intake {
 
     /// Answers a query, hands it to the keeper, or answers it with an error.
     pub(crate) fn take(&self, query: Received, keeper: &SyncSender<Job>) {
-        let (what, key, index) = match road_keys::parse(query.key()) {
+        let (kind, key, index) = match road_keys::parse(query.key()) {
             Some(RoadTarget::Health) => {
                 return query.answer(road_keys::HEALTH, b"ok".to_vec(), "text/plain", None);
             }
@@ -59,8 +59,8 @@ impl Intake {
                 let text = self.metrics.text().into_bytes();
                 return query.answer(road_keys::METRICS, text, encoding, None);
             }
-            Some(RoadTarget::Tile(key, index)) => (What::Evidence, key, index),
-            Some(RoadTarget::Tiles(key, index)) => (What::Question, key, index),
+            Some(RoadTarget::Tile(key, index)) => (QueryKind::Evidence, key, index),
+            Some(RoadTarget::Tiles(key, index)) => (QueryKind::Question, key, index),
             None => return self.refuse(&query, &no_such_key(query.key())),
         };
         if query.length() > PAYLOAD {
@@ -76,7 +76,7 @@ impl Intake {
         }
         let job = Job {
             query,
-            what,
+            kind,
             key,
             index,
         };

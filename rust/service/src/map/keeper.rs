@@ -10,7 +10,7 @@ use egp_map::Tile;
 use egp_wire::{Code, TileEvidence, WireError, encode_tiles_changed, road_keys};
 
 use super::file::{self, Clocks};
-use super::intake::{Intake, Job, What};
+use super::intake::{Intake, Job, QueryKind};
 use super::store::Store;
 use crate::network::Putter;
 use crate::query::Query as _;
@@ -75,15 +75,15 @@ impl Keeper {
     fn answer(&mut self, job: &Job) {
         self.intake.done(&job.key);
         let now = self.started.elapsed().as_secs_f64();
-        match job.what {
-            What::Question => {
+        match job.kind {
+            QueryKind::Question => {
                 let tiles = self.store.tiles(&job.key, job.index, now);
                 self.intake.metrics.count("tiles");
                 let encoding = "application/protobuf;egp.v1.RoadTiles";
                 job.query
                     .answer(job.query.key(), tiles.encode(), encoding, None);
             }
-            What::Evidence => match self.keep(job, now) {
+            QueryKind::Evidence => match self.keep(job, now) {
                 Ok(()) => {
                     self.intake.metrics.count("evidence");
                     self.count();

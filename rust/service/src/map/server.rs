@@ -13,7 +13,8 @@ use signal_hook::iterator::Signals;
 use thiserror::Error;
 
 use super::config::MapConfig;
-use super::file::{RoadFileError, load};
+use super::file::load;
+use super::file_error::RoadFileError;
 use super::folder_lock::lock;
 use super::intake::Intake;
 use super::keeper::{Keeper, clocks};

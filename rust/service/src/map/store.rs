@@ -95,6 +95,11 @@ impl Store {
         }
     }
 
+    /// The limits of what is kept.
+    pub(super) fn limits(&self) -> &MapLimits {
+        &self.limits
+    }
+
     /// Keeps what a vehicle measured at the time `at` at the latest, in place of its earlier contribution to the tile.
     ///
     /// A contribution older than the kept one of the same vehicle changes nothing. A tile with as many vehicles as it may

@@ -3,9 +3,9 @@
 
 mod answers;
 mod borders;
+mod errors;
 mod golden;
 mod properties;
 mod protobuf;
-mod refusals;
 mod road;
 mod seals;

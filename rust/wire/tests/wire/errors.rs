@@ -138,7 +138,7 @@ fn a_reply_cannot_carry_an_unsolved_plan() {
 }
 
 #[test]
-fn a_vehicle_that_cannot_be_is_refused_and_an_old_service_names_none() {
+fn an_invalid_vehicle_is_an_error_and_the_field_may_be_absent() {
     let mut raw = proto::Ready::decode(&*messages::ready().encode()).unwrap();
     if let Some(vehicle) = &mut raw.vehicle {
         vehicle.mass = -1200.0;
