@@ -27,6 +27,15 @@ class Short:
 class Lost(Short):
     state = [float("nan")] * 7
 
+class Method(Short):
+    def state(self): return [0.0] * 7
+
+class Text(Short):
+    state = "fast"
+
+class Complex(Short):
+    state = [1j] * 7
+
 class Empty:
     pass
 """
@@ -98,6 +107,22 @@ def test_what_is_wrong_with_a_simulator_is_named(folder: Path) -> None:
             drive(own, controller, lambda _: None)
         with pytest.raises(ScenarioError, match="disturbances have no effect"):
             parse_scenario(own.toml().replace("load = 0.0", "load = 100.0"), Path(), "own.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("Lost", r"state after reset is \[nan"),
+        ("Method", "state is a method: make it a property"),
+        ("Text", "state is no array of seven numbers"),
+        ("Complex", "state is no array of seven numbers"),
+    ],
+)
+def test_states_that_are_none_are_named(folder: Path, name: str, message: str) -> None:
+    del folder
+    own = replace(scenario(), plant=f"broken_car:{name}")
+    with in_process_controller(own) as controller, pytest.raises(PlantError, match=message):
+        drive(own, controller, lambda _: None)
 
 
 @pytest.mark.parametrize("command", ["drive", "evaluate"])

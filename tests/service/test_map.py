@@ -152,6 +152,20 @@ def test_without_a_map_service_nothing_waits(tmp_path: Path) -> None:
     assert "says nothing" not in said
 
 
+def test_evidence_that_was_not_sent_is_counted(caplog: pytest.LogCaptureFixture) -> None:
+    endpoint = free_endpoint()
+    belief = RoadBelief(PATH)
+    with map_service(endpoint) as service:
+        fleet = FleetMap(endpoint, belief, road="r", vehicle="v", timeout=0.5)
+        assert fleet.fetch()
+        service.kill()
+        service.wait()
+    measure(belief, 0.4, 150.0)
+    fleet.close()
+    assert fleet.unsent == 2
+    assert "the evidence about 2 tiles of the road was not sent" in caplog.text
+
+
 def test_a_lost_answer_is_asked_for_again_while_the_vehicle_waits() -> None:
     endpoint = free_endpoint()
     lost: list[zenoh.Query] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
@@ -202,7 +203,7 @@ def test_a_library_states_the_noise_of_the_logs_it_was_trained_on(
     def log(vehicle: str) -> Dataset:
         states = np.sin(0.02 * np.arange(n + 1))[:, None] + [15.0, 0.0, 0.0]
         states += noise * rng.standard_normal(states.shape)
-        z = np.hstack([states[:-1], np.zeros((n, 3))])
+        z = np.hstack([states[:-1], 1e-6 * rng.standard_normal((n, 3))])
         index = np.arange(n, dtype=np.uint32)
         about = provenance(vehicle=vehicle)
         return Dataset(z, np.diff(states, axis=0), np.zeros_like(index), index, about)
@@ -300,6 +301,19 @@ def test_refuses_what_cannot_be_one_library() -> None:
         train([], SETTINGS)
 
 
+def test_counts_of_numpy_become_whole_numbers() -> None:
+    settings = TrainingSettings(max_points=np.int64(40))  # type: ignore[arg-type]
+    assert json.dumps(dataclasses.asdict(settings))
+
+
+def test_a_row_that_no_vehicle_has_is_named() -> None:
+    data = surface()
+    y = data.y.copy()
+    y[:, 1] = 1e6
+    with pytest.raises(EgpError, match=r"d_v_y is 1e\+06 in a row"):
+        train([dataclasses.replace(data, y=y)], SETTINGS)
+
+
 @pytest.mark.parametrize("mean", ["constant", "single-track"])
 def test_refuses_data_that_teach_nothing(mean: Literal["constant", "single-track"]) -> None:
     settings = dataclasses.replace(SETTINGS, mean=mean)
@@ -323,6 +337,9 @@ def test_refuses_data_that_teach_nothing(mean: Literal["constant", "single-track
         {"restarts": -1},
         {"validation_fraction": 1.0},
         {"seed": -1},
+        {"seed": 0.5},
+        {"first_points": 40.0},
+        {"max_iterations": float("nan")},
     ],
 )
 def test_refuses_bad_settings(changes: dict[str, object]) -> None:

@@ -151,6 +151,11 @@ def main() -> None:
         _fail(str(error))
     except OSError as error:
         _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+    except RuntimeError:
+        # Python 3.11 turns the exception of a signal into this one in a few calls, such as
+        # `__set_name__`.
+        signals.check()
+        raise
 
 
 def _fail(message: str) -> NoReturn:

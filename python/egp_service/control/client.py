@@ -117,9 +117,14 @@ class VehicleClient(StepController):
             )
         deadline = time.monotonic() + timeout
         keys = None if key_file is None else _read_keys(key_file)
-        discovery = Discovery(
-            fleet=fleet, vehicle=vehicle, gate=gate, budget=budget, hedge=hedge, keys=keys
-        )
+        try:
+            discovery = Discovery(
+                fleet=fleet, vehicle=vehicle, gate=gate, budget=budget, hedge=hedge, keys=keys
+            )
+        except InvalidArgumentError as error:
+            if key_file is not None:
+                error.add_note(f"with the keys of {key_file}")
+            raise
         config = session_config(names, timeout, zenoh_config or {}, zenoh_file)
         network = Network(config, names, timeout)
         try:
@@ -274,7 +279,7 @@ class Network:
 
 def _read_keys(file: str | Path) -> str:
     try:
-        return Path(file).read_text(encoding="utf-8")
+        return Path(file).read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InvalidArgumentError(
             f"key_file: {error}; expected a file of secret keys, which `egp keys` writes"

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 _FORM: Final = re.compile(r"[a-z][a-z-]*/.+")
 _REACH_SECONDS: Final = 1.0
+_LARGEST_PORT: Final = 65535
 _TCP: Final = re.compile(r"(?:tcp|tls)/\[?(?P<host>[^\]/]*)\]?:(?P<port>\d+)([?#].*)?")
 
 
@@ -20,7 +21,7 @@ def check_endpoints(endpoints: Sequence[str]) -> None:
     """Check the form `PROTOCOL/ADDRESS`, such as `tcp/127.0.0.1:7447`.
 
     Raises:
-        InvalidArgumentError: naming the first endpoint of another form.
+        InvalidArgumentError: naming the first endpoint of another form, or with a larger port.
 
     """
     for endpoint in endpoints:
@@ -28,6 +29,11 @@ def check_endpoints(endpoints: Sequence[str]) -> None:
             address = endpoint.rpartition("/")[2] or "127.0.0.1:7447"
             raise InvalidArgumentError(
                 f"endpoint {endpoint!r}: expected PROTOCOL/ADDRESS; did you mean 'tcp/{address}'?"
+            )
+        found = _TCP.fullmatch(endpoint)
+        if found is not None and int(found["port"]) > _LARGEST_PORT:
+            raise InvalidArgumentError(
+                f"endpoint {endpoint!r}: expected a port of at most {_LARGEST_PORT}"
             )
 
 

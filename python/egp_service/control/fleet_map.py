@@ -41,6 +41,8 @@ _FIRST_SHARE = 1.0 / 3.0
 # Above the largest ratio of likelihoods that a tile can hold, nats.
 _UNLIMITED = 8.0
 
+_NO_ANSWER = "no map service answers; driving goes on without it"
+
 _log = logging.getLogger(__name__)
 
 
@@ -102,6 +104,8 @@ class FleetMap:
         self._patience = timeout
         self._exchanged = self._aged = time.monotonic()
         self._warned: set[str] = set()
+        # Whether the last question had no answer, and whether this is told by `fetch` itself.
+        self._silent = self._fetching = False
         try:
             config = session_config([endpoint], timeout, zenoh_config or {}, zenoh_file)
             self._session = open_session(config, timeout)
@@ -115,16 +119,21 @@ class FleetMap:
         """Ask for all tiles and wait for them; return whether a map service answered."""
         deadline = time.monotonic() + self._timeout
         self._patience = _FIRST_SHARE * self._timeout
-        while time.monotonic() < deadline:
-            self._ask(0)
-            self._patience = self._timeout
-            while self._asking and time.monotonic() < deadline:
-                self._handle(deadline)
-            if not self._asking and "no answer" not in self._warned:
-                return True
-            self._warned.discard("no answer")
-            time.sleep(0.05)  # the link may not be there yet
-        self._warned.add("no answer")
+        self._fetching = True
+        try:
+            while time.monotonic() < deadline:
+                self._silent = False
+                self._ask(0)
+                self._patience = self._timeout
+                while self._asking and time.monotonic() < deadline:
+                    self._handle(deadline)
+                if not self._asking and not self._silent:
+                    return True
+                time.sleep(0.05)  # the link may not be there yet
+        finally:
+            self._fetching = False
+        self._silent = True
+        _log.info(_NO_ANSWER)
         return False
 
     def exchange(self) -> None:
@@ -148,6 +157,12 @@ class FleetMap:
         return self._answered
 
     @property
+    def unsent(self) -> int:
+        """Number of tiles whose newest evidence no map service has acknowledged."""
+        self._unsent.update(dict.fromkeys(self._belief.take_changed(), time.monotonic()))
+        return len(self._unsent.keys() | self._sending)
+
+    @property
     def origins(self) -> dict[str, float]:
         """The vehicles whose evidence was reported, each with the age of its newest one in s."""
         now, found = time.monotonic(), dict[str, float]()
@@ -157,13 +172,15 @@ class FleetMap:
         return found
 
     def close(self) -> None:
-        """Send the last evidence and close the session."""
+        """Send the last evidence and close the session; `unsent` states what could not be sent."""
         deadline = time.monotonic() + self._timeout
         try:
-            if "no answer" not in self._warned:
+            if not self._silent:
                 self._send()
                 while self._sending and time.monotonic() < deadline:
                     self._handle(deadline)
+            if left := self.unsent:
+                _log.warning("the evidence about %d tiles of the road was not sent", left)
         finally:
             self._session.close()  # type: ignore[no-untyped-call]
 
@@ -279,11 +296,9 @@ class FleetMap:
             ended()
 
     def _ended(self, end: Callable[[bool], None], *, answered: bool) -> None:
-        if answered:
-            self._warned.discard("no answer")
-        elif "no answer" not in self._warned:
-            self._warned.add("no answer")
-            _log.info("no map service answers; driving goes on without it")
+        if not (answered or self._silent or self._fetching):
+            _log.info(_NO_ANSWER)
+        self._silent = not answered
         end(answered)
 
     def _refused(self, refusal: Refusal) -> None:

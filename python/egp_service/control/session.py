@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import time
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _PAUSE_SECONDS = 0.1
+_LONGEST_TIMEOUT = 86_400.0  # s; zenoh's times overflow far above it
 _TOKEN_SECONDS = 1.0
 # How long a link may take to become a session, ms, at the key of zenoh's configuration.
 _OPEN_TIMEOUT = "transport/unicast/open_timeout"
@@ -60,11 +60,13 @@ def session_config(
 
     A session in zenoh's client mode has one link, and while the replica at its end is frozen, the
     others cannot be reached. Shared memory delays the first queries and can lose one silently.
-    Raises `InvalidArgumentError` for a timeout that is negative or not finite, and for endpoints, a
-    file or a setting that zenoh cannot use.
+    Raises `InvalidArgumentError` for a timeout that is negative or longer than a day, and for
+    endpoints, a file or a setting that zenoh cannot use.
     """
-    if not 0.0 <= timeout < math.inf:
-        raise InvalidArgumentError(f"expected a number of seconds for timeout, got {timeout}")
+    if not 0.0 <= timeout <= _LONGEST_TIMEOUT:
+        raise InvalidArgumentError(
+            f"expected up to {_LONGEST_TIMEOUT:g} seconds for timeout, got {timeout}"
+        )
     settings: dict[str, object] = {
         "connect/timeout_ms": int(1000 * timeout),
         "connect/exit_on_failure": False,

@@ -66,6 +66,9 @@ class Provenance:
             raise EgpError(f"friction is {self.friction}: expected a coefficient between 0 and 3")
         if not self.surface:
             raise EgpError("the surface label is empty: name the surface, for example 'wet'")
+        for name in ("vehicle", "surface", "method", "tool"):
+            if not isinstance(value := getattr(self, name), str):
+                raise EgpError(f"{name} is {value!r}: expected a text")
 
     def metadata(self) -> dict[str, Any]:
         """Return the fields for a file; `force_from_a_x` only if true, for older versions."""

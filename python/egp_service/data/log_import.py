@@ -43,19 +43,6 @@ UNITS: Final = {
 }
 
 _SI_UNITS: Final = {"time": "s", "a_x": "m/s2"} | GP_INPUT | TILT
-# Largest plausible magnitude of each quantity; larger values indicate a wrong unit.
-_LARGEST: Final = {
-    "time": np.inf,
-    "v_x": 100.0,
-    "v_y": 40.0,
-    "omega": 6.0,
-    "delta": 1.2,
-    "F_x": 1e5,
-    "a_x": 30.0,
-    "delta_dot": 6.0,
-    "grade": 0.7,
-    "bank": 0.7,
-}
 _HEAVIEST: Final = 1e5  # kg
 _STEERING: Final = {"delta", "delta_dot"}
 # Share of the rows from which larger values are a wrong unit, and not single wrong rows.
@@ -234,9 +221,11 @@ def _read(
 ) -> dict[str, NDArray[np.float64]]:
     log = {}
     for quantity, column in columns.items():
-        if quantity not in _LARGEST:
-            raise EgpError(f"unknown quantity '{quantity}': expected {', '.join(_LARGEST)}")
-        largest = _LARGEST[quantity]
+        if quantity not in plausibility.LARGEST:
+            raise EgpError(
+                f"unknown quantity '{quantity}': expected {', '.join(plausibility.LARGEST)}"
+            )
+        largest = plausibility.LARGEST[quantity]
         unit, factor = UNITS[column.unit]
         if unit != _SI_UNITS[quantity]:
             raise EgpError(

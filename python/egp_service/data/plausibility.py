@@ -26,6 +26,19 @@ if TYPE_CHECKING:
 
     Log = Mapping[str, NDArray[np.float64]]
 
+# Largest plausible magnitude of each quantity in SI units; larger values indicate a wrong unit.
+LARGEST: Final = {
+    "time": np.inf,
+    "v_x": 100.0,
+    "v_y": 40.0,
+    "omega": 6.0,
+    "delta": 1.2,
+    "F_x": 1e5,
+    "a_x": 30.0,
+    "delta_dot": 6.0,
+    "grade": 0.7,
+    "bank": 0.7,
+}
 # s; logs of vehicles have 1 to 1000 rows in a second.
 _PERIODS: Final = (1e-3, 1.0)
 # Largest change from one row to the next, and per second: no road vehicle changes faster.

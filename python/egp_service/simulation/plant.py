@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 # Number of updates of the friction under the wheels within a control period.
 FRICTION_UPDATES = 10
+FARTHEST = 1e7  # m; a service accepts no position beyond it
 
 
 class Simulator(Protocol):
@@ -86,23 +87,32 @@ class OwnPlant:
         self._path = path
 
     def reset(self, x: NDArray[np.float64]) -> None:
-        """Put the vehicle into the state (7,)."""
+        """Put the vehicle into the state (7,); raises `PlantError` if it is then not finite."""
         self._simulator.reset(x)
+        if not np.isfinite(self.state).all():
+            raise PlantError(f"{self._name}.state after reset is {self.state.tolist()}")
 
     def drive(self, u: NDArray[np.float64], dt: float, s: float) -> None:
         """Drive one period on the friction at the arc length `s`.
 
-        Raises `VehicleLostError` if the state is no longer finite.
+        Raises `VehicleLostError` if the state is no longer finite or more than 10 000 km away.
         """
         friction = float(self._path.sample(np.array([s]))[-1][0])
         self._simulator.step(u, dt, friction)
-        if not np.isfinite(self.state).all():
+        if not (np.abs(self.state) <= FARTHEST).all():
             raise VehicleLostError(f"{self._name}: the state is {self.state.tolist()}")
 
     @property
     def state(self) -> NDArray[np.float64]:
-        """The state (7,). Raises `PlantError` if it has another shape."""
-        x = np.array(self._simulator.state, dtype=np.float64)
+        """The state (7,). Raises `PlantError` unless it is an array of seven real numbers."""
+        state = self._simulator.state
+        if callable(state):
+            raise PlantError(f"{self._name}.state is a method: make it a property")
+        try:
+            x = np.asarray(state)
+            x = x.astype(np.float64, casting="same_kind")
+        except (TypeError, ValueError) as error:
+            raise PlantError(f"{self._name}.state is no array of seven numbers: {error}") from error
         if x.shape != (NX,):
             raise PlantError(
                 f"{self._name}.state has the shape {x.shape}: expected (7,) with "

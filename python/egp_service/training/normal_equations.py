@@ -30,6 +30,7 @@ class Compressed:
     ) -> None:
         """Use a function that returns Jᵀ J (n, n), Jᵀ r (n,) and rᵀ r at x (n,)."""
         self._normal_equations = normal_equations
+        self._last: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def residuals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the residuals at x (n + 1,), infinite where the equations cannot be solved."""
@@ -45,7 +46,8 @@ class Compressed:
         return np.append(inside, math.sqrt(max(total - float(inside @ inside), 0.0)))
 
     def jacobian(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives (n + 1, n) at x."""
-        if not np.array_equal(self._last[0], x):
+        """Return the derivatives (n + 1, n) at x, NaN where the equations cannot be solved."""
+        if self._last is None or not np.array_equal(self._last[0], x):
+            self._last = None
             self.residuals(x)
-        return self._last[1]
+        return np.full((len(x) + 1, len(x)), np.nan) if self._last is None else self._last[1]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import operator
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
@@ -22,6 +23,7 @@ from egp_service._core import EgpError
 from egp_service.data.alignment import align
 from egp_service.data.dataset import Dataset, check_one_car, merge
 from egp_service.data.experiment import check_seed
+from egp_service.data.plausibility import LARGEST
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NZ
 from egp_service.training.choice import BUDGET, best_member
 from egp_service.training.delays import find_delays
@@ -71,7 +73,13 @@ class TrainingSettings:
     """Seed of the split, the subset and the random starts."""
 
     def __post_init__(self) -> None:
-        """Check the ranges of the settings."""
+        """Check types and ranges of the settings; counts become `int`."""
+        for name in ("max_points", "first_points", "restarts", "max_iterations", "seed"):
+            value = getattr(self, name)
+            try:
+                object.__setattr__(self, name, operator.index(value))
+            except TypeError as error:
+                raise EgpError(f"{name} is {value!r}: expected a whole number") from error
         if self.kernel not in get_args(KernelName):
             known = ", ".join(get_args(KernelName))
             raise EgpError(f"kernel is {self.kernel!r}: expected one of {known}")
@@ -174,6 +182,7 @@ def train_parts(
     members: list[TrainedMember] = []
     with one_thread(settings.max_points):
         for data, _ in parts:
+            _check_magnitudes(data)
             _check_varies(data)
         vehicles: list[FittedVehicle | None] = [None for _ in parts]
         if settings.mean != "constant":
@@ -210,6 +219,19 @@ def _check_consistent(labels: list[str], datasets: Sequence[Dataset]) -> None:
     if len(set(labels)) < len(labels):
         raise EgpError("two frictions share a surface label: give each surface its own label")
     check_one_car(datasets, "library")
+
+
+def _check_magnitudes(data: Dataset) -> None:
+    """Errors if a number is larger than that of any vehicle; one such row would spoil the fit."""
+    largest = [LARGEST[name.removeprefix("d_")] for name in (*GP_INPUT, *GP_OUTPUT)]
+    beyond = np.argwhere(np.abs(np.hstack([data.z, data.y])) > largest)
+    if len(beyond):
+        row, column = beyond[0]
+        name, value = [*GP_INPUT, *GP_OUTPUT][column], np.hstack([data.z, data.y])[row, column]
+        raise EgpError(
+            f"surface {data.provenance.surface}: {name} is {value:.4g} in a row of the training "
+            f"data, more than {largest[column]:g}: correct or remove such rows"
+        )
 
 
 def _check_varies(data: Dataset) -> None:

@@ -312,15 +312,18 @@ class _Problem:
     def solve(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the unknowns of largest posterior density."""
         problem = Compressed(self._normal_equations)
-        found = least_squares(
-            problem.residuals, start, jac=problem.jacobian, bounds=(self._low, self._high)
-        )
-        if not (found.success and np.isfinite(found.cost)):
-            raise EgpError(
-                f"no single-track vehicle fits the data ({found.message}): "
-                "check their units, or train with --mean constant"
+        message = "their sum of squares is not finite"
+        if np.isfinite(problem.residuals(start)).all():
+            found = least_squares(
+                problem.residuals, start, jac=problem.jacobian, bounds=(self._low, self._high)
             )
-        return np.asarray(found.x)
+            if found.success and np.isfinite(found.cost):
+                return np.asarray(found.x)
+            message = found.message
+        raise EgpError(
+            f"no single-track vehicle fits the data ({message}): "
+            "check their units, or train with --mean constant"
+        )
 
     def vehicles(self, x: NDArray[np.float64]) -> list[FittedVehicle]:
         """Return the vehicle of each surface with its intervals."""

@@ -166,6 +166,21 @@ fn periods_without_evidence_and_jumps_add_nothing() {
 }
 
 #[test]
+fn a_vehicle_that_was_moved_has_a_preview_at_once() {
+    let settings = BeliefSettings::default();
+    let mut belief = RoadBelief::new(50_000.0, false, &settings).unwrap();
+    drive(&mut belief, 0.0, 10.0, |_| Some(evidence(0.5)));
+    belief.update(20_000.0, Some(&evidence(0.5))).unwrap();
+    let mut rows = [[0.0; 2]; 4];
+    belief
+        .preview(&[20_000.0, 20_001.0, 20_002.0], &mut rows)
+        .unwrap();
+    // Nothing was measured there.
+    let [median, _] = rows[1];
+    assert!((median - 0.675).abs() < 0.1, "{median}");
+}
+
+#[test]
 fn the_newest_window_counts_at_the_vehicle_before_it_is_stored() {
     let mut belief = belief();
     let truth = |s: f64| if s < 200.0 { 0.9 } else { 0.4 };

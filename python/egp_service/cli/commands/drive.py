@@ -279,9 +279,15 @@ def _fleet_map(
                 f"No map service answers at {endpoint}; start one with `egp map`", markup=False
             )
         yield shared.exchange
+    console.print(
+        map_summary(shared.origins, belief.trust)
+        if shared.answered
+        else f"No map service has answered at {endpoint}, so that the fleet's map was not used",
+        markup=False,
+    )
+    if shared.answered and shared.unsent:
         console.print(
-            map_summary(shared.origins, belief.trust)
-            if shared.answered
-            else f"No map service has answered at {endpoint}, so that the fleet's map was not used",
+            f"The map service at {endpoint} no longer answers: the evidence about {shared.unsent} "
+            "tiles of 128 m was not sent",
             markup=False,
         )

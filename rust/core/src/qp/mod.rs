@@ -69,7 +69,8 @@ pub const Q_PATTERN: [(usize, usize); NX + 1] = [
 /// A soft two-sided bound `lower <= gᵀx <= upper`, both finite.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SoftRow {
-    /// Normal `g`. In a row whose pattern has one state, its entry is 1, or 0 in a row that is never violated.
+    /// Normal `g`. In a row whose pattern has one state, [`crate::solver::RiccatiSolver`] takes the entry for 1; with
+    /// another one it finds no solution that passes the check, and the fallback solver solves the problem.
     pub normal: State,
     /// Lower bound.
     pub lower: f64,
@@ -252,8 +253,7 @@ impl OcpQp {
             })
     }
 
-    /// True if no entry lies outside [`A_PATTERN`], [`B_PATTERN`], [`Q_PATTERN`] and [`SOFT_PATTERN`], and normals are as
-    /// [`SoftRow::normal`] says.
+    /// True if no entry lies outside [`A_PATTERN`], [`B_PATTERN`], [`Q_PATTERN`] and [`SOFT_PATTERN`].
     pub fn keeps_pattern(&self) -> bool {
         self.stages.iter().all(|s| {
             (0..NX).all(|i| {
@@ -264,11 +264,7 @@ impl OcpQp {
                         && (s.q[(i, j)] == 0.0 || Q_PATTERN.contains(&(low, high)))
                 }) && (0..NU).all(|j| s.b[(i, j)] == 0.0 || B_PATTERN[i].contains(&j))
             }) && (0..self.n_soft).all(|j| {
-                (0..NX).all(|i| match (SOFT_PATTERN[j], s.soft[j].normal[i]) {
-                    (_, 0.0) => true,
-                    ([only], entry) => *only == i && entry == 1.0,
-                    (several, _) => several.contains(&i),
-                })
+                (0..NX).all(|i| s.soft[j].normal[i] == 0.0 || SOFT_PATTERN[j].contains(&i))
             })
         })
     }

@@ -270,6 +270,17 @@ fn an_invalid_plan_does_not_replace_the_stored_one() {
 }
 
 #[test]
+fn a_period_is_from_a_tenth_of_a_millisecond_to_ten_seconds() {
+    for dt in [1e-4, 10.0] {
+        assert!(Gate::new(LIMITS, dt, 5, 3.0).is_ok());
+    }
+    for dt in [0.0, 1e-160, 9e-5, 11.0, f64::INFINITY, f64::NAN] {
+        let error = Gate::new(LIMITS, dt, 5, 3.0).unwrap_err();
+        assert!(matches!(error, GateError::Period(_)), "{error}");
+    }
+}
+
+#[test]
 fn a_plan_may_be_as_long_as_the_gate_can_hold() {
     let mut gate = Gate::new(LIMITS, DT, MAX_HORIZON as u64, 3.0).unwrap();
     let plan = [[10.0, 0.0]; MAX_HORIZON + 1];

@@ -256,6 +256,13 @@ fn errors_name_the_invalid_points() {
         let error = Path::from_points(&points, true, None).unwrap_err();
         assert!(matches!(error, PathError::TooSharp { .. }), "{error}");
     }
+    // A bend after 100 km, on which pieces of half a metre are too many.
+    let mut far: Vec<[f64; 2]> = (0..20_000).map(|i| [5.0 * f64::from(i), 0.0]).collect();
+    far.extend((1..20).map(|i| {
+        let turned = 0.1 * f64::from(i);
+        [99_995.0 + 20.0 * turned.sin(), 20.0 - 20.0 * turned.cos()]
+    }));
+    assert!(matches!(open(&far), PathError::TooLong { .. }));
     let error = Path::from_points(&line(5), false, Some(&[[1.0, -1.0]; 5])).unwrap_err();
     assert!(matches!(
         error,
