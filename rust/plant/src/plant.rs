@@ -23,6 +23,10 @@ pub struct Plant {
 
 impl Plant {
     /// A vehicle at rest in the origin, heading along +x.
+    ///
+    /// The parameters are constants of the program and are not checked: masses, inertias, stiffnesses, lengths and the limits
+    /// of the actuators must be positive and finite, and those of a real car, because [`Plant::step`] divides by them and
+    /// chooses its substeps by them.
     pub fn new(parameters: Parameters) -> Self {
         let state = settled(&parameters, &VehicleState::default());
         let effects = Effects::new(&parameters, &Disturbances::default());

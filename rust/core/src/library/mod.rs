@@ -110,6 +110,7 @@ impl Library {
 /// # Errors
 /// As [`Library::from_bytes`].
 pub fn encode(spec: &LibrarySpec) -> Result<Vec<u8>, LibraryError> {
+    spec.parameters.validate().map_err(LibraryError::Vehicle)?;
     let bytes = format::write(spec)?;
     Library::from_bytes(&bytes)?;
     Ok(bytes)
