@@ -3,13 +3,13 @@
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, RecvTimeoutError, Sender};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use egp_core::library;
 use egp_trace::TraceError;
-use egp_wire::keys::{self, Name, NameError};
+use egp_wire::keys::{self, NameError};
 use egp_wire::{KeyFileError, WireError};
 use prost::Message as _;
 use thiserror::Error;
@@ -26,7 +26,7 @@ use crate::libraries::{Libraries, ReloadError};
 use crate::library_table::Reloaded;
 use crate::metrics::Metrics;
 use crate::network::{Network, NetworkError, PATIENCE, Publisher, Received, configuration};
-use crate::offer::{Offer, offer};
+use crate::offer::{Asked, Offer, offer};
 use crate::queue::Queue;
 use crate::reloader::{Outcome, Reloader, Running, stamp};
 use crate::standing::Standing;
@@ -128,39 +128,10 @@ impl Server {
         stopped: &mut dyn FnMut() -> bool,
     ) -> Result<Self, StartError> {
         config.validate()?;
-        let replica: Name = config.replica.parse()?;
-        let (described, description) = (handler.clone(), handler.describe());
-        let workers = config.workers();
-        let guard = config
-            .vehicle_keys
-            .as_deref()
-            .map(Guard::load)
-            .transpose()?;
-        let mut metrics = Metrics::new(&description.libraries(), workers);
-        if let Some(guard) = &guard {
-            metrics.show_twice(guard.twice());
-        }
         let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &config.zenoh)?;
-        if let Some(end) = end {
-            certificates::show(end, metrics.registry());
-        }
-        let traces = Traces::open(config, config.share()?)?;
-        if let Some(traces) = &traces {
-            metrics.show_spans(traces.counts());
-        }
         let (offering, questions) = Offer::new();
-        let shared = Arc::new(Shared {
-            replica: replica.clone(),
-            metrics,
-            describe: Box::new(move || described.describe()),
-            workers,
-            queue: Queue::new(config.queue),
-            standing: Standing::default(),
-            draining: AtomicBool::new(false),
-            guard,
-            traces,
-            offer: offering,
-        });
+        let shared = share(config, handler, offering, end)?;
+        let replica = shared.replica.clone();
         let serving = Arc::new(AtomicBool::new(false));
         let http = config.http.map(HttpListener::bind).transpose()?;
         let http = http
@@ -171,17 +142,14 @@ impl Server {
             shared,
             network,
             drain: Duration::from_millis(config.drain_ms),
-            workers: Vec::with_capacity(workers),
+            workers: Vec::with_capacity(config.workers()),
             offerer: None,
             reporter: None,
             reloader: None,
             http,
         };
         server.start_workers(handler)?;
-        let (shared, handler) = (server.shared.clone(), handler.clone());
-        let thread = thread::Builder::new().name("egp-offer".to_owned());
-        let offering = move || offer(&shared, &questions, |id| handler.content(id));
-        server.offerer = Some(thread.spawn(offering)?);
+        server.start_offerer(handler, questions)?;
         let shared = server.shared.clone();
         server
             .network
@@ -200,8 +168,8 @@ impl Server {
         serving.store(true, Ordering::Relaxed);
         tracing::info!(
             replica = %replica,
-            workers,
-            library = library::hex(&description.library),
+            workers = config.workers(),
+            library = library::hex(&handler.describe().library),
             listen = server.network.listen,
             "serving"
         );
@@ -243,6 +211,18 @@ impl Server {
         Ok(())
     }
 
+    fn start_offerer<H: Handler>(
+        &mut self,
+        handler: &Arc<H>,
+        questions: Receiver<Asked<Received>>,
+    ) -> Result<(), StartError> {
+        let (shared, handler) = (self.shared.clone(), handler.clone());
+        let thread = thread::Builder::new().name("egp-offer".to_owned());
+        let offering = move || offer(&shared, &questions, |id| handler.content(id));
+        self.offerer = Some(thread.spawn(offering)?);
+        Ok(())
+    }
+
     fn start_reporter(&mut self, period: Duration) -> Result<(), StartError> {
         let publisher = self.network.publisher(&keys::load(&self.shared.replica))?;
         let (stop, stopped) = mpsc::channel();
@@ -269,6 +249,46 @@ impl Server {
             self.network.close();
         }
     }
+}
+
+/// Makes what all threads of a service share. The first certificate expires at `end`, s since 1970.
+fn share<H: Handler>(
+    config: &ServiceConfig,
+    handler: &Arc<H>,
+    offer: Offer<Received>,
+    end: Option<i64>,
+) -> Result<Arc<Shared<Received>>, StartError> {
+    let workers = config.workers();
+    let guard = config
+        .vehicle_keys
+        .as_deref()
+        .map(Guard::load)
+        .transpose()?;
+    let mut metrics = Metrics::new(&handler.describe().libraries(), workers);
+    if let Some(guard) = &guard {
+        metrics.show_twice(guard.twice());
+    }
+    if let Some(end) = end {
+        certificates::show(end, metrics.registry());
+    }
+    let traces = Traces::open(config, config.share()?)?;
+    if let Some(traces) = &traces {
+        metrics.show_spans(traces.counts());
+    }
+    let described = handler.clone();
+    let shared = Shared {
+        replica: config.replica.parse()?,
+        metrics,
+        describe: Box::new(move || described.describe()),
+        workers,
+        queue: Queue::new(config.queue),
+        standing: Standing::default(),
+        draining: AtomicBool::new(false),
+        guard,
+        traces,
+        offer,
+    };
+    Ok(Arc::new(shared))
 }
 
 impl Drop for Server {
