@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -97,6 +98,14 @@ def test_every_contender_drives_and_is_not_run_twice(tmp_path: Path) -> None:
     # The known ones are reported first, as they were.
     assert {o.contender: o for o in again[:-1]} == {o.contender: o for o in finished[:-1]}
     assert again[-1].contender == finished[-1].contender
+    # Lines that another program wrote, or a disk damaged, are left out.
+    entry = json.loads(log.read_text(encoding="utf-8").splitlines()[0])
+    entry["outcome"]["time"] = "abc"
+    other = {"trial": "x", "outcome": [1]}
+    with log.open("ab") as lines:
+        lines.write(
+            b"\n".join([b"\xff\xfe", *(json.dumps(e).encode() for e in (entry, other)), b""])
+        )
     third = run_all(tmp_path, trials, lambda _: None)
     assert third == second
     # Times are the machine's.
@@ -229,6 +238,27 @@ def test_a_road_that_only_the_oracle_completes_breaks_the_claim_about_errors() -
     assert claimed(ORACLE) == (False, "worst median ratio inf (varying-speed, hard)")
     # Where the oracle completes nothing there is nothing to compare with.
     assert claimed() == claimed(ENSEMBLE) == (True, worst)
+
+
+def test_lost_vehicles_count_in_the_claim_about_errors() -> None:
+    told = [outcome(ORACLE, seed) for seed in range(20)]
+    own = [outcome(ENSEMBLE, seed, completed=seed == 0) for seed in range(20)]
+    (claim,) = (claim for claim in check([*told, *own], []) if "RMS" in claim.text)
+    assert claim.holds is False
+    assert "ratio inf" in claim.evidence
+
+
+def test_weights_that_never_move_break_the_claim_about_settling() -> None:
+    still = [
+        replace(
+            outcome(ENSEMBLE, seed),
+            experiment="friction-step",
+            condition="3 m/s² lateral",
+            settling=(),
+        )
+        for seed in range(3)
+    ]
+    assert [claim.holds for claim in check(still, []) if "settle" in claim.text] == [False]
 
 
 def test_the_order_of_the_means_may_differ_from_that_of_one_seed() -> None:

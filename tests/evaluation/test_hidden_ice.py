@@ -102,7 +102,10 @@ def test_only_laps_after_the_patch_was_found_count() -> None:
     (claim,) = check([], [], [late, never, first])
     assert not claim.holds
     assert claim.evidence.startswith("2 of 3 laps, at worst 0.31 m; found on the first lap in 1")
-    assert check([], [], [never]) == []
+    (claim,) = check([], [], [never])
+    assert claim.holds is None
+    forgotten = outcome((0.1, 0.1, 2.0), (0.7, 0.3, 0.9, 0.3))
+    assert forgotten.errors_after == (0.1, 2.0)
     (row,) = rows([late, never, first])
     assert len(row) == len(HEADS)
     assert row[2:] == ("3/3", "0", "0.10", "1", "2 of 3", "0.31")

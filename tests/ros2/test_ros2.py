@@ -30,6 +30,7 @@ from egp_service.ros2 import messages, node
 from egp_service.ros2.autoware import AutowareError, map_parameters, read_parameters
 from egp_service.ros2.conversion import Command, PathError, message_of, path_of, state_of
 from egp_service.ros2.driving import Drive, Vehicle
+from egp_service.ros2.messages import ODOMETRY
 from egp_service.ros2.rmw_zenoh import (
     Topic,
     decode_attachment,
@@ -41,7 +42,7 @@ from egp_service.ros2.rmw_zenoh import (
 from ros2 import idl, vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -223,11 +224,12 @@ def test_measurements_that_cannot_be_used_stop_the_vehicle_with_its_wheels_held(
         return messages.decode(vehicle.odometry(state, 1.0), messages.ODOMETRY)
 
     settings = Drive(car, 1.0, odometry="odom", path="plan", steering="steering", control=None)
-    for topic, broken in (
+    cases: list[tuple[str, Any]] = [
         *(("steering", SimpleNamespace(steering_tire_angle=a)) for a in (np.nan, np.inf, -5.0)),
-        *(("odom", odometry(np.where(np.arange(7) == k, bad, state)))
+        *(("odom", np.where(np.arange(7) == k, bad, state))
           for k, bad in ((0, np.nan), (0, 1e300), (3, np.nan), (4, np.nan), (4, 1e300))),
-    ):  # fmt: skip
+    ]  # fmt: skip
+    for topic, broken in cases:
         with Controller(shipped.DEMO_LIBRARY, gate=car.gate_limits()) as controller:
             driven = Vehicle(topics, controller, settings)
             topics.commands.clear()
@@ -242,9 +244,11 @@ def test_measurements_that_cannot_be_used_stop_the_vehicle_with_its_wheels_held(
 
             driven.run(observe, 0.01)
             assert set(modes) == {None}, "without a usable state there is no reference"
-            topics.messages["odom"] = odometry(state)
+            report = SimpleNamespace(steering_tire_angle=0.1)
+            topics.messages.update(odom=odometry(state), steering=report)
             driven.run(observe, 0.01)
-            topics.messages.update({"odom": odometry(state), topic: broken})
+            newest = broken if topic == "steering" else odometry(broken)
+            topics.messages.update({"odom": odometry(state), "steering": report, topic: newest})
             driven.run(observe, 0.01)
         assert modes[-2:] == ["normal", "stop"], (topic, modes)
         angles = [command.drive.steering_angle for command in topics.commands]
@@ -252,6 +256,59 @@ def test_measurements_that_cannot_be_used_stop_the_vehicle_with_its_wheels_held(
         assert np.isfinite(angles).all()
         assert angles[-1] == pytest.approx(0.1, abs=0.02)
         assert topics.commands[-1].drive.speed == 0.0
+
+
+def straight(frame: str, length: int = 200) -> object:
+    header = idl.Header(idl.Time(), frame)
+    poses = [idl.PoseStamped(header, vehicle.pose(float(x), 0.0, 0.0)) for x in range(length)]
+    return messages.decode(idl.Path(header, poses).serialize(), messages.PATH)
+
+
+def drive_topics(
+    settings: Drive, rounds: Sequence[dict[str, object]]
+) -> tuple[list[str | None], str, list[Any]]:
+    """Drive some periods with the messages of each round; give modes, problem and commands."""
+    topics = Topics()
+    modes: list[str | None] = []
+    with Controller(shipped.DEMO_LIBRARY, gate=settings.vehicle.gate_limits()) as controller:
+        driven = Vehicle(topics, controller, settings)
+        for received in rounds:
+            topics.messages.update(received)
+            driven.run(lambda step: modes.append(step and step.mode), 0.03)
+    return modes, driven.problem, topics.commands
+
+
+def test_odometry_that_hangs_and_steering_that_is_silent_stop_the_vehicle() -> None:
+    car = Plant().parameters
+    names = {"odometry": "odom", "path": "plan", "control": None, "silence": 0.1}
+    frozen = messages.decode(vehicle.odometry(np.array([9.0, 0, 8, 0, 0, 0, 0]), 1.0), ODOMETRY)
+    rounds = [{"plan": straight("map"), "odom": frozen}, *({"odom": frozen} for _ in range(8))]
+    modes, problem, _ = drive_topics(Drive(car, 1.0, **names), rounds)
+    assert "normal" in modes
+    assert modes[-1] == "stop"
+    assert problem == "the time stamp of the odometry does not advance"
+    modes, _, commands = drive_topics(Drive(car, 1.0, steering="steering", **names), rounds)
+    assert set(modes) == {None}, "the steering angle was never reported"
+    assert commands == []
+
+
+def test_a_path_is_driven_in_its_own_frame_and_to_its_end() -> None:
+    car = Plant().parameters
+
+    def odometry(x: float) -> dict[str, object]:
+        state = np.array([x, 0.0, 8.0, 0.0, 0.0, 0.0, 0.0])
+        return {"odom": messages.decode(vehicle.odometry(state, 1.0), ODOMETRY)}
+
+    settings = Drive(car, 1.0, odometry="odom", path="plan", control=None)
+    begin = {"plan": straight("base_link"), **odometry(9.0)}
+    modes, problem, _ = drive_topics(settings, [odometry(9.0), begin, odometry(9.2)])
+    assert set(modes) == {None}
+    assert problem == "the path is in the frame 'base_link': expected that of the odometry, 'map'"
+    begin = {"plan": straight("map"), **odometry(190.0)}
+    modes, problem, commands = drive_topics(settings, [begin, odometry(190.2), odometry(190.4)])
+    assert problem == ""
+    assert modes[-1] == "normal"
+    assert commands[-1].drive.acceleration < -1.0, "9 m before the end of the path"
 
 
 def test_a_vehicle_of_rmw_zenoh_is_driven_and_stopped_in_silence() -> None:

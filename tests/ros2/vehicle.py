@@ -37,12 +37,13 @@ def pose(x: float, y: float, psi: float) -> idl.Pose:
 
 
 def odometry(state: np.ndarray[Any, Any], l_r: float) -> bytes:
-    """State of the rear axle's centre, from that of the centre of mass."""
+    """State of the rear axle's centre now, from that of the centre of mass."""
+    seconds, rest = divmod(time.time_ns(), 10**9)
     p_x, p_y, v_x, psi, v_y, omega, _ = map(float, state)
     at = pose(p_x - l_r * np.cos(psi), p_y - l_r * np.sin(psi), psi)
     twist = idl.Twist(idl.Vector3(v_x, v_y - l_r * omega), idl.Vector3(0.0, 0.0, omega))
     return idl.Odometry(
-        idl.Header(idl.Time(1, 2), "map"),
+        idl.Header(idl.Time(seconds, rest), "map"),
         "base_link",
         idl.PoseWithCovariance(at, [0.0] * 36),
         idl.TwistWithCovariance(twist, [0.0] * 36),

@@ -30,7 +30,8 @@ class Batch(Generic[Part, Result]):
     work: Callable[[Part], Result]
     """Computes a part's result in another process; it and the parts must be picklable."""
     read: Callable[[dict[str, Any]], Result]
-    """Creates a result from its fields; raises `KeyError` or `TypeError` for another version's."""
+    """Creates a result from its fields; raises `TypeError` for those of another version, or damaged
+    ones."""
     report: Callable[[Result], None]
     """Called with each result, first with those in the log."""
 
@@ -61,11 +62,11 @@ class Batch(Generic[Part, Result]):
         if not self.log.exists():
             return {}
         known = {}
-        for line in self.log.read_text(encoding="utf-8").splitlines():
+        for line in self.log.read_text(encoding="utf-8", errors="replace").splitlines():
             try:
                 entry = json.loads(line)
                 known[entry["trial"]] = self.read(entry["outcome"])
-            except (json.JSONDecodeError, KeyError, TypeError):
+            except (json.JSONDecodeError, AttributeError, KeyError, TypeError):
                 continue
         return known
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -19,10 +19,11 @@ from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.contenders import ENSEMBLE, make
 from egp_service.evaluation.departures import avoidable
 from egp_service.evaluation.disturbances import GENTLE
-from egp_service.evaluation.experiments import HALF_WIDTH, REPLAYED
+from egp_service.evaluation.experiments import REPLAYED
 from egp_service.evaluation.settling import resolution, settling_times
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
+from egp_service.simulation.scenario import vehicle_parameters
 from egp_service.workers import in_order, workers
 
 if TYPE_CHECKING:
@@ -247,9 +248,19 @@ def _build() -> str:
 
 
 def _reader(kind: type[Result]) -> Callable[[dict[str, Any]], Result]:
-    """Return a function that creates results from their JSON fields."""
+    """Return a function that creates results from their JSON fields.
+
+    It raises `TypeError` for missing or further fields, and for values of another type.
+    """
+    types = {field.name: str(field.type) for field in fields(kind)}
 
     def read(values: dict[str, Any]) -> Result:
+        for name, value in values.items():
+            stated = types.get(name, "")
+            ends = stated.startswith("tuple"), "None" in stated, stated.startswith("str")
+            expected = isinstance(value, list) if ends[0] else isinstance(value, str) == ends[2]
+            if (value is None and not ends[1]) or (value is not None and not expected):
+                raise TypeError(f"{name} is {value!r}: expected {stated}")
         return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
 
     return read
@@ -320,5 +331,6 @@ def off_track(scenario: Scenario, run: Run) -> float:
     s = np.mod(distance, path.length) if path.closed else np.clip(distance, 0.0, path.length)
     _, _, _, _, left, right, _ = path.sample(s)
     lateral = run.trace.lateral_error
-    beyond = (lateral > left - HALF_WIDTH) | (-lateral > right - HALF_WIDTH)
+    half = 0.5 * vehicle_parameters(scenario).width
+    beyond = (lateral > left - half) | (-lateral > right - half)
     return float(np.sum(beyond) * run.dt)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import operator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -70,7 +72,8 @@ class IceOutcome:
     @property
     def errors_after(self) -> tuple[float, ...]:
         """Largest lateral errors of the laps after the patch was found, m."""
-        pairs = zip(self.lap_errors, self.found, strict=False)
+        ever = itertools.accumulate(self.found, operator.or_)
+        pairs = zip(self.lap_errors, ever, strict=False)
         return tuple(error for error, found in pairs if found)
 
 

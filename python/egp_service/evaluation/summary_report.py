@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from egp_service.evaluation.scaling import StepTime
     from egp_service.evaluation.statistics import Group, Interval
 
-_ABOUT = """All runs use the 29-state multi-body vehicle of CommonRoad, with measurement noise
+_ABOUT = """All runs use {vehicle}, with measurement noise
 unless a condition says otherwise. The controllers have the same optimal control problem, solver,
 tuning and gate and differ only in the model that predicts the vehicle; on roads of unknown friction
 they have the same model and differ only in what their reference speed knows. Errors are errors of
@@ -147,7 +147,10 @@ def write_report(
     if times:
         sections.append(_step_time_section(folder, times))
     report = folder / "report.html"
-    about = _ABOUT.format(command=html.escape(command))
+    vehicle = "CommonRoad's multi-body vehicle of 29 states"
+    if "--plant" in command:
+        vehicle = "the simulator of --plant"
+    about = _ABOUT.format(vehicle=vehicle, command=html.escape(command))
     write_text(report, page("Ensemble GP-MPC: evaluation", about, sections))
     return report
 
@@ -220,7 +223,9 @@ def _section(
         text += _DISTURBANCES
     if name == "friction-step":
         pictures.append(figures.draw_settling(outcomes, folder / "settling.png"))
-    if compared := [(d.contender, d.run) for d in shown if d.condition == experiment.compared]:
+    if compared := [
+        (d.contender, d.run) for d in shown if d.condition.startswith(experiment.compared)
+    ]:
         pictures.append(draw_comparison(compared, folder / f"{name}-drives.png"))
     for drive in shown:
         if drive.contender == ENSEMBLE:
@@ -377,6 +382,7 @@ def _prediction_section(folder: Path, predictions: Sequence[PredictionOutcome]) 
 
 def _write_csv(path: Path, rows: Sequence[dict[str, object]]) -> None:
     if not rows:
+        path.unlink(missing_ok=True)  # of an earlier report
         return
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")

@@ -24,7 +24,12 @@ _LOAD_SECONDS: Final = 1.25
 _EVENTS: Final = 200
 _NAMED: Final = 3
 _MOST_VEHICLES: Final = 1000
-"""Messages of further vehicles are ignored, so that strangers cannot fill the memory."""
+"""A further vehicle takes the place of one that has ended or is silent, and without such a one its
+messages are ignored, so that strangers cannot fill the memory."""
+_ROOM_SECONDS: Final = 1.0
+"""Time between two looks for such a place."""
+_LARGEST: Final = {"weights": 64, "members": 64, "plan": 258, "times": 64}
+"""Largest numbers of values in the fields of a message; vehicles send no more."""
 _MOST_REPLICAS: Final = 1000
 """Messages of further replicas are ignored, too."""
 
@@ -60,11 +65,12 @@ class Fleet:
         self.events: deque[Json] = deque(maxlen=_EVENTS)
         self.happened = 0
         self._states: dict[tuple[str, str], str] = {}
+        self._looked = -math.inf
 
     def status(self, name: str, payload: bytes, now: float) -> None:
         """Keep a vehicle's message `VehicleStatus`.
 
-        One that cannot be decoded, or has no control period, is ignored.
+        One that cannot be decoded, has no control period or is too long is ignored.
         """
         status = message_class("VehicleStatus")()
         try:
@@ -73,11 +79,26 @@ class Fleet:
             return
         if not (math.isfinite(status.dt) and status.dt > 0.0):
             return
+        step = status.step
+        lengths = {"weights": len(step.weights)} | {
+            field: len(getattr(status, field)) for field in ("members", "plan", "times")
+        }
+        if any(length > _LARGEST[field] for field, length in lengths.items()):
+            return
         known = self.vehicles.get(name)
         if known is not None:
             known.add(status, now)
-        elif len(self.vehicles) < _MOST_VEHICLES:
+        elif self._has_room(now):
             self.vehicles[name] = VehicleRecord(name, status, now)
+
+    def _has_room(self, now: float) -> bool:
+        """Make room for a further vehicle, if there is one that has ended or is silent."""
+        if len(self.vehicles) >= _MOST_VEHICLES and now - self._looked >= _ROOM_SECONDS:
+            self._looked = now
+            gone = [n for n, v in self.vehicles.items() if v.state(now) in ("ended", "silent")]
+            for name in gone:
+                del self.vehicles[name]
+        return len(self.vehicles) < _MOST_VEHICLES
 
     def road(self, name: str, payload: bytes) -> None:
         """Keep the road of a vehicle, a message `VehicleRoad` of finite numbers."""

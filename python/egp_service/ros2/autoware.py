@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeGuard
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _LATERAL: Final = 60.0
 # Periods; more cost time and brought nothing in experiments (docs/settings.md).
 _LONGEST: Final = 100
+_LARGEST: Final = 1e6  # of a parameter; larger ones could overflow
 # Default weight of the force, which Autoware's lateral controller does not have.
 _INPUT_FORCE: Final = 0.05
 
@@ -84,6 +85,11 @@ def read_parameters(path: Path) -> dict[str, object]:
     )
 
 
+def _is_number(value: object) -> TypeGuard[float]:
+    """Whether a value of YAML is a number that a parameter can have, which NaN is not."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST
+
+
 def map_parameters(parameters: Mapping[str, object], dt: float) -> Mapped:
     """Return the settings for a control period `dt` in s.
 
@@ -97,7 +103,7 @@ def map_parameters(parameters: Mapping[str, object], dt: float) -> Mapped:
 
     def number(name: str, default: float | None = None, *, least: float = 0.0) -> float:
         value = parameters.get(name, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not value >= least:
+        if not _is_number(value) or value < least:
             raise AutowareError(f"{name} = {value!r}: expected a number from {least:g} on")
         return float(value)
 
@@ -120,6 +126,10 @@ def map_parameters(parameters: Mapping[str, object], dt: float) -> Mapped:
     limits: dict[str, float] = {}
     rates = parameters.get("steer_rate_lim_dps_list_by_velocity")
     if isinstance(rates, list) and rates:
+        if not all(_is_number(rate) and rate > 0.0 for rate in rates):
+            raise AutowareError(
+                f"steer_rate_lim_dps_list_by_velocity = {rates!r}: expected positive numbers"
+            )
         limits["steering_rate"] = math.radians(min(float(rate) for rate in rates))
         sources["steering_rate"] = "steer_rate_lim_dps_list_by_velocity (the lowest)"
     ignored = {name: why for name, why in NOT_MAPPED.items() if name in parameters}

@@ -71,11 +71,15 @@ def path_of(message: Any, friction: float) -> Path:  # noqa: ANN401
     Poses at the same place count once; their yaw is not used. `friction` is that of the whole road.
 
     Raises:
-        PathError: for fewer than four different poses, or poses that no path passes.
+        PathError: for poses that are not finite, fewer than four different ones, or ones that no
+            path passes.
 
     """
     positions = [(pose.pose.position.x, pose.pose.position.y) for pose in message.poses]
     points = np.array(positions, dtype=np.float64).reshape(-1, 2)
+    if not np.isfinite(points).all():
+        wrong = int(np.argmin(np.isfinite(points).all(axis=1)))
+        raise PathError(f"pose {wrong} of the path is at {points[wrong].tolist()}: not finite")
     steps = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
     points = points[np.concatenate(([True], steps > 1e-6))[: len(points)]]  # noqa: PLR2004
     if len(points) < _FEWEST_POSES:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from egp_service._core import SpeedProfile, horizon_reference
-from egp_service.quantities import DELTA, NX, POSITION, V_X
+from egp_service.quantities import DELTA, NX, POSITION, PSI, V_X
 from egp_service.ros2.conversion import (
     Command,
     PathError,
@@ -22,6 +23,7 @@ from egp_service.ros2.messages import ACKERMANN, CONTROL, ODOMETRY, PATH, STEERI
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from concurrent.futures import Future
 
     from numpy.typing import NDArray
 
@@ -34,8 +36,12 @@ _EARLY: Final = 0.25
 _FIRST_DEADLINE: Final = 2.0
 # rad; requests allow no larger steering angle.
 _LARGEST_ANGLE: Final = 1.6
-# m, m/s and so on; no state of a vehicle on a map has a larger component.
-_LARGEST: Final = 1e6
+# m, m/s and so on; requests allow no larger component, and coordinates of UTM are smaller.
+_LARGEST: Final = 1e7
+# Smallest and largest square of the norm of an orientation's quaternion.
+_UNIT: Final = (0.9, 1.1)
+# m; a heading error of a radian counts as this distance where a new path is joined.
+_TURN_DISTANCE: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +58,22 @@ class Drive:
     v_max: float = 10.0
     """m/s."""
     silence: float = 0.2
-    """Time without odometry after which the vehicle is stopped, s."""
+    """Time without odometry, or reports of `steering`, after which the vehicle is stopped, s."""
     odometry: str = "/localization/kinematic_state"
     path: str = "/planning/path"
     steering: str | None = None
     """Topic of the measured steering angle; without it the commanded angle counts as measured."""
     ackermann: str | None = "/drive"
     control: str | None = "/control/command/control_cmd"
+
+
+@dataclass(frozen=True, slots=True)
+class _Course:
+    """A path that was received, with its speeds."""
+
+    path: Path
+    profile: SpeedProfile
+    frame: str
 
 
 def _usable(x: NDArray[np.float64]) -> bool:
@@ -81,82 +96,147 @@ class Vehicle:
             for kind, topic in topics.items()
             if topic is not None
         ]
-        self._path: Path | None = None
-        self._profile: SpeedProfile | None = None
+        self._course: _Course | None = None
+        # The path that is read in another thread, because a long one takes several periods.
+        self._reading: Future[_Course | None] | None = None
+        self._message: Any = None
         self._s: float | None = None
         self._x = np.zeros(NX)
         # The last state that was usable, from which the reference starts.
         self._known: NDArray[np.float64] | None = None
-        self._seen = -np.inf
+        self._seen = self._reported = -np.inf
+        self._stamp = (0, 0)
         # The steering angle as it was measured, and the last one that is an angle of wheels.
         self._measured = self._delta = 0.0
-        self._frame = ""
+        self._frame = self._map_frame = ""
         self._first = True
-        self.problem = ""
-        """Why the newest message could not be used; empty if it could."""
+        self._problems: dict[str, str] = {}
+
+    @property
+    def problem(self) -> str:
+        """Why the newest messages could not be used; empty if they could."""
+        return "; ".join(self._problems.values())
 
     def run(self, observe: Callable[[Step | None], None], seconds: float | None = None) -> None:
         """Drive until `seconds` have passed, or until an exception such as a signal ends it.
 
-        `observe` is called in every period with its step, and with `None` while odometry or path
-        were never received, in which case nothing is published. A period begins when odometry
-        arrives; if none does, after 1.25 periods with the extrapolated state, and from `silence`
-        seconds on with a stop, which lasts until the program is started again.
+        `observe` is called in every period with its step, and with `None` while odometry, path or
+        the measured steering angle were never received, in which case nothing is published. A
+        period begins when odometry arrives; if none does, after 1.25 periods with the extrapolated
+        state, and from `silence` seconds on with a stop, which lasts until the program is started
+        again.
         """
         dt = self._controller.dt
         begun = last = time.monotonic()
-        while seconds is None or last - begun < seconds:
-            self._wait(last + (1.0 - _EARLY) * dt, last + (1.0 + _EARLY) * dt)
-            now = time.monotonic()
-            x = self._state(now, now - last)
-            last = now
-            if x is not None and _usable(x):
-                self._known = x
-            if x is None or self._known is None or self._path is None or self._profile is None:
-                observe(None)
-                continue
-            observe(self._period(x, self._known, self._path, self._profile))
+        with ThreadPoolExecutor(max_workers=1) as reader:
+            while seconds is None or last - begun < seconds:
+                self._wait(reader, last + (1.0 - _EARLY) * dt, last + (1.0 + _EARLY) * dt)
+                now = time.monotonic()
+                x = self._state(now, now - last)
+                last = now
+                if x is not None and _usable(x):
+                    self._known = x
+                if x is None or self._known is None or self._course is None:
+                    observe(None)
+                    continue
+                observe(self._period(x, self._known, self._course))
 
-    def _wait(self, earliest: float, latest: float) -> None:
+    def _wait(self, reader: ThreadPoolExecutor, earliest: float, latest: float) -> None:
         """Return with the first message after `earliest`, or at `latest`."""
         time.sleep(max(0.0, earliest - time.monotonic()))
         self._node.arrived.clear()
         before = self._seen
         while (left := latest - time.monotonic()) > 0.0:
-            self._receive()
+            self._receive(reader)
             if self._seen > before:
                 return
             self._node.arrived.wait(left)
             self._node.arrived.clear()
-        self._receive()
+        self._receive(reader)
 
-    def _receive(self) -> None:
+    def _receive(self, reader: ThreadPoolExecutor) -> None:
         """Read what has arrived; what cannot be used is named in `problem`."""
-        try:
-            if self._angles is not None and (angle := self._angles.take()) is not None:
-                self._measured = float(angle[0].steering_tire_angle)
-                if abs(self._measured) <= _LARGEST_ANGLE:
-                    self._delta = self._measured
-            if (newest := self._paths.take()) is not None:
-                self._path = path_of(newest[0], self._drive.friction)
-                self._profile = SpeedProfile(
-                    self._path, self._drive.vehicle, self._drive.grip, self._drive.v_max
-                )
-                self._s = None
-            if (odometry := self._odometry.take()) is not None:
-                message, self._seen = odometry
-                self._frame = message.child_frame_id
-                self._x = state_of(message, self._measured, self._drive.to_centre)
-                self.problem = "" if _usable(self._x) else "the measured state cannot be used"
-        except (MessageError, PathError) as error:
-            self.problem = str(error)
+        for name, receive in (
+            ("steering", self._receive_angle),
+            ("path", lambda: self._receive_path(reader)),
+            ("odometry", self._receive_odometry),
+        ):
+            try:
+                receive()
+            except (MessageError, PathError) as error:
+                self._problems[name] = str(error)
+
+    def _receive_angle(self) -> None:
+        if self._angles is None or (newest := self._angles.take()) is None:
+            return
+        message, self._reported = newest
+        self._measured = float(message.steering_tire_angle)
+        if abs(self._measured) <= _LARGEST_ANGLE:
+            self._delta = self._measured
+
+    def _receive_path(self, reader: ThreadPoolExecutor) -> None:
+        """Use a path once it has been read, and let the next one be read."""
+        if self._reading is not None and not self._reading.done():
+            return
+        read, self._reading = self._reading, reader.submit(self._read_path)
+        course = None if read is None else read.result()
+        if course is None:
+            return
+        if self._map_frame and course.frame and course.frame != self._map_frame:
+            raise PathError(
+                f"the path is in the frame {course.frame!r}: expected that of the odometry, "
+                f"{self._map_frame!r}"
+            )
+        self._problems.pop("path", None)
+        self._course, self._s = course, None
+
+    def _read_path(self) -> _Course | None:
+        """Return the path of the newest message; `None` without one, or with the same poses."""
+        if (newest := self._paths.take()) is None:
+            return None
+        message, _ = newest
+        drive = self._drive
+        if self._message is not None and message.poses == self._message.poses:
+            return None
+        path = path_of(message, drive.friction)
+        profile = SpeedProfile(
+            path,
+            drive.vehicle,
+            drive.grip,
+            drive.v_max,
+            end_speed=None if path.closed else 0.0,
+        )
+        self._message = message
+        return _Course(path, profile, message.header.frame_id)
+
+    def _receive_odometry(self) -> None:
+        if (newest := self._odometry.take()) is None:
+            return
+        message, arrival = newest
+        stamp = (message.header.stamp.sec, message.header.stamp.nanosec)
+        if stamp != (0, 0):
+            if stamp <= self._stamp:
+                self._problems["odometry"] = "the time stamp of the odometry does not advance"
+                return
+            self._stamp = stamp
+        self._seen = arrival
+        self._frame, self._map_frame = message.child_frame_id, message.header.frame_id
+        self._x = state_of(message, self._measured, self._drive.to_centre)
+        q = message.pose.pose.orientation
+        if not _UNIT[0] <= q.x**2 + q.y**2 + q.z**2 + q.w**2 <= _UNIT[1]:
+            self._x[PSI] = np.nan
+        if _usable(self._x):
+            self._problems.pop("odometry", None)
+        else:
+            self._problems["odometry"] = "the measured state cannot be used"
 
     def _state(self, now: float, elapsed: float) -> NDArray[np.float64] | None:
         """Return the state of now; not a number after a silence, `None` before the first."""
-        if np.isinf(self._seen):
+        reported = now if self._angles is None else self._reported
+        if np.isinf(self._seen) or np.isinf(reported):
             return None
         age = now - self._seen
-        if age > self._drive.silence:
+        if max(age, now - reported) > self._drive.silence:
             return np.full(NX, np.nan)
         if age > self._controller.dt:
             self._x = extrapolated(self._x, elapsed)
@@ -167,8 +247,7 @@ class Vehicle:
         self,
         x: NDArray[np.float64],
         known: NDArray[np.float64],
-        path: Path,
-        profile: SpeedProfile,
+        course: _Course,
     ) -> Step:
         """Compute the step of a period, and publish its command.
 
@@ -176,9 +255,9 @@ class Vehicle:
         that could, then has no meaning. The commanded angle is that of the last angle of wheels.
         """
         controller, drive = self._controller, self._drive
-        hint = path.project(known[POSITION]).s if self._s is None else self._s
+        hint = _joined(course.path, known) if self._s is None else self._s
         reference, widths, projection = horizon_reference(
-            path, profile, known, controller.dt, controller.horizon, hint
+            course.path, course.profile, known, controller.dt, controller.horizon, hint
         )
         self._s = projection.s
         step = controller.step(
@@ -195,3 +274,15 @@ class Vehicle:
         for kind, publish in self._publish:
             publish(message_of(command, kind, time.time_ns(), self._frame))
         return step
+
+
+def _joined(path: Path, x: NDArray[np.float64]) -> float:
+    """Return the arc length where a vehicle joins a path: near it, and in its direction.
+
+    The nearest place alone may be on another branch of a path that crosses itself.
+    """
+    s = np.arange(0.0, path.length, 1.0)
+    p_x, p_y, yaw, *_ = path.sample(s)
+    distance = np.hypot(p_x - x[POSITION[0]], p_y - x[POSITION[1]])
+    turn = np.abs(np.angle(np.exp(1j * (yaw - x[PSI]))))
+    return float(s[np.argmin(distance + _TURN_DISTANCE * turn)])

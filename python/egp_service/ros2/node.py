@@ -67,6 +67,9 @@ class Node:
         check_node(name)
         more: dict[str, object] = {"connect/exit_on_failure": True}
         if file is None:
+            # Nodes of ROS 2 listen on their own machine only, and their router passes on nothing
+            # between two peers. A client reaches nodes of other machines through the router.
+            more["mode"] = "client"
             more["transport/link/rx/max_message_size"] = _MAX_MESSAGE_BYTES
         config = session_config([endpoint], _CONNECT_SECONDS, more, file)
         try:

@@ -46,10 +46,16 @@ impl Path {
     #[doc = doc!(Path.from_points)]
     #[staticmethod]
     #[pyo3(signature = (points, closed, widths = None))]
-    fn from_points(points: Matrix<'_>, closed: bool, widths: Option<Matrix<'_>>) -> PyResult<Self> {
+    fn from_points(
+        py: Python<'_>,
+        points: Matrix<'_>,
+        closed: bool,
+        widths: Option<Matrix<'_>>,
+    ) -> PyResult<Self> {
         let points = rows("points", &points)?;
         let widths = widths.map(|widths| rows("widths", &widths)).transpose()?;
-        egp_path::Path::from_points(&points, closed, widths.as_deref())
+        // A long path takes a control period and more.
+        py.detach(|| egp_path::Path::from_points(&points, closed, widths.as_deref()))
             .map(Self)
             .map_err(raise)
     }

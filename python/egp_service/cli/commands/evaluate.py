@@ -130,7 +130,9 @@ def evaluate(
     avoidance = OBSTACLE_AVOIDANCE.name
     known = ["prediction", *(e.name for e in EXPERIMENTS), HIDDEN_ICE.name, avoidance, "step-times"]
     chosen = _chosen(experiment, known)
-    _check_options(track, scale, vehicle, chosen, full_and_quick=full and quick)
+    _check_options(track, scale, vehicle, chosen, {
+        "--full and --quick": full and quick, "--train and --library": train and library,
+    })  # fmt: skip
     driven = [
         on_track(e, track, scale) if track and e.name == "unseen-track" else e
         for e in EXPERIMENTS
@@ -212,15 +214,15 @@ def _check_options(
     scale: float,
     vehicle: Path | None,
     chosen: list[str],
-    *,
-    full_and_quick: bool,
+    both: "Mapping[str, object]",
 ) -> None:
     from egp_service._core import EgpError
 
     if vehicle is not None:
         raise EgpError("--vehicle is for --log: give both")
-    if full_and_quick:
-        raise EgpError("--full and --quick exclude each other: give one of them")
+    for names, given in both.items():
+        if given:
+            raise EgpError(f"{names} exclude each other: give one of them")
     if track and "unseen-track" not in chosen:
         raise EgpError("--track is used by unseen-track: add -e unseen-track")
     if scale != 1.0 and not track:

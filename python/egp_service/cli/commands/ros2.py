@@ -40,6 +40,17 @@ def ros2(
     connect: Annotated[
         str | None, typer.Option(help="Endpoint of a service in place of this process.")
     ] = None,
+    name: Annotated[
+        str,
+        typer.Option(help="Name of the vehicle for --connect; FLEET/NAME outside fleet `default`."),
+    ] = "vehicle-1",
+    key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Secret key of the vehicle for --connect.")
+    ] = None,
+    service_zenoh: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Configuration of zenoh (JSON5) for --connect."),
+    ] = None,
     odometry: Annotated[
         str, typer.Option(help="Topic, nav_msgs/Odometry.")
     ] = "/localization/kinematic_state",
@@ -62,7 +73,7 @@ def ros2(
     grip: Annotated[float, typer.Option(min=0.01, max=1.0, help="Used part of it.")] = 0.8,
     v_max: Annotated[float, typer.Option(min=0.1, help="Largest speed, m/s.")] = 10.0,
     silence: Annotated[
-        float, typer.Option(min=0.02, help="Seconds without odometry before a stop.")
+        float, typer.Option(min=0.02, help="Seconds without measurements before a stop.")
     ] = 0.2,
     seconds: Annotated[float | None, typer.Option(help="End after this time.")] = None,
     zenoh: Annotated[
@@ -79,9 +90,10 @@ def ros2(
     """Drive a vehicle of ROS 2 through rmw_zenoh, without ROS on this machine.
 
     Odometry and path come in; commands go out in each period as Ackermann drive
-    and as Autoware control. `ros2 topic list` shows the topics. Without odometry
-    for --silence seconds the vehicle is stopped until the command is started
-    again (docs/ros2.md).
+    and as Autoware control. `ros2 topic list` shows the topics. Without odometry,
+    or reports of --steering, for --silence seconds the vehicle is stopped until
+    the command is started again. It stops at the end of an open path
+    (docs/ros2.md).
 
     For example:
       ros2 run rmw_zenoh_cpp rmw_zenohd     (on the vehicle)
@@ -121,16 +133,19 @@ def ros2(
             highlight=False,
         )
     with (
-        _controller(library, settings, connect, car) as controller,
+        _controller(library, settings, car, connect, name, key, service_zenoh) as controller,
         Node(node, domain, router, zenoh) as ros,
     ):
         driven = Vehicle(ros, controller, drive)
         shown = ""
+        measured = "odometry" if steering is None else "odometry, steering angle"
+        waiting = f"waiting for {measured} and path"
 
         def observe(step: "Step | None") -> None:
             nonlocal shown
-            mode = "waiting for odometry and path" if step is None else step.mode
-            told = f"{mode}: {driven.problem}" if driven.problem else mode
+            mode = waiting if step is None else step.mode
+            detail = "" if step is None or step.mode == "normal" else step.detail
+            told = ": ".join(text for text in (mode, detail, driven.problem) if text)
             if told != shown:
                 console.print(told)
                 shown = told
@@ -140,19 +155,33 @@ def ros2(
 
 
 def _controller(
-    library: Path, settings: Path | None, connect: str | None, car: "VehicleParameters"
+    library: Path,
+    settings: Path | None,
+    car: "VehicleParameters",
+    connect: str | None,
+    name: str,
+    key: Path | None,
+    zenoh: Path | None,
 ) -> "StepController":
     from egp_service.cli.settings_file import read_settings
     from egp_service.control.controller import Controller
 
-    if connect is None:
+    if connect is None and zenoh is None:
         stated = {} if settings is None else read_settings(settings)
         return Controller(library, stated, gate=car.gate_limits())
     if settings is not None:
         raise typer.BadParameter("--settings belongs to the service: egp serve --settings")
     from egp_service.control.client import VehicleClient
 
-    return VehicleClient.connect([connect], gate=car.gate_limits())
+    fleet, slash, name = name.rpartition("/")
+    return VehicleClient.connect(
+        [] if connect is None else [connect],
+        fleet=fleet if slash else "default",
+        vehicle=name,
+        gate=car.gate_limits(),
+        key_file=key,
+        zenoh_file=zenoh,
+    )
 
 
 def _write_settings(file: Path, dt: float) -> None:

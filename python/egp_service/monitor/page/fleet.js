@@ -89,10 +89,16 @@ export class FleetTable {
     if (row.text99 !== text) {
       row.text99 = text;
       row.text.textContent = text;
-      const part = Math.min((vehicle.p99 ?? 0) / vehicle.deadline, 1);
-      row.fill.style.transform = `scaleX(${part.toFixed(2)})`;
-      cells[3].classList.toggle("over", vehicle.p99 > vehicle.deadline);
-      cells[3].title = `deadline ${fixed(vehicle.deadline, 0)} ms`;
+    }
+    const stated = vehicle.deadline > 0;
+    const part = stated ? Math.min((vehicle.p99 ?? 0) / vehicle.deadline, 1).toFixed(2) : "0";
+    const title = stated ? `deadline ${fixed(vehicle.deadline, 0)} ms` : "";
+    const over = stated && vehicle.p99 > vehicle.deadline;
+    if (row.bar !== part || row.over !== over || row.title !== title) {
+      Object.assign(row, { bar: part, over, title });
+      row.fill.style.transform = `scaleX(${part})`;
+      cells[3].classList.toggle("over", over);
+      cells[3].title = title;
     }
     say(cells[4], vehicle.replica || "–");
     line.hidden = this.filter !== "" && !`${vehicle.id} ${vehicle.state} ${vehicle.replica}`.toLowerCase().includes(this.filter);

@@ -11,7 +11,17 @@ const get = (id) => document.getElementById(id);
 const LOST_AFTER = 1000; // ms without an event of the stream
 const THEMES = ["system", "light", "dark"];
 
-let selected = decodeURIComponent(location.hash.slice(1)) || null;
+/** The vehicle that the address names, FLEET/NAME; null for other marks, such as that of the list. */
+function addressed() {
+  try {
+    const id = decodeURIComponent(location.hash.slice(1));
+    return id.includes("/") ? id : null;
+  } catch {
+    return null; // a part of an encoded character
+  }
+}
+
+let selected = addressed();
 let stream = null, heard = performance.now(), lost = false, happened = 0;
 let detail = null, row = null, now = 0, palette = null, drawn = false, frames = 0;
 
@@ -184,7 +194,7 @@ function setFilter(text) {
 get("theme").addEventListener("click", nextTheme);
 get("follow").addEventListener("click", nextMap);
 get("help").addEventListener("click", () => get("keys").showModal());
-window.addEventListener("hashchange", () => { const id = decodeURIComponent(location.hash.slice(1)); if (id) select(id, false); });
+window.addEventListener("hashchange", () => { const id = addressed(); if (id) select(id, false); });
 dark.addEventListener("change", showTheme);
 setInterval(() => { if (!lost && performance.now() - heard > LOST_AFTER) setLost(true); }, 200);
 
