@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from egp_service.evaluation.scaling import StepTime
     from egp_service.evaluation.statistics import Group, Interval
 
+_VEHICLES = ("CommonRoad's multi-body vehicle of 29 states", "the simulator of --plant")
 _ABOUT = """All runs use {vehicle}, with measurement noise
 unless a condition says otherwise. The controllers have the same optimal control problem, solver,
 tuning and gate and differ only in the model that predicts the vehicle; on roads of unknown friction
@@ -147,9 +148,7 @@ def write_report(
     if times:
         sections.append(_step_time_section(folder, times))
     report = folder / "report.html"
-    vehicle = "CommonRoad's multi-body vehicle of 29 states"
-    if "--plant" in command:
-        vehicle = "the simulator of --plant"
+    vehicle = _VEHICLES["--plant" in command]
     about = _ABOUT.format(vehicle=vehicle, command=html.escape(command))
     write_text(report, page("Ensemble GP-MPC: evaluation", about, sections))
     return report
