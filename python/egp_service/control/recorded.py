@@ -197,7 +197,10 @@ def records(path: Path) -> Iterator[McapRecord | Damage]:
             raise
         except Exception as error:  # of many kinds, for damaged files
             if read == 0:
-                raise RecordingError(f"{path}: expected an MCAP recording: {error!r}") from error
+                size = stream.seek(0, os.SEEK_END)
+                raise RecordingError(
+                    f"{path}: expected an MCAP recording, got {size} bytes that do not begin as one"
+                ) from error
             stopped, size = stream.tell(), stream.seek(0, os.SEEK_END)
             stream.seek(-len(MCAP0_MAGIC), os.SEEK_END)
             # A file that was cut off ends within a record, and not with the mark of the end.
