@@ -132,8 +132,8 @@ def bind(host: str, port: int) -> socket.socket:
         ) from error
 
 
-def serve(listener: Listener, bound: socket.socket, host: str) -> None:
-    """Serve the page until SIGTERM, SIGINT or SIGHUP.
+def serve(listener: Listener, bound: socket.socket, host: str, started: Callable[[], None]) -> None:
+    """Serve the page until SIGTERM, SIGINT or SIGHUP; call `started` once these end it in order.
 
     On a loopback address only requests that name it as their host are answered, so that a foreign
     page cannot read the data by a name that resolves to this machine.
@@ -145,6 +145,7 @@ def serve(listener: Listener, bound: socket.socket, host: str) -> None:
         nonlocal refresh
         refresh = _Refresh(listener, lambda: server.should_exit)
         task = asyncio.create_task(refresh.run())
+        started()
         yield
         task.cancel()
 

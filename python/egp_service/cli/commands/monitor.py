@@ -55,5 +55,10 @@ def monitor(
 
         with Listener(connected, listening, zenoh) as listener:
             shown = f"[{host}]" if ":" in host else host
-            typer.echo(f"Live page: http://{shown}:{bound.getsockname()[1]}  (Ctrl-C ends it)")
-            serve(listener, bound, host)
+            address = f"http://{shown}:{bound.getsockname()[1]}"
+            serve(
+                listener,
+                bound,
+                host,
+                lambda: typer.echo(f"Live page: {address}  (Ctrl-C ends it)"),
+            )
