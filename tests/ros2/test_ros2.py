@@ -28,7 +28,14 @@ from egp_service.cli import app
 from egp_service.control.router import Router
 from egp_service.ros2 import messages, node
 from egp_service.ros2.autoware import AutowareError, map_parameters, read_parameters
-from egp_service.ros2.conversion import Command, PathError, message_of, path_of, state_of
+from egp_service.ros2.conversion import (
+    Command,
+    PathError,
+    message_of,
+    path_of,
+    positions_of,
+    state_of,
+)
 from egp_service.ros2.driving import Drive, Vehicle
 from egp_service.ros2.messages import ODOMETRY
 from egp_service.ros2.rmw_zenoh import (
@@ -46,6 +53,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from egp_service import Path as Road
     from egp_service.control.step import Step
 
 TESTS = Path(__file__).parents[1]
@@ -111,23 +119,26 @@ def test_odometry_of_another_cdr_library_gives_the_state() -> None:
 
 
 def test_a_path_is_closed_if_its_ends_meet_and_needs_four_poses() -> None:
-    def path(points: list[tuple[float, float]]) -> object:
+    def path(points: list[tuple[float, float]]) -> Road:
         header = idl.Header(idl.Time(), "map")
         poses = [idl.PoseStamped(header, vehicle.pose(x, y, 0.0)) for x, y in points]
-        return messages.decode(idl.Path(header, poses).serialize(), messages.PATH)
+        message = messages.decode(idl.Path(header, poses).serialize(), messages.PATH)
+        return path_of(positions_of(message), 0.4)
 
     angle = np.linspace(0.0, 2.0 * np.pi, 101)
     ring = [(20.0 * float(np.cos(a)), 20.0 * float(np.sin(a))) for a in angle]
-    lap = path_of(path(ring), 0.4)
+    lap = path(ring)
     assert lap.closed
     assert lap.length == pytest.approx(40.0 * np.pi, rel=1e-3)
     assert float(lap.sample(np.zeros(1))[-1][0]) == 0.4
-    half = path_of(path([*ring[:50], ring[49]]), 0.4)
+    half = path([*ring[:50], ring[49]])
     assert not half.closed
-    assert not path_of(path([(0.0, 0.0), (40.0, 0.0), (80.0, 0.0), (120.0, 0.0)]), 0.4).closed
+    assert not path([(0.0, 0.0), (40.0, 0.0), (80.0, 0.0), (120.0, 0.0)]).closed
     for points in ([], ring[:1], [ring[0]] * 5):
         with pytest.raises(PathError, match="at least 4"):
-            path_of(path(points), 0.4)
+            path(points)
+    with pytest.raises(PathError, match=r"pose 2 of the path is at \[nan, 0.0\]: not finite"):
+        path([*ring[:2], (float("nan"), 0.0), *ring[2:]])
 
 
 PARAMETERS = """/**:
@@ -185,6 +196,12 @@ def test_a_missing_router_is_told_at_once_and_at_the_end(monkeypatch: pytest.Mon
     message = str(result.exception)
     assert f"no router of rmw_zenoh at {endpoint}" in message
     assert "orchestrator" not in message  # the place in zenoh's source
+
+
+def test_options_of_a_service_need_one() -> None:
+    result = CliRunner().invoke(app, ["ros2", "--name", "car-2"])
+    assert isinstance(result.exception, EgpError)
+    assert str(result.exception) == "--name can be given with --connect or --service-zenoh only"
 
 
 class Topics:
@@ -300,10 +317,16 @@ def test_a_path_is_driven_in_its_own_frame_and_to_its_end() -> None:
         return {"odom": messages.decode(vehicle.odometry(state, 1.0), ODOMETRY)}
 
     settings = Drive(car, 1.0, odometry="odom", path="plan", control=None)
-    begin = {"plan": straight("base_link"), **odometry(9.0)}
-    modes, problem, _ = drive_topics(settings, [odometry(9.0), begin, odometry(9.2)])
-    assert set(modes) == {None}
-    assert problem == "the path is in the frame 'base_link': expected that of the odometry, 'map'"
+    wrong = {"plan": straight("base_link")}
+    refused = "the path is in the frame 'base_link': expected that of the odometry, 'map'"
+    for rounds in ([odometry(9.0), wrong, odometry(9.2)], [wrong, odometry(9.0), odometry(9.2)]):
+        modes, problem, _ = drive_topics(settings, rounds)
+        assert set(modes) == {None}
+        assert problem == refused
+    # The same poses in the right frame are driven.
+    right = [wrong, odometry(9.0), {"plan": straight("map")}, odometry(9.2), odometry(9.4)]
+    modes, problem, _ = drive_topics(settings, right)
+    assert (modes[-1], problem) == ("normal", "")
     begin = {"plan": straight("map"), **odometry(190.0)}
     modes, problem, commands = drive_topics(settings, [begin, odometry(190.2), odometry(190.4)])
     assert problem == ""

@@ -180,7 +180,7 @@ class SpeedProfile:
     def lap_time(self) -> float:
         """Seconds for the lap, or from start to end."""
     def speed(self, s: ArrayLike) -> NDArray[np.float64]:
-        """Return the speed at arc lengths (n,).
+        """Return the speed in m/s at arc lengths (n,) in m, of any lap of a closed path.
 
         Raises `InvalidArgumentError` for an arc length that is not finite.
         """

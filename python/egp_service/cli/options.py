@@ -19,6 +19,12 @@ Cluster = Annotated[
 ]
 
 
+def fleet_and_name(vehicle: str | None) -> tuple[str, str]:
+    """Return fleet and name of a vehicle given as FLEET/NAME or, in fleet `default`, as NAME."""
+    fleet, slash, name = (vehicle or "vehicle-1").rpartition("/")
+    return fleet if slash else "default", name
+
+
 def check_unused(options: Mapping[str, object], reason: str) -> None:
     """Errors if one of these options has a value, which is why they cannot be used.
 

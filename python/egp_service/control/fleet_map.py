@@ -159,7 +159,7 @@ class FleetMap:
     @property
     def unsent(self) -> int:
         """Number of tiles whose newest evidence no map service has acknowledged."""
-        self._unsent.update(dict.fromkeys(self._belief.take_changed(), time.monotonic()))
+        self._note_changed(time.monotonic())
         return len(self._unsent.keys() | self._sending)
 
     @property
@@ -202,7 +202,7 @@ class FleetMap:
     def _send(self) -> None:
         """Send the tiles whose evidence changed; one without an answer is sent again later."""
         now = time.monotonic()
-        self._unsent.update(dict.fromkeys(self._belief.take_changed(), now))
+        self._note_changed(now)
         for index in sorted(self._unsent.keys() - self._sending):
             measured = self._unsent.pop(index)
             self._sending.add(index)
@@ -212,6 +212,9 @@ class FleetMap:
                 partial(self._sent, index, measured),
                 encode_tile_evidence(self._belief.tile(index), now - measured),
             )
+
+    def _note_changed(self, now: float) -> None:
+        self._unsent.update(dict.fromkeys(self._belief.take_changed(), now))
 
     def _sent(self, index: int, measured: float, answered: bool) -> None:  # noqa: FBT001 - a callback
         self._sending.discard(index)

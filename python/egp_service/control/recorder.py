@@ -61,9 +61,9 @@ class Recorder:
 
     The file holds what is needed to repeat the steps: the requests and replies as sent, the
     identity of the library, the settings and the versions (`egp replay`). The settings of a service
-    are known to the recorder only if it was started by this package. After an
-    interruption the recording can be read except for at most its last 50 steps. An exception while
-    it is written to, such as that of a full disk, ends the recording.
+    are known to the recorder only if it was started by this package. After an interruption the
+    recording can be read except for at most its last 50 steps. An exception while it is written to,
+    such as that of a full disk, ends the recording.
     """
 
     def __init__(

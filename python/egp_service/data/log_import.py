@@ -43,7 +43,6 @@ UNITS: Final = {
 }
 
 _SI_UNITS: Final = {"time": "s", "a_x": "m/s2"} | GP_INPUT | TILT
-_HEAVIEST: Final = 1e5  # kg
 _STEERING: Final = {"delta", "delta_dot"}
 # Share of the rows from which larger values are a wrong unit, and not single wrong rows.
 _OFTEN: Final = 0.01
@@ -111,8 +110,8 @@ def import_log(
     _check_separator(separator)
     if not 0.0 < steering_ratio < np.inf:
         raise EgpError(f"expected a positive --steering-ratio, got {steering_ratio:g}")
-    if mass is not None and not 1.0 <= mass <= _HEAVIEST:
-        raise EgpError(f"expected a --mass of 1 to {_HEAVIEST:g} kg, got {mass:g}")
+    if mass is not None and not 1.0 <= mass <= plausibility.HEAVIEST:
+        raise EgpError(f"expected a --mass of 1 to {plausibility.HEAVIEST:g} kg, got {mass:g}")
     if wheelbase is not None and not 0.0 < wheelbase < np.inf:
         raise EgpError(f"expected a positive wheelbase in m, got {wheelbase:g}")
     if is_recording(path):

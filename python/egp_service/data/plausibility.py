@@ -39,6 +39,7 @@ LARGEST: Final = {
     "grade": 0.7,
     "bank": 0.7,
 }
+HEAVIEST: Final = 1e5  # kg
 # s; logs of vehicles have 1 to 1000 rows in a second.
 _PERIODS: Final = (1e-3, 1.0)
 # Largest change from one row to the next, and per second: no road vehicle changes faster.

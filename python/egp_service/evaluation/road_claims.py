@@ -84,7 +84,7 @@ def _second_lap(outcomes: Sequence[Outcome]) -> list[Claim]:
         Claim(
             "At one of the risks every run completes the second lap, in at most "
             f"{_SECOND_LAP} times the oracle's time",
-            True if True in holds else None if None in holds else False,
+            any(holds) or (None if None in holds else False),
             "; ".join(evidence),
         )
     ]

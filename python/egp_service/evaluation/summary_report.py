@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from egp_service.evaluation.scaling import StepTime
     from egp_service.evaluation.statistics import Group, Interval
 
-_VEHICLES = ("CommonRoad's multi-body vehicle of 29 states", "the simulator of --plant")
 _ABOUT = """All runs use {vehicle}, with measurement noise
 unless a condition says otherwise. The controllers have the same optimal control problem, solver,
 tuning and gate and differ only in the model that predicts the vehicle; on roads of unknown friction
@@ -148,10 +147,14 @@ def write_report(
     if times:
         sections.append(_step_time_section(folder, times))
     report = folder / "report.html"
-    vehicle = _VEHICLES["--plant" in command]
-    about = _ABOUT.format(vehicle=vehicle, command=html.escape(command))
-    write_text(report, page("Ensemble GP-MPC: evaluation", about, sections))
+    write_text(report, page("Ensemble GP-MPC: evaluation", _about(command), sections))
     return report
+
+
+def _about(command: str) -> str:
+    own = "--plant" in command
+    vehicle = "the simulator of --plant" if own else "CommonRoad's multi-body vehicle of 29 states"
+    return _ABOUT.format(vehicle=vehicle, command=html.escape(command))
 
 
 HEADLINE: Final = ("experiment", "condition", ENSEMBLE, "best baseline", ORACLE)

@@ -28,8 +28,9 @@ _MOST_VEHICLES: Final = 1000
 messages are ignored, so that strangers cannot fill the memory."""
 _ROOM_SECONDS: Final = 1.0
 """Time between two looks for such a place."""
-_LARGEST: Final = {"weights": 64, "members": 64, "plan": 258, "times": 64}
-"""Largest numbers of values in the fields of a message; vehicles send no more."""
+_LARGEST: Final = (64, 64, 258, 64)
+"""Largest numbers of weights, members, coordinates of the plan and times of periods in a message;
+vehicles send no more."""
 _MOST_REPLICAS: Final = 1000
 """Messages of further replicas are ignored, too."""
 
@@ -79,11 +80,8 @@ class Fleet:
             return
         if not (math.isfinite(status.dt) and status.dt > 0.0):
             return
-        step = status.step
-        lengths = {"weights": len(step.weights)} | {
-            field: len(getattr(status, field)) for field in ("members", "plan", "times")
-        }
-        if any(length > _LARGEST[field] for field, length in lengths.items()):
+        lists = (status.step.weights, status.members, status.plan, status.times)
+        if any(len(values) > most for values, most in zip(lists, _LARGEST, strict=True)):
             return
         known = self.vehicles.get(name)
         if known is not None:

@@ -65,18 +65,22 @@ def extrapolated(x: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
     return ahead
 
 
-def path_of(message: Any, friction: float) -> Path:  # noqa: ANN401
-    """Return the path of a `nav_msgs/msg/Path`, closed if its ends are close to each other.
+def positions_of(message: Any) -> NDArray[np.float64]:  # noqa: ANN401
+    """Return the positions (n, 2) of the poses of a `nav_msgs/msg/Path`, m."""
+    positions = [(pose.pose.position.x, pose.pose.position.y) for pose in message.poses]
+    return np.array(positions, dtype=np.float64).reshape(-1, 2)
 
-    Poses at the same place count once; their yaw is not used. `friction` is that of the whole road.
+
+def path_of(points: NDArray[np.float64], friction: float) -> Path:
+    """Return the path through positions (n, 2), closed if its ends are close to each other.
+
+    Poses at the same place count once. `friction` is that of the whole road.
 
     Raises:
         PathError: for poses that are not finite, fewer than four different ones, or ones that no
             path passes.
 
     """
-    positions = [(pose.pose.position.x, pose.pose.position.y) for pose in message.poses]
-    points = np.array(positions, dtype=np.float64).reshape(-1, 2)
     if not np.isfinite(points).all():
         wrong = int(np.argmin(np.isfinite(points).all(axis=1)))
         raise PathError(f"pose {wrong} of the path is at {points[wrong].tolist()}: not finite")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from egp_service.ros2.conversion import (
     extrapolated,
     message_of,
     path_of,
+    positions_of,
     state_of,
 )
 from egp_service.ros2.messages import ACKERMANN, CONTROL, ODOMETRY, PATH, STEERING, MessageError
@@ -71,6 +72,7 @@ class Drive:
 class _Course:
     """A path that was received, with its speeds."""
 
+    points: NDArray[np.float64]
     path: Path
     profile: SpeedProfile
     frame: str
@@ -97,9 +99,10 @@ class Vehicle:
             if topic is not None
         ]
         self._course: _Course | None = None
-        # The path that is read in another thread, because a long one takes several periods.
+        # The path that is read in another thread, because a long one takes several periods, and the
+        # one that was read, until the odometry's frame is known.
         self._reading: Future[_Course | None] | None = None
-        self._message: Any = None
+        self._next: _Course | None = None
         self._s: float | None = None
         self._x = np.zeros(NX)
         # The last state that was usable, from which the reference starts.
@@ -175,13 +178,14 @@ class Vehicle:
             self._delta = self._measured
 
     def _receive_path(self, reader: ThreadPoolExecutor) -> None:
-        """Use a path once it has been read, and let the next one be read."""
+        """Use a path once it has been read and there is odometry; let the next one be read."""
         if self._reading is not None and not self._reading.done():
             return
         read, self._reading = self._reading, reader.submit(self._read_path)
-        course = None if read is None else read.result()
-        if course is None:
+        self._next = (read.result() if read is not None else None) or self._next
+        if self._next is None or np.isinf(self._seen):
             return
+        course, self._next = self._next, None
         if self._map_frame and course.frame and course.frame != self._map_frame:
             raise PathError(
                 f"the path is in the frame {course.frame!r}: expected that of the odometry, "
@@ -191,14 +195,14 @@ class Vehicle:
         self._course, self._s = course, None
 
     def _read_path(self) -> _Course | None:
-        """Return the path of the newest message; `None` without one, or with the same poses."""
+        """Return the path of the newest message; `None` without one, or with the present poses."""
         if (newest := self._paths.take()) is None:
             return None
         message, _ = newest
-        drive = self._drive
-        if self._message is not None and message.poses == self._message.poses:
+        drive, points, present = self._drive, positions_of(message), self._course
+        if present is not None and np.array_equal(points, present.points):
             return None
-        path = path_of(message, drive.friction)
+        path = path_of(points, drive.friction)
         profile = SpeedProfile(
             path,
             drive.vehicle,
@@ -206,8 +210,7 @@ class Vehicle:
             drive.v_max,
             end_speed=None if path.closed else 0.0,
         )
-        self._message = message
-        return _Course(path, profile, message.header.frame_id)
+        return _Course(points, path, profile, message.header.frame_id)
 
     def _receive_odometry(self) -> None:
         if (newest := self._odometry.take()) is None:

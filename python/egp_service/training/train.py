@@ -23,7 +23,7 @@ from egp_service._core import EgpError
 from egp_service.data.alignment import align
 from egp_service.data.dataset import Dataset, check_one_car, merge
 from egp_service.data.experiment import check_seed
-from egp_service.data.plausibility import LARGEST
+from egp_service.data.plausibility import HEAVIEST, LARGEST
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NZ
 from egp_service.training.choice import BUDGET, best_member
 from egp_service.training.delays import find_delays
@@ -223,15 +223,16 @@ def _check_consistent(labels: list[str], datasets: Sequence[Dataset]) -> None:
 
 def _check_magnitudes(data: Dataset) -> None:
     """Errors if a number is larger than that of any vehicle; one such row would spoil the fit."""
-    largest = [LARGEST[name.removeprefix("d_")] for name in (*GP_INPUT, *GP_OUTPUT)]
-    beyond = np.argwhere(np.abs(np.hstack([data.z, data.y])) > largest)
-    if len(beyond):
-        row, column = beyond[0]
-        name, value = [*GP_INPUT, *GP_OUTPUT][column], np.hstack([data.z, data.y])[row, column]
-        raise EgpError(
-            f"surface {data.provenance.surface}: {name} is {value:.4g} in a row of the training "
-            f"data, more than {largest[column]:g}: correct or remove such rows"
-        )
+    # The force of a log may be its acceleration times the mass.
+    limits = LARGEST | {"F_x": HEAVIEST * LARGEST["a_x"]}
+    for names, values in ((GP_INPUT, data.z), (GP_OUTPUT, data.y)):
+        for name, column in zip(names, values.T, strict=True):
+            value, limit = column[np.argmax(np.abs(column))], limits[name.removeprefix("d_")]
+            if abs(value) > limit:
+                raise EgpError(
+                    f"surface {data.provenance.surface}: {name} is {value:.4g} in a row of the "
+                    f"training data, more than {limit:g}: correct or remove such rows"
+                )
 
 
 def _check_varies(data: Dataset) -> None:

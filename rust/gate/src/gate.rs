@@ -100,8 +100,8 @@ impl Gate {
     /// `stop_deceleration` \[m/s²\].
     ///
     /// # Errors
-    /// [`GateError::Limits`] if a value is not finite or has the wrong sign, [`GateError::Period`] if `dt` is out of range, and [`GateError::StopDeceleration`] if the stop
-    /// needs more force than the limits allow.
+    /// [`GateError::Limits`] if a value is not finite or has the wrong sign, [`GateError::Period`] if `dt` is out of range, and
+    /// [`GateError::StopDeceleration`] if the stop needs more force than the limits allow.
     pub fn new(
         limits: Limits,
         dt: f64,

@@ -48,8 +48,8 @@ impl MergeSettings {
 ///
 /// Logarithms of likelihoods are limited to the capacity and multiplied by `exp(-age / lifetime)`. Of the `n`
 /// contributions to a cell that are informative, the `(n - 1) / 2`, rounded down, with the smallest likelihood of a coefficient
-/// do not count for it, and the others' logarithms are added: no minority can exclude a coefficient that the others do not exclude.
-/// This is a trimmed sum. The result does not depend on the order of the contributions.
+/// do not count for it, and the others' logarithms are added: no minority can exclude a coefficient that the others do not
+/// exclude. This is a trimmed sum. The result does not depend on the order of the contributions.
 pub fn merge<'a>(
     contributions: impl IntoIterator<Item = (&'a Tile, f64)>,
     settings: &MergeSettings,

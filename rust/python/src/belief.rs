@@ -11,7 +11,8 @@ use pyo3::types::PyBytes;
 use crate::array::{Matrix, NewMatrix, NewVector, Vector, fixed, vector};
 use crate::error::{InvalidArgumentError, raise};
 use crate::parameters::VehicleParameters;
-use crate::path::{Path, SpeedProfile, tyre_rows};
+use crate::path::Path;
+use crate::speed::{SpeedProfile, tyre_rows};
 use crate::wire::matrix;
 
 #[doc = doc!(SpeedPlanner)]
@@ -56,7 +57,7 @@ impl SpeedPlanner {
     fn plan(&mut self, s: f64, friction: Vector<'_>, v: Option<f64>) -> PyResult<SpeedProfile> {
         let friction: Vec<f64> = friction.as_array().iter().copied().collect();
         let profile = self.0.plan(s, v, &friction).map_err(raise)?;
-        Ok(SpeedProfile::of(profile.clone()))
+        Ok(SpeedProfile(profile.clone()))
     }
 }
 

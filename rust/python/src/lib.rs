@@ -22,6 +22,7 @@ mod problem;
 mod programs;
 mod residual;
 mod service;
+mod speed;
 mod surface;
 mod testing;
 mod traces;
@@ -84,7 +85,9 @@ mod _core {
     #[pymodule]
     mod path {
         #[pymodule_export]
-        use crate::path::{Path, Projection, SpeedProfile, horizon_reference};
+        use crate::path::{Path, Projection};
+        #[pymodule_export]
+        use crate::speed::{SpeedProfile, horizon_reference};
     }
 
     #[pymodule]

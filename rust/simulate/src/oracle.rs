@@ -18,8 +18,8 @@ pub enum Oracle {
     Limits,
     /// A command is the planned input of the newest plan for this period, or braking once that plan's tail has ended.
     Tail,
-    /// A reply that is used was made by an engine for a request of this vehicle; one that decides a period answers the request of
-    /// that period.
+    /// A reply that is used was made by an engine for a request of this vehicle; one that decides a period answers the
+    /// request of that period.
     Match,
     /// A vehicle that reaches a sound replica gets replies.
     Starvation,

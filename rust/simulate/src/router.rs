@@ -91,7 +91,7 @@ pub(crate) struct Routers {
     /// By vehicle and router.
     pub(crate) uplinks: Vec<Vec<Uplink>>,
     /// By replica.
-    pub(crate) homes: Vec<ReplicaLink>,
+    pub(crate) replica_links: Vec<ReplicaLink>,
     /// By vehicle and replica: since when a route leads from one to the other.
     pub(crate) since: Vec<Vec<Duration>>,
 }
@@ -105,7 +105,7 @@ impl Routers {
         Self {
             each: (0..routers).map(|_| router()).collect(),
             uplinks: vec![vec![Uplink::default(); routers]; vehicles],
-            homes: vec![ReplicaLink::default(); replicas],
+            replica_links: vec![ReplicaLink::default(); replicas],
             since: vec![vec![Duration::ZERO; replicas]; vehicles],
         }
     }
@@ -121,7 +121,7 @@ impl Routers {
             let (hops, frozen) = (0, None);
             return vec![Route { hops, frozen }];
         }
-        let Some(home) = self.homes[r].router else {
+        let Some(home) = self.replica_links[r].router else {
             return Vec::new();
         };
         let uplinks = self.uplinks[v].iter().enumerate();

@@ -28,7 +28,7 @@ impl World<'_> {
         }
         let epoch = match node {
             Node::Vehicle(v) => &mut self.routers.uplinks[v][router].epoch,
-            Node::Replica(r) => &mut self.routers.homes[r].epoch,
+            Node::Replica(r) => &mut self.routers.replica_links[r].epoch,
         };
         *epoch += 1;
         let attempt = Attempt {
@@ -48,7 +48,7 @@ impl World<'_> {
                 self.routers.uplinks[v][attempt.router].epoch,
                 Some(attempt.router),
             ),
-            Node::Replica(r) => (self.routers.homes[r].epoch, self.routers.first()),
+            Node::Replica(r) => (self.routers.replica_links[r].epoch, self.routers.first()),
         };
         if epoch != attempt.epoch || !self.can_connect(attempt.node) {
             return;
@@ -67,7 +67,7 @@ impl World<'_> {
         }
         match attempt.node {
             Node::Vehicle(v) => self.routers.uplinks[v][k].stands = true,
-            Node::Replica(r) => self.routers.homes[r].router = Some(k),
+            Node::Replica(r) => self.routers.replica_links[r].router = Some(k),
         }
         self.note(&format!("{:?} is linked to router {k}", attempt.node));
         let now = self.now;
@@ -104,8 +104,8 @@ impl World<'_> {
             Node::Vehicle(v) if self.routers.uplinks[v][k].stands => {
                 self.routers.uplinks[v][k].stands = false;
             }
-            Node::Replica(r) if self.routers.homes[r].router == Some(k) => {
-                self.routers.homes[r].router = None;
+            Node::Replica(r) if self.routers.replica_links[r].router == Some(k) => {
+                self.routers.replica_links[r].router = None;
             }
             _ => return,
         }
@@ -130,8 +130,8 @@ impl World<'_> {
 
     /// A process of a replica has ended: its link closes.
     pub(crate) fn close_home(&mut self, r: usize) {
-        self.routers.homes[r].router = None;
-        self.routers.homes[r].epoch += 1;
+        self.routers.replica_links[r].router = None;
+        self.routers.replica_links[r].epoch += 1;
     }
 
     pub(crate) fn kill_router(&mut self, k: usize) {
@@ -155,7 +155,7 @@ impl World<'_> {
         for node in self.nodes() {
             let stands = match node {
                 Node::Vehicle(v) => self.routers.uplinks[v][k].stands,
-                Node::Replica(r) => self.routers.homes[r].router == Some(k),
+                Node::Replica(r) => self.routers.replica_links[r].router == Some(k),
             };
             if !stands {
                 continue;

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from egp_service.cli.options import fleet_and_name
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
@@ -134,7 +136,7 @@ def drive(
         load_simulator(chosen.plant)  # reports a class that cannot be made before a folder is
     _check_use(vehicle, connect, zenoh, fleet, monitor)
     belief = load_belief(chosen, road)
-    fleet_name, name = _name(vehicle)
+    fleet_name, name = fleet_and_name(vehicle)
     with (
         _fleet_map(console, chosen, belief, fleet, vehicle, zenoh) as exchange,
         _controller(
@@ -199,7 +201,7 @@ def _controller(
         return in_process_controller(scenario) if in_process else service_controller(scenario)
     if in_process:
         raise typer.BadParameter("--in-process excludes --connect and --zenoh")
-    fleet, name = _name(vehicle)
+    fleet, name = fleet_and_name(vehicle)
     return remote_controller(
         scenario,
         connect,
@@ -217,12 +219,6 @@ def _check_use(vehicle: str | None, *others: str | Path | None) -> None:
         raise typer.BadParameter(
             "--vehicle has no use without --connect, --zenoh, --fleet or --monitor"
         )
-
-
-def _name(vehicle: str | None) -> tuple[str, str]:
-    """Give the fleet and the car's name of `--vehicle`."""
-    fleet, slash, name = (vehicle or "vehicle-1").rpartition("/")
-    return fleet if slash else "default", name
 
 
 def _show_differences(console: Console, scenario: "Scenario", controller: "StepController") -> None:
@@ -270,7 +266,7 @@ def _fleet_map(
     from egp_service.cli.tables import map_summary
     from egp_service.control.fleet_map import FleetMap
 
-    fleet, name = _name(vehicle)
+    fleet, name = fleet_and_name(vehicle)
     with FleetMap(
         endpoint, belief, road=road_name(scenario), vehicle=name, fleet=fleet, zenoh_file=zenoh
     ) as shared:

@@ -41,9 +41,12 @@ def ros2(
         str | None, typer.Option(help="Endpoint of a service in place of this process.")
     ] = None,
     name: Annotated[
-        str,
-        typer.Option(help="Name of the vehicle for --connect; FLEET/NAME outside fleet `default`."),
-    ] = "vehicle-1",
+        str | None,
+        typer.Option(
+            help="Name of the vehicle for --connect, unique in its fleet; FLEET/NAME if the fleet "
+            "is not `default`."
+        ),
+    ] = None,
     key: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Secret key of the vehicle for --connect.")
     ] = None,
@@ -159,25 +162,28 @@ def _controller(
     settings: Path | None,
     car: "VehicleParameters",
     connect: str | None,
-    name: str,
+    name: str | None,
     key: Path | None,
     zenoh: Path | None,
 ) -> "StepController":
+    from egp_service.cli.options import check_unused, fleet_and_name
     from egp_service.cli.settings_file import read_settings
     from egp_service.control.controller import Controller
 
     if connect is None and zenoh is None:
+        reason = "can be given with --connect or --service-zenoh only"
+        check_unused({"--name": name, "--key": key}, reason)
         stated = {} if settings is None else read_settings(settings)
         return Controller(library, stated, gate=car.gate_limits())
     if settings is not None:
         raise typer.BadParameter("--settings belongs to the service: egp serve --settings")
     from egp_service.control.client import VehicleClient
 
-    fleet, slash, name = name.rpartition("/")
+    fleet, vehicle = fleet_and_name(name)
     return VehicleClient.connect(
         [] if connect is None else [connect],
-        fleet=fleet if slash else "default",
-        vehicle=name,
+        fleet=fleet,
+        vehicle=vehicle,
         gate=car.gate_limits(),
         key_file=key,
         zenoh_file=zenoh,

@@ -263,9 +263,13 @@ mod tests {
     }
 
     fn store() -> Store {
+        store_of(10, 10)
+    }
+
+    fn store_of(contributions: usize, vehicles: usize) -> Store {
         let limits = MapLimits {
-            contributions: 10,
-            vehicles: 10,
+            contributions,
+            vehicles,
             tiles: 10,
         };
         Store::new(MergeSettings::default(), limits)
@@ -336,12 +340,7 @@ mod tests {
         let (folder, file) = folder("limits");
         let bytes = fs::read(&file).unwrap();
         for (contributions, vehicles) in [(0, 10), (10, 0)] {
-            let limits = MapLimits {
-                contributions,
-                vehicles,
-                tiles: 10,
-            };
-            let mut store = Store::new(MergeSettings::default(), limits);
+            let mut store = store_of(contributions, vehicles);
             let error = load(&folder, &mut store, CLOCKS).unwrap_err();
             assert!(matches!(error, RoadFileError::Limits { count: 1, .. }));
             assert_eq!(fs::read(&file).unwrap(), bytes);
