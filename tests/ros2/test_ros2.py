@@ -327,6 +327,13 @@ def test_a_path_is_driven_in_its_own_frame_and_to_its_end() -> None:
     right = [wrong, odometry(9.0), {"plan": straight("map")}, odometry(9.2), odometry(9.4)]
     modes, problem, _ = drive_topics(settings, right)
     assert (modes[-1], problem) == ("normal", "")
+    # A path that cannot be used is named until the one in use is published again.
+    right += [{"plan": straight("map", 2)}, odometry(9.6)]
+    modes, problem, _ = drive_topics(settings, right)
+    assert modes[-1] == "normal"
+    assert "path with 2 different poses" in problem
+    modes, problem, _ = drive_topics(settings, [*right, {"plan": straight("map")}, odometry(9.8)])
+    assert (modes[-1], problem) == ("normal", "")
     begin = {"plan": straight("map"), **odometry(190.0)}
     modes, problem, commands = drive_topics(settings, [begin, odometry(190.2), odometry(190.4)])
     assert problem == ""

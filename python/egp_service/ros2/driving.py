@@ -192,16 +192,17 @@ class Vehicle:
                 f"{self._map_frame!r}"
             )
         self._problems.pop("path", None)
-        self._course, self._s = course, None
+        if course is not self._course:
+            self._course, self._s = course, None
 
     def _read_path(self) -> _Course | None:
-        """Return the path of the newest message; `None` without one, or with the present poses."""
+        """Return the path of the newest message, if any; the present one if the poses are the same."""
         if (newest := self._paths.take()) is None:
             return None
         message, _ = newest
         drive, points, present = self._drive, positions_of(message), self._course
         if present is not None and np.array_equal(points, present.points):
-            return None
+            return present
         path = path_of(points, drive.friction)
         profile = SpeedProfile(
             path,
