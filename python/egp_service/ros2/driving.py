@@ -196,7 +196,7 @@ class Vehicle:
             self._course, self._s = course, None
 
     def _read_path(self) -> _Course | None:
-        """Return the path of the newest message, if any; the present one if the poses are the same."""
+        """Return the path of the newest message, or the present one if its poses are the same."""
         if (newest := self._paths.take()) is None:
             return None
         message, _ = newest
