@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 import sys
 import time
@@ -27,6 +26,7 @@ from egp_service._core import (
     VehicleParameters,
     decode_ready,
 )
+from egp_service.control.service_process import free_port
 from frozen import freeze
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ class Processes:
         """Start them and wait until they serve."""
         self._cleanup = ExitStack()
         folder = Path(self._cleanup.enter_context(TemporaryDirectory(prefix="egp-conformance-")))
-        self.endpoints = [f"tcp/127.0.0.1:{_free_port()}" for _ in scripts]
+        self.endpoints = [f"tcp/127.0.0.1:{free_port()}" for _ in scripts]
         self._running: dict[str, subprocess.Popen[str]] = {}
         for (name, script), endpoint in zip(scripts.items(), self.endpoints, strict=True):
             file = folder / f"{name}.json"
@@ -327,10 +327,3 @@ def _built_example() -> str:
         if built.get("target", {}).get("name") == "stdin_vehicle" and built.get("executable"):
             return str(built["executable"])
     raise AssertionError("cargo built no stdin_vehicle")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

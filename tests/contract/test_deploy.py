@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import socket
 import subprocess
 import tomllib
 import urllib.request
@@ -18,6 +17,7 @@ import zenoh
 
 from egp_service import VehicleClient, VehicleParameters, shipped
 from egp_service._core import Server
+from egp_service.control.service_process import free_port
 from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
@@ -173,13 +173,6 @@ def test_docker_reads_the_compose_file() -> None:
         pytest.skip("docker compose is not installed")
     file = str(ROOT / "deploy/compose.yaml")
     subprocess.run([docker, "compose", "--file", file, "config", "--quiet"], check=True)
-
-
-def free_port() -> int:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port: int = listener.getsockname()[1]
-    return port
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from egp_service import EgpError
 from egp_service.cli import app
+from egp_service.control.service_process import free_port
 from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.experiment import Experiment
 from egp_service.data.exploration import ExplorationSettings
@@ -30,9 +31,7 @@ PATIENCE = 60.0
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
     """Start a cluster of one machine with two cores; gives its address."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     ray = Path(sys.executable).with_name("ray")
     options = ["--num-cpus=2", f"--port={port}", "--node-ip-address=127.0.0.1"]
     quiet = ["--include-dashboard=false", "--disable-usage-stats", "--log-style=record"]

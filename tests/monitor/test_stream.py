@@ -13,9 +13,10 @@ import pytest
 
 from egp_service._core import EgpError, InvalidArgumentError
 from egp_service.control.messages import message_class
+from egp_service.control.service_process import free_port
 from egp_service.monitor.fleet import FORGET_SECONDS, Fleet
 from egp_service.monitor.web import bind
-from monitor.conftest import MonitorProcess, free_port
+from monitor.conftest import MonitorProcess
 from monitor.simulated_fleet import SimulatedFleet
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from egp_service._core import EgpError, RoadBelief, RoadKey, encode_tile_evidenc
 from egp_service.cli import app, signals
 from egp_service.cli.status_line import MODE_STYLES
 from egp_service.control.endpoints import why_unreachable
-from egp_service.control.service_process import ServiceProcess
+from egp_service.control.service_process import ServiceProcess, free_port
 from egp_service.control.session import session_config
 from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import library_path, load_scenario
@@ -50,12 +50,6 @@ def wait_until(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.02)
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def group_lives(leader: int) -> bool:

@@ -29,6 +29,7 @@ from typer.testing import CliRunner
 import egp_service
 from egp_service import Controller, Plant, Recorder, shipped
 from egp_service.cli import app
+from egp_service.control.service_process import free_port
 
 EGP = Path(sysconfig.get_path("scripts")) / "egp"
 MASS = 1225.887  # kg, of the simulated car
@@ -127,13 +128,6 @@ def write_scenario(path: Path, laps: float) -> None:
     scenario = Path(egp_service.__file__).parent / "simulation/scenarios/rounded-rectangle.toml"
     short = re.sub(r"(?m)^laps = .*$", "", scenario.read_text())
     path.write_text(f"laps = {laps}\n{short}")
-
-
-def free_port() -> int:
-    """Return a port of this machine on which nobody listens."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port: int = free.getsockname()[1]
-    return port
 
 
 def test_3_and_5_an_own_simulator_is_driven_recorded_replayed_and_viewed(folder: Path) -> None:

@@ -23,6 +23,7 @@ import page_inputs
 import pytest
 
 from egp_service import shipped
+from egp_service.control.service_process import free_port
 
 ROOT: Final = Path(__file__).parents[2]
 DOCUMENTS: Final = {path.stem: path for path in [*ROOT.glob("docs/*.md"), ROOT / "README.md"]}
@@ -94,11 +95,7 @@ class Shell:
     def __init__(self) -> None:
         """Choose the ports."""
         self.running: dict[str, subprocess.Popen[bytes]] = {}
-        self.ports: dict[int, int] = {}
-        free = [socket.create_server(("127.0.0.1", 0)) for _ in PORTS]
-        for port, listener in zip(PORTS.values(), free, strict=True):
-            self.ports[port] = listener.getsockname()[1]
-            listener.close()
+        self.ports = {port: free_port() for port in PORTS.values()}
 
     def with_ports(self, text: str) -> str:
         """Return a text with the chosen ports."""

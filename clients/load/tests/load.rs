@@ -1,10 +1,10 @@
 //! A short load test of a real service: the counts must add up.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use std::net::TcpListener;
 use std::process::Command;
 
 use egp_service::{Server, ServiceConfig};
+use egp_testing::ports::free_endpoint;
 use serde_json::Value;
 
 const LIBRARY: &str = concat!(
@@ -14,12 +14,7 @@ const LIBRARY: &str = concat!(
 
 #[test]
 fn every_due_request_is_accounted_for() {
-    let port = TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .port();
-    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let endpoint = free_endpoint();
     let mut config = ServiceConfig::new(LIBRARY);
     config
         .zenoh

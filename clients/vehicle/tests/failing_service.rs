@@ -1,11 +1,11 @@
 //! A vehicle whose service stops and starts again.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
-use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use egp_service::{Server, ServiceConfig};
+use egp_testing::ports::free_endpoint;
 use egp_vehicle::{
     GateLimits, Mode, Outcome, Step, VehicleClient, VehicleConfig, VehicleParameters,
 };
@@ -23,15 +23,6 @@ const LIBRARY: &str = concat!(
 /// The limits of the car that the demo library was trained for.
 fn limits() -> GateLimits {
     GateLimits::of(&VehicleParameters::FORD_ESCORT)
-}
-
-fn free_endpoint() -> String {
-    let port = TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .port();
-    format!("tcp/127.0.0.1:{port}")
 }
 
 fn service(replica: &str, endpoint: &str) -> ServiceConfig {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import secrets
 import signal
 import socket
 import subprocess
@@ -37,7 +38,7 @@ class ServiceProcess:
 
     def __init__(self, library: Path, settings: Mapping[str, object]) -> None:
         """Prepare to serve `library` with `settings` of the control step."""
-        self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self._config = {
             "library": str(library.resolve()),
             "settings": settings,
@@ -119,11 +120,20 @@ class ServiceProcess:
         self._cleanup.close()
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
+def free_port() -> int:
+    """Return a port of the loopback address on which nobody listens.
+
+    The operating system gives ports above 32767 to outgoing connections and to whoever asks for any
+    free port. A port below stays free until the service listens on it.
+    """
+    for _ in range(1000):
+        port = 15_000 + secrets.randbelow(17_000)
+        try:
+            socket.create_server(("127.0.0.1", port)).close()
+        except OSError:
+            continue
         return port
+    raise EgpError("found no free port on 127.0.0.1")
 
 
 def _listens(endpoint: str) -> bool:

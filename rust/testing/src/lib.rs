@@ -1,5 +1,5 @@
 //! Data that the tests, benchmarks and examples of several crates share: libraries of GPs, requests of a control step,
-//! a vehicle that plans its speed, random optimal control problems and the golden messages. Other crates name this one only as a dev-dependency.
+//! a vehicle that plans its speed, random optimal control problems, free ports and the golden messages. Other crates name this one only as a dev-dependency.
 #![allow(
     clippy::unwrap_used,
     clippy::missing_panics_doc,
@@ -14,4 +14,5 @@ pub mod drives;
 pub mod libraries;
 pub mod messages;
 pub mod planning;
+pub mod ports;
 pub mod requests;

@@ -1,7 +1,6 @@
 //! A real service and real clients over TCP on the loopback.
 #![allow(clippy::unwrap_used, clippy::expect_used, dead_code)]
 
-use std::net::TcpListener;
 use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
@@ -11,6 +10,7 @@ use egp_driver::Carry;
 use egp_engine::{Engine, EngineWorkspace};
 use egp_service::{Handler, ServiceConfig};
 use egp_testing::libraries;
+pub use egp_testing::ports::free_endpoint;
 use egp_wire::{Header, LibraryId, MessageLimits, Ready, Request, Status, Timing, WireError, keys};
 use prost::Message as _;
 use zenoh::Wait;
@@ -72,16 +72,6 @@ impl<F: Fn(u64) + Send + Sync + 'static> Handler for Watched<F> {
         (self.before)(Header::decode(request, &MessageLimits::default())?.sequence);
         self.engine.step(workspace, request, reply)
     }
-}
-
-/// An endpoint that is not in use.
-pub fn free_endpoint() -> String {
-    let port = TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .port();
-    format!("tcp/127.0.0.1:{port}")
 }
 
 pub fn config(endpoint: &str) -> ServiceConfig {

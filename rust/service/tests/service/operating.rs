@@ -8,13 +8,11 @@ use std::time::{Duration, Instant};
 
 use crate::common::{Client, Outcome, first_request, free_endpoint, library_file, step_key};
 use egp_service::{ServiceConfig, check};
+use egp_testing::ports::free_port;
 use serde_json::Value;
 
 fn free_address() -> SocketAddr {
-    TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
+    ([127, 0, 0, 1], free_port()).into()
 }
 
 /// Status and body of the answer to one request over HTTP; an error if nobody listens.
