@@ -18,9 +18,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from service_bench import Bench, free_endpoint, listens_at
+from service_bench import Bench, listens_at
 
 from egp_service._core.testing import step_key
+from egp_service.control.endpoints import free_endpoint
 from egp_service.control.recorded import read_recording
 
 ROOT = Path(__file__).parents[2]

@@ -19,9 +19,10 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from service_bench import BESIDE, GATE, Bench, free_endpoint, line, listens_at
+from service_bench import BESIDE, GATE, Bench, line, listens_at
 
 from egp_service import VehicleClient
+from egp_service.control.endpoints import free_endpoint
 
 if TYPE_CHECKING:
     import subprocess

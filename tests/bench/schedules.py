@@ -37,9 +37,10 @@ from typing import TYPE_CHECKING
 from namespaces import Place, enter, missing
 from rich.console import Console
 from rich.progress import Progress
-from service_bench import BESIDE, EGP, GATE, Bench, free_endpoint, line
+from service_bench import BESIDE, EGP, GATE, Bench, line
 
 from egp_service import VehicleClient
+from egp_service.control.endpoints import free_endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -124,13 +124,6 @@ class Bench:
         return report["rates"][0] if replay else report
 
 
-def free_endpoint() -> str:
-    """Return an endpoint at which nothing listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
 def listens_at(endpoint: str) -> bool:
     """Return whether a process listens at the endpoint."""
     host, _, port = endpoint.rpartition("/")[2].partition(":")

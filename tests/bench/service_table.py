@@ -37,12 +37,12 @@ from service_bench import (
     Bench,
     driving,
     flood,
-    free_endpoint,
     line,
     listens_at,
 )
 
 from egp_service import VehicleClient
+from egp_service.control.endpoints import free_endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -26,7 +26,7 @@ from egp_service._core import (
     VehicleParameters,
     decode_ready,
 )
-from egp_service.control.service_process import free_port
+from egp_service.control.endpoints import free_endpoint
 from frozen import freeze
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ class Processes:
         """Start them and wait until they serve."""
         self._cleanup = ExitStack()
         folder = Path(self._cleanup.enter_context(TemporaryDirectory(prefix="egp-conformance-")))
-        self.endpoints = [f"tcp/127.0.0.1:{free_port()}" for _ in scripts]
+        self.endpoints = [free_endpoint() for _ in scripts]
         self._running: dict[str, subprocess.Popen[str]] = {}
         for (name, script), endpoint in zip(scripts.items(), self.endpoints, strict=True):
             file = folder / f"{name}.json"

@@ -26,7 +26,8 @@ ALLOWED = {
     "egp-map": {VEHICLE},
     "egp-engine": {"egp-core", "egp-wire"},
     "egp-trace": set(),
-    "egp-service": {"egp-core", "egp-engine", "egp-map", "egp-trace", "egp-wire"},
+    "egp-session": set(),
+    "egp-service": {"egp-core", "egp-engine", "egp-map", "egp-session", "egp-trace", "egp-wire"},
     "egp-driver": {VEHICLE, "egp-wire", "egp-gate"},
     "egp-simulate": {
         "egp-core",
@@ -38,7 +39,7 @@ ALLOWED = {
         "egp-service",
         "egp-wire",
     },
-    "egp-vehicle": {VEHICLE, "egp-driver", "egp-trace", "egp-wire", "egp-gate"},
+    "egp-vehicle": {VEHICLE, "egp-driver", "egp-session", "egp-trace", "egp-wire", "egp-gate"},
     "egp-simulator": {"egp-wire", "egp-gate", "egp-path", "egp-plant", "egp-vehicle"},
     "egp-load": {"egp-wire", "egp-vehicle", "egp-simulator"},
     "egp-testing": {VEHICLE, "egp-core", "egp-map", "egp-path", "egp-wire"},
@@ -65,6 +66,7 @@ ALLOWED = {
 ONE_FILE = {
     "rust/core/src": ["clarabel", "safetensors"],
     "rust/python/src": ["numpy"],
+    "rust/session/src": ["zenoh"],
     "rust/service/src": ["zenoh", "hyper"],
     "clients/vehicle/src": ["zenoh"],
 }

@@ -17,7 +17,7 @@ import zenoh
 
 from egp_service import VehicleClient, VehicleParameters, shipped
 from egp_service._core import Server
-from egp_service.control.service_process import free_port
+from egp_service.control.endpoints import free_endpoint, free_port
 from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def test_docker_reads_the_compose_file() -> None:
 @pytest.fixture
 def router() -> Iterator[str]:
     """Run a router with the configuration of the ConfigMap, on an address of this machine."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     config = zenoh.Config.from_file(str(MANIFESTS / "router.json5"))
     config.insert_json5("listen/endpoints", json.dumps([endpoint]))
     config.insert_json5("connect/endpoints", "[]")

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from egp_service import EgpError
 from egp_service.cli import app
-from egp_service.control.service_process import free_port
+from egp_service.control.endpoints import free_port
 from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.experiment import Experiment
 from egp_service.data.exploration import ExplorationSettings

@@ -7,14 +7,14 @@ import signal
 import subprocess
 import sys
 
-from egp_service.control.service_process import free_port
+from egp_service.control.endpoints import free_endpoint, free_port
 
 
 class MonitorProcess:
     """`egp monitor` with its page at `url`; vehicles publish to `listen`."""
 
     def __init__(self, connect: str) -> None:
-        self.listen = f"tcp/127.0.0.1:{free_port()}"
+        self.listen = free_endpoint()
         self._port = free_port()
         self.url = f"http://127.0.0.1:{self._port}"
         self._connect = connect

@@ -12,8 +12,8 @@ from urllib.parse import urlsplit
 import pytest
 
 from egp_service._core import EgpError, InvalidArgumentError
+from egp_service.control.endpoints import free_endpoint
 from egp_service.control.messages import message_class
-from egp_service.control.service_process import free_port
 from egp_service.monitor.fleet import FORGET_SECONDS, Fleet
 from egp_service.monitor.web import bind
 from monitor.conftest import MonitorProcess
@@ -124,7 +124,7 @@ def test_bytes_that_are_no_message_change_nothing() -> None:
 
 @pytest.fixture(scope="module")
 def monitor() -> Iterator[MonitorProcess]:
-    found = MonitorProcess(f"tcp/127.0.0.1:{free_port()}")  # nothing listens there
+    found = MonitorProcess(free_endpoint())  # nothing listens there
     found.start()
     yield found
     assert found.end(signal.SIGTERM) == 0

@@ -24,8 +24,8 @@ for name in ("rosbags", "ruamel.yaml", "xxhash", "pycdr2"):
 from egp_service import Controller, Plant, shipped
 from egp_service._core import EgpError, InvalidArgumentError
 from egp_service.cli import app
+from egp_service.control.endpoints import free_endpoint
 from egp_service.control.router import Router
-from egp_service.control.service_process import free_port
 from egp_service.ros2 import messages, node
 from egp_service.ros2.autoware import AutowareError, map_parameters, read_parameters
 from egp_service.ros2.conversion import (
@@ -188,7 +188,7 @@ def test_parameters_of_autoware_become_settings(tmp_path: Path) -> None:
 
 def test_a_missing_router_is_told_at_once_and_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(node, "_CONNECT_SECONDS", 0.2)
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     result = CliRunner().invoke(app, ["ros2", "--router", endpoint])
     assert f"Nobody listens at {endpoint}" in " ".join(result.output.split())
     assert isinstance(result.exception, EgpError)
@@ -341,7 +341,7 @@ def test_a_path_is_driven_in_its_own_frame_and_to_its_end() -> None:
 
 
 def test_a_vehicle_of_rmw_zenoh_is_driven_and_stopped_in_silence() -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     environment = {
         **os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path]),
     }  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 import sys
 import time
@@ -31,12 +30,6 @@ STEPS = 25
 LINK_SECONDS = 1.5
 # A busy machine starts a program within a third of this.
 PATIENCE = 30.0
-
-
-def free_endpoint(protocol: str = "tcp") -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"{protocol}/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @contextmanager

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 import pytest
 import zenoh
-from security_programs import free_endpoint, secrets
+from security_programs import secrets
+
+from egp_service.control.endpoints import free_endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -19,7 +19,6 @@ from security_programs import (
     client,
     drive,
     first,
-    free_endpoint,
     program,
     secrets,
     service,
@@ -28,7 +27,7 @@ from security_programs import (
 from egp_service import StatusPublisher, VehicleClient
 from egp_service._core import RoadBelief, RoadKey, vehicle_key
 from egp_service._core.testing import MAP_HEALTH_KEY, live_key
-from egp_service.control.endpoints import why_unreachable
+from egp_service.control.endpoints import free_endpoint, why_unreachable
 from egp_service.control.fleet_map import FleetMap
 from egp_service.monitor.listener import Listener
 from egp_service.simulation.course import build_path

@@ -20,6 +20,7 @@ import zenoh
 from egp_service import Controller, EgpError, InvalidArgumentError, VehicleClient
 from egp_service._core.testing import live_key
 from egp_service.control.client import Announcement, Network, ServiceUnreachableError
+from egp_service.control.endpoints import free_endpoint
 from egp_service.control.service_process import ServiceProcess, ServiceStartError
 from egp_service.control.session import session_config
 from egp_service.simulation.closed_loop import drive
@@ -299,8 +300,7 @@ def test_a_replica_whose_loss_is_reported_late_is_found_again(service: ServicePr
 def test_connecting_to_nobody_says_what_to_do() -> None:
     with pytest.raises(ServiceUnreachableError, match=r"there is no link to .*egp serve"):
         VehicleClient.connect(["tcp/127.0.0.1:9"], gate=GATE, timeout=0.5)
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     with (
         zenoh.open(session_config([], 1.0, {"listen/endpoints": [endpoint]})),
         pytest.raises(ServiceUnreachableError, match=r"^no replica of the service announces"),

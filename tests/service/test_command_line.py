@@ -23,8 +23,8 @@ from typer.testing import CliRunner
 from egp_service._core import EgpError, RoadBelief, RoadKey, encode_tile_evidence
 from egp_service.cli import app, signals
 from egp_service.cli.status_line import MODE_STYLES
-from egp_service.control.endpoints import why_unreachable
-from egp_service.control.service_process import ServiceProcess, free_port
+from egp_service.control.endpoints import free_endpoint, free_port, why_unreachable
+from egp_service.control.service_process import ServiceProcess
 from egp_service.control.session import session_config
 from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import library_path, load_scenario
@@ -125,7 +125,7 @@ def test_a_drive_that_is_killed_leaves_no_service_and_no_files_of_it(tmp_path: P
 @pytest.mark.parametrize("command", ["serve", "map"])
 def test_a_log_that_cannot_be_written_ends_nothing(command: str) -> None:
     library = [str(LIBRARY)] if command == "serve" else []
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     with Path("/dev/full").open("w") as full:
         process = subprocess.Popen(
             [sys.executable, "-m", "egp_service", command, *library, "--listen", endpoint],
@@ -142,7 +142,7 @@ def test_a_log_that_cannot_be_written_ends_nothing(command: str) -> None:
 
 
 def test_a_map_that_could_not_write_a_road_has_status_1(tmp_path: Path) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     command = [sys.executable, "-m", "egp_service", "map", "--listen", endpoint]
     command += ["--folder", str(tmp_path / "roads")]
     # No file may have more than two blocks.
@@ -210,7 +210,7 @@ def test_sighup_ends_the_monitor_on_any_loopback_address() -> None:
 
 
 def test_a_service_may_have_as_many_connections_as_the_system_lets_it() -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     command = [sys.executable, "-m", "egp_service", "serve", str(LIBRARY), "--listen", endpoint]
     limited = ["/bin/sh", "-c", 'ulimit -Sn 256; exec "$@"', "sh", *command]
     process = subprocess.Popen(limited, stderr=subprocess.DEVNULL)

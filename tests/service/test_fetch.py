@@ -25,7 +25,6 @@ from security_programs import (
     client,
     drive,
     first,
-    free_endpoint,
     program,
     secrets,
     service,
@@ -36,6 +35,7 @@ from egp_service import EgpError, VehicleClient, shipped
 from egp_service._core import InvalidArgumentError, Library
 from egp_service.cli import app
 from egp_service.cli.signing import sign_library
+from egp_service.control.endpoints import free_endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

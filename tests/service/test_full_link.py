@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 import sys
 import threading
@@ -16,6 +15,7 @@ import zenoh
 
 from egp_service import Controller, VehicleClient
 from egp_service._core.testing import step_key
+from egp_service.control.endpoints import free_endpoint
 from egp_service.control.toml_text import dumps
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario, told_zones
 
@@ -45,9 +45,7 @@ def served_beside_a_full_link(folder: Path, zenoh_settings: dict[str, str]) -> C
     """
     with Controller(LIBRARY, gate=GATE) as controller:
         request = controller.step(BESIDE, straight(controller), deadline=5.0).request
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     # Small buffers of the system fill up soon.
     listen = {"listen/endpoints": json.dumps([f"{endpoint}#so_sndbuf=16384"])}
     file = folder / "service.toml"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ import zenoh
 
 from egp_service import _core
 from egp_service._core import testing
+from egp_service.control.endpoints import free_endpoint
 from egp_service.shipped import DEMO_LIBRARY
 from library_example import write_example
 
@@ -28,9 +28,7 @@ LIBRARY = str(DEMO_LIBRARY)
 
 @pytest.fixture
 def endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    return free_endpoint()
 
 
 @pytest.fixture

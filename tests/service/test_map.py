@@ -26,6 +26,7 @@ from egp_service._core import (
     encode_tile_evidence,
 )
 from egp_service._core.testing import MAP_HEALTH_KEY, MAP_METRICS_KEY, MapServer
+from egp_service.control.endpoints import free_endpoint
 from egp_service.control.fleet_map import FleetMap
 from egp_service.control.session import session_config
 from egp_service.simulation.course import build_path, road_name
@@ -38,12 +39,6 @@ if TYPE_CHECKING:
 SCENARIO = load_scenario("random")
 PATH = build_path(SCENARIO)
 FRICTIONS = 0.1 * 13.0 ** np.linspace(0.0, 1.0, 17)
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @contextmanager

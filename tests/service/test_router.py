@@ -15,6 +15,7 @@ import numpy as np
 import zenoh
 
 from egp_service import VehicleClient
+from egp_service.control.endpoints import free_endpoint
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
 
 if TYPE_CHECKING:
@@ -29,12 +30,6 @@ RESTARTS = 1
 RESTARTS_OF_TWO = 8
 # A busy machine starts processes and links within a third of this.
 PATIENCE = 30.0
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def listens_at(endpoint: str) -> bool:

@@ -26,7 +26,6 @@ from security_programs import (
     client,
     drive,
     first,
-    free_endpoint,
     program,
     service,
 )
@@ -36,6 +35,7 @@ from egp_service import EgpError, VehicleClient
 from egp_service._core import Discovery, Server
 from egp_service.cli import app
 from egp_service.cli.signing import sign_library
+from egp_service.control.endpoints import free_endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

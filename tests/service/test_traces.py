@@ -22,6 +22,7 @@ from typer.testing import CliRunner
 from egp_service import InvalidArgumentError, VehicleClient
 from egp_service._core import EgpError
 from egp_service.cli import app
+from egp_service.control.endpoints import free_endpoint
 from egp_service.control.service_process import ServiceProcess
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
 from frozen import freeze
@@ -151,12 +152,6 @@ def traces_of(spans: list[Span]) -> dict[str, list[Span]]:
     for span in spans:
         traces[span.trace].append(span)
     return traces
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @contextmanager

@@ -29,7 +29,7 @@ from typer.testing import CliRunner
 import egp_service
 from egp_service import Controller, Plant, Recorder, shipped
 from egp_service.cli import app
-from egp_service.control.service_process import free_port
+from egp_service.control.endpoints import free_endpoint
 
 EGP = Path(sysconfig.get_path("scripts")) / "egp"
 MASS = 1225.887  # kg, of the simulated car
@@ -163,9 +163,9 @@ def test_4_a_step_says_what_was_found(folder: Path) -> None:
 
 def test_6_a_live_page_shows_a_car_that_drives(folder: Path) -> None:
     write_scenario(folder / "half.toml", 0.5)
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     deadline = time.monotonic() + 30.0
-    nobody = f"tcp/127.0.0.1:{free_port()}"
+    nobody = free_endpoint()
     monitor = subprocess.Popen(
         [EGP, "monitor", "--listen", endpoint, "--connect", nobody, "--port", "0"],
         stdout=subprocess.PIPE,
@@ -245,7 +245,7 @@ def test_9_the_example_of_the_readme_runs(capfd: pytest.CaptureFixture[str]) -> 
 
 
 def test_10_the_service_the_load_and_the_simulation_come_with_the_wheel(folder: Path) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     service = subprocess.Popen([EGP, "serve", LIBRARY, "--listen", endpoint])
     try:
         deadline = time.monotonic() + 20.0

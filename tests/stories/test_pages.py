@@ -23,7 +23,7 @@ import page_inputs
 import pytest
 
 from egp_service import shipped
-from egp_service.control.service_process import free_port
+from egp_service.control.endpoints import free_port
 
 ROOT: Final = Path(__file__).parents[2]
 DOCUMENTS: Final = {path.stem: path for path in [*ROOT.glob("docs/*.md"), ROOT / "README.md"]}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import socket
 import time
 from io import BytesIO
 from pathlib import Path
@@ -22,6 +21,7 @@ from typer.testing import CliRunner
 
 from egp_service import Controller, EgpError, Plant, Recorder, shipped
 from egp_service.cli import app
+from egp_service.control.endpoints import free_port
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.runs import record_run
 from egp_service.simulation.scenario import parse_scenario
@@ -91,12 +91,6 @@ def topics(path: Path) -> dict[str, list[Any]]:
         for _, channel, record, message in reader.iter_decoded_messages():
             found.setdefault(channel.topic, []).append((record.log_time * 1e-9, message))
     return found
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port: int = free.getsockname()[1]
-    return port
 
 
 @pytest.fixture(scope="module")

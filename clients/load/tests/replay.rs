@@ -1,12 +1,12 @@
 //! A short ramp with recorded requests against a real service: the counts must add up.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use std::net::TcpListener;
 use std::process::{Command, Output};
 
 use egp_core::Library;
 use egp_driver::Carry;
 use egp_service::{Server, ServiceConfig};
+use egp_testing::ports::free_endpoint;
 use egp_wire::LibraryId;
 use serde_json::Value;
 
@@ -33,9 +33,7 @@ fn requests_file(name: &str, library: LibraryId) -> String {
 }
 
 fn serve() -> (Server, String) {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
-    drop(listener);
+    let endpoint = free_endpoint();
     let mut config = ServiceConfig::new(LIBRARY);
     config
         .zenoh

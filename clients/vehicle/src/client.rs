@@ -8,12 +8,13 @@ use egp_driver::{
     Measurement, Step, Time,
 };
 use egp_gate::Mode;
+use egp_session::NetworkError;
 use egp_wire::{ReferenceRow, State, WidthRow};
 use prost::Message as _;
 use thiserror::Error;
 
 use crate::config::VehicleConfig;
-use crate::network::{Event, EventKind, Network, NetworkError};
+use crate::network::{Event, EventKind, Network};
 use crate::status::{Constants, Period, Status};
 use crate::traces::{StepTraces, StepTracesError};
 

@@ -30,6 +30,7 @@ pub use config::{VehicleConfig, VehicleKeyError};
 pub use egp_driver::{DriverConfig, Late, Lost, Measurement, Outcome, Situation, Step};
 pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use egp_parameters::VehicleParameters;
+pub use egp_session::NetworkError;
 pub use egp_wire::set_receive_threads;
-pub use network::{NetworkError, open_session};
+pub use network::open_session;
 pub use traces::{StepTraces, StepTracesError};

@@ -1,35 +1,17 @@
 //! Access to the network; no other file of this crate uses zenoh.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::thread;
 use std::time::{Duration, Instant};
 
 use egp_driver::{Query, QueryId, Question};
+use egp_session::NetworkError;
 use egp_wire::keys::{self, Name};
-use thiserror::Error;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, Reply};
 use zenoh::sample::SampleKind;
 use zenoh::{Config, Wait};
 
 use crate::config::VehicleConfig;
-
-/// zenoh reports an error.
-#[derive(Debug, Error)]
-#[error("{doing}: {reason}")]
-pub struct NetworkError {
-    doing: String,
-    reason: String,
-}
-
-impl NetworkError {
-    fn new(doing: impl Into<String>, reason: &dyn std::fmt::Display) -> Self {
-        Self {
-            doing: doing.into(),
-            reason: reason.to_string(),
-        }
-    }
-}
 
 /// An event on the network, with the time at which it was received.
 pub(crate) struct Event {
@@ -49,28 +31,15 @@ pub(crate) enum EventKind {
     Ended(QueryId),
 }
 
-/// Opens a session as a vehicle's client does, for programs that send questions of their own. In zenoh's mode `client`, in
-/// which there is no session without a link, each endpoint is tried, and all of them again until the client's patience is
-/// over.
+/// Opens a session as a vehicle's client does ([`egp_session::open_patiently`]), for programs that send questions of their own.
 ///
 /// # Errors
 /// [`NetworkError`] if the configuration is not valid, or zenoh opens no session.
 pub fn open_session(config: &VehicleConfig) -> Result<zenoh::Session, NetworkError> {
     const PAUSE: Duration = Duration::from_millis(100);
-    let mut zenoh = configuration(config)?;
-    let client = (zenoh.get_json("mode")).is_ok_and(|mode| mode == "\"client\"");
-    if client {
-        // With more time zenoh would try the first endpoint alone until it is over.
-        insert(&mut zenoh, "connect/timeout_ms", "0")?;
-    }
-    let begun = Instant::now();
-    loop {
-        match zenoh::open(zenoh.clone()).wait() {
-            Ok(session) => return Ok(session),
-            Err(_) if client && begun.elapsed() < config.patience => thread::sleep(PAUSE),
-            Err(error) => return Err(NetworkError::new("cannot open the zenoh session", &error)),
-        }
-    }
+    egp_session::open_patiently(configuration(config)?, config.patience, PAUSE, &mut || {
+        false
+    })
 }
 
 /// A session and its events.
@@ -255,45 +224,22 @@ fn answer(id: QueryId, reply: Reply) -> EventKind {
     }
 }
 
-/// The settings that differ from zenoh's defaults, each as its key and JSON5 value.
-const DEFAULTS: [(&str, &str); 6] = [
+/// A vehicle's settings beside those of every session, each as its key and JSON5 value.
+const DEFAULTS: [(&str, &str); 2] = [
     // Other participants do not connect to a vehicle.
     ("listen/endpoints", "[]"),
-    ("scouting/multicast/enabled", "false"),
-    ("transport/link/tx/lease", "2000"),
-    (
-        "connect/retry",
-        "{ period_init_ms: 50, period_max_ms: 200, period_increase_factor: 2 }",
-    ),
     ("transport/link/rx/max_message_size", "1048576"),
-    ("transport/shared_memory/enabled", "false"),
 ];
 
 fn configuration(config: &VehicleConfig) -> Result<Config, NetworkError> {
     let endpoints = format!("{:?}", config.connect);
-    let (mut result, defaults) = match &config.zenoh_file {
-        Some(path) => {
-            let doing = format!("zenoh file {}", path.display());
-            let file = Config::from_file(path).map_err(|e| NetworkError::new(doing, &e))?;
-            (file, [].as_slice())
-        }
-        None => (Config::default(), DEFAULTS.as_slice()),
-    };
     let connect = (!config.connect.is_empty()).then_some(("connect/endpoints", endpoints.as_str()));
     let given = config
         .zenoh
         .iter()
         .map(|(key, value)| (key.as_str(), value.as_str()));
-    for (key, value) in defaults.iter().copied().chain(connect).chain(given) {
-        insert(&mut result, key, value)?;
-    }
-    Ok(result)
-}
-
-fn insert(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkError> {
-    config
-        .insert_json5(key, value)
-        .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))
+    let values = connect.into_iter().chain(given);
+    egp_session::configuration(config.zenoh_file.as_deref(), &DEFAULTS, values)
 }
 
 #[cfg(test)]
@@ -304,13 +250,8 @@ mod tests {
 
     #[test]
     fn a_replica_whose_loss_is_reported_late_is_found_again() {
-        let mut config = Config::default();
-        for (key, value) in DEFAULTS
-            .into_iter()
-            .chain([("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#)])
-        {
-            insert(&mut config, key, value).unwrap();
-        }
+        let listen = [("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#)];
+        let config = egp_session::configuration(None, &DEFAULTS, listen.into_iter()).unwrap();
         let service = zenoh::open(config).wait().unwrap();
         let replica: Name = "a".parse().unwrap();
         let token = service

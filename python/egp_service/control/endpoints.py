@@ -1,8 +1,9 @@
-"""Endpoints of zenoh, checked before they are used."""
+"""Endpoints of zenoh: checked before they are used, and free ones."""
 
 from __future__ import annotations
 
 import re
+import secrets
 import socket
 from typing import TYPE_CHECKING, Final
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 _FORM: Final = re.compile(r"[a-z][a-z-]*/.+")
 _REACH_SECONDS: Final = 1.0
 _LARGEST_PORT: Final = 65535
+_FREE_PORTS: Final = range(15_000, 32_000)
 _TCP: Final = re.compile(r"(?:tcp|tls)/\[?(?P<host>[^\]/]*)\]?:(?P<port>\d+)([?#].*)?")
 
 
@@ -83,3 +85,24 @@ def why_not_free(endpoint: str) -> str | None:
     except (OSError, OverflowError) as error:
         return (error.strerror if isinstance(error, OSError) else None) or str(error)
     return None
+
+
+def free_port() -> int:
+    """Return a port of the loopback address on which nobody listens.
+
+    The operating system gives ports above 32767 to outgoing connections and to whoever asks for any
+    free port. A port below stays free until the service listens on it.
+    """
+    for _ in range(1000):
+        port = _FREE_PORTS.start + secrets.randbelow(len(_FREE_PORTS))
+        try:
+            socket.create_server(("127.0.0.1", port)).close()
+        except OSError:
+            continue
+        return port
+    raise EgpError("found no free port on 127.0.0.1")
+
+
+def free_endpoint(protocol: str = "tcp") -> str:
+    """Return an endpoint of the loopback address at which nobody listens; see `free_port`."""
+    return f"{protocol}/127.0.0.1:{free_port()}"

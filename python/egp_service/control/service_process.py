@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import secrets
 import signal
 import socket
 import subprocess
@@ -15,6 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Self
 
 from egp_service._core import EgpError
+from egp_service.control.endpoints import free_endpoint
 from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class ServiceProcess:
 
     def __init__(self, library: Path, settings: Mapping[str, object]) -> None:
         """Prepare to serve `library` with `settings` of the control step."""
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.endpoint = free_endpoint()
         self._config = {
             "library": str(library.resolve()),
             "settings": settings,
@@ -118,22 +118,6 @@ class ServiceProcess:
     def __exit__(self, *_: object) -> None:
         """Stop the service and remove its files."""
         self._cleanup.close()
-
-
-def free_port() -> int:
-    """Return a port of the loopback address on which nobody listens.
-
-    The operating system gives ports above 32767 to outgoing connections and to whoever asks for any
-    free port. A port below stays free until the service listens on it.
-    """
-    for _ in range(1000):
-        port = 15_000 + secrets.randbelow(17_000)
-        try:
-            socket.create_server(("127.0.0.1", port)).close()
-        except OSError:
-            continue
-        return port
-    raise EgpError("found no free port on 127.0.0.1")
 
 
 def _listens(endpoint: str) -> bool:

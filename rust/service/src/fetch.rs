@@ -75,7 +75,7 @@ impl Wanted<'_> {
         let mut fetching = Fetching {
             wanted: self,
             signers,
-            network: Network::open_patiently(asking(config, patience)?, patience, stopped)?,
+            network: Network::open(asking(config, patience)?, patience, stopped)?,
             failures: Vec::new(),
             stopped,
         };

@@ -7,8 +7,8 @@ use egp_wire::keys::Name;
 use egp_wire::{Invalid, WireError};
 use thiserror::Error;
 
-use crate::network::NetworkError;
 use crate::signature::SignatureError;
+use egp_session::NetworkError;
 
 /// Why a replica's library is not used.
 #[derive(Debug, Error)]

@@ -40,13 +40,13 @@ mod worker;
 mod zenoh_settings;
 
 pub use config::{ConfigError, ServiceConfig};
+pub use egp_session::NetworkError;
 pub use fetch::{Fetched, Wanted};
 pub use fetch_error::{FetchError, FetchFailure};
 pub use handler::{Handler, LibraryContent};
 pub use libraries::{Libraries, ReloadError};
 pub use library_table::{LibraryTable, Reloaded, TableFull, TableWorkspace};
 pub use logging::init_logging;
-pub use network::NetworkError;
 pub use query::Query;
 pub use replica::Replica;
 pub use serve::{Checked, ServeError, check, serve};

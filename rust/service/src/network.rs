@@ -1,12 +1,12 @@
 //! Access to the network; no other file of this crate uses zenoh.
 
 use std::sync::mpsc::{self, Receiver};
-use std::time::{Duration, Instant};
-use std::{borrow::Cow, collections::BTreeMap, fs::File, net::SocketAddr, path::Path, thread};
+use std::time::Duration;
+use std::{borrow::Cow, collections::BTreeMap, fs::File, net::SocketAddr, path::Path};
 
+use egp_session::{NetworkError, get, set};
 use egp_wire::{WireError, keys, keys::Name};
 use serde_json::Value;
-use thiserror::Error;
 use zenoh::bytes::ZBytes;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, QueryTarget};
@@ -14,27 +14,10 @@ use zenoh::{Config, Wait};
 
 use crate::certificates::{self, SETTINGS};
 use crate::query::{Answer, Query};
-use crate::zenoh_settings::{DEFAULTS, check_endpoints, free_ports, not_opened};
+use crate::zenoh_settings::{DEFAULTS, check_endpoints, free_ports};
 
 /// Time for which a service in zenoh's mode `client` waits for its routers.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
-
-/// An operation of zenoh that failed.
-#[derive(Debug, Error)]
-#[error("{doing}: {reason}")]
-pub struct NetworkError {
-    doing: String,
-    reason: String,
-}
-
-impl NetworkError {
-    fn new(doing: impl Into<String>, reason: &dyn std::fmt::Display) -> Self {
-        Self {
-            doing: doing.into(),
-            reason: reason.to_string(),
-        }
-    }
-}
 
 /// A zenoh configuration: this service's defaults or a JSON5 file, then single values by their key; and the earliest end of
 /// its certificates, s since 1970, if it has some.
@@ -46,18 +29,10 @@ pub(crate) fn configuration(
     file: Option<&Path>,
     values: &BTreeMap<String, String>,
 ) -> Result<(Config, Option<i64>), NetworkError> {
-    let mut config = match file {
-        Some(path) => Config::from_file(path)
-            .map_err(|e| NetworkError::new(format!("zenoh file {}", path.display()), &e))?,
-        None => Config::default(),
-    };
-    let defaults = DEFAULTS.iter().filter(|_| file.is_none()).copied();
     let given = values
         .iter()
         .map(|(key, value)| (key.as_str(), value.as_str()));
-    for (key, value) in defaults.chain(given) {
-        insert(&mut config, key, value)?;
-    }
+    let config = egp_session::configuration(file, &DEFAULTS, given)?;
     let end = certificates::earliest_end(&tls(&config, &SETTINGS)?, certificates::now())
         .map_err(|(named, reason)| NetworkError::new(named, &reason))?;
     Ok((config, end))
@@ -76,13 +51,13 @@ pub(crate) fn rehearse(mut config: Config, http: Option<SocketAddr>) -> Result<(
             File::open(path).map_err(|e| NetworkError::new(format!("{key} {path}"), &e))?;
         }
     }
-    let mut listen = json(&config, "listen/endpoints")?;
-    let connect = json(&config, "connect/endpoints")?;
+    let mut listen = get(&config, "listen/endpoints")?;
+    let connect = get(&config, "connect/endpoints")?;
     check_endpoints(&listen, &connect, http)
         .map_err(|(doing, why)| NetworkError::new(doing, &why))?;
     let connects = connect != Value::Array(Vec::new());
     free_ports(&mut listen);
-    let mode = match json(&config, "mode")? {
+    let mode = match get(&config, "mode")? {
         Value::String(mode) if mode == "client" && connects => Value::from("peer"),
         mode => mode,
     };
@@ -92,25 +67,10 @@ pub(crate) fn rehearse(mut config: Config, http: Option<SocketAddr>) -> Result<(
         ("connect/endpoints", "[]"),
         ("scouting/multicast/enabled", "false"),
     ] {
-        insert(&mut config, key, value)?;
+        set(&mut config, key, value)?;
     }
-    Network::open(config)?.close();
+    drop(egp_session::open(config)?); // closes it
     Ok(())
-}
-
-fn insert(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkError> {
-    config
-        .insert_json5(key, value)
-        .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))
-}
-
-/// The value of a setting.
-fn json(config: &Config, key: &str) -> Result<Value, NetworkError> {
-    let doing = || format!("zenoh setting \"{key}\"");
-    let text = config
-        .get_json(key)
-        .map_err(|e| NetworkError::new(doing(), &e))?;
-    serde_json::from_str(&text).map_err(|e| NetworkError::new(doing(), &e))
 }
 
 /// Settings of TLS, each as its key and value. Zenoh shows those with secrets only if they are asked for by their names.
@@ -118,7 +78,7 @@ fn tls(config: &Config, names: &[&str]) -> Result<Vec<(String, Value)>, NetworkE
     let keys = names
         .iter()
         .map(|name| format!("transport/link/tls/{name}"));
-    keys.map(|key| Ok((key.clone(), json(config, &key)?)))
+    keys.map(|key| Ok((key.clone(), get(config, &key)?)))
         .collect()
 }
 
@@ -127,8 +87,8 @@ fn tls(config: &Config, names: &[&str]) -> Result<Vec<(String, Value)>, NetworkE
 /// # Errors
 /// [`NetworkError`] if it connects to nothing.
 pub(crate) fn asking(mut config: Config, patience: Duration) -> Result<Config, NetworkError> {
-    let nothing = json(&config, "connect/endpoints")? == Value::Array(Vec::new());
-    if nothing && json(&config, "scouting/multicast/enabled")? == Value::Bool(false) {
+    let nothing = get(&config, "connect/endpoints")? == Value::Array(Vec::new());
+    if nothing && get(&config, "scouting/multicast/enabled")? == Value::Bool(false) {
         let reason = "no endpoint; name a replica or a router that has the library with --connect";
         return Err(NetworkError::new("cannot ask other replicas", &reason));
     }
@@ -138,7 +98,7 @@ pub(crate) fn asking(mut config: Config, patience: Duration) -> Result<Config, N
         ("connect/timeout_ms", patience.as_str()),
         ("connect/exit_on_failure", "false"),
     ] {
-        insert(&mut config, key, value)?;
+        set(&mut config, key, value)?;
     }
     Ok(config)
 }
@@ -207,54 +167,27 @@ pub(crate) struct Network {
 }
 
 impl Network {
-    /// Opens a session; nothing is declared yet.
-    pub(crate) fn open(config: Config) -> Result<Self, NetworkError> {
-        let listen = config.get_json("listen/endpoints").unwrap_or_default();
-        let session = zenoh::open(config)
-            .wait()
-            .map_err(|e| NetworkError::new(not_opened(&e.to_string()), &e))?;
-        Ok(Self {
-            listen,
-            session,
-            queryable: None,
-            token: None,
-        })
-    }
-
-    /// Opens a session as [`Network::open`] does. In zenoh's mode `client`, in which there is no session without a link,
-    /// each endpoint is tried, and all of them again until `stopped` returns true, or the `connect/timeout_ms` of the
-    /// configuration has passed (-1: never), by default `patience`.
-    pub(crate) fn open_patiently(
-        mut config: Config,
+    /// Opens a session as [`egp_session::open_patiently`] does; nothing is declared yet. The `connect/timeout_ms` of the configuration takes the place of
+    /// `patience` (-1: never).
+    pub(crate) fn open(
+        config: Config,
         patience: Duration,
         stopped: &mut dyn FnMut() -> bool,
     ) -> Result<Self, NetworkError> {
         const PAUSE: Duration = Duration::from_millis(500);
-        let client = json(&config, "mode")? == "client";
-        let stated = json(&config, "connect/timeout_ms")?.as_i64();
+        let listen = config.get_json("listen/endpoints").unwrap_or_default();
+        let stated = get(&config, "connect/timeout_ms")?.as_i64();
         let patience = match stated.map(u64::try_from) {
             Some(Err(_)) => Duration::MAX,
             None | Some(Ok(0)) => patience,
             Some(Ok(stated)) => Duration::from_millis(stated),
         };
-        if client {
-            // With more time zenoh would try the first endpoint alone until it is over.
-            insert(&mut config, "connect/timeout_ms", "0")?;
-        }
-        let (begun, mut told) = (Instant::now(), String::new());
-        loop {
-            match Self::open(config.clone()) {
-                Err(error) if client && begun.elapsed() < patience && !stopped() => {
-                    let reason = error.to_string();
-                    if reason != told {
-                        tracing::warn!(reason, "no session yet; trying again");
-                    }
-                    told = reason;
-                    thread::sleep(PAUSE);
-                }
-                opened => return opened,
-            }
-        }
+        Ok(Self {
+            session: egp_session::open_patiently(config, patience, PAUSE, stopped)?,
+            queryable: None,
+            token: None,
+            listen,
+        })
     }
 
     /// Answers queries on the key expression `key`. `intake` runs on zenoh's receive thread.

@@ -8,6 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use egp_core::library;
+use egp_session::NetworkError;
 use egp_trace::TraceError;
 use egp_wire::keys::{self, NameError};
 use egp_wire::{KeyFileError, WireError};
@@ -25,7 +26,7 @@ use crate::intake::Shared;
 use crate::libraries::{Libraries, ReloadError};
 use crate::library_table::Reloaded;
 use crate::metrics::Metrics;
-use crate::network::{Network, NetworkError, PATIENCE, Publisher, Received, configuration};
+use crate::network::{Network, PATIENCE, Publisher, Received, configuration};
 use crate::offer::{Asked, Offer, offer};
 use crate::queue::Queue;
 use crate::reloader::{Outcome, Reloader, Running, stamp};
@@ -137,7 +138,7 @@ impl Server {
         let http = http
             .map(|listener| listener.answer(shared.clone(), serving.clone()))
             .transpose()?;
-        let network = Network::open_patiently(zenoh, PATIENCE, stopped)?;
+        let network = Network::open(zenoh, PATIENCE, stopped)?;
         let mut server = Self {
             shared,
             network,

@@ -4,17 +4,10 @@ use std::net::{IpAddr, SocketAddr};
 
 use serde_json::Value;
 
-/// The settings that differ from zenoh's defaults or are documented as limits, each as its key and JSON5 value.
-pub(crate) const DEFAULTS: [(&str, &str); 9] = [
+/// A service's settings beside those of every session, each as its key and JSON5 value.
+pub(crate) const DEFAULTS: [(&str, &str); 5] = [
     // The service is reachable from this machine only, unless an operator configures more (and access control).
     ("listen/endpoints", r#"["tcp/127.0.0.1:7447"]"#),
-    ("scouting/multicast/enabled", "false"),
-    // Dead links are detected within two seconds, and lost ones are connected again within about a control period.
-    ("transport/link/tx/lease", "2000"),
-    (
-        "connect/retry",
-        "{ period_init_ms: 50, period_max_ms: 200, period_increase_factor: 2 }",
-    ),
     // A payload beyond the limit of a request gets an error, and one beyond this limit is dropped without an answer: it
     // must not fill the memory.
     ("transport/link/rx/max_message_size", "8388608"),
@@ -32,8 +25,6 @@ pub(crate) const DEFAULTS: [(&str, &str); 9] = [
             overwrite: { congestion_control: "drop", express: false },
         }]"#,
     ),
-    // The first control steps must not wait for a pool of shared memory.
-    ("transport/shared_memory/enabled", "false"),
 ];
 
 /// Protocols of the links that this program is built with.
@@ -87,16 +78,6 @@ pub(crate) fn check_endpoints(
             format!("connect/endpoints has {endpoint}"),
             "expected tcp/HOST:PORT or tls/HOST:PORT",
         )),
-    }
-}
-
-/// The error message for a session that zenoh did not open, chosen by zenoh's reason.
-pub(crate) fn not_opened(reason: &str) -> &'static str {
-    if reason.contains("Missing TLS") {
-        "a tls endpoint needs a certificate and its key: state a `zenoh_file` that `egp keys` wrote; cannot open the \
-         zenoh session"
-    } else {
-        "cannot open the zenoh session"
     }
 }
 

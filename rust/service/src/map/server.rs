@@ -7,6 +7,7 @@ use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use egp_session::NetworkError;
 use egp_wire::road_keys;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -23,7 +24,7 @@ use crate::certificates;
 use crate::config::ConfigError;
 use crate::descriptors::allow_all;
 use crate::logging::init_logging;
-use crate::network::{Network, NetworkError, PATIENCE, configuration};
+use crate::network::{Network, PATIENCE, configuration};
 
 /// Queries of all vehicles that may wait.
 const WAITING: usize = 1024;
@@ -98,7 +99,7 @@ impl MapServer {
                 .or_insert_with(|| value.to_owned());
         }
         let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &zenoh)?;
-        let mut network = Network::open_patiently(zenoh, PATIENCE, stopped)?;
+        let mut network = Network::open(zenoh, PATIENCE, stopped)?;
         let mut intake = Intake::new();
         if let Some(end) = end {
             certificates::show(end, intake.metrics.registry());

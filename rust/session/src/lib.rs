@@ -1,0 +1,147 @@
+//! Sessions of zenoh, as services and vehicles of this project configure and open them.
+
+use std::path::Path;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use thiserror::Error;
+use zenoh::{Config, Session, Wait as _};
+
+/// An operation of zenoh that failed.
+#[derive(Debug, Error)]
+#[error("{doing}: {reason}")]
+pub struct NetworkError {
+    doing: String,
+    reason: String,
+}
+
+impl NetworkError {
+    /// The operation, and the reason that zenoh gives.
+    pub fn new(doing: impl Into<String>, reason: &dyn std::fmt::Display) -> Self {
+        Self {
+            doing: doing.into(),
+            reason: reason.to_string(),
+        }
+    }
+}
+
+/// The settings of every session that differ from zenoh's defaults, each as its key and JSON5 value.
+pub const DEFAULTS: [(&str, &str); 4] = [
+    ("scouting/multicast/enabled", "false"),
+    // Dead links are detected within two seconds, and lost ones are connected again within about a control period.
+    ("transport/link/tx/lease", "2000"),
+    (
+        "connect/retry",
+        "{ period_init_ms: 50, period_max_ms: 200, period_increase_factor: 2 }",
+    ),
+    // The first control steps must not wait for a pool of shared memory.
+    ("transport/shared_memory/enabled", "false"),
+];
+
+/// A zenoh configuration: that of a JSON5 file or else [`DEFAULTS`] followed by `more`, and then `values`, each as its key and
+/// JSON5 value.
+///
+/// # Errors
+/// [`NetworkError`] naming the file or the key that zenoh does not accept.
+pub fn configuration<'a>(
+    file: Option<&Path>,
+    more: &'a [(&'a str, &'a str)],
+    values: impl Iterator<Item = (&'a str, &'a str)>,
+) -> Result<Config, NetworkError> {
+    let (mut config, defaults, more) = match file {
+        Some(path) => {
+            let doing = || format!("zenoh file {}", path.display());
+            let config = Config::from_file(path).map_err(|e| NetworkError::new(doing(), &e))?;
+            (config, [].as_slice(), [].as_slice())
+        }
+        None => (Config::default(), DEFAULTS.as_slice(), more),
+    };
+    for (key, value) in defaults.iter().chain(more).copied().chain(values) {
+        set(&mut config, key, value)?;
+    }
+    Ok(config)
+}
+
+/// Changes one setting; `value` is JSON5.
+///
+/// # Errors
+/// [`NetworkError`] if zenoh does not accept it.
+pub fn set(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkError> {
+    config
+        .insert_json5(key, value)
+        .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))
+}
+
+/// The value of a setting.
+///
+/// # Errors
+/// [`NetworkError`] if zenoh has no such setting.
+pub fn get(config: &Config, key: &str) -> Result<Value, NetworkError> {
+    let doing = || format!("zenoh setting \"{key}\"");
+    let text = config
+        .get_json(key)
+        .map_err(|e| NetworkError::new(doing(), &e))?;
+    serde_json::from_str(&text).map_err(|e| NetworkError::new(doing(), &e))
+}
+
+/// Opens a session.
+///
+/// # Errors
+/// [`NetworkError`] if zenoh opens none.
+pub fn open(config: Config) -> Result<Session, NetworkError> {
+    zenoh::open(config)
+        .wait()
+        .map_err(|e| NetworkError::new(not_opened(&e.to_string()), &e))
+}
+
+/// Opens a session as [`open`] does. In zenoh's mode `client`, in which there is no session without a link, each endpoint is
+/// tried, and all of them again after `pause` until `patience` is over or `stopped` returns true. A peer that accepts a
+/// connection and then says nothing costs at most about that time, too.
+///
+/// # Errors
+/// [`NetworkError`] with the last reason if no session opens.
+pub fn open_patiently(
+    mut config: Config,
+    patience: Duration,
+    pause: Duration,
+    stopped: &mut dyn FnMut() -> bool,
+) -> Result<Session, NetworkError> {
+    /// The shortest time in which a link may become a session, ms.
+    const LEAST_OPEN: u64 = 500;
+    const OPEN_TIMEOUT: &str = "transport/unicast/open_timeout";
+    let longest = u64::try_from(patience.as_millis()).unwrap_or(u64::MAX);
+    if let Some(stated) = get(&config, OPEN_TIMEOUT)?.as_u64() {
+        let most = stated.min(longest.max(LEAST_OPEN));
+        set(&mut config, OPEN_TIMEOUT, &most.to_string())?;
+    }
+    let client = get(&config, "mode")? == "client";
+    if client {
+        // With more time zenoh would try the first endpoint alone until it is over.
+        set(&mut config, "connect/timeout_ms", "0")?;
+    }
+    let (begun, mut told) = (Instant::now(), String::new());
+    loop {
+        match open(config.clone()) {
+            Err(error) if client && begun.elapsed() < patience && !stopped() => {
+                let reason = error.to_string();
+                if reason != told {
+                    tracing::warn!(reason, "no session yet; trying again");
+                }
+                told = reason;
+                thread::sleep(pause);
+            }
+            opened => return opened,
+        }
+    }
+}
+
+/// The error message for a session that zenoh did not open, chosen by zenoh's reason.
+fn not_opened(reason: &str) -> &'static str {
+    if reason.contains("Missing TLS") {
+        "a tls endpoint needs a certificate and its key: state a zenoh file that `egp keys` wrote; cannot open the zenoh \
+         session"
+    } else {
+        "cannot open the zenoh session"
+    }
+}
