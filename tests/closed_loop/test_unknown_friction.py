@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pytest
 
-from egp_service._core import RoadBelief, decode_reply
+from egp_service._core import RoadBelief, decode_reply, write_library_subset
 from egp_service.evaluation.experiment import NOISE
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path, build_profile
@@ -22,6 +22,7 @@ from egp_service.simulation.scenario import (
     Speed,
     Track,
     Zone,
+    library_path,
     load_scenario,
 )
 
@@ -166,6 +167,27 @@ def test_baselines_of_the_reference_speed(speed: Speed, planned: set[float]) -> 
     found = set(np.unique(run.trace.friction_planned).tolist())
     assert found <= planned
     assert 0.35 not in planned - found
+
+
+def test_the_weights_of_another_library_are_no_baseline(tmp_path: Path) -> None:
+    scenario = replace(BLIND, speed=Speed(knows="weights"), leave_distance=50.0)
+    with in_process_controller(scenario) as controller:
+        other = tmp_path / "other.safetensors"
+        members = list(range(len(controller.members)))
+        write_library_subset(library_path(scenario), other, members[::-1])
+        # A controller that does not tell the frictions of its members, as one of a service.
+        controller.frictions = None
+        with pytest.raises(ScenarioError, match="another library than the scenario"):
+            drive(replace(scenario, library=str(other)), controller, lambda _: None)
+
+
+def test_the_end_of_a_drive_does_not_read_the_library(tmp_path: Path) -> None:
+    library = tmp_path / "library.safetensors"
+    library.write_bytes(library_path(BLIND).read_bytes())
+    scenario = replace(BLIND, library=str(library), laps=0.01)
+    with in_process_controller(scenario) as controller:
+        run = drive(scenario, controller, lambda _: library.unlink(missing_ok=True))
+    assert run.frictions.size == len(run.members)
 
 
 def test_the_weights_friction_as_a_baseline() -> None:

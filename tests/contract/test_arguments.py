@@ -75,7 +75,10 @@ def belief() -> RoadBelief:
         (lambda: Library.load(DEMO_LIBRARY).predict([[1e160] * 6]), "row 0 of z is too large"),
         (lambda: Library.load(DEMO_LIBRARY).predict_mean([[1e160] * 6]), "row 0 of z is too"),
         (lambda: PATH.sample([[0.0]]), r"with 1 dimension, got the shape \(1, 1\)"),
-        (lambda: PATH.sample("far"), "with 1 dimension, got str: could not convert"),
+        (lambda: PATH.sample("far"), "with 1 dimension, got the type <U3"),
+        (lambda: PATH.sample(["0", "1"]), "got the type <U1"),
+        (lambda: PATH.sample([0.0, NOTHING]), "got the type object"),
+        (lambda: PATH.sample([[0.0], [0.0, 1.0]]), "got list: "),
         (lambda: Path.from_points([1.0, 2.0], closed=False), r"2 dimensions, got the shape \(2,\)"),
         (
             lambda: Controller(DEMO_LIBRARY, NOTHING, gate=GATE),

@@ -148,6 +148,40 @@ def test_options_of_the_server_exist() -> None:
     assert {"config", "replica"} <= named
 
 
+def test_the_routers_have_the_defaults_of_the_service() -> None:
+    setting = r'\(\s*"([\w/]+)",\s*(?:r#)?"(.*?)"#?,?\s*\)'
+    router = zenoh.Config.from_file(str(MANIFESTS / "router.json5"))
+    compared = set()
+    for file in ("session/src/lib.rs", "service/src/zenoh_settings.rs"):
+        source = (ROOT / "rust" / file).read_text(encoding="utf-8")
+        defaults = source.partition("const DEFAULTS: ")[2].partition("\n];")[0]
+        found = re.findall(setting, defaults, re.DOTALL)
+        assert len(found) == defaults.count("\n    (")
+        for key, value in found:
+            expected = zenoh.Config()
+            expected.insert_json5(key, value)
+            if key != "listen/endpoints":
+                assert router.get_json(key) == expected.get_json(key), key
+            compared.add(key)
+    assert {"qos/network", "transport/unicast/accept_timeout", "connect/retry"} <= compared
+
+
+def test_the_loader_fills_the_claim_that_the_replicas_read() -> None:
+    loader = yaml.safe_load((ROOT / "deploy/loader.yaml").read_text(encoding="utf-8"))
+    kubernetes_validate.validate(loader, VERSION, strict=True)
+    (filled,) = loader["spec"]["volumes"]
+    (read,) = (each for each in REPLICA["volumes"] if each["name"] == "library")
+    claim = filled["persistentVolumeClaim"]
+    assert read["persistentVolumeClaim"] == claim | {"readOnly": True}
+    modes = RESOURCES["PersistentVolumeClaim", claim["claimName"]]["spec"]["accessModes"]
+    assert modes == ["ReadWriteMany"]
+    (container,) = loader["spec"]["containers"]
+    (mount,) = container["volumeMounts"]
+    text = (ROOT / "docs/deploying.md").read_text(encoding="utf-8")
+    path = f"{mount['mountPath']}/{Path(CONFIGURATION['library']).name}"
+    assert f"egp/{loader['metadata']['name']}:{path}" in text
+
+
 def test_the_compose_file_publishes_to_this_machine_only() -> None:
     services = COMPOSE["services"]
     assert set(services) == {"router", "replica-1", "replica-2"}

@@ -76,6 +76,24 @@ def test_a_full_disk_ends_a_recording_that_stays_readable(
     assert not other.exists()
 
 
+def test_steps_of_two_controllers_have_their_own_replies(tmp_path: Path) -> None:
+    file, limits = tmp_path / "run.mcap", Plant().parameters.gate_limits()
+    with (
+        Controller(DEMO_LIBRARY, gate=limits) as first,
+        Controller(DEMO_LIBRARY, gate=limits) as second,
+        Recorder(file, first) as recorder,
+    ):
+        s = 15.0 * first.dt * np.arange(first.horizon + 1)
+        reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
+        steps = []
+        for k in range(3):
+            for controller, y in ((first, 0.1), (second, -0.2)):
+                x = [0.0, y, *X[2:]]
+                steps.append(controller.step(x, reference, deadline=5.0))
+                recorder.add(steps[-1], x, 0.02 * k)
+    assert [read.reply for read in read_recording(file).steps] == [step.reply for step in steps]
+
+
 class Interrupted(BaseException):
     """Comes at any instruction, as a `KeyboardInterrupt` does."""
 

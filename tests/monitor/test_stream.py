@@ -88,6 +88,24 @@ def test_a_vehicle_has_the_state_of_its_newest_message_until_it_is_silent(mode: 
     assert [event["state"] for event in fleet.events][-2:] == ["silent", "ended"]
 
 
+def test_a_long_control_period_is_no_silence() -> None:
+    fleet, message = Fleet(), message_class("VehicleStatus").FromString(status())
+    message.dt = 1.0
+    fleet.status("f/car", message.SerializeToString(), 10.0)
+    assert states(fleet, 12.9) == {"f/car": "normal"}
+    assert states(fleet, 13.1) == {"f/car": "silent"}
+
+
+def test_a_minute_of_short_periods_is_kept() -> None:
+    fleet, message = Fleet(), message_class("VehicleStatus").FromString(status())
+    message.dt = 0.002
+    message.times.extend([message.times[0]] * 48)
+    for number in range(601):
+        fleet.status("f/car", message.SerializeToString(), 0.1 * number)
+    (row,) = json.loads(fleet.snapshot(60.1))["vehicles"]
+    assert row["periods"] == 30_000
+
+
 def test_misses_and_the_quantile_count_every_period_of_this_run() -> None:
     fleet = Fleet()
     for i in range(99):
@@ -110,6 +128,24 @@ def test_a_replica_is_silent_without_load_and_gone_without_token() -> None:
     assert states(fleet, 3.0) == {"main": "gone"}
     (row,) = json.loads(fleet.snapshot(3.0))["replicas"]
     assert (row["workers"], row["step_ms"]) == (2, 1.5)
+
+
+def test_a_replica_is_silent_after_three_of_its_own_intervals() -> None:
+    fleet, load = Fleet(), message_class("Load")(workers=2).SerializeToString()
+    fleet.token("main", 0.0, appeared=True)
+    for time_of_load in (1.0, 5.0):
+        fleet.load("main", load, time_of_load)
+    assert states(fleet, 16.9) == {"main": "serving"}
+    assert states(fleet, 17.1) == {"main": "silent"}
+    # The time in which it was away is no interval.
+    fleet.token("main", 18.0, appeared=False)
+    fleet.token("main", 100.0, appeared=True)
+    fleet.load("main", load, 100.5)
+    assert states(fleet, 101.7) == {"main": "serving"}
+    assert states(fleet, 101.8) == {"main": "silent"}
+    fleet.load("main", load, 110.0 + FORGET_SECONDS)
+    assert states(fleet, 110.0 + 2 * FORGET_SECONDS) == {"main": "serving"}
+    assert states(fleet, 110.1 + 2 * FORGET_SECONDS) == {}
 
 
 def test_bytes_that_are_no_message_change_nothing() -> None:

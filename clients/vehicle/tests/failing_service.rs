@@ -141,6 +141,7 @@ fn another_replica_takes_over_without_a_missed_plan() {
         ["a", "b"].map(|name| Some(serve(name, &endpoints[usize::from(name == "b")])));
     let mut vehicle = Vehicle::connect(&[&endpoints[0], &endpoints[1]]);
     vehicle.step_until_solved();
+    std::thread::sleep(Duration::from_secs(2)); // until the vehicle knows both replicas
     // Whichever replica the vehicle uses, the other one answers in the next period.
     servers[0] = None;
     assert!(vehicle.step().outcome.is_solved());
@@ -172,7 +173,7 @@ fn a_vehicle_publishes_its_status_at_most_ten_times_a_second() {
     let began = Instant::now();
     let mut first = None;
     // The link to the display may open after the first steps.
-    while first.is_none_or(|at: Instant| at.elapsed() < Duration::from_millis(450)) {
+    while messages.len() < 5 {
         vehicle.step_until_solved();
         while let Ok(Some(sample)) = published.try_recv() {
             assert_eq!(sample.key_expr().as_str(), "egp/v1/@vehicle/test/car");
@@ -182,7 +183,13 @@ fn a_vehicle_publishes_its_status_at_most_ten_times_a_second() {
         assert!(began.elapsed() < Duration::from_secs(20));
         std::thread::sleep(Duration::from_millis(10));
     }
-    assert!((2..=6).contains(&messages.len()), "{}", messages.len());
+    let elapsed = first.unwrap().elapsed();
+    let most = elapsed.as_millis() / 100 + 2;
+    assert!(
+        messages.len() as u128 <= most,
+        "{} in {elapsed:?}",
+        messages.len()
+    );
     let [.., before, last] = messages.as_slice() else {
         panic!("there are at least two")
     };

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from importlib.metadata import version
 from typing import Annotated, NoReturn
@@ -140,6 +141,8 @@ def main() -> None:
     its temporary files. Servers end with status 0; `egp serve` and `egp map` drain before.
     """
     signals.install()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # characters that its encoding does not have
     try:
         app()
     except ModuleNotFoundError as error:

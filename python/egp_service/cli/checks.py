@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import platform
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -16,12 +18,11 @@ from egp_service import shipped
 from egp_service._core import EgpError, Library, vector_instructions
 from egp_service.cli.extras import EXTRAS
 from egp_service.control.controller import Controller
-from egp_service.control.endpoints import why_not_free
+from egp_service.control.endpoints import free_endpoint, why_not_free, why_unreachable
 from egp_service.control.session import session_config
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+    from collections.abc import Callable, Iterator
 
 PORTS: Final = {
     "egp serve": "tcp/127.0.0.1:7447",
@@ -29,6 +30,8 @@ PORTS: Final = {
     "egp router": "tcp/127.0.0.1:7449",
     "egp monitor": "tcp/127.0.0.1:7450",
 }
+PAGE: Final = "tcp/127.0.0.1:8642"
+"""Where `egp monitor` serves its page."""
 STEPS: Final = 60
 _SHARE: Final = 0.5
 """Share of the control period from which a step counts as slow."""
@@ -50,7 +53,8 @@ def run_checks(library: Path | None = None) -> list[Check]:
     file = shipped.DEMO_LIBRARY if library is None else library
     checks: list[Callable[[], Check]] = [_versions, _processor, _timer, _clock, _extras, _zenoh]
     results = [check() for check in checks]
-    results += [_port(name, endpoint) for name, endpoint in PORTS.items()]
+    results += [_port(f"port of {name}", endpoint, "--listen") for name, endpoint in PORTS.items()]
+    results.append(_port("page of egp monitor", PAGE, "--port"))
     return [*results, *_library(file)]
 
 
@@ -60,16 +64,57 @@ def _versions() -> Check:
 
 
 def _processor() -> Check:
-    cores, instructions = len(os.sched_getaffinity(0)), vector_instructions()
-    busy = os.getloadavg()[0]
-    found = f"{cores} cores for this process, load {busy:.1f}, vector instructions {instructions}"
+    instructions, busy, machine = vector_instructions(), os.getloadavg()[0], os.cpu_count() or 1
+    found = (
+        f"{_cores(available_cores())} for this process, load {busy:.1f} on "
+        f"{_cores(machine)}, vector instructions {instructions}"
+    )
     if instructions == "none":
         advice = "steps take several times as long without AVX2; use another processor"
         return Check("processor", "warn", found, advice)
-    if busy > cores:
+    if busy > machine:
         advice = "other programs are running: times measured now are too long"
         return Check("processor", "warn", found, advice)
     return Check("processor", "ok", found)
+
+
+def available_cores(root: Path = Path("/")) -> int:
+    """Count the cores that this process may use, as the service does for its workers.
+
+    The affinity bounds them, and so do quotas of cgroups, which are rounded down, but not to zero.
+    """
+    cores = len(os.sched_getaffinity(0))
+    return min([cores, *(max(1, quota // period) for quota, period in _quotas(root) if quota > 0)])
+
+
+def _quotas(root: Path) -> Iterator[tuple[int, int]]:
+    """Give times of processors and their periods, of version 2 and 1 of cgroups, as far as known.
+
+    The quotas of all groups around that of this process count, too.
+    """
+    mounted = root / "sys/fs/cgroup"
+    try:
+        groups = (root / "proc/self/cgroup").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return
+    for _, kinds, name in (group.split(":", 2) for group in groups):
+        names = ["cpu.cfs_quota_us", "cpu.cfs_period_us"] if kinds else ["cpu.max"]
+        if kinds and "cpu" not in kinds.split(","):
+            continue
+        top = mounted / kinds
+        inner = top / name.lstrip("/")
+        for folder in (inner, *inner.parents):
+            if not folder.is_relative_to(top):
+                break
+            # A group without limits has the text `max`, or no such files.
+            with suppress(OSError, ValueError):
+                texts = " ".join((folder / each).read_text(encoding="utf-8") for each in names)
+                quota, period = map(int, texts.split())
+                yield quota, period
+
+
+def _cores(number: int) -> str:
+    return f"{number} core{'' if number == 1 else 's'}"
 
 
 def _timer() -> Check:
@@ -119,20 +164,25 @@ def _zenoh() -> Check:
     import zenoh  # noqa: PLC0415 - an installation without it is what this checks
 
     found = f"eclipse-zenoh {version('eclipse-zenoh')}"
+    advice = "check that the loopback interface is up and no firewall blocks it"
     try:
-        with zenoh.open(session_config([], 1.0, {"listen/endpoints": ["tcp/127.0.0.1:0"]})):
-            return Check("zenoh", "ok", f"{found} opens a session")
+        endpoint = free_endpoint()
+        with zenoh.open(session_config([], 1.0, {"listen/endpoints": [endpoint]})):
+            reason = why_unreachable(endpoint)
     except (zenoh.ZError, EgpError) as error:
-        advice = "check that the loopback interface is up and no firewall blocks it"
         return Check("zenoh", "fail", f"{found} opens no session: {error}", advice)
+    if reason is not None:
+        found += f" opens a session, which cannot be reached at {endpoint}: {reason}"
+        return Check("zenoh", "fail", found, advice)
+    return Check("zenoh", "ok", f"{found} opens a session, which can be reached")
 
 
-def _port(name: str, endpoint: str) -> Check:
+def _port(name: str, endpoint: str, option: str) -> Check:
     reason = why_not_free(endpoint)
     if reason is None:
-        return Check(f"port of {name}", "ok", f"{endpoint} is free")
-    advice = f"fine if {name} is running; otherwise choose another endpoint with --listen"
-    return Check(f"port of {name}", "warn", f"{endpoint}: {reason}", advice)
+        return Check(name, "ok", f"{endpoint} is free")
+    advice = f"fine if {name.partition(' of ')[2]} is running; otherwise choose another {option}"
+    return Check(name, "warn", f"{endpoint}: {reason}", advice)
 
 
 def _library(file: Path) -> list[Check]:

@@ -28,11 +28,6 @@ def heading(path: Path, recorded: Recorded) -> str:
     )
     if recorded.missing:
         text += f"\n{recorded.missing}"
-    if recorded.settings is None:
-        text += (
-            "\nThe recording does not hold the service's settings, so defaults are used; "
-            "give the service's with --settings."
-        )
     return text
 
 
@@ -42,6 +37,11 @@ def outcome(
     """Say whether the replies are the same, and where they first differ."""
     n = len(replay.same)
     lines = []
+    if recorded.settings is None and not used:
+        lines.append(
+            "The recording does not hold the service's settings, so defaults are used; "
+            "give the service's with --settings."
+        )
     if replay.unanswered:
         lines.append(f"{replay.unanswered} requests had no reply and are left out.")
     if changed and recorded.settings is not None:

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _PATHS: Final = ("library", "folder", "traces", "vehicle_keys", "library_keys", "zenoh_file")
-_OF_A_SERVICE: Final = {"library", "replica", "workers", "zenoh", "zenoh_file", "settings"}
 
 # How an error of TOML shows a place: its line and column, and the line with the column marked.
 _PLACE: Final = re.compile(r"TOML parse error at line \d+, column \d+\n[ |]*\n *\d+ \| (.*)\n.*\n")
@@ -31,7 +30,7 @@ def read_settings(path: Path) -> dict[str, object]:
 
     """
     text, table = _table(path)
-    if found := sorted(_OF_A_SERVICE & set(table)):
+    if found := sorted(_keys("Service") & set(table)):
         raise EgpError(
             f"{path}: `{found[0]}` belongs to the configuration of a service; give the file with "
             "`egp serve --config`, or only its table [settings] here"
@@ -55,14 +54,12 @@ def read_service(path: Path) -> dict[str, object]:
 
     """
     _, table = _table(path)
-    if "library" not in table and "settings" not in table:
-        keys = {setting.key.partition(".")[0] for setting in read_settings_document()
-                if setting.section == "Control step"}  # fmt: skip
-        if found := sorted(keys & set(table)):
-            raise EgpError(
-                f"{path}: `{found[0]}` is a setting of the control step, expected the "
-                f"configuration of a service; try `egp serve LIBRARY --settings {path}`"
-            )
+    found = sorted(_keys("Control step") & set(table))
+    if found and "library" not in table and "settings" not in table:
+        raise EgpError(
+            f"{path}: `{found[0]}` is a setting of the control step, expected the "
+            f"configuration of a service; try `egp serve LIBRARY --settings {path}`"
+        )
     return _with_folder(table, path.parent)
 
 
@@ -98,6 +95,12 @@ def naming(path: Path | None) -> Iterator[None]:
                 told += f", in the line `{found[1]}`"
         error.args = (f"{path}: {told}",)
         raise
+
+
+def _keys(section: str) -> set[str]:
+    """Give the first parts of the keys that a section of the document of the settings has."""
+    settings = read_settings_document()
+    return {each.key.partition(".")[0] for each in settings if each.section == section}
 
 
 def _with_folder(table: dict[str, object], folder: Path) -> dict[str, object]:

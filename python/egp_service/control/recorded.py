@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -112,8 +112,9 @@ def read_recording(path: str | Path) -> Recorded:
 def _read(path: Path) -> Recorded:
     metadata: dict[str, Mapping[str, str]] = {}
     topics: dict[int, str] = {}
-    requests: list[tuple[float, bytes]] = []
-    replies: dict[int, bytes] = {}
+    steps: list[RecordedStep] = []
+    # A reply is to the newest request of its number; a second controller begins with 1 again.
+    asked: dict[int, int] = {}
     end: Footer | Damage | None = None
     sequence_of = message_class("StepReply").FromString
     for record in records(path):
@@ -126,9 +127,14 @@ def _read(path: Path) -> Recorded:
         elif isinstance(record, Message):
             topic = topics.get(record.channel_id)
             if topic == "/request":
-                requests.append((record.log_time / NANOSECONDS, record.data))
+                sent = decode_request(record.data)
+                asked[sent.sequence] = len(steps)
+                time = record.log_time / NANOSECONDS
+                steps.append(RecordedStep(time, np.asarray(sent.x), record.data, None))
             elif topic == "/reply":
-                replies[sequence_of(record.data).sequence] = record.data
+                index = asked.get(sequence_of(record.data).sequence)
+                if index is not None:
+                    steps[index] = replace(steps[index], reply=record.data)
     if ABOUT not in metadata:
         raise RecordingError(
             f"{path}: expected a recording with the metadata {ABOUT!r}, found none; recordings of "
@@ -141,7 +147,7 @@ def _read(path: Path) -> Recorded:
         settings=None if settings is None else tomllib.loads(settings["all"]),
         stated_settings={} if settings is None else tomllib.loads(settings["stated"]),
         scenario=None if scenario is None else scenario["toml"],
-        steps=[_step(time, request, replies) for time, request in requests],
+        steps=steps,
         complete=isinstance(end, Footer),
         missing=missing(end),
     )
@@ -167,11 +173,6 @@ def _varint(number: int) -> bytes:
         groups.append(number & 0x7F | 0x80)
         number >>= 7
     return bytes([*groups, number])
-
-
-def _step(time: float, request: bytes, replies: Mapping[int, bytes]) -> RecordedStep:
-    sent = decode_request(request)
-    return RecordedStep(time, np.asarray(sent.x), request, replies.get(sent.sequence))
 
 
 def records(path: Path) -> Iterator[McapRecord | Damage]:

@@ -63,7 +63,8 @@ class Step:
     """Force [N] and steering rate [rad/s] for the actuators, inside all limits."""
     mode: Literal["normal", "tail", "stop", "waiting"]
     """`normal` (a new plan), `tail` (the rest of an older plan), `stop` (braking until `reset()`)
-    or `waiting` (braking until the first plan)."""
+    or `waiting` (braking until the first plan). A new plan that came just after the deadline is
+    driven, too; its reply is then in `late`, the status is `late`, and `plan_u` is `None`."""
     limited: bool
     """Whether a limit of the gate changed the command of the plan."""
     status: str

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 FORGET_SECONDS: Final = 600.0
 """Vehicles and replicas that were not seen for this time leave the page."""
 _LOAD_SECONDS: Final = 1.25
-"""A replica publishes its load twice a second; after this time it counts as silent."""
+"""A replica publishes its load twice a second by default; after this time without one it counts as
+silent, or after `_LOADS` times the time between its last two loads if that is longer."""
+_LOADS: Final = 3
 _EVENTS: Final = 200
 _NAMED: Final = 3
 _MOST_VEHICLES: Final = 1000
@@ -43,12 +45,17 @@ class Replica:
     alive: bool
     last_seen: float
     load: Json
+    loaded: float | None = None
+    """When the last load came, if one came since the token appeared."""
+    interval: float = 0.0
+    """Time between the last two loads, s; 0 before there were two."""
 
     def state(self, now: float) -> str:
         """Give `serving`, `silent` or `gone`."""
         if not self.alive:
             return "gone"
-        return "silent" if now - self.last_seen > _LOAD_SECONDS else "serving"
+        longest = min(max(_LOAD_SECONDS, _LOADS * self.interval), FORGET_SECONDS)
+        return "silent" if now - self.last_seen > longest else "serving"
 
     def row(self, now: float) -> Json:
         """Give what the page shows."""
@@ -124,7 +131,9 @@ class Fleet:
         replica = self._replica(name, now)
         if replica is None:
             return
-        replica.alive, replica.last_seen = True, now
+        if replica.loaded is not None:
+            replica.interval = now - replica.loaded
+        replica.alive, replica.last_seen, replica.loaded = True, now, now
         replica.load = {
             "queued": load.queued,
             "busy": load.busy,
@@ -137,6 +146,7 @@ class Fleet:
         replica = self._replica(name, now)
         if replica is not None:
             replica.alive, replica.last_seen = appeared, now
+            replica.loaded, replica.interval = None, 0.0
 
     def _replica(self, name: str, now: float) -> Replica | None:
         """Return the replica of this name, or None for one beyond the largest number."""

@@ -13,10 +13,13 @@ if TYPE_CHECKING:
 
 Json = dict[str, object]
 SILENT_SECONDS: Final = 1.0
-"""A vehicle counts as silent after this time without a message."""
+"""A vehicle counts as silent after this time without a message, or after `_PERIODS` if longer."""
+_PERIODS: Final = 3
+_LONGEST_PERIOD: Final = 1.0
+"""The longest period that a library can have, s."""
 WINDOW_SECONDS: Final = 60.0
 """Misses and the 99 % quantile of the step's time cover this time of control periods."""
-_MOST_PERIODS: Final = 6000
+_MOST_PERIODS: Final = 12_000
 _SAMPLES: Final = 600
 _QUANTILE_SECONDS: Final = 1.0
 _ROAD_ATTEMPTS: Final = 3
@@ -79,7 +82,8 @@ class VehicleRecord:
         """Give `normal`, `tail`, `stop`, `waiting`, `silent` or `ended`."""
         if self.status.ended:
             return "ended"
-        if now - self.last_seen > SILENT_SECONDS:
+        period = min(self.status.dt, _LONGEST_PERIOD)
+        if now - self.last_seen > max(SILENT_SECONDS, _PERIODS * period):
             return "silent"
         mode: str = self.status.step.mode
         return mode

@@ -48,7 +48,8 @@ class Run:
     scenario: Scenario
     members: Sequence[str]
     frictions: NDArray[np.float64]
-    """(N,) friction coefficients of the members' surfaces."""
+    """(N,) friction coefficients of the members' surfaces; none if the controller used another
+    library than the scenario's."""
     dt: float
     trace: Trace
     summary: Summary
@@ -72,14 +73,13 @@ def drive(
     used if the scenario's reference speed knows nothing. From the period with the number
     `told_from` on, the reference speed is planned for the true friction of all zones.
 
-    The members' friction coefficients, which pictures show, are read from the scenario's library
-    file; the controller may use another one.
-
-    Raises `EgpError` if a value of the scenario is out of its range or its track cannot be built. A
-    loss of control is not an exception but the run's ending.
+    Raises `EgpError` if a value of the scenario is out of its range, its track cannot be built, or
+    its reference speed knows the weights and the controller uses another library. A loss of control
+    is not an exception but the run's ending.
     """
     check_scenario(scenario, scenario.name)
-    loop = _Loop(scenario, controller, belief, told_from)
+    frictions = _frictions(scenario, controller)
+    loop = _Loop(scenario, controller, frictions, belief, told_from)
     periods: list[Period] = []
     ending = None
     while ending is None:
@@ -96,9 +96,20 @@ def drive(
         members=controller.members,
         dt=controller.dt,
     )
-    members = Library.load(library_path(scenario)).members
-    frictions = np.array([member.friction for member in members])
     return Run(scenario, controller.members, frictions, controller.dt, trace, summary)
+
+
+def _frictions(scenario: Scenario, controller: StepController) -> NDArray[np.float64]:
+    """Return the friction coefficients of the controller's members, or none if it has other ones.
+
+    They are read before the drive, whose end must not depend on a file.
+    """
+    if controller.frictions is not None:
+        return np.array(controller.frictions)
+    library = Library.load(library_path(scenario))
+    if library.id != controller.library.hex():
+        return np.zeros(0)
+    return np.array([member.friction for member in library.members])
 
 
 class _Loop:
@@ -108,6 +119,7 @@ class _Loop:
         self,
         scenario: Scenario,
         controller: StepController,
+        frictions: NDArray[np.float64],
         belief: RoadBelief | None,
         told_from: int | None,
     ) -> None:
@@ -116,7 +128,7 @@ class _Loop:
         self.path = build_path(scenario)
         belief = RoadBelief(self.path) if belief is None else belief
         belief.window = controller.history
-        self._speed = speed_reference(scenario, self.path, belief)
+        self._speed = speed_reference(scenario, self.path, belief, frictions)
         self._told_from = told_from
         self._noise = _noise(scenario.measurement)
         self._random = np.random.default_rng(scenario.seed)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import EgpError, Library, RoadBelief, SpeedPlanner
+from egp_service._core import EgpError, RoadBelief, SpeedPlanner
 from egp_service.files import replacing
 from egp_service.simulation.course import build_path, build_profile, tyre_grips
-from egp_service.simulation.scenario import ScenarioError, library_path, vehicle_parameters
+from egp_service.simulation.scenario import ScenarioError, vehicle_parameters
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -113,19 +113,18 @@ class _Here(_Planned):
 class _Weighted(_Planned):
     """The members' friction coefficients, blended with the last weights, everywhere."""
 
-    def __init__(self, scenario: Scenario, path: Path) -> None:
+    def __init__(self, scenario: Scenario, path: Path, frictions: NDArray[np.float64]) -> None:
         super().__init__(scenario, path)
-        members = Library.load(library_path(scenario)).members
-        self._frictions = np.array([member.friction for member in members])
+        if frictions.size == 0:
+            raise ScenarioError(
+                "speed.knows is 'weights', and the service has another library than the scenario: "
+                "name the service's own in the scenario"
+            )
+        self._frictions = frictions
         self._most = scenario.speed.friction or float("inf")
         self._blended = float(self._frictions.mean())  # the first step begins with equal weights
 
     def found(self, step: Step) -> None:
-        if 0 < step.weights.size != self._frictions.size:
-            raise ScenarioError(
-                f"speed.knows is 'weights', and the service has {step.weights.size} members, not "
-                f"{self._frictions.size} as the scenario's library: name its own in the scenario"
-            )
         if step.weights.size:
             self._blended = float(step.weights @ self._frictions)
 
@@ -183,15 +182,21 @@ def told_reference(scenario: Scenario, path: Path) -> SpeedReference:
     return _Told(scenario, path)
 
 
-def speed_reference(scenario: Scenario, path: Path, belief: RoadBelief) -> SpeedReference:
-    """Return the reference speed of a scenario; `belief` is what is known from earlier runs."""
+def speed_reference(
+    scenario: Scenario, path: Path, belief: RoadBelief, frictions: NDArray[np.float64]
+) -> SpeedReference:
+    """Return the reference speed of a scenario.
+
+    `belief` is what is known from earlier runs, `frictions` (N,) the friction coefficients of the
+    controller's members, none if they are not known.
+    """
     speed = scenario.speed
     if speed.constant or speed.knows == "zones":
         return _Given(scenario, path)
     if speed.knows == "here":
         return _Here(scenario, path)
     if speed.knows == "weights":
-        return _Weighted(scenario, path)
+        return _Weighted(scenario, path, frictions)
     if speed.friction is not None:
         return _Assumed(scenario, path, speed.friction)
     return _Believed(scenario, path, belief)

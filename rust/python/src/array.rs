@@ -3,9 +3,10 @@
 use std::ops::Deref;
 
 use numpy::ndarray::{ArrayD, ArrayViewD, Dimension, IntoDimension, Ix1, Ix2, Ix3, IxDyn};
-use numpy::{AllowTypeChange, Element, IntoPyArray, PyArrayLike, PyArrayLikeDyn, PyReadonlyArray};
+use numpy::{AllowTypeChange, Element, IntoPyArray, PyArrayLike, PyReadonlyArray};
 use numpy::{PyArray, PyArray1, PyArray2, PyArray3, PyArrayDescrMethods, PyArrayMethods};
-use numpy::{PyUntypedArray, PyUntypedArrayMethods};
+use numpy::{PyUntypedArray, PyUntypedArrayMethods, get_array_module};
+use pyo3::intern;
 use pyo3::prelude::*;
 
 use crate::error::InvalidArgumentError;
@@ -27,34 +28,36 @@ impl<'a, 'py, D: Dimension + 'py> FromPyObject<'a, 'py> for Argument<'py, D> {
     type Error = PyErr;
 
     fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
-        // numpy would leave out the imaginary part of a complex number, and read texts as numbers.
-        let array = object.cast::<PyUntypedArray>();
-        let real = (array.as_ref()).is_ok_and(|array| b"biuf".contains(&array.dtype().kind()));
-        if (real || array.is_err())
-            && let Ok(array) = object.extract()
-        {
-            return Ok(Self(array));
-        }
         let expected = match D::NDIM {
             Some(1) => "an array of numbers with 1 dimension".to_owned(),
             Some(count) => format!("an array of numbers with {count} dimensions"),
             None => "an array of numbers".to_owned(),
         };
-        let found = match (
-            array,
-            object.extract::<PyArrayLikeDyn<'py, f64, AllowTypeChange>>(),
-        ) {
-            (Ok(array), _) if !real => format!("the type {}", array.dtype()),
-            (_, Ok(array)) => format!("the shape {}", shown(array.shape())),
-            (_, Err(error)) => format!(
-                "{}: {}",
-                object.get_type().name()?,
-                error.value(object.py())
-            ),
+        let wrong = |found: String| {
+            InvalidArgumentError::new_err(format!("expected {expected}, got {found}"))
         };
-        Err(InvalidArgumentError::new_err(format!(
-            "expected {expected}, got {found}"
-        )))
+        let py = object.py();
+        let array = match object.cast::<PyUntypedArray>() {
+            Ok(array) => array.to_owned(),
+            Err(_) => get_array_module(py)?
+                .call_method1(intern!(py, "asarray"), (object,))
+                .and_then(|made| Ok(made.cast_into::<PyUntypedArray>()?))
+                .map_err(|error| {
+                    let kind = object.get_type().name();
+                    kind.map_or_else(
+                        |error| error,
+                        |kind| wrong(format!("{kind}: {}", error.value(py))),
+                    )
+                })?,
+        };
+        // numpy would leave out the imaginary part of a complex number, read texts as numbers, and `None` as NaN.
+        if !b"biuf".contains(&array.dtype().kind()) {
+            return Err(wrong(format!("the type {}", array.dtype())));
+        }
+        let extracted = array.extract();
+        extracted
+            .map(Self)
+            .map_err(|_| wrong(format!("the shape {}", shown(array.shape()))))
     }
 }
 

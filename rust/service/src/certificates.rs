@@ -64,8 +64,10 @@ pub(crate) fn earliest_end(
         };
         if end <= now {
             let days = (now - end) / DAY;
-            let reason =
-                format!("the certificate expired {days} days ago; renew it with `egp keys`");
+            let reason = format!(
+                "the certificate expired {} ago; renew it with `egp keys`",
+                in_days(days)
+            );
             return Err((named, reason));
         }
         earliest = Some(earliest.map_or(end, |earliest: i64| earliest.min(end)));
@@ -94,8 +96,13 @@ pub(crate) fn show(end: i64, registry: &mut Registry) {
 pub(crate) fn warning(end: i64, now: i64) -> Option<String> {
     let days = days_left(end, now)?;
     Some(format!(
-        "a certificate of this service expires in {days} days; renew it with `egp keys`"
+        "a certificate of this service expires in {}; renew it with `egp keys`",
+        in_days(days)
     ))
+}
+
+fn in_days(days: i64) -> String {
+    format!("{days} day{}", if days == 1 { "" } else { "s" })
 }
 
 /// The days until a certificate with this end expires, if it is time to renew it.

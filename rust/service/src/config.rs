@@ -13,6 +13,7 @@ use egp_engine::available_cores;
 use egp_trace::{Share, ShareError};
 use egp_wire::{LibraryId, Ready, keys::Name, library_keys::library_id};
 use serde::Deserialize;
+use serde::de::{Deserializer, Error as _};
 use thiserror::Error;
 
 /// The configuration of a service, in TOML. Unknown keys are errors.
@@ -64,7 +65,7 @@ pub struct ServiceConfig {
     #[serde(default = "default_load")]
     pub load_ms: u64,
     /// Address for `/health`, `/ready` and `/metrics` over HTTP, as `127.0.0.1:9464`. Default: none.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "address")]
     pub http: Option<SocketAddr>,
     /// What to log: a level, or directives as `egp_service=debug,zenoh=warn`. Default `info,zenoh=warn`.
     #[serde(default = "default_log")]
@@ -289,6 +290,16 @@ impl ServiceConfig {
     }
 }
 
+/// Reads an address for HTTP.
+fn address<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<SocketAddr>, D::Error> {
+    let text = String::deserialize(deserializer)?;
+    let wrong = |_| {
+        let expected = "`http` must be an IP address and a port, such as 127.0.0.1:9464, got";
+        D::Error::custom(format!("{expected} {text:?}"))
+    };
+    text.parse().map(Some).map_err(wrong)
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -326,7 +337,7 @@ mod tests {
             ),
             ("library = \"a\"\nwatch_ms = 1", "`watch_ms` must be"),
             ("library = \"a\"\ntraces_share = 2.0", "from 0 to 1, got 2"),
-            ("library = \"a\"\nhttp = \"9464\"", "socket address"),
+            ("library = \"a\"\nhttp = \"9464\"", "such as 127.0.0.1:9464"),
             ("library = \"a\"\n[settings]\nhorizn = 3", "horizn"),
             ("library = \"a\"\n[settings]\nmass = -1.0", "mass"),
         ] {

@@ -20,7 +20,7 @@ pub(crate) fn answered(key: &str, sequence: u64, status: Status, timing: &Timing
         fleet,
         vehicle,
         sequence,
-        status = status.as_str_name(),
+        status = name(status.as_str_name(), "STATUS_"),
         queue_us = timing.queue_us,
         step_us = timing.step_us,
         "answered"
@@ -39,10 +39,15 @@ pub(crate) fn refused(key: &str, sequence: Option<u64>, error: &WireError) {
         fleet,
         vehicle,
         sequence,
-        code = error.code.as_str_name(),
+        code = name(error.code.as_str_name(), "CODE_"),
         %error,
         "refused"
     );
+}
+
+/// The name of an outcome as metrics and traces have it.
+fn name(message: &str, prefix: &str) -> String {
+    message.trim_start_matches(prefix).to_ascii_lowercase()
 }
 
 /// Fleet and vehicle of the key of a request; none for another key.

@@ -114,6 +114,11 @@ impl Libraries {
         };
         self.table.replace(id, self.started.elapsed(), load)
     }
+
+    /// Whether a reload finds a place for a library that is not served.
+    pub(crate) fn has_room(&self) -> bool {
+        self.table.has_room(self.started.elapsed())
+    }
 }
 
 /// An engine, and the file of its library for others who fetch it.

@@ -34,6 +34,9 @@ struct Served<H> {
     description: Ready,
     /// When a request last asked for it, milliseconds after the start and at least 1; 0 if none did.
     asked: AtomicU64,
+    /// When `ready` last described it, as far as a replacement noted it, in the same unit: vehicles that started then ask for it
+    /// soon.
+    described: AtomicU64,
 }
 
 impl<H: Handler> Served<H> {
@@ -42,6 +45,7 @@ impl<H: Handler> Served<H> {
             description: handler.describe(),
             handler,
             asked: AtomicU64::new(0),
+            described: AtomicU64::new(0),
         }
     }
 
@@ -86,7 +90,8 @@ impl<H: Handler> LibraryTable<H> {
 
     /// Lets `ready` describe the library `id` from now on. If it is not served, `load` makes it, given the library that is
     /// described at present. Libraries from before are still served to requests that state them; if there are more than the
-    /// limit, the one that was not asked for the longest time is removed. The caller begins one replacement at a time.
+    /// limit, the one that was neither asked for nor described for the longest time is removed. The caller begins one
+    /// replacement at a time.
     ///
     /// # Errors
     /// The error of `load`, or that of [`TableFull`] if no library can be removed; nothing changes then.
@@ -97,31 +102,41 @@ impl<H: Handler> LibraryTable<H> {
         load: impl FnOnce(&H) -> Result<H, E>,
     ) -> Result<Reloaded, E> {
         let before = self.served();
+        before[0].described.store(millis(now), Ordering::Relaxed);
         let known = before.iter().position(|one| one.id() == id);
         let mut after: Vec<_> = before.to_vec();
         match known {
             Some(0) => return Ok(Reloaded::Same(id)),
             Some(index) => after[..=index].rotate_right(1),
             None => {
-                after.insert(0, Arc::new(Served::new(load(&before[0].handler)?)));
-                if after.len() > self.limit {
-                    after.remove(self.removable(&after, now)?);
+                let new = Served::new(load(&before[0].handler)?);
+                if before.len() >= self.limit {
+                    after.remove(self.removable(&before, now)?);
                 }
+                after.insert(0, Arc::new(new));
             }
         }
         *self.served.write().unwrap_or_else(PoisonError::into_inner) = after.into();
         Ok(Reloaded::Changed(id))
     }
 
-    /// The index of the library that was not asked for the longest time; the new one at index 0 is excepted.
+    /// Whether [`Self::replace`] finds a place for a further library.
+    pub fn has_room(&self, now: Duration) -> bool {
+        let served = self.served();
+        served.len() < self.limit || self.removable(&served, now).is_ok()
+    }
+
+    /// The index of the library that was neither asked for nor described for the longest time, of those that are not in use.
     fn removable(&self, all: &[Arc<Served<H>>], now: Duration) -> Result<usize, TableFull> {
         let now = millis(now);
         let in_use =
             |asked: u64| asked > 0 && Duration::from_millis(now.saturating_sub(asked)) < IN_USE;
-        let ages = all.iter().enumerate().skip(1);
-        ages.map(|(index, one)| (one.asked.load(Ordering::Relaxed), index))
-            .min()
-            .filter(|(asked, _)| !in_use(*asked))
+        let idle = all.iter().enumerate().filter_map(|(index, one)| {
+            let asked = one.asked.load(Ordering::Relaxed);
+            let last = asked.max(one.described.load(Ordering::Relaxed));
+            (!in_use(asked)).then_some((last, index))
+        });
+        idle.min()
             .map(|(_, index)| index)
             .ok_or(TableFull { limit: self.limit })
     }
@@ -276,6 +291,28 @@ mod tests {
         assert_eq!(tried.ask(2, 4), Err(Code::UnknownLibrary));
         assert_eq!(tried.ask(1, 4), Ok(vec![1, 1]));
         assert_eq!(tried.ask(3, 5), Ok(vec![3, 3]));
+    }
+
+    #[test]
+    fn the_library_that_was_described_until_now_is_removed_last() {
+        let tried = Tried::new(&[], 3);
+        assert_eq!(tried.replace(2, 1), Ok(vec![2, 1]));
+        assert_eq!(tried.replace(3, 2), Ok(vec![3, 2, 1]));
+        assert_eq!(tried.replace(4, 3), Ok(vec![4, 3, 2]));
+        assert_eq!(tried.replace(2, 4), Ok(vec![2, 4, 3]));
+        assert_eq!(tried.replace(5, 5), Ok(vec![5, 2, 4]));
+    }
+
+    #[test]
+    fn there_is_room_below_the_limit_or_beside_a_library_that_is_not_in_use() {
+        let mut tried = Tried::new(&[], 1);
+        let room = |tried: &Tried, at| tried.table.has_room(Duration::from_secs(at));
+        assert!(room(&tried, 0));
+        assert_eq!(tried.ask(1, 1), Ok(vec![1, 1]));
+        assert!(!room(&tried, 60) && room(&tried, 61));
+        assert_eq!(tried.replace(2, 60), Err(TableFull { limit: 1 }));
+        assert_eq!(tried.replace(2, 61), Ok(vec![2]));
+        assert!(room(&Tried::new(&[], 2), 0));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The thread that loads the library file again, on command and when the file changes.
 
 use std::fs;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -15,18 +16,34 @@ use crate::sync::thread::{self, JoinHandle};
 /// How a reload ended, and all libraries that are served now.
 pub(crate) type Outcome = Result<(Reloaded, Vec<LibraryId>), ReloadError>;
 
-/// What tells one content of a file from another without reading it: time of the last change, and length.
-pub(crate) type Stamp = Option<(SystemTime, u64)>;
+/// What tells one content of a file from another without reading it. The times of the content may be those of an archive; the
+/// other ones are the file system's own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stamp {
+    modified: SystemTime,
+    length: u64,
+    inode: u64,
+    /// Time of the last change of content, name or rights, s and ns.
+    changed: (i64, i64),
+}
 
 /// A reloader that was not started.
 pub(crate) struct Reloader {
     libraries: Arc<Libraries>,
     watch: Option<Duration>,
     /// The file as it was loaded last.
-    stamp: Stamp,
-    /// The last loading, if it failed: when, and why. The watch tries it again without a change of the file, and tells log
-    /// and metrics when the reason changes.
-    failed: Option<(Instant, String)>,
+    stamp: Option<Stamp>,
+    /// The last loading, if it failed.
+    failed: Option<Failed>,
+}
+
+/// A loading that failed. The watch tries it again without a change of the file, and tells log and metrics when the reason
+/// changes.
+struct Failed {
+    at: Instant,
+    why: String,
+    /// It failed only because there was no room.
+    full: bool,
 }
 
 /// Time after which a loading that failed is tried again without a change of the file: what it lacked, such as a signature
@@ -42,7 +59,11 @@ pub(crate) struct Running {
 impl Reloader {
     /// Reloads on command, and when the file changed since the last look; looks are `watch` apart. `stamp` was taken before
     /// the libraries were loaded, so that a change since then is seen.
-    pub(crate) fn new(libraries: Arc<Libraries>, watch: Option<Duration>, stamp: Stamp) -> Self {
+    pub(crate) fn new(
+        libraries: Arc<Libraries>,
+        watch: Option<Duration>,
+        stamp: Option<Stamp>,
+    ) -> Self {
         Self {
             libraries,
             watch,
@@ -63,17 +84,24 @@ impl Reloader {
             while let Some(commanded) = self.wait(&commands) {
                 let now = stamp(self.libraries.file());
                 let changed = commanded || now != self.stamp;
-                let again = (self.failed.as_ref()).is_some_and(|(at, _)| at.elapsed() > RETRY);
+                let again = self.failed.as_ref().is_some_and(|failed| {
+                    // Without room all the work of loading would be in vain.
+                    failed.at.elapsed() > RETRY && (!failed.full || self.libraries.has_room())
+                });
                 if changed || again {
                     // A change during the loading is seen at the next look.
                     self.stamp = now;
                     let reloaded = self.libraries.reload();
-                    let why = reloaded.as_ref().err().map(ToString::to_string);
-                    let before = self.failed.take().map(|(_, why)| why);
-                    if changed || why != before {
+                    let before = self.failed.take().map(|failed| failed.why);
+                    self.failed = reloaded.as_ref().err().map(|error| Failed {
+                        at: Instant::now(),
+                        why: error.to_string(),
+                        full: matches!(error, ReloadError::Full { .. }),
+                    });
+                    if changed || self.failed.as_ref().map(|failed| &failed.why) != before.as_ref()
+                    {
                         note(reloaded.map(|reloaded| (reloaded, self.libraries.ids())));
                     }
-                    self.failed = why.map(|why| (Instant::now(), why));
                 }
             }
         })?;
@@ -120,9 +148,14 @@ impl Drop for Running {
 }
 
 /// The stamp of a file; none if it is not there.
-pub(crate) fn stamp(file: &Path) -> Stamp {
+pub(crate) fn stamp(file: &Path) -> Option<Stamp> {
     let metadata = fs::metadata(file).ok()?;
-    Some((metadata.modified().ok()?, metadata.len()))
+    Some(Stamp {
+        modified: metadata.modified().ok()?,
+        length: metadata.len(),
+        inode: metadata.ino(),
+        changed: (metadata.ctime(), metadata.ctime_nsec()),
+    })
 }
 
 #[cfg(test)]
@@ -133,6 +166,25 @@ mod tests {
 
     use super::*;
     use crate::config::ServiceConfig;
+
+    #[test]
+    fn a_file_of_the_same_length_and_time_is_another_one() {
+        let folder = std::env::temp_dir().join(format!("egp-stamp-{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        let (file, beside) = (folder.join("library"), folder.join("beside"));
+        let write = |path: &Path| {
+            fs::write(path, "content").unwrap();
+            let written = fs::File::options().write(true).open(path).unwrap();
+            written.set_modified(SystemTime::UNIX_EPOCH).unwrap();
+        };
+        write(&file);
+        let before = stamp(&file);
+        assert_eq!(stamp(&file), before);
+        write(&beside);
+        fs::rename(&beside, &file).unwrap();
+        assert_ne!(stamp(&file), before);
+        fs::remove_dir_all(&folder).unwrap();
+    }
 
     #[test]
     fn a_file_that_was_replaced_after_the_stamp_is_loaded_again() {

@@ -82,8 +82,18 @@ pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
         ended
     };
     let server = match Server::start_unless(config, &mut stopped) {
-        Err(_) if ended => return Ok(()),
-        started => started?,
+        Err(_) if ended => {
+            tracing::info!("ended by a signal before the service had started");
+            return Ok(());
+        }
+        Err(error) => {
+            if config.log_json {
+                // A program that collects the log reads nothing else.
+                tracing::error!(%error, "not started");
+            }
+            return Err(error.into());
+        }
+        Ok(server) => server,
     };
     for signal in signals.forever() {
         tracing::info!(signal, "signal received");

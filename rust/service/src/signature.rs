@@ -27,14 +27,17 @@ pub enum SignatureError {
         source: std::io::Error,
     },
     /// The file holds something else.
-    #[error("{path}: expected {bytes} bytes as hexadecimal digits in each line, got {got:?}")]
+    #[error(
+        "{path}, line {line}: expected {bytes} bytes as hexadecimal digits, as `egp keys` writes them into library.pub, and \
+         `egp sign` beside a library"
+    )]
     Content {
         /// The file.
         path: String,
         /// The expected number of bytes.
         bytes: usize,
-        /// The line at fault.
-        got: String,
+        /// The number of the line at fault. Its text may be a secret in a file that was confused with another.
+        line: usize,
     },
     /// The signature is none of this library by one of the keys.
     #[error(
@@ -58,13 +61,13 @@ impl Signers {
     /// [`SignatureError`] if the file cannot be read, or has no key or something else.
     pub(crate) fn load(path: &Path) -> Result<Self, SignatureError> {
         let text = read(path)?;
-        let lines = text.lines().map(str::trim);
-        let lines = lines.filter(|line| !line.is_empty() && !line.starts_with('#'));
+        let lines = (1..).zip(text.lines().map(str::trim));
+        let lines = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
         let keys = lines
-            .map(|line| bytes(path, line))
+            .map(|(number, line)| bytes(path, number, line))
             .collect::<Result<Vec<_>, _>>()?;
         if keys.is_empty() {
-            return Err(no_bytes::<32>(path, ""));
+            return Err(no_bytes::<32>(path, 1));
         }
         Ok(Self(keys))
     }
@@ -115,7 +118,7 @@ pub(crate) fn signature_path(library: &Path) -> PathBuf {
 /// [`SignatureError`] if the file cannot be read or holds something else.
 pub(crate) fn signature_beside(library: &Path) -> Result<Signature, SignatureError> {
     let path = signature_path(library);
-    bytes(&path, read(&path)?.trim())
+    bytes(&path, 1, read(&path)?.trim())
 }
 
 fn read(path: &Path) -> Result<String, SignatureError> {
@@ -125,8 +128,12 @@ fn read(path: &Path) -> Result<String, SignatureError> {
     })
 }
 
-/// The bytes of a line of hexadecimal digits.
-fn bytes<const N: usize>(path: &Path, line: &str) -> Result<[u8; N], SignatureError> {
+/// The bytes of a line of hexadecimal digits; `number` names it in the error.
+fn bytes<const N: usize>(
+    path: &Path,
+    number: usize,
+    line: &str,
+) -> Result<[u8; N], SignatureError> {
     let digit = |at: usize| {
         line.get(at..at + 2)
             .and_then(|two| u8::from_str_radix(two, 16).ok())
@@ -136,13 +143,13 @@ fn bytes<const N: usize>(path: &Path, line: &str) -> Result<[u8; N], SignatureEr
     let all = all
         .filter(|_| plain)
         .and_then(|all| <[u8; N]>::try_from(all).ok());
-    all.ok_or_else(|| no_bytes::<N>(path, line))
+    all.ok_or_else(|| no_bytes::<N>(path, number))
 }
 
-fn no_bytes<const N: usize>(path: &Path, line: &str) -> SignatureError {
+fn no_bytes<const N: usize>(path: &Path, line: usize) -> SignatureError {
     SignatureError::Content {
         path: path.display().to_string(),
         bytes: N,
-        got: line.chars().take(80).collect(),
+        line,
     }
 }

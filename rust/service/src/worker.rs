@@ -58,6 +58,8 @@ impl<Q: Query> Shared<Q> {
     ) {
         let Begun { job, started } = begun;
         let outcome = outcome.as_ref().copied();
+        // The vehicle may send its next request as soon as it has the answer, and that must find an idle worker.
+        self.metrics.busy.dec();
         match outcome {
             Ok(status) => {
                 let took = ended - started;
@@ -82,7 +84,6 @@ impl<Q: Query> Shared<Q> {
         if let Some(traces) = &self.traces {
             traces.answered(&self.replica, &job, Some(started), ended, outcome);
         }
-        self.metrics.busy.dec();
     }
 }
 

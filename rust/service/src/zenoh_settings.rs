@@ -81,12 +81,13 @@ pub(crate) fn check_endpoints(
     }
 }
 
-/// The first endpoint whose protocol this program does not speak.
+/// The first endpoint whose protocol this program does not speak, or that has no port.
 fn foreign(mut endpoints: Value) -> Option<String> {
     let mut found = None;
     each(&mut endpoints, &mut |endpoint| {
         let protocol = endpoint.split_once('/').map(|(protocol, _)| protocol);
-        if protocol.is_none_or(|protocol| !PROTOCOLS.contains(&protocol)) {
+        let spoken = protocol.is_some_and(|protocol| PROTOCOLS.contains(&protocol));
+        if !spoken || parts(endpoint).is_none() {
             found.get_or_insert_with(|| endpoint.clone());
         }
     });
@@ -132,7 +133,9 @@ mod tests {
         assert_eq!(foreign(json!(["tcp/a:1", "tls/b:2"])), None);
         let found = foreign(json!({"client": ["tcp/a:1", "udp/b:2"]}));
         assert_eq!(found.as_deref(), Some("udp/b:2"));
-        assert_eq!(foreign(json!("here")).as_deref(), Some("here"));
+        for wrong in ["here", "tcp/host", "tcp/host:99999", "tcp/host:port"] {
+            assert_eq!(foreign(json!(wrong)).as_deref(), Some(wrong));
+        }
     }
 
     #[test]

@@ -17,11 +17,11 @@ pub struct NetworkError {
 }
 
 impl NetworkError {
-    /// The operation, and the reason that zenoh gives.
+    /// The operation, and the reason that zenoh gives, from which places in zenoh's source text are left out.
     pub fn new(doing: impl Into<String>, reason: &dyn std::fmt::Display) -> Self {
         Self {
             doing: doing.into(),
-            reason: reason.to_string(),
+            reason: without_places(&reason.to_string()),
         }
     }
 }
@@ -66,11 +66,51 @@ pub fn configuration<'a>(
 /// Changes one setting; `value` is JSON5.
 ///
 /// # Errors
-/// [`NetworkError`] if zenoh does not accept it.
+/// [`NetworkError`] if zenoh does not accept it. The message does not hold the value, which may be a secret.
 pub fn set(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkError> {
-    config
-        .insert_json5(key, value)
-        .map_err(|e| NetworkError::new(format!("zenoh setting \"{key}\" = '{value}'"), &e))
+    config.insert_json5(key, value).map_err(|error| {
+        let reason = refused(&error.to_string());
+        NetworkError::new(format!("zenoh setting \"{key}\""), &reason)
+    })
+}
+
+/// Why zenoh does not accept a setting, from its error in Rust's debug format.
+fn refused(error: &str) -> String {
+    let message = error
+        .split_once("msg: \"")
+        .and_then(|(_, rest)| rest.split_once("\", location"))
+        .map(|(message, _)| message.replace("\\\"", "\""));
+    match message {
+        // The parser's message quotes the value.
+        Some(message) if message.contains("-->") => {
+            "expected a JSON5 value; quote texts, as in '\"client\"'".to_owned()
+        }
+        Some(message) => message,
+        None if error.contains("unknown key") => "zenoh has no such setting".to_owned(),
+        None => error.to_owned(),
+    }
+}
+
+/// A text without zenoh's ` at /PLACE/FILE.rs:LINE`.
+fn without_places(text: &str) -> String {
+    let (mut kept, mut rest) = (String::new(), text);
+    while let Some(start) = rest.find(" at /") {
+        let (before, place) = rest.split_at(start);
+        kept.push_str(before);
+        let path = place[4..].split_whitespace().next().unwrap_or_default();
+        let known = path.find(".rs:").map(|end| &place[4 + end + 4..]);
+        rest = known.map_or_else(
+            || {
+                kept.push_str(&place[..4]);
+                &place[4..]
+            },
+            |after| {
+                let after = after.trim_start_matches(|digit: char| digit.is_ascii_digit());
+                after.strip_prefix('.').unwrap_or(after)
+            },
+        );
+    }
+    kept + rest
 }
 
 /// The value of a setting.
@@ -141,7 +181,50 @@ fn not_opened(reason: &str) -> &'static str {
     if reason.contains("Missing TLS") {
         "a tls endpoint needs a certificate and its key: state a zenoh file that `egp keys` wrote; cannot open the zenoh \
          session"
+    } else if reason.contains("Unable to connect") {
+        "no router or replica accepts connections at the endpoints of connect/endpoints; start one, or correct them; cannot \
+         open the zenoh session"
     } else {
         "cannot open the zenoh session"
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_about_a_setting_says_what_is_wrong_and_not_its_value() {
+        for (key, value, reason) in [
+            ("mode", "client", "quote texts"),
+            ("transport/auth/usrpwd/password", "SECRET", "quote texts"),
+            ("mode", "\"clint\"", "unknown variant `clint`"),
+            ("listen/endpoint", "[]", "zenoh has no such setting"),
+            ("listen/endpoints", "7", "expected list of endpoints"),
+        ] {
+            let error = set(&mut Config::default(), key, value).unwrap_err();
+            let message = error.to_string();
+            assert!(message.starts_with(&format!("zenoh setting \"{key}\": ")));
+            assert!(message.contains(reason), "{message}");
+            assert!(
+                !message.contains("SECRET") && !message.contains(".rs"),
+                "{message}"
+            );
+        }
+    }
+
+    #[test]
+    fn places_in_the_source_text_are_left_out() {
+        for (said, shown) in [
+            ("cannot at /a/b.rs:61.] at /c.rs:338.", "cannot]"),
+            (
+                "files at /etc/keys and at /a.rs:1 here",
+                "files at /etc/keys and here",
+            ),
+            ("no place", "no place"),
+        ] {
+            assert_eq!(without_places(said), shown);
+        }
     }
 }

@@ -14,11 +14,11 @@ def doctor(
 ) -> None:
     """Check this machine and a library, and say what to do about what is wrong.
 
-    Checked are processor and vector instructions, memory, clock and timer,
-    extras, ports, a zenoh session, and the library: that its numbers agree
-    with its seal and its stored predictions, and the time of a control step
-    within its period. The exit code is 1 if something fails; `warn` marks
-    what works with restrictions.
+    Checked are processor and vector instructions, clock and timer, extras,
+    ports, a zenoh session, and the library: that its numbers agree with its
+    seal and its stored predictions, and the time of a control step within its
+    period. The exit code is 1 if something fails; `warn` marks what works with
+    restrictions.
 
     For example:
       egp doctor

@@ -107,6 +107,8 @@ def serve(
       egp serve --config service.toml --check
       egp serve l.safetensors --fetch 6f1c... --connect tcp/10.0.0.5:7447
     """
+    # The service has a handler of its own for SIGHUP; Python's would end the command.
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     from egp_service._core import EgpError, check_service
     from egp_service._core import serve as serve_until_signal
     from egp_service.cli.settings_file import naming, read_service, read_settings
@@ -132,14 +134,13 @@ def serve(
     if check:
         with naming(config):
             served, warning = check_service(dumps(table))
-        _show(served)
+        further = table.get("libraries")
+        _show(served, further if isinstance(further, list) else [])
         if warning is not None:
             typer.echo(f"egp: {warning}", err=True)
         return
     if config is None or listen:
         check_free(listen or ["tcp/127.0.0.1:7447"])
-    # The service has a handler of its own for SIGHUP; Python's would end the command.
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     with naming(config):
         serve_until_signal(dumps(table))
 
@@ -153,9 +154,14 @@ def _add_endpoints(table: dict[str, object], endpoints: Mapping[str, Sequence[st
         table["zenoh"] = zenoh | stated
 
 
-def _show(served: "Ready") -> None:
-    """Print what would be served."""
+def _show(served: "Ready", further: Sequence[str]) -> None:
+    """Print what would be served, with the further library files."""
+    from egp_service._core import Library
+
     typer.echo(f"library {served.library.hex()}")
     typer.echo(f"surfaces: {', '.join(served.members)}")
     typer.echo(f"period {served.dt:g} s, horizon {served.horizon}, window {served.history}")
+    for library in map(Library.load, further):
+        typer.echo(f"further library {library.id}")
+        typer.echo(f"surfaces: {', '.join(member.label for member in library.members)}")
     typer.echo("Configuration, library and network settings are valid.")

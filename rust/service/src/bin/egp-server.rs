@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
+use egp_core::library::hex;
 use egp_service::{ServiceConfig, serve};
 
 /// The text of `--help` behind the options.
@@ -131,11 +132,15 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
         eprintln!("egp-server: {warning}");
     }
     let served = checked.served;
+    println!("library {}", hex(&served.library));
     println!("surfaces: {}", served.members.join(", "));
     println!(
         "period {} s, horizon {}, window {}",
         served.dt, served.horizon, served.history
     );
+    for other in &served.others {
+        println!("serves also library {}", hex(other));
+    }
     Ok(())
 }
 

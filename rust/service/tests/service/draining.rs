@@ -18,7 +18,9 @@ use zenoh::{Wait, sample::SampleKind};
 #[test]
 fn no_query_sent_while_the_replica_is_announced_stays_unanswered() {
     let endpoint = free_endpoint();
-    let server = Server::start_with(&config(&endpoint), engine()).unwrap();
+    let mut config = config(&endpoint);
+    config.drain_ms = 1000; // a client that gets no processor time hears of the withdrawal later
+    let server = Server::start_with(&config, engine()).unwrap();
     let vehicles: Vec<_> = (0..4)
         .map(|vehicle| {
             let (client, announced) = (Client::connect(&endpoint), Arc::new(AtomicBool::new(true)));

@@ -113,11 +113,11 @@ fn pages_and_log_follow_a_process_from_start_to_drain() {
         (&"fleet".into(), &"car".into())
     );
     assert_eq!(answered["sequence"], 41);
-    assert_eq!(answered["status"], "STATUS_SOLVED");
+    assert_eq!(answered["status"], "solved");
     assert!(answered["step_us"].as_u64().unwrap() > 0, "{answered}");
     let refused = event("refused");
     assert_eq!(refused["vehicle"], "stranger");
-    assert_eq!(refused["code"], "CODE_MALFORMED");
+    assert_eq!(refused["code"], "malformed");
     assert_eq!(event("drained")["level"], "INFO");
 }
 
