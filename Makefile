@@ -61,7 +61,7 @@ rust-test: .venv/built-dev ## Run the Rust tests
 	$(CARGO_TEST)
 
 # The tests in these folders have deadlines to keep, and mostly wait: two files of them run at a time.
-TIMED := tests/conformance tests/service tests/monitor
+TIMED := tests/conformance tests/service tests/monitor tests/ros2
 PYTEST := $(BIN)/pytest --dist loadfile --no-loadscope-reorder
 python-test: .venv/built-dev ## Run the Python tests
 	$(PYTEST) --numprocesses auto $(addprefix --ignore ,$(TIMED))

@@ -11,6 +11,7 @@ counted from 1.
 
 from __future__ import annotations
 
+import functools
 import json
 import random
 import sys
@@ -50,10 +51,15 @@ class Answer:
 
 def message(name: str) -> Any:  # noqa: ANN401 - classes made at run time
     """Make an empty message of the wire."""
+    return _message_class(name)()
+
+
+@functools.cache
+def _message_class(name: str) -> Any:  # noqa: ANN401
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(_core.file_descriptor_set()).file:
         pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"egp.v1.{name}"))()
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"egp.v1.{name}"))
 
 
 class ScriptedReplica:

@@ -28,6 +28,7 @@ from egp_service._core import (
 )
 from egp_service.control.endpoints import free_endpoint
 from frozen import freeze
+from patience import wait_for_replicas
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -65,7 +66,9 @@ class Vehicle(Protocol):
     dt: float
     horizon: int
 
-    def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
+    def step(
+        self, x: NDArray[np.float64], reference: NDArray[np.float64], deadline: float
+    ) -> Outcome:
         """Drive one period."""
 
     def reset(self) -> None:
@@ -110,15 +113,18 @@ class InProcess:
                 return answer
         raise ConnectError(discovery.error)
 
-    def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
-        """Drive one period."""
+    def step(
+        self, x: NDArray[np.float64], reference: NDArray[np.float64], deadline: float
+    ) -> Outcome:
+        """Drive one period; here the deadline is always that of a real vehicle."""
+        del deadline
         self._now += self.dt
         for query in [query for until, query in self._open if until <= self._now]:
             self._driver.ended(self._now, query)
         self._open = [(until, query) for until, query in self._open if until > self._now]
-        deadline = self._now + 0.8 * self.dt
+        due = self._now + 0.8 * self.dt
         try:
-            self._driver.tick(self._now, deadline, x, reference)
+            self._driver.tick(self._now, due, x, reference)
         except EgpError as error:
             return Outcome(error=str(error))
         while True:
@@ -226,7 +232,8 @@ class OverZenohInPython(Processes):
         with self._closed_on_error():
             self._client = self._connected(patience)
         self.dt, self.horizon = self._client.dt, self._client.horizon
-        _wait_for_all(len(scripts))
+        with self._closed_on_error():
+            wait_for_replicas(self._client, len(scripts))
 
     def _connected(self, patience: float) -> VehicleClient:
         try:
@@ -237,10 +244,12 @@ class OverZenohInPython(Processes):
             reasons = (f"replica {name}: {why}" for name, why in error.replicas.items())
             raise ConnectError("; ".join(reasons)) from error
 
-    def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
+    def step(
+        self, x: NDArray[np.float64], reference: NDArray[np.float64], deadline: float
+    ) -> Outcome:
         """Drive one period."""
         try:
-            step = self._client.step(x, reference, deadline=DEADLINE)
+            step = self._client.step(x, reference, deadline=deadline)
         except EgpError as error:
             return Outcome(error=str(error))
         return Outcome(step.mode, step.status, step.replica, step.lost, step.request)
@@ -269,14 +278,18 @@ class OverZenohInRust(Processes):
             if "error" in served:
                 raise ConnectError(served["error"])
         self.dt, self.horizon = float(served["dt"]), int(served["horizon"])
-        _wait_for_all(len(scripts))
+        if len(scripts) > 1:
+            # The other replica has its own link, and the program does not tell when it is known.
+            time.sleep(2.0)
 
-    def step(self, x: NDArray[np.float64], reference: NDArray[np.float64]) -> Outcome:
+    def step(
+        self, x: NDArray[np.float64], reference: NDArray[np.float64], deadline: float
+    ) -> Outcome:
         """Drive one period."""
         # JSON cannot express a number that is not finite; a number beyond the domain replaces it.
         state = np.nan_to_num(x, nan=1e300)
         answer = self._call(
-            {"deadline": DEADLINE, "x": state.tolist(), "reference": reference.tolist()}
+            {"deadline": deadline, "x": state.tolist(), "reference": reference.tolist()}
         )
         if "error" in answer:
             return Outcome(error=answer["error"])
@@ -304,12 +317,6 @@ class OverZenohInRust(Processes):
         assert line, "the vehicle's program has ended"
         answer: dict[str, Any] = json.loads(line)
         return answer
-
-
-def _wait_for_all(count: int) -> None:
-    """Give the announcements of the other replicas time to come; they are on their own links."""
-    if count > 1:
-        time.sleep(1.0)
 
 
 def _built_example() -> str:

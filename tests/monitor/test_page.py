@@ -84,7 +84,7 @@ def page(browser: Browser, world: World) -> Iterator[Page]:
         lambda request: mistakes.append(request.url) if foreign(request.url, world) else None,
     )
     opened.goto(world.monitor.url)
-    opened.locator("#rows tr").nth(VEHICLES).wait_for(state="attached", timeout=5000)
+    opened.locator("#rows tr").nth(VEHICLES).wait_for(state="attached", timeout=60_000)
     yield opened
     opened.close()
     assert mistakes == [], "errors of the scripts, or requests beyond the monitor"
@@ -97,18 +97,22 @@ def foreign(url: str, world: World) -> bool:
 def test_all_vehicles_are_shown_and_refreshed_ten_times_a_second(page: Page) -> None:
     assert page.locator("#rows tr").count() == VEHICLES + 1
     page.locator("#rows tr.normal").nth(VEHICLES - 1).wait_for(state="attached")
-    rates = page.evaluate(
+    gaps = page.evaluate(
         """async () => {
             const source = new EventSource("events");
-            let count = 0;
-            await new Promise((done) => { source.onopen = done; });
-            source.onmessage = () => { count += 1; };
-            await new Promise((done) => setTimeout(done, 1000));
+            const times = [];
+            await new Promise((done) => {
+                source.onmessage = () => {
+                    times.push(performance.now());
+                    if (times.length > 20) done();
+                };
+            });
             source.close();
-            return count;
+            return times.slice(1).map((time, i) => time - times[i]).sort((a, b) => a - b);
         }"""
     )
-    assert rates >= 7  # 10 on an idle machine
+    # Between two events; 100 ms on an idle machine. A stall prolongs only some of them.
+    assert gaps[len(gaps) // 2] <= 1000 / 7
     for name in (
         "Map",
         "Grip",
@@ -178,13 +182,13 @@ def test_a_killed_service_is_shown_within_a_second(page: Page, world: World) -> 
     assert first.get_attribute("data-id") == "default/asks"  # what needs attention is on top
     assert "gone" in page.locator("#replicas").inner_text()
     world.service.start()
-    page.wait_for_selector("#replicas li.serving", timeout=5000)
+    page.wait_for_selector("#replicas li.serving", timeout=60_000)
 
 
 def test_a_page_says_that_its_monitor_ended_and_connects_again(page: Page, world: World) -> None:
     world.monitor.end(signal.SIGKILL)
-    page.wait_for_selector("#alarm:not([hidden])", timeout=3000)
+    page.wait_for_selector("#alarm:not([hidden])", timeout=60_000)
     assert "old" in page.locator("#alarm").inner_text()
     world.monitor.start()
-    page.wait_for_selector("#alarm", state="hidden", timeout=5000)
+    page.wait_for_selector("#alarm", state="hidden", timeout=60_000)
     page.locator("#rows tr.normal").nth(VEHICLES - 1).wait_for(state="attached")

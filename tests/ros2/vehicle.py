@@ -79,7 +79,7 @@ def main(endpoint: str, seconds: float, silent: float) -> None:
         session.declare_subscriber(
             "7/control/command/control_cmd/*/*", lambda s: controls.append(s.payload.to_bytes())
         )
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + 60.0
         tokens: list[str] = []
         while len(tokens) < 5:
             assert time.monotonic() < deadline, tokens
@@ -89,7 +89,7 @@ def main(endpoint: str, seconds: float, silent: float) -> None:
         (path_key,) = (token.split("/") for token in tokens if "%plan/" in token)
         session.put(f"7/plan/{path_key[10]}/{path_key[11]}", road_message(road))
         time.sleep(0.2)
-        lateral, stops = [], []
+        lateral, stops, late = [], [], []
         begun = due = time.monotonic()
         sequence, speed_before = 0, 0.0
         while due - begun < seconds:
@@ -102,11 +102,15 @@ def main(endpoint: str, seconds: float, silent: float) -> None:
                 lateral.append(road.project(plant.vehicle_state[:2]).lateral)
             due += DT
             time.sleep(max(0.0, due - time.monotonic()))
+            late.append(time.monotonic() - due)
             if received:
                 drive = idl.AckermannDriveStamped.deserialize(received[-1][1]).drive
                 u = np.array([mass * drive.acceleration, drive.steering_angle_velocity])
                 plant.step(u, DT, 0.8)
                 stops.append(drive.speed == 0.0 and drive.acceleration < 0.0)
+    # The longest time between two commands, or by which a measurement was late.
+    times = [arrival for arrival, _, _ in received]
+    gap = max(*np.diff(times), *late)
     sequences = [struct.unpack("<qqB16s", attachment)[0] for _, _, attachment in received]
     last = idl.Control.deserialize(controls[-1])
     print(
@@ -114,6 +118,7 @@ def main(endpoint: str, seconds: float, silent: float) -> None:
             {
                 "tokens": tokens,
                 "commands": len(received),
+                "gap": float(gap),
                 "sequences": sequences == list(range(sequences[0], sequences[0] + len(sequences))),
                 "lateral": float(np.max(np.abs(lateral))),
                 "driven": float(road.project(plant.vehicle_state[:2]).s) - 15.0,

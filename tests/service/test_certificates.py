@@ -6,7 +6,8 @@ import json
 import socket
 import time
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ from egp_service.control.fleet_map import FleetMap
 from egp_service.monitor.listener import Listener
 from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import load_scenario
+from patience import wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -41,9 +43,22 @@ FRICTIONS = 0.1 * 13.0 ** np.linspace(0.0, 1.0, 17)
 STRAIGHT = np.array([0.0, 0.3, 15.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def answered(session: zenoh.Session, key: str) -> bool:
-    """Whether the service answers at all, by a reply or an error."""
-    return any(True for _ in session.get(key, payload=b"noise", timeout=2.0))
+def found(ask: Callable[[], list[Any]], *, expected: bool = True) -> list[Any]:
+    """Ask once or, where an answer is expected that a busy machine brings late, until it comes."""
+    late = time.monotonic() + (PATIENCE if expected else 0.0)
+    while not (answers := ask()) and time.monotonic() < late:
+        time.sleep(0.05)
+    return answers
+
+
+def any_answers(session: zenoh.Session, key: str) -> list[zenoh.Reply]:
+    """Give the service's answers to noise, errors included."""
+    return list(session.get(key, payload=b"noise", timeout=2.0))
+
+
+def announced(session: zenoh.Session) -> list[str]:
+    """Give the keys of the replicas that announce themselves."""
+    return [str(r.ok.key_expr) for r in session.liveliness().get("egp/v1/@live/*") if r.ok]
 
 
 def forge(query: zenoh.Query) -> None:
@@ -68,7 +83,7 @@ def test_a_stranger_who_says_nothing_is_disconnected_soon(tmp_path: Path) -> Non
             begun = time.monotonic()
             assert stranger.recv(1) == b""
         # By default zenoh waits for 10 s.
-        assert time.monotonic() - begun < 6.0
+        assert time.monotonic() - begun < 8.0
 
 
 def test_certificates_give_each_identity_its_own_keys(tmp_path: Path) -> None:
@@ -113,9 +128,11 @@ def test_certificates_give_each_identity_its_own_keys(tmp_path: Path) -> None:
                 ready = first(session, keys["ready"], expected=linked)
                 assert (ready is not None) == linked, name
                 for what, key in keys.items():
-                    assert answered(session, key) == (what in allowed.get(name, ())), (name, what)
-                tokens = [reply.ok for reply in session.liveliness().get("egp/v1/@live/*")]
-                assert bool(tokens) == linked, name
+                    may = what in allowed.get(name, ())
+                    answers = found(partial(any_answers, session, key), expected=may)
+                    assert bool(answers) == may, (name, what)
+                seen = found(partial(announced, session), expected=linked)
+                assert bool(seen) == linked, name
         with client(endpoint, files["b"]) as rogue, client(endpoint, files["a"]) as session:
             # A vehicle can neither announce a replica nor answer for one.
             queryable = rogue.declare_queryable("egp/v1/r/**", forge, complete=True)
@@ -124,8 +141,7 @@ def test_certificates_give_each_identity_its_own_keys(tmp_path: Path) -> None:
                 reply = first(session, keys["ready"])
                 assert reply is not None
                 assert reply.payload.to_bytes() != b"forged"
-            seen = [str(r.ok.key_expr) for r in session.liveliness().get("egp/v1/@live/*") if r.ok]
-            assert seen == [live_key("main")]
+            assert found(partial(announced, session)) == [live_key("main")]
             del queryable, token
 
 
@@ -239,8 +255,7 @@ def test_no_certificate_forges_what_services_and_vehicles_publish(tmp_path: Path
             reply = first(session, "egp/v1/r/main/ready")
             assert reply is not None
             assert reply.payload.to_bytes() != b"forged"
-            seen = [str(r.ok.key_expr) for r in session.liveliness().get("egp/v1/@live/*") if r.ok]
-            assert seen == [live_key("main")]
+            assert found(partial(announced, session)) == [live_key("main")]
         del declared
 
 
@@ -312,6 +327,7 @@ def test_a_service_has_a_limited_number_of_sessions(tmp_path: Path) -> None:
     with zenoh.open(config) as hub, ExitStack() as running:
         for _ in range(16 + 2 * 4 + 1):
             running.enter_context(client(endpoint, own / "vehicles" / "f@a.json5"))
+        wait_until(lambda: len(hub.info.peers_zid()) >= 24)
         late = time.monotonic() + LINK_SECONDS
         while time.monotonic() < late:
             assert len(hub.info.peers_zid()) <= 24
@@ -329,6 +345,10 @@ def test_a_question_that_is_larger_than_any_of_its_key_is_dropped(tmp_path: Path
         queryable = hub.declare_queryable("egp/v1/r/main/**", lambda q: q.reply(key, b"ok"))
         assert first(session, key) is not None
         for size, answers in ((1024, True), (1025, False)):
-            replies = session.get(key, payload=bytes(size), timeout=1.0)
-            assert any(reply.ok is not None for reply in replies) == answers
+
+            def ask(size: int = size) -> list[zenoh.Reply]:
+                replies = session.get(key, payload=bytes(size), timeout=1.0)
+                return [reply for reply in replies if reply.ok is not None]
+
+            assert bool(found(ask, expected=answers)) == answers
         del queryable

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import queue
+import re
 import signal
 import socket
 import sys
@@ -21,15 +21,19 @@ from egp_service import Controller, EgpError, InvalidArgumentError, VehicleClien
 from egp_service._core.testing import live_key
 from egp_service.control.client import Announcement, Network, ServiceUnreachableError
 from egp_service.control.endpoints import free_endpoint
+from egp_service.control.inbox import Inbox
 from egp_service.control.service_process import ServiceProcess, ServiceStartError
 from egp_service.control.session import session_config
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario, told_zones
+from frozen import freeze
+from patience import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from egp_service.control.step import Step, StepController
+    from egp_service._core import Decision
+    from egp_service.control.step import Measured, Step, StepController
     from egp_service.simulation.closed_loop import Run
     from egp_service.simulation.trace import Period
 
@@ -53,6 +57,31 @@ def test_a_service_that_accepts_and_says_nothing_takes_no_longer_than_the_timeou
 def service() -> Iterator[ServiceProcess]:
     with ServiceProcess(LIBRARY, {}) as running:
         yield running
+
+
+class PatientClient(VehicleClient):
+    """A client that gives each step more time than a busy machine needs."""
+
+    patience = 5.0
+
+    def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
+        return super()._decide(start, max(budget, self.patience), measured)
+
+
+def freeze_service(service: ServiceProcess) -> None:
+    process = service._process  # noqa: SLF001
+    assert process is not None
+    freeze(process)
+
+
+def unreachable(endpoint: str, gate: dict[str, float], reason: str) -> ServiceUnreachableError:
+    """Fail to connect for this reason, with more time if a busy machine has found no link yet."""
+    for timeout in (0.5, 2.0, 8.0, 32.0):
+        with pytest.raises(ServiceUnreachableError) as caught:
+            VehicleClient.connect(endpoint, gate=gate, timeout=timeout)
+        if re.search(reason, str(caught.value)):
+            return caught.value
+    raise AssertionError(str(caught.value))
 
 
 class Standstill:
@@ -93,7 +122,7 @@ def test_vehicles_and_services_receive_with_eight_threads(service: ServiceProces
     """With two, closing the link to a silent process delays the answers of all others."""
     with VehicleClient.connect([service.endpoint], gate=GATE):
         for process in (os.getpid(), service.pid):
-            end = time.monotonic() + 10.0
+            end = time.monotonic() + PATIENCE
             names: list[str] = []
             # A thread that has just been started names itself a little later.
             while sum(name.startswith("rx-") for name in names) < 8:
@@ -103,16 +132,15 @@ def test_vehicles_and_services_receive_with_eight_threads(service: ServiceProces
 
 
 def test_a_lap_through_the_service_is_the_lap_in_process(service: ServiceProcess) -> None:
-    """Up to deadline misses, which a busy machine may have and the tail bridges."""
     with (
         Controller(LIBRARY, gate=GATE) as controller,
-        VehicleClient.connect([service.endpoint], gate=GATE) as client,
+        PatientClient.connect([service.endpoint], gate=GATE) as client,
     ):
         here = drive(SCENARIO, controller, lambda _: None)
         there = drive(SCENARIO, client, lambda _: None)
     assert there.summary.ending.completed
-    if there.summary.deadline_misses == 0:
-        np.testing.assert_array_equal(there.trace.x, here.trace.x)
+    assert there.summary.deadline_misses == 0
+    np.testing.assert_array_equal(there.trace.x, here.trace.x)
 
 
 def test_a_service_killed_mid_lap_leads_to_tail_then_stop_within_limits(
@@ -126,8 +154,9 @@ def test_a_service_killed_mid_lap_leads_to_tail_then_stop_within_limits(
         inputs.append(period.step.u.tolist())
         if len(modes) == 150:
             service.kill()
+            client.patience = 0.0
 
-    with VehicleClient.connect([service.endpoint], gate=GATE) as client:
+    with PatientClient.connect([service.endpoint], gate=GATE) as client:
         # A stop in a corner may end beside the road; the run is to go on until standstill.
         run: Run = drive(replace(SCENARIO, leave_distance=50.0), client, kill_after_three_seconds)
         dt = client.dt
@@ -148,11 +177,12 @@ def test_a_restarted_service_is_picked_up_after_a_reset(service: ServiceProcess)
         vehicle = Standstill(client)
         assert vehicle.step(deadline=5.0).mode == "normal"
         service.kill()
-        steps = [vehicle.step() for _ in range(30)]
-        assert steps[-1].mode == "stop"
-        assert steps[-1].status == "unreachable"
+        for _ in range(30):
+            step = vehicle.step()
+        assert step.mode == "stop"
+        wait_until(lambda: vehicle.step().status == "unreachable")
         service.start()
-        end = time.monotonic() + 10.0
+        end = time.monotonic() + PATIENCE
         while (step := vehicle.step(deadline=1.0)).status != "solved" and time.monotonic() < end:
             time.sleep(client.dt)
         assert step.status == "solved"
@@ -166,9 +196,7 @@ def test_without_a_service_a_step_costs_no_time(service: ServiceProcess) -> None
         vehicle = Standstill(client)
         vehicle.step(deadline=5.0)
         service.kill()
-        end = time.monotonic() + 10.0
-        while vehicle.step().status != "unreachable":  # until the loss was noticed
-            assert time.monotonic() < end
+        wait_until(lambda: vehicle.step().status == "unreachable")  # until the loss was noticed
         client.reset()
         steps = [vehicle.step() for _ in range(5)]
     assert all(step.mode == "waiting" for step in steps)
@@ -180,7 +208,7 @@ def test_a_frozen_service_costs_no_more_than_the_deadline(service: ServiceProces
     with VehicleClient.connect([service.endpoint], gate=GATE) as client:
         vehicle = Standstill(client)
         vehicle.step(deadline=5.0)
-        service.freeze()
+        freeze_service(service)
         step = vehicle.step(deadline=1.5)  # longer than queries usually may take
         service.kill()
     assert (step.mode, step.status) == ("tail", "late")
@@ -191,9 +219,12 @@ def test_a_handler_of_a_signal_may_reset_within_a_step(service: ServiceProcess) 
     with VehicleClient.connect([service.endpoint], gate=GATE) as client:
         vehicle, seen = Standstill(client), list[str]()
         vehicle.step(deadline=5.0)
-        service.freeze()
+        freeze_service(service)
 
         def handle(*_: object) -> None:
+            if not client._stepping:  # noqa: SLF001 - a busy machine has not begun the step
+                signal.setitimer(signal.ITIMER_REAL, 0.05)
+                return
             client.reset()
             with pytest.raises(EgpError, match="which a signal interrupts"):
                 vehicle.step()
@@ -204,6 +235,7 @@ def test_a_handler_of_a_signal_may_reset_within_a_step(service: ServiceProcess) 
             signal.setitimer(signal.ITIMER_REAL, 0.05)
             step = vehicle.step(deadline=0.5)
         finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, before)
         assert (seen, step.mode, step.status) == (["reset"], "tail", "late")
         service.kill()
@@ -261,9 +293,8 @@ def test_a_gate_that_fits_no_replica_is_an_error_that_names_the_replica(
     service: ServiceProcess,
 ) -> None:
     wide = GATE | {"steering_rate": 0.6}
-    with pytest.raises(ServiceUnreachableError, match=r"0\.6 rad/s.*0\.4 rad/s") as caught:
-        VehicleClient.connect(service.endpoint, gate=wide, timeout=3.0)
-    assert len(caught.value.replicas) == 1
+    error = unreachable(service.endpoint, wide, r"0\.6 rad/s.*0\.4 rad/s")
+    assert len(error.replicas) == 1
 
 
 def test_replicas_that_come_and_go_take_no_memory(service: ServiceProcess) -> None:
@@ -281,9 +312,25 @@ def test_replicas_that_come_and_go_take_no_memory(service: ServiceProcess) -> No
             token.undeclare()  # type: ignore[no-untyped-call]
         vehicle.step(deadline=5.0)
         network = next(value for value in vars(client).values() if isinstance(value, Network))
-        held = [value for value in vars(network).values() if isinstance(value, queue.SimpleQueue)]
+        held = [value for value in vars(network).values() if isinstance(value, Inbox)]
     assert held
-    assert sum(value.qsize() for value in held) < 20
+    assert sum(len(value._events) for value in held) < 20  # noqa: SLF001
+
+
+def test_a_handler_of_a_signal_that_is_slow_does_not_prolong_a_wait() -> None:
+    inbox: Inbox[str] = Inbox()
+    late = threading.Timer(20.0, inbox.put, ["late"])
+    before = signal.signal(signal.SIGALRM, lambda *_: time.sleep(0.3))
+    late.start()
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        assert inbox.get(0.2) is None
+    finally:
+        late.cancel()
+        signal.signal(signal.SIGALRM, before)
+    for event in ("first", "second"):
+        inbox.put(event)
+    assert [inbox.get(0.0) for _ in range(3)] == ["first", "second", None]
 
 
 def test_a_replica_whose_loss_is_reported_late_is_found_again(service: ServiceProcess) -> None:
@@ -292,20 +339,16 @@ def test_a_replica_whose_loss_is_reported_late_is_found_again(service: ServicePr
         run_with(client, 1)
         network = client._network  # noqa: SLF001
         network._inbox.put(Announcement(time.monotonic(), "main", appeared=False))  # noqa: SLF001
-        vehicle, late = Standstill(client), time.monotonic() + 5.0
-        while vehicle.step(deadline=1.0).status != "solved":
-            assert time.monotonic() < late
+        vehicle = Standstill(client)
+        wait_until(lambda: vehicle.step(deadline=1.0).status == "solved")
 
 
 def test_connecting_to_nobody_says_what_to_do() -> None:
     with pytest.raises(ServiceUnreachableError, match=r"there is no link to .*egp serve"):
         VehicleClient.connect(["tcp/127.0.0.1:9"], gate=GATE, timeout=0.5)
     endpoint = free_endpoint()
-    with (
-        zenoh.open(session_config([], 1.0, {"listen/endpoints": [endpoint]})),
-        pytest.raises(ServiceUnreachableError, match=r"^no replica of the service announces"),
-    ):
-        VehicleClient.connect([endpoint], gate=GATE, timeout=0.5)
+    with zenoh.open(session_config([], 1.0, {"listen/endpoints": [endpoint]})):
+        unreachable(endpoint, GATE, r"^no replica of the service announces")
 
 
 def test_a_service_that_cannot_start_says_why(tmp_path: Path) -> None:

@@ -9,10 +9,8 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.request import urlopen
 
 import pytest
@@ -22,18 +20,16 @@ from typer.testing import CliRunner
 
 from egp_service._core import EgpError, RoadBelief, RoadKey, encode_tile_evidence
 from egp_service.cli import app, signals
+from egp_service.cli.commands.drive import NOT_COMPLETED
 from egp_service.cli.status_line import MODE_STYLES
 from egp_service.control.endpoints import free_endpoint, free_port, why_unreachable
 from egp_service.control.service_process import ServiceProcess
 from egp_service.control.session import session_config
 from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import library_path, load_scenario
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from patience import ATTEMPTS, PATIENCE, wait_until
 
 LIBRARY = library_path(load_scenario("rounded-rectangle"))
-PATIENCE = 60.0
 LONG = """
 name = "long"
 laps = 50.0
@@ -45,19 +41,17 @@ friction = 1.0
 """
 
 
-def wait_until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
 def group_lives(leader: int) -> bool:
     try:
         os.killpg(leader, 0)
     except ProcessLookupError:
         return False
     return True
+
+
+def has_steps(runs: Path) -> bool:
+    """Whether a drive has recorded steps: its header has 2 kB, and its first 50 steps 300 kB."""
+    return any(file.stat().st_size > 100_000 for file in runs.glob("*/run.mcap"))
 
 
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
@@ -78,7 +72,7 @@ def test_a_signal_ends_a_drive_with_its_service_and_its_files(
         start_new_session=True,
     )
     try:
-        wait_until(lambda: any(file.stat().st_size for file in runs.glob("*/run.mcap")))
+        wait_until(lambda: has_steps(runs))
         assert list((tmp_path / "temporary").iterdir())
         process.send_signal(sent)
         output, _ = process.communicate(timeout=PATIENCE)
@@ -111,7 +105,7 @@ def test_a_drive_that_is_killed_leaves_no_service_and_no_files_of_it(tmp_path: P
         start_new_session=True,
     )
     try:
-        wait_until(lambda: any(file.stat().st_size for file in runs.glob("*/run.mcap")))
+        wait_until(lambda: has_steps(runs))
         assert list(temporary.glob("egp-service-*"))
         process.kill()
         process.wait()
@@ -334,16 +328,22 @@ def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -
     short = tmp_path / "short.toml"
     short.write_text(LONG.replace("50.0", "0.02"), encoding="utf-8")
     settings = tmp_path / "zenoh.json5"
-    arguments = ["drive", "-s", str(short), "--no-pictures", "-o", str(tmp_path / "runs")]
+    arguments = ["drive", "-s", str(short), "--no-pictures"]
     with ServiceProcess(LIBRARY, {}) as service:
         settings.write_text(f"{{connect: {{endpoints: ['{service.endpoint}']}}}}", encoding="utf-8")
-        result = CliRunner().invoke(app, [*arguments, "--zenoh", str(settings)])
+        for attempt in range(ATTEMPTS):
+            runs = tmp_path / f"runs-{attempt}"
+            result = CliRunner().invoke(
+                app, [*arguments, "--zenoh", str(settings), "-o", str(runs)]
+            )
+            if result.exit_code != NOT_COMPLETED:  # as on a machine that stalls
+                break
         assert result.exit_code == 0, result.output
         # The same service answers the recorded requests.
-        (recording,) = (tmp_path / "runs").glob("*/run.mcap")
+        (recording,) = runs.glob("*/run.mcap")
         report = tmp_path / "load.json"
         replay = ["load", "--replay", str(recording), "--connect", service.endpoint]
-        options = ["--vehicles", "2", "--seconds", "1", "--ramp", "0.5", "--most", "3"]
+        options = ["--vehicles", "2", "--seconds", "3", "--ramp", "0.5", "--most", "3"]
         figure = ["--figure", str(report.with_suffix(".png"))]
         assert CliRunner().invoke(app, [*replay, *options, *figure]).exit_code == 0
     rates = json.loads(report.read_text())["rates"]

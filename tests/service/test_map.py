@@ -31,9 +31,10 @@ from egp_service.control.fleet_map import FleetMap
 from egp_service.control.session import session_config
 from egp_service.simulation.course import build_path, road_name
 from egp_service.simulation.scenario import load_scenario
+from patience import PATIENCE, shortest, wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
 SCENARIO = load_scenario("random")
@@ -47,25 +48,23 @@ def map_service(endpoint: str, *options: str) -> Iterator[subprocess.Popen[str]]
     command = [sys.executable, "-m", "egp_service", "map", "--listen", endpoint, *options]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         host, port = endpoint.removeprefix("tcp/").split(":")
-        for _ in range(400):
+
+        def listens() -> bool:
             with socket.socket() as probe:
-                if probe.connect_ex((host, int(port))) == 0:
-                    break
-            time.sleep(0.05)
+                return probe.connect_ex((host, int(port))) == 0
+
         try:
+            wait_until(listens)
             yield process
         finally:
             process.send_signal(signal.SIGINT)
-            process.wait(10.0)
+            process.wait(PATIENCE)
 
 
 @contextmanager
 def raw_session(endpoint: str) -> Iterator[zenoh.Session]:
     with zenoh.open(session_config([endpoint], 5.0, {})) as session:
-        for _ in range(100):
-            if ask(session, MAP_HEALTH_KEY)[0] == b"ok":
-                break
-            time.sleep(0.05)
+        wait_until(lambda: ask(session, MAP_HEALTH_KEY)[0] == b"ok")
         yield session
 
 
@@ -132,13 +131,15 @@ def test_the_second_car_is_faster_with_what_the_first_one_found(tmp_path: Path) 
 def test_without_a_map_service_nothing_waits(tmp_path: Path) -> None:
     belief = measured(0.5)
     with FleetMap(free_endpoint(), belief, road="r", vehicle="v", timeout=0.3) as fleet:
-        start = time.monotonic()
-        assert not fleet.fetch()
-        assert time.monotonic() - start < 2.0
-        start = time.monotonic()
-        for _ in range(1000):
-            fleet.exchange()
-        assert time.monotonic() - start < 0.5
+        found: list[bool] = []
+        assert shortest(lambda: found.append(fleet.fetch())) < 2.0
+        assert not any(found)
+
+        def exchange() -> None:
+            for _ in range(1000):
+                fleet.exchange()
+
+        assert shortest(exchange) < 0.5
         assert fleet.origins == {}
     endpoint = free_endpoint()
     _, said = lap_time(tmp_path, endpoint, "car-1")
@@ -151,8 +152,8 @@ def test_evidence_that_was_not_sent_is_counted(caplog: pytest.LogCaptureFixture)
     endpoint = free_endpoint()
     belief = RoadBelief(PATH)
     with map_service(endpoint) as service:
-        fleet = FleetMap(endpoint, belief, road="r", vehicle="v", timeout=0.5)
-        assert fleet.fetch()
+        fleet = FleetMap(endpoint, belief, road="r", vehicle="v", timeout=2.0)
+        wait_until(fleet.fetch)
         service.kill()
         service.wait()
     measure(belief, 0.4, 150.0)
@@ -176,7 +177,7 @@ def test_a_lost_answer_is_asked_for_again_while_the_vehicle_waits() -> None:
 
     with zenoh.open(session_config([], 5.0, {"listen/endpoints": [endpoint]})) as session:
         queryable = session.declare_queryable("egp/**", answer)
-        with FleetMap(endpoint, RoadBelief(PATH), road="r", vehicle="v", timeout=1.5) as fleet:
+        with FleetMap(endpoint, RoadBelief(PATH), road="r", vehicle="v", timeout=6.0) as fleet:
             assert not fleet.answered
             assert fleet.fetch()
             assert fleet.answered
@@ -255,11 +256,12 @@ def test_evidence_that_an_overloaded_service_refused_is_sent_again() -> None:
             measure(belief, 0.4, 150.0)
             (question,) = set(asked)
             assert len(asked) == 2
-            end = time.monotonic() + 20.0
-            while sorted(map(asked.count, set(asked) - {question})) != [2, 2]:
-                assert time.monotonic() < end, asked
+
+            def sent_again() -> bool:
                 fleet.exchange()
-                time.sleep(0.05)
+                return sorted(map(asked.count, set(asked) - {question})) == [2, 2]
+
+            wait_until(sent_again)
         queryable.undeclare()  # type: ignore[no-untyped-call]
 
 
@@ -304,13 +306,6 @@ def metric(session: zenoh.Session, name: str) -> int:
     return int(found[1]) if found else 0
 
 
-def eventually(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
 def test_roads_are_written_in_time_and_a_map_that_cannot_write_says_so(tmp_path: Path) -> None:
     endpoint, folder = free_endpoint(), tmp_path / "roads"
     key = RoadKey("depot", "car", "ring")
@@ -321,12 +316,12 @@ def test_roads_are_written_in_time_and_a_map_that_cannot_write_says_so(tmp_path:
         with pytest.raises(EgpError, match=f"another map service keeps the folder {folder}"):
             MapServer(config)
         assert ask(session, key.tile(0), good) == (b"", None)
-        eventually((folder / "depot@ring.road").exists)
-        eventually(lambda: metric(session, "egp_map_unsaved_roads") == 0)
+        wait_until((folder / "depot@ring.road").exists)
+        wait_until(lambda: metric(session, "egp_map_unsaved_roads") == 0)
         assert metric(session, 'egp_map_writes_total{outcome="written"}') >= 1
         shutil.rmtree(folder)
         assert ask(session, key.tile(1), good) == (b"", None)
-        eventually(lambda: metric(session, 'egp_map_writes_total{outcome="failed"}') >= 1)
+        wait_until(lambda: metric(session, 'egp_map_writes_total{outcome="failed"}') >= 1)
         assert metric(session, "egp_map_unsaved_roads") == 1
         with pytest.raises(EgpError, match="1 roads of the map were not written"):
             server.stop()
@@ -335,7 +330,7 @@ def test_roads_are_written_in_time_and_a_map_that_cannot_write_says_so(tmp_path:
 def test_sighup_ends_the_service() -> None:
     with map_service(free_endpoint()) as service:
         service.send_signal(signal.SIGHUP)
-        assert service.wait(10.0) == 0
+        assert service.wait(PATIENCE) == 0
 
 
 def test_a_road_is_named_by_its_track() -> None:

@@ -11,7 +11,6 @@ import json
 import shutil
 import socket
 import struct
-import time
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,6 +35,7 @@ from egp_service._core import Discovery, Server
 from egp_service.cli import app
 from egp_service.cli.signing import sign_library
 from egp_service.control.endpoints import free_endpoint
+from patience import ATTEMPTS, wait_for_replicas
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -78,9 +78,13 @@ def test_a_drive_without_its_key_says_why_no_period_had_a_plan(tmp_path: Path) -
     reason = "the request has no seal; give the client the key of this vehicle"
     with service(tmp_path, endpoint, f'vehicle_keys = "{keys}"'):
         for folder, key in (("with", ["--key", str(keys)]), ("without", [])):
-            done = CliRunner().invoke(app, [*command, *key, "-o", str(tmp_path / folder)])
-            (file,) = (tmp_path / folder).glob("*/summary.json")
-            summary, shown = json.loads(file.read_text()), " ".join(done.output.split())
+            for attempt in range(ATTEMPTS):
+                output = tmp_path / folder / str(attempt)
+                done = CliRunner().invoke(app, [*command, *key, "-o", str(output)])
+                (file,) = output.glob("*/summary.json")
+                summary, shown = json.loads(file.read_text()), " ".join(done.output.split())
+                if "late" not in summary["solver_statuses"]:
+                    break
             if key:
                 assert done.exit_code == 0, done.output
                 assert "No plan" not in shown
@@ -135,7 +139,7 @@ def test_a_stray_replica_costs_a_vehicle_with_a_key_no_plan(tmp_path: Path, keys
         with VehicleClient.connect(
             endpoints, vehicle="car-1", gate=GATE, key_file=keys, timeout=PATIENCE
         ) as vehicle:
-            time.sleep(1.0)  # the strays are known
+            wait_for_replicas(vehicle, len(endpoints))
             steps = drive(vehicle)
         assert not any(is_forged(step) for step in steps)
         assert sum(step.status == "solved" for step in steps) >= STEPS - 1
@@ -194,5 +198,5 @@ def test_a_connection_that_says_nothing_is_closed(tmp_path: Path) -> None:
         assert first(session, "egp/v1/r/main/health") is not None
         with socket.create_connection((host, int(port))) as silent:
             # Closed after 2 s; zenoh's own default is 10 s.
-            silent.settimeout(6.0)
+            silent.settimeout(8.0)
             assert silent.recv(1) == b""

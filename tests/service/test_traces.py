@@ -26,6 +26,7 @@ from egp_service.control.endpoints import free_endpoint
 from egp_service.control.service_process import ServiceProcess
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
 from frozen import freeze
+from patience import PATIENCE, wait_for_replicas, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -38,7 +39,6 @@ GATE = gate_settings(SCENARIO)
 EGP = [sys.executable, "-m", "egp_service"]
 # Each process reads its clock and the time of day within 20 us; a busy machine may interrupt it.
 CLOCKS_NS = 200_000
-PATIENCE = 60.0
 
 
 @dataclass(frozen=True)
@@ -273,13 +273,14 @@ def test_a_request_to_two_replicas_is_one_trace(tmp_path: Path) -> None:
             vehicle = Standstill(client)
             for endpoint in connect:
                 wait_until_listening(endpoint)
-            time.sleep(1.0)  # until the vehicle is linked to both
+            wait_for_replicas(client, 2)
             first = vehicle.step().replica
             freeze(processes[first])
             step = vehicle.step()
             assert (step.status, step.replica) == ("solved", {"a": "b", "b": "a"}[first])
             processes[first].send_signal(signal.SIGCONT)
-            time.sleep(2.0)
+            # The replica answers the question that it had when it was stopped.
+            wait_until(lambda: files[first].read_bytes().count(b'"egp.request"') >= 2)
     *_, newest = (span for span in read(ours) if span.name == "egp.step")
     (spans,) = [
         spans

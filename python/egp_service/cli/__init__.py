@@ -151,7 +151,7 @@ def main() -> None:
             raise
         _fail(f"{error.name} is not installed; try `pip install 'egp-service[{extra}]'`")
     except EgpError as error:
-        _fail(str(error))
+        _fail(", ".join([str(error), *getattr(error, "__notes__", [])]))
     except OSError as error:
         _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
     except RuntimeError:

@@ -5,7 +5,6 @@ The driver in Rust makes all decisions. This module carries out its actions and 
 
 from __future__ import annotations
 
-import queue
 import time
 import warnings
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from egp_service._core import (
     decode_ready,
     replica_of_live,
 )
+from egp_service.control.inbox import Inbox
 from egp_service.control.session import direct, look_again, open_session, session_config
 from egp_service.control.step import StepController
 
@@ -193,7 +193,7 @@ class Network:
 
         `endpoints` are those that an error names; `patience` is that of `open_session`.
         """
-        self._inbox: queue.SimpleQueue[Callable[[Driver], None]] = queue.SimpleQueue()
+        self._inbox: Inbox[Callable[[Driver], None]] = Inbox()
         try:
             self.session = open_session(config, patience)
         except zenoh.ZError as error:
@@ -204,10 +204,7 @@ class Network:
 
     def next(self, patience: float) -> Callable[[Driver], None] | None:
         """Return the next event, or None if there is none within `patience` seconds."""
-        try:
-            event = self._inbox.get(timeout=max(patience, 0.0))
-        except queue.Empty:
-            return None
+        event = self._inbox.get(patience)
         if isinstance(event, Announcement) and not event.appeared:
             look_again(self.session, LIVE_KEYS.replace("*", event.replica), self._on_token)
         return event

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import queue
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -23,6 +22,7 @@ from egp_service._core import (
     encode_tile_evidence,
     merge_tiles,
 )
+from egp_service.control.inbox import Inbox
 from egp_service.control.session import direct, open_session, session_config
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class FleetMap:
         self._belief = belief
         self._lifetime = lifetime
         self._timeout = timeout
-        self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._inbox: Inbox[Callable[[], None]] = Inbox()
         self._reports: dict[int, _Report] = {}
         # Tiles with new evidence, each with the time at which it was noticed. What the belief has
         # from earlier runs is not sent, because its age is not known.
@@ -138,8 +138,8 @@ class FleetMap:
 
     def exchange(self) -> None:
         """Use what has arrived, and once a second send what changed; returns at once."""
-        while not self._inbox.empty():
-            self._inbox.get()()
+        while (event := self._inbox.get(0.0)) is not None:
+            event()
         now = time.monotonic()
         if now - self._exchanged >= _EXCHANGE_SECONDS:
             self._exchanged = now
@@ -194,10 +194,9 @@ class FleetMap:
 
     def _handle(self, deadline: float) -> None:
         """Handle the next event, or wait until the deadline for it."""
-        try:
-            self._inbox.get(timeout=max(0.0, deadline - time.monotonic()))()
-        except queue.Empty:
-            return
+        event = self._inbox.get(deadline - time.monotonic())
+        if event is not None:
+            event()
 
     def _send(self) -> None:
         """Send the tiles whose evidence changed; one without an answer is sent again later."""
