@@ -37,9 +37,8 @@ pub(crate) enum EventKind {
 /// [`NetworkError`] if the configuration is not valid, or zenoh opens no session.
 pub fn open_session(config: &VehicleConfig) -> Result<zenoh::Session, NetworkError> {
     const PAUSE: Duration = Duration::from_millis(100);
-    egp_session::open_patiently(configuration(config)?, config.patience, PAUSE, &mut || {
-        false
-    })
+    let (zenoh, patience) = (configuration(config)?, config.patience);
+    egp_session::open_patiently(zenoh, patience, PAUSE, &mut || false, &|_| ())
 }
 
 /// A session and its events.

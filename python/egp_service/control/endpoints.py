@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import secrets
 import socket
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 from egp_service._core import EgpError, InvalidArgumentError
@@ -15,7 +16,9 @@ if TYPE_CHECKING:
 _FORM: Final = re.compile(r"[a-z][a-z-]*/.+")
 _REACH_SECONDS: Final = 1.0
 _LARGEST_PORT: Final = 65535
-_FREE_PORTS: Final = range(15_000, 32_000)
+# Ray gives smaller ones to its workers.
+_FREE_PORTS: Final = range(20_000, 32_000)
+_given: Final[set[int]] = set()
 _TCP: Final = re.compile(r"(?:tcp|tls)/\[?(?P<host>[^\]/]*)\]?:(?P<port>\d+)([?#].*)?")
 
 
@@ -88,18 +91,20 @@ def why_not_free(endpoint: str) -> str | None:
 
 
 def free_port() -> int:
-    """Return a port of the loopback address on which nobody listens.
+    """Return a port of the loopback address on which nobody listens, another one at each call.
 
-    The operating system gives ports above 32767 to outgoing connections and to whoever asks for any
-    free port. A port below stays free until the service listens on it.
+    Linux by default gives ports above 32767 to outgoing connections and to programs that ask for
+    any free port, so that only another process that calls this function may choose the same one
+    before the service listens.
     """
     for _ in range(1000):
-        port = _FREE_PORTS.start + secrets.randbelow(len(_FREE_PORTS))
-        try:
-            socket.create_server(("127.0.0.1", port)).close()
-        except OSError:
+        port = secrets.choice(_FREE_PORTS)
+        if port in _given:
             continue
-        return port
+        with suppress(OSError):
+            socket.create_server(("127.0.0.1", port)).close()
+            _given.add(port)
+            return port
     raise EgpError("found no free port on 127.0.0.1")
 
 

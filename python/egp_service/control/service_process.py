@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import socket
 import subprocess
 import sys
@@ -31,7 +30,7 @@ class ServiceStartError(EgpError):
 class ServiceProcess:
     """`egp serve` on a free loopback port; clients connect to `endpoint`.
 
-    `stop` drains the service as SIGTERM does in production, `kill` and `freeze` simulate failures,
+    `stop` drains the service as SIGTERM does in production, `kill` simulates a failure,
     and `start` starts it again at the same endpoint. It also ends, and removes its files, if this
     process is killed.
     """
@@ -100,11 +99,6 @@ class ServiceProcess:
             if self._process.stdin is not None:
                 self._process.stdin.close()
             self._process = None
-
-    def freeze(self) -> None:
-        """Suspend the process like a hanging machine; `kill` still ends it."""
-        if self._process is not None:
-            self._process.send_signal(signal.SIGSTOP)
 
     def __enter__(self) -> Self:
         """Start the service with its files in a temporary folder."""

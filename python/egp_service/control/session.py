@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import time
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -79,7 +80,7 @@ def session_config(
         try:
             config = zenoh.Config.from_file(file)
         except zenoh.ZError as error:
-            raise InvalidArgumentError(f"zenoh file {file}: {error}") from error
+            raise InvalidArgumentError(f"zenoh file {file}: {_reason(error)}") from None
     if endpoints:
         settings["connect/endpoints"] = list(endpoints)
     settings |= more
@@ -87,8 +88,20 @@ def session_config(
         try:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
-            raise InvalidArgumentError(f"zenoh setting {path} = {value!r}: {error}") from error
+            raise InvalidArgumentError(f"zenoh setting {path}: {_reason(error)}") from None
     return config
+
+
+def _reason(error: zenoh.ZError) -> str:
+    """Say why zenoh does not accept a setting or a file, without the text, which may be secret."""
+    said = str(error)
+    if expected := re.search(r"expected [^\"]*", said):
+        return expected[0]
+    if "unknown key" in said:
+        return "zenoh has no such setting"
+    if "Json5Err" in said:
+        return "zenoh does not accept this value"
+    return said.partition(" at /")[0]
 
 
 def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:

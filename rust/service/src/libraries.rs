@@ -98,8 +98,8 @@ impl Libraries {
     }
 
     /// Loads and checks the library file again, and lets `ready` describe its library from now on. Libraries from before are
-    /// still served to requests that state them; if there are more than the configuration allows, the one that was not
-    /// asked for the longest time is removed.
+    /// still served to requests that state them; if there are more than the configuration allows, the one that was neither
+    /// asked for nor described for the longest time is removed.
     ///
     /// # Errors
     /// [`ReloadError`] if the file cannot be used or no library can be removed; nothing changes then.

@@ -34,8 +34,8 @@ struct Served<H> {
     description: Ready,
     /// When a request last asked for it, milliseconds after the start and at least 1; 0 if none did.
     asked: AtomicU64,
-    /// When `ready` last described it, as far as a replacement noted it, in the same unit: vehicles that started then ask for it
-    /// soon.
+    /// When a reload last found that `ready` described it, in the same unit; 0 if none did. Vehicles that started until then
+    /// may ask for it soon.
     described: AtomicU64,
 }
 

@@ -175,6 +175,7 @@ impl Network {
         stopped: &mut dyn FnMut() -> bool,
     ) -> Result<Self, NetworkError> {
         const PAUSE: Duration = Duration::from_millis(500);
+        let told = |reason: &str| tracing::warn!(reason, "no session yet; trying again");
         let listen = config.get_json("listen/endpoints").unwrap_or_default();
         let stated = get(&config, "connect/timeout_ms")?.as_i64();
         let patience = match stated.map(u64::try_from) {
@@ -183,7 +184,7 @@ impl Network {
             Some(Ok(stated)) => Duration::from_millis(stated),
         };
         Ok(Self {
-            session: egp_session::open_patiently(config, patience, PAUSE, stopped)?,
+            session: egp_session::open_patiently(config, patience, PAUSE, stopped, &told)?,
             queryable: None,
             token: None,
             listen,

@@ -16,8 +16,8 @@ use crate::sync::thread::{self, JoinHandle};
 /// How a reload ended, and all libraries that are served now.
 pub(crate) type Outcome = Result<(Reloaded, Vec<LibraryId>), ReloadError>;
 
-/// What tells one content of a file from another without reading it. The times of the content may be those of an archive; the
-/// other ones are the file system's own.
+/// What tells one content of a file from another without reading it. Programs can set the time of modification, as those that
+/// unpack an archive do; they cannot set the inode and the time of the last change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stamp {
     modified: SystemTime,

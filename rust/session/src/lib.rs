@@ -52,7 +52,8 @@ pub fn configuration<'a>(
     let (mut config, defaults, more) = match file {
         Some(path) => {
             let doing = || format!("zenoh file {}", path.display());
-            let config = Config::from_file(path).map_err(|e| NetworkError::new(doing(), &e))?;
+            let config = Config::from_file(path)
+                .map_err(|e| NetworkError::new(doing(), &refused(&e.to_string())))?;
             (config, [].as_slice(), [].as_slice())
         }
         None => (Config::default(), DEFAULTS.as_slice(), more),
@@ -74,19 +75,17 @@ pub fn set(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkErr
     })
 }
 
-/// Why zenoh does not accept a setting, from its error in Rust's debug format.
+/// Why zenoh does not accept a setting or a file, from its error in Rust's debug format, which quotes what it does not accept.
 fn refused(error: &str) -> String {
-    let message = error
-        .split_once("msg: \"")
-        .and_then(|(_, rest)| rest.split_once("\", location"))
-        .map(|(message, _)| message.replace("\\\"", "\""));
-    match message {
-        // The parser's message quotes the value.
-        Some(message) if message.contains("-->") => {
-            "expected a JSON5 value; quote texts, as in '\"client\"'".to_owned()
+    let expected = error.find("expected ").map(|start| &error[start..]);
+    match expected.and_then(|text| text.split('"').next()) {
+        // The parser's list of what may come next.
+        Some(text) if error.contains("-->") => {
+            format!("this is no JSON5, {text}; quote texts, as in '\"client\"'")
         }
-        Some(message) => message,
+        Some(text) => text.to_owned(),
         None if error.contains("unknown key") => "zenoh has no such setting".to_owned(),
+        None if error.contains("Json5Err") => "zenoh does not accept this value".to_owned(),
         None => error.to_owned(),
     }
 }
@@ -136,8 +135,8 @@ pub fn open(config: Config) -> Result<Session, NetworkError> {
 }
 
 /// Opens a session as [`open`] does. In zenoh's mode `client`, in which there is no session without a link, each endpoint is
-/// tried, and all of them again after `pause` until `patience` is over or `stopped` returns true. A peer that accepts a
-/// connection and then says nothing costs at most about that time, too.
+/// tried, and all of them again after `pause` until `patience` is over or `stopped` returns true. A router that accepts a
+/// connection and then says nothing costs at most about that time, too. `told` gets each reason that differs from the last.
 ///
 /// # Errors
 /// [`NetworkError`] with the last reason if no session opens.
@@ -146,29 +145,30 @@ pub fn open_patiently(
     patience: Duration,
     pause: Duration,
     stopped: &mut dyn FnMut() -> bool,
+    told: &dyn Fn(&str),
 ) -> Result<Session, NetworkError> {
     /// The shortest time in which a link may become a session, ms.
     const LEAST_OPEN: u64 = 500;
     const OPEN_TIMEOUT: &str = "transport/unicast/open_timeout";
-    let longest = u64::try_from(patience.as_millis()).unwrap_or(u64::MAX);
-    if let Some(stated) = get(&config, OPEN_TIMEOUT)?.as_u64() {
-        let most = stated.min(longest.max(LEAST_OPEN));
-        set(&mut config, OPEN_TIMEOUT, &most.to_string())?;
-    }
     let client = get(&config, "mode")? == "client";
     if client {
+        let longest = u64::try_from(patience.as_millis()).unwrap_or(u64::MAX);
+        if let Some(stated) = get(&config, OPEN_TIMEOUT)?.as_u64() {
+            let most = stated.min(longest.max(LEAST_OPEN));
+            set(&mut config, OPEN_TIMEOUT, &most.to_string())?;
+        }
         // With more time zenoh would try the first endpoint alone until it is over.
         set(&mut config, "connect/timeout_ms", "0")?;
     }
-    let (begun, mut told) = (Instant::now(), String::new());
+    let (begun, mut last) = (Instant::now(), String::new());
     loop {
         match open(config.clone()) {
             Err(error) if client && begun.elapsed() < patience && !stopped() => {
                 let reason = error.to_string();
-                if reason != told {
-                    tracing::warn!(reason, "no session yet; trying again");
+                if reason != last {
+                    told(&reason);
                 }
-                told = reason;
+                last = reason;
                 thread::sleep(pause);
             }
             opened => return opened,
@@ -182,8 +182,8 @@ fn not_opened(reason: &str) -> &'static str {
         "a tls endpoint needs a certificate and its key: state a zenoh file that `egp keys` wrote; cannot open the zenoh \
          session"
     } else if reason.contains("Unable to connect") {
-        "no router or replica accepts connections at the endpoints of connect/endpoints; start one, or correct them; cannot \
-         open the zenoh session"
+        "there is no link to an endpoint of connect/endpoints: nobody accepts connections there or answers, or, with TLS, a \
+         certificate is missing, has expired or is of another authority; cannot open the zenoh session"
     } else {
         "cannot open the zenoh session"
     }
@@ -199,7 +199,17 @@ mod tests {
         for (key, value, reason) in [
             ("mode", "client", "quote texts"),
             ("transport/auth/usrpwd/password", "SECRET", "quote texts"),
-            ("mode", "\"clint\"", "unknown variant `clint`"),
+            (
+                "mode",
+                "\"SECRET\"",
+                "expected one of `router`, `peer`, `client`",
+            ),
+            (
+                "scouting/multicast/enabled",
+                "\"SECRET\"",
+                "expected a boolean",
+            ),
+            ("connect/endpoints", "[\"SECRET\"]", "does not accept"),
             ("listen/endpoint", "[]", "zenoh has no such setting"),
             ("listen/endpoints", "7", "expected list of endpoints"),
         ] {

@@ -139,7 +139,7 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
         served.dt, served.horizon, served.history
     );
     for other in &served.others {
-        println!("serves also library {}", hex(other));
+        println!("further library {}", hex(other));
     }
     Ok(())
 }
