@@ -94,14 +94,16 @@ def session_config(
 
 def _reason(error: zenoh.ZError) -> str:
     """Say why zenoh does not accept a setting or a file, without the text, which may be secret."""
-    said = str(error)
+    said = re.sub(r" at /\S+\.rs:\d+\.?", "", str(error))  # places in zenoh's source text
     if expected := re.search(r"expected [^\"]*", said):
         return expected[0]
+    if endpoint := re.search(r"Endpoints must be [^\"]*", said):
+        return endpoint[0]
     if "unknown key" in said:
         return "zenoh has no such setting"
     if "Json5Err" in said:
         return "zenoh does not accept this value"
-    return said.partition(" at /")[0]
+    return said
 
 
 def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:

@@ -67,7 +67,7 @@ pub fn configuration<'a>(
 /// Changes one setting; `value` is JSON5.
 ///
 /// # Errors
-/// [`NetworkError`] if zenoh does not accept it. The message does not hold the value, which may be a secret.
+/// [`NetworkError`] if zenoh does not accept it. Its message holds no value, which may be a secret, but that of an endpoint.
 pub fn set(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkError> {
     config.insert_json5(key, value).map_err(|error| {
         let reason = refused(&error.to_string());
@@ -84,6 +84,11 @@ fn refused(error: &str) -> String {
             format!("this is no JSON5, {text}; quote texts, as in '\"client\"'")
         }
         Some(text) => text.to_owned(),
+        // Endpoints are no secrets.
+        None if error.contains("Endpoints must be") => {
+            let message = error.split("msg: \"").nth(1).unwrap_or(error);
+            message.split('"').next().unwrap_or(message).to_owned()
+        }
         None if error.contains("unknown key") => "zenoh has no such setting".to_owned(),
         None if error.contains("Json5Err") => "zenoh does not accept this value".to_owned(),
         None => error.to_owned(),
@@ -209,7 +214,7 @@ mod tests {
                 "\"SECRET\"",
                 "expected a boolean",
             ),
-            ("connect/endpoints", "[\"SECRET\"]", "does not accept"),
+            ("connect/endpoints", "[\"bogus\"]", ": bogus"),
             ("listen/endpoint", "[]", "zenoh has no such setting"),
             ("listen/endpoints", "7", "expected list of endpoints"),
         ] {
