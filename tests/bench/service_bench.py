@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -21,6 +20,7 @@ from namespaces import PORT
 
 from egp_service import VehicleClient, shipped
 from egp_service._core.testing import step_key
+from egp_service.control.endpoints import why_unreachable
 from egp_service.control.recorded import read_recording
 from egp_service.simulation.scenario import gate_settings, load_scenario
 
@@ -126,9 +126,7 @@ class Bench:
 
 def listens_at(endpoint: str) -> bool:
     """Return whether a process listens at the endpoint."""
-    host, _, port = endpoint.rpartition("/")[2].partition(":")
-    with socket.socket() as probe:
-        return probe.connect_ex((host, int(port))) == 0
+    return why_unreachable(endpoint) is None
 
 
 def line(client: VehicleClient) -> np.ndarray:

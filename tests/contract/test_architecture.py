@@ -56,6 +56,7 @@ ALLOWED = {
         "egp-driver",
         "egp-engine",
         "egp-service",
+        "egp-session",
         "egp-simulate",
         "egp-vehicle",
         "egp-load",

@@ -18,21 +18,14 @@ import pytest
 from loky.process_executor import ShutdownExecutorError
 
 from egp_service.workers import workers
+from patience import PATIENCE, wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from concurrent.futures import Executor, Future
     from pathlib import Path
 
 LONG = 3600.0  # s
-PATIENCE = 60.0
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def work_long(mark: Path) -> None:

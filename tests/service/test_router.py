@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import socket
 import subprocess
 import sys
 import time
@@ -15,7 +14,7 @@ import numpy as np
 import zenoh
 
 from egp_service import VehicleClient
-from egp_service.control.endpoints import free_endpoint
+from egp_service.control.endpoints import free_endpoint, why_unreachable
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
 from patience import ATTEMPTS
 
@@ -32,12 +31,6 @@ RESTARTS = 3
 RESTARTS_OF_TWO = 8
 # A busy machine starts processes and links within a third of this.
 PATIENCE = 30.0
-
-
-def listens_at(endpoint: str) -> bool:
-    host, _, port = endpoint.rpartition("/")[2].partition(":")
-    with socket.socket() as probe:
-        return probe.connect_ex((host, int(port))) == 0
 
 
 @contextmanager
@@ -108,7 +101,7 @@ def test_a_restarted_router_is_found_again(tmp_path: Path) -> None:
                 while answered():  # no link of its own leads from vehicle to service
                     assert time.monotonic() < late
                 router = start("router", "--listen", routed)
-                while not listens_at(routed):
+                while why_unreachable(routed) is not None:
                     answered()
                 listens = time.monotonic()
                 while not answered():
@@ -171,7 +164,7 @@ def test_a_vehicle_with_a_key_is_served_through_two_routers(tmp_path: Path) -> N
             routers[k].wait()
             settle()
             routers[k] = route(k)
-            while not listens_at(endpoints[k]):
+            while why_unreachable(endpoints[k]) is not None:
                 statuses(1)
             settle()
             drive_undisturbed()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -22,7 +21,7 @@ from typer.testing import CliRunner
 from egp_service import InvalidArgumentError, VehicleClient
 from egp_service._core import EgpError
 from egp_service.cli import app
-from egp_service.control.endpoints import free_endpoint
+from egp_service.control.endpoints import free_endpoint, why_unreachable
 from egp_service.control.service_process import ServiceProcess
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
 from frozen import freeze
@@ -166,17 +165,6 @@ def serving(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
         assert process.wait(PATIENCE) == 0
 
 
-def wait_until_listening(endpoint: str) -> None:
-    host, _, port = endpoint.removeprefix("tcp/").partition(":")
-    end = time.monotonic() + PATIENCE
-    while True:
-        with socket.socket() as probe:
-            if probe.connect_ex((host, int(port))) == 0:
-                return
-        assert time.monotonic() < end
-        time.sleep(0.05)
-
-
 class Standstill:
     """Steps of a vehicle that always measures the same state on a straight road."""
 
@@ -271,8 +259,7 @@ def test_a_request_to_two_replicas_is_one_trace(tmp_path: Path) -> None:
             connect, gate=GATE, timeout=30.0, hedge=0.2, traces=ours
         ) as client:
             vehicle = Standstill(client)
-            for endpoint in connect:
-                wait_until_listening(endpoint)
+            wait_until(lambda: all(why_unreachable(each) is None for each in connect))
             wait_for_replicas(client, 2)
             first = vehicle.step().replica
             freeze(processes[first])

@@ -92,6 +92,7 @@ class Refusal:
 class Ready:
     ready: Final[bool]
     library: Final[bytes]
+    others: Final[list[bytes]]
     dt: Final[float]
     horizon: Final[int]
     history: Final[int]

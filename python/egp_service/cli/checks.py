@@ -5,24 +5,23 @@ from __future__ import annotations
 import os
 import platform
 import time
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from egp_service import shipped
-from egp_service._core import EgpError, Library, vector_instructions
+from egp_service._core import EgpError, Library, available_cores, vector_instructions
 from egp_service.cli.extras import EXTRAS
 from egp_service.control.controller import Controller
 from egp_service.control.endpoints import free_endpoint, why_not_free, why_unreachable
 from egp_service.control.session import session_config
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
+    from pathlib import Path
 
 PORTS: Final = {
     "egp serve": "tcp/127.0.0.1:7447",
@@ -76,41 +75,6 @@ def _processor() -> Check:
         advice = "other programs are running: times measured now are too long"
         return Check("processor", "warn", found, advice)
     return Check("processor", "ok", found)
-
-
-def available_cores(root: Path = Path("/")) -> int:
-    """Count the cores that this process may use, as the service does for its workers.
-
-    The affinity bounds them, and so do quotas of cgroups, which are rounded down, but not to zero.
-    """
-    cores = len(os.sched_getaffinity(0))
-    return min([cores, *(max(1, quota // period) for quota, period in _quotas(root) if quota > 0)])
-
-
-def _quotas(root: Path) -> Iterator[tuple[int, int]]:
-    """Give times of processors and their periods, of version 2 and 1 of cgroups, as far as known.
-
-    The quotas of all groups around that of this process count, too.
-    """
-    mounted = root / "sys/fs/cgroup"
-    try:
-        groups = (root / "proc/self/cgroup").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return
-    for _, kinds, name in (group.split(":", 2) for group in groups):
-        names = ["cpu.cfs_quota_us", "cpu.cfs_period_us"] if kinds else ["cpu.max"]
-        if kinds and "cpu" not in kinds.split(","):
-            continue
-        top = mounted / kinds
-        inner = top / name.lstrip("/")
-        for folder in (inner, *inner.parents):
-            if not folder.is_relative_to(top):
-                break
-            # A group without limits has the text `max`, or no such files.
-            with suppress(OSError, ValueError):
-                texts = " ".join((folder / each).read_text(encoding="utf-8") for each in names)
-                quota, period = map(int, texts.split())
-                yield quota, period
 
 
 def _cores(number: int) -> str:

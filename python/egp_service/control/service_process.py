@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 import sys
 import time
@@ -13,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Self
 
 from egp_service._core import EgpError
-from egp_service.control.endpoints import free_endpoint
+from egp_service.control.endpoints import free_endpoint, why_unreachable
 from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ class ServiceProcess:
                 command, stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT
             )
         deadline = time.monotonic() + START_SECONDS
-        while not _listens(self.endpoint):
+        while why_unreachable(self.endpoint) is not None:
             if self._process.poll() is not None or time.monotonic() > deadline:
                 self.kill()
                 said = log_file.read_text(encoding="utf-8", errors="replace").strip()
@@ -112,12 +111,3 @@ class ServiceProcess:
     def __exit__(self, *_: object) -> None:
         """Stop the service and remove its files."""
         self._cleanup.close()
-
-
-def _listens(endpoint: str) -> bool:
-    host, port = endpoint.removeprefix("tcp/").split(":")
-    try:
-        with socket.create_connection((host, int(port)), timeout=0.2):
-            return True
-    except OSError:
-        return False

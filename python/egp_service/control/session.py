@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 import time
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from egp_service import callbacks
-from egp_service._core import InvalidArgumentError
+from egp_service._core import InvalidArgumentError, refused_setting
 from egp_service.control.endpoints import check_endpoints
 
 if TYPE_CHECKING:
@@ -80,7 +79,9 @@ def session_config(
         try:
             config = zenoh.Config.from_file(file)
         except zenoh.ZError as error:
-            raise InvalidArgumentError(f"zenoh file {file}: {_reason(error)}") from None
+            raise InvalidArgumentError(
+                f"zenoh file {file}: {refused_setting(str(error))}"
+            ) from None
     if endpoints:
         settings["connect/endpoints"] = list(endpoints)
     settings |= more
@@ -88,22 +89,10 @@ def session_config(
         try:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
-            raise InvalidArgumentError(f"zenoh setting {path}: {_reason(error)}") from None
+            raise InvalidArgumentError(
+                f"zenoh setting {path}: {refused_setting(str(error))}"
+            ) from None
     return config
-
-
-def _reason(error: zenoh.ZError) -> str:
-    """Say why zenoh does not accept a setting or a file, without the text, which may be secret."""
-    said = re.sub(r" at /\S+\.rs:\d+\.?", "", str(error))  # places in zenoh's source text
-    if expected := re.search(r"expected [^\"]*", said):
-        return expected[0]
-    if endpoint := re.search(r"Endpoints must be [^\"]*", said):
-        return endpoint[0]
-    if "unknown key" in said:
-        return "zenoh has no such setting"
-    if "Json5Err" in said:
-        return "zenoh does not accept this value"
-    return said
 
 
 def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:

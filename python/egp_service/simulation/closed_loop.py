@@ -48,8 +48,8 @@ class Run:
     scenario: Scenario
     members: Sequence[str]
     frictions: NDArray[np.float64]
-    """(N,) friction coefficients of the members' surfaces; none if the controller used another
-    library than the scenario's."""
+    """(N,) friction coefficients of the members' surfaces; none if they are not known because a
+    service used another library than the scenario's."""
     dt: float
     trace: Trace
     summary: Summary

@@ -358,6 +358,18 @@ pub fn vector_instructions() -> &'static str {
     egp_core::vector_instructions()
 }
 
+/// Why zenoh does not accept a setting or a file, from the text of its error; without what the error quotes, which may be secret.
+#[pyfunction]
+pub fn refused_setting(error: &str) -> String {
+    egp_session::refused(error)
+}
+
+/// The number of cores that this process may use, by its affinity and the quotas of its cgroups.
+#[pyfunction]
+pub fn available_cores() -> usize {
+    egp_engine::available_cores()
+}
+
 /// Raise `EgpError`, with the line and the key, for settings of the control step that cannot be used with any library.
 #[pyfunction]
 pub fn check_settings(settings_toml: &str) -> PyResult<()> {

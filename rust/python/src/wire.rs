@@ -117,6 +117,8 @@ pub struct Replica {
     ready: bool,
     /// SHA-256 of its library file.
     library: Cow<'static, [u8]>,
+    /// SHA-256 of the further libraries that it serves.
+    others: Vec<Cow<'static, [u8]>>,
     /// Control period in s.
     dt: f64,
     /// Inputs in a plan, T.
@@ -137,6 +139,7 @@ impl Replica {
         Ok(Self {
             ready: ready.ready,
             library: ready.library.to_vec().into(),
+            others: ready.others.iter().map(|id| id.to_vec().into()).collect(),
             dt: ready.dt,
             horizon: ready.horizon,
             history: ready.history,

@@ -75,23 +75,23 @@ pub fn set(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkErr
     })
 }
 
-/// Why zenoh does not accept a setting or a file, from its error in Rust's debug format, which quotes what it does not accept.
-fn refused(error: &str) -> String {
-    let expected = error.find("expected ").map(|start| &error[start..]);
+/// Why zenoh does not accept a setting or a file, from its error in Rust's debug format. What it quotes, which may be a secret, is
+/// left out, except for endpoints.
+pub fn refused(error: &str) -> String {
+    let expected = error.rfind("expected ").map(|start| &error[start..]);
     match expected.and_then(|text| text.split('"').next()) {
         // The parser's list of what may come next.
         Some(text) if error.contains("-->") => {
             format!("this is no JSON5, {text}; quote texts, as in '\"client\"'")
         }
         Some(text) => text.to_owned(),
-        // Endpoints are no secrets.
         None if error.contains("Endpoints must be") => {
             let message = error.split("msg: \"").nth(1).unwrap_or(error);
-            message.split('"').next().unwrap_or(message).to_owned()
+            without_places(message.split('"').next().unwrap_or(message))
         }
         None if error.contains("unknown key") => "zenoh has no such setting".to_owned(),
         None if error.contains("Json5Err") => "zenoh does not accept this value".to_owned(),
-        None => error.to_owned(),
+        None => without_places(error),
     }
 }
 

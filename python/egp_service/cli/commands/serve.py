@@ -135,8 +135,7 @@ def serve(
     if check:
         with naming(config):
             served, warning = check_service(dumps(table))
-        further = table.get("libraries")
-        _show(served, further if isinstance(further, list) else [])
+        _show(served)
         if warning is not None:
             typer.echo(f"egp: {warning}", err=True)
         return
@@ -155,14 +154,11 @@ def _add_endpoints(table: dict[str, object], endpoints: Mapping[str, Sequence[st
         table["zenoh"] = zenoh | stated
 
 
-def _show(served: "Ready", further: Sequence[str]) -> None:
-    """Print what would be served, with the further library files."""
-    from egp_service._core import Library
-
+def _show(served: "Ready") -> None:
+    """Print what would be served."""
     typer.echo(f"library {served.library.hex()}")
     typer.echo(f"surfaces: {', '.join(served.members)}")
     typer.echo(f"period {served.dt:g} s, horizon {served.horizon}, window {served.history}")
-    for library in map(Library.load, further):
-        typer.echo(f"further library {library.id}")
-        typer.echo(f"surfaces: {', '.join(member.label for member in library.members)}")
+    for other in served.others:
+        typer.echo(f"further library {other.hex()}")
     typer.echo("Configuration, library and network settings are valid.")
