@@ -4,7 +4,7 @@ use crate::executor::{Executor, for_each};
 use crate::gp::Horizon;
 use crate::library::{Library, Member};
 use crate::vehicle::Batch;
-use crate::{GpInput, GpJacobian, GpOutput, VarianceScratch};
+use crate::{GpInput, GpJacobian, GpOutput};
 
 /// Weights that do not define an ensemble.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -17,49 +17,25 @@ pub enum EnsembleError {
         /// Number of weights.
         found: usize,
     },
-    /// No weight is above the threshold, so no member is active.
-    #[error(
-        "no weight is above the threshold {threshold}; with N members choose a threshold below 1/N"
-    )]
-    NoActiveMember {
-        /// The threshold.
-        threshold: f64,
-    },
+    /// The weights are not numbers, or none of them is positive.
+    #[error("the weights have no positive sum, so that no member is active")]
+    NoActiveMember,
 }
 
-/// Variance of the ensemble under two assumptions, in squared output units.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EnsembleVariance {
-    /// The members are independent random variables, eq. (3): `Σ w² σ²`. This is optimistic: the measured coverage is
-    /// below nominal whenever several members share the weight.
-    pub independent: GpOutput,
-    /// One member, drawn with probability `w`, is true. By the law of total variance this is
-    /// `Σ w (σ² + s²) + Σ w (μ - μ̄)²`, which includes noise and disagreement of the members. Use it for constraints.
-    pub mixture: GpOutput,
-}
-
-/// The members whose weight exceeds a threshold, with their weights.
+/// The members with a positive weight, with their weights.
 #[derive(Clone, Copy, Debug)]
 pub struct Ensemble<'a> {
     members: &'a [Member],
     vehicles: &'a Batch,
     weights: &'a [f64],
-    threshold: f64,
-    kept: f64,
 }
 
 impl<'a> Ensemble<'a> {
-    /// An ensemble of the members with a weight above `threshold`; their weights are scaled to the sum of all weights.
-    ///
-    /// Weights must lie on the simplex. A `threshold` of zero keeps every positive weight.
+    /// An ensemble of the members with a positive weight. Weights must lie on the simplex.
     ///
     /// # Errors
     /// [`EnsembleError::WeightCount`], [`EnsembleError::NoActiveMember`].
-    pub fn new(
-        library: &'a Library,
-        weights: &'a [f64],
-        threshold: f64,
-    ) -> Result<Self, EnsembleError> {
+    pub fn new(library: &'a Library, weights: &'a [f64]) -> Result<Self, EnsembleError> {
         let members = library.members();
         if weights.len() != members.len() {
             return Err(EnsembleError::WeightCount {
@@ -67,47 +43,33 @@ impl<'a> Ensemble<'a> {
                 found: weights.len(),
             });
         }
-        let kept: f64 = weights.iter().filter(|&&weight| weight > threshold).sum();
-        if kept.is_nan() || kept <= 0.0 {
-            return Err(EnsembleError::NoActiveMember { threshold });
+        let sum: f64 = weights.iter().sum();
+        if sum.is_nan() || sum <= 0.0 {
+            return Err(EnsembleError::NoActiveMember);
         }
         Ok(Self {
             members,
             vehicles: library.vehicles(),
             weights,
-            threshold,
-            kept: kept / weights.iter().sum::<f64>(),
         })
     }
 
-    /// The ensemble of the same members with other weights, one for each member, of which at least one is above the
-    /// threshold.
+    /// The ensemble of the same members with other weights on the simplex, one for each member.
     pub(crate) fn with_weights(self, weights: &'a [f64]) -> Self {
-        let above = weights.iter().filter(|&&weight| weight > self.threshold);
-        Self {
-            weights,
-            kept: above.sum::<f64>() / weights.iter().sum::<f64>(),
-            ..self
-        }
+        Self { weights, ..self }
     }
 
-    /// The share of the weight that was left out, between 0 and 1.
-    pub fn dropped_mass(&self) -> f64 {
-        1.0 - self.kept
-    }
-
-    /// The active members with their scaled weights.
+    /// The active members with their weights.
     pub fn active(&self) -> impl Iterator<Item = (f64, &'a Member)> {
         self.places().map(|(_, weight, member)| (weight, member))
     }
 
-    /// The active members with their places in the library and their scaled weights.
+    /// The active members with their places in the library and their weights.
     fn places(&self) -> impl Iterator<Item = (usize, f64, &'a Member)> {
-        let (threshold, kept) = (self.threshold, self.kept);
         let pairs = self.weights.iter().zip(self.members).enumerate();
         pairs
-            .filter(move |&(_, (&weight, _))| weight > threshold)
-            .map(move |(place, (&weight, member))| (place, weight / kept, member))
+            .filter(|&(_, (&weight, _))| weight > 0.0)
+            .map(|(place, (&weight, member))| (place, weight, member))
     }
 
     /// The mean, eq. (3): `Σ w μ(z)`, in output units.
@@ -131,27 +93,14 @@ impl<'a> Ensemble<'a> {
         mean
     }
 
-    /// Both variances at `z`.
-    pub fn variance(&self, z: &GpInput, scratch: &mut VarianceScratch) -> EnsembleVariance {
-        let mut independent = GpOutput::zeros();
-        let mut mixture = GpOutput::zeros();
-        let (mut sum, mut mean) = (0.0, GpOutput::zeros());
-        for (weight, member) in self.active() {
-            let variance = member.variance(z, scratch);
-            independent += weight * weight * variance;
-            mixture += weight * (variance + member.noise_std().map(|std| std * std));
-            sum += weight;
-            disagree(weight, sum, &member.mean(z), &mut mean, &mut mixture);
-        }
-        EnsembleVariance {
-            independent,
-            mixture,
-        }
-    }
-
-    /// Upper bounds of [`EnsembleVariance::mixture`] at all stages of a horizon, at most 22 % above the exact ones
+    /// Upper bounds of the variances at all stages of a horizon, in squared output units, at most 22 % above the exact ones
     /// (11 % in standard deviation), at a fraction of their cost. `stage` gives the ensemble of each stage; all are of one
     /// library.
+    ///
+    /// One member, drawn with the probability `w`, is taken to be true. By the law of total variance the exact variance is
+    /// `Σ w (σ² + s²) + Σ w (μ - μ̄)²`, which includes noise `s` and disagreement of the members. The paper's `Σ w² σ²`,
+    /// eq. (3), of independent members is optimistic: the measured coverage is below nominal whenever several members share
+    /// the weight.
     ///
     /// Each member's bound holds relative to its own variance, its noise and the disagreement of the members, whose
     /// weighted sum is the mixture's variance. The executor may evaluate several members in parallel.

@@ -3,11 +3,11 @@
 //! No I/O, clock, threads or logging. SI units and radians, yaw counter-clockwise from +x, `f64` throughout.
 //! `NOTATION.md` maps the paper's symbols to the names used here.
 
-pub mod ensemble;
-pub mod executor;
+mod ensemble;
+mod executor;
 pub mod friction;
 pub mod gp;
-pub mod kernel;
+mod kernel;
 pub mod library;
 pub mod linearisation;
 pub mod ocp;
@@ -27,8 +27,8 @@ mod simd;
 
 use nalgebra::{SMatrix, SVector};
 
-pub use egp_parameters::VehicleParameters;
-pub use ensemble::{Ensemble, EnsembleError, EnsembleVariance, MixtureScratch};
+pub use egp_parameters::{MOST_FORCE, VehicleParameters};
+pub use ensemble::{Ensemble, EnsembleError, MixtureScratch};
 pub use executor::{Executor, Sequential};
 pub use friction::FrictionEstimate;
 pub use gp::VarianceScratch;

@@ -1,7 +1,7 @@
 //! The previous plan shifted to the current time, from which the operating trajectory is made.
 
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI};
-use crate::{Input, State};
+use crate::{Input, NU, NX, State};
 
 /// The rest of the previous plan in the vehicle's frame.
 #[derive(Debug, Clone)]
@@ -25,7 +25,13 @@ impl Guess {
     ///
     /// Stages beyond the end of the plan hold the last force and the steering *angle*; holding the steering *rate* would
     /// keep turning the wheels while plans are missing. Without a plan, or if it ended before now, all inputs are zero.
-    pub fn shift(&mut self, frame: &Frame, plan_x: &[[f64; 7]], plan_u: &[[f64; 2]], shift: usize) {
+    pub fn shift(
+        &mut self,
+        frame: &Frame,
+        plan_x: &[[f64; NX]],
+        plan_u: &[[f64; NU]],
+        shift: usize,
+    ) {
         self.x.clear();
         self.u.fill(Input::zeros());
         let (Some(now), Some(last)) = (plan_x.get(shift), plan_u.last()) else {

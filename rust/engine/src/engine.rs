@@ -3,7 +3,8 @@
 use std::{path::Path, sync::Arc};
 
 use egp_core::{
-    Library, Settings, StepError, StepReply, StepRequest, VehicleParameters, Workspace, library,
+    Library, MOST_FORCE, Settings, StepError, StepReply, StepRequest, VehicleParameters, Workspace,
+    library,
 };
 use egp_wire::{
     Code, Friction, LibraryId, MessageLimits, Ready, Reply, Request, Status, WireError,
@@ -34,44 +35,25 @@ impl Engine {
     /// Makes an engine after checking that library, settings and wire fit together.
     ///
     /// # Errors
-    /// [`EngineError`] if the settings are out of range, or members, horizon or window exceed the limits of the wire.
+    /// [`EngineError`] if the settings are out of range, or members, horizon, window or forces exceed the limits of the wire.
     pub fn new(library: Library, settings: Settings) -> Result<Self, EngineError> {
-        let (limits, dt) = (MessageLimits::default(), library.dt());
-        let metadata = library.metadata();
+        let (limits, metadata) = (MessageLimits::default(), library.metadata());
         let settings = settings.complete(
-            dt,
+            library.dt(),
             library.vehicle(),
             metadata.measurement_noise,
             metadata.measurement_delay,
         );
-        for (what, actual, limit) in [
-            (
-                "the number of members",
-                library.members().len(),
-                limits.members,
-            ),
-            ("settings.horizon", settings.horizon(dt), limits.horizon),
-            (
-                "settings.weights.window",
-                settings.weights.window(dt),
-                limits.history,
-            ),
-        ] {
-            if actual > limit {
-                return Err(EngineError::Limit {
-                    what,
-                    actual,
-                    limit,
-                });
-            }
-        }
+        check_sizes(&library, &settings, &limits)?;
         Workspace::new(&library, &settings)?;
-        Ok(Self {
+        let engine = Self {
             library,
             settings,
             limits,
             cores: None,
-        })
+        };
+        engine.check_forces()?;
+        Ok(engine)
     }
 
     /// Makes an engine from a library file.
@@ -95,7 +77,10 @@ impl Engine {
             path: path.display().to_string(),
             source,
         })?;
-        Self::new(library, settings)
+        Self::new(library, settings).map_err(|source| EngineError::Unfit {
+            path: path.display().to_string(),
+            source: Box::new(source),
+        })
     }
 
     /// Lets steps evaluate members on up to `count` cores, but no more than the machine has, if that saves time and no other
@@ -149,21 +134,27 @@ impl Engine {
         }
         Err(unknown_library(&[self.library.id()], &request.library))
     }
-}
 
-/// The error for a request that states another library than those that are served. It can be retried, because another replica
-/// may serve the library.
-pub fn unknown_library(served: &[LibraryId], stated: &LibraryId) -> WireError {
-    let served: Vec<_> = served.iter().map(|id| library::hex(id)).collect();
-    let detail = format!(
-        "this replica serves library {}, the request states {}; ask `ready` what a replica serves",
-        served.join(" and "),
-        library::hex(stated)
-    );
-    WireError::retryable(Code::UnknownLibrary, 0, detail)
-}
+    /// Errors if plans, or commands within the limits of the vehicle that clients are told, may have forces beyond those of a
+    /// message. Replies and later requests would be invalid.
+    fn check_forces(&self) -> Result<(), EngineError> {
+        for vehicle in [
+            self.settings.vehicle(self.library.vehicle()),
+            self.vehicle(),
+        ] {
+            let acceleration = vehicle.a_max.max(-vehicle.a_min);
+            let force = vehicle.force(acceleration);
+            if force > MOST_FORCE {
+                return Err(EngineError::Force {
+                    force,
+                    mass: vehicle.mass,
+                    acceleration,
+                });
+            }
+        }
+        Ok(())
+    }
 
-impl Engine {
     /// The properties of the engine that a client needs to make requests.
     pub fn describe(&self) -> Ready {
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX); // checked against `MessageLimits`
@@ -238,9 +229,7 @@ impl Engine {
         memory.reply.encode_to(reply);
         Ok(memory.reply.status)
     }
-}
 
-impl Engine {
     /// Copies every field of a reply into the memory of this one.
     fn fill(&self, reply: &mut Reply, sequence: u64, step: &StepReply, solver: &str) {
         let Reply {
@@ -282,6 +271,42 @@ impl Engine {
             log_likelihood: found.log_likelihood,
         });
     }
+}
+
+/// The error for a request that states another library than those that are served. It can be retried, because another replica
+/// may serve the library.
+pub fn unknown_library(served: &[LibraryId], stated: &LibraryId) -> WireError {
+    let served: Vec<_> = served.iter().map(|id| library::hex(id)).collect();
+    let detail = format!(
+        "this replica serves library {}, the request states {}; ask `ready` what a replica serves",
+        served.join(" and "),
+        library::hex(stated)
+    );
+    WireError::retryable(Code::UnknownLibrary, 0, detail)
+}
+
+/// Errors if a message cannot carry so many members, inputs of a plan, or transitions.
+fn check_sizes(
+    library: &Library,
+    settings: &Settings,
+    limits: &MessageLimits,
+) -> Result<(), EngineError> {
+    let (members, dt) = (library.members().len(), library.dt());
+    let (horizon, window) = (settings.horizon(dt), settings.weights.window(dt));
+    for (what, actual, limit) in [
+        ("the number of members", members, limits.members),
+        ("settings.horizon", horizon, limits.horizon),
+        ("settings.weights.window", window, limits.history),
+    ] {
+        if actual > limit {
+            return Err(EngineError::Limit {
+                what,
+                actual,
+                limit,
+            });
+        }
+    }
+    Ok(())
 }
 
 /// Smallest and largest GP input in the training data of all members.

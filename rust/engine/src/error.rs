@@ -2,7 +2,7 @@
 
 use std::io;
 
-use egp_core::{LibraryError, step::SetupError};
+use egp_core::{LibraryError, MOST_FORCE, step::SetupError};
 use thiserror::Error;
 
 /// Why an engine cannot be made.
@@ -24,6 +24,14 @@ pub enum EngineError {
         /// The check that failed.
         source: LibraryError,
     },
+    /// The library of the file cannot be served with the settings.
+    #[error("{path} cannot be served with these settings: {source}")]
+    Unfit {
+        /// The file.
+        path: String,
+        /// Why not.
+        source: Box<EngineError>,
+    },
     /// The settings are not valid.
     #[error(transparent)]
     Setup(#[from] SetupError),
@@ -39,5 +47,18 @@ pub enum EngineError {
         actual: usize,
         /// The limit of [`egp_wire::MessageLimits`].
         limit: usize,
+    },
+    /// Larger forces than a message can carry.
+    #[error(
+        "the largest force of the vehicle to control is {force} N (mass {mass} kg, acceleration {acceleration} m/s²), the wire \
+         carries at most {MOST_FORCE} N; check the units of mass and limits in the settings or in the library"
+    )]
+    Force {
+        /// The force, N.
+        force: f64,
+        /// The mass, kg.
+        mass: f64,
+        /// The larger one of the strongest drive and braking, m/s².
+        acceleration: f64,
     },
 }

@@ -1,4 +1,4 @@
-//! The friction coefficients that are told apart.
+//! The hypotheses about the friction coefficient of a road, and interpolation between them.
 
 /// Smallest and largest friction coefficient of a road; before anything is known, all between are equally likely.
 pub const FRICTION_RANGE: (f64, f64) = (0.1, 1.3);

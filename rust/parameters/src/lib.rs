@@ -6,10 +6,12 @@
 #![forbid(unsafe_code)]
 
 mod commonroad;
+mod domain;
 mod friction;
 mod surface;
 mod vehicle;
 
+pub use domain::{MAGNITUDE, MOST_FORCE, ROAD_FRICTION, SIMPLEX_TOLERANCE};
 pub use friction::{
     FRICTION_HYPOTHESES, FRICTION_INFORMED, FRICTION_RANGE, friction_hypotheses,
     interpolate_hypotheses,

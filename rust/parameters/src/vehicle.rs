@@ -44,7 +44,7 @@ pub struct VehicleParameters {
     pub driving_grip: f64,
 }
 
-/// A parameter that no vehicle has.
+/// A parameter that is not finite, or has the wrong sign.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("vehicle parameter `{name}` must be finite and {sign}, got {value} {unit}")]
 pub struct ParameterError {
@@ -103,8 +103,8 @@ impl VehicleParameters {
         Ok(())
     }
 
-    /// The force in N that gives the vehicle the acceleration `a` in m/s²; per second, N/s from m/s³, and the power in
-    /// W from W/kg.
+    /// The product of `a` and the mass: the force in N for an acceleration in m/s², the change of the force in N/s for that of
+    /// the acceleration in m/s³, or the power in W for a power per mass in W/kg.
     pub fn force(&self, a: f64) -> f64 {
         a * self.mass
     }

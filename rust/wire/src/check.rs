@@ -1,5 +1,9 @@
 //! The declared domain of every quantity, and checks that name the field and the component at fault.
 
+use egp_parameters::{
+    MAGNITUDE, MOST_FORCE as FORCE, ROAD_FRICTION as FRICTION, SIMPLEX_TOLERANCE,
+};
+
 use crate::{Invalid, LibraryId, Predictions, VERSION};
 
 /// A component's name and the largest magnitude accepted.
@@ -8,13 +12,11 @@ type Domain<const W: usize> = [(&'static str, f64); W];
 // The limits are far beyond what a road vehicle reaches, and small enough that products of them stay exact to many
 // digits. The control step accepts no number above MAGNITUDE, so no message may contain one, because a later request
 // would carry it.
-const MAGNITUDE: f64 = 1e7;
 const POSITION: f64 = MAGNITUDE; // m: about the largest UTM coordinate
 const SPEED: f64 = 150.0; // m/s
 const YAW: f64 = 1e5; // rad, unwrapped
 const YAW_RATE: f64 = 50.0; // rad/s
 const STEERING: f64 = 1.6; // rad
-const FORCE: f64 = 1e6; // N
 const STEERING_RATE: f64 = 20.0; // rad/s
 const WIDTH: f64 = 1e4; // m
 
@@ -44,12 +46,6 @@ pub(crate) const REFERENCE: Domain<4> = [
     ("psi", YAW),
 ];
 pub(crate) const WIDTHS: Domain<2> = [("left", WIDTH), ("right", WIDTH)];
-
-/// Frictions that a road may have.
-const FRICTION: (f64, f64) = (0.01, 3.0);
-
-/// Tolerance on the sum and the sign of weights, for the rounding of a solver.
-const SIMPLEX_TOLERANCE: f64 = 1e-6;
 
 /// Errors unless every component of every row is inside its domain; NaN is outside.
 pub(crate) fn domain<const W: usize>(
@@ -203,8 +199,8 @@ pub(crate) fn size(bytes: &[u8], limit: usize) -> Result<(), Invalid> {
     }
 }
 
-/// The largest budget; a longer one is in the wrong unit.
-const MAX_BUDGET_US: u32 = 10_000_000;
+/// The largest budget of a request, µs; a longer one is in the wrong unit.
+pub const MAX_BUDGET_US: u32 = 10_000_000;
 
 pub(crate) fn budget(budget_us: u32) -> Result<(), Invalid> {
     if (1..=MAX_BUDGET_US).contains(&budget_us) {

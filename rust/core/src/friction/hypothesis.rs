@@ -24,11 +24,11 @@ pub(super) struct Hypothesis {
 }
 
 impl Hypothesis {
-    /// `None` without members.
-    pub fn new(mu: f64, members: &[Member]) -> Option<Self> {
+    /// The model for `mu` from the members of a library, of which there is at least one.
+    pub fn new(mu: f64, members: &[Member]) -> Self {
         let below = nearest(mu, members, |friction| friction <= mu);
         let above = nearest(mu, members, |friction| friction > mu);
-        let [a, b] = [below.or(above)?, above.or(below)?];
+        let [a, b] = [below.or(above), above.or(below)].map(Option::unwrap_or_default);
         let (low, high) = (members[a].friction(), members[b].friction());
         let vehicles = [a, b].map(|i| match members[i].vehicle() {
             Some(VehicleModel::SingleTrack(vehicle)) => Some(vehicle),
@@ -43,11 +43,11 @@ impl Hypothesis {
             let between = below.zip(above).map(|(a, b)| a.between(b, share));
             (between, share)
         };
-        Some(Self {
+        Self {
             vehicle,
             members: [a, b],
             share,
-        })
+        }
     }
 
     /// `vehicle_mu`, unless a neighbour has no single-track vehicle.

@@ -25,7 +25,7 @@ use hypothesis::Hypothesis;
 use crate::settings::WeightSettings;
 use crate::vehicle::Batch;
 use crate::weights::WindowNoise;
-use crate::{GpInput, GpOutput, Library, NY};
+use crate::{GpInput, GpOutput, Library, NY, NZ};
 
 /// Reciprocal of the power of the likelihood. With 1.6 the 90 % interval contains the true value in 90 % of the informed
 /// windows, with 2 in 93 %, with 3 in 97 % (`tests/bench/calibration.py`).
@@ -111,7 +111,7 @@ impl FrictionEstimator {
         let members = library.members();
         let hypotheses: Vec<_> = friction_hypotheses()
             .iter()
-            .filter_map(|mu| Hypothesis::new(*mu, members))
+            .map(|mu| Hypothesis::new(*mu, members))
             .collect();
         let vehicles = hypotheses.iter().map(Hypothesis::vehicle);
         let of_members = members.iter().map(|member| member.vehicle().copied());
@@ -134,21 +134,18 @@ impl FrictionEstimator {
     /// * `z`: inputs of the transitions
     /// * `predictions`: rows `[N * 3]`, the members' predictions for them
     /// * `measured`: the measured changes
-    /// * `previous`: weights, under which the level of the noise is chosen as in
-    ///   [`WeightEstimator::estimate`](crate::weights::WeightEstimator::estimate)
     ///
     /// Without transitions this is the prior. Transitions beyond the window are ignored.
     pub fn estimate(
         &mut self,
-        z: &[[f64; 6]],
+        z: &[[f64; NZ]],
         predictions: &[f64],
         measured: &[[f64; NY]],
-        previous: &[f64],
     ) -> FrictionEstimate {
         self.white.fill(GpOutput::zeros());
         self.squares.fill(0.0);
         let mut transitions = 0;
-        let rows = self.noise.rows(predictions, measured, previous);
+        let rows = self.noise.first_level();
         let windows = predictions
             .chunks_exact(self.learned.len() * NY)
             .zip(measured);

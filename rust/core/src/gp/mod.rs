@@ -46,7 +46,7 @@ pub struct VarianceScratch {
 
 /// Three independent exact GPs, one for each output, over the same training inputs.
 #[derive(Clone, Debug)]
-pub struct Gp {
+pub(crate) struct Gp {
     kernel: Kernel,
     points: Points,
     /// One covariance for all outputs, or one for each output.
@@ -71,7 +71,7 @@ struct Output {
 
 /// `K + s² I` of one output is not positive definite: its factorisation failed at a training point.
 #[derive(Debug)]
-pub struct SingularCovariance {
+pub(crate) struct SingularCovariance {
     /// Index of the first output with this covariance.
     pub output: usize,
     /// Index of the training point.

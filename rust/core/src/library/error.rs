@@ -8,10 +8,8 @@ use crate::Kernel;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LibraryError {
     /// More bytes than a library may have.
-    #[error("file has {bytes} bytes, the limit is {limit}; train with fewer points or members")]
+    #[error("file has more than {limit} bytes; train with fewer points or members")]
     TooLarge {
-        /// Size of the file.
-        bytes: usize,
         /// Largest accepted size.
         limit: usize,
     },

@@ -1,8 +1,8 @@
 //! The library file: a safetensors container sealed by a digest.
 //!
 //! Tensors are `members.{i}.{name}`, all `F64`, with the names and shapes of [`MemberData`]; the metadata are one
-//! JSON string under the key `egp`. The safetensors crate checks offsets and sizes; header size, content and values
-//! are ours to check.
+//! JSON string under the key `egp`. The safetensors crate checks offsets and sizes; size of the header, content and values
+//! are checked here.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -14,6 +14,7 @@ use super::LibraryError;
 use super::data::{LibrarySpec, MemberData, TensorSource};
 use super::limits::{MAX_FILE_BYTES, MAX_HEADER_BYTES, SCHEMA_VERSION};
 use super::metadata::Metadata;
+use crate::Kernel;
 
 /// Key of the JSON text among the container's metadata.
 const METADATA_KEY: &str = "egp";
@@ -37,8 +38,9 @@ pub(super) fn write(spec: &LibrarySpec) -> Result<Vec<u8>, LibraryError> {
     container(&metadata, &spec.members)
 }
 
-/// Reads a file: container, seal, schema version, names, types and shapes, in this order.
-pub(super) fn read(bytes: &[u8]) -> Result<(Metadata, Vec<MemberData>), LibraryError> {
+/// Reads a file, with the kernel that its metadata name: container, seal, schema version, metadata, and names, types and shapes
+/// of the tensors, in this order.
+pub(super) fn read(bytes: &[u8]) -> Result<(Metadata, Kernel, Vec<MemberData>), LibraryError> {
     let header_end = check_lengths(bytes)?;
     let (_, header) = SafeTensors::read_metadata(bytes)
         .map_err(|error| container_error(error, bytes, header_end))?;
@@ -59,7 +61,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Metadata, Vec<MemberData>), LibraryE
         serde_json::from_str(text).map_err(|error| LibraryError::Metadata {
             reason: error.to_string(),
         })?;
-    metadata.validate()?;
+    let kernel = metadata.validate()?;
 
     let tensors = SafeTensors::deserialize(bytes).map_err(malformed)?;
     let mut unread = tensors.names().into_iter().collect();
@@ -78,7 +80,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Metadata, Vec<MemberData>), LibraryE
         Some(&tensor) => Err(LibraryError::UnexpectedTensor {
             tensor: tensor.to_owned(),
         }),
-        None => Ok((metadata, members)),
+        None => Ok((metadata, kernel, members)),
     }
 }
 
@@ -184,7 +186,6 @@ fn check_lengths(bytes: &[u8]) -> Result<usize, LibraryError> {
     let found = bytes.len();
     if found > MAX_FILE_BYTES {
         return Err(LibraryError::TooLarge {
-            bytes: found,
             limit: MAX_FILE_BYTES,
         });
     }
@@ -242,7 +243,7 @@ fn malformed(reason: impl ToString) -> LibraryError {
     }
 }
 
-/// A refusal by the container's parser; a wrong total length is the one worth telling apart.
+/// The error for a file that the container's parser does not accept. A wrong total length has an error of its own.
 fn container_error(error: SafeTensorError, bytes: &[u8], header_end: usize) -> LibraryError {
     /// End of a tensor's bytes after the header.
     #[derive(Deserialize)]

@@ -152,7 +152,7 @@ impl Member {
     }
 
     /// From physical to z-scored inputs.
-    pub fn input_scaler(&self) -> &Scaler<NZ> {
+    pub(crate) fn input_scaler(&self) -> &Scaler<NZ> {
         &self.input_scaler
     }
 

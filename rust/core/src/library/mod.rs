@@ -17,7 +17,7 @@ use egp_parameters::VehicleParameters;
 pub use data::{LibrarySpec, MemberData};
 pub use error::LibraryError;
 pub use format::{hash, hex};
-pub use limits::*;
+pub use limits::{MAX_FILE_BYTES, MAX_HEADER_BYTES};
 pub use member::Member;
 pub use metadata::{MemberMetadata, Metadata, PriorMean, Signal};
 pub use subset::subset;
@@ -41,8 +41,7 @@ impl Library {
     /// # Errors
     /// [`LibraryError`] names the tensor or field, what was expected, what came, and what to do next.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LibraryError> {
-        let (metadata, data) = format::read(bytes)?;
-        let kernel = metadata.validate()?;
+        let (metadata, kernel, data) = format::read(bytes)?;
         let mut members = Vec::with_capacity(data.len());
         for (i, data) in data.iter().enumerate() {
             verify::check_values(data, i)?;

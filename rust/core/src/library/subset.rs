@@ -12,8 +12,7 @@ use sha2::{Digest, Sha256};
 /// [`LibraryError::NoMember`] for a member that isn't there, otherwise as
 /// [`Library::from_bytes`](super::Library::from_bytes).
 pub fn subset(bytes: &[u8], members: &[usize]) -> Result<Vec<u8>, LibraryError> {
-    let (metadata, data) = format::read(bytes)?;
-    let kernel = metadata.validate()?;
+    let (metadata, kernel, data) = format::read(bytes)?;
     let pick = |(place, &index): (usize, &usize)| {
         let count = data.len();
         let mut member = data

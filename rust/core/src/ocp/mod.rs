@@ -33,7 +33,7 @@ pub struct Road<'a> {
 /// What all problems of one library and settings have in common.
 #[derive(Debug, Clone, Copy)]
 pub struct Setup<'a> {
-    /// Cost, bounds and prices.
+    /// Cost, bounds and penalties.
     pub settings: &'a Settings,
     /// The vehicle to control, [`Settings::vehicle`].
     pub vehicle: &'a VehicleParameters,

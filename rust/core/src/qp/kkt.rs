@@ -4,7 +4,7 @@ use super::{OcpQp, OcpSolution, SoftRow};
 use crate::settings::Penalty;
 use crate::{Input, State};
 
-/// Residual of the KKT conditions, each part relative to the size of its terms (at least 1).
+/// Residual of the KKT conditions. All parts but `primal` are relative to the size of their terms (at least 1).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KktResidual {
     /// Largest component of the Lagrangian's gradient in the inputs.

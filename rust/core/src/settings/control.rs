@@ -9,8 +9,8 @@ use crate::NU;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Operating {
-    /// The previous plan's own states (multiple shooting): what the ensemble predicts differently enters as the
-    /// affine term, and one bad prediction cannot carry the whole trajectory away.
+    /// The previous plan's own states (multiple shooting): differences to the ensemble's prediction enter as the affine
+    /// term, so that one bad prediction does not displace all later states.
     Shift,
     /// The ensemble's prediction from the measured state under the previous plan's inputs.
     Rollout,
@@ -18,7 +18,7 @@ pub enum Operating {
 
 /// The operating trajectory, and the box inside which operating states are kept because members have training data there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct OperatingSettings {
     /// Default `shift`.
     pub kind: Operating,
@@ -35,12 +35,13 @@ pub struct OperatingSettings {
 
 /// Weights of the quadratic cost; every term is `½ weight · error²`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Cost {
-    /// Position error along the reference, 1/m². Equal to `lateral` it is the paper's fixed Q. Default 10.
+    /// Position error along the reference, 1/m². If it equals `lateral`, Q is the same for all yaw angles of the reference,
+    /// as in the paper. Default 10.
     pub longitudinal: f64,
-    /// Position error across the reference, 1/m². Default 60, with which the simulated car bears 40 ms of actuator
-    /// delay; with 20 it bears 60 ms.
+    /// Position error across the reference, 1/m². Default 60, with which the simulated car drives with up to 40 ms of
+    /// actuator delay; with 20 it drives with up to 60 ms.
     pub lateral: f64,
     /// Speed error, 1/(m/s)². Default 2.
     pub v_x: f64,
@@ -61,7 +62,7 @@ pub struct Cost {
 
 /// Hard bounds: the limits of the actuators and of the training data. By default those of the library's vehicle.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct InputBounds {
     /// Strongest braking, `F_x/m` in m/s². Default: the library's `a_min`.
     pub a_min: Option<f64>,
@@ -79,7 +80,7 @@ pub struct InputBounds {
 
 /// Penalty of a soft bound violated by `s`: `linear·s + ½ quadratic·s²`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Penalty {
     /// Linear weight, 1 per unit of the bounded quantity. The penalty is exact: if this weight exceeds the multiplier of the
     /// hard bound, the bound is kept wherever that is feasible. Default 200.
@@ -90,7 +91,7 @@ pub struct Penalty {
 
 /// Soft bounds on states: they may be violated at the cost of a penalty, so that no measured state is infeasible.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Soft {
     /// Highest speed in m/s; the lowest is 0. Default 60.
     pub v_x_max: f64,
@@ -139,7 +140,7 @@ impl SolverKind {
 
 /// QP solver and the check every solution must pass.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct SolverSettings {
     /// Default `riccati`.
     pub kind: SolverKind,
@@ -148,7 +149,7 @@ pub struct SolverSettings {
     pub max_iterations: u32,
     /// Relative tolerance handed to the solver. Default 1e-9.
     pub tolerance: f64,
-    /// Largest KKT residual a returned plan may have, by our own check. Default 1e-5.
+    /// Largest KKT residual that a returned plan may have; it is computed independently of the solver. Default 1e-5.
     pub kkt_tolerance: f64,
 }
 

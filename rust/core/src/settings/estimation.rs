@@ -7,13 +7,13 @@ use crate::NY;
 
 /// How the ensemble's weights follow the last transitions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct WeightSettings {
     /// Window `K`: number of past transitions, 1 to 1000; requests hold at most 64. Default: 0.5 s, which are 25 periods of
     /// 0.02 s, but at most 64 periods.
     pub window: Option<usize>,
     /// Weigh the window's errors by the inverse of their covariance, so that m/s and rad/s may be added. Default
-    /// true; false is the paper's `S = I`.
+    /// true; false is the paper's `S = I`, with which the weights also follow windows without information.
     pub whiten: bool,
     /// Largest expected standard deviations of the noise of the measured `[v_x, v_y, omega]`, m/s, m/s, rad/s. A measured
     /// change is the difference of two measured states, so that it contains the noise of both, and shares each with a
@@ -32,11 +32,17 @@ pub struct WeightSettings {
 
 /// The term of eq. (6) that keeps the weights near the previous ones.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
+#[serde(
+    tag = "kind",
+    rename_all = "lowercase",
+    deny_unknown_fields,
+    expecting = "a table with `kind`"
+)]
 pub enum Prior {
     /// `lambda ||w - w_prev||²`: unique weights for any data.
     Quadratic {
-        /// Strength, in squared whitened errors.
+        /// Strength, in squared whitened errors. Default 100.
+        #[serde(default = "default_lambda")]
         lambda: f64,
     },
     /// `alpha ||w - w_prev||_1`, the paper's: small errors change nothing at all.
@@ -54,13 +60,19 @@ const MEASUREMENT: [f64; NY] = [0.03, 0.03, 0.005];
 /// Largest standard deviation accepted.
 const MAX_NOISE: f64 = 100.0;
 
+fn default_lambda() -> f64 {
+    100.0
+}
+
 impl Default for WeightSettings {
     fn default() -> Self {
         Self {
             window: None,
             whiten: true,
             measurement: None,
-            prior: Prior::Quadratic { lambda: 100.0 },
+            prior: Prior::Quadratic {
+                lambda: default_lambda(),
+            },
             threshold: 1e-3,
             max_active: 8,
         }

@@ -1,6 +1,7 @@
 //! Every number a user may choose, validated once.
 //!
-//! TOML form: one table per struct, every field optional, unknown fields refused.
+//! TOML form: one table per struct. Every field is optional, but a table [`Prior`] has its `kind`, and `alpha` if that is `l1`.
+//! Unknown fields are errors.
 //!
 //! ```
 //! use egp_core::Settings;
@@ -30,7 +31,7 @@ use crate::NY;
 /// What describes the vehicle is by default that of the library ([`Settings::vehicle`]). The other defaults were chosen
 /// with CommonRoad's vehicle 1 at `dt` = 0.02 s.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Settings {
     /// Horizon `T`: number of inputs in a plan, 1 to 200; requests hold at most 128. Default: 0.8 s, which are 40 periods of
     /// 0.02 s, but at most 100 periods.
@@ -44,7 +45,8 @@ pub struct Settings {
     /// Time in s by which the measured `[v_x, v_y, omega]` are late; positions, yaw and steering angle are those of now.
     ///
     /// The step pairs the measured changes with the inputs that caused them, and predicts the present state by the
-    /// inputs since. Default: the library's `measurement_delay`, and without that 0, which changes nothing; at most 0.5.
+    /// inputs since. The oldest changes of a window, whose inputs came before it, are not used. Default: the library's
+    /// `measurement_delay`, and without that 0, which changes nothing; at most 0.5.
     pub measurement_delay: Option<f64>,
     /// How the weights follow the surface, eq. (6).
     pub weights: WeightSettings,

@@ -10,7 +10,7 @@ use crate::NY;
 /// All arrays are for the changes of `[v_x, v_y, omega]` over one period. `egp evaluate --log` prints the values with
 /// which a log is predicted best. With `std` and `measurement` zero there is no residual.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct ResidualSettings {
     /// Standard deviations of the slow disturbance, in m/s, m/s and rad/s. Default 0.
     pub std: [f64; NY],

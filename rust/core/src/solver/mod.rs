@@ -32,7 +32,7 @@ pub trait QpSolver {
     /// and `guess` alone, never on problems solved before.
     fn solve(&mut self, qp: &OcpQp, guess: &[Input], out: &mut OcpSolution) -> Status;
 
-    /// Name and version, for replies and reports.
+    /// Name, for replies and reports.
     fn name(&self) -> &'static str;
 }
 

@@ -31,7 +31,8 @@ impl Delay {
     }
 
     /// Writes the rows of `history` (newest first) with the steering angle at the time of their velocities, and the
-    /// mean inputs over the period after it. Where older rows are missing, the oldest one stands for them.
+    /// mean inputs over the period after it. Where older rows are missing, the inputs of the oldest one stand in for theirs:
+    /// only the first [`Self::known`] rows then have the inputs that caused their changes.
     pub fn align(&self, history: &[[f64; NZ]], out: &mut Vec<[f64; NZ]>) {
         out.clear();
         let at = |i: usize| &history[i.min(history.len() - 1)];
@@ -45,7 +46,7 @@ impl Delay {
         }));
     }
 
-    /// Number of the newest rows of a history of `rows`, of which [`Self::align`] knows all inputs.
+    /// Number of the newest rows of a history of `rows` whose inputs are all in this history.
     pub fn known(&self, rows: usize) -> usize {
         rows.saturating_sub(self.periods + usize::from(self.part > 0.0))
     }

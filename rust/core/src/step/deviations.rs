@@ -46,20 +46,15 @@ impl Deviations {
         }
     }
 
-    /// Writes the standard deviations of `[v_x, v_y, omega]` along the plan, given the state before. Row 0, the
-    /// measurement, is zero.
+    /// Writes the standard deviations of `[v_x, v_y, omega]` along the plan, given the state before, from the plan's
+    /// transitions: each state with the input, in N and rad/s, that is applied from it on. Row 0, the measurement, is zero.
     pub fn write<'a>(
         &mut self,
         ensembles: impl Fn(usize) -> Ensemble<'a>,
+        transitions: impl Iterator<Item = (State, Input)>,
         executor: &dyn Executor,
         reply: &mut StepReply,
     ) {
-        let (states, inputs) = (
-            reply.plan_x.as_chunks::<7>().0,
-            reply.plan_u.as_chunks::<2>().0,
-        );
-        let transitions = states.iter().zip(inputs);
-        let transitions = transitions.map(|(x, u)| (State::from(*x), Input::from(*u)));
         self.compute(ensembles, transitions, executor);
         reply.sigma.extend([0.0; NY]);
         let std = (self.variances.iter()).flat_map(|v| <[f64; NY]>::from(v.map(f64::sqrt)));

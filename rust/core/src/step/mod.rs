@@ -22,11 +22,12 @@ use crate::preview::StageWeights;
 use crate::solver::{Status, solve_with_fallback};
 use crate::trajectory::Guess;
 use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, TyreLimits, V_X, wrap};
+use crate::weights::blend_error;
 use crate::{Ensemble, GpInput, GpOutput, Input, Library, Member, NY, Settings, State};
 
 /// One control step: weights, eq. (6); residual; linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
 ///
-/// After the first call with a workspace nothing is allocated here, but the QP solver and a parallel executor may
+/// After the first request of each shape nothing is allocated here, but the QP solver and a parallel executor may
 /// allocate. A reply whose status is not [`Status::Solved`] contains weights and history for the next request but no
 /// plan.
 ///
@@ -43,21 +44,58 @@ pub fn step(
     reply.clear();
     ws.belongs_to(library, settings)?;
     let rows = validate::validate(library, settings, ws.vehicle.mass, request)?;
-    estimate_weights(library, settings, &rows, ws, reply);
-    let disturbance = estimate_residual(&rows, ws, reply);
-
+    let known = known_rows(ws.delay, &rows);
+    estimate_weights(library, settings, &rows, known, ws, reply);
+    let disturbance = estimate_residual(&rows, known, ws, reply);
     let frame = Frame::of(&rows.x);
     localise_reference(&frame, &rows, &mut ws.reference);
     ws.guess
         .shift(&frame, rows.plan_x, rows.plan_u, rows.plan_shift);
-
     reply.dropped_mass = ws
         .stages
         .fill(&reply.weights, rows.road_friction, &settings.weights);
-    let now = Ensemble::new(library, ws.stages.stage(0), 0.0).map_err(StepError::Ensemble)?;
-    let present = |delay: Delay| delay.present(&rows, &now, &disturbance);
+    let x0 = linearise(library, settings, &rows, &disturbance, ws)?;
+    assemble(library, settings, &rows, &x0, ws)?;
+    solve(settings, ws, reply);
+    if reply.status == Status::Solved {
+        write_plan(&frame, &rows, ws, reply);
+        if request.want_sigma {
+            let ensembles = ensembles(library, &ws.stages)?;
+            let solution = ws.solution.x.iter().zip(&ws.solution.u);
+            let transitions = solution.map(|(x, u)| (*x, unscaled(u, ws.vehicle.mass)));
+            ws.deviations
+                .write(ensembles, transitions, &*ws.executor, reply);
+        }
+    }
+    Ok(())
+}
+
+/// Number of the newest transitions of the window whose inputs are in the request; without a measurement delay all are.
+fn known_rows(delay: Option<Delay>, rows: &Rows) -> usize {
+    let all = rows.history_z.len();
+    delay.map_or(all, |delay| delay.known(all))
+}
+
+/// The ensemble of each stage.
+fn ensembles<'a>(
+    library: &'a Library,
+    stages: &'a StageWeights,
+) -> Result<impl Fn(usize) -> Ensemble<'a>, StepError> {
+    let now = Ensemble::new(library, stages.stage(0)).map_err(StepError::Ensemble)?;
+    Ok(move |t: usize| now.with_weights(stages.stage(t)))
+}
+
+/// Linearises the ensemble along the operating trajectory, and returns the state at which it starts, in the vehicle's frame.
+fn linearise(
+    library: &Library,
+    settings: &Settings,
+    rows: &Rows,
+    disturbance: &GpOutput,
+    ws: &mut Workspace,
+) -> Result<State, StepError> {
+    let ensembles = ensembles(library, &ws.stages)?;
+    let present = |delay: Delay| delay.present(rows, &ensembles(0), disturbance);
     let x0 = local_state(&ws.delay.map_or(rows.x, present));
-    let ensembles = |t: usize| now.with_weights(ws.stages.stage(t));
     let edges = [settings.soft.v_x_max, ws.vehicle.steering_angle];
     ws.dynamics.along(
         |t| (ensembles(t), ws.offsets[t]),
@@ -67,6 +105,17 @@ pub fn step(
         &settings.operating,
         edges,
     );
+    Ok(x0)
+}
+
+/// Writes the QP of eq. (18), with bounds that are tightened by the uncertainty of the plan if the settings ask for it.
+fn assemble(
+    library: &Library,
+    settings: &Settings,
+    rows: &Rows,
+    x0: &State,
+    ws: &mut Workspace,
+) -> Result<(), StepError> {
     blend_tyre_limits(&ws.tyres, &ws.stages, &mut ws.stage_tyres);
     let road = Road {
         x: &ws.reference,
@@ -80,7 +129,7 @@ pub fn step(
     };
     ocp::assemble(
         &setup,
-        &x0,
+        x0,
         &rows.u_prev,
         &ws.dynamics,
         &ws.guess,
@@ -88,24 +137,23 @@ pub fn step(
         &mut ws.qp,
     );
     if settings.soft.caution > 0.0 {
-        let transitions = ws
-            .dynamics
-            .x
-            .iter()
-            .copied()
-            .zip(ws.guess.u.iter().copied());
+        let operating = ws.dynamics.x.iter().zip(&ws.guess.u);
         let disturbances = ws.deviations.disturbances(
             library.members(),
             &ws.stages,
-            ensembles,
+            ensembles(library, &ws.stages)?,
             rows.road_friction,
-            transitions,
+            operating.map(|(x, u)| (*x, *u)),
             &*ws.executor,
         );
         ws.caution
             .tighten(settings.soft.caution, disturbances, &mut ws.qp);
     }
+    Ok(())
+}
 
+/// Solves the QP, and writes how that ended.
+fn solve(settings: &Settings, ws: &mut Workspace, reply: &mut StepReply) {
     warm_start(&ws.guess, ws.vehicle.mass, &mut ws.warm);
     ws.solver_name = solve_with_fallback(
         &mut ws.solvers,
@@ -117,13 +165,6 @@ pub fn step(
     reply.status = ws.solution.status;
     reply.iterations = ws.solution.iterations;
     reply.kkt_residual = ws.solution.kkt.worst();
-    if reply.status == Status::Solved {
-        write_plan(&frame, &rows, ws, reply);
-        if request.want_sigma {
-            ws.deviations.write(ensembles, &*ws.executor, reply);
-        }
-    }
-    Ok(())
 }
 
 /// The tyre limits of each stage: those of the members, blended with the weights of the stage.
@@ -165,13 +206,18 @@ fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
     }
 }
 
-/// Estimates weights and friction from the window. Weights change only if the window distinguishes the members:
-/// without excitation they differ by less than the noise, which the weights would follow. Predictions that the request
-/// lacks are computed for all members and returned.
+/// Estimates weights and friction from the `known` newest transitions of the window. Weights change only if these
+/// distinguish the members: without excitation they differ by less than the noise, which the weights would follow.
+/// Predictions that the request lacks are computed for all members and returned.
+///
+/// With a measurement delay the inputs of the oldest transitions are not in the request, and their predictions belong to the
+/// inputs of another row. They are in the reply because it has one row for each transition, and no estimate uses them. A
+/// transition that is known was also known when it was predicted: the history then had the same older rows, or was full.
 fn estimate_weights(
     library: &Library,
     settings: &Settings,
     rows: &Rows,
+    known: usize,
     ws: &mut Workspace,
     reply: &mut StepReply,
 ) {
@@ -197,45 +243,35 @@ fn estimate_weights(
     reply.history_f.extend_from_slice(rows.history_f);
     validate::starting_weights(rows.weights, &mut ws.previous);
     reply.weights.resize(members.len(), 0.0);
+    let predictions = &reply.history_f[..known * width];
+    let measured = &rows.history_y[..known];
     ws.estimator.estimate(
-        &reply.history_f,
-        rows.history_y,
+        predictions,
+        measured,
         &ws.noise,
         settings.weights.prior,
         &ws.previous,
         &mut reply.weights,
     );
-    // With a measurement delay the inputs of the oldest rows are not in the request. The friction is estimated without these
-    // rows, because `Delay::align` fills them with the inputs of another row. The weights use the members' predictions that
-    // the request carries, which were computed while the inputs were in the window.
-    let known = ws
-        .delay
-        .map_or(history_z.len(), |delay| delay.known(history_z.len()));
-    reply.friction = ws.friction.estimate(
-        &history_z[..known],
-        &reply.history_f,
-        rows.history_y,
-        &ws.previous,
-    );
+    reply.friction = ws
+        .friction
+        .estimate(&history_z[..known], predictions, measured);
     if settings.weights.whiten && !ws.estimator.informed(&reply.weights) {
         reply.weights.copy_from_slice(&ws.previous);
     }
 }
 
 /// Writes what the residual adds to the ensemble's prediction at each stage, with its variances, and returns its
-/// disturbance; zero without a residual.
-fn estimate_residual(rows: &Rows, ws: &mut Workspace, reply: &StepReply) -> GpOutput {
+/// disturbance; zero without a residual. It is estimated from the `known` newest transitions.
+fn estimate_residual(rows: &Rows, known: usize, ws: &mut Workspace, reply: &StepReply) -> GpOutput {
     let Some(filter) = &ws.residual else {
         return GpOutput::zeros();
     };
-    let predictions = reply.history_f.as_chunks::<NY>().0;
-    let transitions = predictions.chunks_exact(reply.weights.len());
-    let errors = transitions.zip(rows.history_y).map(|(members, measured)| {
-        let blend = members.iter().zip(&reply.weights);
-        blend.fold(GpOutput::from(*measured), |error, (f, w)| {
-            error - GpOutput::from(*f) * *w
-        })
-    });
+    let width = reply.weights.len() * NY;
+    let transitions = reply.history_f[..known * width].chunks_exact(width);
+    let errors = transitions
+        .zip(&rows.history_y[..known])
+        .map(|(predicted, measured)| blend_error(predicted, measured, &reply.weights));
     let residual = filter.estimate(errors.rev());
     ws.deviations.residual.clear();
     for (offset, (change, variance)) in ws.offsets.iter_mut().zip(residual.ahead()) {
@@ -252,8 +288,12 @@ fn write_plan(frame: &Frame, rows: &Rows, ws: &Workspace, reply: &mut StepReply)
         reply.plan_x.extend_from_slice(frame.to_map(x).as_slice());
     }
     for u in &ws.solution.u {
-        reply
-            .plan_u
-            .extend([u[FORCE] * ws.vehicle.mass, u[DELTA_DOT]]);
+        let u = unscaled(u, ws.vehicle.mass);
+        reply.plan_u.extend_from_slice(u.as_slice());
     }
+}
+
+/// An input of the solver in newtons.
+fn unscaled(u: &Input, mass: f64) -> Input {
+    Input::new(u[FORCE] * mass, u[DELTA_DOT])
 }

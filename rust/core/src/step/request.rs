@@ -52,9 +52,12 @@ pub struct StepReply {
     /// Friction coefficient that the window indicates.
     pub friction: FrictionEstimate,
     /// Standard deviation of `[v_x, v_y, omega]` at each stage given the previous stage, `[T+1, 3]`; it includes noise
-    /// and disagreement of the members. Empty unless requested.
+    /// and disagreement of the members. Row 1 is given the state at which the plan starts, which is the measured one corrected
+    /// for `measurement_delay`. Empty unless requested.
     pub sigma: Vec<f64>,
-    /// Predictions for all transitions of the request, newest first, `[k, N, 3]`, for the next request.
+    /// Predictions for all transitions of the request, newest first, `[k, N, 3]`, for the next request. With a measurement
+    /// delay the oldest transitions, whose inputs are not in the request, may have predictions for other inputs; no estimate
+    /// uses these.
     pub history_f: Vec<f64>,
     /// Sum of the weights of the members that are not in the control model.
     pub dropped_mass: f64,

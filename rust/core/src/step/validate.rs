@@ -1,5 +1,7 @@
 //! Checks of a request: shapes, finite numbers and the domain of the controller.
 
+use egp_parameters::{MAGNITUDE, ROAD_FRICTION, SIMPLEX_TOLERANCE};
+
 use super::StepRequest;
 use crate::vehicle::{DELTA, DELTA_DOT, FORCE, OMEGA, P_X, P_Y, V_X, V_Y};
 use crate::{EnsembleError, Input, Library, NU, NX, NY, NZ, Settings, State};
@@ -39,7 +41,9 @@ pub enum StepError {
         found: usize,
     },
     /// A number that is NaN, infinite, or larger than any quantity of a road vehicle in SI units.
-    #[error("`{field}`[{index}] is {value}; expected a finite number of magnitude at most 1e7")]
+    #[error(
+        "`{field}`[{index}] is {value}; expected a finite number of magnitude at most {MAGNITUDE:e}"
+    )]
     NotFinite {
         /// The field.
         field: &'static str,
@@ -83,15 +87,6 @@ pub enum StepError {
     Ensemble(EnsembleError),
 }
 
-/// Largest accepted magnitude; no quantity of a road vehicle in SI units is larger.
-const MAX_MAGNITUDE: f64 = 1e7;
-/// Largest accepted distance of weights from the simplex, onto which they are then projected.
-const SIMPLEX_TOLERANCE: f64 = 1e-6;
-
-/// Frictions that a road may have.
-const MIN_FRICTION: f64 = 0.01;
-const MAX_FRICTION: f64 = 3.0;
-
 /// A validated request as rows.
 pub(super) struct Rows<'a> {
     pub x: State,
@@ -116,6 +111,8 @@ pub(super) fn validate<'a>(
     request: &StepRequest<'a>,
 ) -> Result<Rows<'a>, StepError> {
     shapes(library, settings, request)?;
+    let window = settings.weights.window(library.dt());
+    history_shapes(library.members().len(), window, request)?;
     finite(request)?;
     let rows = Rows {
         x: State::from_column_slice(request.x),
@@ -135,59 +132,54 @@ pub(super) fn validate<'a>(
     Ok(rows)
 }
 
+/// Errors unless `values` has `expected` numbers, which are the product of `shape`.
+fn exact(
+    [field, shape]: [&'static str; 2],
+    values: &[f64],
+    expected: usize,
+) -> Result<(), StepError> {
+    let found = values.len();
+    if found == expected {
+        Ok(())
+    } else {
+        Err(StepError::Shape {
+            field,
+            shape,
+            expected,
+            found,
+        })
+    }
+}
+
+/// As [`exact`]; `values` may also be empty.
+fn optional(names: [&'static str; 2], values: &[f64], expected: usize) -> Result<(), StepError> {
+    exact(names, values, if values.is_empty() { 0 } else { expected })
+}
+
+/// Checks all shapes but those of the history.
 fn shapes(library: &Library, settings: &Settings, request: &StepRequest) -> Result<(), StepError> {
-    let (n, dt) = (library.members().len(), library.dt());
-    let horizon = settings.horizon(dt);
-    let exact = |field, shape, values: &[f64], expected| {
-        let found = values.len();
-        if found == expected {
-            Ok(())
-        } else {
-            Err(StepError::Shape {
-                field,
-                shape,
-                expected,
-                found,
-            })
-        }
-    };
-    let optional = |field, shape, values: &[f64], expected| {
-        if values.is_empty() {
-            Ok(())
-        } else {
-            exact(field, shape, values, expected)
-        }
-    };
-    exact("x", "[7]", request.x, NX)?;
-    exact("u_prev", "[2]", request.u_prev, NU)?;
-    optional("weights", "[N]", request.weights, n)?;
-    optional("plan_x", "[T+1, 7]", request.plan_x, (horizon + 1) * NX)?;
+    let (n, horizon) = (library.members().len(), settings.horizon(library.dt()));
+    let rows = horizon + 1;
+    exact(["x", "[7]"], request.x, NX)?;
+    exact(["u_prev", "[2]"], request.u_prev, NU)?;
+    optional(["weights", "[N]"], request.weights, n)?;
+    optional(["plan_x", "[T+1, 7]"], request.plan_x, rows * NX)?;
     let inputs = if request.plan_x.is_empty() {
         0
     } else {
         horizon * NU
     };
-    exact(
-        "plan_u",
-        "[T, 2], empty if plan_x is",
-        request.plan_u,
-        inputs,
-    )?;
-    exact(
-        "reference",
-        "[T+1, 4]",
-        request.reference,
-        (horizon + 1) * 4,
-    )?;
-    optional("widths", "[T+1, 2]", request.widths, (horizon + 1) * 2)?;
-    optional(
-        "road_friction",
-        "[T+2, 2]",
-        request.road_friction,
-        (horizon + 2) * 2,
-    )?;
+    let shape = "[T, 2], empty if plan_x is";
+    exact(["plan_u", shape], request.plan_u, inputs)?;
+    exact(["reference", "[T+1, 4]"], request.reference, rows * 4)?;
+    optional(["widths", "[T+1, 2]"], request.widths, rows * 2)?;
+    let road = (rows + 1) * 2;
+    optional(["road_friction", "[T+2, 2]"], request.road_friction, road)
+}
+
+/// Checks the shapes of the history for `n` members and windows of at most `window` transitions.
+fn history_shapes(n: usize, window: usize, request: &StepRequest) -> Result<(), StepError> {
     let transitions = request.history_z.len() / NZ;
-    let window = settings.weights.window(dt);
     if transitions > window {
         return Err(StepError::Window {
             field: "history_z",
@@ -195,20 +187,13 @@ fn shapes(library: &Library, settings: &Settings, request: &StepRequest) -> Resu
             found: transitions,
         });
     }
-    exact("history_z", "[k, 6]", request.history_z, transitions * NZ)?;
-    exact(
-        "history_y",
-        "[k, 3], as many rows as history_z",
-        request.history_y,
-        transitions * NY,
-    )?;
+    let z = transitions * NZ;
+    exact(["history_z", "[k, 6]"], request.history_z, z)?;
+    let (shape, y) = ("[k, 3], as many rows as history_z", transitions * NY);
+    exact(["history_y", shape], request.history_y, y)?;
     let predicted = (request.history_f.len() / (n * NY)).min(transitions);
-    exact(
-        "history_f",
-        "[k', N, 3], at most k rows",
-        request.history_f,
-        predicted * n * NY,
-    )
+    let (shape, f) = ("[k', N, 3], at most k rows", predicted * n * NY);
+    exact(["history_f", shape], request.history_f, f)
 }
 
 fn finite(request: &StepRequest) -> Result<(), StepError> {
@@ -225,7 +210,7 @@ fn finite(request: &StepRequest) -> Result<(), StepError> {
         ("widths", request.widths),
         ("road_friction", request.road_friction),
     ] {
-        let bad = |v: &f64| v.is_nan() || v.abs() > MAX_MAGNITUDE;
+        let bad = |v: &f64| v.is_nan() || v.abs() > MAGNITUDE;
         if let Some(index) = values.iter().position(bad) {
             return Err(StepError::NotFinite {
                 field,
@@ -287,11 +272,12 @@ fn domains(mass: f64, rows: &Rows) -> Result<(), StepError> {
     for width in rows.widths.iter().flatten() {
         within(["widths", "widths (m)"], *width, -1000.0, 1000.0)?;
     }
+    let (least, most) = ROAD_FRICTION;
     for [friction, std] in rows.road_friction {
         let field = "road_friction";
-        within([field, field], *friction, MIN_FRICTION, MAX_FRICTION)?;
+        within([field, field], *friction, least, most)?;
         let quantity = "standard deviation of road_friction";
-        within([field, quantity], *std, 0.0, MAX_FRICTION)?;
+        within([field, quantity], *std, 0.0, most)?;
     }
     if rows.weights.is_empty() {
         return Ok(());

@@ -54,7 +54,7 @@ impl Frame {
     }
 
     /// A state of this frame on the map; its yaw continues the measured one.
-    pub fn to_map(&self, local: &State) -> State {
+    pub fn to_map(self, local: &State) -> State {
         let mut x = *local;
         x[P_X] = self.p_x + (self.cos * local[P_X] - self.sin * local[P_Y]);
         x[P_Y] = self.p_y + (self.sin * local[P_X] + self.cos * local[P_Y]);

@@ -12,30 +12,31 @@ mod single_track;
 mod tyre_limits;
 
 pub(crate) use batch::Batch;
-pub use frame::{Frame, wrap};
+pub(crate) use frame::{Frame, wrap};
 pub use kinematic::{KINEMATIC_PARAMETERS, Kinematic};
-pub use kinematics::{gp_input, jacobians, successor};
+pub(crate) use kinematics::{gp_input, jacobians, successor};
 pub use model::{ModelParameters, VehicleModel};
 pub use resistance::Resistance;
-pub use single_track::{LARGEST_PEAK_SLIP, MIN_SLIP_SPEED, SINGLE_TRACK_PARAMETERS, SingleTrack};
+pub(crate) use single_track::MIN_SLIP_SPEED;
+pub use single_track::{SINGLE_TRACK_PARAMETERS, SingleTrack};
 pub use tyre_limits::TyreLimits;
 
 /// Index of `p_x` in the state, m.
-pub const P_X: usize = 0;
+pub(crate) const P_X: usize = 0;
 /// Index of `p_y` in the state, m.
-pub const P_Y: usize = 1;
+pub(crate) const P_Y: usize = 1;
 /// Index of `v_x` in the state, m/s.
-pub const V_X: usize = 2;
+pub(crate) const V_X: usize = 2;
 /// Index of `psi` in the state, rad.
-pub const PSI: usize = 3;
+pub(crate) const PSI: usize = 3;
 /// Index of `v_y` in the state, m/s.
-pub const V_Y: usize = 4;
+pub(crate) const V_Y: usize = 4;
 /// Index of `omega` in the state, rad/s.
-pub const OMEGA: usize = 5;
+pub(crate) const OMEGA: usize = 5;
 /// Index of `delta` in the state, rad.
-pub const DELTA: usize = 6;
+pub(crate) const DELTA: usize = 6;
 
 /// Index of `F_x` in the input (N), and of `a = F_x/m` (m/s²) in the scaled input.
-pub const FORCE: usize = 0;
+pub(crate) const FORCE: usize = 0;
 /// Index of `delta_dot` in the input, rad/s.
-pub const DELTA_DOT: usize = 1;
+pub(crate) const DELTA_DOT: usize = 1;

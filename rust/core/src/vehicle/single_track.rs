@@ -126,7 +126,7 @@ impl SingleTrack {
     }
 
     /// Slip angle in rad at which the lateral force of the front axle is largest, `tan(pi / (2 C)) / B`, or
-    /// [`LARGEST_PEAK_SLIP`] if that is less. For `C <= 1` the force rises with every slip angle and has no peak.
+    /// 0.4 rad if that is less. For `C <= 1` the force rises with every slip angle and has no peak.
     pub fn peak_slip(&self) -> f64 {
         let [front, _] = &self.axles;
         if front.shape <= 1.0 {

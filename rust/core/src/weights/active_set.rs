@@ -24,14 +24,15 @@ enum Place {
     Above,
 }
 
-/// A coordinate closer than this to a kink is moved to the kink.
+/// A coordinate at most this far from a kink counts as fixed there at the start. After a step it is moved to the kink ahead of
+/// it if it is at most this far from that kink, or beyond it.
 const SNAP: f64 = 1e-14;
 /// Slopes are compared with this tolerance, relative to the size of the problem's numbers.
 const SLOPE_TOLERANCE: f64 = 1e-12;
 
 /// Solver for `n` coordinates, with its memory.
 #[derive(Debug, Clone)]
-pub struct ActiveSet {
+pub(super) struct ActiveSet {
     place: Vec<Place>,
     free: Vec<usize>,
     gradient: Vec<f64>,
@@ -43,7 +44,7 @@ pub struct ActiveSet {
 
 /// One problem; see the module's formula.
 #[derive(Debug, Clone, Copy)]
-pub struct SimplexQp<'a> {
+pub(super) struct SimplexQp<'a> {
     /// `H`, row-major `[n, n]`.
     pub hessian: &'a [f64],
     /// `g`.

@@ -12,17 +12,18 @@ mod active_set;
 mod gram;
 mod noise;
 
-pub use active_set::{ActiveSet, SimplexQp};
 pub use noise::WindowNoise;
+pub(crate) use noise::blend_error;
 
+use active_set::{ActiveSet, SimplexQp};
 use gram::Gram;
 use noise::Row;
 
 use crate::NY;
 use crate::settings::Prior;
 
-/// Ridge on `H` relative to its largest entry. With identical members and no quadratic prior it selects the minimiser
-/// nearest to the previous weights.
+/// Ridge on `H` relative to its largest diagonal entry, which counts as at least 1. With identical members and no quadratic
+/// prior it selects the minimiser nearest to the previous weights.
 const RIDGE: f64 = 1e-10;
 
 /// Reciprocal of the power of likelihoods, because a model's errors are similar from one period to the next.
@@ -62,7 +63,8 @@ impl WeightEstimator {
     ///   is used; transitions beyond its window are ignored
     /// * `previous`: `w_prev`, on the simplex
     ///
-    /// Without transitions the weights equal `previous`. Returns the solver's iterations, see [`ActiveSet::solve`].
+    /// Without transitions the weights equal `previous`. Returns the solver's iterations, or `None` if rounding errors prevent
+    /// that it ends; the weights are then on the simplex and no worse than `previous`.
     pub fn estimate(
         &mut self,
         predictions: &[f64],
@@ -144,7 +146,7 @@ impl WeightEstimator {
 /// Writes the largest `max_active` weights above `threshold`, scaled to sum to 1, to `active`; the other entries are
 /// zero. The largest weight is always kept. Returns the sum of the dropped weights. `weights` must be on the simplex, and
 /// `max_active` at least 1.
-pub fn select_active(
+pub(crate) fn select_active(
     weights: &[f64],
     threshold: f64,
     max_active: usize,

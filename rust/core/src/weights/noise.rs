@@ -117,7 +117,12 @@ impl WindowNoise {
         previous: &[f64],
     ) -> impl Iterator<Item = &Row> {
         let transitions = predictions.chunks_exact(previous.len() * NY).zip(measured);
-        self.likeliest(transitions.map(|(row, y)| error(row, y, previous)))
+        self.likeliest(transitions.map(|(row, y)| blend_error(row, y, previous)))
+    }
+
+    /// The whitening of consecutive transitions at the first level.
+    pub(crate) fn first_level(&self) -> impl Iterator<Item = &Row> {
+        self.rows.iter().step_by(self.levels)
     }
 
     /// Rows of the level with the largest likelihood of `errors`, one error for each of consecutive transitions. Rows
@@ -162,8 +167,8 @@ fn state_std(library: &Library, settings: &WeightSettings) -> GpOutput {
     GpOutput::from(settings.measurement(library.metadata().measurement_noise))
 }
 
-/// Error of the blended prediction of a transition.
-fn error(predicted: &[f64], measured: &[f64; NY], weights: &[f64]) -> GpOutput {
+/// Error `y - F w` of the blended prediction of a transition, from its row `[N * 3]` of predictions.
+pub(crate) fn blend_error(predicted: &[f64], measured: &[f64; NY], weights: &[f64]) -> GpOutput {
     let predicted = predicted.as_chunks::<NY>().0.iter().zip(weights);
     predicted.fold(GpOutput::from(*measured), |error, (f, w)| {
         error - GpOutput::from(*f) * *w

@@ -3,7 +3,8 @@
 
 use std::collections::VecDeque;
 
-use egp_core::{GpInput, Member, Settings};
+use egp_core::settings::{Prior, ResidualSettings};
+use egp_core::{FrictionEstimate, GpInput, Member, Settings, StepReply, Workspace, step};
 use egp_testing::requests::{Request, library, settings, solve};
 
 const DT: f64 = 0.05;
@@ -18,14 +19,22 @@ fn input(i: usize) -> [f64; 2] {
     [700.0 * (7.0 * time).sin(), 0.9 * (9.0 * time).cos()]
 }
 
-/// The request of a vehicle that moves as `member` predicts, whose velocities are `late` parts of a period old. Within a
-/// period the changes are those at its start, as the step assumes.
+/// Periods after which the requests of most tests are made.
+const PERIODS: usize = 40;
+
+/// [`request_after`] 40 periods.
 fn request(member: &Member, late: usize) -> Request {
+    request_after(member, late, PERIODS)
+}
+
+/// The request of a vehicle that has moved for `periods` as `member` predicts, whose velocities are `late` parts of a period
+/// old. Within a period the changes are those at its start, as the step assumes.
+fn request_after(member: &Member, late: usize, periods: usize) -> Request {
     let (mut v, mut delta) = ([13.0, 0.0, 0.1], 0.03);
     let mut past: VecDeque<[f64; 3]> = VecDeque::from(vec![v; late + 1]);
     let (mut rows, mut changes) = (vec![], vec![]);
     let mut measured = v;
-    for i in 0..40 {
+    for i in 0..periods {
         let u = input(i);
         rows.push([measured[0], measured[1], measured[2], delta, u[0], u[1]]);
         let z = GpInput::new(v[0], v[1], v[2], delta, u[0], u[1]);
@@ -45,7 +54,7 @@ fn request(member: &Member, late: usize) -> Request {
     let mut request = Request::circle();
     let [p_x, p_y, _, psi, ..] = request.x;
     request.x = [p_x, p_y, measured[0], psi, measured[1], measured[2], delta];
-    request.u_prev = input(39);
+    request.u_prev = input(periods - 1);
     request.history_z = rows.iter().rev().take(WINDOW).flatten().copied().collect();
     request.history_y = changes
         .iter()
@@ -133,4 +142,101 @@ fn no_delay_changes_nothing() {
         ..settings()
     };
     assert_eq!(solve(&request, &stated), solve(&request, &settings()));
+}
+
+/// Settings by which the errors of a window also change the plan, and weights follow it within a few periods.
+fn late_with_residual(parts: usize) -> Settings {
+    let mut settings = late(parts);
+    settings.residual = ResidualSettings {
+        std: [0.05; 3],
+        ..ResidualSettings::default()
+    };
+    settings.weights.prior = Prior::Quadratic { lambda: 30.0 };
+    settings
+}
+
+/// Number of rows of a history whose inputs were applied before it, at a delay of `parts`.
+fn unknown(parts: usize) -> usize {
+    parts.div_ceil(PARTS)
+}
+
+/// Consecutive requests with what a client carries between them, and their replies.
+fn drive(member: &Member, parts: usize, periods: usize) -> Vec<(Request, StepReply)> {
+    let mut steps: Vec<(Request, StepReply)> = vec![];
+    for i in 1..=periods {
+        let mut request = request_after(member, parts, i);
+        if let Some((_, before)) = steps.last() {
+            request.carry(before);
+            // The oldest transition leaves a full window.
+            let rows = request.history_z.len() / 6 - 1;
+            request.history_f.truncate(rows * 6);
+        }
+        let reply = solve(&request, &late_with_residual(parts));
+        steps.push((request, reply));
+    }
+    steps
+}
+
+#[test]
+fn transitions_whose_inputs_are_not_in_the_request_count_for_nothing() {
+    let member = &library().members()[0];
+    for parts in [6, 8] {
+        for (i, (request, reply)) in drive(member, parts, 45).into_iter().enumerate() {
+            let rows = request.history_z.len() / 6;
+            let of_unknown = 6 * (rows - unknown(parts).min(rows));
+            // The members' predictions of these transitions, and what was measured, may be anything.
+            let mut other = request.clone();
+            let carried = 6 * (rows - request.history_f.len() / 6);
+            if let Some(start) = of_unknown.checked_sub(carried) {
+                other.history_f[start..].fill(0.7);
+            }
+            other.history_y[of_unknown / 2..].fill(-0.3);
+            // Predictions that were carried are those that a step computes.
+            let mut without = request.clone();
+            without.history_f.clear();
+            for changed in [other, without] {
+                let again = solve(&changed, &late_with_residual(parts));
+                let outcome = |reply: &StepReply| {
+                    (reply.weights.clone(), reply.friction, reply.plan_u.clone())
+                };
+                assert_eq!(outcome(&again), outcome(&reply), "{parts} {i}");
+            }
+            if rows <= unknown(parts) {
+                assert_eq!(reply.weights, [0.5, 0.5]);
+                assert_eq!(reply.friction, FrictionEstimate::default());
+            }
+        }
+    }
+}
+
+#[test]
+fn from_the_first_requests_on_the_weights_are_those_of_present_velocities() {
+    for member in library().members() {
+        let exact = drive(member, 0, 45);
+        let told = drive(member, 8, 45);
+        // After two periods without known inputs, the windows have the same inputs and changes. The differences are 0.
+        for (i, (told, exact)) in told[2..].iter().zip(&exact).enumerate() {
+            let difference = largest_difference(&told.1.weights, &exact.1.weights);
+            assert!(difference < 1e-12, "{i}: {difference}");
+        }
+    }
+}
+
+#[test]
+fn standard_deviations_are_those_at_the_states_of_the_plan() {
+    let member = &library().members()[0];
+    let sigma = |velocities: usize, told: usize| {
+        let mut request = request(member, velocities);
+        request.weights = vec![1.0, 0.0];
+        let mut wanted = request.borrow();
+        wanted.want_sigma = true;
+        let (settings, mut reply) = (late(told), StepReply::default());
+        let mut ws = Workspace::new(library(), &settings).unwrap();
+        step(library(), &settings, &wanted, &mut ws, &mut reply).unwrap();
+        reply.sigma[3..6].to_vec()
+    };
+    let exact = sigma(0, 0);
+    let [told, untold] = [sigma(8, 8), sigma(8, 0)].map(|sigma| largest_difference(&sigma, &exact));
+    // 2.3e-15 and 0.017.
+    assert!(told < 1e-3 * untold, "{told} {untold}");
 }

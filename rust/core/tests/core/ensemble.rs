@@ -4,10 +4,13 @@
 use std::sync::OnceLock;
 
 use egp_core::{
-    Ensemble, EnsembleError, GpInput, GpJacobian, GpOutput, Kernel, Library, NY, VarianceScratch,
+    Ensemble, EnsembleError, GpInput, GpJacobian, GpOutput, Kernel, Library, MixtureScratch, NY,
+    Sequential, VarianceScratch,
 };
 use egp_testing::libraries::{self, CENTRE, HALF_WIDTH};
 use proptest::prelude::*;
+
+use crate::mixture::variance;
 
 const MEMBERS: usize = 3;
 
@@ -38,21 +41,18 @@ proptest! {
     fn one_hot_weights_give_the_member(z in gp_input(), n in 0..MEMBERS) {
         let mut one_hot = vec![0.0; MEMBERS];
         one_hot[n] = 1.0;
-        let ensemble = Ensemble::new(library(), &one_hot, 0.0).unwrap();
+        let ensemble = Ensemble::new(library(), &one_hot).unwrap();
         let member = &library().members()[n];
         let (mut blended, mut own) = (GpJacobian::zeros(), GpJacobian::zeros());
         prop_assert_eq!(ensemble.mean_jacobian(&z, &mut blended), member.mean_jacobian(&z, &mut own));
         prop_assert_eq!(blended, own);
         prop_assert_eq!(ensemble.mean(&z), member.mean(&z));
-        prop_assert_eq!(ensemble.dropped_mass(), 0.0);
-        let variance = ensemble.variance(&z, &mut VarianceScratch::default());
-        prop_assert_eq!(variance.independent, member.variance(&z, &mut VarianceScratch::default()));
-        prop_assert_eq!(variance.mixture, noisy_variance(n, &z));
+        prop_assert_eq!(variance(library().members(), &one_hot, &z), noisy_variance(n, &z));
     }
 
     #[test]
     fn the_mean_stays_between_the_members(z in gp_input(), w in weights()) {
-        let mean = Ensemble::new(library(), &w, 0.0).unwrap().mean(&z);
+        let mean = Ensemble::new(library(), &w).unwrap().mean(&z);
         for o in 0..NY {
             let means = library().members().iter().map(|member| member.mean(&z)[o]);
             let (min, max) = means.fold((f64::MAX, f64::MIN), |(min, max), m| (min.min(m), max.max(m)));
@@ -62,7 +62,7 @@ proptest! {
 
     #[test]
     fn the_jacobian_is_the_slope_of_the_mean(z in gp_input(), w in weights()) {
-        let ensemble = Ensemble::new(library(), &w, 0.0).unwrap();
+        let ensemble = Ensemble::new(library(), &w).unwrap();
         let mut jacobian = GpJacobian::zeros();
         ensemble.mean_jacobian(&z, &mut jacobian);
         let direction = GpInput::from(HALF_WIDTH) * 1e-5;
@@ -72,49 +72,41 @@ proptest! {
     }
 
     #[test]
-    fn the_mixture_contains_disagreement_and_the_independent_form_averages(z in gp_input(), w in weights()) {
-        let ensemble = Ensemble::new(library(), &w, 0.0).unwrap();
-        let variance = ensemble.variance(&z, &mut VarianceScratch::default());
-        let mean = ensemble.mean(&z);
+    fn the_bound_contains_the_members_variances_and_their_disagreement(z in gp_input(), w in weights()) {
+        let ensemble = Ensemble::new(library(), &w).unwrap();
+        let mut bound = [GpOutput::zeros()];
+        let mut scratch = MixtureScratch::default();
+        Ensemble::mixture_bounds(|_| ensemble, &[z], &mut scratch, &mut bound, &Sequential);
+        let (exact, mean) = (variance(library().members(), &w, &z), ensemble.mean(&z));
         for o in 0..NY {
             let weighted: f64 = (0..MEMBERS).map(|n| w[n] * noisy_variance(n, &z)[o]).sum();
             let squares = |n: usize| w[n] * (library().members()[n].mean(&z)[o] - mean[o]).powi(2);
             let disagreement: f64 = (0..MEMBERS).map(squares).sum();
-            prop_assert!(variance.mixture[o] >= weighted * (1.0 - 1e-14));
-            prop_assert!((variance.mixture[o] - weighted - disagreement).abs() < 1e-12 * variance.mixture[o]);
-            prop_assert!((0.0..=weighted).contains(&variance.independent[o]));
+            prop_assert!((exact[o] - weighted - disagreement).abs() < 1e-12 * exact[o]);
+            prop_assert!((exact[o] * (1.0 - 1e-12)..=exact[o] * 1.22).contains(&bound[0][o]));
         }
     }
 
     #[test]
-    fn dropping_a_member_renormalises_the_others(z in gp_input(), share in 0.0..1.0) {
-        let kept = [0.98 * share, 0.98 * (1.0 - share)];
-        let w = [kept[0], 0.02, kept[1]];
-        let ensemble = Ensemble::new(library(), &w, 0.02).unwrap();
-        let normalised = ensemble.active().map(|(weight, _)| weight).sum::<f64>();
-        prop_assert!((normalised - 1.0).abs() < 1e-15);
-        let small: f64 = kept.iter().filter(|&&weight| weight <= 0.02).sum();
-        prop_assert!((ensemble.dropped_mass() - 0.02 - small).abs() < 1e-15);
-        prop_assert!(ensemble.active().all(|(_, member)| member.label() != "friction 0.7"));
+    fn a_member_without_weight_is_not_active(z in gp_input(), share in 0.01..0.99) {
+        let w = [share, 0.0, 1.0 - share];
+        let ensemble = Ensemble::new(library(), &w).unwrap();
+        let labels: Vec<_> = ensemble.active().map(|(_, member)| member.label()).collect();
+        prop_assert_eq!(labels, ["friction 0.4", "friction 1.1"]);
+        prop_assert!(ensemble.active().map(|(weight, _)| weight).eq([share, 1.0 - share]));
         prop_assert!(ensemble.mean(&z).iter().all(|mean| mean.is_finite()));
     }
 }
 
 #[test]
 fn invalid_weights_are_errors() {
-    let error =
-        |weights: &[f64], threshold| Ensemble::new(library(), weights, threshold).err().unwrap();
+    let error = |weights: &[f64]| Ensemble::new(library(), weights).err().unwrap();
     let expected = EnsembleError::WeightCount {
         expected: MEMBERS,
         found: 2,
     };
-    assert_eq!(error(&[0.5, 0.5], 0.0), expected);
-    assert_eq!(
-        error(&[0.3, 0.3, 0.4], 0.5),
-        EnsembleError::NoActiveMember { threshold: 0.5 }
-    );
-    assert!(matches!(
-        error(&[f64::NAN; MEMBERS], 0.0),
-        EnsembleError::NoActiveMember { .. }
-    ));
+    assert_eq!(error(&[0.5, 0.5]), expected);
+    for weights in [[0.0; MEMBERS], [f64::NAN; MEMBERS]] {
+        assert_eq!(error(&weights), EnsembleError::NoActiveMember);
+    }
 }

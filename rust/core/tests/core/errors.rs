@@ -1,4 +1,4 @@
-//! Errors of a step for invalid requests.
+//! Errors of a step for invalid requests, and of settings.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
@@ -80,4 +80,38 @@ fn errors_of_malformed_requests_name_the_field() {
     };
     let error = step(library(), &other, &warm().borrow(), &mut ws, &mut reply).unwrap_err();
     assert_eq!(error, StepError::Workspace);
+}
+
+#[test]
+fn a_value_in_place_of_a_table_is_called_so() {
+    for (name, expected) in [
+        ("weights", "a table"),
+        ("weights.prior", "a table with `kind`"),
+        ("residual", "a table"),
+        ("operating", "a table"),
+        ("cost", "a table"),
+        ("limits", "a table"),
+        ("soft", "a table"),
+        ("soft.track", "a table"),
+        ("solver", "a table"),
+    ] {
+        let error = Settings::from_toml(&format!("{name} = 3")).unwrap_err();
+        let text = error.to_string();
+        assert!(text.contains(&format!("expected {expected}")), "{text}");
+        for rust in ["struct", "enum", "Settings", "Cost", "Soft", "Prior"] {
+            assert!(!text.contains(rust), "{text}");
+        }
+    }
+}
+
+#[test]
+fn a_quadratic_prior_without_strength_has_the_default() {
+    let text = "[weights.prior]\nkind = \"quadratic\"";
+    assert_eq!(Settings::from_toml(text).unwrap(), Settings::default());
+    for text in [
+        "[weights.prior]\nkind = \"l1\"",
+        "[weights.prior]\nlambda = 3.0",
+    ] {
+        assert!(Settings::from_toml(text).is_err(), "{text}");
+    }
 }

@@ -92,12 +92,10 @@ fn estimate(library: &Library, truth: &Library, z: &[[f64; 6]]) -> FrictionEstim
     let predictions: Vec<f64> = (0..z.len())
         .flat_map(|k| columns.iter().flat_map(move |column| column[k]))
         .collect();
-    let previous = vec![1.0 / members.len() as f64; members.len()];
     FrictionEstimator::new(library, &WeightSettings::default()).estimate(
         z,
         &predictions,
         &changes(&truth.members()[0], z),
-        &previous,
     )
 }
 
@@ -164,7 +162,7 @@ fn a_window_without_noise_gives_numbers_that_a_reply_can_state() {
         .collect();
     for measured in [low, high] {
         let mut estimator = FrictionEstimator::new(&ensemble, &silent);
-        let found = estimator.estimate(&z, &predictions, &measured, &[0.5, 0.5]);
+        let found = estimator.estimate(&z, &predictions, &measured);
         let FrictionEstimate {
             mean,
             std,

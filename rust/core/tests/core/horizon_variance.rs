@@ -2,13 +2,12 @@
 #![allow(clippy::unwrap_used)]
 
 use egp_core::library::encode;
-use egp_core::{
-    Ensemble, GpInput, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, Sequential,
-    VarianceScratch,
-};
+use egp_core::{Ensemble, GpInput, GpOutput, Kernel, Library, MixtureScratch, NY, NZ, Sequential};
 use egp_testing::libraries::{self, Outputs, spec_of};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+
+use crate::mixture::variance;
 
 /// The relative excess that [`Ensemble::mixture_bounds`] allows.
 const TOLERANCE: f64 = 0.1;
@@ -42,7 +41,7 @@ fn curve(library: &Library, rng: &mut ChaCha8Rng) -> Vec<GpInput> {
 /// Checks curves; returns the largest relative excess.
 fn check(library: &Library, curves: u32) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
-    let (mut horizon, mut scratch) = (MixtureScratch::default(), VarianceScratch::default());
+    let mut horizon = MixtureScratch::default();
     let mut worst = 0.0_f64;
     for i in 0..curves {
         let share = rng.random_range(0.0..=1.0);
@@ -52,12 +51,12 @@ fn check(library: &Library, curves: u32) -> f64 {
         } else {
             [share, 1.0 - share]
         };
-        let ensemble = Ensemble::new(library, &weights, 0.0).unwrap();
+        let ensemble = Ensemble::new(library, &weights).unwrap();
         let z = curve(library, &mut rng);
         let mut bounds = [GpOutput::zeros(); 20];
         Ensemble::mixture_bounds(|_| ensemble, &z, &mut horizon, &mut bounds, &Sequential);
         for (z, bound) in z.iter().zip(&bounds) {
-            let exact = ensemble.variance(z, &mut scratch).mixture;
+            let exact = variance(library.members(), &weights, z);
             for o in 0..NY {
                 let excess = bound[o] / exact[o] - 1.0;
                 assert!(excess > -1e-8, "{excess:e} below the exact variance");
@@ -89,8 +88,9 @@ fn on_sampled_libraries() {
 fn at_training_points_and_far_from_all() {
     let spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 120, 1);
     let library = libraries::library(Kernel::Rbf, &[0.5, 1.1], 120, 1);
-    let ensemble = Ensemble::new(&library, &[0.4, 0.6], 0.0).unwrap();
-    let (mut horizon, mut scratch) = (MixtureScratch::default(), VarianceScratch::default());
+    let weights = [0.4, 0.6];
+    let ensemble = Ensemble::new(&library, &weights).unwrap();
+    let mut horizon = MixtureScratch::default();
     // Repeated stages have a singular prior covariance.
     let mut z: Vec<GpInput> = spec.members[0].inputs[..9]
         .iter()
@@ -102,7 +102,7 @@ fn at_training_points_and_far_from_all() {
     let mut bounds = vec![GpOutput::zeros(); z.len()];
     Ensemble::mixture_bounds(|_| ensemble, &z, &mut horizon, &mut bounds, &Sequential);
     for (z, bound) in z.iter().zip(&bounds) {
-        let exact = ensemble.variance(z, &mut scratch).mixture;
+        let exact = variance(library.members(), &weights, z);
         for o in 0..NY {
             let excess = bound[o] / exact[o] - 1.0;
             assert!((-1e-8..TOLERANCE).contains(&excess), "{excess:e}");
@@ -113,7 +113,7 @@ fn at_training_points_and_far_from_all() {
 #[test]
 fn the_bits_do_not_depend_on_earlier_contents_of_the_memory() {
     let library = demo();
-    let ensemble = Ensemble::new(&library, &[0.4, 0.6], 0.0).unwrap();
+    let ensemble = Ensemble::new(&library, &[0.4, 0.6]).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let (first, second) = (curve(&library, &mut rng), curve(&library, &mut rng));
     let bounds = |z: &[GpInput], scratch: &mut MixtureScratch| {

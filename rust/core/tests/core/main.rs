@@ -1,5 +1,6 @@
 //! Tests of the mathematics: members, weights, linearisation, solvers and the step as a whole.
 
+mod bounds;
 mod caution;
 mod delay;
 mod ensemble;
@@ -9,6 +10,7 @@ mod friction;
 mod gp;
 mod horizon_variance;
 mod library;
+mod mixture;
 mod preview;
 mod proximal;
 mod qp;

@@ -4,7 +4,7 @@
 use egp_core::Input;
 use egp_core::qp::{MAX_SOFT, OcpQp, OcpSolution};
 use egp_core::settings::{SolverKind, SolverSettings};
-use egp_core::solver::{ClarabelSolver, RiccatiSolver, Status, solve_checked, solvers};
+use egp_core::solver::{ClarabelSolver, QpSolver, RiccatiSolver, Status, solve_checked, solvers};
 use egp_testing::drives::{Drive, shifted};
 
 /// Consecutive problems of a drive.
@@ -155,4 +155,30 @@ fn the_result_depends_on_problem_and_guess_alone() {
             assert_eq!(first, second, "{}", solver.name());
         }
     }
+}
+
+#[test]
+fn a_problem_that_cannot_be_factorised_returns_nothing_of_the_problem_before() {
+    let horizon = 20;
+    let mut broken = Drive::new(8).problem(horizon);
+    for stage in broken.stages_mut() {
+        stage.q *= -1e9;
+    }
+    let mut expected = OcpSolution::new(horizon);
+    let mut fresh = RiccatiSolver::new(horizon, &settings());
+    let status = fresh.solve(&broken, &[], &mut expected);
+    assert_eq!(status, Status::NumericalError);
+    // With one iteration the interior-point method ends early, at multipliers that are not zero.
+    let hasty = SolverSettings {
+        max_iterations: 1,
+        ..settings()
+    };
+    let (mut used, mut stale) = (RiccatiSolver::new(horizon, &hasty), 0);
+    let mut out = OcpSolution::new(horizon);
+    drive(horizon, 100, |n, qp, guess| {
+        stale += usize::from(used.solve(qp, guess, &mut out) == Status::IterationLimit);
+        assert_eq!(used.solve(&broken, &[], &mut out), status);
+        assert_eq!(out, expected, "problem {n}");
+    });
+    assert!(stale > 0);
 }

@@ -63,7 +63,8 @@ impl ActiveSet {
     }
 
     /// Changes the working set until no free row violates its bound; false if the budget of changes is spent or will not
-    /// suffice, or if a factorisation fails. The present point must solve the subproblem of the factorised working set.
+    /// suffice, if more rows change than the low-rank factorisation can hold, or if a pivot of it vanishes. The present
+    /// point must solve the subproblem of the factorised working set.
     #[inline(always)]
     pub(super) fn exchange(&mut self, stages: &[Stage], tolerance: f64) -> bool {
         self.low_rank.clear();

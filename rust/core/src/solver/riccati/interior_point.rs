@@ -175,7 +175,11 @@ impl InteriorPoint {
         let mut s = *initial;
         for ((stage, point), work) in stages.iter().zip(points.iter_mut()).zip(&mut self.work) {
             s = stage.successor(&s, &[0.0; NU]);
-            point.s = s;
+            // If the factorisation fails, this is the iterate that is returned. It must not be that of an earlier problem.
+            *point = Point {
+                s,
+                ..Point::default()
+            };
             work.rows = OneSided::of(&stage.rows);
             (work.dv, work.direction) = ([0.0; NU], Iterate::ZERO);
         }
@@ -201,12 +205,7 @@ impl InteriorPoint {
             let free = point.s;
             s = stage.successor(&s, &point.v);
             point.s = s;
-            for (d, (a, b)) in ds.x.iter_mut().zip(s.x.iter().zip(&free.x)) {
-                *d = a - b;
-            }
-            for (d, (a, b)) in ds.u.iter_mut().zip(s.u.iter().zip(&free.u)) {
-                *d = a - b;
-            }
+            ds = s.minus(&free);
         }
         for ((stage, point), work) in stages.iter().zip(points.iter_mut()).zip(&self.work) {
             let y = signed_values(&point.v, &point.s, &stage.rows.normal);

@@ -206,6 +206,36 @@ pub(super) struct Factor {
 }
 
 impl Factor {
+    /// The factors for `M`, with `rate` on the diagonal of `Q_vv`; `None` if that is not positive definite.
+    #[inline(always)]
+    fn of(m: &Symmetric, rate: &[f64; NU]) -> Option<Self> {
+        let cross = m.uu[0][1];
+        let first = m.uu[0][0] + rate[0];
+        let d0 = 1.0 / first.sqrt();
+        let below = cross * d0;
+        let second = below.mul_add(-below, m.uu[1][1] + rate[1]);
+        if !(first > 0.0 && second > 0.0) {
+            return None;
+        }
+        let d1 = 1.0 / second.sqrt();
+        let mut factor = Self {
+            inverse_diagonal: [d0, d1],
+            below,
+            ..Self::default()
+        };
+        for i in 0..LANES {
+            let y = factor.forward([m.xu[0][i], m.xu[1][i]]);
+            factor.y_x[0][i] = y[0];
+            factor.y_x[1][i] = y[1];
+        }
+        for j in 0..NU {
+            let y = factor.forward([m.uu[0][j], m.uu[1][j]]);
+            factor.y_u[0][j] = y[0];
+            factor.y_u[1][j] = y[1];
+        }
+        Some(factor)
+    }
+
     /// `L⁻¹ q`.
     #[inline(always)]
     fn forward(&self, q: [f64; NU]) -> [f64; NU] {
@@ -229,6 +259,28 @@ pub(super) fn factorise(
     rate: &[f64; NU],
     p: &Symmetric,
 ) -> Option<(Factor, Symmetric)> {
+    let mut m = congruence(dynamics, p);
+    let factor = Factor::of(&m, rate)?;
+    // P = M − Yᵀ Y.
+    for k in 0..NU {
+        for (j, column) in m.xx.iter_mut().enumerate() {
+            axpy(column, -factor.y_x[k][j], &factor.y_x[k]);
+        }
+        for (j, column) in m.xu.iter_mut().enumerate() {
+            axpy(column, -factor.y_u[k][j], &factor.y_x[k]);
+        }
+        for i in 0..NU {
+            for j in 0..NU {
+                m.uu[i][j] = factor.y_u[k][i].mul_add(-factor.y_u[k][j], m.uu[i][j]);
+            }
+        }
+    }
+    Some((factor, m))
+}
+
+/// `M = Āᵀ P Ā`.
+#[inline(always)]
+fn congruence(dynamics: &Dynamics, p: &Symmetric) -> Symmetric {
     // G = P Ā restricted to its state rows: [Pxx A, Pxx B + Pxu].
     let mut g = dynamics.times(&p.xx);
     for (g, p_column) in g[NX..].iter_mut().zip(&p.xu) {
@@ -236,7 +288,6 @@ pub(super) fn factorise(
             *g += p;
         }
     }
-    // M = Āᵀ P Ā.
     let column = |g: &Row| combine(&dynamics.a_rows, g, [0, 1, 2, 3, 4, 5, 6]);
     let [x0, x1, x2, x3, x4, x5, x6, u0, u1] = &g;
     let mut m = Symmetric {
@@ -266,45 +317,7 @@ pub(super) fn factorise(
     let cross = 0.5 * (m.uu[0][1] + m.uu[1][0]);
     m.uu[0][1] = cross;
     m.uu[1][0] = cross;
-
-    let first = m.uu[0][0] + rate[0];
-    let d0 = 1.0 / first.sqrt();
-    let below = cross * d0;
-    let second = below.mul_add(-below, m.uu[1][1] + rate[1]);
-    if !(first > 0.0 && second > 0.0) {
-        return None;
-    }
-    let d1 = 1.0 / second.sqrt();
-    let mut factor = Factor {
-        inverse_diagonal: [d0, d1],
-        below,
-        ..Factor::default()
-    };
-    for i in 0..LANES {
-        let y = factor.forward([m.xu[0][i], m.xu[1][i]]);
-        factor.y_x[0][i] = y[0];
-        factor.y_x[1][i] = y[1];
-    }
-    for j in 0..NU {
-        let y = factor.forward([m.uu[0][j], m.uu[1][j]]);
-        factor.y_u[0][j] = y[0];
-        factor.y_u[1][j] = y[1];
-    }
-    // P = M − Yᵀ Y.
-    for k in 0..NU {
-        for (j, column) in m.xx.iter_mut().enumerate() {
-            axpy(column, -factor.y_x[k][j], &factor.y_x[k]);
-        }
-        for (j, column) in m.xu.iter_mut().enumerate() {
-            axpy(column, -factor.y_u[k][j], &factor.y_x[k]);
-        }
-        for i in 0..NU {
-            for j in 0..NU {
-                m.uu[i][j] = factor.y_u[k][i].mul_add(-factor.y_u[k][j], m.uu[i][j]);
-            }
-        }
-    }
-    Some((factor, m))
+    m
 }
 
 /// One stage of the backward sweep for a right-hand side: from the gradient of the cost-to-go after the stage to the

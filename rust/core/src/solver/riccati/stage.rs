@@ -1,7 +1,8 @@
 //! One stage of the problem and the order of its inequality rows.
 
-use super::recursion::{Aug, Curvature, Dynamics, Row};
+use super::recursion::{Aug, Curvature, Dynamics, LANES, Row};
 use super::two_sided::TwoSided;
+use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, V_X, V_Y};
 use crate::{NU, NX};
 
 /// One stage of the problem: from `s` at its start to `s⁺` at its end.
@@ -28,57 +29,50 @@ pub(super) const INPUT: usize = NU;
 /// First box row on a state.
 pub(super) const STATE: usize = 2 * NU;
 /// The states that may be boxed, in the order of their rows: v_x, delta, v_y, omega.
-pub(super) const BOXED: [usize; 4] = [2, 6, 4, 5];
+const BOXED: [usize; 4] = [V_X, DELTA, V_Y, OMEGA];
 /// The track row.
 pub(super) const TRACK: usize = STATE + BOXED.len();
 
 /// The value `a·w` of each two-sided row, where `w = (v, s⁺)`.
 #[inline(always)]
 pub(super) fn row_values(v: &[f64; NU], s: &Aug, normal: &[f64; 2]) -> [f64; PAIRS] {
-    let track = normal[0].mul_add(s.x[0], normal[1] * s.x[1]);
+    let track = normal[0].mul_add(s.x[P_X], normal[1] * s.x[P_Y]);
+    let [v_x, delta, v_y, omega] = BOXED.map(|i| s.x[i]);
     [
-        v[0], v[1], s.u[0], s.u[1], s.x[2], s.x[6], s.x[4], s.x[5], track, 0.0, 0.0, 0.0,
+        v[0], v[1], s.u[0], s.u[1], v_x, delta, v_y, omega, track, 0.0, 0.0, 0.0,
     ]
 }
 
 /// Hessian `Σ weight a aᵀ` of the rows on `s⁺`. The Hessian of the rate rows is their weight itself.
 #[inline(always)]
 pub(super) fn row_curvature(weight: &[f64; PAIRS], normal: &[f64; 2]) -> Curvature {
-    let (track, w) = (weight[TRACK], weight);
-    let (nx, ny) = (track * normal[0], track * normal[1]);
+    let (n_x, n_y) = (weight[TRACK] * normal[0], weight[TRACK] * normal[1]);
     Curvature {
-        x: [
-            nx * normal[0],
-            ny * normal[1],
-            w[4],
-            0.0,
-            w[6],
-            w[7],
-            w[5],
-            0.0,
-        ],
-        cross: nx * normal[1],
-        u: [w[INPUT], w[INPUT + 1]],
+        x: on_states([n_x * normal[0], n_y * normal[1]], weight),
+        cross: n_x * normal[1],
+        u: [weight[INPUT], weight[INPUT + 1]],
     }
 }
 
 /// Gradient `Σ λ a` of the rows on `s⁺`. The gradient of the rate rows is their multiplier itself.
 #[inline(always)]
 pub(super) fn row_gradient(lambda: &[f64; PAIRS], normal: &[f64; 2]) -> Aug {
-    let (track, l) = (lambda[TRACK], lambda);
+    let track = lambda[TRACK];
     Aug {
-        x: [
-            track * normal[0],
-            track * normal[1],
-            l[4],
-            0.0,
-            l[6],
-            l[7],
-            l[5],
-            0.0,
-        ],
-        u: [l[INPUT], l[INPUT + 1]],
+        x: on_states([track * normal[0], track * normal[1]], lambda),
+        u: [lambda[INPUT], lambda[INPUT + 1]],
     }
+}
+
+/// A state row with the values of the track row at the position, and those of the box rows at their states.
+#[inline(always)]
+fn on_states(position: [f64; 2], rows: &[f64; PAIRS]) -> Row {
+    let mut x = [0.0; LANES];
+    (x[P_X], x[P_Y]) = (position[0], position[1]);
+    for (k, i) in BOXED.into_iter().enumerate() {
+        x[i] = rows[STATE + k];
+    }
+    x
 }
 
 impl Stage {

@@ -1,0 +1,49 @@
+//! The bounds on the force that plans keep.
+#![allow(clippy::unwrap_used)]
+
+use egp_core::library::encode;
+use egp_core::vehicle::ModelParameters;
+use egp_core::{Kernel, Library, StepReply, VehicleParameters, Workspace, step};
+use egp_testing::libraries;
+use egp_testing::requests::{Request, settings};
+
+const CAR: VehicleParameters = VehicleParameters::FORD_ESCORT;
+
+/// The accelerations of a plan that starts at the speed `v_x`, m/s; the reference drives 14 m/s.
+fn accelerations(library: &Library, v_x: f64) -> Vec<f64> {
+    let mut request = Request::circle();
+    request.x[2] = v_x;
+    let (settings, mut reply) = (settings(), StepReply::default());
+    let mut ws = Workspace::new(library, &settings).unwrap();
+    step(library, &settings, &request.borrow(), &mut ws, &mut reply).unwrap();
+    let inputs = reply.plan_u.as_chunks::<2>().0;
+    inputs.iter().map(|u| u[0] / CAR.mass).collect()
+}
+
+fn largest(values: &[f64]) -> f64 {
+    values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+}
+
+#[test]
+fn the_smaller_bound_of_a_vehicle_that_catches_up_is_also_that_of_members_without_tyres() {
+    let constant = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 250, 3);
+    let mut kinematic = constant.clone();
+    for member in &mut kinematic.members {
+        let vehicle = ModelParameters::Kinematic([CAR.mass, CAR.l_f, CAR.l_r]);
+        libraries::leave_vehicle(member, vehicle);
+    }
+    for spec in [constant, kinematic] {
+        let library = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
+        // Its tyres have no limits of their own: those of the vehicle's actuators take their place.
+        for member in library.members() {
+            let limits = member.tyre_limits(&CAR);
+            assert_eq!((limits.drive, limits.brake), (CAR.a_max, -CAR.a_min));
+        }
+        // More than 1.5 m/s below the reference, the drive is at most 0.7/1.5 of the largest.
+        let drive = largest(&accelerations(&library, 6.0)[..8]);
+        assert!((drive - CAR.a_max * 0.7 / 1.5).abs() < 1e-6, "{drive}");
+        // Braking has no such bound.
+        let brake = -accelerations(&library, 20.0)[3];
+        assert!(brake > 0.9 * -CAR.a_min, "{brake}");
+    }
+}

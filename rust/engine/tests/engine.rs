@@ -1,0 +1,77 @@
+//! What an engine cannot be made of.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use std::path::Path;
+
+use egp_core::library::encode;
+use egp_core::settings::InputBounds;
+use egp_core::{Kernel, Library, Settings};
+use egp_engine::{Engine, EngineError};
+use egp_testing::libraries;
+
+fn bytes() -> Vec<u8> {
+    encode(&libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0)).unwrap()
+}
+
+/// The engine of a vehicle with this mass, kg, whose limits are those of the library, from -8 to 6 m/s², or as stated.
+fn of_mass(mass: f64, limits: InputBounds) -> Result<Engine, EngineError> {
+    let settings = Settings {
+        mass: Some(mass),
+        limits,
+        ..Settings::default()
+    };
+    Engine::new(Library::from_bytes(&bytes()).unwrap(), settings)
+}
+
+#[test]
+fn forces_that_no_message_can_carry_are_an_error() {
+    assert!(of_mass(125e3, InputBounds::default()).is_ok());
+    let error = of_mass(126e3, InputBounds::default()).unwrap_err();
+    assert!(matches!(error, EngineError::Force { force, .. } if force == 8.0 * 126e3));
+    let text = error.to_string();
+    for part in ["1008000 N", "126000 kg", "8 m/s²", "at most 1000000 N"] {
+        assert!(text.contains(part), "{text}");
+    }
+    let strong = InputBounds {
+        a_max: Some(20.0),
+        ..InputBounds::default()
+    };
+    let error = of_mass(60e3, strong).unwrap_err();
+    assert!(matches!(error, EngineError::Force { force, .. } if force == 20.0 * 60e3));
+    // Plans within narrow limits are no error by themselves, but clients brake within those of the library.
+    let weak = InputBounds {
+        a_min: Some(-1.0),
+        a_max: Some(1.0),
+        ..InputBounds::default()
+    };
+    let error = of_mass(126e3, weak).unwrap_err();
+    assert!(matches!(error, EngineError::Force { force, .. } if force == 8.0 * 126e3));
+}
+
+#[test]
+fn errors_name_the_file_of_the_library() {
+    let path = Path::new("folder/some.safetensors");
+    let load = |content: &[u8], settings| {
+        let error = Engine::from_bytes(path, content, settings).unwrap_err();
+        error.to_string()
+    };
+    let horizon = |horizon| Settings {
+        horizon: Some(horizon),
+        ..Settings::default()
+    };
+    let heavy = Settings {
+        mass: Some(1e6),
+        ..Settings::default()
+    };
+    for (text, reason) in [
+        (load(&bytes()[1..], Settings::default()), "header"),
+        (load(&bytes(), horizon(150)), "settings.horizon is 150"),
+        (load(&bytes(), horizon(0)), "setting `horizon`"),
+        (load(&bytes(), heavy), "8000000 N"),
+    ] {
+        assert!(text.starts_with("folder/some.safetensors "), "{text}");
+        assert!(text.contains(reason), "{text}");
+    }
+    let missing = Engine::load(path, Settings::default()).unwrap_err();
+    assert!(missing.to_string().contains("folder/some.safetensors"));
+}
