@@ -75,6 +75,9 @@ def measured(
                 x[4] = -9.0
             case "not_finite":
                 x[2] = np.nan
+            case "nowhere":
+                x[0] = np.nan
+                reference[:, 0] = np.nan
             case _:
                 raise ValueError(change)
     return x, reference

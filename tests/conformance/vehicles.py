@@ -287,10 +287,8 @@ class OverZenohInRust(Processes):
     ) -> Outcome:
         """Drive one period."""
         # JSON cannot express a number that is not finite; a number beyond the domain replaces it.
-        state = np.nan_to_num(x, nan=1e300)
-        answer = self._call(
-            {"deadline": deadline, "x": state.tolist(), "reference": reference.tolist()}
-        )
+        state, ahead = (np.nan_to_num(values, nan=1e300).tolist() for values in (x, reference))
+        answer = self._call({"deadline": deadline, "x": state, "reference": ahead})
         if "error" in answer:
             return Outcome(error=answer["error"])
         return Outcome(

@@ -92,11 +92,8 @@ pub(crate) struct Road<'a> {
 
 impl Friction for Road<'_> {
     fn surface(&self, position: [f64; 2]) -> Surface {
-        if !position.iter().all(|value| value.is_finite()) {
-            return f64::NAN.into(); // the plant reports the surface as an error
-        }
-        let projection = self.path.project(position, Some(self.hint.get()));
-        self.hint.set(projection.s);
-        self.path.surface_beside(projection.s, projection.lateral)
+        let (surface, s) = self.path.surface_at(position, Some(self.hint.get()));
+        self.hint.set(s);
+        surface
     }
 }

@@ -8,9 +8,7 @@ use std::error::Error;
 use std::io::{BufRead as _, Write as _, stdin, stdout};
 use std::time::{Duration, Instant};
 
-use egp_vehicle::{
-    GateLimits, Measurement, Mode, Step, VehicleClient, VehicleConfig, VehicleParameters,
-};
+use egp_vehicle::{GateLimits, Measurement, Step, VehicleClient, VehicleConfig, VehicleParameters};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -70,14 +68,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn describe(step: &Step, weights: &[f64]) -> Value {
-    let mode = match step.command.mode {
-        Mode::Normal => "normal",
-        Mode::Tail => "tail",
-        Mode::Stop => "stop",
-        Mode::Waiting => "waiting",
-    };
     json!({
-        "mode": mode,
+        "mode": step.command.mode.name(),
         "status": step.outcome.name(),
         "replica": step.replica.as_ref().map_or_else(String::new, ToString::to_string),
         "lost": step.lost.is_some(),

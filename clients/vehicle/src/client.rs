@@ -228,9 +228,13 @@ impl VehicleClient {
             }
             let wake = self.driver.next_wake().unwrap_or(due);
             let left = wake.saturating_sub(self.time(Instant::now()));
-            match self.network.next(left) {
-                Some(event) => self.tell(event),
-                None => self.driver.wake(self.time(Instant::now())),
+            if let Some(event) = self.network.next(left) {
+                self.tell(event);
+            }
+            // The deadline ends the period although events keep coming.
+            let now = self.time(Instant::now());
+            if now >= wake {
+                self.driver.wake(now);
             }
         }
     }
@@ -279,11 +283,16 @@ fn discover(
             });
         }
         let Some(question) = discovery.next_question() else {
-            // Every live replica was asked, or there is none, so wait for a change.
-            match network.next(left.min(POLL)).map(|event| event.kind) {
-                Some(EventKind::Appeared(replica)) => discovery.replica_appeared(replica),
-                Some(EventKind::Gone(replica)) => discovery.replica_gone(&replica),
-                _ => {}
+            // Every live replica was asked, or there is none, so wait for a change. All that have come count before the next
+            // round, in which each frozen replica takes a second.
+            let mut patience = left.min(POLL);
+            while let Some(event) = network.next(patience) {
+                match event.kind {
+                    EventKind::Appeared(replica) => discovery.replica_appeared(replica),
+                    EventKind::Gone(replica) => discovery.replica_gone(&replica),
+                    _ => {}
+                }
+                patience = Duration::ZERO;
             }
             continue;
         };

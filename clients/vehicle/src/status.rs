@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use egp_driver::Step;
+use egp_driver::{Outcome, Step};
 use egp_gate::Mode;
 use egp_wire::proto::{PeriodTimes, StepRecord, VehicleStatus};
 use egp_wire::{ReferenceRow, State};
@@ -65,7 +65,8 @@ impl Status {
     /// Counts a period; returns a message if the last one is 0.1 s old.
     pub(crate) fn add(&mut self, period: &Period<'_>, now: Instant) -> Option<VehicleStatus> {
         let step = period.step;
-        let missed = step.command.mode != Mode::Normal;
+        // A plan that came after the deadline is driven, and is still none in time.
+        let missed = step.command.mode != Mode::Normal || step.outcome == Outcome::Late;
         self.periods += 1;
         self.misses += u64::from(missed);
         self.tails += u64::from(step.command.mode == Mode::Tail);
@@ -126,7 +127,7 @@ impl Status {
             delta,
             force,
             steering_rate,
-            mode: mode_name(step.command.mode).to_owned(),
+            mode: step.command.mode.name().to_owned(),
             status: step.outcome.name().to_owned(),
             lost: lost.is_some(),
             detail: lost.unwrap_or_else(|| step.outcome.detail()),
@@ -159,16 +160,6 @@ fn micros(time: u32) -> Duration {
 
 fn milliseconds(time: Duration) -> f64 {
     1e3 * time.as_secs_f64()
-}
-
-/// The mode as all interfaces spell it.
-pub(crate) fn mode_name(mode: Mode) -> &'static str {
-    match mode {
-        Mode::Normal => "normal",
-        Mode::Tail => "tail",
-        Mode::Stop => "stop",
-        Mode::Waiting => "waiting",
-    }
 }
 
 #[cfg(test)]

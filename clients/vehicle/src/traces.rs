@@ -10,8 +10,6 @@ use egp_wire::keys::Name;
 use egp_wire::{Header, MessageLimits, WireError};
 use thiserror::Error;
 
-use crate::status::mode_name;
-
 /// Why the spans of a vehicle cannot be written.
 #[derive(Debug, Error)]
 pub enum StepTracesError {
@@ -137,7 +135,7 @@ impl StepTraces {
             .with("egp.sequence", header.sequence)
             .with("egp.library", &header.library)
             .with("egp.outcome", step.outcome.name())
-            .with("egp.mode", mode_name(step.command.mode));
+            .with("egp.mode", step.command.mode.name());
         if let Some(replica) = &step.replica {
             whole = whole.with("egp.replica", replica.as_str());
         }

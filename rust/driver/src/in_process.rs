@@ -23,8 +23,6 @@ pub struct InProcessDriver {
 const NOW: Time = Time::ZERO;
 /// Smallest budget of a request. A plan is computed even if the budget is used up.
 const MIN_BUDGET: Duration = Duration::from_micros(1);
-/// Largest budget that a request can state.
-const MAX_BUDGET: Duration = Duration::from_micros(u32::MAX as u64);
 
 impl InProcessDriver {
     /// A driver for the library that `served` describes.
@@ -57,7 +55,7 @@ impl InProcessDriver {
         &mut self.driver
     }
 
-    /// One control period with the time `budget`, but at least 1 µs, stated in the request; `answer` computes the reply's
+    /// One control period with the time `budget`, from 1 µs to 10 s, stated in the request; `answer` computes the reply's
     /// bytes from the request's.
     ///
     /// # Errors
@@ -68,7 +66,7 @@ impl InProcessDriver {
         budget: Duration,
         mut answer: impl FnMut(&[u8]) -> Answer,
     ) -> Result<Step, InvalidArgument> {
-        let deadline = NOW + budget.clamp(MIN_BUDGET, MAX_BUDGET);
+        let deadline = NOW + budget.max(MIN_BUDGET);
         self.driver.tick(NOW, deadline, measurement)?;
         loop {
             match self.driver.next_action() {

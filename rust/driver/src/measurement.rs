@@ -12,6 +12,8 @@ const MAX_DEVIATION: f64 = 0.5;
 
 /// Reference speeds that a control step accepts, m/s. Rounding may make that of a standstill negative.
 const SPEEDS: std::ops::RangeInclusive<f64> = -1.0..=100.0;
+/// Largest magnitude of a width that a control step accepts, m.
+const WIDEST: f64 = 1e3;
 
 /// What the vehicle measured and where it is to go.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -85,6 +87,7 @@ impl Measurement {
         egp_wire::check_reference(&self.reference, &self.widths)?;
         egp_wire::check_road_friction(&self.road_friction, self.reference.len())?;
         self.check_speed()?;
+        self.check_width()?;
         self.check_yaw()
     }
 
@@ -98,6 +101,18 @@ impl Measurement {
                 Err(Invalid::field("reference", reason))
             }
         }
+    }
+
+    fn check_width(&self) -> Result<(), Invalid> {
+        let beyond = |row: &WidthRow| row.iter().any(|width| width.abs() > WIDEST);
+        let Some(row) = self.widths.iter().position(beyond) else {
+            return Ok(());
+        };
+        let [left, right] = self.widths[row];
+        let reason = format!(
+            "row {row}: [{left}, {right}] m is beyond ±{WIDEST} m; no row at all means no edges"
+        );
+        Err(Invalid::field("widths", reason))
     }
 
     fn check_yaw(&self) -> Result<(), InvalidArgument> {

@@ -15,7 +15,7 @@ const MIN_DEMOTION: Duration = Duration::from_secs(1);
 /// Longest demotion.
 const MAX_DEMOTION: Duration = Duration::from_secs(30);
 /// A replica that has not failed for this long since the end of its demotion starts with the shortest demotion again.
-const FORGIVEN: Duration = Duration::from_secs(60);
+const PROBATION: Duration = Duration::from_secs(60);
 /// Time between two probes of a demoted replica.
 const PROBE_INTERVAL: Duration = Duration::from_millis(200);
 
@@ -29,7 +29,8 @@ struct Demotion {
     failed: Time,
     /// When the last probe was sent.
     probed: Option<Time>,
-    over: bool,
+    /// Whether a probe was answered in time after it.
+    ended: bool,
 }
 
 /// The live replicas in the order of a vehicle's rendezvous hash, with those that failed lately at the end.
@@ -71,9 +72,11 @@ impl Replicas {
         self.answered.remove(replica);
     }
 
-    /// Notes that a replica sent a usable reply.
+    /// Notes that a replica sent a usable reply; one that has gone since then is not kept.
     pub(crate) fn answered(&mut self, replica: &Name, now: Time) {
-        self.answered.insert(replica.clone(), now);
+        if self.live.contains(replica) {
+            self.answered.insert(replica.clone(), now);
+        }
     }
 
     /// The live replicas.
@@ -90,7 +93,7 @@ impl Replicas {
         );
         // The sort is stable, so those that are not demoted keep their rank.
         order.sort_by_key(|replica| {
-            let demotion = self.demoted.get(replica).filter(|demotion| !demotion.over);
+            let demotion = self.demoted.get(replica).filter(|demotion| !demotion.ended);
             demotion.map(|demotion| {
                 let answered = self.answered.get(replica).copied();
                 let recovered = answered.is_some_and(|at| at > demotion.failed);
@@ -105,12 +108,12 @@ impl Replicas {
         // A live replica that has not answered a probe since it failed may still be frozen.
         let live = &self.live;
         self.demoted.retain(|replica, demotion| {
-            (!demotion.over && live.contains(replica))
-                || now.saturating_sub(demotion.until) < FORGIVEN
+            (!demotion.ended && live.contains(replica))
+                || now.saturating_sub(demotion.until) < PROBATION
         });
         let before = self.demoted.get(replica);
         let length = before.map_or(MIN_DEMOTION, |demotion| {
-            if demotion.over {
+            if demotion.ended {
                 (demotion.length * 2).min(MAX_DEMOTION)
             } else {
                 demotion.length
@@ -121,7 +124,7 @@ impl Replicas {
             length,
             failed: now,
             probed: None,
-            over: false,
+            ended: false,
         };
         self.demoted.insert(replica.clone(), demotion);
     }
@@ -132,20 +135,22 @@ impl Replicas {
             let waited = demotion
                 .probed
                 .is_none_or(|sent| now.saturating_sub(sent) >= PROBE_INTERVAL);
-            !demotion.over && now >= demotion.until && waited
+            !demotion.ended && now >= demotion.until && waited
         };
+        // The one that was probed longest ago comes first, so that a frozen one does not keep others from being probed.
         let (replica, demotion) = self
             .demoted
             .iter_mut()
-            .find(|(replica, demotion)| self.live.contains(*replica) && due(demotion))?;
+            .filter(|(replica, demotion)| self.live.contains(*replica) && due(demotion))
+            .min_by_key(|(_, demotion)| demotion.probed)?;
         demotion.probed = Some(now);
         Some(replica.clone())
     }
 
     /// Notes that a replica answered a probe in time.
-    pub(crate) fn proved(&mut self, replica: &Name) {
+    pub(crate) fn probe_answered(&mut self, replica: &Name) {
         if let Some(demotion) = self.demoted.get_mut(replica) {
-            demotion.over = true;
+            demotion.ended = true;
         }
     }
 }
@@ -184,9 +189,31 @@ mod tests {
         );
         assert_eq!(replicas.next_probe(seconds(6.2)), Some(usual[0].clone()));
         assert_eq!(replicas.order(), demoted, "no probe was answered");
-        replicas.proved(&usual[0]);
+        replicas.probe_answered(&usual[0]);
         assert_eq!(replicas.order(), usual);
         assert_eq!(replicas.next_probe(seconds(9.0)), None);
+    }
+
+    #[test]
+    fn each_demoted_replica_is_probed_in_its_turn() {
+        let (mut replicas, _) = three();
+        for replica in ["a", "b", "c"] {
+            replicas.demote(&replica.parse().unwrap(), seconds(0.0));
+        }
+        // Periods as long as the time between probes: one replica is due again in each of them.
+        let probed = (0..6).map(|period| {
+            let now = seconds(2.0) + PROBE_INTERVAL * period;
+            replicas.next_probe(now).unwrap().to_string()
+        });
+        assert_eq!(probed.collect::<String>(), "abcabc");
+    }
+
+    #[test]
+    fn replicas_that_have_gone_are_not_remembered() {
+        let (mut replicas, usual) = three();
+        replicas.gone(&usual[0]);
+        replicas.answered(&usual[0], seconds(1.0)); // a late reply
+        assert!(replicas.answered.is_empty());
     }
 
     #[test]
@@ -201,7 +228,7 @@ mod tests {
                 now += Duration::from_millis(500);
             }
             lengths.push(now.saturating_sub(start).as_secs());
-            replicas.proved(&usual[0]);
+            replicas.probe_answered(&usual[0]);
         }
         assert_eq!(lengths, [1, 2, 4, 8, 16, 30, 30]);
         now += Duration::from_secs(60);
@@ -215,7 +242,7 @@ mod tests {
         for (again, length) in [(almost, 2), (seconds(61.0), 1)] {
             let (mut replicas, usual) = three();
             replicas.demote(&usual[0], seconds(0.0)); // until 1 s
-            replicas.proved(&usual[0]);
+            replicas.probe_answered(&usual[0]);
             replicas.demote(&usual[0], again);
             let promoted = again + Duration::from_secs(length);
             let before = promoted.saturating_sub(Duration::from_nanos(1));

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use egp_gate::Command;
 use egp_wire::keys::Name;
-use egp_wire::{Invalid, Reply, Status, Timing, WireError};
+use egp_wire::{Invalid, Reply, Status, Timing, WireError, status_name};
 
 use crate::situation::{Lost, Situation};
 
@@ -23,7 +23,7 @@ pub struct Step {
     pub reply: Option<Reply>,
     /// Bytes of that reply; empty without one.
     pub reply_bytes: Vec<u8>,
-    /// From the start of the period to the answer, when one came in time.
+    /// From the start of the period to the answer, when one came in time; zero where the answer is computed in the same process.
     pub latency: Option<Duration>,
     /// Where the service spent its time, when the reply says so.
     pub timing: Option<Timing>,
@@ -98,17 +98,5 @@ impl Outcome {
                 .to_owned(),
             Self::InvalidState(invalid) => invalid.to_string(),
         }
-    }
-}
-
-/// The status as all interfaces spell it.
-fn status_name(status: Status) -> &'static str {
-    match status {
-        Status::Unspecified => "unspecified",
-        Status::Solved => "solved",
-        Status::IterationLimit => "iteration_limit",
-        Status::Infeasible => "infeasible",
-        Status::NumericalError => "numerical_error",
-        Status::CheckFailed => "check_failed",
     }
 }

@@ -27,6 +27,18 @@ pub enum Mode {
     Waiting,
 }
 
+impl Mode {
+    /// Its name in messages, recordings and Python.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Normal => "normal",
+            Self::Tail => "tail",
+            Self::Stop => "stop",
+            Self::Waiting => "waiting",
+        }
+    }
+}
+
 /// Command to the actuators.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
@@ -90,8 +102,7 @@ pub struct Gate {
     start: u64,
     mode: Mode,
     previous: [f64; 2],
-    /// Last finite measurement. An unknown speed is treated as infinite, which allows braking but no driving force.
-    v_x: f64,
+    /// The last finite steering angle.
     delta: f64,
 }
 
@@ -129,7 +140,6 @@ impl Gate {
             start: 0,
             mode: Mode::Waiting,
             previous: [0.0; 2],
-            v_x: f64::INFINITY,
             delta: 0.0,
         })
     }
@@ -166,12 +176,12 @@ impl Gate {
     }
 
     /// The command for period `tick` from the measured speed \[m/s\] and steering angle \[rad\]. The gate changes to
-    /// STOP if a measurement is not finite or the plan held has no input for this period.
+    /// STOP if a measurement is not finite or the plan held has no input for this period. As long as the speed is not finite,
+    /// a stop brakes with its whole force: an earlier speed says nothing about the present one.
     pub fn command(&mut self, tick: u64, v_x: f64, delta: f64) -> Command {
         let measured = v_x.is_finite() && delta.is_finite();
-        if v_x.is_finite() {
-            self.v_x = v_x;
-        }
+        // An infinite speed allows braking but no driving force.
+        let v_x = if v_x.is_finite() { v_x } else { f64::INFINITY };
         if delta.is_finite() {
             self.delta = delta;
         }
@@ -188,14 +198,11 @@ impl Gate {
             self.mode = if waiting { Mode::Waiting } else { Mode::Stop };
             // The steering angle is held, which keeps the curvature of the last plan. Straight wheels would leave the
             // road in a bend.
-            [
-                -self.stop_force * (self.v_x / HOLD_SPEED).clamp(-1.0, 1.0),
-                0.0,
-            ]
+            [-self.stop_force * (v_x / HOLD_SPEED).clamp(-1.0, 1.0), 0.0]
         };
         let [force, rate] = self.previous;
         let u = [
-            self.limits.force(wanted[0], force, self.v_x, self.dt),
+            self.limits.force(wanted[0], force, v_x, self.dt),
             self.limits
                 .steering_rate(wanted[1], rate, self.delta, self.dt),
         ];

@@ -49,6 +49,23 @@ impl Invalid {
     }
 }
 
+/// The code in lower case without its prefix, for example `too_late`, as metrics, logs and programs show it.
+pub fn code_name(code: Code) -> &'static str {
+    match code {
+        Code::Unspecified => "unspecified",
+        Code::Malformed => "malformed",
+        Code::Version => "version",
+        Code::InvalidField => "invalid_field",
+        Code::UnknownLibrary => "unknown_library",
+        Code::Overloaded => "overloaded",
+        Code::Superseded => "superseded",
+        Code::TooLate => "too_late",
+        Code::Draining => "draining",
+        Code::Unauthenticated => "unauthenticated",
+        Code::Internal => "internal",
+    }
+}
+
 /// The error that is sent to the client.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("{}{detail}", if field.is_empty() { String::new() } else { format!("{field}: ") })]
@@ -88,10 +105,9 @@ impl WireError {
         }
     }
 
-    /// The code in lower case without its prefix, for example `too_late`.
-    pub fn code_name(&self) -> String {
-        let name = self.code.as_str_name().trim_start_matches("CODE_");
-        name.to_ascii_lowercase()
+    /// The name of the code ([`code_name`]).
+    pub fn code_name(&self) -> &'static str {
+        code_name(self.code)
     }
 
     /// Bytes of an `egp.v1.Error`.

@@ -24,6 +24,7 @@ mod error;
 mod fields;
 mod friction;
 mod header;
+mod hex;
 pub mod keys;
 mod library_file;
 pub mod library_keys;
@@ -39,16 +40,18 @@ mod tensor;
 mod threads;
 mod writer;
 
-pub use error::{Code, Invalid, WireError};
+pub use check::MAX_BUDGET_US;
+pub use error::{Code, Invalid, WireError, code_name};
 pub use friction::Friction;
 pub use header::Header;
+pub use hex::from_hex;
 pub use library_file::LibraryFile;
 pub use library_keys::LIBRARY_PART_BYTES;
 pub use limits::MessageLimits;
 pub use predictions::Predictions;
 pub use proto::{Load, Status, Timing};
 pub use ready::Ready;
-pub use reply::Reply;
+pub use reply::{Reply, status_name};
 pub use request::{Request, check_reference, check_road_friction, check_state};
 pub use road::{
     ROAD_TILES, RoadTile, RoadTiles, TILE_BYTES, TILE_ORIGINS, TILES_AT_ONCE, TileEvidence,

@@ -7,7 +7,12 @@ use std::time::{Duration, Instant};
 
 use clap::Parser;
 use egp_simulator::{CAR, Course, Period, SimulatedVehicle, Track};
-use egp_vehicle::{GateLimits, Mode, VehicleConfig};
+use egp_vehicle::{GateLimits, Mode, Step, VehicleConfig};
+
+/// Below this speed, m/s, the car stands.
+const STANDING: f64 = 0.1;
+/// A car that stands this long gets no plan, or none that drives.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// The text of `--help` behind the options.
 const HELP: &str = r"Drives a simulated car through a running service, in real time.
@@ -77,13 +82,15 @@ impl Summary {
     }
 }
 
-fn mode(mode: Mode) -> &'static str {
-    match mode {
-        Mode::Normal => "NORMAL",
-        Mode::Tail => "TAIL",
-        Mode::Stop => "STOP",
-        Mode::Waiting => "WAITING",
-    }
+/// Why a car that drives no longer stands.
+fn why_it_stands(step: &Step) -> String {
+    let detail = step.outcome.detail();
+    let reason = match &step.lost {
+        Some(lost) => lost.to_string(),
+        None if detail.is_empty() => "no plan came in time".to_owned(),
+        None => format!("no plan came in time; the last answer: {detail}"),
+    };
+    format!("the car stands: {reason} (see --help)")
 }
 
 fn show(period: &Period, weights: &[f64]) {
@@ -97,7 +104,7 @@ fn show(period: &Period, weights: &[f64]) {
         period.v_x,
         period.projection.lateral,
         period.projection.sample.friction,
-        mode(period.step.command.mode),
+        period.step.command.mode.name().to_uppercase(),
         weights.join(" "),
     );
 }
@@ -120,13 +127,19 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let (begin, period) = (Instant::now(), Duration::from_secs_f64(vehicle.dt()));
     let mut summary = Summary::default();
     let mut start = begin;
+    let mut standing = Duration::ZERO;
     while vehicle.travelled() < way {
         std::thread::sleep(start.saturating_duration_since(Instant::now()));
         let driven = vehicle.period(start)?;
         summary.add(&driven);
         show(&driven, vehicle.client().weights());
-        if driven.step.command.mode == Mode::Stop && driven.v_x < 0.1 {
-            return Err("the car has stopped, because no plan came in time (see --help)".into());
+        standing = if driven.v_x < STANDING {
+            standing + period
+        } else {
+            Duration::ZERO
+        };
+        if driven.step.command.mode == Mode::Stop && driven.v_x < STANDING || standing > PATIENCE {
+            return Err(why_it_stands(&driven.step).into());
         }
         start += period;
     }

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use egp_gate::{Gate, Mode};
 use egp_wire::keys::Name;
-use egp_wire::{Code, Ready, Request, Tag, Timing, WireError};
+use egp_wire::{Code, MAX_BUDGET_US, Ready, Request, Tag, Timing, WireError};
 use prost::Message as _;
 
 use crate::action::{Action, QueryId};
@@ -37,10 +37,10 @@ struct Pending {
     tag: Option<Tag>,
     /// Whether an answer without the key's tag came.
     forged: bool,
-    /// Whether the replica was demoted because the deadline passed. What comes later does not demote it again.
+    /// Whether the failure of this query was counted against its replica. What comes later does not demote it again.
     counted: bool,
     /// Whether another replica's answer decided the period.
-    redundant: bool,
+    decided_without: bool,
     /// An error that may concern one of two copies of the question only.
     refusal: Option<WireError>,
 }
@@ -147,13 +147,14 @@ impl Driver {
         self.carry.weights()
     }
 
-    /// Lets the next request start from these weights instead of the last reply's.
+    /// Lets the next request start from these weights `[N]`, which are not negative and sum to 1, instead of the last reply's. The
+    /// service answers a request with other weights by an error.
     pub fn start_from(&mut self, weights: Vec<f64>) {
         self.carry.start_from(weights);
     }
 
-    /// Lets the next request start from these weights and carry no history, so that the service keeps them; for a caller
-    /// that knows the surface.
+    /// As [`Self::start_from`], and from now on requests carry no history, so that the service returns the weights as they are; for
+    /// a caller that knows the surface and states the weights in each period.
     pub fn hold_weights(&mut self, weights: Vec<f64>) {
         self.carry.hold_weights(weights);
     }
@@ -185,6 +186,8 @@ impl Driver {
         if let Some(run) = &mut self.running
             && run.end(|_, name| name == replica)
         {
+            run.outcome = Outcome::Unreachable;
+            run.replica = Some(replica.clone());
             self.ask_next(now);
         }
     }
@@ -197,7 +200,7 @@ impl Driver {
     /// # Errors
     /// [`InvalidArgument`] when no request can be made of the measurement; the period is then not opened, but counts: plans
     /// are a period older, and the history starts anew. A measured state that cannot be used is no error: its command is a
-    /// stop.
+    /// stop, whatever the reference is.
     pub fn tick(
         &mut self,
         now: Time,
@@ -205,6 +208,13 @@ impl Driver {
         measurement: Measurement,
     ) -> Result<(), InvalidArgument> {
         self.give_up(now);
+        // The state comes first: a reference that was computed from an unusable state is wrong, too, and must not keep the
+        // vehicle from being stopped.
+        if let Err(invalid) = egp_wire::check_state(&measurement.x) {
+            self.probe(now);
+            self.stop_unmeasured(&measurement.x, invalid);
+            return Ok(());
+        }
         measurement
             .check(self.served.horizon as usize)
             .inspect_err(|_| self.carry.skip())?;
@@ -215,19 +225,16 @@ impl Driver {
             widths,
             road_friction,
         } = measurement;
-        if let Err(invalid) = egp_wire::check_state(&x) {
-            self.stop_unmeasured(invalid);
-            return Ok(());
-        }
         let here = reference.first().copied().unwrap_or_default(); // `check` has seen that there is one
         let situation = Situation::new(&x, &here, &self.served.envelope);
         let lost = self.lost.observe(&situation);
         if lost.is_some() {
             self.gate.stop();
         }
-        // A request states at least 1 µs. If the deadline has passed, no replica is asked and the gate gives the command.
+        // If the deadline has passed, no replica is asked and the gate gives the command.
         let left = deadline.saturating_sub(now).as_micros();
-        let budget_us = u32::try_from(left).unwrap_or(u32::MAX).max(1);
+        let budget_us = u32::try_from(left).unwrap_or(u32::MAX);
+        let budget_us = budget_us.clamp(1, MAX_BUDGET_US);
         let mut request = self.carry.request(x, reference, widths, budget_us);
         request.road_friction = road_friction;
         request.want_sigma = self.config.want_sigma;
@@ -306,12 +313,15 @@ impl Driver {
             Ok(reply) => reply,
             Err(invalid) => {
                 self.demote(now, &pending);
-                return self.failed(now, id, Outcome::Unusable(invalid));
+                return self.failed(now, id, &pending.replica, Outcome::Unusable(invalid));
             }
         };
         self.replicas.answered(&pending.replica, now);
-        if pending.redundant {
-            return; // the period was decided by another replica's answer
+        if pending.decided_without {
+            if now >= pending.due {
+                self.demote(now, &pending); // a deadline counts although nobody waited for this answer
+            }
+            return;
         }
         self.accept(&reply);
         let current =
@@ -357,7 +367,7 @@ impl Driver {
             return;
         }
         if sealed {
-            let counted = true; // the end of the query, which follows, is no further failure
+            let counted = true; // the end of the query follows, and is no further failure
             let kept = Pending {
                 counted,
                 ..pending.clone()

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use egp_wire::keys;
-use egp_wire::{Code, Invalid, MessageLimits, Ready, Reply, Timing, WireError};
+use egp_wire::keys::{self, Name};
+use egp_wire::{Code, Invalid, MessageLimits, Ready, Reply, State, Timing, WireError};
 
 use super::{Driver, Pending, Probe, Time};
 use crate::action::{Action, Query, QueryId};
@@ -64,7 +64,7 @@ impl Driver {
             tag,
             forged: false,
             counted: false,
-            redundant: false,
+            decided_without: false,
             refusal: None,
         };
         run.awaited.push((id, replica.clone()));
@@ -77,11 +77,12 @@ impl Driver {
     }
 
     /// Notes the end of a query; if the open period waited for it, asks the next replica.
-    pub(super) fn failed(&mut self, now: Time, id: QueryId, outcome: Outcome) {
+    pub(super) fn failed(&mut self, now: Time, id: QueryId, replica: &Name, outcome: Outcome) {
         if let Some(run) = &mut self.running
             && run.end(|awaited, _| awaited == id)
         {
             run.outcome = outcome;
+            run.replica = Some(replica.clone());
             self.ask_next(now);
         }
     }
@@ -105,8 +106,9 @@ impl Driver {
 
     /// Demotes the replicas that have let a deadline pass while another one's answer decided the period.
     fn count_overdue(&mut self, now: Time) {
-        let overdue =
-            |pending: &&mut Pending| pending.redundant && !pending.counted && now >= pending.due;
+        let overdue = |pending: &&mut Pending| {
+            pending.decided_without && !pending.counted && now >= pending.due
+        };
         for pending in self.pending.values_mut().filter(overdue) {
             pending.counted = true;
             self.replicas.demote(&pending.replica, now);
@@ -130,7 +132,7 @@ impl Driver {
         if !transient {
             self.demote(now, pending);
         }
-        self.failed(now, id, Outcome::Refused(error));
+        self.failed(now, id, &pending.replica, Outcome::Refused(error));
     }
 
     /// A replica that announces itself gave no answer at all.
@@ -142,7 +144,7 @@ impl Driver {
         } else {
             Outcome::Unreachable
         };
-        self.failed(now, id, outcome);
+        self.failed(now, id, &pending.replica, outcome);
     }
 
     /// Decides the open period and gives its command.
@@ -153,7 +155,7 @@ impl Driver {
         if answer.is_some() {
             for (id, _) in &run.awaited {
                 if let Some(pending) = self.pending.get_mut(id) {
-                    pending.redundant = true;
+                    pending.decided_without = true;
                 }
             }
         }
@@ -182,11 +184,18 @@ impl Driver {
         self.actions.push_back(Action::Command(Box::new(step)));
     }
 
-    /// The command of a period whose measured state cannot be used: a stop.
-    pub(super) fn stop_unmeasured(&mut self, invalid: Invalid) {
+    /// The command of a period whose measured state cannot be used: a stop. The gate gets the speed and the steering angle if
+    /// they themselves can be used.
+    pub(super) fn stop_unmeasured(&mut self, x: &State, invalid: Invalid) {
         self.carry.skip();
         self.gate.stop();
-        let command = self.gate.command(self.carry.sequence(), f64::NAN, f64::NAN);
+        let usable = |index: usize| {
+            let mut alone = [0.0; 7];
+            alone[index] = x[index];
+            egp_wire::check_state(&alone).map_or(f64::NAN, |()| x[index])
+        };
+        let (v_x, delta) = (usable(2), usable(6));
+        let command = self.gate.command(self.carry.sequence(), v_x, delta);
         self.carry.applied(command.u);
         let step = Step {
             command,
@@ -259,7 +268,7 @@ impl Driver {
         let sound = |ready: &Ready| ready.ready && ready.serves(&self.served.library);
         let ready = Ready::decode(answer, &MessageLimits::default()).ok();
         if took <= self.period() && ready.as_ref().is_some_and(sound) {
-            self.replicas.proved(&replica);
+            self.replicas.probe_answered(&replica);
         }
     }
 

@@ -78,6 +78,44 @@ fn the_first_answer_counts_and_the_other_one_is_neither_late_nor_a_failure() {
 }
 
 #[test]
+fn an_answer_after_the_deadline_that_nobody_waits_for_is_a_failure() {
+    let mut driver = driver(&["a", "b"]);
+    let [first, second] = order(&mut driver, &["a", "b"]);
+    tick(&mut driver, ms(40));
+    let slow = asked(&mut driver);
+    driver.wake(ms(48));
+    let hedge = asked(&mut driver);
+    driver.replied(ms(49), hedge.id, &solved(&hedge).encode(), b"");
+    decided(&mut driver);
+    driver.replied(ms(57), slow.id, &solved(&slow).encode(), b"");
+    assert_eq!(slow.replica, first);
+    assert_eq!(answered_period(&mut driver, ms(60)), second);
+}
+
+#[test]
+fn a_period_reports_the_replica_that_failed_last() {
+    let mut driver = driver(&["a", "b"]);
+    tick(&mut driver, ms(40));
+    let slow = asked(&mut driver);
+    driver.wake(ms(48));
+    let hedge = asked(&mut driver);
+    driver.ended(ms(49), hedge.id);
+    driver.refused(ms(50), slow.id, &error(Code::Overloaded));
+    let step = decided(&mut driver);
+    assert!(matches!(step.outcome, Outcome::Refused(_)));
+    assert_eq!(step.replica, Some(slow.replica));
+
+    tick(&mut driver, ms(60));
+    let refusing = asked(&mut driver);
+    driver.refused(ms(61), refusing.id, &error(Code::Overloaded));
+    let last = asked(&mut driver);
+    driver.replica_gone(ms(62), &last.replica);
+    let step = decided(&mut driver);
+    assert_eq!(step.outcome, Outcome::Unreachable);
+    assert_eq!(step.replica, Some(last.replica));
+}
+
+#[test]
 fn a_failed_second_question_leads_to_the_third_replica_and_then_to_the_deadline() {
     let mut driver = driver(&["a", "b", "c"]);
     tick(&mut driver, ms(40));

@@ -2,10 +2,11 @@
 
 use egp_driver::{Lost, Measurement};
 use egp_gate::Mode;
+use egp_wire::MAX_BUDGET_US;
 
 use crate::world::{
-    BUDGET, HORIZON, PERIOD, answered_period, asked, decided, driver, measurement, ms, request,
-    solved, tick,
+    BUDGET, CAR, HORIZON, PERIOD, answered_period, asked, decided, driver, measurement, ms,
+    request, solved, tick,
 };
 
 #[test]
@@ -26,6 +27,49 @@ fn a_state_that_cannot_be_used_stops_the_vehicle_and_leaves_a_gap_in_the_history
     let request = request(&asked(&mut driver));
     assert_eq!((request.sequence, request.history_z.len()), (4, 0));
     assert_eq!(request.u_prev, step.command.u);
+}
+
+#[test]
+fn a_state_that_cannot_be_used_stops_the_vehicle_although_its_reference_is_wrong_too() {
+    let mut driver = driver(&["a"]);
+    answered_period(&mut driver, ms(20));
+    let mut unknown = measurement();
+    unknown.x[0] = f64::NAN;
+    unknown.reference[0][0] = f64::NAN;
+    driver.tick(ms(40), ms(56), unknown).unwrap();
+    let step = decided(&mut driver);
+    assert_eq!(step.command.mode, Mode::Stop);
+    assert_eq!(step.outcome.name(), "invalid_state");
+}
+
+#[test]
+fn a_stop_uses_the_speed_and_the_angle_if_they_can_be_used() {
+    let last = |unusable: usize, value: f64, v_x: f64| {
+        let mut driver = driver(&["a"]);
+        let mut force = f64::NAN;
+        for period in 1..=20 {
+            let mut unknown = measurement();
+            unknown.x[2] = v_x;
+            unknown.x[unusable] = value;
+            let now = PERIOD * period;
+            driver.tick(now, now + BUDGET, unknown).unwrap();
+            force = decided(&mut driver).command.u[0];
+        }
+        force
+    };
+    let strongest = -3.0 * CAR.mass;
+    assert_eq!(last(0, f64::NAN, 12.0), strongest);
+    assert_eq!(last(0, f64::NAN, 0.0), 0.0, "it stands");
+    for unknown in [f64::NAN, -1e9, 1e300] {
+        assert_eq!(last(2, unknown, 0.0), strongest, "{unknown}");
+    }
+}
+
+#[test]
+fn a_budget_is_at_most_what_a_request_may_state() {
+    let mut driver = driver(&["a"]);
+    driver.tick(ms(20), ms(3_600_000), measurement()).unwrap();
+    assert_eq!(request(&asked(&mut driver)).budget_us, MAX_BUDGET_US);
 }
 
 #[test]
@@ -91,6 +135,10 @@ fn a_reference_or_widths_of_another_length_open_no_period() {
             &format!("reference: row 1: v_x = {v_x} m/s is outside -1 to 100"),
         );
     }
+    let mut wide = measurement();
+    wide.widths = vec![[2.0; 2]; rows];
+    wide.widths[3][1] = 1001.0;
+    refused(wide, "widths: row 3: [2, 1001] m is beyond");
     let mut fitting = measurement();
     fitting.widths = vec![[2.0; 2]; rows];
     driver.tick(ms(20), ms(36), fitting).unwrap();

@@ -250,6 +250,24 @@ fn an_unknown_speed_is_braked() {
 }
 
 #[test]
+fn a_stop_without_a_measured_speed_brakes_whatever_the_speed_was_before() {
+    for before in [-0.5, -0.1, 0.0, 0.3, 20.0] {
+        let mut gate = Gate::new(LIMITS, DT, 5, 3.0).unwrap();
+        gate.command(0, before, 0.0);
+        for tick in 1..10 {
+            assert!(gate.command(tick, f64::NAN, 0.0).u[0] <= 0.0, "{before}");
+        }
+        let braked = gate.command(10, f64::NAN, 0.0);
+        assert_eq!(braked.u, [-3.0 * LIMITS.mass, 0.0], "{before}");
+        // A speed that is measured again counts again.
+        for tick in 11..20 {
+            gate.command(tick, 0.0, 0.0);
+        }
+        assert_eq!(gate.command(20, 0.0, 0.0).u, [0.0, 0.0], "{before}");
+    }
+}
+
+#[test]
 fn an_invalid_plan_does_not_replace_the_stored_one() {
     let mut gate = Gate::new(LIMITS, DT, 5, 3.0).unwrap();
     gate.accept(4, &[[10.0, 0.0], [20.0, 0.0]]).unwrap();
