@@ -24,6 +24,11 @@ pub(crate) struct ArcLengthSpline {
 pub(crate) fn parametrise(points: &[[f64; 2]], closed: bool) -> Result<ArcLengthSpline, PathError> {
     let chords = Chords::new(points, closed);
     let length = chords.length();
+    if !length.is_finite() {
+        // Between points that are close for their distance from the others, rounding leaves no chord.
+        let (error, pieces) = (f64::INFINITY, 0);
+        return Err(PathError::TooSharp { error, pieces });
+    }
     let mut count = (length / LONGEST_STEP)
         .ceil()
         .clamp(16.0, MAX_PIECES as f64) as usize;

@@ -26,6 +26,11 @@ impl Knot {
         }
     }
 
+    /// The same place in another bend.
+    pub fn in_bend(self, curvature: f64) -> Self {
+        Self { curvature, ..self }
+    }
+
     /// The knots of a path, each with the lowest friction within a step.
     pub fn along(path: &Path, limits: &SpeedLimits) -> Vec<Self> {
         let step = path.step();
@@ -85,8 +90,12 @@ impl Knot {
 
     /// The smallest `v²` that full braking, without regard to the bend, reaches from `square` within `step` m.
     pub fn full_braking(&self, square: f64, limits: &SpeedLimits, step: f64) -> f64 {
-        let deceleration = (limits.braking * self.grip).min(limits.a_brake);
-        (square - 2.0 * step * deceleration).max(0.0)
+        (square - 2.0 * step * self.deceleration(limits)).max(0.0)
+    }
+
+    /// The largest deceleration in m/s² on a straight.
+    pub fn deceleration(&self, limits: &SpeedLimits) -> f64 {
+        (limits.braking * self.grip).min(limits.a_brake)
     }
 
     /// The share of the longitudinal grip that remains when cornering at `v²`, from the friction ellipse.

@@ -6,7 +6,7 @@ use crate::limits::SpeedLimits;
 use crate::path::Path;
 use crate::speed::SpeedProfile;
 
-/// Distance that is planned, m; a vehicle stops within it from 25 m/s on friction 0.3.
+/// Distance that is planned, m. What lies behind it bounds the speed at its end.
 const DISTANCE: f64 = 250.0;
 /// Distance between knots in m, at most.
 const SPACING: f64 = 1.0;
@@ -76,7 +76,9 @@ impl SpeedPlanner {
     }
 
     /// The fastest speed from `s` on, by a backward pass for braking and a forward pass for driving from the present
-    /// speed `v`. Where the vehicle is too fast for what lies ahead, the plan brakes with all grip.
+    /// speed `v`. Where the vehicle is too fast for what lies ahead, the plan brakes with all grip. At the last place the
+    /// vehicle can still brake for each bend of the road behind it, and for the end of an open path, on the friction of this
+    /// place.
     ///
     /// `friction` has the friction coefficient to plan for at each place, [`Self::step`] m apart from [`Self::start`]
     /// on. Without a present speed the plan begins with the largest one.
@@ -124,6 +126,14 @@ impl SpeedPlanner {
             let end = curvature.len() as f64 - 1.0 - first;
             (end.max(0.0) as usize, speed * speed)
         });
+        let behind = Behind {
+            limits,
+            closed: *closed,
+            curvature: &*curvature,
+            step: *step,
+        };
+        let last = first + (friction.len() - 1) as f64;
+        let at_last = behind.square(last, friction[friction.len() - 1]);
         profile.refill(first * *step, |squares| {
             for (square, knot) in squares.iter_mut().zip(&*knots) {
                 *square = knot.cornering(limits);
@@ -132,6 +142,9 @@ impl SpeedPlanner {
                 for square in squares.iter_mut().skip(end) {
                     *square = square.min(most);
                 }
+            }
+            if let Some(last) = squares.last_mut() {
+                *last = last.min(at_last);
             }
             for i in (1..squares.len()).rev() {
                 let most = squares[i - 1];
@@ -146,5 +159,51 @@ impl SpeedPlanner {
             }
         });
         Ok(&self.profile)
+    }
+}
+
+/// The road behind the last place of a plan.
+struct Behind<'a> {
+    limits: &'a SpeedLimits,
+    closed: bool,
+    /// Largest absolute curvature at each knot of the path, 1/m.
+    curvature: &'a [f64],
+    step: f64,
+}
+
+impl Behind<'_> {
+    /// The largest `v²` at the knot `last` that braking on friction `mu` allows for the bends behind it and the end speed of
+    /// an open path, by the backward pass of a plan over the braking distance of the highest speed.
+    fn square(&self, last: f64, mu: f64) -> f64 {
+        let straight = Knot::new(0.0, mu, self.limits);
+        let gained = 2.0 * self.step * straight.deceleration(self.limits);
+        let (fastest, knots) = (self.limits.v_max.powi(2), self.curvature.len() as f64);
+        let end = knots - 1.0 - last;
+        // No place of a closed path is more than a lap ahead, and none of an open one beyond its end.
+        let longest = if self.closed { knots } else { end.max(0.0) };
+        let ahead = (fastest / gained).ceil().min(longest) as usize;
+        let knot = |ahead: usize| {
+            let index = last + ahead as f64;
+            let index = if self.closed {
+                index.rem_euclid(knots)
+            } else {
+                index
+            };
+            straight.in_bend(self.curvature.get(index as usize).copied().unwrap_or(0.0))
+        };
+        let mut next = knot(ahead);
+        let mut square = next.cornering(self.limits);
+        if let Some(speed) = self.limits.end_speed
+            && ahead as f64 >= end
+        {
+            square = square.min(speed * speed);
+        }
+        for ahead in (0..ahead).rev() {
+            let here = knot(ahead);
+            let most = here.cornering(self.limits);
+            square = here.before(&next, square, self.limits, self.step, most);
+            next = here;
+        }
+        square
     }
 }

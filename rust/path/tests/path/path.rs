@@ -315,3 +315,13 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn points_that_rounding_does_not_tell_apart_are_an_error() {
+    let far = (0..100).map(|i| [if i % 2 == 0 { 1e8 } else { -1e8 }, f64::from(i)]);
+    let close = [[0.0, 0.0], [1.5e-6, 0.0]];
+    let points: Vec<_> = far.chain(close).collect();
+    for closed in [false, true] {
+        assert!(Path::from_points(&points, closed, None).is_err());
+    }
+}

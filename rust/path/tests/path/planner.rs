@@ -55,6 +55,44 @@ fn a_vehicle_that_is_too_fast_brakes_with_all_grip() {
     }
 }
 
+/// A vehicle that drives as planned, for one friction everywhere: its largest deceleration, of which the plan allows
+/// `braking grip mu g`, before it comes to `end`.
+fn hardest_braking(path: &Path, limits: &SpeedLimits, friction: f64, end: f64) -> f64 {
+    let mut planner = SpeedPlanner::new(path, limits).unwrap();
+    let believed = vec![friction; planner.places()];
+    let (mut s, mut v, mut hardest) = (0.0, 5.0, 0.0_f64);
+    while s < end - 2.0 {
+        let next = planner.plan(s, Some(v), &believed).unwrap().speed(s + 1.0);
+        hardest = hardest.max((v * v - next * next) / 2.0);
+        (s, v) = (s + 1.0, next);
+    }
+    hardest
+}
+
+#[test]
+fn a_bend_or_an_end_behind_the_plan_is_reached_without_more_than_the_planned_braking() {
+    let straight = (0..80).map(|i| [10.0 * f64::from(i), 0.0]);
+    let hairpin = (1..=16).map(|i| {
+        let angle = std::f64::consts::PI * f64::from(i) / 16.0;
+        [800.0 + 8.0 * angle.sin(), 8.0 - 8.0 * angle.cos()]
+    });
+    let back = (1..10).map(|i| [800.0 - 10.0 * f64::from(i), 16.0]);
+    let points: Vec<_> = straight.chain(hairpin).chain(back).collect();
+    let path = Path::from_points(&points, false, None).unwrap();
+    let friction = 0.16;
+    let limits = limits();
+    let allowed = limits.braking * limits.grip * friction * STANDARD_GRAVITY;
+    assert!(hardest_braking(&path, &limits, friction, 800.0) < 1.01 * allowed);
+
+    let points: Vec<_> = (0..=80).map(|i| [10.0 * f64::from(i), 0.0]).collect();
+    let road = Path::from_points(&points, false, None).unwrap();
+    let to_a_stop = SpeedLimits {
+        end_speed: Some(0.0),
+        ..limits
+    };
+    assert!(hardest_braking(&road, &to_a_stop, friction, 800.0) < 1.01 * allowed);
+}
+
 #[test]
 fn a_standing_vehicle_drives_off() {
     let speeds = plan(&lap(), 0.0, Some(0.0), 0.8);
