@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use egp_wire::{MessageLimits, Reply, Status, Timing, WireError};
+use egp_wire::{Code, MessageLimits, Reply, Status, Timing, WireError, code_name, status_name};
 use prost::Message as _;
 
 use crate::tally::Micros;
@@ -27,13 +27,15 @@ pub(crate) struct Counts {
     pub(crate) lag: Micros,
 }
 
-/// A request that was sent; if no answer has come when it is dropped, the outcome is `no answer`.
+/// A request that was sent. If no answer has come when it is dropped, the outcome is `no answer`, or the error about a copy.
 pub(crate) struct Sent {
     pub(crate) due: Instant,
     pub(crate) vehicle: usize,
     pub(crate) budget: Duration,
     pub(crate) counts: Arc<Mutex<Counts>>,
     pub(crate) answered: AtomicBool,
+    /// The first error that a copy of the request may have got while another copy is answered, and its time.
+    pub(crate) copied: OnceLock<(Code, Duration)>,
 }
 
 impl Sent {
@@ -43,22 +45,25 @@ impl Sent {
         let status = Reply::decode(payload, &MessageLimits::default()).map(|reply| reply.status);
         let outcome = match status {
             Ok(Status::Solved) if latency > self.budget => "late".to_owned(),
-            Ok(status) => status
-                .as_str_name()
-                .trim_start_matches("STATUS_")
-                .to_ascii_lowercase(),
+            Ok(status) => status_name(status).to_owned(),
             Err(_) => "unusable".to_owned(),
         };
         self.count(outcome, Some(latency), Timing::decode(attachment).ok());
     }
 
     /// Counts an error reply with this payload; zenoh's own errors are no `egp.v1.Error`.
+    ///
+    /// Two routers deliver a request twice, and the service answers one of the copies with an error that says so. Such an
+    /// error counts only if the query ends without another answer.
     pub(crate) fn refused(&self, payload: &[u8]) {
-        let outcome = match WireError::decode(payload) {
-            Ok(error) => format!("refused: {}", error.code_name()),
-            Err(_) => "timeout".to_owned(),
-        };
-        self.count(outcome, Some(self.due.elapsed()), None);
+        let latency = self.due.elapsed();
+        match WireError::decode(payload).map(|error| error.code) {
+            Ok(code @ (Code::Superseded | Code::Unauthenticated)) => {
+                let _ = self.copied.set((code, latency)); // the first one stays
+            }
+            Ok(code) => self.count(refused(code), Some(latency), None),
+            Err(_) => self.count("timeout".to_owned(), Some(latency), None),
+        }
     }
 
     fn count(&self, outcome: String, latency: Option<Duration>, timing: Option<Timing>) {
@@ -87,6 +92,63 @@ impl Sent {
 
 impl Drop for Sent {
     fn drop(&mut self) {
-        self.count("no answer".to_owned(), None, None);
+        match self.copied.get() {
+            Some((code, latency)) => self.count(refused(*code), Some(*latency), None),
+            None => self.count("no answer".to_owned(), None, None),
+        }
+    }
+}
+
+fn refused(code: Code) -> String {
+    format!("refused: {}", code_name(code))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use egp_testing::messages;
+
+    use super::*;
+
+    /// What is counted after error replies with these codes, and a reply behind them if there is one.
+    fn counted(codes: &[Code], reply: Option<&Reply>) -> Vec<(String, u64)> {
+        let counts = Arc::new(Mutex::new(Counts::default()));
+        let sent = Sent {
+            due: Instant::now(),
+            vehicle: 0,
+            budget: Duration::from_secs(3600),
+            counts: counts.clone(),
+            answered: AtomicBool::new(false),
+            copied: OnceLock::new(),
+        };
+        for code in codes {
+            sent.refused(&WireError::permanent(*code, "").encode());
+        }
+        if let Some(reply) = reply {
+            sent.replied(&reply.encode(), &[]);
+        }
+        drop(sent);
+        let counts = counts.lock().unwrap();
+        let latencies = u64::from(!counts.outcomes.contains_key("no answer"));
+        assert_eq!(counts.latency.len(), latencies);
+        counts.outcomes.clone().into_iter().collect()
+    }
+
+    #[test]
+    fn an_error_about_a_copy_counts_only_if_the_query_ends_without_another_answer() {
+        let solved = messages::solved_reply();
+        let one = |outcome: &str| vec![(outcome.to_owned(), 1)];
+        assert_eq!(counted(&[], None), one("no answer"));
+        for (code, alone) in [
+            (Code::Superseded, "refused: superseded"),
+            (Code::Unauthenticated, "refused: unauthenticated"),
+        ] {
+            assert_eq!(counted(&[code], Some(&solved)), one("solved"));
+            assert_eq!(counted(&[code], None), one(alone));
+            let late = counted(&[code, Code::TooLate], None);
+            assert_eq!(late, one("refused: too_late"));
+        }
+        let first = counted(&[Code::TooLate], Some(&solved));
+        assert_eq!(first, one("refused: too_late"));
     }
 }

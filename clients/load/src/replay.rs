@@ -1,7 +1,7 @@
 //! Recorded requests, sent again on a fixed schedule without a plant; no other file of this crate uses zenoh.
 
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -11,6 +11,7 @@ use egp_wire::keys::{self, Name};
 use egp_wire::{MessageLimits, Ready, Request};
 use zenoh::bytes::ZBytes;
 use zenoh::qos::CongestionControl;
+use zenoh::query::ConsolidationMode;
 use zenoh::{Session, Wait};
 
 use crate::counts::{Counts, Sent};
@@ -34,24 +35,29 @@ impl<'a> Replay<'a> {
     /// Connects, and prepares the requests: each gets the budget of the arguments.
     ///
     /// # Errors
-    /// A message if no replica can be reached, or one serves another library than that of the recording.
+    /// A message if no replica can be reached, one does not serve the library of the recording, or the budget is below 1 us.
     pub(crate) fn new(arguments: &'a Arguments, recorded: Vec<Request>) -> Result<Self, Failure> {
         let first = session(arguments, 0)?;
         let replicas = live(&first)?;
         let mut period = Duration::ZERO;
         for replica in &replicas {
             let ready = ready(&first, replica)?;
-            if recorded
+            if !recorded
                 .iter()
-                .any(|request| request.library != ready.library)
+                .all(|request| ready.serves(&request.library))
             {
-                let expected = "replay a recording that was made with the library that is served";
+                let expected = "replay a recording that was made with a library that is served";
                 return Err(format!("replica {replica} serves another library; {expected}").into());
             }
             period = Duration::try_from_secs_f64(ready.dt)?;
         }
         let budget = period.mul_f64(arguments.budget);
         let budget_us = u32::try_from(budget.as_micros())?;
+        if budget_us == 0 {
+            let (part, period) = (arguments.budget, period.as_secs_f64());
+            let expected = "expected a budget of at least 1 us; choose a larger --budget";
+            return Err(format!("{part} of the period of {period} s: {expected}").into());
+        }
         let encode = |request| {
             Request {
                 budget_us,
@@ -120,6 +126,7 @@ impl<'a> Replay<'a> {
                     budget: self.budget,
                     counts: counts.clone(),
                     answered: AtomicBool::new(false),
+                    copied: OnceLock::new(),
                 };
                 if let Some(request) = self.requests.get(at) {
                     ask(session, key, request.clone(), sent);
@@ -199,6 +206,8 @@ fn ask(session: &Session, key: &str, request: ZBytes, sent: Sent) {
         .encoding("application/protobuf;egp.v1.StepRequest")
         // As a vehicle's client does: zenoh would wait while the link is full, and all later requests would be late.
         .congestion_control(CongestionControl::Drop)
+        // By default zenoh keeps a reply until all copies of the question have ended.
+        .consolidation(ConsolidationMode::None)
         .timeout(PATIENCE)
         .callback(move |reply| match reply.into_result() {
             Ok(sample) => {
@@ -209,4 +218,62 @@ fn ask(session: &Session, key: &str, request: ZBytes, sent: Sent) {
             Err(error) => sent.refused(&error.payload().to_bytes()),
         })
         .wait();
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use egp_testing::messages;
+    use egp_testing::ports::free_endpoint;
+    use zenoh::Config;
+
+    use super::*;
+
+    fn open(key: &str, endpoint: &str) -> Session {
+        let mut config = Config::default();
+        let endpoints = format!("[\"{endpoint}\"]");
+        for (key, value) in [
+            ("scouting/multicast/enabled", "false"),
+            ("listen/endpoints", "[]"),
+            (key, &endpoints),
+        ] {
+            config.insert_json5(key, value).unwrap();
+        }
+        zenoh::open(config).wait().unwrap()
+    }
+
+    #[test]
+    fn a_reply_counts_when_it_comes_and_not_when_all_copies_of_the_question_have_ended() {
+        let endpoint = free_endpoint();
+        let replica = open("listen/endpoints", &endpoint);
+        let held = Mutex::new(Vec::new());
+        let answer = move |query: zenoh::query::Query| {
+            let reply = messages::solved_reply().encode();
+            query.reply(query.key_expr(), reply).wait().unwrap();
+            held.lock().unwrap().push(query); // a query that is kept has no end
+        };
+        let answering = replica.declare_queryable("a").callback(answer).wait();
+        let client = open("connect/endpoints", &endpoint);
+        let counts = Arc::new(Mutex::new(Counts::default()));
+        // Questions before the client has heard of the queryable have no answer.
+        while !(counts.lock().unwrap().outcomes).contains_key("solved") {
+            let sent = Sent {
+                due: Instant::now(),
+                vehicle: 0,
+                // A reply that waits for the end of the query comes after `PATIENCE`.
+                budget: Duration::from_millis(999),
+                counts: counts.clone(),
+                answered: AtomicBool::new(false),
+                copied: OnceLock::new(),
+            };
+            ask(&client, "a", ZBytes::default(), sent);
+            while Arc::strong_count(&counts) > 1 && counts.lock().unwrap().outcomes.is_empty() {
+                thread::sleep(Duration::from_millis(1));
+            }
+            let late = counts.lock().unwrap().outcomes.contains_key("late");
+            assert!(!late, "the reply came with the end of the query");
+            thread::sleep(Duration::from_millis(20));
+        }
+        answering.unwrap().undeclare().wait().unwrap();
+    }
 }

@@ -3,9 +3,10 @@
 
 use std::process::{Command, Output};
 
-use egp_core::Library;
+use egp_core::{Kernel, Library, library};
 use egp_driver::Carry;
 use egp_service::{Server, ServiceConfig};
+use egp_testing::libraries;
 use egp_testing::ports::free_endpoint;
 use egp_wire::LibraryId;
 use serde_json::Value;
@@ -33,8 +34,14 @@ fn requests_file(name: &str, library: LibraryId) -> String {
 }
 
 fn serve() -> (Server, String) {
+    serve_too(&[])
+}
+
+/// A service of the library, and of these files.
+fn serve_too(further: &[&str]) -> (Server, String) {
     let endpoint = free_endpoint();
     let mut config = ServiceConfig::new(LIBRARY);
+    config.libraries = further.iter().map(Into::into).collect();
     config
         .zenoh
         .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
@@ -55,8 +62,8 @@ fn every_due_request_of_each_rate_is_accounted_for() {
     let requests = requests_file("requests.bin", library.id());
     let (server, endpoint) = serve();
     let json = concat!(env!("CARGO_TARGET_TMPDIR"), "/replay.json");
-    // Nothing is answered within a millionth of the period, so the ramp ends at the first rate.
-    for (budget, rates, sessions) in [("1", 2, "1"), ("0.000001", 1, "2")] {
+    // Nothing is answered within 2 us, a ten-thousandth of the period, so the ramp ends at the first rate.
+    for (budget, rates, sessions) in [("1", 2, "1"), ("0.0001", 1, "2")] {
         let options = ["--vehicles", "2", "--seconds", "0.5", "--warm-up", "0.1"];
         let options = [options.as_slice(), &["--sessions", sessions]].concat();
         let more = [
@@ -89,6 +96,34 @@ fn every_due_request_of_each_rate_is_accounted_for() {
         let knee = report["knee_vehicles"].as_u64();
         assert_eq!(knee, (budget == "1").then_some(3), "{text}");
     }
+    server.drain();
+}
+
+#[test]
+fn a_recording_of_a_further_library_is_replayed() {
+    let spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 3);
+    let bytes = library::encode(&spec).unwrap();
+    let further = concat!(env!("CARGO_TARGET_TMPDIR"), "/further.safetensors");
+    std::fs::write(further, &bytes).unwrap();
+    let id = Library::from_bytes(&bytes).unwrap().id();
+    let requests = requests_file("further.bin", id);
+    let (server, endpoint) = serve_too(&[further]);
+    let output = replay(&endpoint, &requests, &["--seconds", "0.1"]);
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{errors}");
+    server.drain();
+}
+
+#[test]
+fn a_budget_below_a_microsecond_is_an_error_in_words() {
+    let library = Library::from_bytes(&std::fs::read(LIBRARY).unwrap()).unwrap();
+    let requests = requests_file("budget.bin", library.id());
+    let (server, endpoint) = serve();
+    // The period is 20 ms.
+    let output = replay(&endpoint, &requests, &["--budget", "0.00004"]);
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success(), "{message}");
+    assert!(message.contains("at least 1 us"), "{message}");
     server.drain();
 }
 

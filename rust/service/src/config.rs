@@ -337,6 +337,10 @@ mod tests {
             ),
             ("library = \"a\"\nwatch_ms = 1", "`watch_ms` must be"),
             ("library = \"a\"\ntraces_share = 2.0", "from 0 to 1, got 2"),
+            (
+                "library = \"a\"\ntraces_share = nan",
+                "`traces_share` must be",
+            ),
             ("library = \"a\"\nhttp = \"9464\"", "such as 127.0.0.1:9464"),
             ("library = \"a\"\n[settings]\nhorizn = 3", "horizn"),
             ("library = \"a\"\n[settings]\nmass = -1.0", "mass"),

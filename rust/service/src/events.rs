@@ -4,7 +4,7 @@
 //! shows them. With `log_json` each is a line with `fleet`, `vehicle`, `sequence` and the fields of its kind.
 
 use egp_wire::keys::{self, Target};
-use egp_wire::{Status, Timing, WireError};
+use egp_wire::{Status, Timing, WireError, code_name, status_name};
 
 /// The target of the events.
 const TARGET: &str = "egp_service::request";
@@ -20,7 +20,7 @@ pub(crate) fn answered(key: &str, sequence: u64, status: Status, timing: &Timing
         fleet,
         vehicle,
         sequence,
-        status = name(status.as_str_name(), "STATUS_"),
+        status = status_name(status),
         queue_us = timing.queue_us,
         step_us = timing.step_us,
         "answered"
@@ -39,15 +39,10 @@ pub(crate) fn refused(key: &str, sequence: Option<u64>, error: &WireError) {
         fleet,
         vehicle,
         sequence,
-        code = name(error.code.as_str_name(), "CODE_"),
+        code = code_name(error.code),
         %error,
         "refused"
     );
-}
-
-/// The name of an outcome as metrics and traces have it.
-fn name(message: &str, prefix: &str) -> String {
-    message.trim_start_matches(prefix).to_ascii_lowercase()
 }
 
 /// Fleet and vehicle of the key of a request; none for another key.

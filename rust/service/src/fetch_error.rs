@@ -122,10 +122,53 @@ pub enum FetchError {
     },
 }
 
+/// The reasons, each with the name of its replica once: an error of a replica begins with it.
 fn tell(failures: &[(Option<Name>, FetchFailure)]) -> String {
-    let one = |(replica, failure): &(Option<Name>, FetchFailure)| match replica {
-        Some(replica) => format!("replica {replica}: {failure}"),
-        None => failure.to_string(),
+    let one = |(replica, failure): &(Option<Name>, FetchFailure)| {
+        let told = failure.to_string();
+        let Some(replica) = replica.as_ref().map(|name| format!("replica {name}")) else {
+            return told;
+        };
+        let named = (told.strip_prefix(&replica)).is_some_and(|rest| rest.starts_with([':', ' ']));
+        if named {
+            told
+        } else {
+            format!("{replica}: {told}")
+        }
     };
     failures.iter().map(one).collect::<Vec<_>>().join("; ")
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use egp_wire::Code;
+
+    use super::*;
+
+    #[test]
+    fn each_reason_names_its_replica_once() {
+        let refused = |detail: &str| {
+            let error = WireError::retryable(Code::UnknownLibrary, 0, detail);
+            FetchFailure::Refused(error)
+        };
+        let name = |text: &str| Some(text.parse::<Name>().unwrap());
+        for (replica, failure, told) in [
+            (None, refused("replica a does not"), "replica a does not"),
+            (name("a"), refused("replica a: busy"), "replica a: busy"),
+            (
+                name("a"),
+                refused("replica ab: x"),
+                "replica a: replica ab: x",
+            ),
+            (name("a"), refused("busy"), "replica a: busy"),
+            (
+                name("a"),
+                FetchFailure::Unsigned,
+                "replica a: it has no signature; sign the library with `egp sign` where it comes from",
+            ),
+        ] {
+            assert_eq!(tell(&[(replica, failure)]), told);
+        }
+    }
 }

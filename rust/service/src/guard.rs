@@ -5,15 +5,16 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use egp_wire::keys::Name;
-use egp_wire::{Code, KeyError, KeyFileError, KeyRing, Seal, Tag, VehicleKey, WireError};
+use egp_wire::{Code, KeyError, KeyFileError, KeyRing, Seal, Tag, Timing, VehicleKey, WireError};
 use prometheus_client::metrics::counter::Counter;
+use prost::Message as _;
 
 use crate::query::Query;
 use crate::sync::{Mutex, PoisonError};
 
-/// Runs of a vehicle's client that are remembered: those of a week in which a client starts every ten seconds, in 3 MB. Only the
-/// vehicle's key begins a run. A vehicle that starts more often than this while the service runs is answered, but copies of
-/// questions from its first runs could be repeated.
+/// Runs of a vehicle's client that are remembered: those of a week in which a client starts every ten seconds, in 3 MB. Only
+/// the vehicle's key begins a run. A vehicle that starts more often than this while the service runs is answered, but copies
+/// of questions from its first runs could be repeated.
 const RUNS: usize = 1 << 16;
 
 /// Least time between two warnings about one vehicle: clients that take turns do so at each request.
@@ -146,7 +147,7 @@ impl Guard {
     }
 
     /// The sender of a question that anybody may ask, if it can prove who it is.
-    pub(crate) fn question(&self, query: &impl Query) -> Option<Sealed> {
+    fn question(&self, query: &impl Query) -> Option<Sealed> {
         let seal = Seal::decode(&query.attachment())?;
         let (fleet, vehicle) = &seal.vehicle;
         let key = self.keys.get(fleet, vehicle).ok()?;
@@ -155,6 +156,19 @@ impl Guard {
                 key: key.clone(),
                 question: seal.tag,
             })
+    }
+
+    /// The attachment that proves the answer to a question that anybody may ask; none if the sender cannot prove who it is.
+    /// A question with a payload gets no proof: the check would read up to 8 MiB on the network's receive thread.
+    pub(crate) fn proof(&self, query: &impl Query, answer: &[u8]) -> Option<Vec<u8>> {
+        if query.length() > 0 {
+            return None;
+        }
+        let timing = Timing {
+            tag: self.question(query)?.tag(answer),
+            ..Timing::default()
+        };
+        Some(timing.encode_to_vec())
     }
 
     /// As [`Seen::note`].
@@ -238,6 +252,25 @@ mod tests {
         assert!(key.is_answer(&question, b"answer", &tag));
         let foreign = guard.keys.get(&name("fleet"), &name("b")).unwrap();
         assert!(guard.question(&sealed(foreign, 7, 1)).is_none());
+    }
+
+    #[test]
+    fn a_question_with_a_payload_gets_no_proof() {
+        let (guard, key) = guard();
+        for (payload, proven) in [(vec![], true), (vec![7], false)] {
+            let mut query = Recorded::new("egp/v1/r/main/ready", payload);
+            let seal = Seal {
+                vehicle: (name("fleet"), name("a")),
+                run: 7,
+                number: 1,
+                tag: key.question(&query.key, 7, 1, &query.payload),
+            };
+            query.attachment = seal.encode();
+            let proof = guard.proof(&query, b"answer");
+            let timing = proof.map(|bytes| Timing::decode(&*bytes).unwrap());
+            let holds = timing.map(|timing| key.is_answer(&seal.tag, b"answer", &timing.tag));
+            assert_eq!(holds, proven.then_some(true));
+        }
     }
 
     #[test]

@@ -149,17 +149,23 @@ async fn accept<Q: Query + Send + 'static>(
         match listener.accept().await {
             Ok((stream, _)) => {
                 open.push_back(tokio::spawn(converse(stream, pages.clone())).abort_handle());
-                if open.len() > CONNECTIONS
-                    && let Some(oldest) = open.pop_front()
-                {
-                    oldest.abort();
-                }
+                close_beyond(CONNECTIONS, &mut open);
             }
             Err(error) => {
                 tracing::debug!(%error, "connection for HTTP not accepted");
                 time::sleep(PAUSE).await;
             }
         }
+    }
+}
+
+/// Closes the oldest connection if there are more than `most` of those that have not ended.
+fn close_beyond(most: usize, open: &mut VecDeque<AbortHandle>) {
+    open.retain(|connection| !connection.is_finished());
+    if open.len() > most
+        && let Some(oldest) = open.pop_front()
+    {
+        oldest.abort();
     }
 }
 
@@ -233,5 +239,36 @@ impl<Q: Query> Pages<Q> {
         } else {
             Some("starting")
         }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use std::future::pending;
+
+    use tokio::task::JoinHandle;
+
+    use super::*;
+
+    #[test]
+    fn connections_that_have_ended_close_no_other_one() {
+        let runtime = Builder::new_current_thread().build().unwrap();
+        runtime.block_on(async {
+            let slow = tokio::spawn(pending::<()>());
+            let mut open = VecDeque::from([slow.abort_handle()]);
+            for _ in 0..10 {
+                let quick = tokio::spawn(async {});
+                open.push_back(quick.abort_handle());
+                quick.await.unwrap();
+                close_beyond(2, &mut open);
+            }
+            assert!(!slow.is_finished());
+            let others = [0; 2].map(|_| tokio::spawn(pending::<()>()));
+            open.extend(others.iter().map(JoinHandle::abort_handle));
+            close_beyond(2, &mut open);
+            assert!(slow.await.unwrap_err().is_cancelled());
+            assert!(!others.iter().any(JoinHandle::is_finished));
+        });
     }
 }

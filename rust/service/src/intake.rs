@@ -3,8 +3,7 @@
 use std::time::{Duration, Instant};
 
 use egp_wire::keys::{self, Name, Target};
-use egp_wire::{Code, Header, Invalid, Load, MessageLimits, Ready, Timing, WireError};
-use prost::Message as _;
+use egp_wire::{Code, Header, Invalid, Load, MessageLimits, Ready, WireError};
 
 use crate::events;
 use crate::guard::{Guard, Sealed};
@@ -75,60 +74,68 @@ impl<Q: Query> Shared<Q> {
                 description.ready = !self.draining.load(Ordering::Relaxed);
                 let encoding = "application/protobuf;egp.v1.Ready";
                 let (key, answer) = (keys::ready(&self.replica), description.encode());
-                let sealed = self.guard.as_ref().and_then(|guard| guard.question(&query));
-                let attachment = sealed.map(|sealed| {
-                    let tag = sealed.tag(&answer);
-                    Timing {
-                        tag,
-                        ..Timing::default()
-                    }
-                    .encode_to_vec()
-                });
-                query.answer(&key, answer, encoding, attachment);
+                let proof = (self.guard.as_ref()).and_then(|guard| guard.proof(&query, &answer));
+                query.answer(&key, answer, encoding, proof);
             }
             Some(Target::Metrics) => {
                 let text = self.metrics.text(self.queue.len()).into_bytes();
                 let encoding = "application/openmetrics-text;version=1.0.0";
                 query.answer(&keys::metrics(&self.replica), text, encoding, None);
             }
-            Some(Target::Library { id, part }) => self.offer.take(query, id, part, &self.metrics),
-            Some(Target::Step { fleet, vehicle }) => self.admit(query, arrived, &fleet, &vehicle),
+            Some(Target::Library { id, part }) => {
+                self.offer
+                    .take(query, id, part, &self.replica, &self.metrics);
+            }
+            Some(Target::Step { fleet, vehicle }) => {
+                match self.authenticate(&query, &fleet, &vehicle) {
+                    Ok((header, sealed)) => {
+                        let deadline = arrived + Duration::from_micros(header.budget_us.into());
+                        let job = Job {
+                            query,
+                            sequence: header.sequence,
+                            arrived,
+                            deadline,
+                            queued: self.traces.as_ref().map(|_| Instant::now()),
+                            sealed,
+                        };
+                        self.admit(format!("{fleet}/{vehicle}"), job);
+                    }
+                    Err((sequence, error)) => self.refuse(&query, sequence, &error),
+                }
+            }
             None => self.refuse(&query, None, &no_such_key(query.key())),
         }
     }
 
-    fn admit(&self, query: Q, arrived: Instant, fleet: &Name, vehicle: &Name) {
+    /// The header of a request, and the proof of its sender if the service has keys; or the error, with the sequence number
+    /// if the header was read.
+    fn authenticate(
+        &self,
+        query: &Q,
+        fleet: &Name,
+        vehicle: &Name,
+    ) -> Result<(Header, Option<Sealed>), (Option<u64>, WireError)> {
         if query.key() != keys::step(&self.replica, fleet, vehicle) {
-            return self.refuse(&query, None, &no_such_key(query.key()));
+            return Err((None, no_such_key(query.key())));
         }
         let limits = MessageLimits::default();
         let (limit, actual) = (limits.message_bytes, query.length());
         if actual > limit {
             // The payload is not read: several parts of it would be copied first.
-            return self.refuse(&query, None, &Invalid::TooLarge { limit, actual }.into());
+            return Err((None, Invalid::TooLarge { limit, actual }.into()));
         }
-        let header = match Header::decode(&query.payload(), &limits) {
-            Ok(header) => header,
-            Err(invalid) => return self.refuse(&query, None, &invalid.into()),
-        };
-        let sealed = match self
-            .guard
-            .as_ref()
-            .map(|guard| guard.request(&query, fleet, vehicle))
-        {
-            Some(Ok(sealed)) => Some(sealed),
-            Some(Err(error)) => return self.refuse(&query, Some(header.sequence), &error),
-            None => None,
-        };
-        let deadline = arrived + Duration::from_micros(header.budget_us.into());
-        let job = Job {
-            query,
-            sequence: header.sequence,
-            arrived,
-            deadline,
-            queued: self.traces.as_ref().map(|_| Instant::now()),
-            sealed,
-        };
+        let header = Header::decode(&query.payload(), &limits).map_err(|e| (None, e.into()))?;
+        let guard = self.guard.as_ref();
+        let sealed = guard.map(|guard| guard.request(query, fleet, vehicle));
+        match sealed.transpose() {
+            Ok(sealed) => Ok((header, sealed)),
+            Err(error) => Err((Some(header.sequence), error)),
+        }
+    }
+
+    /// Queues a request of a vehicle, or answers it with an error.
+    fn admit(&self, vehicle: String, job: Job<Q>) {
+        let (arrived, deadline) = (job.arrived, job.deadline);
         // An idle worker tries in any case, because only computed steps correct the estimate.
         let idle = |ahead| ahead + self.metrics.busy_workers() < self.workers;
         // Behind a queue that does not become short, half of the budget is left for the way.
@@ -144,9 +151,7 @@ impl<Q: Query> Shared<Q> {
             }
             arrived + self.time_to_answer(ahead) <= latest
         };
-        let pushed = self
-            .queue
-            .push(format!("{fleet}/{vehicle}"), deadline, job, in_time);
+        let pushed = self.queue.push(vehicle, deadline, job, in_time);
         if let Some(old) = pushed.superseded {
             let detail = "a newer request of this vehicle took the place of this one";
             self.refuse_job(&old, &WireError::permanent(Code::Superseded, detail));
@@ -157,11 +162,11 @@ impl<Q: Query> Shared<Q> {
         match pushed.queued {
             Ok(()) => {}
             Err(Refused::Full(job)) => self.refuse_job(&job, &self.overloaded()),
-            Err(Refused::Late(job)) => self.refuse_job(&job, &self.too_late(header.budget_us)),
-            Err(Refused::Closed(job)) => self.refuse_job(
-                &job,
-                &WireError::retryable(Code::Draining, 0, "this replica is going away, ask another"),
-            ),
+            Err(Refused::Late(job)) => self.refuse_job(&job, &self.too_late(job.budget())),
+            Err(Refused::Closed(job)) => {
+                let detail = "this replica is going away, ask another";
+                self.refuse_job(&job, &WireError::retryable(Code::Draining, 0, detail));
+            }
         }
     }
 
@@ -376,19 +381,12 @@ pub(crate) mod tests {
         assert!(String::from_utf8(metrics).unwrap().contains("egp_queued 0"));
         let ready = "egp/v1/r/main/ready";
         let (described, tag) = answer(&ask("ready", None), ready);
-        assert!(
-            Ready::decode(&described, &MessageLimits::default())
-                .unwrap()
-                .ready
-                && tag.is_none()
-        );
+        let limits = MessageLimits::default();
+        let is_ready = |message: &[u8]| Ready::decode(message, &limits).unwrap().ready;
+        assert!(is_ready(&described) && tag.is_none());
         shared.draining.store(true, Ordering::Relaxed);
         let (described, tag) = answer(&ask("ready", Some(seal(ready))), ready);
-        assert!(
-            !Ready::decode(&described, &MessageLimits::default())
-                .unwrap()
-                .ready
-        );
+        assert!(!is_ready(&described));
         let question = seal(ready).tag;
         assert!(key.is_answer(&question, &described, &tag.unwrap()));
         // A stranger gets the same answer without a proof.

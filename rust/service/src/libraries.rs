@@ -11,7 +11,7 @@ use thiserror::Error;
 use crate::config::ServiceConfig;
 use crate::handler::{Handler, LibraryContent};
 use crate::library_table::{LibraryTable, Reloaded, TableFull, TableWorkspace};
-use crate::signature::{SignatureError, Signers, signature_beside};
+use crate::signature::{Signature, SignatureError, Signers, signature_beside};
 use crate::sync::{Arc, Mutex, PoisonError};
 
 /// Why a library was not loaded. What was served before is still served.
@@ -97,7 +97,8 @@ impl Libraries {
         self.table.ids()
     }
 
-    /// Loads and checks the library file again, and lets `ready` describe its library from now on. Libraries from before are
+    /// Loads and checks the library file again, and lets `ready` describe its library from now on. The signature beside the
+    /// file takes the place of the one that was offered with this library before. Libraries from before are
     /// still served to requests that state them; if there are more than the configuration allows, the one that was neither
     /// asked for nor described for the longest time is removed.
     ///
@@ -106,13 +107,16 @@ impl Libraries {
     pub fn reload(&self) -> Result<Reloaded, ReloadError> {
         let _one = self.loading.lock().unwrap_or_else(PoisonError::into_inner);
         let content = read(&self.file, self.signers.as_ref())?;
-        let id = library::hash(&content.bytes);
+        let (id, signature) = (library::hash(&content.bytes), content.signature);
         // A library that is served was checked when it was loaded, and is not made again.
-        let load = |described: &Loaded| {
+        let load = |described: &Loaded| -> Result<Loaded, ReloadError> {
             let loaded = Loaded::new(&self.file, content, &self.settings)?;
             Ok(loaded.with_cores_of(described))
         };
-        self.table.replace(id, self.started.elapsed(), load)
+        let reloaded = self.table.replace(id, self.started.elapsed(), load)?;
+        // The signature of a library that was served before may be new.
+        self.table.first(|described| described.sign(signature));
+        Ok(reloaded)
     }
 
     /// Whether a reload finds a place for a library that is not served.
@@ -121,10 +125,11 @@ impl Libraries {
     }
 }
 
-/// An engine, and the file of its library for others who fetch it.
+/// An engine, and the file of its library and the signature beside it for others who fetch them.
 struct Loaded {
     engine: Engine,
-    content: LibraryContent,
+    bytes: Arc<[u8]>,
+    signature: Mutex<Option<Signature>>,
 }
 
 impl Loaded {
@@ -138,8 +143,19 @@ impl Loaded {
     }
 
     fn new(file: &Path, content: LibraryContent, settings: &Settings) -> Result<Self, ReloadError> {
-        let engine = Engine::from_bytes(file, &content.bytes, settings.clone())?;
-        Ok(Self { engine, content })
+        Ok(Self {
+            engine: Engine::from_bytes(file, &content.bytes, settings.clone())?,
+            bytes: content.bytes,
+            signature: Mutex::new(content.signature),
+        })
+    }
+
+    /// Offers the library with this signature from now on.
+    fn sign(&self, signature: Option<Signature>) {
+        *self
+            .signature
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner) = signature;
     }
 
     fn with_cores_of(mut self, other: &Self) -> Self {
@@ -154,13 +170,14 @@ fn read(file: &Path, signers: Option<&Signers>) -> Result<LibraryContent, Reload
         path: file.display().to_string(),
         source,
     })?;
-    if let Some(signers) = signers {
-        signers.check(file, &bytes)?;
-    }
+    let signature = match signers {
+        Some(signers) => Some(signers.check(file, &bytes)?),
+        // Who fetches the library may demand a signature although this service does not.
+        None => signature_beside(file).ok(),
+    };
     Ok(LibraryContent {
         bytes: Arc::from(bytes),
-        // Who fetches the library may demand a signature although this service does not.
-        signature: signature_beside(file).ok(),
+        signature,
     })
 }
 
@@ -185,7 +202,11 @@ impl Handler for Loaded {
     }
 
     fn content(&self, _library: &LibraryId) -> Option<LibraryContent> {
-        Some(self.content.clone())
+        let signature = self.signature.lock();
+        Some(LibraryContent {
+            bytes: self.bytes.clone(),
+            signature: *signature.unwrap_or_else(PoisonError::into_inner),
+        })
     }
 }
 

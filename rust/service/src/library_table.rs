@@ -32,7 +32,8 @@ pub struct TableFull {
 struct Served<H> {
     handler: H,
     description: Ready,
-    /// When a request last asked for it, milliseconds after the start and at least 1; 0 if none did.
+    /// When a request that was answered with a reply last asked for it, milliseconds after the start and at least 1; 0 if
+    /// none did.
     asked: AtomicU64,
     /// When a reload last found that `ready` described it, in the same unit; 0 if none did. Vehicles that started until then
     /// may ask for it soon.
@@ -146,6 +147,11 @@ impl<H: Handler> LibraryTable<H> {
         served.unwrap_or_else(PoisonError::into_inner).clone()
     }
 
+    /// Calls a function with the first library.
+    pub(crate) fn first(&self, of: impl FnOnce(&H)) {
+        of(&self.served()[0].handler);
+    }
+
     /// The description of the first library, with the hashes of all others.
     pub fn describe(&self) -> Ready {
         let served = self.served();
@@ -184,7 +190,6 @@ impl<H: Handler> LibraryTable<H> {
         let Some(one) = served.iter().find(|one| one.id() == asked) else {
             return Err(unknown_library(&self.ids(), &asked));
         };
-        one.asked.store(millis(now), Ordering::Relaxed);
         if memory.len() > served.len() {
             memory.retain(|(id, _)| served.iter().any(|one| one.id() == *id));
         }
@@ -193,7 +198,10 @@ impl<H: Handler> LibraryTable<H> {
         if known.is_none() {
             memory.push((asked, one.handler.workspace()?));
         }
-        one.handler.step(&mut memory[index].1, request, reply)
+        let status = one.handler.step(&mut memory[index].1, request, reply)?;
+        // A request that is not valid keeps no library in use.
+        one.asked.store(millis(now), Ordering::Relaxed);
+        Ok(status)
     }
 
     /// The file of a library that is served.
@@ -213,7 +221,8 @@ fn millis(now: Duration) -> u64 {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use egp_testing::messages;
-    use egp_wire::Code;
+    use egp_wire::{Code, Request, proto};
+    use prost::Message as _;
 
     use super::*;
 
@@ -237,9 +246,10 @@ mod tests {
         fn step(
             &self,
             workspace: &mut u8,
-            _request: &[u8],
+            request: &[u8],
             reply: &mut Vec<u8>,
         ) -> Result<Status, WireError> {
+            Request::decode(request, &MessageLimits::default())?;
             *reply = vec![self.0, *workspace];
             Ok(Status::Solved)
         }
@@ -274,10 +284,12 @@ mod tests {
         fn ask(&mut self, number: u8, at: u64) -> Result<Vec<u8>, Code> {
             let mut request = messages::cold_request();
             request.library = [number; 32];
+            self.send(&request.encode(), at)
+        }
+
+        fn send(&mut self, request: &[u8], at: u64) -> Result<Vec<u8>, Code> {
             let (now, mut reply) = (Duration::from_secs(at), Vec::new());
-            let ended = self
-                .table
-                .step(&mut self.memory, &request.encode(), &mut reply, now);
+            let ended = self.table.step(&mut self.memory, request, &mut reply, now);
             ended.map(|_| reply).map_err(|error| error.code)
         }
     }
@@ -313,6 +325,20 @@ mod tests {
         assert_eq!(tried.replace(2, 60), Err(TableFull { limit: 1 }));
         assert_eq!(tried.replace(2, 61), Ok(vec![2]));
         assert!(room(&Tried::new(&[], 2), 0));
+    }
+
+    #[test]
+    fn requests_that_are_not_valid_keep_no_library_in_use() {
+        let mut tried = Tried::new(&[], 1);
+        let header = proto::StepRequest {
+            version: 1,
+            library: vec![1; 32],
+            budget_us: 1000,
+            ..proto::StepRequest::default()
+        };
+        let answer = tried.send(&header.encode_to_vec(), 10);
+        assert_eq!(answer, Err(Code::InvalidField));
+        assert_eq!(tried.replace(2, 11), Ok(vec![2]));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use egp_core::library;
 use egp_trace::Counts;
-use egp_wire::{Code, LibraryId, Status};
+use egp_wire::{Code, LibraryId, Status, code_name, status_name};
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
@@ -17,8 +17,25 @@ use crate::sync::atomic::{AtomicU32, Ordering};
 use crate::sync::{Mutex, PoisonError};
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct Outcome {
-    outcome: String,
+pub(crate) struct Outcome {
+    outcome: &'static str,
+}
+
+/// A counter for each outcome.
+pub(crate) type Outcomes = Family<Outcome, Counter>;
+
+/// Counts one of these outcomes.
+pub(crate) fn count(counters: &Outcomes, outcome: &'static str) {
+    counters.get_or_create(&Outcome { outcome }).inc();
+}
+
+/// The OpenMetrics text of all metrics of a registry.
+pub(crate) fn text(registry: &Registry) -> String {
+    let mut text = String::new();
+    match encode(&mut text, registry) {
+        Ok(()) => text,
+        Err(error) => format!("# {error}\n# EOF\n"),
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -29,7 +46,7 @@ struct Sha256 {
 /// Counters, histograms and the running estimate of a step's time.
 pub(crate) struct Metrics {
     registry: Registry,
-    requests: Family<Outcome, Counter>,
+    requests: Outcomes,
     panics: Counter,
     step: Histogram,
     queue: Histogram,
@@ -37,10 +54,10 @@ pub(crate) struct Metrics {
     pub(crate) busy: Gauge,
     step_us: AtomicU32,
     libraries: Family<Sha256, Gauge>,
-    reloads: Family<Outcome, Counter>,
-    offers: Family<Outcome, Counter>,
+    reloads: Outcomes,
+    offers: Outcomes,
     /// Spans by what became of them, and where they are counted; none if no traces are written.
-    spans: Option<Mutex<(Family<Outcome, Counter>, Counts)>>,
+    spans: Option<Mutex<(Outcomes, Counts)>>,
 }
 
 impl Metrics {
@@ -104,7 +121,7 @@ impl Metrics {
 
     /// Shows what becomes of spans.
     pub(crate) fn show_spans(&mut self, counts: Counts) {
-        let family = Family::<Outcome, Counter>::default();
+        let family = Outcomes::default();
         let help = "Spans of traces by what became of them";
         self.registry.register("spans", help, family.clone());
         self.spans = Some(Mutex::new((family, counts)));
@@ -120,28 +137,21 @@ impl Metrics {
     }
 
     /// Counts a reload by its outcome.
-    pub(crate) fn reloaded(&self, outcome: &str) {
-        let outcome = outcome.to_owned();
-        self.reloads.get_or_create(&Outcome { outcome }).inc();
+    pub(crate) fn reloaded(&self, outcome: &'static str) {
+        count(&self.reloads, outcome);
     }
 
     /// Counts a question for a library file or a part of it.
     pub(crate) fn offered(&self, sent: bool) {
-        let outcome = if sent { "sent" } else { "refused" }.to_owned();
-        self.offers.get_or_create(&Outcome { outcome }).inc();
+        count(&self.offers, if sent { "sent" } else { "refused" });
     }
 
     pub(crate) fn answered(&self, status: Status) {
-        self.count(status.as_str_name().trim_start_matches("STATUS_"));
+        count(&self.requests, status_name(status));
     }
 
     pub(crate) fn refused(&self, code: Code) {
-        self.count(code.as_str_name().trim_start_matches("CODE_"));
-    }
-
-    fn count(&self, outcome: &str) {
-        let outcome = outcome.to_ascii_lowercase();
-        self.requests.get_or_create(&Outcome { outcome }).inc();
+        count(&self.requests, code_name(code));
     }
 
     pub(crate) fn panicked(&self) {
@@ -152,8 +162,8 @@ impl Metrics {
         self.queue.observe(time.as_secs_f64());
     }
 
-    /// Records the time of a step and moves the estimate by an eighth of the difference at most, so that one delayed
-    /// step does not lead to errors for the next requests.
+    /// Records the time of a step and moves the estimate towards it, by an eighth of the estimate at most, so that one
+    /// delayed step does not lead to errors for the next requests.
     pub(crate) fn stepped(&self, time: Duration) {
         self.step.observe(time.as_secs_f64());
         let (new, old) = (micros(time), self.step_us.load(Ordering::Relaxed));
@@ -184,16 +194,11 @@ impl Metrics {
                 ("dropped", counts.dropped()),
                 ("failed", counts.failed()),
             ] {
-                let outcome = outcome.to_owned();
                 let shown = family.get_or_create(&Outcome { outcome });
                 shown.inc_by(count.saturating_sub(shown.get()));
             }
         }
-        let mut text = String::new();
-        match encode(&mut text, &self.registry) {
-            Ok(()) => text,
-            Err(error) => format!("# {error}\n# EOF\n"),
-        }
+        text(&self.registry)
     }
 }
 

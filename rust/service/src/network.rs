@@ -167,8 +167,8 @@ pub(crate) struct Network {
 }
 
 impl Network {
-    /// Opens a session as [`egp_session::open_patiently`] does; nothing is declared yet. The `connect/timeout_ms` of the configuration takes the place of
-    /// `patience` (-1: never).
+    /// Opens a session as [`egp_session::open_patiently`] does; nothing is declared yet. The `connect/timeout_ms` of the
+    /// configuration takes the place of `patience` unless it is 0; -1 means that the patience never ends.
     pub(crate) fn open(
         config: Config,
         patience: Duration,

@@ -6,6 +6,7 @@
 use std::time::Duration;
 
 use egp_core::library;
+use egp_wire::keys::Name;
 use egp_wire::library_keys;
 use egp_wire::{Code, LIBRARY_PART_BYTES, LibraryFile, LibraryId, WireError};
 
@@ -44,8 +45,16 @@ impl<Q: Query> Offer<Q> {
         Self(Mutex::new(None))
     }
 
-    /// Leaves a question for the thread, or answers it with an error, which `metrics` counts; returns at once.
-    pub(crate) fn take(&self, query: Q, id: LibraryId, part: Option<u32>, metrics: &Metrics) {
+    /// Leaves a question for the thread, or answers it with an error, which `metrics` counts; returns at once. Errors begin
+    /// with the name of the replica, because an error reply has no key that names who sent it.
+    pub(crate) fn take(
+        &self,
+        query: Q,
+        id: LibraryId,
+        part: Option<u32>,
+        replica: &Name,
+        metrics: &Metrics,
+    ) {
         let asked = Asked { query, id, part };
         let sender = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let left = match &*sender {
@@ -55,21 +64,21 @@ impl<Q: Query> Offer<Q> {
         let (asked, code, wait, detail) = match left {
             Ok(()) => return,
             Err(TrySendError::Full(asked)) => {
-                let detail = format!("{WAITING} questions for libraries are waiting already");
+                let detail = format!("{WAITING} questions for libraries wait already");
                 // The questions that wait are answered meanwhile.
                 let wait = pause(WAITING * LIBRARY_PART_BYTES).as_micros();
                 (asked, Code::Overloaded, wait, detail)
             }
             Err(TrySendError::Disconnected(asked)) => {
-                let detail = "this replica offers no libraries, or is about to end";
+                let detail = "it offers no libraries, or is about to end";
                 (asked, Code::UnknownLibrary, 0, detail.to_owned())
             }
         };
         metrics.offered(false);
         let wait = u32::try_from(wait).unwrap_or(u32::MAX);
-        asked
-            .query
-            .refuse(&WireError::retryable(code, wait, detail));
+        let detail = format!("replica {replica}: {detail}");
+        let error = WireError::retryable(code, wait, detail);
+        asked.query.refuse(&error);
     }
 
     /// Lets the thread end once it has answered what waits.
@@ -102,10 +111,8 @@ fn answer<Q: Query>(
 ) -> Result<usize, WireError> {
     let (replica, id) = (&shared.replica, &asked.id);
     let Some(LibraryContent { bytes, signature }) = find(id) else {
-        let detail = format!(
-            "replica {replica} does not serve library {}",
-            library::hex(id)
-        );
+        let library = library::hex(id);
+        let detail = format!("replica {replica} does not serve library {library}");
         return Err(WireError::retryable(Code::UnknownLibrary, 0, detail));
     };
     let Some(part) = asked.part else {
@@ -126,7 +133,7 @@ fn answer<Q: Query>(
     let Some(content) = parts.nth(part as usize) else {
         let parts = bytes.len().div_ceil(LIBRARY_PART_BYTES);
         let detail =
-            format!("this library has {parts} parts, counted from 0; asked for part {part}");
+            format!("replica {replica}: this library has {parts} parts from 0 on, not part {part}");
         return Err(WireError::permanent(Code::Malformed, detail));
     };
     let key = library_keys::library_part(replica, id, part);
@@ -208,18 +215,19 @@ mod tests {
             .unwrap();
         assert_eq!((beyond.code, beyond.retryable), (Code::Malformed, false));
         assert!(beyond.detail.contains("3 parts"), "{beyond}");
+        assert!(beyond.detail.starts_with("replica main: "), "{beyond}");
         let unknown = ask(&library_keys::library(&main, &[8; 32]))
             .error()
             .unwrap();
         assert_eq!(unknown.code, Code::UnknownLibrary);
-        assert!(unknown.detail.contains("replica main"), "{unknown}");
+        assert!(unknown.detail.starts_with("replica main "), "{unknown}");
     }
 
     #[test]
     fn questions_beyond_those_that_wait_get_an_error_at_once() {
         let (offering, questions) = Offer::new();
         let metrics = Metrics::new(&[], 1);
-        let take = |query| offering.take(query, ID, None, &metrics);
+        let take = |query| offering.take(query, ID, None, &name("main"), &metrics);
         let key = library_keys::any_library(&ID);
         let query = || Recorded::new(&key, Vec::new());
         for _ in 0..WAITING {
@@ -230,10 +238,13 @@ mod tests {
         let full = last.error().unwrap();
         assert_eq!((full.code, full.retryable), (Code::Overloaded, true));
         assert_eq!(full.retry_after_us, 31_250);
+        assert!(full.detail.starts_with("replica main: "), "{full}");
         offering.close();
         let closed = query();
         take(closed.clone());
         assert_eq!(closed.code(), Some(Code::UnknownLibrary));
+        let closed = closed.error().unwrap();
+        assert!(closed.detail.starts_with("replica main: "), "{closed}");
         assert_eq!(questions.iter().count(), WAITING);
         let refused = "egp_library_questions_total{outcome=\"refused\"} 2";
         assert!(metrics.text(0).contains(refused));

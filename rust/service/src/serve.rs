@@ -76,9 +76,15 @@ pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
     allow_all();
     // Signals are registered before the start, so that an early one is not lost.
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).map_err(ServeError::Signals)?;
-    let mut ended = false;
+    let (mut ended, mut reload) = (false, false);
     let mut stopped = || {
-        ended |= signals.pending().any(|signal| signal != SIGHUP);
+        for signal in signals.pending() {
+            *(if signal == SIGHUP {
+                &mut reload
+            } else {
+                &mut ended
+            }) = true;
+        }
         ended
     };
     let server = match Server::start_unless(config, &mut stopped) {
@@ -95,7 +101,9 @@ pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
         }
         Ok(server) => server,
     };
-    for signal in signals.forever() {
+    // A SIGHUP that came during the start, perhaps after the library had been loaded, has its effect now.
+    let early = reload.then_some(SIGHUP);
+    for signal in early.into_iter().chain(signals.forever()) {
         tracing::info!(signal, "signal received");
         if signal != SIGHUP {
             break;

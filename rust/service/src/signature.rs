@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use egp_wire::from_hex;
 use ring::digest::{SHA256, digest};
 use ring::signature::{ED25519, UnparsedPublicKey};
 use thiserror::Error;
@@ -39,6 +40,14 @@ pub enum SignatureError {
         /// The number of the line at fault. Its text may be a secret in a file that was confused with another.
         line: usize,
     },
+    /// No line of a file has a public key.
+    #[error(
+        "{path}: there is no public key in it, so that no library would be accepted; `egp keys` writes library.pub with one"
+    )]
+    Empty {
+        /// The file.
+        path: String,
+    },
     /// The signature is none of this library by one of the keys.
     #[error(
         "{path} is not signed by any of the {keys} configured keys; sign it with `egp sign`, or add the signer's key"
@@ -67,17 +76,24 @@ impl Signers {
             .map(|(number, line)| bytes(path, number, line))
             .collect::<Result<Vec<_>, _>>()?;
         if keys.is_empty() {
-            return Err(no_bytes::<32>(path, 1));
+            let path = path.display().to_string();
+            return Err(SignatureError::Empty { path });
         }
         Ok(Self(keys))
     }
 
-    /// Checks the bytes of a library with the signature in the file beside it.
+    /// Checks the bytes of a library with the signature in the file beside it, and returns that signature.
     ///
     /// # Errors
     /// [`SignatureError`] if there is no signature, or none of these bytes by one of the keys.
-    pub(crate) fn check(&self, library: &Path, content: &[u8]) -> Result<(), SignatureError> {
-        self.accept(library, content, &signature_beside(library)?)
+    pub(crate) fn check(
+        &self,
+        library: &Path,
+        content: &[u8],
+    ) -> Result<Signature, SignatureError> {
+        let signature = signature_beside(library)?;
+        self.accept(library, content, &signature)?;
+        Ok(signature)
     }
 
     /// Checks the bytes of a library with a signature; `library` names it in the error.
@@ -134,22 +150,9 @@ fn bytes<const N: usize>(
     number: usize,
     line: &str,
 ) -> Result<[u8; N], SignatureError> {
-    let digit = |at: usize| {
-        line.get(at..at + 2)
-            .and_then(|two| u8::from_str_radix(two, 16).ok())
-    };
-    let all: Option<Vec<u8>> = (0..line.len()).step_by(2).map(digit).collect();
-    let plain = line.bytes().all(|digit| digit.is_ascii_hexdigit());
-    let all = all
-        .filter(|_| plain)
-        .and_then(|all| <[u8; N]>::try_from(all).ok());
-    all.ok_or_else(|| no_bytes::<N>(path, number))
-}
-
-fn no_bytes<const N: usize>(path: &Path, line: usize) -> SignatureError {
-    SignatureError::Content {
+    from_hex(line).ok_or_else(|| SignatureError::Content {
         path: path.display().to_string(),
         bytes: N,
-        line,
-    }
+        line: number,
+    })
 }

@@ -6,7 +6,7 @@ use egp_trace::{
     Counts, Kind, Moment, Resource, Share, Span, StepIds, TraceError, TraceFile, name,
 };
 use egp_wire::keys::{self, Name, Target};
-use egp_wire::{Header, MessageLimits, Status, WireError};
+use egp_wire::{Header, MessageLimits, Status, WireError, code_name, status_name};
 
 use crate::config::ServiceConfig;
 use crate::intake::Job;
@@ -80,19 +80,7 @@ impl Traces {
         if let Ok(header) = Header::decode(&payload, &MessageLimits::default()) {
             whole = whole.with("egp.library", &header.library);
         }
-        whole = match outcome {
-            Ok(status) => {
-                let name = status.as_str_name().trim_start_matches("STATUS_");
-                let whole = whole.with("egp.status", name.to_ascii_lowercase());
-                match status {
-                    Status::Solved => whole,
-                    _ => whole.failed("the solver found no plan"),
-                }
-            }
-            Err(error) => whole
-                .with("egp.error_code", error.code_name())
-                .failed(error.to_string()),
-        };
+        whole = ended_with(whole, outcome);
         let part = |name, times| {
             Span::new(&ids, name, Kind::Internal, times)
                 .with_id(ids.span(replica, name))
@@ -110,6 +98,19 @@ impl Traces {
 
     fn since_epoch(&self, time: Instant) -> Duration {
         time.saturating_duration_since(self.epoch)
+    }
+}
+
+/// The span of a request with its outcome.
+fn ended_with(span: Span, outcome: Result<Status, &WireError>) -> Span {
+    match outcome {
+        Ok(Status::Solved) => span.with("egp.status", status_name(Status::Solved)),
+        Ok(status) => span
+            .with("egp.status", status_name(status))
+            .failed("the solver found no plan"),
+        Err(error) => span
+            .with("egp.error_code", code_name(error.code))
+            .failed(error.to_string()),
     }
 }
 

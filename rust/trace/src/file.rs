@@ -1,16 +1,17 @@
 //! The file of spans, which a thread of its own writes.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
+use std::os::unix::fs::FileTypeExt as _;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use thiserror::Error;
 
+use crate::counts::Counts;
 use crate::line::{Resource, line};
 use crate::span::Span;
 
@@ -36,34 +37,6 @@ pub enum TraceError {
     /// The system could not start a thread.
     #[error("cannot start the thread that writes traces: {0}")]
     Thread(io::Error),
-}
-
-/// Numbers of spans by what became of them. Clones count the same spans.
-#[derive(Clone, Debug, Default)]
-pub struct Counts(Arc<Outcomes>);
-
-#[derive(Debug, Default)]
-struct Outcomes {
-    written: AtomicU64,
-    dropped: AtomicU64,
-    failed: AtomicU64,
-}
-
-impl Counts {
-    /// Spans that are in the file.
-    pub fn written(&self) -> u64 {
-        self.0.written.load(Ordering::Relaxed)
-    }
-
-    /// Spans that were dropped because too many waited.
-    pub fn dropped(&self) -> u64 {
-        self.0.dropped.load(Ordering::Relaxed)
-    }
-
-    /// Spans that could not be written.
-    pub fn failed(&self) -> u64 {
-        self.0.failed.load(Ordering::Relaxed)
-    }
 }
 
 /// A file to which spans are appended. It must be the only writer of the file.
@@ -118,7 +91,8 @@ impl TraceFile {
             if existed {
                 Ok(())
             } else {
-                std::fs::remove_file(path)
+                // A link to a file that did not exist stays.
+                fs::remove_file(fs::canonicalize(path)?)
             }
         });
         opened.map_err(|source| TraceError::Open {
@@ -211,14 +185,20 @@ impl Writer {
 }
 
 /// Opens a file to append to it.
+///
+/// # Errors
+/// [`io::Error`] if it cannot be opened, or is a pipe: opening one would wait for a reader.
 fn append(path: &Path) -> io::Result<File> {
+    if fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo()) {
+        let reason = "expected a file, got a pipe";
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, reason));
+    }
     OpenOptions::new().append(true).create(true).open(path)
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use std::fs;
     use std::sync::atomic::AtomicUsize;
 
     use serde_json::Value;
@@ -361,6 +341,34 @@ mod tests {
         file.add(vec![span(1)]);
         wait_until(|| file.counts().failed() == 1);
         assert_eq!(file.counts().written(), 0);
+    }
+
+    #[test]
+    fn a_check_leaves_a_link_without_its_file_as_it_is() {
+        let folder = Folder::new();
+        let target = folder.0.join("target.jsonl");
+        std::os::unix::fs::symlink(&target, folder.file()).unwrap();
+        TraceFile::check(&folder.file()).unwrap();
+        assert!(folder.file().is_symlink() && !target.exists());
+        drop(TraceFile::open(&folder.file(), resource()).unwrap());
+        TraceFile::check(&folder.file()).unwrap();
+        assert!(folder.file().is_symlink() && target.exists());
+    }
+
+    #[test]
+    fn a_pipe_is_an_error_and_nobody_waits_for_its_reader() {
+        let folder = Folder::new();
+        let made = std::process::Command::new("mkfifo")
+            .arg(folder.file())
+            .status();
+        assert!(made.unwrap().success());
+        for error in [
+            TraceFile::check(&folder.file()).err(),
+            TraceFile::open(&folder.file(), resource()).err(),
+        ] {
+            let message = error.unwrap().to_string();
+            assert!(message.contains("got a pipe"), "{message}");
+        }
     }
 
     #[test]

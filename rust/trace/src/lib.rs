@@ -19,13 +19,15 @@
 //! # Ok::<(), egp_trace::ShareError>(())
 //! ```
 
+mod counts;
 mod file;
 mod id;
 mod line;
 mod moment;
 mod span;
 
-pub use file::{Counts, TraceError, TraceFile};
+pub use counts::Counts;
+pub use file::{TraceError, TraceFile};
 pub use id::{Share, ShareError, SpanId, StepIds, TraceId};
 pub use line::Resource;
 pub use moment::Moment;

@@ -9,7 +9,7 @@ use thiserror::Error;
 
 use crate::{LibraryId, library_keys};
 
-const PREFIX: &str = "egp/v1/r/";
+pub(crate) const PREFIX: &str = "egp/v1/r/";
 const LIVE: &str = "egp/v1/@live/";
 const LOAD: &str = "egp/v1/@load/";
 const VEHICLE: &str = "egp/v1/@vehicle/";

@@ -3,7 +3,8 @@
 //! A library is addressed by its SHA-256, so that an answer of any replica can be checked without trusting the replica.
 
 use crate::LibraryId;
-use crate::keys::Name;
+use crate::hex::{from_hex, hex};
+use crate::keys::{Name, PREFIX};
 
 /// Bytes of each part of a library file but the last.
 ///
@@ -11,7 +12,6 @@ use crate::keys::Name;
 pub const LIBRARY_PART_BYTES: usize = 1 << 16;
 
 pub(crate) const LIBRARY: &str = "library";
-const PREFIX: &str = "egp/v1/r/";
 
 /// The key on which a replica says whether it has a library ([`crate::LibraryFile`]).
 pub fn library(replica: &Name, id: &LibraryId) -> String {
@@ -50,25 +50,7 @@ pub(crate) fn parse(rest: &str) -> Option<(LibraryId, Option<u32>)> {
 
 /// The SHA-256 that 64 hexadecimal digits state; none for another text.
 pub fn library_id(digits: &str) -> Option<LibraryId> {
-    let (pairs, []) = digits.as_bytes().as_chunks::<2>() else {
-        return None;
-    };
-    let mut id = LibraryId::default();
-    if pairs.len() != id.len() {
-        return None;
-    }
-    for (byte, [high, low]) in id.iter_mut().zip(pairs) {
-        let digit = |digit: &u8| char::from(*digit).to_digit(16);
-        *byte = u8::try_from(16 * digit(high)? + digit(low)?).ok()?;
-    }
-    Some(id)
-}
-
-fn hex(id: &LibraryId) -> String {
-    let digit = |value: u8| char::from_digit(value.into(), 16).unwrap_or_default();
-    id.iter()
-        .flat_map(|byte| [digit(byte >> 4), digit(byte & 15)])
-        .collect()
+    from_hex(digits)
 }
 
 #[cfg(test)]

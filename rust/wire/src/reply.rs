@@ -8,6 +8,18 @@ use crate::{
     GpOutput, Input, Invalid, LibraryId, MessageLimits, Predictions, State, Status, VERSION, check,
 };
 
+/// The status in lower case without its prefix, for example `iteration_limit`, as metrics, logs and programs show it.
+pub fn status_name(status: Status) -> &'static str {
+    match status {
+        Status::Unspecified => "unspecified",
+        Status::Solved => "solved",
+        Status::IterationLimit => "iteration_limit",
+        Status::Infeasible => "infeasible",
+        Status::NumericalError => "numerical_error",
+        Status::CheckFailed => "check_failed",
+    }
+}
+
 /// The outcome of a control step. Only one with [`Status::Solved`] has a plan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reply {

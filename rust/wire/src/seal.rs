@@ -18,6 +18,7 @@ use prost::Message as _;
 use sha2::Sha256;
 use thiserror::Error;
 
+use crate::hex::from_hex;
 use crate::keys::Name;
 use crate::proto;
 
@@ -240,17 +241,8 @@ impl KeyRing {
 fn entry(line: &str) -> Option<((Name, Name), VehicleKey)> {
     let (vehicle, digits) = line.split_once(char::is_whitespace)?;
     let (fleet, vehicle) = vehicle.split_once('/')?;
-    let digits = digits.trim().as_bytes();
-    let mut key = [0; LENGTH];
-    if digits.len() != 2 * LENGTH || !digits.iter().all(u8::is_ascii_hexdigit) {
-        return None;
-    }
-    for (byte, pair) in key.iter_mut().zip(digits.chunks_exact(2)) {
-        let text = str::from_utf8(pair).ok()?;
-        *byte = u8::from_str_radix(text, 16).ok()?;
-    }
     Some((
         (fleet.parse().ok()?, vehicle.parse().ok()?),
-        VehicleKey(key),
+        VehicleKey(from_hex(digits.trim())?),
     ))
 }

@@ -24,6 +24,8 @@ pub struct MapConfig {
     pub vehicles: usize,
     /// Tiles to which one vehicle contributes. Default 4096.
     pub tiles: usize,
+    /// Roads to which one vehicle contributes. Default 32.
+    pub roads: usize,
     /// Contributions in all, of about 3.3 kB each. Default 65536.
     pub contributions: usize,
     /// Least time between two publications of the changes of a road, ms. Default 500.
@@ -49,6 +51,7 @@ impl Default for MapConfig {
             capacity: merge.capacity,
             vehicles: 16,
             tiles: 4096,
+            roads: 32,
             contributions: 65536,
             publish_ms: 500,
             save_ms: 10_000,
@@ -95,6 +98,9 @@ impl MapConfig {
         if !(1..=1_000_000).contains(&self.tiles) {
             return range("tiles", "in 1..=1000000", &self.tiles);
         }
+        if !(1..=1_000_000).contains(&self.roads) {
+            return range("roads", "in 1..=1000000", &self.roads);
+        }
         if !(1..=10_000_000).contains(&self.contributions) {
             return range("contributions", "in 1..=10000000", &self.contributions);
         }
@@ -119,6 +125,7 @@ impl MapConfig {
             contributions: self.contributions,
             vehicles: self.vehicles,
             tiles: self.tiles,
+            roads: self.roads,
         }
     }
 }

@@ -5,7 +5,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use egp_engine::{read_regular, replace_file};
+use egp_engine::read_regular;
 use egp_map::Tile;
 use egp_wire::keys::Name;
 use egp_wire::road_keys::RoadKey;
@@ -35,7 +35,8 @@ pub(crate) struct Clocks {
 ///
 /// # Errors
 /// [`RoadFileError::System`] if a file cannot be read or renamed, [`RoadFileError::Newer`] if one has a later version, and
-/// [`RoadFileError::Limits`] if one has contributions for which the store has no room. No file is changed then.
+/// [`RoadFileError::Limits`] if one has contributions for which the store has no room. The file at fault stays
+/// as it is; others may have been renamed before.
 pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(), RoadFileError> {
     let mut unsaved = BTreeSet::new();
     for entry in fs::read_dir(folder).map_err(system(folder))? {
@@ -182,7 +183,7 @@ fn add(road: &Road, evidence: Vec<Evidence>, store: &mut Store, clocks: Clocks) 
         match added {
             Ok(()) => *vehicles.entry(index).or_default() += 1,
             Err(StoreError::Old { .. }) => continue,
-            Err(StoreError::Full(_) | StoreError::Vehicle(_)) => found.beyond += 1,
+            Err(_) => found.beyond += 1,
         }
         found.useful = true;
     }
@@ -194,23 +195,14 @@ fn add(road: &Road, evidence: Vec<Evidence>, store: &mut Store, clocks: Clocks) 
     found
 }
 
-/// Writes a road's file beside the old one and then replaces it; a road without evidence has no file.
-pub(crate) fn save(
-    folder: &Path,
-    road: &Road,
-    tiles: Option<&Tiles>,
-    clocks: Clocks,
-) -> Result<(), RoadFileError> {
-    let (fleet, name) = road;
+/// The file of a road.
+pub(super) fn path(folder: &Path, (fleet, name): &Road) -> PathBuf {
     // No name has the character @, so the files of different roads have different names.
-    let path = folder.join(format!("{fleet}@{name}.{SUFFIX}"));
-    let system = system(&path);
-    let Some(tiles) = tiles else {
-        return match fs::remove_file(&path) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(system(error)),
-            _ => Ok(()),
-        };
-    };
+    folder.join(format!("{fleet}@{name}.{SUFFIX}"))
+}
+
+/// The content of a road's file.
+pub(crate) fn encode((fleet, name): &Road, tiles: &Tiles, clocks: Clocks) -> Vec<u8> {
     let evidence = tiles.iter().flat_map(|(tile, vehicles)| {
         vehicles
             .iter()
@@ -237,7 +229,7 @@ pub(crate) fn save(
     };
     // Messages one behind the other are one message with the fields of both.
     bytes.extend(checksum.encode_to_vec());
-    replace_file(&path, &bytes).map_err(system)
+    bytes
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a cast of floats saturates
@@ -251,6 +243,7 @@ mod tests {
     use egp_map::{MergeSettings, TILE_BYTES};
 
     use super::super::store::MapLimits;
+    use super::super::writer::write;
     use super::*;
 
     const CLOCKS: Clocks = Clocks {
@@ -271,6 +264,7 @@ mod tests {
             contributions,
             vehicles,
             tiles: 10,
+            roads: 10,
         };
         Store::new(MergeSettings::default(), limits)
     }
@@ -287,9 +281,16 @@ mod tests {
         };
         let tile = Tile::from_bytes(&[7; TILE_BYTES]).unwrap();
         store.add(&key, 3, tile, 0.0, 0.0).unwrap();
-        save(&folder, &road, store.road(&road), CLOCKS).unwrap();
+        save(&folder, &store, CLOCKS);
         let file = folder.join("depot@ring.road");
         (folder, file)
+    }
+
+    /// Writes the file of the road `depot@ring`.
+    fn save(folder: &Path, store: &Store, clocks: Clocks) {
+        let road = (name("depot"), name("ring"));
+        let bytes = encode(&road, store.road(&road).unwrap(), clocks);
+        write(folder, &road, Some(bytes)).unwrap();
     }
 
     /// What a service finds in the folder.
@@ -374,7 +375,7 @@ mod tests {
         let road = (name("depot"), name("ring"));
         assert_eq!(store.road(&road).unwrap()[&3][&name("a")].at, earlier.now);
         assert!(store.unsaved.contains(&road));
-        save(&folder, &road, store.road(&road), earlier).unwrap();
+        save(&folder, &store, earlier);
         assert!(loaded(&folder, earlier).unsaved.is_empty());
         fs::remove_dir_all(&folder).unwrap();
     }

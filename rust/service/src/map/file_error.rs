@@ -34,8 +34,8 @@ pub enum RoadFileError {
     },
     /// A file with more contributions than the map may keep, which the next change of the road would remove from it.
     #[error(
-        "{path}: {count} of its contributions are beyond the limits of this map; raise `contributions`, `vehicles` or \
-         `tiles`, or move the file out of the folder"
+        "{path}: {count} of its contributions are beyond the limits of this map; raise `contributions`, `vehicles`, \
+         `tiles` or `roads`, or move the file out of the folder"
     )]
     Limits {
         /// The file.

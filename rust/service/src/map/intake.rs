@@ -1,25 +1,24 @@
 //! From a query to the keeper. Runs on the network's receive thread, so it reads keys and sizes only.
 
-use std::collections::HashMap;
-use std::sync::mpsc::{SyncSender, TrySendError};
-use std::sync::{Mutex, PoisonError};
-
-use egp_wire::keys::Name;
 use egp_wire::road_keys::{self, RoadKey, RoadTarget};
-use egp_wire::{Code, ROAD_TILES, WireError};
+use egp_wire::{Code, ROAD_TILES, WireError, code_name};
 
 use super::metrics::Metrics;
-use crate::network::Received;
-use crate::query::Query as _;
+use super::turns::{Refused, Turns};
+use crate::query::Query;
 
-/// Queries of one vehicle that may wait; a vehicle that sends more delays only itself.
-const WAITING: usize = 64;
+/// Queries of one vehicle that may wait. Vehicles are answered in turn, so that another vehicle's query waits for one of them.
+const EACH: usize = 64;
+/// Queries of all vehicles that may wait.
+const ALL: usize = 1024;
 /// Largest payload of a query, bytes.
 const PAYLOAD: usize = 4096;
+/// When a vehicle should try again, µs.
+const LATER: u32 = 1_000_000;
 
 /// A query on its way to the keeper.
-pub(crate) struct Job {
-    pub query: Received,
+pub(crate) struct Job<Q> {
+    pub query: Q,
     pub kind: QueryKind,
     pub key: RoadKey,
     pub index: u32,
@@ -35,21 +34,21 @@ pub(crate) enum QueryKind {
 }
 
 /// The state that intake and keeper share.
-pub(crate) struct Intake {
+pub(crate) struct Intake<Q> {
     pub metrics: Metrics,
-    waiting: Mutex<HashMap<(Name, Name), usize>>,
+    pub waiting: Turns<Job<Q>>,
 }
 
-impl Intake {
+impl<Q: Query> Intake<Q> {
     pub(crate) fn new() -> Self {
         Self {
             metrics: Metrics::new(),
-            waiting: Mutex::new(HashMap::new()),
+            waiting: Turns::new(EACH, ALL),
         }
     }
 
-    /// Answers a query, hands it to the keeper, or answers it with an error.
-    pub(crate) fn take(&self, query: Received, keeper: &SyncSender<Job>) {
+    /// Answers a query, lets it wait for the keeper, or answers it with an error.
+    pub(crate) fn take(&self, query: Q) {
         let (kind, key, index) = match road_keys::parse(query.key()) {
             Some(RoadTarget::Health) => {
                 return query.answer(road_keys::HEALTH, b"ok".to_vec(), "text/plain", None);
@@ -67,64 +66,36 @@ impl Intake {
             let detail = format!("expected at most {PAYLOAD} bytes, got {}", query.length());
             return self.refuse(&query, &WireError::permanent(Code::Malformed, detail));
         }
-        if !self.admit(&key) {
-            let detail = format!("{WAITING} queries of this vehicle are waiting already");
-            return self.refuse(
-                &query,
-                &WireError::retryable(Code::Overloaded, 1_000_000, detail),
-            );
-        }
+        let vehicle = (key.fleet.clone(), key.vehicle.clone());
         let job = Job {
             query,
             kind,
             key,
             index,
         };
-        let (job, error) = match keeper.try_send(job) {
+        let (job, code, detail) = match self.waiting.push(vehicle, job) {
             Ok(()) => return,
-            Err(TrySendError::Full(job)) => {
-                let detail = "too many queries are waiting already";
-                (
-                    job,
-                    WireError::retryable(Code::Overloaded, 1_000_000, detail),
-                )
+            Err(Refused::Vehicle(job)) => {
+                let detail = format!("{EACH} queries of this vehicle are waiting already");
+                (job, Code::Overloaded, detail)
             }
-            Err(TrySendError::Disconnected(job)) => {
+            Err(Refused::All(job)) => {
+                let detail = format!("{ALL} queries of all vehicles are waiting already");
+                (job, Code::Overloaded, detail)
+            }
+            Err(Refused::Closed(job)) => {
                 let detail = "this map service is going away";
-                (job, WireError::retryable(Code::Draining, 1_000_000, detail))
+                (job, Code::Draining, detail.to_owned())
             }
         };
-        self.done(&job.key);
-        self.refuse(&job.query, &error);
-    }
-
-    /// Takes note that a query of a vehicle no longer waits.
-    pub(crate) fn done(&self, key: &RoadKey) {
-        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
-        let own = (key.fleet.clone(), key.vehicle.clone());
-        if let Some(count) = waiting.get_mut(&own) {
-            *count -= 1;
-            if *count == 0 {
-                waiting.remove(&own);
-            }
-        }
+        self.refuse(&job.query, &WireError::retryable(code, LATER, detail));
     }
 
     /// Sends an error and counts it.
-    pub(crate) fn refuse(&self, query: &Received, error: &WireError) {
+    pub(crate) fn refuse(&self, query: &Q, error: &WireError) {
         self.metrics.refused(error.code);
-        tracing::debug!(key = query.key(), code = error.code.as_str_name(), %error, "refused");
+        tracing::debug!(key = query.key(), code = code_name(error.code), %error, "refused");
         query.refuse(error);
-    }
-
-    fn admit(&self, key: &RoadKey) -> bool {
-        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = waiting
-            .entry((key.fleet.clone(), key.vehicle.clone()))
-            .or_default();
-        let admitted = *count < WAITING;
-        *count += usize::from(admitted);
-        admitted
     }
 }
 
@@ -137,12 +108,41 @@ fn no_such_key(key: &str) -> WireError {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
+    use crate::query::recorded::Recorded;
 
     #[test]
     fn the_error_about_a_key_states_the_limit_of_the_index() {
         let error = no_such_key("egp/v1/map/depot/car/ring/tile/7813");
         assert!(error.detail.contains("below 7813"), "{error}");
+    }
+
+    #[test]
+    fn a_vehicle_beyond_its_share_and_a_service_that_ends_are_told_to_the_vehicle() {
+        let intake = Intake::new();
+        let take = |vehicle: &str| {
+            let key = format!("egp/v1/map/depot/{vehicle}/ring/tiles/0");
+            let query = Recorded::new(&key, Vec::new());
+            intake.take(query.clone());
+            query.error()
+        };
+        for _ in 0..EACH {
+            assert_eq!(take("flood"), None);
+        }
+        let full = take("flood").unwrap();
+        assert_eq!((full.code, full.retryable), (Code::Overloaded, true));
+        assert!(full.detail.contains("64 queries of this vehicle"), "{full}");
+        for vehicle in 1..ALL / EACH {
+            for _ in 0..EACH {
+                assert_eq!(take(&format!("car-{vehicle}")), None);
+            }
+        }
+        let full = take("late").unwrap();
+        assert_eq!((full.code, full.retryable), (Code::Overloaded, true));
+        assert!(full.detail.contains("1024 queries of all"), "{full}");
+        intake.waiting.close();
+        assert_eq!(take("later").unwrap().code, Code::Draining);
     }
 }

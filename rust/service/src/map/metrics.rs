@@ -1,23 +1,16 @@
 //! The metrics of the map service, as OpenMetrics text.
 
-use egp_wire::Code;
-use prometheus_client::encoding::EncodeLabelSet;
-use prometheus_client::encoding::text::encode;
-use prometheus_client::metrics::counter::Counter;
-use prometheus_client::metrics::family::Family;
+use egp_wire::{Code, code_name};
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 
-#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct Outcome {
-    outcome: String,
-}
+use crate::metrics::{Outcomes, count, text};
 
 /// Counters of queries and writings by outcome, and the size of the map.
 pub(crate) struct Metrics {
     registry: Registry,
-    queries: Family<Outcome, Counter>,
-    writes: Family<Outcome, Counter>,
+    queries: Outcomes,
+    writes: Outcomes,
     pub(crate) contributions: Gauge,
     pub(crate) roads: Gauge,
     pub(crate) unsaved: Gauge,
@@ -27,8 +20,8 @@ impl Metrics {
     pub(crate) fn new() -> Self {
         let mut metrics = Self {
             registry: Registry::with_prefix("egp_map"),
-            queries: Family::default(),
-            writes: Family::default(),
+            queries: Outcomes::default(),
+            writes: Outcomes::default(),
             contributions: Gauge::default(),
             roads: Gauge::default(),
             unsaved: Gauge::default(),
@@ -58,26 +51,21 @@ impl Metrics {
     }
 
     pub(crate) fn refused(&self, code: Code) {
-        self.count(code.as_str_name().trim_start_matches("CODE_"));
+        count(&self.queries, code_name(code));
     }
 
-    pub(crate) fn count(&self, outcome: &str) {
-        let outcome = outcome.to_ascii_lowercase();
-        self.queries.get_or_create(&Outcome { outcome }).inc();
+    /// Counts a query of this kind that was answered.
+    pub(crate) fn answered(&self, kind: &'static str) {
+        count(&self.queries, kind);
     }
 
     /// Counts a writing of a road's file.
     pub(crate) fn wrote(&self, written: bool) {
-        let outcome = if written { "written" } else { "failed" }.to_owned();
-        self.writes.get_or_create(&Outcome { outcome }).inc();
+        count(&self.writes, if written { "written" } else { "failed" });
     }
 
     /// The OpenMetrics text.
     pub(crate) fn text(&self) -> String {
-        let mut text = String::new();
-        match encode(&mut text, &self.registry) {
-            Ok(()) => text,
-            Err(error) => format!("# {error}\n# EOF\n"),
-        }
+        text(&self.registry)
     }
 }

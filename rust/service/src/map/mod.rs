@@ -1,9 +1,10 @@
 //! The map service: what vehicles measured about the friction of roads, merged and kept.
 //!
 //! ```text
-//! zenoh query ─ intake ─► channel ─► keeper thread ─► reply
-//!               key, size   bounded, and   store, merge; also publishes changes
-//!                           for each vehicle   and writes the roads' files
+//! zenoh query ─ intake ─► turns ─► keeper thread ─► reply
+//!               key, size   bounded,   store, merge; also publishes changes,
+//!                           vehicles   and encodes the roads' files ─► writer thread
+//!                           in turn
 //! ```
 
 mod config;
@@ -15,6 +16,8 @@ mod keeper;
 mod metrics;
 mod server;
 mod store;
+mod turns;
+mod writer;
 
 pub use config::MapConfig;
 pub use server::{MapError, MapServer, serve_map};

@@ -1,9 +1,9 @@
 //! A running map service: start and stop.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io;
 use std::sync::Arc;
-use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -19,15 +19,14 @@ use super::file_error::RoadFileError;
 use super::folder_lock::lock;
 use super::intake::Intake;
 use super::keeper::{Keeper, clocks};
-use super::store::Store;
+use super::store::{Road, Store};
+use super::writer::{Content, Writer, write};
 use crate::certificates;
 use crate::config::ConfigError;
 use crate::descriptors::allow_all;
 use crate::logging::init_logging;
-use crate::network::{Network, PATIENCE, configuration};
+use crate::network::{Network, PATIENCE, Received, configuration};
 
-/// Queries of all vehicles that may wait.
-const WAITING: usize = 1024;
 /// Where the service listens by default; a service of control steps on the same machine has the port before this one.
 const LISTEN: (&str, &str) = ("listen/endpoints", r#"["tcp/127.0.0.1:7448"]"#);
 
@@ -65,6 +64,7 @@ pub enum MapError {
 /// A map service that answers queries until it is stopped or dropped.
 pub struct MapServer {
     network: Network,
+    intake: Arc<Intake<Received>>,
     keeper: Option<JoinHandle<usize>>,
     /// Keeps other services from the folder.
     _lock: Option<File>,
@@ -99,32 +99,43 @@ impl MapServer {
                 .or_insert_with(|| value.to_owned());
         }
         let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &zenoh)?;
-        let mut network = Network::open(zenoh, PATIENCE, stopped)?;
+        let network = Network::open(zenoh, PATIENCE, stopped)?;
         let mut intake = Intake::new();
         if let Some(end) = end {
             certificates::show(end, intake.metrics.registry());
         }
         let intake = Arc::new(intake);
         let (contributions, roads) = (store.contributions(), store.roads());
+        let putter = network.putter();
+        let writer = config.folder.clone().map(|folder| {
+            let woken = intake.clone();
+            let write = move |road: &Road, content: Content| write(&folder, road, content);
+            Writer::start(write, move || woken.waiting.wake())
+        });
         let keeper = Keeper {
             store,
             intake: intake.clone(),
-            network: network.putter(),
-            folder: config.folder.clone(),
+            put: Box::new(move |key, payload| putter.put(key, payload)),
+            writer: writer.transpose()?,
+            due: BTreeSet::new(),
             started,
             publish: Duration::from_millis(config.publish_ms),
             save: Duration::from_millis(config.save_ms),
         };
-        let (sender, jobs) = mpsc::sync_channel(WAITING);
         let thread = thread::Builder::new().name("egp-map".to_owned());
-        let keeper = thread.spawn(move || keeper.run(&jobs))?;
-        network.declare(road_keys::ALL, move |query| intake.take(query, &sender))?;
-        tracing::info!(roads, contributions, "keeping a map");
-        Ok(Self {
+        let keeper = Some(thread.spawn(move || keeper.run())?);
+        let mut server = Self {
             network,
-            keeper: Some(keeper),
+            intake: intake.clone(),
+            keeper,
             _lock: lock,
-        })
+        };
+        let declared = server
+            .network
+            .declare(road_keys::ALL, move |query| intake.take(query));
+        declared?;
+        tracing::info!(roads, contributions, "keeping a map");
+        Ok(server)
     }
 
     /// Answers the queries that wait, writes what is not yet written, and closes.
@@ -139,7 +150,8 @@ impl MapServer {
         let Some(keeper) = self.keeper.take() else {
             return Ok(());
         };
-        self.network.undeclare(); // the sender goes with the intake, which ends the keeper
+        self.network.undeclare();
+        self.intake.waiting.close(); // which ends the keeper once it has answered what waits
         let unsaved = keeper.join();
         self.network.close();
         tracing::info!("map closed");

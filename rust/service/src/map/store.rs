@@ -10,6 +10,9 @@ use egp_wire::{Code, RoadTile, RoadTiles, TILES_AT_ONCE, TileOrigin, WireError};
 /// Lifetimes after which a contribution is forgotten: less than 1/64 nat of the largest is left then.
 const LIFETIMES: f64 = 6.5;
 
+/// Least time between two looks for evidence that is too old by vehicles that ask for room, s. A look reads the whole store.
+const EXPIRE: f64 = 1.0;
+
 /// How much a store keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MapLimits {
@@ -19,6 +22,8 @@ pub struct MapLimits {
     pub vehicles: usize,
     /// Tiles to which a vehicle contributes.
     pub tiles: usize,
+    /// Roads to which a vehicle contributes. Each changed road is a file to write.
+    pub roads: usize,
 }
 
 /// Why a contribution is not kept.
@@ -26,12 +31,19 @@ pub struct MapLimits {
 pub enum StoreError {
     /// The vehicle contributes to as many tiles as it may.
     #[error(
-        "the vehicle contributes to {0} tiles already, which is the limit; older ones are forgotten with time"
+        "the vehicle contributes to {0} tiles already, which is the limit; older ones are forgotten with time, and the \
+         operator of the map can raise `tiles`"
     )]
     Vehicle(usize),
+    /// The vehicle contributes to as many roads as it may.
+    #[error(
+        "the vehicle contributes to {0} roads already, which is the limit; give a road the same name each time; older ones \
+         are forgotten with time, and the operator of the map can raise `roads`"
+    )]
+    Roads(usize),
     /// The store is full.
     #[error(
-        "the map has {0} contributions, which is its limit; try again later, or start it with a larger --contributions"
+        "the map has {0} contributions, which is its limit; try again later; its operator can raise `contributions`"
     )]
     Full(usize),
     /// The evidence is too old to be of use.
@@ -49,7 +61,9 @@ impl From<StoreError> for WireError {
         const LATER_US: u32 = 60_000_000;
         match error {
             StoreError::Full(_) => Self::retryable(Code::Overloaded, LATER_US, error.to_string()),
-            StoreError::Vehicle(_) => Self::permanent(Code::Overloaded, error.to_string()),
+            StoreError::Vehicle(_) | StoreError::Roads(_) => {
+                Self::permanent(Code::Overloaded, error.to_string())
+            }
             StoreError::Old { .. } => Self::permanent(Code::TooLate, error.to_string()),
         }
     }
@@ -67,15 +81,25 @@ pub(crate) struct Contribution {
 pub(crate) type Road = (Name, Name);
 pub(crate) type Tiles = BTreeMap<u32, BTreeMap<Name, Contribution>>;
 
+/// How much a vehicle contributes.
+#[derive(Debug, Default)]
+struct Share {
+    tiles: usize,
+    /// The number of tiles of each road that has some.
+    roads: HashMap<Name, usize>,
+}
+
 /// The newest contribution of each vehicle to each tile.
 #[derive(Debug)]
 pub struct Store {
     merge: MergeSettings,
     limits: MapLimits,
     roads: BTreeMap<Road, Tiles>,
-    /// Number of contributions of each vehicle of each fleet.
-    counts: HashMap<(Name, Name), usize>,
+    /// How much each vehicle of each fleet contributes.
+    shares: HashMap<(Name, Name), Share>,
     total: usize,
+    /// Time of the last look for evidence that is too old.
+    expired: f64,
     changed: BTreeMap<Road, BTreeSet<u32>>,
     /// The roads that changed since their files were written.
     pub(crate) unsaved: BTreeSet<Road>,
@@ -88,8 +112,9 @@ impl Store {
             merge,
             limits,
             roads: BTreeMap::new(),
-            counts: HashMap::new(),
+            shares: HashMap::new(),
             total: 0,
+            expired: f64::NEG_INFINITY,
             changed: BTreeMap::new(),
             unsaved: BTreeSet::new(),
         }
@@ -102,8 +127,8 @@ impl Store {
 
     /// Keeps what a vehicle measured at the time `at` at the latest, in place of its earlier contribution to the tile.
     ///
-    /// A contribution older than the kept one of the same vehicle changes nothing. A tile with as many vehicles as it may
-    /// have forgets the oldest contribution.
+    /// A contribution older than the kept one of the same vehicle changes nothing. Of more vehicles than a tile may have, the
+    /// oldest contribution is not kept, whether it comes last or was there before.
     ///
     /// # Errors
     /// [`StoreError`]; the store is then unchanged, but for what it forgot because of its age.
@@ -125,11 +150,14 @@ impl Store {
             return Ok(());
         }
         if kept.is_none() {
+            if self.is_oldest(&road, index, at) {
+                return Ok(());
+            }
             self.make_room(key, &road, index, now)?;
-            *self
-                .counts
-                .entry((key.fleet.clone(), key.vehicle.clone()))
-                .or_default() += 1;
+            let own = (key.fleet.clone(), key.vehicle.clone());
+            let share = self.shares.entry(own).or_default();
+            share.tiles += 1;
+            *share.roads.entry(key.road.clone()).or_default() += 1;
             self.total += 1;
         }
         self.changed.entry(road.clone()).or_default().insert(index);
@@ -177,15 +205,16 @@ impl Store {
 
     /// Forgets what is too old to be of use; the tiles have then changed.
     pub fn expire(&mut self, now: f64) {
+        self.expired = now;
         let oldest = now - self.largest_age();
-        let (counts, total) = (&mut self.counts, &mut self.total);
+        let (shares, total) = (&mut self.shares, &mut self.total);
         let (changed, unsaved) = (&mut self.changed, &mut self.unsaved);
         self.roads.retain(|road, tiles| {
             tiles.retain(|index, vehicles| {
                 vehicles.retain(|vehicle, contribution| {
                     let keep = contribution.at >= oldest;
                     if !keep {
-                        forget(counts, total, &road.0, vehicle);
+                        forget(shares, total, road, vehicle);
                         changed.entry(road.clone()).or_default().insert(*index);
                         unsaved.insert(road.clone());
                     }
@@ -221,6 +250,26 @@ impl Store {
         LIFETIMES * self.merge.lifetime
     }
 
+    /// Whether a tile has as many vehicles as it may, whose contributions are all newer than `at`.
+    fn is_oldest(&self, road: &Road, index: u32, at: f64) -> bool {
+        let vehicles = self.roads.get(road).and_then(|tiles| tiles.get(&index));
+        vehicles.is_some_and(|vehicles| {
+            let full = vehicles.len() >= self.limits.vehicles;
+            full && vehicles.values().all(|kept| kept.at > at)
+        })
+    }
+
+    /// Why a vehicle may not contribute to a further tile of a road.
+    fn limited(&self, key: &RoadKey) -> Option<StoreError> {
+        let share = self.shares.get(&(key.fleet.clone(), key.vehicle.clone()))?;
+        let MapLimits { tiles, roads, .. } = self.limits;
+        if share.tiles >= tiles {
+            return Some(StoreError::Vehicle(tiles));
+        }
+        let new = !share.roads.contains_key(&key.road);
+        (new && share.roads.len() >= roads).then_some(StoreError::Roads(roads))
+    }
+
     /// Makes room for a further contribution, or errors if there is none.
     fn make_room(
         &mut self,
@@ -229,19 +278,12 @@ impl Store {
         index: u32,
         now: f64,
     ) -> Result<(), StoreError> {
-        let own = (key.fleet.clone(), key.vehicle.clone());
         let full = |store: &Self| store.total >= store.limits.contributions;
-        let limited = |store: &Self| {
-            store
-                .counts
-                .get(&own)
-                .is_some_and(|n| *n >= store.limits.tiles)
-        };
-        if full(self) || limited(self) {
+        if (full(self) || self.limited(key).is_some()) && now - self.expired >= EXPIRE {
             self.expire(now);
         }
-        if limited(self) {
-            return Err(StoreError::Vehicle(self.limits.tiles));
+        if let Some(error) = self.limited(key) {
+            return Err(error);
         }
         let vehicles = self
             .roads
@@ -253,7 +295,7 @@ impl Store {
                 .min_by(|(_, a), (_, b)| a.at.total_cmp(&b.at));
             if let Some(oldest) = oldest.map(|(vehicle, _)| vehicle.clone()) {
                 vehicles.remove(&oldest);
-                forget(&mut self.counts, &mut self.total, &key.fleet, &oldest);
+                forget(&mut self.shares, &mut self.total, road, &oldest);
             }
         }
         if full(self) {
@@ -264,18 +306,25 @@ impl Store {
 }
 
 fn forget(
-    counts: &mut HashMap<(Name, Name), usize>,
+    shares: &mut HashMap<(Name, Name), Share>,
     total: &mut usize,
-    fleet: &Name,
+    (fleet, road): &Road,
     vehicle: &Name,
 ) {
     *total -= 1;
     let own = (fleet.clone(), vehicle.clone());
-    if let Some(count) = counts.get_mut(&own) {
-        *count -= 1;
-        if *count == 0 {
-            counts.remove(&own);
+    let Some(share) = shares.get_mut(&own) else {
+        return;
+    };
+    share.tiles -= 1;
+    if let Some(tiles) = share.roads.get_mut(road) {
+        *tiles -= 1;
+        if *tiles == 0 {
+            share.roads.remove(road);
         }
+    }
+    if share.tiles == 0 {
+        shares.remove(&own);
     }
 }
 
@@ -298,6 +347,7 @@ mod tests {
             contributions: 10,
             vehicles: 10,
             tiles: 10,
+            roads: 10,
         };
         let mut store = Store::new(MergeSettings::default(), limits);
         let name = |text: &str| text.parse::<Name>().unwrap();

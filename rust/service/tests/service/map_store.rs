@@ -10,6 +10,7 @@ const LIMITS: MapLimits = MapLimits {
     contributions: 100,
     vehicles: 3,
     tiles: 50,
+    roads: 4,
 };
 const LIFETIME: f64 = 100.0;
 
@@ -110,6 +111,61 @@ fn a_further_vehicle_replaces_the_oldest_contribution() {
         ["a", "c", "d"]
     );
     assert_eq!(store.contributions(), 3);
+}
+
+#[test]
+fn evidence_that_is_older_than_that_of_all_others_replaces_none_of_it() {
+    // The same three are kept in whichever order the four come.
+    for order in ["abcd", "dcba", "acdb", "bdca"] {
+        let mut store = store();
+        for vehicle in order.split("").filter(|name| !name.is_empty()) {
+            let at = f64::from(vehicle.as_bytes()[0]);
+            store.add(&key(vehicle), 7, tile(1), at, 120.0).unwrap();
+        }
+        let kept = vehicles(&store.tiles(&key("x"), 0, 120.0), 0);
+        assert_eq!(kept, ["b", "c", "d"], "{order}");
+        assert_eq!(store.contributions(), 3);
+    }
+}
+
+#[test]
+fn a_vehicle_contributes_to_so_many_roads() {
+    let mut store = store();
+    let on = |vehicle: &str, road: &str| RoadKey {
+        road: road.parse().unwrap(),
+        ..key(vehicle)
+    };
+    for road in ["r1", "r2", "r3", "r4"] {
+        for index in [0, 1] {
+            store.add(&on("a", road), index, tile(1), 0.0, 0.0).unwrap();
+        }
+    }
+    let full = store.add(&on("a", "r5"), 0, tile(1), 0.0, 0.0).unwrap_err();
+    assert_eq!(full, StoreError::Roads(4));
+    let error = WireError::from(full);
+    assert!(!error.retryable && error.code == Code::Overloaded);
+    assert!(error.detail.contains("raise `roads`"), "{error}");
+    // Others, and further tiles of its own roads, are kept.
+    store.add(&on("b", "r5"), 0, tile(1), 0.0, 0.0).unwrap();
+    store.add(&on("a", "r4"), 2, tile(1), 600.0, 600.0).unwrap();
+    // The other three roads are forgotten.
+    store.add(&on("a", "r5"), 0, tile(1), 660.0, 660.0).unwrap();
+    assert_eq!((store.contributions(), store.roads()), (2, 2));
+}
+
+#[test]
+fn vehicles_that_ask_for_room_have_the_store_read_once_a_second() {
+    let mut store = store();
+    for index in 0..50 {
+        store.add(&key("a"), index, tile(1), 0.0, 0.0).unwrap();
+    }
+    let mut add = |now| store.add(&key("a"), 50, tile(1), now, now);
+    let full = Err(StoreError::Vehicle(50));
+    assert_eq!(add(649.5), full);
+    // What became too old at 650 s is forgotten at the next look.
+    assert_eq!((add(650.1), add(650.4)), (full.clone(), full));
+    assert_eq!(add(650.5), Ok(()));
+    assert_eq!(store.contributions(), 1);
 }
 
 #[test]

@@ -10,6 +10,7 @@ use crate::common::{Client, Outcome, first_request, free_endpoint, library_file,
 use egp_service::{ServiceConfig, check};
 use egp_testing::ports::free_port;
 use serde_json::Value;
+use zenoh::Wait as _;
 
 fn free_address() -> SocketAddr {
     ([127, 0, 0, 1], free_port()).into()
@@ -147,6 +148,51 @@ fn a_service_that_waits_for_its_router_is_alive_and_not_ready() {
     process.wait().unwrap();
     assert_eq!(health, (200, "ok\n".to_owned()));
     assert_eq!(ready, (503, "starting\n".to_owned()));
+}
+
+#[test]
+fn a_sighup_that_comes_while_the_service_waits_for_its_router_reloads_after_the_start() {
+    let (router, http) = (free_endpoint(), free_address());
+    let library = library_file("early.safetensors");
+    let config = library.with_extension("toml");
+    let text = format!(
+        "library = \"{}\"\nhttp = \"{http}\"\nlog = \"off\"\n[zenoh]\nmode = '\"client\"'\n\
+         \"listen/endpoints\" = '[]'\n\"connect/endpoints\" = '[\"{router}\"]'\n",
+        library.display()
+    );
+    std::fs::write(&config, text).unwrap();
+    let mut process = Command::new(env!("CARGO_BIN_EXE_egp-server"))
+        .arg("--config")
+        .arg(&config)
+        .spawn()
+        .unwrap();
+    let wait_for = |page: &str, words: &str| {
+        let late = Instant::now() + Duration::from_secs(60);
+        while !ask(http, "GET", page).is_ok_and(|(_, text)| text.contains(words)) {
+            assert!(Instant::now() < late, "{words} on {page}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    wait_for("/ready", "starting");
+    let pid = process.id().to_string();
+    let kill = Command::new("kill").args(["-HUP", &pid]).status();
+    assert!(kill.unwrap().success());
+    // The service looks for signals between its attempts, half a second apart; a later signal has its effect in any case.
+    std::thread::sleep(Duration::from_millis(1500));
+    let mut settings = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"router\"".to_owned()),
+        ("listen/endpoints", format!("[\"{router}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        settings.insert_json5(key, &value).unwrap();
+    }
+    let session = zenoh::open(settings).wait().unwrap();
+    wait_for("/ready", "ready\n");
+    wait_for("/metrics", "egp_reloads_total{outcome=\"same\"} 1");
+    process.kill().unwrap();
+    process.wait().unwrap();
+    drop(session);
 }
 
 #[test]

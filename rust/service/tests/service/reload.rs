@@ -169,6 +169,34 @@ fn sign(path: &Path, seed: u8) -> String {
 }
 
 #[test]
+fn a_signature_is_offered_as_the_last_reload_found_it() {
+    let (config, first) = config("resigned.safetensors", 40);
+    let beside = config.library.with_extension("safetensors.sig");
+    let _ = std::fs::remove_file(&beside);
+    let served = Libraries::load(&config).unwrap();
+    let offered = |id: &LibraryId| served.content(id).unwrap().signature;
+    let on_disk = || {
+        let text = std::fs::read_to_string(&beside).unwrap();
+        egp_wire::from_hex::<64>(text.trim())
+    };
+    assert_eq!(offered(&first), None);
+    sign(&config.library, 1);
+    assert_eq!(served.reload().unwrap(), Reloaded::Same(first));
+    assert!(on_disk().is_some());
+    assert_eq!(offered(&first), on_disk());
+    // Another library, and the first one again with another signature.
+    std::fs::remove_file(&beside).unwrap();
+    let second = replace(&config.library, 41);
+    assert_eq!(served.reload().unwrap(), Reloaded::Changed(second));
+    assert!(offered(&first).is_some() && offered(&second).is_none());
+    replace(&config.library, 40);
+    sign(&config.library, 2);
+    assert_eq!(served.reload().unwrap(), Reloaded::Changed(first));
+    assert_eq!(offered(&first), on_disk());
+    assert_eq!(offered(&second), None);
+}
+
+#[test]
 fn with_keys_only_signed_libraries_are_served() {
     let (mut config, first) = config("signed.safetensors", 30);
     let keys = config.library.with_extension("pub");
@@ -207,7 +235,7 @@ fn with_keys_only_signed_libraries_are_served() {
     assert_eq!(served.reload().unwrap(), Reloaded::Changed(second));
     std::fs::write(&keys, "# none\n").unwrap();
     let error = Libraries::load(&config).err().unwrap().to_string();
-    assert!(error.contains("expected 32 bytes"), "{error}");
+    assert!(error.contains("there is no public key in it"), "{error}");
     // A file of the vehicles' secret keys in place of that of the signers is not shown.
     std::fs::write(&keys, "# secret\ndefault/car-1 5ec2e7\n").unwrap();
     let error = Libraries::load(&config).err().unwrap().to_string();

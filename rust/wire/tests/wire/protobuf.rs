@@ -1,7 +1,9 @@
 //! Encodings that protobuf leaves to the writer of a message, and that a reader must therefore accept.
 
 use egp_testing::messages;
-use egp_wire::{Code, Invalid, MessageLimits, Reply, Request, WireError, proto};
+use egp_wire::{
+    Code, Invalid, MessageLimits, Reply, Request, Status, WireError, code_name, proto, status_name,
+};
 use prost::Message as _;
 use prost::encoding::{WireType, encode_key, encode_varint};
 
@@ -163,6 +165,22 @@ fn codes_are_spelled_in_lower_case() {
         (Code::Unspecified, "unspecified"),
     ] {
         assert_eq!(WireError::permanent(code, "").code_name(), name);
+    }
+}
+
+#[test]
+fn names_of_codes_and_statuses_are_those_of_the_schema() {
+    let codes: Vec<_> = (0..64).filter_map(|n| Code::try_from(n).ok()).collect();
+    assert_eq!(codes.len(), 11);
+    for code in codes {
+        let schema = code.as_str_name().strip_prefix("CODE_").unwrap();
+        assert_eq!(code_name(code), schema.to_ascii_lowercase());
+    }
+    let statuses: Vec<_> = (0..64).filter_map(|n| Status::try_from(n).ok()).collect();
+    assert_eq!(statuses.len(), 6);
+    for status in statuses {
+        let schema = status.as_str_name().strip_prefix("STATUS_").unwrap();
+        assert_eq!(status_name(status), schema.to_ascii_lowercase());
     }
 }
 
