@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 
 use crate::array::{KeptMatrix, KeptVector, Matrix, NewVector, Vector, fixed, rows, vector};
 use crate::error::{InvalidArgumentError, raise};
-use crate::gate::{configure, mode_name};
+use crate::gate::configure;
 use crate::traces::Tracing;
 use crate::wire::{Friction, matrix};
 
@@ -79,7 +79,7 @@ impl Decision {
         let reply = step.reply.as_ref();
         Ok(Self {
             u: vector(py, step.command.u).unbind(),
-            mode: mode_name(step.command.mode),
+            mode: step.command.mode.name(),
             limited: step.command.limited,
             status: step.outcome.name(),
             lost: lost.is_some(),
@@ -335,19 +335,13 @@ impl Driver {
     /// The mode of the gate.
     #[getter]
     fn mode(&self) -> &'static str {
-        mode_name(self.0.mode())
+        self.0.mode().name()
     }
 
     /// Weights of the newest reply (N,); empty before the first.
     #[getter]
     fn weights<'py>(&self, py: Python<'py>) -> NewVector<'py> {
         vector(py, self.0.weights().iter().copied())
-    }
-
-    /// Start the next request from these weights, and carry no history from now on.
-    fn hold_weights(&mut self, weights: Vector<'_>) {
-        self.0
-            .hold_weights(weights.as_array().iter().copied().collect());
     }
 
     /// Leave STOP and forget history, weights, plan and outstanding requests.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use egp_gate::{Limits, Mode};
+use egp_gate::Limits;
 use pyo3::prelude::*;
 
 use crate::error::{InvalidArgumentError, raise};
@@ -90,7 +90,7 @@ impl Gate {
         let [force, steering_rate] = command.u;
         Command {
             u: (force, steering_rate),
-            mode: mode_name(command.mode),
+            mode: command.mode.name(),
             limited: command.limited,
         }
     }
@@ -103,16 +103,6 @@ impl Gate {
     /// The mode of the last command.
     #[getter]
     fn mode(&self) -> &'static str {
-        mode_name(self.0.mode())
-    }
-}
-
-/// The mode's name in Python.
-pub fn mode_name(mode: Mode) -> &'static str {
-    match mode {
-        Mode::Normal => "normal",
-        Mode::Tail => "tail",
-        Mode::Stop => "stop",
-        Mode::Waiting => "waiting",
+        self.0.mode().name()
     }
 }

@@ -18,7 +18,6 @@ use pyo3::types::PyBytes;
 use crate::array::{Matrix, NewVector, Vector, vector};
 use crate::driver::{Decision, driver_config, measurement};
 use crate::error::{InvalidArgumentError, RefusedError, raise};
-use crate::gate::mode_name;
 use crate::parameters::VehicleParameters;
 use crate::wire::Replica;
 
@@ -202,7 +201,7 @@ impl InProcessDriver {
     /// The mode of the gate.
     #[getter]
     fn mode(&self) -> &'static str {
-        mode_name(self.driver.driver().mode())
+        self.driver.driver().mode().name()
     }
 
     /// Weights of the newest reply (N,); empty before the first.

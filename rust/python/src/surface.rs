@@ -107,8 +107,8 @@ struct OnPath<'a> {
 
 impl Friction for OnPath<'_> {
     fn surface(&self, position: [f64; 2]) -> Surface {
-        let projection = self.path.project(position, self.last.get());
-        self.last.set(Some(projection.s));
-        self.path.surface_beside(projection.s, projection.lateral)
+        let (surface, s) = self.path.surface_at(position, self.last.get());
+        self.last.set(Some(s));
+        surface
     }
 }

@@ -206,7 +206,7 @@ pub fn decode_reply(py: Python<'_>, data: &[u8]) -> PyResult<Reply> {
 pub fn decode_error(data: &[u8]) -> PyResult<Refusal> {
     let error = egp_wire::WireError::decode(data).map_err(raise)?;
     Ok(Refusal {
-        code: error.code_name(),
+        code: error.code_name().to_owned(),
         retryable: error.retryable,
         retry_after_us: error.retry_after_us,
         field: error.field,
