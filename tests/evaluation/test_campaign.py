@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from egp_service import EgpError
 from egp_service._core import write_library_subset
+from egp_service.evaluation import html
 from egp_service.evaluation.batch import finish
 from egp_service.evaluation.campaign import (
     Campaign,
@@ -27,7 +29,7 @@ from egp_service.evaluation.experiment import NOISE, Trial
 from egp_service.evaluation.experiments import EXPERIMENTS, OBSTACLE_AVOIDANCE
 from egp_service.evaluation.prediction import PredictionOutcome
 from egp_service.evaluation.settling import settling_times
-from egp_service.evaluation.statistics import Interval, grouped, mean, median, wilson
+from egp_service.evaluation.statistics import Interval, grouped, mean, median, student_95, wilson
 from egp_service.shipped import EVALUATION_LIBRARY as SHIPPED
 from egp_service.simulation.scenario import (
     Scenario,
@@ -42,6 +44,8 @@ from outcome_example import OUTCOME
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 BEND = Scenario(
     name="bend",
@@ -119,6 +123,22 @@ def test_a_folder_belongs_to_one_library(tmp_path: Path) -> None:
     write_library_subset(SHIPPED, other, [0, 1])
     with pytest.raises(EgpError, match="another library"):
         Campaign(tmp_path, other)
+
+
+def test_a_changed_python_file_is_another_build(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "package" / "evaluation" / "campaign.py"
+    source.parent.mkdir(parents=True)
+    source.write_text("", encoding="utf-8")
+    monkeypatch.setattr("egp_service.evaluation.campaign.__file__", str(source))
+    found = [Campaign(tmp_path / "runs", SHIPPED).of_another_build for _ in range(2)]
+    source.with_name("other.py").write_text("", encoding="utf-8")
+    added = Campaign(tmp_path / "runs", SHIPPED).of_another_build
+    source.with_name("other.py").unlink()
+    source.write_text("changed = True\n", encoding="utf-8")
+    changed = Campaign(tmp_path / "runs", SHIPPED).of_another_build
+    assert [*found, added, changed] == [False, False, True, True]
 
 
 def test_runs_of_another_build_are_told(tmp_path: Path) -> None:
@@ -297,6 +317,47 @@ def test_intervals() -> None:
     assert mean([0.0, 0.0, 0.0, 4.0]).value == 1.0
     interval = median(np.arange(101.0))
     assert interval.low < interval.value == 50.0 < interval.high
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3, 4, 19, 100, 999])
+def test_intervals_are_those_of_students_distribution(freedom: int) -> None:
+    assert student_95(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=1e-12)
+
+
+# As `expanded` states; the percentiles of 2.5 and 97.5 % cover the mean of five in 0.84.
+@pytest.mark.parametrize(
+    ("statistic", "count", "cover"),
+    [(mean, 3, 0.75), (mean, 5, 0.92), (mean, 10, 0.95), (median, 5, 0.93), (median, 10, 0.96)],
+)
+def test_intervals_of_few_values_cover_what_is_stated(
+    statistic: Callable[[NDArray[np.float64]], Interval], count: int, cover: float
+) -> None:
+    samples = np.random.default_rng(count).standard_normal((1000, count))
+    found = [statistic(sample) for sample in samples]
+    inside = np.mean([one.low <= 0.0 <= one.high for one in found])
+    # Standard errors of 1000 samples: at most 0.014, and 0.009 from five values on.
+    assert inside == pytest.approx(cover, abs=0.03)
+
+
+def test_one_value_has_no_interval() -> None:
+    one = mean([0.25])
+    assert one.value == median([0.25]).value == 0.25
+    assert math.isnan(one.low)
+    assert math.isnan(one.high)
+    assert one.text("+.1f") == "+0.2"
+    assert mean([0.5, 0.5]).text(".1f", " to ") == "0.5 (0.5 to 0.5)"
+    assert html.interval(one) == "0.250"
+
+
+def test_the_best_caution_is_said_to_be_the_best_of_several() -> None:
+    times = {ENSEMBLE: 0.5, "caution 1": 0.05, "caution 2": 0.2}
+    runs = [
+        replace(outcome(name, 0), experiment="narrow-track", off_track=time)
+        for name, time in times.items()
+    ]
+    (claim,) = (claim for claim in check(runs, []) if "narrow" in claim.text)
+    assert claim.holds
+    assert "0.05 s with caution 1, the best of 2 by the same runs" in claim.evidence
 
 
 @pytest.mark.parametrize(

@@ -157,6 +157,10 @@ def test_differences_are_paired_by_seed() -> None:
     # The residual takes a part of what the undisturbed members lack.
     found += runs(FIRST, ENSEMBLE + ELSEWHERE + WITH_RESIDUAL, 0.0012)
     assert rows(found) == [(*gains, "+0.80 (+0.80 to +0.80)")]
+    # One pair has no interval, and decides nothing.
+    one = [o for o in found if o.seed == 0]
+    assert rows(one) == [(FIRST, "+0.50", "+2.00", "+0.80")]
+    assert not compare(one, ENSEMBLE, FITTED)[0].closer
     # Where one of the two completes no run, there is no pair.
     none = [replace(o, completed=False) if o.contender == FITTED else o for o in found]
     ((_, text, *_),) = rows(none)

@@ -218,7 +218,8 @@ def test_errors_for_logs_that_cannot_be_compared(exact: Dataset) -> None:
 def test_the_command_prints_tables_and_draws(exact: Dataset, tmp_path: Path) -> None:
     rows = exact.trajectory < 12
     measured = measure(exact.select(rows), Sensors(), np.random.default_rng(0))
-    measured.write(tmp_path / "dry.parquet")
+    named = dataclasses.replace(measured.provenance, surface="dry/new")
+    dataclasses.replace(measured, provenance=named).write(tmp_path / "dry.parquet")
     car = known_vehicle("commonroad-1")
     (tmp_path / "car.toml").write_text(dumps(car.fields()), encoding="utf-8")
     arguments = ["evaluate", "--log", str(tmp_path / "dry.parquet"), "-o", str(tmp_path / "out")]
@@ -226,7 +227,30 @@ def test_the_command_prints_tables_and_draws(exact: Dataset, tmp_path: Path) -> 
     assert result.exit_code == 0, result.output
     for text in ("white noise", "no change", "linear", "95 % intervals", "the fitted vehicle"):
         assert text in result.output
-    assert (tmp_path / "out" / "dry.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "out" / "dry-new.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("output", "labels", "complaint"),
+    [
+        ("/proc", ("wet",), "/proc/wet.png: no file can be written there"),
+        ("out", ("a/b", "a b"), "give the same name of a picture: import each with its own"),
+    ],
+)
+def test_pictures_that_cannot_be_written_are_an_error_before_training(
+    exact: Dataset, tmp_path: Path, output: str, labels: tuple[str, ...], complaint: str
+) -> None:
+    arguments = ["evaluate", "-o", str(tmp_path / output)]
+    for number, label in enumerate(labels):
+        path = tmp_path / f"{number}.parquet"
+        named = dataclasses.replace(exact.provenance, surface=label)
+        dataclasses.replace(exact, provenance=named).write(path)
+        arguments += ["--log", str(path)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("egp_service.cli.logs.evaluate_logs", lambda *_: [])
+        result = CliRunner().invoke(app, arguments)
+    assert isinstance(result.exception, EgpError), result.output
+    assert complaint in str(result.exception)
 
 
 @pytest.fixture(scope="module")

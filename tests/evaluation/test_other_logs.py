@@ -13,8 +13,8 @@ from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.experiment import Experiment
 from egp_service.data.sensors import Sensors, measure
 from egp_service.evaluation.log_figures import draw_log
-from egp_service.evaluation.logs import OTHER, LogOutcome, evaluate_logs
-from egp_service.training.open_loop import NO_CHANGE
+from egp_service.evaluation.logs import OTHER, OURS, LogOutcome, evaluate_logs
+from egp_service.training.open_loop import NO_CHANGE, skill
 from egp_service.training.train import TrainingSettings
 from egp_service.vehicle import known_vehicle
 
@@ -49,6 +49,20 @@ def outcomes() -> dict[str, LogOutcome]:
     ]
     found = evaluate_logs(logs, known_vehicle("commonroad-1"), SETTINGS)
     return {outcome.name: outcome for outcome in found}
+
+
+def test_a_log_without_a_duration_to_compare_is_drawn(
+    outcomes: dict[str, LogOutcome], tmp_path: Path
+) -> None:
+    outcome = outcomes["wet"]
+    slow = dataclasses.replace(
+        outcome.member.validation, z=outcome.member.validation.z * [0.1, 1, 1, 1, 1, 1]
+    )
+    member = dataclasses.replace(outcome.member, validation=slow)
+    compared = skill({OURS: member.predict_mean}, slow)
+    assert compared.durations == ()
+    draw_log(dataclasses.replace(outcome, member=member, skill=compared), tmp_path / "wet.png")
+    assert (tmp_path / "wet.png").exists()
 
 
 @pytest.mark.parametrize(("name", "other"), [("dry", "dry elsewhere"), ("dry elsewhere", "dry")])
@@ -90,13 +104,16 @@ def test_the_picture_names_the_members_whose_weights_it_shows(
     outcomes: dict[str, LogOutcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[Figure] = []
+    picture = tmp_path / "wet.png"
 
     def keep(figure: Figure, path: Path, **_: object) -> None:
         drawn.append(figure)
+        assert path != picture, "an interruption would leave half of a picture"
         path.touch()
 
     monkeypatch.setattr(Figure, "savefig", keep)
-    draw_log(outcomes["wet"], tmp_path / "wet.png")
+    draw_log(outcomes["wet"], picture)
+    assert picture.exists()
     axes = drawn[0].axes[-1]
     assert axes.get_title() == "weights of other members"
     legend = axes.get_legend()

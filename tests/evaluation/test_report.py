@@ -6,9 +6,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
+from matplotlib.figure import Figure
 
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
+from egp_service.evaluation.experiments import EXPERIMENTS
+from egp_service.evaluation.figures import draw_scaling
+from egp_service.evaluation.scaling import StepTime
 from egp_service.evaluation.summary_report import HEADLINE, headline, write_report
 from outcome_example import OUTCOME
 
@@ -74,6 +78,55 @@ def test_terminal_and_report_have_the_same_best_baseline(
     report = report_of(outcomes, tmp_path).read_text(encoding="utf-8")
     cells = "".join(f"<td>{cell}</td>" for cell in row)
     assert f"<tr>{cells}</tr>" in report
+
+
+@pytest.mark.parametrize(
+    ("experiment", "best"),
+    [
+        ("varying-speed", "fitted single-track"),
+        ("narrow-track", None),
+        ("disturbances", "fitted single-track, undisturbed data"),
+    ],
+)
+def test_variants_of_the_ensemble_are_no_baselines(experiment: str, best: str | None) -> None:
+    (chosen,) = (e for e in EXPERIMENTS if e.name == experiment)
+    # Among the baselines the last one is the closest; variants are closer than all of them.
+    found = [
+        outcome(experiment, c.name, 0.001 if c.variant else 0.1 / (1 + number))
+        for number, c in enumerate(chosen.contenders)
+    ]
+    assert any(c.variant for c in chosen.contenders)
+    (row,) = headline(found)
+    cell = dict(zip(HEADLINE, row, strict=True))["best baseline"]
+    assert cell == "-" if best is None else cell.endswith(f" m {best}")
+
+
+def test_a_variant_that_is_closer_breaks_the_claim_about_other_controllers(
+    outcomes: list[Outcome],
+) -> None:
+    def claimed(found: list[Outcome]) -> tuple[bool | None, str]:
+        (claim,) = (c for c in check(found, []) if c.text.startswith("No other controller but"))
+        return claim.holds, claim.evidence
+
+    where = "varying-speed, 95% of grip"
+    assert claimed(outcomes) == (False, f"{where}: {BASELINE}; {where}: forward Euler")
+    # One run of each has no interval.
+    assert claimed([one for one in outcomes if one.seed == 0]) == (True, "in none")
+
+
+def test_a_picture_is_whole_or_as_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "step-times.png"
+    times = [StepTime("egp", members, 0.1, 0.2) for members in (1, 2)]
+    drawn = draw_scaling(times, path).read_bytes()
+
+    def interrupted(_: Figure, path: Path, **_options: object) -> None:
+        path.write_bytes(drawn[:100])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Figure, "savefig", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        draw_scaling(times, path)
+    assert path.read_bytes() == drawn
 
 
 def test_a_claim_without_data_neither_holds_nor_fails(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ from egp_service.training.open_loop import (
     student_scale,
 )
 from egp_service.training.sparse import average_targets, posterior_mean
-from egp_service.training.train import TrainingSettings, split, train
+from egp_service.training.train import TrainingSettings, split, train, train_parts
 from egp_service.training.validation import member_skill
 
 if TYPE_CHECKING:
@@ -226,6 +226,54 @@ def test_blocks_are_whole_and_spread() -> None:
     assert len(rest) + len(held) == len(surface())
     first, _ = split(surface(trajectories=4), 0.3, np.random.default_rng(0))
     assert len(np.unique(hold_out(first)[1].trajectory)) == 1
+
+
+def slow_but_in(trajectories: list[int]) -> Dataset:
+    """Return ten trajectories, of which those that are not listed are below 5 m/s."""
+    data = surface(trajectories=10)
+    slow = ~np.isin(data.trajectory, trajectories)
+    return dataclasses.replace(data, z=np.where(slow[:, None], [0.15, 1, 1, 1, 1, 1], 1) * data.z)
+
+
+@pytest.mark.parametrize(
+    ("moving", "held"),
+    [
+        ([4], [4, 9]),
+        ([0, 1, 9], [4, 9]),
+        ([0, 2, 7], [7]),  # none of the usual ones moves
+        ([2], [4, 9]),  # what is left to train on would not move
+        ([], [4, 9]),
+    ],
+)
+def test_a_trajectory_that_moves_is_held_out(moving: list[int], held: list[int]) -> None:
+    assert np.unique(hold_out(slow_but_in(moving))[1].trajectory).tolist() == held
+
+
+def constant_inside(data: Dataset) -> Dataset:
+    """Return data whose steering rate changes in the trajectories only that are held out."""
+    out = np.isin(data.trajectory, hold_out(data)[1].trajectory)
+    return dataclasses.replace(data, z=np.where(out[:, None], 1, [1, 1, 1, 1, 1, 0]) * data.z)
+
+
+@pytest.mark.parametrize(
+    ("second", "complaint"),
+    [
+        (slow_but_in([2]), r"surface mu 0\.5: models are compared .* above 5 m/s"),
+        (surface(trajectories=1), r"surface mu 0\.5 has one trajectory"),
+        (constant_inside(surface(trajectories=10)), r"surface mu 0\.5: delta_dot never changes"),
+    ],
+)
+def test_data_that_allow_no_choice_are_an_error_before_training(
+    second: Dataset, complaint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fit(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr("egp_service.training.train.fit_vehicle", fit)
+    parts = [(surface(1.1), surface(1.1)), (second, second)]
+    rngs = [np.random.default_rng(number) for number in range(2)]
+    with pytest.raises(EgpError, match=complaint):
+        train_parts(parts, SETTINGS, vehicle=TOY, rngs=rngs)
 
 
 def test_a_log_too_short_for_a_choice_is_an_error_that_says_how_long_it_must_be() -> None:

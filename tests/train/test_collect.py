@@ -122,5 +122,26 @@ def test_refuses_what_is_not_there() -> None:
         collect(WET, CollectionSettings(tracks=("moon",), runs=1), jobs=1)
     with pytest.raises(EgpError, match="nothing to collect"):
         CollectionSettings(runs=0, samples=0)
-    with pytest.raises(EgpError):
-        collect(Experiment(friction=0.5, label="wet", vehicle=9), SHORT, jobs=1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"vehicle": 9}, "one of the CommonRoad vehicles"),
+        ({"vehicle": [1]}, r"vehicle \[1\] .*: expected a coefficient"),
+        ({"vehicle": 10**30}, "whole numbers as seed and vehicle"),
+        ({"friction": [0.5]}, r"friction \[0.5\], .*: expected a coefficient"),
+        ({"friction": "mud"}, "no surface"),
+        ({"friction": 0.0}, "expected a friction coefficient"),
+        ({"friction": 3.5}, "expected a coefficient between 0 and 3"),
+        ({"dt": 0.0}, "dt is 0.0 s: expected a period"),
+        ({"dt": "0.02"}, "a period in s"),
+        ({"label": ""}, "the surface label is empty"),
+        ({"label": ["wet"]}, r"surface is \['wet'\]: expected a text"),
+    ],
+)
+def test_an_experiment_is_checked_when_it_is_made(
+    changes: dict[str, object], complaint: str
+) -> None:
+    with pytest.raises(EgpError, match=complaint):
+        Experiment(**({"friction": 0.5, "label": "wet"} | changes))  # type: ignore[arg-type]

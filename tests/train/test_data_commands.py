@@ -16,6 +16,9 @@ from egp_service.control.toml_text import dumps
 from egp_service.training.recipe import Recipe
 from egp_service.vehicle import check_limits, known_vehicle
 
+# A recipe of two surfaces, of which the second one is left open.
+TWO = '[[surface]]\nlabel = "wet"\nfriction = 0.5\n[[surface]]\nlabel = "{}"\n{}\n'
+
 
 def failure(*arguments: str) -> str:
     """Run a command that must fail with an `EgpError`, and return its message."""
@@ -112,6 +115,15 @@ def test_a_recipe_states_what_options_would(tmp_path: Path) -> None:
         ("[collection.exploration]\nseconds = -3.0", "seconds is -3.0: expected 0.1 to 3600"),
         ("[collection.exploration]\nepisodes = 0", "episodes is 0: expected 1 to 100000"),
         ("[collection.exploration]\narrivals = 3.0", "arrivals is 3.0: expected 0 to 1"),
+        ("surface = []  # [[surface]]", "no surfaces: add a table"),
+        (TWO.format("wet", "friction = 0.3"), "frictions 0.5 and 0.3 share a surface label, 'wet'"),
+        (TWO.format("ice", "friction = 0.3\ndt = 0.04"), ".*: one library has one dt and one"),
+        (TWO.format("ice", "friction = 0.3\nvehicle = 2"), ".*: one library has one dt and one"),
+        (TWO.format("wet", "friction = 0.5"), "surface 'wet' with seed 0 is stated twice"),
+        (TWO.format("ice", "friction = [0.3]"), "surface 'ice' has friction .*: expected a coeff"),
+        (TWO.format("ice", "friction = -0.3"), "expected a friction coefficient > 0, got -0.3"),
+        (TWO.format("ice", "friction = 0.3\ndt = 2.0"), "dt is 2.0 s: expected a period of"),
+        (TWO.format("", "friction = 0.3"), "the surface label is empty"),
     ],
 )
 def test_values_of_a_recipe_have_ranges(tmp_path: Path, text: str, complaint: str) -> None:
@@ -143,6 +155,16 @@ def test_a_library_that_cannot_be_written_is_an_error_before_training(tmp_path: 
     surface(trajectories=2).write(tmp_path / "wet.parquet")
     told = failure("train", str(tmp_path / "wet.parquet"), "-o", "/proc/library.safetensors")
     assert "/proc/library.safetensors: no file can be written there" in told
+
+
+def test_a_dataset_that_cannot_be_written_is_an_error_before_it_is_collected(
+    tmp_path: Path,
+) -> None:
+    told = failure("collect", "--friction", "0.5", "-o", "/proc/data.parquet")
+    assert "/proc/data.parquet: no file can be written there" in told
+    log = options(tmp_path / "log.csv", plant_log())
+    (tmp_path / "log.csv").unlink()
+    assert "no file can be written" in failure("collect", *log, "-o", "/proc/data.parquet")
 
 
 def test_a_picture_has_an_ending_that_can_be_drawn(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def test_not_every_name_of_a_wide_table_is_shown(tmp_path: Path) -> None:
     with pytest.raises(EgpError, match=r"has the columns c0, .*, c19 and 30 others$"):
         import_log(path, {}, provenance())
     with pytest.raises(EgpError, match=r"no column 'time', found c0, .*, c19 and 30 others$"):
-        import_log(path, COLUMNS, provenance())
+        import_log(path, COLUMNS, provenance(), mass=MASS)
 
 
 def test_a_parquet_file_may_be_named_in_capitals(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from surfaces import provenance
 
 from egp_service import EgpError
 from egp_service.data import plausibility
-from egp_service.data.log_import import import_log
+from egp_service.data.log_import import Column, import_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,6 +30,25 @@ def test_a_wheelbase_that_cannot_be_is_named_before_the_log_is_read(
 ) -> None:
     with pytest.raises(EgpError, match="expected a positive wheelbase in m"):
         import_log(tmp_path / "absent.csv", COLUMNS, provenance(), wheelbase=wheelbase)
+
+
+@pytest.mark.parametrize("file", ["absent.csv", "absent.mcap"])
+@pytest.mark.parametrize(
+    ("changes", "mass", "complaint"),
+    [
+        ({}, None, "mass in kg .*: state --mass"),
+        ({"v_x": Column("speed", "rad")}, MASS, "v_x from 'speed': rad is not a unit of v_x"),
+        ({"slip": Column("slip", "rad")}, MASS, "unknown quantity 'slip': expected time, v_x"),
+    ],
+)
+def test_wrong_columns_are_named_before_the_log_is_read(
+    tmp_path: Path, file: str, changes: dict[str, Column], mass: float | None, complaint: str
+) -> None:
+    columns = COLUMNS | changes
+    if file.endswith(".mcap"):
+        columns.pop("time")
+    with pytest.raises(EgpError, match=complaint):
+        import_log(tmp_path / file, columns, provenance(), mass=mass)
 
 
 def test_a_straight_road_is_no_stuck_sensor() -> None:
@@ -120,3 +139,46 @@ def test_a_vehicle_that_mostly_stands_does_not_move_sideways() -> None:
     log["v_x"] -= 8.0 * np.exp(-log["time"])  # starts from standstill
     log["time"] += 0.02 * rest
     check({name: np.concatenate([standing[name], log[name]]) for name in log})
+
+
+def pieces(*speeds: float, seconds: float = 10.0, pause: float = 60.0) -> Log:
+    """Return drives from given speeds, m/s, with pauses in which nothing is recorded."""
+    t = np.arange(0.0, seconds, 0.02)
+    omega = 0.1 * np.sin(0.8 * t)
+    parts = []
+    for number, speed in enumerate(speeds):
+        v_x = speed + 2.0 * np.sin(0.7 * t)
+        columns = (number * (seconds + pause) + t, v_x, 0.1 * omega, omega, 2.7 * omega / v_x)
+        parts.append(np.array([*columns, 1.4 * np.cos(0.7 * t) - 0.1 * omega**2]))
+    return dict(zip(COLUMNS, np.hstack(parts), strict=True))
+
+
+def test_speeds_on_both_sides_of_a_pause_are_not_compared() -> None:
+    log = pieces(*(8.0, 25.0, 12.0, 30.0) * 2)
+    log["F_x"] = MASS * log.pop("a_x")
+    columns = COLUMNS | {"F_x": COLUMNS["a_x"]}
+    plausibility.check(log, columns, MASS)
+    log["F_x"] = -log["F_x"]
+    with pytest.raises(EgpError, match="slows down when it accelerates"):
+        plausibility.check(log, columns, MASS)
+
+
+def test_the_same_value_on_both_sides_of_a_pause_is_no_stuck_sensor() -> None:
+    log = pieces(10.0, 10.0, seconds=4.0)
+    log["v_x"] = np.full_like(log["time"], 10.0)  # of a sensor with steps of 1 m/s
+    log["a_x"] = 0.4 * np.sign(log["time"] - 30.0)
+    check(log)
+    # Without the pause the acceleration says that the speed has changed.
+    log["time"] = np.linspace(0.0, 7.98, len(log["time"]))
+    with pytest.raises(EgpError, match=r"'v_x' stays at 10 .* 8 s"):
+        check(log)
+
+
+@pytest.mark.parametrize("quantity", ["v_x", "v_y", "omega", "delta", "a_x"])
+def test_pauses_do_not_hide_a_stuck_sensor(quantity: str) -> None:
+    log = plant_log()
+    log["time"] += 60.0 * (np.arange(1500) // 150)  # a pause after every 3 s
+    check(log)
+    log[quantity][500:900] = log[quantity][500]
+    with pytest.raises(EgpError, match=f"'{quantity}' stays at .* 8 s"):
+        check(log)

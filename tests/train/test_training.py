@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from surfaces import NOISE, TOY, provenance, surface
 
 from egp_service import EgpError
@@ -225,7 +226,10 @@ def test_a_library_states_the_noise_of_the_logs_it_was_trained_on(
 
 
 def test_matrix_is_best_on_the_diagonal(
-    members: list[TrainedMember], library_path: Path, tmp_path: Path
+    members: list[TrainedMember],
+    library_path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     held_out = {member.dataset.provenance.surface: member.validation for member in members}
     matrix = validate(Library.load(library_path), held_out)
@@ -236,8 +240,19 @@ def test_matrix_is_best_on_the_diagonal(
         assert np.all(own.rmse[:2] < other.rmse[:2])
         assert np.all(own.rmse > 0.9 * NOISE)
         assert np.all(own.coverage > 0.85)
-    draw_validation(matrix, tmp_path / "matrix.png")
-    assert (tmp_path / "matrix.png").read_bytes().startswith(b"\x89PNG")
+    picture = tmp_path / "matrix.png"
+    draw_validation(matrix, picture)
+    drawn = picture.read_bytes()
+    assert drawn.startswith(b"\x89PNG")
+
+    def interrupted(_: Figure, path: Path, **_options: object) -> None:
+        path.write_bytes(drawn[:100])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Figure, "savefig", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        draw_validation(matrix, picture)
+    assert picture.read_bytes() == drawn
 
 
 def test_matrix_refuses_another_period(library_path: Path) -> None:

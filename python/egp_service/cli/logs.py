@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from egp_service._core import EgpError
+from egp_service.cli.options import check_writable
 from egp_service.cli.progress import fitting
 from egp_service.cli.tables import (
     MOTION_NAMES,
@@ -14,6 +16,7 @@ from egp_service.cli.tables import (
     vehicle_table,
 )
 from egp_service.data.dataset import Dataset
+from egp_service.evaluation.file_names import file_name
 from egp_service.evaluation.log_figures import draw_log
 from egp_service.evaluation.logs import LAST_CHANGE, OURS, LogOutcome, evaluate_logs
 from egp_service.training.train import TrainingSettings
@@ -32,17 +35,25 @@ def evaluate_on(console: Console, logs: Sequence[Path], vehicle: Path | None, ou
     """Evaluate the datasets `logs`, print tables, and draw one picture for each in `output`.
 
     Raises:
-        EgpError: if a file is not readable or training fails.
+        EgpError: if a file is not readable, a picture cannot be written, or training fails.
 
     """
     datasets = [Dataset.read(path) for path in logs]
     car = None if vehicle is None else read_vehicle(vehicle)
+    # Files that cannot be written are found before the minutes that training takes.
+    output.mkdir(parents=True, exist_ok=True)
+    pictures = [output / f"{file_name(data.provenance.surface)}.png" for data in datasets]
+    if len(set(pictures)) < len(pictures):
+        raise EgpError(
+            "the surfaces of two logs give the same name of a picture: import each with its own "
+            "--surface"
+        )
+    check_writable(*pictures)
     with fitting(console) as report:
         outcomes = evaluate_logs(datasets, car, TrainingSettings(mean="best"), report)
-    output.mkdir(parents=True, exist_ok=True)
-    for outcome in outcomes:
+    for outcome, picture in zip(outcomes, pictures, strict=True):
         _show(console, outcome)
-        picture = draw_log(outcome, output / f"{outcome.name}.png")
+        draw_log(outcome, picture)
         console.print(f"Look at {picture}", markup=False, highlight=False)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Annotated
 
 import typer
@@ -34,6 +35,25 @@ def check_unused(options: Mapping[str, object], reason: str) -> None:
     """
     if given := [name for name, value in options.items() if value]:
         raise EgpError(f"{', '.join(given)} {reason}")
+
+
+def check_writable(*files: Path | None) -> None:
+    """Errors if a file that a command will write cannot be written, or is a folder.
+
+    Raises:
+        EgpError: naming the file.
+
+    """
+    for file in files:
+        if file is None:
+            continue
+        if file.is_dir() or not file.absolute().parent.is_dir():
+            raise EgpError(f"{file}: expected a file in a folder that exists")
+        try:
+            with TemporaryFile(dir=file.absolute().parent):
+                pass
+        except OSError as error:
+            raise EgpError(f"{file}: no file can be written there ({error.strerror})") from error
 
 
 def check_outputs(inputs: Iterable[Path | None], *outputs: Path | None) -> None:

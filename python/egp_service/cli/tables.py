@@ -9,8 +9,9 @@ from rich.markup import escape
 
 from egp_service.cli.narrow_table import NarrowTable
 from egp_service.data.alignment import Delays
+from egp_service.data.channels import MOVING
 from egp_service.quantities import GP_OUTPUT, MOTION, STATE
-from egp_service.training.open_loop import MOVING, NO_CHANGE
+from egp_service.training.open_loop import NO_CHANGE
 from egp_service.training.validation import ROLLOUT
 
 if TYPE_CHECKING:
@@ -181,7 +182,7 @@ def delay_sentence(delays: Delays | None) -> str:
     if delays is None:
         return "the data are simulated: inputs are used as they are"
     if delays == Delays():
-        return "the log tells no delay: its inputs are used as they are"
+        return "no delay was found in the log: its inputs are used as they are"
     moved = (
         f"inputs are moved before training: steering by {delays.measurement:+.3f} s, because the "
         f"measured states are late, and the force by {delays.force:+.3f} s"

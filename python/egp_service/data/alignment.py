@@ -84,5 +84,4 @@ def align(dataset: Dataset, delays: Delays) -> Dataset:
 
 def consecutive(dataset: Dataset) -> list[NDArray[np.int64]]:
     """Return the rows of each run of consecutive transitions of a trajectory."""
-    follows = (np.diff(dataset.trajectory) == 0) & (np.diff(dataset.step.astype(np.int64)) == 1)
-    return np.split(np.arange(len(dataset)), np.flatnonzero(~follows) + 1)
+    return np.split(np.arange(len(dataset)), np.flatnonzero(~dataset.follows) + 1)

@@ -14,11 +14,13 @@ if TYPE_CHECKING:
 
     from egp_service.data.dataset import Dataset
 
+MOVING: Final = 5.0
+"""Least speed, m/s, of transitions that count: slip angles mean little below it."""
+MAD: Final = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 _ORDER: Final = 4
 # Sum of the squared coefficients 1, -4, 6, -4, 1 of the fourth difference.
 _GAIN: Final = 70.0
-_MAD: Final = 1.4826
-_MOVING: Final = 5.0  # m/s
 _LONGEST: Final = 1.0  # s
 _SAME: Final = 1e-9  # m/s and rad/s; differences between a state and its sum by rounding
 V_X, _, OMEGA, DELTA, FORCE, _ = range(len(GP_INPUT))
@@ -50,7 +52,7 @@ def channels(dataset: Dataset) -> Channels:
     """
     dt = dataset.provenance.dt
     z, y = dataset.z, dataset.y
-    pairs = (dataset.trajectory[1:] == dataset.trajectory[:-1]) & (z[1:, V_X] > _MOVING)
+    pairs = (dataset.trajectory[1:] == dataset.trajectory[:-1]) & (z[1:, V_X] > MOVING)
     before, after = y[:-1][pairs], y[1:][pairs]
     correlation = np.array([_correlation(before[:, o], after[:, o]) for o in range(NY)])
     return Channels(
@@ -69,13 +71,13 @@ def _noise(dataset: Dataset) -> NDArray[np.float64]:
     states, y = dataset.z[:, :NY], dataset.y + dataset.by_gravity
     apart = dataset.step[_ORDER:].astype(np.int64) - dataset.step[:-_ORDER]
     whole = (dataset.trajectory[_ORDER:] == dataset.trajectory[:-_ORDER]) & (apart == _ORDER)
-    whole &= states[_ORDER:, V_X] > _MOVING
+    whole &= states[_ORDER:, V_X] > MOVING
     chained = np.all(np.isclose(states[1:], states[:-1] + y[:-1], rtol=0.0, atol=_SAME), axis=1)
     whole &= np.lib.stride_tricks.sliding_window_view(chained, _ORDER).all(axis=1)
     fourth = np.diff(states, n=_ORDER, axis=0)[whole]
     if len(fourth) == 0:
         return unknown
-    return np.asarray(_MAD * np.median(np.abs(fourth), axis=0) / np.sqrt(_GAIN))
+    return np.asarray(MAD * np.median(np.abs(fourth), axis=0) / np.sqrt(_GAIN))
 
 
 def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
@@ -92,7 +94,7 @@ def _lag(dataset: Dataset, cause: NDArray[np.float64], effect: NDArray[np.float6
     longest = round(_LONGEST / dataset.provenance.dt)
     rows = np.arange(longest, len(cause) - longest)
     inside = (dataset.trajectory[rows - longest] == dataset.trajectory[rows + longest]) & (
-        dataset.z[rows, V_X] > _MOVING
+        dataset.z[rows, V_X] > MOVING
     )
     rows = rows[inside]
     if len(rows) == 0:

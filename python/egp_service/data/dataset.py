@@ -130,6 +130,12 @@ class Dataset:
         return len(self.z)
 
     @property
+    def follows(self) -> NDArray[np.bool_]:
+        """Whether each transition but the first (n - 1,) continues the one before it."""
+        following = np.diff(self.step.astype(np.int64)) == 1
+        return np.asarray((np.diff(self.trajectory) == 0) & following)
+
+    @property
     def by_gravity(self) -> NDArray[np.float64]:
         """Changes (n, 3) of `[v_x, v_y, omega]` by gravity along the tilted road, not part of `y`.
 
@@ -290,15 +296,15 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
     )
 
 
-def check_one_car(datasets: Sequence[Dataset], what: str) -> None:
-    """Errors if datasets differ in period or vehicle; `what` they are used for has one of each."""
-    first = datasets[0].provenance
-    for other in (dataset.provenance for dataset in datasets):
+def check_one_car(origins: Sequence[Provenance], what: str) -> None:
+    """Errors if data differ in period or vehicle; `what` they are used for has one of each."""
+    first = origins[0]
+    for other in origins:
         if (other.dt, other.vehicle) != (first.dt, first.vehicle):
             raise EgpError(
-                f"surface {other.surface} was recorded at dt {other.dt} with vehicle "
-                f"{other.vehicle}, surface {first.surface} at dt {first.dt} with vehicle "
-                f"{first.vehicle}: one {what} has one dt and one vehicle"
+                f"surface {other.surface} has dt {other.dt} and vehicle {other.vehicle}, surface "
+                f"{first.surface} has dt {first.dt} and vehicle {first.vehicle}: one {what} has "
+                "one dt and one vehicle"
             )
 
 

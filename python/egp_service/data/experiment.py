@@ -86,9 +86,19 @@ class Experiment:
     a scenario; 0 unless stated."""
 
     def __post_init__(self) -> None:
-        """Check seed, vehicle and disturbances."""
-        check_seed(self.seed)
-        self.plant()
+        """Check all values; errors are those of `plant`, `mu` and `Provenance`."""
+        try:
+            check_seed(self.seed)
+            self.plant()
+            self.provenance("")
+        except (TypeError, OverflowError) as error:
+            raise EgpError(
+                f"surface {self.label!r} has friction {self.friction!r}, dt {self.dt!r}, seed "
+                f"{self.seed!r}, vehicle {self.vehicle!r} and disturbances "
+                f"{self.disturbances!r}: expected a coefficient or the name of a preset as "
+                "friction, a period in s, whole numbers as seed and vehicle, and a number for "
+                "each disturbance"
+            ) from error
 
     def plant(self) -> Plant:
         """Return the simulated vehicle, at rest.

@@ -118,16 +118,16 @@ def import_log(
         columns = _with_time(path, columns)
         base = columns["v_x"].name
         others = {c.name for q, c in columns.items() if q != "time"} - {base}
+        _check_quantities(columns, mass)
         frame = read_recording(path, [base, *sorted(others)], provenance.dt, report)
     else:
         _check_columns(columns, "NAME:UNIT", lambda: _header(path, separator))
+        _check_quantities(columns, mass)
         frame = read_table(path, separator)
     log = _read(path, columns, frame, steering_ratio)
     _check_time(log["time"])
     plausibility.check(log, columns, mass, wheelbase)
-    if "a_x" in log:
-        if mass is None:
-            raise EgpError("a_x requires the vehicle's mass in kg for the force F_x = mass a_x")
+    if mass is not None and "a_x" in log:
         log["F_x"] = mass * log["a_x"]
         provenance = dataclasses.replace(provenance, force_from_a_x=True)
     return _transitions(log, columns, provenance)
@@ -206,6 +206,23 @@ def _check_columns(
         raise EgpError("columns for F_x and a_x are named: expected exactly one of F_x and a_x")
 
 
+def _check_quantities(columns: Mapping[str, Column], mass: float | None) -> None:
+    """Errors if a quantity or its unit is none, or if the force cannot be computed."""
+    for quantity, column in columns.items():
+        if quantity not in plausibility.LARGEST:
+            raise EgpError(
+                f"unknown quantity '{quantity}': expected {', '.join(plausibility.LARGEST)}"
+            )
+        if UNITS[column.unit][0] != _SI_UNITS[quantity]:
+            raise EgpError(
+                f"{quantity} from '{column.name}': {column.unit} is not a unit of {quantity}"
+            )
+    if "a_x" in columns and mass is None:
+        raise EgpError(
+            "a_x requires the vehicle's mass in kg for the force F_x = mass a_x: state --mass"
+        )
+
+
 def _header(path: Path, separator: str) -> str:
     """Say which columns a table has."""
     try:
@@ -220,16 +237,8 @@ def _read(
 ) -> dict[str, NDArray[np.float64]]:
     log = {}
     for quantity, column in columns.items():
-        if quantity not in plausibility.LARGEST:
-            raise EgpError(
-                f"unknown quantity '{quantity}': expected {', '.join(plausibility.LARGEST)}"
-            )
         largest = plausibility.LARGEST[quantity]
         unit, factor = UNITS[column.unit]
-        if unit != _SI_UNITS[quantity]:
-            raise EgpError(
-                f"{quantity} from '{column.name}': {column.unit} is not a unit of {quantity}"
-            )
         if column.name not in frame.columns:
             if comes_twice(column.name, frame.columns):
                 raise EgpError(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egp_service._core import EgpError
+from egp_service.data.alignment import consecutive
 from egp_service.quantities import NY
 
 if TYPE_CHECKING:
@@ -43,9 +44,8 @@ def measure(dataset: Dataset, sensors: Sensors, rng: np.random.Generator) -> Dat
 
     Where a trajectory begins, the sensors have measured its first state for a long time.
     """
-    follows = (np.diff(dataset.trajectory) == 0) & (np.diff(dataset.step.astype(np.int64)) == 1)
     z, y, by_gravity = dataset.z.copy(), dataset.y.copy(), dataset.by_gravity
-    for rows in np.split(np.arange(len(dataset)), np.flatnonzero(~follows) + 1):
+    for rows in consecutive(dataset):
         end = dataset.z[rows[-1], :NY] + y[rows[-1]] + by_gravity[rows[-1]]
         exact = np.vstack([dataset.z[rows, :NY], end])
         measured = _measured(exact, dataset.provenance.dt, sensors, rng)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
@@ -20,6 +19,7 @@ from egp_service.evaluation.contenders import ENSEMBLE, make
 from egp_service.evaluation.departures import avoidable
 from egp_service.evaluation.disturbances import GENTLE
 from egp_service.evaluation.experiments import REPLAYED
+from egp_service.evaluation.file_names import file_name
 from egp_service.evaluation.settling import resolution, settling_times
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
@@ -108,7 +108,7 @@ class Campaign:
         mark.write_text(self._id, encoding="utf-8")
         program, build = folder / "program.sha256", _build()
         self.of_another_build = program.exists() and program.read_text(encoding="utf-8") != build
-        """Whether outcomes so far may come from another build of the extension."""
+        """Whether outcomes so far may come from another build of this program."""
         if not self.of_another_build:
             program.write_text(build, encoding="utf-8")
 
@@ -154,7 +154,7 @@ class Campaign:
 
     def disturbed_library(self, name: str) -> Path:
         """Path of the library of a vehicle with one of `disturbances.DISTURBED`."""
-        return self._folder / "disturbed" / f"{re.sub(r'[^a-z0-9]+', '-', name)}.safetensors"
+        return self._folder / "disturbed" / f"{file_name(name)}.safetensors"
 
     def _identity(self, trial: Trial) -> str:
         """Identify the trial's library and the default settings."""
@@ -243,8 +243,14 @@ def _library_id(path: Path, _changed: int) -> str:
 
 
 def _build() -> str:
-    """Hash the compiled extension, which contains vehicle and controller."""
-    return hashlib.sha256(Path(_core.__file__).read_bytes()).hexdigest()
+    """Hash the compiled extension, which contains vehicle and controller, and the Python files."""
+    sha = hashlib.sha256(Path(_core.__file__).read_bytes())
+    package = Path(__file__).parents[1]
+    for name in sorted(path.relative_to(package).as_posix() for path in package.rglob("*.py")):
+        content = (package / name).read_bytes()
+        sha.update(f"{name}\0{len(content)}\0".encode())
+        sha.update(content)
+    return sha.hexdigest()
 
 
 def _reader(kind: type[Result]) -> Callable[[dict[str, Any]], Result]:

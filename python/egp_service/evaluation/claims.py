@@ -105,6 +105,7 @@ def _beyond(outcomes: Sequence[Outcome]) -> list[Claim]:
 
 
 def _narrow(outcomes: Sequence[Outcome]) -> list[Claim]:
+    """Compare the ensemble with the best caution, which is the best on these same outcomes."""
     runs = [o for o in outcomes if o.experiment == NARROW]
     own = {
         name: [o for o in runs if o.contender == name]
@@ -123,8 +124,8 @@ def _narrow(outcomes: Sequence[Outcome]) -> list[Claim]:
         Claim(
             f"Tightened edges reduce the time over the edge of a narrow track to {_TIGHTENED:.0%}",
             (not lost and over[best] <= _TIGHTENED * plain) if plain > 0.0 else None,
-            f"{plain:.2f} s without, {over[best]:.2f} s with {best}; completed "
-            f"{through[ENSEMBLE]} and {through[best]}",
+            f"{plain:.2f} s without, {over[best]:.2f} s with {best}, the best of "
+            f"{len(over)} by the same runs; completed {through[ENSEMBLE]} and {through[best]}",
         )
     ]
 
@@ -183,9 +184,9 @@ def _best(outcomes: Sequence[Outcome]) -> list[Claim]:
             if not same or other is own:
                 continue
             more = other.completed > own.completed
-            # Significantly better: the intervals of the medians do not overlap. One run has none,
-            # and the errors of lost runs are not comparable.
-            complete = own.runs > 1 and own.completed == own.runs and other.completed == other.runs
+            # Significantly better: the intervals of the medians do not overlap. One run has no
+            # interval, and the errors of lost runs are not comparable.
+            complete = own.completed == own.runs and other.completed == other.runs
             closer = complete and other.lateral_rms.high < own.lateral_rms.low
             if more or closer:
                 lost.append(f"{own.experiment}, {own.condition}: {other.contender}")
@@ -193,7 +194,8 @@ def _best(outcomes: Sequence[Outcome]) -> list[Claim]:
         return []
     return [
         Claim(
-            "No baseline but the oracle completes more runs or drives closer on mixed friction",
+            "No other controller but the oracle completes more runs or drives closer on mixed "
+            "friction",
             not lost,
             "; ".join(lost) or "in none",
         )
@@ -275,7 +277,7 @@ def _ordered(
         outputs = len(MOTION_LABELS)
         least = [min(means[o::outputs], key=lambda gap: gap.low) for o in range(outputs)]
         found = [
-            f"{name} {gap.value:.4f} ({gap.low:.4f} to {gap.high:.4f})"
+            f"{name} {gap.text('.4f', ' to ')}"
             for name, gap in zip(MOTION_LABELS, least, strict=True)
         ]
         claims.append(

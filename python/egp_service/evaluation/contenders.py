@@ -97,7 +97,7 @@ class _Selection(Controller):
             z = gp_input(before, u)[None]
             y = (state - before)[MOTION]
             members = range(len(self.members))
-            predicted = np.array([self._library.predict(z, m)[0][0] for m in members])
+            predicted = np.array([self._library.predict_mean(z, m)[0] for m in members])
             self._errors.append(predicted - y)
             errors = np.array(self._errors)
             level = self._noise.likeliest(errors[:, self._best])
@@ -127,6 +127,8 @@ class Contender:
     disturbed: bool = False
     """Whether its members are those of a vehicle with the disturbance of the condition, in place of
     the evaluation library's."""
+    variant: bool = False
+    """Whether it is a variant of the ensemble, and so no baseline."""
 
 
 def make(contender: Contender, scenario: Scenario) -> Controller:

@@ -14,14 +14,13 @@ from egp_service.evaluation.experiment import (
     ClosedLoopExperiment,
     on_surfaces,
 )
-from egp_service.evaluation.statistics import mean
+from egp_service.evaluation.statistics import Interval, mean
 from egp_service.simulation.scenario import Disturbances
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from egp_service.evaluation.campaign import Outcome
-    from egp_service.evaluation.statistics import Interval
 
 NAME: Final = "disturbances"
 FITTED: Final = "fitted single-track"
@@ -70,13 +69,14 @@ def experiment() -> ClosedLoopExperiment:
         (
             Contender(ENSEMBLE, "ensemble", _OWN_MEMBERS, disturbed=True),
             Contender(FITTED, "fitted", _OWN_MEMBERS, disturbed=True),
-            Contender(ENSEMBLE + ELSEWHERE, "ensemble", TWO),
+            Contender(ENSEMBLE + ELSEWHERE, "ensemble", TWO, variant=True),
             Contender(FITTED + ELSEWHERE, "fitted", TWO),
             Contender(
                 ENSEMBLE + ELSEWHERE + WITH_RESIDUAL,
                 "ensemble",
                 TWO,
                 control={"residual": RESIDUAL},
+                variant=True,
             ),
         ),
         seeds=20,
@@ -94,7 +94,7 @@ class Comparison:
     runs: int
     gain: Interval
     """Mean difference of the lateral RMS errors, the second less the first, m, over the seeds that
-    both completed; NaN without one."""
+    both completed; NaN without one. One seed has no interval."""
 
     @property
     def closer(self) -> bool:
@@ -154,7 +154,7 @@ def rows(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
 
 def _millimetres(comparison: Comparison) -> str:
     gain, (first, second) = comparison.gain, comparison.completed
-    text = f"{1e3 * gain.value:+.2f} ({1e3 * gain.low:+.2f} to {1e3 * gain.high:+.2f})"
+    text = Interval(1e3 * gain.value, 1e3 * gain.low, 1e3 * gain.high).text("+.2f", " to ")
     if math.isnan(gain.value):
         text = "no seed that both completed"
     if min(first, second) < comparison.runs:

@@ -48,7 +48,13 @@ def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender
     """Return the ensemble of `members` and its baselines."""
     return (
         Contender(ENSEMBLE, "ensemble", tuple(members)),
-        Contender("paper's weights", "ensemble", tuple(members), {"weights": PAPER_WEIGHTS}),
+        Contender(
+            "paper's weights",
+            "ensemble",
+            tuple(members),
+            {"weights": PAPER_WEIGHTS},
+            variant=True,
+        ),
         Contender("selection", "selection", tuple(members)),
         *(Contender(f"only {labels[m]}", "ensemble", (m,)) for m in members),
         Contender("pooled GP", "ensemble", (POOLED,)),
@@ -59,13 +65,11 @@ def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender
 
 
 LABELS: Final = ("μ 0.5", "μ 0.6", "μ 0.9", "μ 1.1", "pooled")
-# Variants of the ensemble with one part changed; they are not baselines.
-VARIANTS: Final = ("paper's weights", "constant mean", "forward Euler")
 _ALL_OF_TWO: Final = (
     *contenders(TWO, LABELS),
-    Contender("constant mean", "ensemble", CONSTANT_MEAN),
+    Contender("constant mean", "ensemble", CONSTANT_MEAN, variant=True),
     Contender("fitted single-track", "fitted", TWO),
-    Contender("forward Euler", "ensemble", TWO, {"operating": {"yaw_at": 0.0}}),
+    Contender("forward Euler", "ensemble", TWO, {"operating": {"yaw_at": 0.0}}, variant=True),
 )
 _ALL_OF_FOUR: Final = contenders(FOUR, LABELS)
 _AVOIDING: Final = {ENSEMBLE, "pooled GP", "nominal single-track", "kinematic", ORACLE}
@@ -268,7 +272,10 @@ def _narrow_track() -> ClosedLoopExperiment:
         ),
         (
             Contender(ENSEMBLE, "ensemble", TWO, cautious(0.0)),
-            *(Contender(f"caution {k:g}", "ensemble", TWO, cautious(k)) for k in (1.0, 2.0, 4.0)),
+            *(
+                Contender(f"caution {k:g}", "ensemble", TWO, cautious(k), variant=True)
+                for k in (1.0, 2.0, 4.0)
+            ),
             Contender(ORACLE, "oracle", TWO, cautious(0.0)),
         ),
         seeds=20,
@@ -313,6 +320,8 @@ EXPERIMENTS: Final = (
     fleet_roads.first_lap_with_a_map(),
     disturbances.experiment(),
 )
+VARIANTS: Final = frozenset(c.name for e in EXPERIMENTS for c in e.contenders if c.variant)
+"""Names of the contenders that are variants of the ensemble."""
 # `entry_speed.find` turns each of its trials into a highest entry speed.
 OBSTACLE_AVOIDANCE: Final = _obstacle_avoidance()
 # `hidden_ice.run` drives its trials.

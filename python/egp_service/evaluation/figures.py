@@ -13,6 +13,7 @@ from egp_service.evaluation import unknown_roads
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.unknown_roads import HERE
+from egp_service.files import replacing
 from egp_service.quantities import MOTION_LABELS
 from egp_service.simulation.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE
 
@@ -245,6 +246,7 @@ def _legend_beside(ax: Axes) -> None:
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    figure.savefig(path)
+    with replacing(path) as beside:
+        figure.savefig(beside)
     plt.close(figure)
     return path

@@ -127,8 +127,7 @@ def interval(found: Interval, digits: int = 3) -> str:
     """Format a value and its interval; a value that no run has is "no data"."""
     if math.isnan(found.value):
         return "no data"
-    low, high = f"{found.low:.{digits}f}", f"{found.high:.{digits}f}"
-    return f"{found.value:.{digits}f} ({low}-{high})"
+    return found.text(f".{digits}f")
 
 
 def _picture(path: Path) -> str:

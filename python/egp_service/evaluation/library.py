@@ -25,14 +25,16 @@ _OUTER: Final = (0.5, 1.1)
 _WHOLE_CHANGE_POINTS: Final = 700  # more points did not improve GPs without a vehicle
 
 
-def make(displays: Displays, *, cluster: str | None = None) -> list[TrainedMember]:
+def make(
+    displays: Displays, *, jobs: int | None = None, cluster: str | None = None
+) -> list[TrainedMember]:
     """Train a member for each surface, and the baselines on the data of the outer two surfaces.
 
     The baselines are one GP on both surfaces' pooled data, with as many transitions as both members
     together, and members with constant means as in the paper.
     """
     recipe = Recipe.read(EVALUATION_RECIPE)
-    datasets, members = follow(recipe, cluster=cluster, displays=displays)
+    datasets, members = follow(recipe, jobs=jobs, cluster=cluster, displays=displays)
     settings = recipe.training
     outer = [data for data in datasets if data.provenance.friction in _OUTER]
     middle = sum(_OUTER) / len(_OUTER)

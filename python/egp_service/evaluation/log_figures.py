@@ -8,11 +8,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.special import ndtri
 
+from egp_service.data.channels import MOVING
+from egp_service.files import replacing
 from egp_service.quantities import MOTION_LABELS, NORMAL_95
-from egp_service.training.open_loop import MOVING, NO_CHANGE
+from egp_service.training.open_loop import NO_CHANGE
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from egp_service.evaluation.logs import LogOutcome
 
@@ -21,11 +25,11 @@ _LEVELS: Final = np.linspace(0.05, 0.99, 48)
 _OUTSIDE: Final = 4.0  # largest residual that is shown, in standard deviations
 
 
-def draw_log(outcome: LogOutcome, path: Path) -> Path:
+def draw_log(outcome: LogOutcome, path: Path) -> None:
     """Draw a log's held-out changes: over time, against predictions, residuals, coverage.
 
-    The last row has the errors of all predictors after rollouts and, if there are, the weights of
-    the other logs' members over time.
+    Without changes above 5 m/s these axes are empty. The last row has the errors of all predictors
+    after rollouts and, if there are, the weights of the other logs' members over time.
     """
     held = outcome.member.validation
     moving = held.z[:, 0] > MOVING
@@ -33,38 +37,19 @@ def draw_log(outcome: LogOutcome, path: Path) -> Path:
     deviation = outcome.deviation[moving]
     figure = Figure(figsize=(12.0, 17.0), layout="constrained")
     axes = figure.subplots(6 if outcome.weights is not None else 5, 3, squeeze=False)
-    time = held.provenance.dt * np.arange(min(_SHOWN, len(measured)))
     for column, label in enumerate(MOTION_LABELS):
-        truth, mean, std = measured[:, column], predicted[:, column], deviation[:, column]
-        ax = axes[0, column]
-        ax.plot(time, truth[:_SHOWN], color="0.6", lw=0.8, label="measured")
-        ax.plot(time, mean[:_SHOWN], lw=1.0, label="predicted")
-        band = NORMAL_95 * std[:_SHOWN]
-        ax.fill_between(time, mean[:_SHOWN] - band, mean[:_SHOWN] + band, alpha=0.2, lw=0)
-        ax.set(title=f"change of {label}", xlabel="s of held-out driving")
-        ax = axes[1, column]
-        ax.plot(truth, mean, ".", ms=1.5)
-        ends = np.quantile(truth, [0.001, 0.999]) if len(truth) else np.zeros(2)
-        ax.plot(ends, ends, color="0.6", lw=0.8)
-        ax.set(xlabel="measured change", ylabel="predicted", xlim=ends, ylim=ends)
-        residual = np.clip((truth - mean) / std, -_OUTSIDE, _OUTSIDE)
-        ax = axes[2, column]
-        ax.hist(residual, bins=80, density=True)
-        x = np.linspace(-_OUTSIDE, _OUTSIDE, 200)
-        ax.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), color="0.4")
-        ax.set(xlabel="residual, standard deviations")
-        ax = axes[3, column]
-        inside = [np.mean(np.abs(residual) < _two_sided(level)) for level in _LEVELS]
-        ax.plot(_LEVELS, inside)
-        ax.plot([0, 1], [0, 1], color="0.6", lw=0.8)
-        ax.set(xlabel="nominal coverage", ylabel="share inside")
+        axes[0, column].set(title=f"change of {label}")
+        if moving.any():
+            changes = (array[:, column] for array in (measured, predicted, deviation))
+            _draw_changes(axes[:4, column], held.provenance.dt, *changes)
         ax = axes[4, column]
         least = outcome.skill.rms[NO_CHANGE][:, column]
         for name, errors in outcome.skill.rms.items():
             style = "--" if name == NO_CHANGE else "-"
             ax.plot(outcome.skill.durations, errors[:, column] / least, style, label=name)
         ax.set(xscale="log", xlabel="s", ylabel="RMS error over that of no change", ylim=(0.0, 2.0))
-    axes[0, 0].legend(fontsize="small")
+    if moving.any():
+        axes[0, 0].legend(fontsize="small")
     axes[4, 0].legend(fontsize="small")
     if outcome.weights is not None:
         ax = figure.add_subplot(axes[5, 0].get_gridspec()[5, :])
@@ -76,8 +61,37 @@ def draw_log(outcome: LogOutcome, path: Path) -> Path:
         ax.set(xlabel="s of held-out driving", ylabel="weight", title="weights of other members")
         ax.legend(fontsize="small", loc="upper right")
     figure.suptitle(f"{outcome.name}: held-out blocks above {MOVING:g} m/s")
-    figure.savefig(path, dpi=110)
-    return path
+    with replacing(path) as beside:
+        figure.savefig(beside, dpi=110)
+
+
+def _draw_changes(
+    axes: NDArray[np.object_],
+    dt: float,
+    truth: NDArray[np.float64],
+    mean: NDArray[np.float64],
+    std: NDArray[np.float64],
+) -> None:
+    """Draw held-out changes (n,), n > 0, of one output with their predictions on four axes."""
+    over_time, against, residuals, coverage = axes
+    time = dt * np.arange(min(_SHOWN, len(truth)))
+    over_time.plot(time, truth[:_SHOWN], color="0.6", lw=0.8, label="measured")
+    over_time.plot(time, mean[:_SHOWN], lw=1.0, label="predicted")
+    band = NORMAL_95 * std[:_SHOWN]
+    over_time.fill_between(time, mean[:_SHOWN] - band, mean[:_SHOWN] + band, alpha=0.2, lw=0)
+    over_time.set(xlabel="s of held-out driving")
+    against.plot(truth, mean, ".", ms=1.5)
+    ends = np.quantile(truth, [0.001, 0.999])
+    against.plot(ends, ends, color="0.6", lw=0.8)
+    against.set(xlabel="measured change", ylabel="predicted", xlim=ends, ylim=ends)
+    residual = np.clip((truth - mean) / std, -_OUTSIDE, _OUTSIDE)
+    residuals.hist(residual, bins=80, density=True)
+    x = np.linspace(-_OUTSIDE, _OUTSIDE, 200)
+    residuals.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), color="0.4")
+    residuals.set(xlabel="residual, standard deviations")
+    coverage.plot(_LEVELS, [np.mean(np.abs(residual) < _two_sided(level)) for level in _LEVELS])
+    coverage.plot([0, 1], [0, 1], color="0.6", lw=0.8)
+    coverage.set(xlabel="nominal coverage", ylabel="share inside")
 
 
 def _two_sided(level: float) -> float:

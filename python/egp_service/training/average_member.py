@@ -16,10 +16,10 @@ import numpy as np
 import torch
 
 from egp_service._core import EgpError
+from egp_service.data.channels import MAD, MOVING
 from egp_service.quantities import GP_OUTPUT, NORMAL_95, NY, NZ
 from egp_service.training.exact_member import START
 from egp_service.training.gaussian_process import Bounds, Hyperparameters, OutputProcess
-from egp_service.training.open_loop import MOVING
 from egp_service.training.prior_mean import change, kinematic_change
 from egp_service.training.sparse import average_targets, fit_sparse, posterior_mean
 from egp_service.training.subset import select
@@ -39,14 +39,14 @@ SMOOTH: Final = Bounds(noise=1e-3, lengthscale=0.5, outputscale=math.inf)
 periods. With 2 instead of 0.5 the error of v_x after 1 s on a log of an oval was 0.95 m/s instead
 of 0.74 m/s."""
 _MEASURED: Final = dataclasses.replace(SMOOTH, noise=1e-6)
-"""Bounds for the noise that the final errors have, which nothing has to be fitted with."""
+"""Bounds of the final process, to which the noise of its errors is assigned. Nothing is fitted with
+them, so that the noise may be smaller than in a fit."""
 ITERATIONS: Final = 25
 """Iterations of the fit of each output's process."""
 _POINTS: Final = 150  # inducing points at most; smooth functions under noise need few
 _ROWS: Final = 3000  # transitions that the hyperparameters are fitted to
 _OUTLIER: Final = 4.0  # robust standard deviations
 _ROUNDS: Final = 4
-_MAD: Final = 1.4826
 _ALONE: Final = Hyperparameters((1.0,) * NZ, outputscale=1e-9, noise=1.0, constant=0.0)
 """A process that adds nothing to its mean."""
 
@@ -158,7 +158,7 @@ def _without_outliers(z: torch.Tensor, y: torch.Tensor, moving: NDArray[np.int64
         weights = torch.linalg.lstsq(features[moving], kept[moving]).solution
         predicted = features @ weights
         errors = y - predicted
-        limit = _OUTLIER * _MAD * errors[moving].abs().median(dim=0).values
+        limit = _OUTLIER * MAD * errors[moving].abs().median(dim=0).values
         kept = predicted + torch.minimum(torch.maximum(errors, -limit), limit)
     return kept
 
@@ -213,7 +213,7 @@ def _final(
     for _ in range(_ROUNDS):
         predicted = posterior_mean(process, z, kept)
         errors = y - predicted
-        limit = _OUTLIER * _MAD * errors[moving].abs().median()
+        limit = _OUTLIER * MAD * errors[moving].abs().median()
         kept = predicted + errors.clamp(-limit, limit)
     errors = (y - posterior_mean(process, z, kept))[moving].abs()
     spread = torch.quantile(errors, 0.95) / NORMAL_95

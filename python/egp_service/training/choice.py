@@ -3,7 +3,10 @@
 A member's kind is what its processes are added to, and whether it has any. Kinds are trained on
 four of five blocks of the training data and compared on the fifth by the likelihood of
 `open_loop.skill`: heavy-tailed, over one period and rollouts up to 2 s, in all outputs. The best
-one is trained again on all blocks, with the noise that its errors on the fifth had.
+one is trained again on all blocks, with the noise that its errors on the fifth had. The fifth
+is not held out of everything: before kinds are compared, the parameters of the vehicle are fitted
+to all blocks (`vehicle_fit`), which favours kinds with a vehicle. Processes, constants and scales
+are those of the four blocks.
 
 A model with more parameters is taken only where it predicts better, with one exception: outside its
 data only a single-track vehicle predicts slides, so that it is preferred unless another kind is
@@ -18,13 +21,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import EgpError
-from egp_service.quantities import NY
+from egp_service.data.channels import MOVING
+from egp_service.quantities import GP_INPUT, NY
 from egp_service.training.average_member import (
     ITERATIONS,
     PriorMean,
     average_member,
     widening_on,
 )
+from egp_service.training.exact_member import spread
 from egp_service.training.open_loop import NO_CHANGE, skill
 
 if TYPE_CHECKING:
@@ -73,11 +78,10 @@ def best_member(
     iterations so far.
 
     Raises:
-        EgpError: if a fit fails.
+        EgpError: as `blocks_to_compare`, or if a fit fails.
 
     """
-    data, _ = part
-    inner = hold_out(data)
+    inner = blocks_to_compare(part[0])
     seed = int(rng.integers(2**32))
     means = {
         NO_CHANGE: PriorMean(constant=False),
@@ -122,8 +126,31 @@ def preferred(likelihoods: Mapping[str, float]) -> str:
     return vehicle if likelihoods[vehicle] > max(likelihoods[best] - MARGIN, 0.0) else best
 
 
+def blocks_to_compare(data: Dataset) -> tuple[Dataset, Dataset]:
+    """Split training data by `hold_out` and check that kinds can be compared on the result.
+
+    Raises:
+        EgpError: as `hold_out`, if an input is constant in the data to train on, or if no held-out
+            transition counts in a comparison.
+
+    """
+    rest, held = hold_out(data)
+    spread(rest.z, GP_INPUT, data.provenance.surface)
+    if not skill({}, held).durations:
+        raise EgpError(
+            f"surface {data.provenance.surface}: models are compared on a held-out trajectory with "
+            f"transitions above {MOVING:g} m/s, and there is none beside those to train on. Record "
+            "more driving above this speed, or train without a comparison (`egp train --mean "
+            "single-track`)"
+        )
+    return rest, held
+
+
 def hold_out(data: Dataset) -> tuple[Dataset, Dataset]:
     """Split off every fifth trajectory, and at least the last one.
+
+    If none of these has a transition above `MOVING`, the last one that has is split off in their
+    place, unless it is the only one.
 
     Raises:
         EgpError: if there are fewer than two trajectories.
@@ -139,4 +166,7 @@ def hold_out(data: Dataset) -> tuple[Dataset, Dataset]:
         )
     held = numbers[_EVERY - 1 :: _EVERY] if len(numbers) >= _EVERY else numbers[-1:]
     out = np.isin(data.trajectory, held)
+    moving = np.unique(data.trajectory[data.z[:, 0] > MOVING])
+    if len(moving) > 1 and not np.isin(moving, held).any():
+        out = data.trajectory == moving[-1]
     return data.select(~out), data.select(out)

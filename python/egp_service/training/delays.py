@@ -19,8 +19,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from egp_service.data.alignment import Delays, align, consecutive
+from egp_service.data.channels import MOVING
 from egp_service.training.choice import hold_out
-from egp_service.training.open_loop import MOVING, linear, student_loss
+from egp_service.training.open_loop import linear, student_loss
 from egp_service.training.prior_mean import predict
 from egp_service.training.vehicle_fit import fit_vehicle
 
@@ -45,22 +46,22 @@ _FEWEST: Final = 200  # transitions above 5 m/s, each for the fit and for the co
 _FILTERS: Final = tuple(0.1 * 2.0 ** (0.5 * k) for k in range(13))  # s; up to 6.4 s
 # Delays of a filtered force in half periods: a difference of states belongs to the middle of two.
 _FILTER_DELAYS: Final = range(-4, 5)
-_WINDOW: Final = 1.0  # s, over which changes of v_x tell the filter
+_WINDOW: Final = 1.0  # s, over which changes of v_x identify the filter
 _V_X, _OMEGA = 0, 2
 
 
 def find_delays(logs: Sequence[Dataset], vehicle: VehicleParameters | None) -> Delays:
-    """Return the delays that all logs of one car have in common; zero where they are not told.
+    """Return the delays that all logs of one car have in common; zero if not identified.
 
-    A delay is told if its optimum lies inside the range that is searched (states 0 to 0.32 s, force
-    -1.5 to 0.32 s), and predicts better than no delay by 0.02 nats per error and 20 nats
+    A delay is identified if its optimum lies inside the range that is searched (states 0 to 0.32 s,
+    force -1.5 to 0.32 s), and predicts better than no delay by 0.02 nats per error and 20 nats
     altogether. For the delay of the states the vehicle must also predict the yaw rate better than
     the linear model. If both delays agree within a period, both are their mean, since one sensor
     measures all states. Only runs of at least 2 s count. `vehicle` is what is known about the car.
 
-    A first-order filter of the force (0.1 to 6.4 s, with a delay of at most two periods) is told if
-    it predicts the changes of `v_x` over 1 s better than any delay without a filter, by the same
-    differences. For this only runs count that are 1 s longer than the largest delay.
+    A first-order filter of the force (0.1 to 6.4 s, with a delay of at most two periods) is
+    identified if it predicts the changes of `v_x` over 1 s better than any delay without a filter,
+    by the same differences. For this only runs count that are 1 s longer than the largest delay.
 
     Raises:
         EgpError: if a fit fails.
@@ -96,7 +97,7 @@ def find_delays(logs: Sequence[Dataset], vehicle: VehicleParameters | None) -> D
 
 
 def _filtered(parts: Sequence[Dataset], axles: Sequence[float]) -> Delays | None:
-    """Return filter and delay of the force, or None if no filter is told."""
+    """Return filter and delay of the force, or None if no filter is identified."""
     dt = parts[0].provenance.dt
     steps = range(round(_EARLIEST_FORCE / _STEP), round(_LATEST / _STEP) + 1)
     grid = [Delays(0.0, 0.5 * k * dt, filter_) for k in _FILTER_DELAYS for filter_ in _FILTERS]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from egp_service.data.channels import MOVING
 from egp_service.quantities import NY
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 HORIZONS: Final = (0.2, 0.5, 1.0, 2.0)
 """Durations of rollouts in s."""
-MOVING: Final = 5.0
-"""Least speed, m/s, of transitions and starts that count: slip angles mean little below it."""
 NO_CHANGE: Final = "no change"
 LINEAR: Final = "linear"
 MAX_STARTS: Final = 5000
@@ -77,7 +76,7 @@ def skill(predictors: Mapping[str, Predictor], dataset: Dataset) -> Skill:
     return Skill(
         durations=tuple(durations),
         rms={
-            name: np.array([np.sqrt(np.mean(errors**2, axis=0)) for errors in own])
+            name: np.array([np.sqrt(np.mean(e**2, axis=0)) for e in own]).reshape(-1, NY)
             for name, own in found.items()
         },
         likelihood={

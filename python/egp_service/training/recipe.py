@@ -23,10 +23,10 @@ from egp_service.data.sampling import SamplingBounds
 from egp_service.shipped import DEMO_RECIPE
 from egp_service.training.export import export
 from egp_service.training.on_policy import OnPolicySettings, distinct_surfaces, drive_laps
-from egp_service.training.train import TrainingSettings, train
+from egp_service.training.train import TrainingSettings, check_one_library, train
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from contextlib import AbstractContextManager
 
     from _typeshed import DataclassInstance
@@ -52,7 +52,8 @@ class Recipe:
         """Read a recipe.
 
         Raises:
-            EgpError: if the file is not readable or has unknown or invalid fields, which it names.
+            EgpError: if the file is not readable or has unknown or invalid fields, which it names,
+                or if its surfaces do not make one library.
 
         """
         try:
@@ -69,6 +70,7 @@ class Recipe:
             settings = _settings(CollectionSettings, collection | nested)
             surfaces = content.pop("surface")
             experiments = tuple(_settings(Experiment, content | surface) for surface in surfaces)
+            _check_surfaces(experiments)
             if on_policy.rounds > 0:
                 distinct_surfaces(experiments)
         except EgpError as error:
@@ -80,6 +82,19 @@ class Recipe:
                 f"{DEMO_RECIPE} is an example"
             ) from error
         return Recipe(experiments, settings, training, on_policy)
+
+
+def _check_surfaces(experiments: Sequence[Experiment]) -> None:
+    """Errors if training would reject the data of these experiments once they are collected."""
+    if not experiments:
+        raise EgpError("no surfaces: add a table [[surface]] with label and friction for each")
+    check_one_library([experiment.provenance("") for experiment in experiments])
+    for number, experiment in enumerate(experiments):
+        if experiment in experiments[:number]:
+            raise EgpError(
+                f"surface {experiment.label!r} with seed {experiment.seed} is stated twice, which "
+                "would give the same data twice: state another seed, or leave one of them out"
+            )
 
 
 def collect_all(

@@ -124,10 +124,9 @@ def spikes(data: Dataset) -> NDArray[np.bool_]:
     A spike is a jump that the next change takes back, as outliers of a sensor make.
     """
     scale = _SPIKE * np.median(np.abs(data.y), axis=0)
-    follows = (np.diff(data.trajectory) == 0) & (np.diff(data.step.astype(np.int64)) == 1)
     into, out_of = data.y[:-1], data.y[1:]
     there = (into * out_of < 0.0) & (np.minimum(np.abs(into), np.abs(out_of)) > scale)
-    return np.concatenate([[False], follows & there.any(axis=1)])
+    return np.concatenate([[False], data.follows & there.any(axis=1)])
 
 
 def _accepted(

@@ -25,7 +25,7 @@ from egp_service.data.dataset import Dataset, check_one_car, merge
 from egp_service.data.experiment import check_seed
 from egp_service.data.plausibility import HEAVIEST, LARGEST
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NZ
-from egp_service.training.choice import BUDGET, best_member
+from egp_service.training.choice import BUDGET, best_member, blocks_to_compare
 from egp_service.training.delays import find_delays
 from egp_service.training.exact_member import exact_member, spread
 from egp_service.training.kernel import KernelName
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from egp_service._core import VehicleParameters
+    from egp_service.data.dataset import Provenance
     from egp_service.training.trained import TrainedMember
     from egp_service.training.vehicle_fit import FittedVehicle
 
@@ -136,17 +137,20 @@ def train(
     """Train one member per surface label, ordered by friction and label.
 
     What is known about the vehicle are the parameters `vehicle`, or those of a simulated vehicle.
-    The logs of a real car are trained with their inputs moved by the delays that they tell.
+    The logs of a real car are trained with their inputs moved by the delays that are found in them.
+    Delays are found before the split, so that validation data contribute to them, too.
 
     Raises:
-        EgpError: if datasets differ in dt or vehicle, or a fit fails.
+        EgpError: if datasets differ in dt or vehicle, cannot be split or compared, or a fit fails.
 
     """
     surfaces: dict[tuple[float, str], list[Dataset]] = {}
     for dataset in datasets:
         key = (dataset.provenance.friction, dataset.provenance.surface)
         surfaces.setdefault(key, []).append(dataset)
-    _check_consistent([parts[0].provenance.surface for parts in surfaces.values()], datasets)
+    if not datasets:
+        raise EgpError("no datasets: give at least one Parquet file")
+    check_one_library([dataset.provenance for dataset in datasets])
     rngs = [np.random.default_rng([settings.seed, number]) for number in range(len(surfaces))]
     logs = [merge(surfaces[key]) for key in sorted(surfaces)]
     delays = None
@@ -174,7 +178,7 @@ def train_parts(
     `vehicle` is as for `train`. Each part has a generator of random numbers.
 
     Raises:
-        EgpError: if a fit fails.
+        EgpError: if data are implausible, constant or too few, or if a fit fails.
 
     """
     exact = (settings.restarts + 2) * settings.max_iterations
@@ -184,6 +188,8 @@ def train_parts(
         for data, _ in parts:
             _check_magnitudes(data)
             _check_varies(data)
+            if settings.mean == "best":
+                blocks_to_compare(data)  # an error here comes before the minutes of training
         vehicles: list[FittedVehicle | None] = [None for _ in parts]
         if settings.mean != "constant":
             known = vehicle or simulated_vehicle(parts[0][0].provenance.vehicle)
@@ -213,12 +219,22 @@ def one_thread(points: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def _check_consistent(labels: list[str], datasets: Sequence[Dataset]) -> None:
-    if not labels:
-        raise EgpError("no datasets: give at least one Parquet file")
-    if len(set(labels)) < len(labels):
-        raise EgpError("two frictions share a surface label: give each surface its own label")
-    check_one_car(datasets, "library")
+def check_one_library(origins: Sequence[Provenance]) -> None:
+    """Check that data of these origins, of which there is at least one, make one library.
+
+    Raises:
+        EgpError: if one label has two friction coefficients, or periods or vehicles differ.
+
+    """
+    frictions: dict[str, float] = {}
+    for origin in origins:
+        first = frictions.setdefault(origin.surface, origin.friction)
+        if origin.friction != first:
+            raise EgpError(
+                f"frictions {first:g} and {origin.friction:g} share a surface label, "
+                f"'{origin.surface}': give each surface its own label"
+            )
+    check_one_car(origins, "library")
 
 
 def _check_magnitudes(data: Dataset) -> None:

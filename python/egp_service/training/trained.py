@@ -33,15 +33,20 @@ class TrainedMember:
     validation: Dataset
     """The held-out trajectories."""
     inputs: NDArray[np.float64]
-    """The chosen transitions' inputs (M, 6) and targets (M, 3), physical units. Targets are the
-    transitions' changes, or averages over all transitions (`sparse.average_targets`)."""
+    """The chosen transitions' inputs z (M, 6), SI units as in `quantities.GP_INPUT`."""
     targets: NDArray[np.float64]
+    """Their targets (M, 3), SI units as in `quantities.GP_OUTPUT`: the transitions' changes, or
+    averages over all transitions (`sparse.average_targets`)."""
     input_mean: NDArray[np.float64]
+    """Mean (6,) of the inputs of the training data, units of the inputs."""
     input_std: NDArray[np.float64]
+    """Standard deviation (6,) of the same."""
     target_mean: NDArray[np.float64]
-    """Mean of the targets less the vehicle's prediction."""
+    """Mean (3,) of the targets less the vehicle's prediction, units of the targets."""
     target_std: NDArray[np.float64]
+    """Standard deviation (3,) of the same, units of the targets."""
     processes: tuple[OutputProcess, ...]
+    """Processes of the three outputs, with z-scored inputs and targets."""
     single_track: NDArray[np.float64] | None
     """Parameters (17,), or (19,) with a resistance, of the single-track vehicle that is the prior
     mean, if any."""

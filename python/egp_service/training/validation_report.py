@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from egp_service.files import replacing
 from egp_service.quantities import GP_OUTPUT
 
 if TYPE_CHECKING:
@@ -42,7 +43,8 @@ def draw_validation(matrix: list[list[Cell]], path: Path) -> None:
         axis.set_xticks(range(len(matrix[0])), [cell.surface for cell in matrix[0]])
         axis.set_xlabel("on surface")
     figure.set_layout_engine("constrained")
-    figure.savefig(path, dpi=150)
+    with replacing(path) as beside:
+        figure.savefig(beside, dpi=150)
 
 
 def _panel(

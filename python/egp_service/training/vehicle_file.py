@@ -83,7 +83,7 @@ def vehicle_lines(
     """
     if width is not None and not 0.0 < width < math.inf:
         raise EgpError(f"the width is {width:g} m: expected a positive number, see --width")
-    check_one_car(surfaces, "fit")
+    check_one_car([data.provenance for data in surfaces], "fit")
     check_seed(seed)
     rngs = [np.random.default_rng([seed, number]) for number in range(len(surfaces))]
     fitted = fit_vehicle(surfaces, known, rngs)
@@ -180,10 +180,7 @@ def _rate(surfaces: Sequence[Dataset], column: int) -> float:
     """Return the largest change per second of an input between consecutive periods."""
     changes: list[NDArray[np.float64]] = []
     for data in surfaces:
-        together = (np.diff(data.trajectory.astype(np.int64)) == 0) & (
-            np.diff(data.step.astype(np.int64)) == 1
-        )
-        change = np.abs(np.diff(data.z[:, column]))[together]
+        change = np.abs(np.diff(data.z[:, column]))[data.follows]
         changes.append(change / data.provenance.dt)
     all_changes = np.concatenate(changes)
     return float(np.quantile(all_changes, _REACHED)) if len(all_changes) else 0.0

@@ -21,7 +21,7 @@ import torch
 from scipy.optimize import least_squares
 
 from egp_service._core import EgpError
-from egp_service.data.channels import channels
+from egp_service.data.channels import MAD, channels
 from egp_service.quantities import NORMAL_95, NY
 from egp_service.training.normal_equations import Compressed
 from egp_service.training.prior_mean import BODY, DRAG, PARAMETERS, ROLLING, TYRES, change
@@ -42,7 +42,6 @@ _OUTLIER: Final = 0.1
 # Smallest spread of the errors in units of this scale. Without noise the errors are those of the
 # equations, which no number of transitions reduces.
 _LEAST_SPREAD: Final = 0.1
-_MAD: Final = 1.4826  # standard deviation of a normal distribution over its median absolute value
 # Standard deviations of constant disturbances, m/s², m/s², rad/s²: slope, bank, crosswind.
 _DISTURBANCE: Final = np.array([0.3, 1.0, 0.1])
 # Share of these standard deviations that is left where grade and bank of the road were measured.
@@ -204,7 +203,7 @@ class _Surface:
         dt = data.provenance.dt
         predicted = change(torch.from_numpy(data.z), parameters, dt) + dt * disturbance
         errors = ((predicted - torch.from_numpy(data.y)) / self.scale).numpy()
-        spread = _MAD * np.median(np.abs(errors), axis=0)
+        spread = MAD * np.median(np.abs(errors), axis=0)
         noise = self.noise / self.scale.numpy()
         self.circular = data.provenance.force_from_a_x or bool(spread[0] < _NO_SENSOR * noise[0])
         spread = np.maximum(spread, noise)

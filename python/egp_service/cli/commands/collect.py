@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import Cluster, Jobs, check_outputs, check_unused
+from egp_service.cli.options import Cluster, Jobs, check_outputs, check_unused, check_writable
 
 if TYPE_CHECKING:
     from egp_service.data.dataset import Dataset, Provenance
@@ -149,6 +149,9 @@ def collect(
     road = parse_surface(friction)
     mu = surface_friction(road)
     label = surface or (road if isinstance(road, str) else f"mu {road:g}")
+    # This check comes before the minutes that a collection or a long log takes.
+    output.parent.mkdir(parents=True, exist_ok=True)
+    check_writable(output, picture)
     if from_log:
         provenance = Provenance(dt, vehicle, label, mu, seed, "", tool())
         columns = _once("--column", map(_column, column or []))

@@ -1,13 +1,12 @@
 """`egp train`."""
 
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import Cluster, check_outputs, check_unused
+from egp_service.cli.options import Cluster, check_outputs, check_unused, check_writable
 from egp_service.training.kernel import KernelName
 
 if TYPE_CHECKING:
@@ -107,7 +106,7 @@ def train(
     console = Console()
     # These checks come before the minutes that training takes: files that cannot be written, a
     # missing extra and, below, an unknown vehicle.
-    _check_writable(output, picture)
+    check_writable(output, picture)
     check_outputs([*(data or []), recipe, vehicle], output, picture)
     if picture is not None:
         from egp_service.simulation.report import check_picture
@@ -164,21 +163,6 @@ def train(
     if picture is not None:
         draw_validation(matrix, picture)
     console.print(f"{output}: {len(members)} members, id {library.id}", markup=False)
-
-
-def _check_writable(*files: Path | None) -> None:
-    from egp_service._core import EgpError
-
-    for file in files:
-        if file is None:
-            continue
-        if file.is_dir() or not file.absolute().parent.is_dir():
-            raise EgpError(f"{file}: expected a file in a folder that exists")
-        try:
-            with TemporaryFile(dir=file.absolute().parent):
-                pass
-        except OSError as error:
-            raise EgpError(f"{file}: no file can be written there ({error.strerror})") from error
 
 
 def _show(
