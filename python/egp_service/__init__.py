@@ -31,12 +31,14 @@ os.environ.setdefault("ZENOH_RUNTIME", "(rx: (worker_threads: 8))")
 if TYPE_CHECKING:
     from egp_service.control.client import ServiceUnreachableError, VehicleClient
     from egp_service.control.controller import Controller
+    from egp_service.control.fleet_map import FleetMap
     from egp_service.control.recorder import Recorder
     from egp_service.control.status import StatusPublisher
     from egp_service.control.step import Step
 else:
     _MODULES: Final = {
         "Controller": "egp_service.control.controller",
+        "FleetMap": "egp_service.control.fleet_map",
         "Recorder": "egp_service.control.recorder",
         "ServiceUnreachableError": "egp_service.control.client",
         "StatusPublisher": "egp_service.control.status",
@@ -57,6 +59,7 @@ else:
 __all__ = [
     "Controller",
     "EgpError",
+    "FleetMap",
     "InvalidArgumentError",
     "Library",
     "LibraryError",

@@ -42,8 +42,11 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Make a folder, and wait until no other process is within this context with it."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Wait until no other process is within this context with a folder.
+
+    One that is missing is made, for its owner alone.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)

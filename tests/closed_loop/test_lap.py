@@ -11,6 +11,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from matplotlib import pyplot as plt
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from typer.testing import CliRunner
@@ -18,9 +19,10 @@ from typer.testing import CliRunner
 from egp_service import Controller, EgpError, Library
 from egp_service._core import write_library_subset
 from egp_service.cli import app
+from egp_service.cli.replay_text import outcome
 from egp_service.control.recorded import RecordingError, read_recording
-from egp_service.control.replay import replay
-from egp_service.simulation.report import draw_comparison, draw_run
+from egp_service.control.replay import Answer, Replay, replay
+from egp_service.simulation.report import _step_times_figure, draw_comparison, draw_run
 from egp_service.simulation.runs import record_run
 from egp_service.simulation.scenario import (
     gate_settings,
@@ -275,6 +277,33 @@ def test_a_replay_with_another_library(lap: Lap, tmp_path: Path) -> None:
     assert again.first_that_matters is not None
     with pytest.raises(RecordingError, match="horizon = 40"):
         replay(recorded, library, {"horizon": 30})
+
+
+def test_the_largest_difference_is_one_of_two_plans(lap: Lap) -> None:
+    def steps(*forces: float) -> list[Answer]:
+        return [Answer("solved", np.array([each, 0.0]), np.ones(1)) for each in forces]
+
+    def told(*forces: float) -> list[str]:
+        recorded, n = read_recording(lap.folder / "run.mcap"), len(forces)
+        same = np.array(forces) == 0.0
+        time, x, ranges = np.arange(n) / 50.0, np.zeros((n, 7)), np.full(2, 100.0)
+        again = Replay(time, x, steps(*n * [0.0]), steps(*forces), same, ranges, 0)
+        return outcome(recorded, again, {}, changed=True)[-2:]
+
+    lone, largest = told(0.0, np.nan, 20.0, 30.0)
+    assert lone == "In 1 steps only one of the two has a plan."
+    assert largest.startswith("Largest difference: step 4 ")
+    first, lone = told(0.0, 0.0, np.nan)
+    assert "(in 1 steps): step 3 " in first
+    assert lone == "In 1 steps only one of the two has a plan."
+
+
+def test_the_times_of_steps_are_drawn_with_their_deadline(lap: Lap) -> None:
+    figure = _step_times_figure(lap.run)
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    plt.close(figure)
+    assert texts[-1] == "deadline 16 ms"
+    assert lap.run.dt == 0.02
 
 
 def test_pictures_are_drawn(lap: Lap, tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from egp_service.cli import app
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.plant import PlantError, load_simulator
+from egp_service.simulation.report import draw_comparison, draw_run
 from egp_service.simulation.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
 
 DOCUMENT = Path(__file__).parents[2] / "docs/simulator.md"
@@ -38,6 +39,24 @@ class Complex(Short):
 
 class Empty:
     pass
+
+class Slots:
+    __slots__ = ("state",)
+    def reset(self, x): self.state = x
+    def step(self, u, dt, friction): self.state = [float("nan")] * 7
+
+class Compiled(Short):
+    __slots__ = ()
+    def __getattribute__(self, name):
+        if name == "__dict__":
+            raise AttributeError(name)
+        return object.__getattribute__(self, name)
+
+class Backwards(Slots):
+    __slots__ = ()
+    def step(self, u, dt, friction):
+        p_x, p_y, *rest = self.state
+        self.state = [p_x - 0.1, p_y + 1.0, *rest]
 """
 # A vehicle without slip, of the shipped libraries' mass and axle distance.
 ON_RAILS = """
@@ -123,6 +142,22 @@ def test_states_that_are_none_are_named(folder: Path, name: str, message: str) -
     own = replace(scenario(), plant=f"broken_car:{name}")
     with in_process_controller(own) as controller, pytest.raises(PlantError, match=message):
         drive(own, controller, lambda _: None)
+
+
+@pytest.mark.parametrize("name", ["Slots", "Compiled"])
+def test_a_simulator_needs_no_dictionary(folder: Path, name: str) -> None:
+    del folder
+    load_simulator(f"broken_car:{name}")
+
+
+@pytest.mark.parametrize("name", ["Slots", "Backwards"])
+def test_a_run_that_ends_at_its_start_or_behind_it_has_pictures(folder: Path, name: str) -> None:
+    own = replace(scenario(), plant=f"broken_car:{name}")
+    with in_process_controller(own) as controller:
+        run = drive(own, controller, lambda _: None)
+    assert run.trace.distance[-1] <= 0.0
+    for picture in [*draw_run(run, folder), draw_comparison([("a", run)], folder / "c.png")]:
+        assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("command", ["drive", "evaluate"])

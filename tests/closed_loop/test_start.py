@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pytest
@@ -15,9 +17,13 @@ from egp_service import (
     StatusPublisher,
     shipped,
 )
+from egp_service.control.step import Step
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.scenario import ScenarioError, Zone, load_scenario, told_zones
+
+if TYPE_CHECKING:
+    from egp_service.simulation.trace import Period
 
 BASE = told_zones(load_scenario("rounded-rectangle"))
 
@@ -40,6 +46,26 @@ def test_a_slow_start_keeps_the_path(friction: float, v_start: float) -> None:
     assert turns.sum() <= 5
 
 
+def test_a_drive_keeps_no_step() -> None:
+    """A step has 15 kB of messages and plan."""
+    gc.collect()
+    before = steps_in_memory()
+    alive: list[int] = []
+
+    def observe(period: Period) -> None:
+        if period.truth.time > 0.2 and not alive:
+            alive.append(steps_in_memory() - before)
+
+    with in_process_controller(BASE) as controller:
+        run = drive(replace(BASE, laps=0.03), controller, observe)
+        assert run.deadline == controller.deadline == pytest.approx(0.8 * run.dt)
+    assert alive == [1]
+
+
+def steps_in_memory() -> int:
+    return sum(isinstance(each, Step) for each in gc.get_objects())
+
+
 def test_a_scenario_that_was_changed_is_checked() -> None:
     scenario = replace(BASE, laps=float("nan"))
     with (
@@ -60,6 +86,22 @@ def test_a_status_that_cannot_be_published_is_an_error_at_once() -> None:
                 status.add(step, x[:3], 0.02)
         with pytest.raises(EgpError, match="the publisher was closed"):
             status.add(step, x, 0.04)
+
+
+@pytest.mark.parametrize(
+    ("mode", "status", "misses"),
+    [("normal", "solved", 0), ("normal", "late", 1), ("tail", "late", 1), ("stop", "solved", 1)],
+)
+def test_a_plan_that_came_after_the_deadline_is_a_miss(
+    mode: Literal["normal", "tail", "stop"], status: str, misses: int
+) -> None:
+    x = np.array([0.0, 0.2, 15.0, 0.0, 0.0, 0.0, 0.0])
+    with Controller(shipped.DEMO_LIBRARY, gate=Plant().parameters.gate_limits()) as controller:
+        s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+        step = controller.step(x, np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s]))
+        with StatusPublisher(controller, "tcp/127.0.0.1:9") as published:
+            published.add(replace(step, mode=mode, status=status), x, 0.0)
+            assert published._counts()["misses"] == misses  # noqa: SLF001
 
 
 def test_a_deadline_of_a_minute_is_one_of_ten_seconds() -> None:

@@ -90,6 +90,14 @@ def belief() -> RoadBelief:
         (lambda: VehicleClient.connect(NOBODY, gate=GATE, timeout=INF), "for timeout, got inf"),
         (lambda: VehicleClient.connect(NOBODY, gate=GATE, timeout=NAN), "for timeout, got nan"),
         (
+            lambda: VehicleClient.connect(NOBODY, gate=GATE, timeout=-1.0),
+            "expected 0 to 86400 seconds for timeout, got -1",
+        ),
+        (
+            lambda: Controller(DEMO_LIBRARY, " softer.toml\n", gate=GATE),
+            "got the path ' softer.toml",
+        ),
+        (
             lambda: VehicleClient.connect(NOBODY, gate=GATE, key_file="no.keys"),
             r"no\.keys.*egp keys",
         ),
@@ -137,6 +145,20 @@ def test_a_deadline_that_is_over_still_gives_a_plan(controller: Controller) -> N
     for deadline in (NAN, INF):
         with pytest.raises(InvalidArgumentError, match="finite deadline"):
             step(controller, deadline)
+
+
+def test_a_closed_controller_takes_no_step() -> None:
+    with Controller(DEMO_LIBRARY, gate=GATE) as closed:
+        assert step(closed).mode == "normal"
+    with pytest.raises(EgpError, match="the controller was closed: make another one"):
+        step(closed)
+
+
+@pytest.mark.parametrize("before", ["", "# of the wet car\n"])
+def test_text_of_settings_may_end_with_the_name_of_a_file(before: str) -> None:
+    text = f"{before}cost.lateral = 20.0  # as in softer.toml"
+    with Controller(DEMO_LIBRARY, text, gate=GATE) as stated:
+        assert stated.stated_settings == {"cost": {"lateral": 20.0}}
 
 
 def test_a_reset_keeps_the_input_that_the_actuators_apply(controller: Controller) -> None:
@@ -196,6 +218,6 @@ def test_numbers_and_arrays_of_numpy_are_settings() -> None:
 def test_an_error_of_the_service_names_field_unit_and_range(controller: Controller) -> None:
     s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
     reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
-    refused = controller.step(X, reference, np.full((len(s), 2), 1001.0))
+    refused = controller.step([*X[:4], 60.0, *X[5:]], reference)
     assert refused.status == "refused"
-    assert "widths: widths (m) is 1001, outside [-1000, 1000]" in refused.detail
+    assert "x: x.v_y (m/s) is 60, outside [-50, 50]" in refused.detail

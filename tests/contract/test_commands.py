@@ -20,7 +20,7 @@ from egp_service._core import SETTINGS_DOCUMENT
 from egp_service.cli import app
 from egp_service.cli.checks import run_checks
 from egp_service.cli.settings_text import read_settings_document
-from egp_service.control.endpoints import check_endpoints, why_not_free
+from egp_service.control.endpoints import check_endpoints, why_not_free, why_unreachable
 from egp_service.control.recorded import Recorded, RecordedStep, RecordingError, write_requests
 from egp_service.data.dataset import Dataset, Provenance
 from egp_service.files import replacing, write_text
@@ -178,6 +178,10 @@ def test_a_port_in_use_and_a_wrong_endpoint_are_named() -> None:
         assert failure("map", "--listen", endpoint) == message
     assert why_not_free(endpoint) is None
     assert "did you mean 'tcp/127.0.0.1:7447'" in failure("drive", "--connect", "127.0.0.1:7447")
+    for host in ("a..b", f"{'x' * 64}.example"):
+        for why in (why_not_free, why_unreachable):
+            told = why(f"tcp/{host}:7447")
+            assert told == "a part of the host's name is empty or longer than 63 letters"
     check_endpoints(["tcp/127.0.0.1:7447", "tls/[::1]:7447", "unixsock-stream//tmp/socket"])
 
 

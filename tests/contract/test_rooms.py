@@ -62,6 +62,7 @@ MAY_LOAD = {
     "egp_service.cli.checks": TERMINAL | {"zenoh"},
     "egp_service.cli.replay_text": TERMINAL | {"mcap"},
     "egp_service.cli.logs": TERMINAL | TRAINING | {"matplotlib"},
+    "egp_service.cli.evaluation_parts": TERMINAL | TRAINING,
 }
 
 LOAD = """

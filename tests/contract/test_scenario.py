@@ -106,6 +106,8 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         (("[track]", "[measurement]\nposition = nan\n[track]"), "position must be a finite number"),
         (("[track]", "[measurement]\npsi = -1.0\n[track]"), "measurement.psi must be at least 0"),
         (("[[zones]]", 'file = "a.csv"\n[[zones]]'), "track.file is for track kind 'csv', got"),
+        (("[track]", f"laps = {'9' * 400}\n[track]"), "laps must be a number below .* 400 digits"),
+        (("[track]", f"laps = {'9' * 5000}\n[track]"), "not TOML: Exceeds the limit"),
         (("[[zones]]", "parameters = {radius = nan}\n[[zones]]"), "radius must be a finite number"),
     ],
 )
@@ -230,6 +232,27 @@ def test_zones_in_metres_and_from_a_file_are_those_in_fractions(tmp_path: Path) 
     (tmp_path / "zones.csv").write_text("start,friction\n0.0,0.8\n10.0,slippery\n")
     with pytest.raises(ConfigurationError, match=r"zones.csv: line 3: friction .* 'slippery'"):
         parse_scenario(text, tmp_path, "mine.toml")
+
+
+@pytest.mark.parametrize(
+    ("rows", "complaint"),
+    [
+        ('start,friction\n0.0,"0.8\n0.5,0.5\n', "line 2: .* is a quotation mark missing"),
+        ('start,"friction\n0.0,0.8\n', "line 1: .* is a quotation mark missing"),
+        ('# c\nstart,surface\n\n0.0,"dry"t\n', "line 4: .* is a quotation mark missing"),
+    ],
+)
+def test_a_line_of_zones_with_half_a_quotation_is_named(
+    tmp_path: Path, rows: str, complaint: str
+) -> None:
+    (tmp_path / "zones.csv").write_text(rows)
+    text = 'zones_file = "zones.csv"\n' + MINIMAL.partition("[[zones]]")[0]
+    with pytest.raises(ConfigurationError, match=rf"zones\.csv: {complaint}"):
+        parse_scenario(text, tmp_path, "mine.toml")
+    (tmp_path / "zones.csv").write_text('start,surface\n0.0,"dry"\n')
+    assert parse_scenario(text, tmp_path, "mine.toml").zones[0].surface == "dry"
+    with pytest.raises(ScenarioError, match="zones_file must not contain the character NUL"):
+        parse_scenario(text.replace("zones.csv", "z\\u0000s"), tmp_path, "mine.toml")
 
 
 def test_the_file_of_a_vehicle_gives_gate_and_speeds(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from egp_service import shipped
 from egp_service.cli import app
 from egp_service.cli.inspect_library import inspect
 from egp_service.cli.tables import (
+    delay_sentence,
     headline_table,
     no_plan,
     skill_table,
@@ -23,11 +24,13 @@ from egp_service.cli.tables import (
     validation_table,
     vehicle_table,
 )
+from egp_service.data.alignment import Delays
+from egp_service.data.dataset import Dataset, Provenance
 from egp_service.evaluation.experiments import EXPERIMENTS
 from egp_service.evaluation.logs import OURS, PAPER, VEHICLE
 from egp_service.evaluation.summary_report import HEADLINE
 from egp_service.simulation.summary import Ending, Error, Summary
-from egp_service.training.open_loop import LINEAR, NO_CHANGE, Skill
+from egp_service.training.open_loop import LINEAR, NO_CHANGE, Skill, skill
 from egp_service.training.prior_mean import PARAMETERS
 from egp_service.training.validation import Cell
 from egp_service.training.vehicle_fit import FittedParameter, FittedVehicle
@@ -128,6 +131,21 @@ def test_skill_on_a_log_fits() -> None:
     likelihood = dict.fromkeys(names, -12.345)
     table = skill_table(SURFACES[0], Skill((0.04, 0.2, 0.5, 1.0, 2.0), rms, likelihood))
     check_table(table)
+
+
+def test_skill_without_a_duration_has_a_row_for_each_output() -> None:
+    z, steps = np.zeros((4, 6)), np.arange(4, dtype=np.uint32)
+    origin = Provenance(0.02, "toy", "dry", 1.0, 0, "formula", "test")
+    standing = Dataset(z, np.zeros((4, 3)), steps, steps, origin)
+    compared = skill({OURS: lambda z: z[:, :3]}, standing)
+    assert compared.rms[OURS].shape == (0, 3)
+    lines = printed(skill_table(SURFACES[0], compared))
+    check(lines)
+    assert [sum(name in line for line in lines) for name in ("v_x", "v_y", "omega")] == [2, 2, 2]
+
+
+def test_a_log_without_delays_is_described() -> None:
+    assert delay_sentence(Delays()).startswith("no delay was found in the log")
 
 
 def test_the_best_controllers_of_all_experiments_fit() -> None:

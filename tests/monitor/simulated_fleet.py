@@ -14,7 +14,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from egp_service.control.status import MONITOR_ENDPOINT, StatusPublisher
+from egp_service.control.endpoints import MONITOR_ENDPOINT
+from egp_service.control.status import StatusPublisher
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
 from egp_service.simulation.in_process import in_process_controller

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
 import signal
 import time
-from typing import TYPE_CHECKING
+from collections.abc import AsyncGenerator
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -15,7 +17,7 @@ from egp_service._core import EgpError, InvalidArgumentError
 from egp_service.control.endpoints import free_endpoint
 from egp_service.control.messages import message_class
 from egp_service.monitor.fleet import FORGET_SECONDS, Fleet
-from egp_service.monitor.web import bind
+from egp_service.monitor.web import _Refresh, allowed_hosts, bind
 from monitor.conftest import MonitorProcess
 from monitor.simulated_fleet import SimulatedFleet
 from patience import PATIENCE
@@ -23,7 +25,8 @@ from patience import PATIENCE
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-MODES = ("normal", "tail", "stop")
+NO_LISTENER: Any = None
+MODES = ("normal", "tail", "stop", "waiting")
 
 
 def status(mode: str = "normal", *, run: int = 1, total: float = 5.0, ended: bool = False) -> bytes:
@@ -75,6 +78,31 @@ def test_the_number_of_replicas_is_bounded() -> None:
         fleet.token(f"r{number}", 10.0, appeared=True)
         fleet.load(f"l{number}", message_class("Load")(queued=1).SerializeToString(), 10.0)
     assert len(fleet.replicas) == 1000
+
+
+def test_what_would_fill_the_memory_is_not_kept() -> None:
+    fleet = Fleet()
+    unknown = b"\xfa\x3f\x05hello"  # field 127
+    fleet.status("f/car", status() + unknown, 10.0)
+    car = fleet.vehicles["f/car"]
+    assert b"hello" not in car.status.SerializeToString()
+    message = message_class("VehicleStatus").FromString(status(run=2))
+    message.step.detail = "x" * (1 << 16)
+    fleet.status("f/car", message.SerializeToString(), 10.1)
+    fleet.status("f/car", status(run=3) + unknown * 10_000, 10.1)
+    fleet.status("f/car", status("x" * 1000, run=4), 10.1)
+    fleet.status("f/other", status("hovering"), 10.1)
+    assert (set(fleet.vehicles), car.status.run, car.last_seen) == ({"f/car"}, 1, 10.0)
+
+
+@pytest.mark.parametrize("points", [25_000, 25_001])
+def test_the_length_of_a_road_is_bounded(points: int) -> None:
+    fleet = Fleet()
+    fleet.status("f/car", status(), 10.0)
+    names = ("left_x", "left_y", "right_x", "right_y", "friction")
+    road = message_class("VehicleRoad")(**dict.fromkeys(names, [0.0] * points))
+    fleet.road("f/car", road.SerializeToString())
+    assert (fleet.vehicles["f/car"].road is not None) == (points == 25_000)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -146,7 +174,18 @@ def test_a_replica_is_silent_after_three_of_its_own_intervals() -> None:
     assert states(fleet, 101.8) == {"main": "silent"}
     fleet.load("main", load, 110.0 + FORGET_SECONDS)
     assert states(fleet, 110.0 + 2 * FORGET_SECONDS) == {"main": "serving"}
-    assert states(fleet, 110.1 + 2 * FORGET_SECONDS) == {}
+    # Its token is there.
+    assert states(fleet, 110.1 + 2 * FORGET_SECONDS) == {"main": "silent"}
+    fleet.token("main", 120.0 + 2 * FORGET_SECONDS, appeared=False)
+    assert states(fleet, 120.0 + 3 * FORGET_SECONDS) == {"main": "gone"}
+    assert states(fleet, 120.1 + 3 * FORGET_SECONDS) == {}
+
+
+def test_a_replica_that_never_had_a_token_is_forgotten() -> None:
+    fleet = Fleet()
+    fleet.load("main", message_class("Load")(workers=2).SerializeToString(), 0.0)
+    assert states(fleet, FORGET_SECONDS) == {"main": "silent"}
+    assert states(fleet, FORGET_SECONDS + 0.1) == {}
 
 
 def test_bytes_that_are_no_message_change_nothing() -> None:
@@ -199,6 +238,40 @@ def test_the_server_forbids_foreign_content_and_foreign_names(monitor: MonitorPr
         assert b"http" not in answer.read()
     with request(monitor, "/", Host="elsewhere.example") as answer:
         assert answer.status == http.HTTPStatus.BAD_REQUEST
+
+
+@pytest.mark.parametrize(
+    ("host", "address", "elsewhere"),
+    [
+        ("127.0.0.1", "127.0.0.1", False),
+        ("127.0.0.2", "127.0.0.2", False),
+        ("own-name", "127.0.1.1", False),
+        ("::1", "::1", False),
+        ("0.0.0.0", "0.0.0.0", True),  # noqa: S104 - an address to be told from the others
+        ("::", "::", True),
+        ("192.0.2.1", "192.0.2.1", True),
+    ],
+)
+def test_only_a_page_of_this_machine_has_names(
+    host: str,
+    address: str,
+    elsewhere: bool,  # noqa: FBT001 - a parameter
+) -> None:
+    found = allowed_hosts(host, address)
+    assert ("*" in found) == elsewhere
+    assert elsewhere or {host, address, "localhost"} <= set(found)
+
+
+def test_a_page_that_leaves_at_once_is_not_counted() -> None:
+    async def visit() -> int:
+        refresh = _Refresh(NO_LISTENER, lambda: False)
+        stream = refresh.stream("")
+        assert isinstance(stream, AsyncGenerator)
+        assert (await anext(stream)).startswith("retry: ")
+        await stream.aclose()
+        return refresh._pages  # noqa: SLF001
+
+    assert asyncio.run(visit()) == 0
 
 
 def test_addresses_that_cannot_be_used_are_named() -> None:

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -38,7 +39,6 @@ from egp_service.ros2.driving import Drive, Vehicle
 from egp_service.ros2.messages import ODOMETRY
 from egp_service.ros2.rmw_zenoh import (
     Topic,
-    decode_attachment,
     encode_attachment,
     endpoint_token,
     gid,
@@ -87,9 +87,6 @@ def test_an_attachment_has_33_bytes_in_the_documented_order() -> None:
     assert data == (
         b"\x03" + bytes(7) + b"\x07\xca\x9a\x3b" + bytes(4) + b"\x10" + bytes(range(16))
     )
-    assert decode_attachment(data) == (3, 1_000_000_007, bytes(range(16)))
-    with pytest.raises(messages.MessageError, match=r"0\.6 or newer"):
-        decode_attachment(data[:-1])
 
 
 def test_commands_have_the_bytes_of_another_cdr_library() -> None:
@@ -201,6 +198,20 @@ def test_options_of_a_service_need_one() -> None:
     result = CliRunner().invoke(app, ["ros2", "--name", "car-2"])
     assert isinstance(result.exception, EgpError)
     assert str(result.exception) == "--name can be given with --connect or --service-zenoh only"
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "0", "-1", "1e9"])
+@pytest.mark.parametrize("name", ["silence", "friction", "grip", "v-max"])
+def test_numbers_of_a_drive_are_in_their_ranges(name: str, value: str) -> None:
+    assert CliRunner().invoke(app, ["ros2", f"--{name}", value]).exit_code != 0
+    field = name.replace("-", "_")
+    with pytest.raises(InvalidArgumentError, match=rf"{field}: expected a number above 0"):
+        Drive(Plant().parameters, 1.0, **{field: float(value)})
+
+
+def test_a_drive_without_a_topic_for_commands_is_an_error() -> None:
+    result = CliRunner().invoke(app, ["ros2", "--ackermann", "", "--control", ""])
+    assert "no topic for commands" in str(result.exception)
 
 
 @pytest.fixture
@@ -329,6 +340,13 @@ def test_a_path_is_driven_in_its_own_frame_and_to_its_end(clock: Clock) -> None:
     assert problem == ""
     assert modes[-1] == "normal"
     assert commands[-1].drive.acceleration < -1.0, "9 m before the end of the path"
+
+
+def test_a_path_without_speeds_is_named(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driving, "SpeedProfile", Mock(side_effect=EgpError("no speed")))
+    settings = Drive(Plant().parameters, 1.0, path="plan")
+    _, problem, _ = drive_topics(clock, settings, [{"plan": straight("map")}, {}])
+    assert problem == "path of 200 poses: no speed"
 
 
 SILENCE = 0.3

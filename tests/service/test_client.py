@@ -22,7 +22,7 @@ from egp_service._core.testing import live_key
 from egp_service.control.client import Announcement, Network, ServiceUnreachableError
 from egp_service.control.endpoints import free_endpoint
 from egp_service.control.inbox import Inbox
-from egp_service.control.service_process import ServiceProcess, ServiceStartError
+from egp_service.control.service_process import ServiceProcess
 from egp_service.control.session import session_config
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario, told_zones
@@ -121,7 +121,8 @@ def test_service_and_controller_give_the_same_bytes(service: ServiceProcess) -> 
 def test_vehicles_and_services_receive_with_eight_threads(service: ServiceProcess) -> None:
     """With two, closing the link to a silent process delays the answers of all others."""
     with VehicleClient.connect([service.endpoint], gate=GATE):
-        for process in (os.getpid(), service.pid):
+        assert service._process is not None  # noqa: SLF001
+        for process in (os.getpid(), service._process.pid):  # noqa: SLF001
             end = time.monotonic() + PATIENCE
             names: list[str] = []
             # A thread that has just been started names itself a little later.
@@ -274,6 +275,14 @@ def test_one_endpoint_may_be_a_string(service: ServiceProcess) -> None:
         assert Standstill(client).step(deadline=5.0).mode == "normal"
 
 
+def test_a_closed_client_takes_no_step(service: ServiceProcess) -> None:
+    with VehicleClient.connect(service.endpoint, gate=GATE) as client:
+        vehicle = Standstill(client)
+        assert vehicle.step(deadline=5.0).mode == "normal"
+    with pytest.raises(EgpError, match="the controller was closed: make another one"):
+        vehicle.step()
+
+
 @pytest.mark.parametrize("names", [{"vehicle": "a/b"}, {"fleet": ""}, {"vehicle": "car 7"}])
 def test_names_that_cannot_be_part_of_a_key_are_refused_before_connecting(
     names: dict[str, str],
@@ -349,13 +358,3 @@ def test_connecting_to_nobody_says_what_to_do() -> None:
     endpoint = free_endpoint()
     with zenoh.open(session_config([], 1.0, {"listen/endpoints": [endpoint]})):
         unreachable(endpoint, GATE, r"^no replica of the service announces")
-
-
-def test_a_service_that_cannot_start_says_why(tmp_path: Path) -> None:
-    broken = tmp_path / "broken.safetensors"
-    broken.write_bytes(b"no library")
-    with (
-        pytest.raises(ServiceStartError, match=r"broken\.safetensors"),
-        ServiceProcess(broken, {}),
-    ):
-        pass

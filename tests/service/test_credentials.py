@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -94,6 +95,17 @@ def test_calls_at_the_same_time_complete_one_folder(tmp_path: Path) -> None:
     files = [own / "vehicles" / f"default@{name}.json5" for name in names]
     tls = [json.loads(file.read_text())["transport"]["link"]["tls"] for file in files]
     assert len({one["root_ca_certificate_base64"] for one in tls}) == 1
+
+
+def test_only_the_owner_can_look_into_the_folders(tmp_path: Path) -> None:
+    before = os.umask(0o022)
+    try:
+        own = secrets(tmp_path / "new" / "own", "tls/127.0.0.1:7447")
+    finally:
+        os.umask(before)
+    modes = {path: path.stat().st_mode & 0o777 for path in (own, *own.rglob("*"))}
+    assert all(mode == (0o700 if path.is_dir() else 0o600) for path, mode in modes.items()), modes
+    assert modes[own / "vehicles"] == 0o700
 
 
 def test_a_further_vehicle_moves_no_endpoint_unless_it_is_said(tmp_path: Path) -> None:

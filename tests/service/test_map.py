@@ -265,6 +265,34 @@ def test_evidence_that_an_overloaded_service_refused_is_sent_again() -> None:
         queryable.undeclare()  # type: ignore[no-untyped-call]
 
 
+@pytest.mark.parametrize("of_evidence", [False, True])
+def test_a_warning_says_what_the_service_does_not_accept(
+    caplog: pytest.LogCaptureFixture,
+    of_evidence: bool,  # noqa: FBT001 - a parameter
+) -> None:
+    endpoint = free_endpoint()
+    config = zenoh.Config()
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+
+    def answer(query: zenoh.Query) -> None:
+        if ("/tile/" in str(query.key_expr)) == of_evidence:
+            query.reply_err(bytes([0x08, 2]))
+        else:
+            query.reply(str(query.key_expr), b"")
+
+    with zenoh.open(config) as session:
+        queryable = session.declare_queryable("egp/**", answer)
+        belief = RoadBelief(PATH)
+        with FleetMap(endpoint, belief, road="ring", vehicle="car") as fleet:
+            fleet.fetch()
+            measure(belief, 0.4, 150.0)
+        queryable.undeclare()  # type: ignore[no-untyped-call]
+    told = " ".join(caplog.messages)
+    assert ("does not accept evidence" in told) == of_evidence
+    assert ("does not answer questions" in told) != of_evidence
+
+
 def test_fleets_share_nothing_and_a_vehicle_does_not_hear_itself() -> None:
     endpoint = free_endpoint()
     good = encode_tile_evidence(measured(0.5).tile(0), 2.0)

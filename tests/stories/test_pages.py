@@ -39,13 +39,12 @@ EXECUTED: Final = ("sh", "python", "toml")
 # Of these pages all such blocks run here, but those of ELSEWHERE.
 PAGES: Final = [
     *("client", "deploying", "first-drive", "logs", "map", "monitor", "README", "recordings"),
-    *("results", "security", "simulation", "simulator", "surfaces", "your-car", "your-data"),
-    "your-track",
+    *("python", "results", "security", "simulation", "simulator", "surfaces", "your-car"),
+    *("your-data", "your-track"),
 ]
 # Page and language of blocks without a title that another test executes.
 ELSEWHERE: Final = {
     ("README", "python"): "contract/test_readme.py",
-    ("python", "python"): "contract/test_readme.py",
     ("simulator", "python"): "closed_loop/test_environment.py",
 }
 # Blocks without a language are not executed. tests/contract/test_readme.py looks up the commands

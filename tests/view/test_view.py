@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import rerun_cli
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
 from rerun.chunk import RrdReader
@@ -224,6 +225,30 @@ def test_other_files_and_names_are_errors(run: Path, tmp_path: Path) -> None:
     (tmp_path / "text.mcap").write_text("text")
     assert "expected an MCAP recording" in failure(tmp_path / "text.mcap", "--save", target)
     assert not target.exists()
+
+
+@pytest.mark.parametrize(
+    ("schema", "encoding", "data", "message"),
+    [
+        ("", "protobuf", b"", "expected foxglove.PosesInFrame .* on /plan, found no type"),
+        ("nav.Path", "protobuf", b"", "on /plan, found nav.Path as 'protobuf'"),
+        ("foxglove.PosesInFrame", "json", b"{}", "found foxglove.PosesInFrame as 'json'"),
+        ("foxglove.PosesInFrame", "protobuf", b"\xff\xff", "the recording is damaged"),
+        ("foxglove.PosesInFrame", "protobuf", b"", "found 0 steps and no metadata 'egp.about'"),
+    ],
+)
+def test_topics_of_other_programs_are_named(
+    tmp_path: Path, schema: str, encoding: str, data: bytes, message: str
+) -> None:
+    file = tmp_path / "other.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        number = writer.register_schema(schema, "protobuf", b"") if schema else 0
+        channel = writer.register_channel("/plan", encoding, number)
+        writer.add_message(channel, 0, data, 0)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert re.search(message, failure(file, "--save", tmp_path / "run.rrd"))
 
 
 def test_without_a_display_the_error_names_the_option_and_nothing_is_reported_home(

@@ -11,11 +11,14 @@ end only, so that a vehicle's certificate cannot be used to listen in a service'
 from __future__ import annotations
 
 import ipaddress
+import re
 from base64 import b64encode
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Self
+
+from egp_service._core import EgpError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
 _CLOCK_DIFFERENCE = timedelta(hours=1)
+_HOST_NAME = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +43,26 @@ class Identity:
             f"{end}_certificate_base64": b64encode(self.certificate).decode(),
             f"{end}_private_key_base64": b64encode(self.private_key).decode(),
         }
+
+
+def check_hosts(hosts: Sequence[str]) -> None:
+    """Raise `EgpError` for a host that a certificate cannot name."""
+    for host in hosts:
+        try:
+            address = ipaddress.ip_address(host)
+        except ValueError:
+            if not _HOST_NAME.fullmatch(host):
+                raise EgpError(
+                    f"host {host!r}: expected an IPv4 address, or a name of letters (A-Z a-z), "
+                    "digits, hyphens, underscores and dots; --port gives the port, and a name with "
+                    "other letters is written in its form that begins with xn--"
+                ) from None
+        else:
+            if isinstance(address, ipaddress.IPv6Address):
+                raise EgpError(
+                    f"host {host}: zenoh does not compare an IPv6 address with a certificate; give "
+                    "a host name that resolves to it"
+                )
 
 
 def listening_hosts(certificate: bytes) -> list[str]:

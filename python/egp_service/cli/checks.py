@@ -16,7 +16,15 @@ from egp_service import shipped
 from egp_service._core import EgpError, Library, available_cores, vector_instructions
 from egp_service.cli.extras import EXTRAS
 from egp_service.control.controller import Controller
-from egp_service.control.endpoints import free_endpoint, why_not_free, why_unreachable
+from egp_service.control.endpoints import (
+    MAP_ENDPOINT,
+    MONITOR_ENDPOINT,
+    ROUTER_ENDPOINT,
+    SERVICE_ENDPOINT,
+    free_endpoint,
+    why_not_free,
+    why_unreachable,
+)
 from egp_service.control.session import session_config
 
 if TYPE_CHECKING:
@@ -24,10 +32,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 PORTS: Final = {
-    "egp serve": "tcp/127.0.0.1:7447",
-    "egp map": "tcp/127.0.0.1:7448",
-    "egp router": "tcp/127.0.0.1:7449",
-    "egp monitor": "tcp/127.0.0.1:7450",
+    "egp serve": SERVICE_ENDPOINT,
+    "egp map": MAP_ENDPOINT,
+    "egp router": ROUTER_ENDPOINT,
+    "egp monitor": MONITOR_ENDPOINT,
 }
 PAGE: Final = "tcp/127.0.0.1:8642"
 """Where `egp monitor` serves its page."""

@@ -6,13 +6,13 @@ certificate inside, so that it can be copied to where it is used.
 
 from __future__ import annotations
 
-import ipaddress
 import json
 import os
 import re
 import secrets
 from base64 import b64decode, b64encode
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
@@ -26,8 +26,9 @@ from egp_service.cli.access import (
     listener_access,
     size_limits,
 )
-from egp_service.cli.certificates import Authority, Identity, listening_hosts
+from egp_service.cli.certificates import Authority, Identity, check_hosts, listening_hosts
 from egp_service.cli.signing import new_signing_key, public_line
+from egp_service.control.endpoints import MAP_PORT, ROUTER_PORT, SERVICE_PORT
 from egp_service.files import locked, replacing
 
 if TYPE_CHECKING:
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
-_HOST_NAME = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
 _KEY_LINE = re.compile(rf"{_NAME.pattern}/{_NAME.pattern}\s+[0-9A-Fa-f]{{64}}")
 # A key of replicas that stands where steps have the fleet; access control cannot tell them apart.
 _RESERVED_FLEET = "library"
@@ -46,7 +46,7 @@ _LONGEST = 64
 _SCOUTING = {"multicast": {"enabled": False}}
 _RETRY = {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2}
 # Ports of `egp serve`, `egp map` and `egp router` by default.
-_PORTS = {SERVICE: 7447, MAP: 7448, ROUTER: 7449}
+_PORTS = {SERVICE: SERVICE_PORT, MAP: MAP_PORT, ROUTER: ROUTER_PORT}
 # Largest messages that a vehicle, and that a service or router receives, bytes.
 _LONGEST_AT_CLIENT, _LONGEST_AT_SERVICE = 1 << 20, 1 << 23
 # Sessions of each vehicle at a service or router (control, status, map and one that replaces a lost
@@ -75,6 +75,8 @@ def write_credentials(
 ) -> list[str]:
     """Write or complete the files of a fleet in `folder`; return the vehicles that are new.
 
+    Folders that are made, and all files, are for their owner alone.
+
     The other `vehicles` keep their secret keys and endpoints, and get new certificates; so do
     operator and monitor. The files of new ones connect to `hosts`. The certificates of service, map
     and router are also valid for the hosts of earlier calls, and they listen where they did. The
@@ -86,22 +88,41 @@ def write_credentials(
     certificate or key.
     """
     names = list(dict.fromkeys(_vehicle(fleet, vehicle) for vehicle in vehicles))
-    _check_hosts(hosts)
+    check_hosts(hosts)
     with locked(folder):
-        return _write_all(folder, names, hosts=hosts, port=port, days=days, report=report)
+        found = _collect(folder, names, hosts=hosts, port=port, report=report)
+        _write_all(folder, found, _authority(folder, days, report), days)
+    return found.new
 
 
-def _write_all(
+@dataclass(frozen=True, slots=True)
+class _Fleet:
+    """What the files of a fleet are to hold."""
+
+    keys: dict[str, str]
+    """Secret keys of all vehicles."""
+    new: list[str]
+    """Vehicles that have no files yet."""
+    connected: dict[str, list[str]]
+    """Where each vehicle to write connects to."""
+    watching: dict[str, list[str]]
+    """Where operator and monitor connect to."""
+    listening: dict[str, list[str]]
+    """Where service, map and router listen."""
+    hosts: dict[str, list[str]]
+    """Hosts in the certificates of service, map and router."""
+
+
+def _collect(
     folder: Path,
     names: Sequence[str],
     *,
     hosts: Sequence[str],
     port: int | None,
-    days: int,
     report: Callable[[str], None],
-) -> list[str]:
-    ring = folder / "vehicles.keys"
-    keys = _read_keys(ring)
+) -> _Fleet:
+    """Join what earlier calls wrote with what is to be added."""
+    keys = _read_keys(folder / "vehicles.keys")
     new = [name for name in names if name not in keys]
     keys |= {name: secrets.token_hex(32) for name in new}
     listening = {
@@ -119,14 +140,12 @@ def _write_all(
             )
         listening[SERVICE], reached_at = [f"tls/[::]:{port}"], port
     endpoints = [f"tls/{host}:{reached_at}" for host in hosts]
-    files = {name: folder / "vehicles" / f"{name.replace('/', '@')}.json5" for name in names}
-    for name, file in files.items():
+    connected = {}
+    for name in names:
+        file = _vehicle_file(folder, name)
         if name not in new and not file.exists():
             report(f"{file} is not there: the new one has the endpoints of --host.")
-    connected = {
-        name: endpoints if name in new else _endpoints(file, "connect") or endpoints
-        for name, file in files.items()
-    }
+        connected[name] = endpoints if name in new else _endpoints(file, "connect") or endpoints
     watching = {
         name: _endpoints(folder / f"{name}.json5", "connect") or endpoints
         for name in (OPERATOR, _MONITOR)
@@ -136,25 +155,34 @@ def _write_all(
     }
     if (folder / "library.key").exists():
         public_line(folder / "library.key")  # raises if it is damaged
-    authority = _authority(folder, days, report)
+    return _Fleet(keys, new, connected, watching, listening, hosts_of)
+
+
+def _write_all(folder: Path, fleet: _Fleet, authority: Authority, days: int) -> None:
     _signing_key(folder)
-    for name, file in files.items():
-        config = _client(authority, authority.issue(name, days), connected[name], name)
-        _write(file.with_suffix(".keys"), _key_lines({name: keys[name]}))
+    (folder / "vehicles").mkdir(mode=0o700, exist_ok=True)
+    for name, endpoints in fleet.connected.items():
+        file = _vehicle_file(folder, name)
+        config = _client(authority, authority.issue(name, days), endpoints, name)
+        _write(file.with_suffix(".keys"), _key_lines({name: fleet.keys[name]}))
         _write(file, _text(config))
     identity = authority.issue(OPERATOR, days)
     # What vehicles publish is passed on to clients: services and routers leave it to two peers to
     # have a link of their own.
     for name, mode in ((OPERATOR, "peer"), (_MONITOR, "client")):
-        config = _client(authority, identity, watching[name], OPERATOR) | {"mode": mode}
+        config = _client(authority, identity, fleet.watching[name], OPERATOR) | {"mode": mode}
         _write(folder / f"{name}.json5", _text(config))
-    for end, at in listening.items():
-        identity = authority.issue(end, days, hosts_of[end])
-        _write(folder / f"{end}.json5", _text(_listener(authority, identity, end, at, keys)))
+    for end, at in fleet.listening.items():
+        identity = authority.issue(end, days, fleet.hosts[end])
+        config = _listener(authority, identity, end, at, fleet.keys)
+        _write(folder / f"{end}.json5", _text(config))
     # The list of the vehicles comes last: a call that was interrupted after it had made the
     # authority can be repeated.
-    _write(ring, _key_lines(keys))
-    return new
+    _write(folder / "vehicles.keys", _key_lines(fleet.keys))
+
+
+def _vehicle_file(folder: Path, name: str) -> Path:
+    return folder / "vehicles" / f"{name.replace('/', '@')}.json5"
 
 
 def _vehicle(fleet: str, vehicle: str) -> str:
@@ -171,25 +199,6 @@ def _vehicle(fleet: str, vehicle: str) -> str:
     return name
 
 
-def _check_hosts(hosts: Sequence[str]) -> None:
-    for host in hosts:
-        try:
-            address = ipaddress.ip_address(host)
-        except ValueError:
-            if not _HOST_NAME.fullmatch(host):
-                raise EgpError(
-                    f"host {host!r}: expected an IPv4 address, or a name of letters (A-Z a-z), "
-                    "digits, hyphens, underscores and dots; --port gives the port, and a name with "
-                    "other letters is written in its form that begins with xn--"
-                ) from None
-        else:
-            if isinstance(address, ipaddress.IPv6Address):
-                raise EgpError(
-                    f"host {host}: zenoh does not compare an IPv6 address with a certificate; give "
-                    "a host name that resolves to it"
-                )
-
-
 def _authority(folder: Path, days: int, report: Callable[[str], None]) -> Authority:
     certificate, private = folder / "ca.pem", folder / "ca.key"
     if not certificate.exists():
@@ -199,7 +208,6 @@ def _authority(folder: Path, days: int, report: Callable[[str], None]) -> Author
                 ".json5 file of the fleet has as root_ca_certificate_base64, or move ca.key away "
                 "to begin with a new authority"
             )
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         authority = Authority.new(10 * days)
         _write(private, authority.identity.private_key.decode())
         _write(certificate, authority.identity.certificate.decode())

@@ -74,8 +74,11 @@ def outcome(
         f"First difference of more than {100 * MATTERS:g} % of an actuator's range "
         f"(in {matter} steps): {_place(replay, first)}"
     )
-    worst = int(np.argmax(np.where(np.isfinite(replay.share), replay.share, -1.0)))
-    lines.append(f"Largest difference: {_place(replay, worst)}")
+    if lone := int(np.isinf(replay.share).sum()):
+        lines.append(f"In {lone} steps only one of the two has a plan.")
+    compared = np.where(np.isfinite(replay.share), replay.share, 0.0)
+    if compared.any():
+        lines.append(f"Largest difference: {_place(replay, int(np.argmax(compared)))}")
     return lines
 
 

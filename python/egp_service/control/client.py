@@ -158,14 +158,17 @@ class VehicleClient(StepController):
                 if isinstance(action, Decision):
                     return action
                 self._network.ask(action)
-            happened = self._network.next(self._driver.next_wake - time.monotonic())
-            if happened is None:
-                self._driver.wake(time.monotonic())
-            else:
+            wake = self._driver.next_wake
+            happened = self._network.next(wake - time.monotonic())
+            if happened is not None:
                 happened(self._driver)
+            # The deadline ends the period although events keep coming.
+            if (now := time.monotonic()) >= wake:
+                self._driver.wake(now)
 
     def close(self) -> None:
-        """Close the zenoh session, and write the spans that wait."""
+        """Close the zenoh session, and write the spans that wait; no step can follow."""
+        super().close()
         self._network.close()
         if lost := self._driver.finish_traces():
             warnings.warn(f"{lost} spans of traces could not be written", stacklevel=2)
@@ -295,11 +298,14 @@ def _first_ready(
     while (left := deadline - time.monotonic()) > 0.0:
         question = discovery.next_question()
         if question is None:
-            # Every live replica was asked, or there is none: wait for a change.
-            event = network.next(min(left, _POLL_SECONDS))
-            if isinstance(event, Announcement):
-                note = discovery.replica_appeared if event.appeared else discovery.replica_gone
-                note(event.replica)
+            # Every live replica was asked, or there is none: wait for a change. All that have come
+            # count before the next round, in which each frozen replica takes a second.
+            patience = min(left, _POLL_SECONDS)
+            while (event := network.next(patience)) is not None:
+                if isinstance(event, Announcement):
+                    note = discovery.replica_appeared if event.appeared else discovery.replica_gone
+                    note(event.replica)
+                patience = 0.0
             continue
         replica, key, seal = question
         for answer, attachment in network.ask_and_wait(key, seal, min(left, _QUESTION_SECONDS)):

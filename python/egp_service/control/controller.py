@@ -60,7 +60,7 @@ def _text(settings: str | Mapping[str, object] | Path) -> str:
     """Return the settings as TOML."""
     if isinstance(settings, Mapping):
         return dumps(settings)
-    if isinstance(settings, Path) or str(settings).strip().endswith(".toml"):
+    if isinstance(settings, Path) or _is_path(str(settings)):
         raise InvalidArgumentError(
             f"settings: expected TOML text or a mapping, got the path {str(settings)!r}; "
             f"use pathlib.Path({str(settings)!r}).read_text()"
@@ -71,3 +71,9 @@ def _text(settings: str | Mapping[str, object] | Path) -> str:
             "defaults"
         )
     return settings
+
+
+def _is_path(text: str) -> bool:
+    """Tell the path of a file from TOML text, which has an equals sign or several lines."""
+    text = text.strip()
+    return text.endswith(".toml") and "=" not in text and "\n" not in text

@@ -13,6 +13,17 @@ from egp_service._core import EgpError, InvalidArgumentError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+SERVICE_PORT: Final = 7447
+MAP_PORT: Final = 7448
+ROUTER_PORT: Final = 7449
+SERVICE_ENDPOINT: Final = f"tcp/127.0.0.1:{SERVICE_PORT}"
+MAP_ENDPOINT: Final = f"tcp/127.0.0.1:{MAP_PORT}"
+ROUTER_ENDPOINT: Final = f"tcp/127.0.0.1:{ROUTER_PORT}"
+MONITOR_ENDPOINT: Final = "tcp/127.0.0.1:7450"
+"""Where `egp serve`, `egp map`, `egp router` and `egp monitor` listen unless an option says
+otherwise."""
+ROS_ROUTER_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+"""Where the router of rmw_zenoh listens."""
 _FORM: Final = re.compile(r"[a-z][a-z-]*/.+")
 _REACH_SECONDS: Final = 1.0
 _LARGEST_PORT: Final = 65535
@@ -31,7 +42,7 @@ def check_endpoints(endpoints: Sequence[str]) -> None:
     """
     for endpoint in endpoints:
         if not _FORM.fullmatch(endpoint):
-            address = endpoint.rpartition("/")[2] or "127.0.0.1:7447"
+            address = endpoint.rpartition("/")[2] or SERVICE_ENDPOINT.partition("/")[2]
             raise InvalidArgumentError(
                 f"endpoint {endpoint!r}: expected PROTOCOL/ADDRESS; did you mean 'tcp/{address}'?"
             )
@@ -55,7 +66,7 @@ def check_free(endpoints: Sequence[str]) -> None:
         if reason is not None:
             raise EgpError(
                 f"cannot listen on {endpoint}: {reason}; stop the other program, or choose another "
-                "endpoint with --listen, such as tcp/127.0.0.1:7450"
+                "endpoint with --listen, such as tcp/127.0.0.1:7460"
             )
 
 
@@ -66,8 +77,8 @@ def why_unreachable(endpoint: str) -> str | None:
         return None
     try:
         socket.create_connection((found["host"], int(found["port"])), _REACH_SECONDS).close()
-    except (OSError, OverflowError) as error:
-        return (error.strerror if isinstance(error, OSError) else None) or str(error)
+    except (OSError, OverflowError, UnicodeError) as error:
+        return _reason(error)
     return None
 
 
@@ -85,9 +96,15 @@ def why_not_free(endpoint: str) -> str | None:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
             probe.listen()
-    except (OSError, OverflowError) as error:
-        return (error.strerror if isinstance(error, OSError) else None) or str(error)
+    except (OSError, OverflowError, UnicodeError) as error:
+        return _reason(error)
     return None
+
+
+def _reason(error: OSError | OverflowError | UnicodeError) -> str:
+    if isinstance(error, UnicodeError):
+        return "a part of the host's name is empty or longer than 63 letters"
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
 def free_port() -> int:

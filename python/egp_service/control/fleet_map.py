@@ -268,6 +268,7 @@ class FleetMap:
         Both are called by `exchange`.
         """
         heard = []
+        lost = "answer questions" if payload is None else "accept evidence"
 
         def deliver(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
@@ -280,7 +281,7 @@ class FleetMap:
                     refusal = decode_error(content)
                     if not refusal.retryable:
                         heard.append(True)
-                    self._inbox.put(lambda: self._refused(refusal))
+                    self._inbox.put(lambda: self._refused(lost, refusal))
 
         def ended() -> None:
             answered = bool(heard)
@@ -303,8 +304,8 @@ class FleetMap:
         self._silent = not answered
         end(answered)
 
-    def _refused(self, refusal: Refusal) -> None:
-        self._warn(f"the map service does not accept evidence: {refusal.code}: {refusal.detail}")
+    def _refused(self, lost: str, refusal: Refusal) -> None:
+        self._warn(f"the map service does not {lost}: {refusal.code}: {refusal.detail}")
 
     def _warn(self, text: str) -> None:
         """Log a warning, each only once."""

@@ -44,7 +44,7 @@ LATEST: Final = 2**63 / NANOSECONDS
 """Times of a recording are below this one, s, which is 292 years."""
 MAP, VEHICLE = "map", "vehicle"
 FLUSH_STEPS: Final = 50
-"""An interrupted recording lacks at most this many of the last steps."""
+"""The recording of a process that was killed lacks at most this many of the last steps."""
 ABOUT, SETTINGS, SCENARIO = "egp.about", "egp.settings", "egp.scenario"
 """Names of the metadata records."""
 
@@ -61,8 +61,9 @@ class Recorder:
 
     The file holds what is needed to repeat the steps: the requests and replies as sent, the
     identity of the library, the settings and the versions (`egp replay`). The settings of a service
-    are known to the recorder only if it was started by this package. After an interruption the
-    recording can be read except for at most its last 50 steps. An exception while it is written to,
+    are known to the recorder only if it was started by this package. The recording of a process
+    that was killed can be read except for at most its last 50 steps. After a power failure more of
+    them are missing: the system writes them to the disk later. An exception while it is written to,
     such as that of a full disk, ends the recording.
     """
 

@@ -13,6 +13,10 @@ import signal
 import sys
 import threading
 from pathlib import Path
+from typing import Final
+
+FOLDER_PREFIX: Final = "egp-service-"
+"""The name of a service's folder begins with it; no other folder is removed."""
 
 
 def main() -> None:
@@ -29,7 +33,7 @@ def main() -> None:
     try:
         runpy.run_module("egp_service", run_name="__main__", alter_sys=True)
     finally:
-        if alone.is_set():
+        if alone.is_set() and folder.name.startswith(FOLDER_PREFIX):
             shutil.rmtree(folder, ignore_errors=True)
 
 

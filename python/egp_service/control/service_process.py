@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Self
 
 from egp_service._core import EgpError
 from egp_service.control.endpoints import free_endpoint, why_unreachable
+from egp_service.control.service_child import FOLDER_PREFIX
 from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
@@ -43,18 +44,18 @@ class ServiceProcess:
             "zenoh": {"listen/endpoints": json.dumps([self.endpoint])},
         }
         self._cleanup = ExitStack()
-        self._folder = Path()
+        self._folder: Path | None = None
         self._process: subprocess.Popen[bytes] | None = None
 
-    @property
-    def pid(self) -> int:
-        """The identifier of the process that serves."""
-        if self._process is None:
-            raise EgpError("the service does not run")
-        return self._process.pid
-
     def start(self) -> None:
-        """Start the service and wait until it listens, or raise `ServiceStartError`."""
+        """Start the service and wait until it listens.
+
+        Raises `ServiceStartError` if it does not, and `EgpError` outside a `with` block.
+        """
+        if self._folder is None:
+            raise EgpError(
+                "there is no folder for its files: start it within `with ServiceProcess(...):`"
+            )
         config, log_file = self._folder / "service.toml", self._folder / "log.txt"
         config.write_text(dumps(self._config), encoding="utf-8")
         child = "egp_service.control.service_child"
@@ -102,7 +103,8 @@ class ServiceProcess:
     def __enter__(self) -> Self:
         """Start the service with its files in a temporary folder."""
         with ExitStack() as started:
-            self._folder = Path(started.enter_context(TemporaryDirectory(prefix="egp-service-")))
+            started.callback(setattr, self, "_folder", None)
+            self._folder = Path(started.enter_context(TemporaryDirectory(prefix=FOLDER_PREFIX)))
             started.callback(self.stop)
             self.start()
             self._cleanup = started.pop_all()

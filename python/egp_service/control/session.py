@@ -65,7 +65,7 @@ def session_config(
     """
     if not 0.0 <= timeout <= _LONGEST_TIMEOUT:
         raise InvalidArgumentError(
-            f"expected up to {_LONGEST_TIMEOUT:g} seconds for timeout, got {timeout}"
+            f"expected 0 to {_LONGEST_TIMEOUT:g} seconds for timeout, got {timeout}"
         )
     settings: dict[str, object] = {
         "connect/timeout_ms": int(1000 * timeout),

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, Self
 import zenoh
 
 from egp_service._core import EgpError, vehicle_key, vehicle_road_key
+from egp_service.control.endpoints import MONITOR_ENDPOINT
 from egp_service.control.messages import message_class
 from egp_service.control.session import direct, open_session, session_config
 from egp_service.control.step_record import measured_state, step_record
@@ -34,8 +35,6 @@ INTERVAL: Final = 0.1
 """Least time between two messages, s."""
 _KEPT_TIMES: Final = 64
 _ENCODING: Final = "application/protobuf;egp.v1."
-MONITOR_ENDPOINT: Final = "tcp/127.0.0.1:7450"
-"""Where `egp monitor` listens unless an option says otherwise."""
 
 
 class StatusPublisher:
@@ -120,7 +119,7 @@ class StatusPublisher:
         state = measured_state(x)
         if self._session.is_closed():
             raise EgpError("the publisher was closed")
-        missed = step.mode != "normal"
+        missed = step.mode != "normal" or step.status == "late"
         self._periods += 1
         self._misses += missed
         self._tails += step.mode == "tail"

@@ -177,7 +177,7 @@ class StepController(ABC):
         """Make what all controllers have."""
         # The same thread may come twice, for instance in a handler of a signal.
         self._lock = threading.RLock()
-        self._stepping = self._to_reset = False
+        self._stepping = self._to_reset = self._closed = False
 
     def step(
         self,
@@ -203,12 +203,14 @@ class StepController(ABC):
 
         Raises `InvalidArgumentError` if an argument has the wrong shape, `deadline` is not finite,
         or the reference is not one to drive, for instance with a yaw in degrees. Raises `EgpError`
-        in a handler of a signal that interrupts another step of this controller.
+        after `close`, and in a handler of a signal that interrupts another step of this controller.
         """
         start = time.monotonic()
         if deadline is not None and not math.isfinite(deadline):
             raise InvalidArgumentError(f"expected a finite deadline in s, got {deadline}")
         with self._lock:
+            if self._closed:
+                raise EgpError("the controller was closed: make another one")
             budget = self._driver.budget if deadline is None else max(deadline, 0.0)
             budget = min(budget, _LONGEST)
             if self._stepping:
@@ -248,8 +250,9 @@ class StepController(ABC):
             else:
                 self._driver.reset()
 
-    def close(self) -> None:  # noqa: B027 - most controllers have nothing to close
-        """Release the controller's resources."""
+    def close(self) -> None:
+        """Release the controller's resources; no step can follow."""
+        self._closed = True
 
     def __enter__(self) -> Self:
         """Use as a context manager to close at the end."""

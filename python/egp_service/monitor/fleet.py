@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Final
 from google.protobuf.message import DecodeError
 
 from egp_service.control.messages import message_class
-from egp_service.monitor.vehicle import Json, VehicleRecord
+from egp_service.monitor.vehicle import MODES, Json, VehicleRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 FORGET_SECONDS: Final = 600.0
-"""Vehicles and replicas that were not seen for this time leave the page."""
+"""Vehicles, and replicas without a token, that were not seen for this time leave the page."""
 _LOAD_SECONDS: Final = 1.25
 """A replica publishes its load twice a second by default; after this time without one it counts as
 silent, or after `_LOADS` times the time between its last two loads if that is longer."""
@@ -33,6 +33,11 @@ _ROOM_SECONDS: Final = 1.0
 _LARGEST: Final = (64, 64, 258, 64)
 """Largest numbers of weights, members, coordinates of the plan and times of periods in a message;
 vehicles send no more."""
+_LARGEST_STATUS: Final = 1 << 16
+"""Longest message of a vehicle, bytes; the filters of `egp keys` have the same bound."""
+_ROAD: Final = ("left_x", "left_y", "right_x", "right_y", "friction")
+_MOST_POINTS: Final = 25_000
+"""Most points of a road; `egp drive` tells one for each metre."""
 _MOST_REPLICAS: Final = 1000
 """Messages of further replicas are ignored, too."""
 
@@ -49,6 +54,8 @@ class Replica:
     """When the last load came, if one came since the token appeared."""
     interval: float = 0.0
     """Time between the last two loads, s; 0 before there were two."""
+    announced: bool = False
+    """Whether its liveliness token is there."""
 
     def state(self, now: float) -> str:
         """Give `serving`, `silent` or `gone`."""
@@ -78,14 +85,18 @@ class Fleet:
     def status(self, name: str, payload: bytes, now: float) -> None:
         """Keep a vehicle's message `VehicleStatus`.
 
-        One that cannot be decoded, has no control period or is too long is ignored.
+        One that cannot be decoded, has no control period, has an unknown mode or is too long is
+        ignored. Unknown fields are not kept.
         """
+        if len(payload) > _LARGEST_STATUS:
+            return
         status = message_class("VehicleStatus")()
         try:
             status.ParseFromString(payload)
         except DecodeError:
             return
-        if not (math.isfinite(status.dt) and status.dt > 0.0):
+        status.DiscardUnknownFields()
+        if not (math.isfinite(status.dt) and status.dt > 0.0 and status.step.mode in MODES):
             return
         lists = (status.step.weights, status.members, status.plan, status.times)
         if any(len(values) > most for values, most in zip(lists, _LARGEST, strict=True)):
@@ -106,19 +117,23 @@ class Fleet:
         return len(self.vehicles) < _MOST_VEHICLES
 
     def road(self, name: str, payload: bytes) -> None:
-        """Keep the road of a vehicle, a message `VehicleRoad` of finite numbers."""
+        """Keep the road of a vehicle, a message `VehicleRoad` of finite numbers.
+
+        One of more than 25 000 points is ignored.
+        """
         road = message_class("VehicleRoad")()
         try:
             road.ParseFromString(payload)
         except DecodeError:
             return
-        columns = {
-            name: [round(value, 2) for value in getattr(road, name)]
-            for name in ("left_x", "left_y", "right_x", "right_y", "friction")
-        }
-        whole = len({len(column) for column in columns.values()}) == 1
+        found = {name: getattr(road, name) for name in _ROAD}
+        lengths = {len(column) for column in found.values()}
+        whole = len(lengths) == 1 and max(lengths) <= _MOST_POINTS
+        if name not in self.vehicles or not whole:
+            return
+        columns = {name: [round(value, 2) for value in found[name]] for name in _ROAD}
         finite = all(math.isfinite(value) for column in columns.values() for value in column)
-        if name in self.vehicles and whole and finite:
+        if finite:
             self.vehicles[name].road = dict(columns)
 
     def load(self, name: str, payload: bytes, now: float) -> None:
@@ -145,7 +160,8 @@ class Fleet:
         """Note that a replica's liveliness token appeared or disappeared."""
         replica = self._replica(name, now)
         if replica is not None:
-            replica.alive, replica.last_seen = appeared, now
+            replica.alive = replica.announced = appeared
+            replica.last_seen = now
             replica.loaded, replica.interval = None, 0.0
 
     def _replica(self, name: str, now: float) -> Replica | None:
@@ -155,10 +171,14 @@ class Fleet:
         return self.replicas.setdefault(name, Replica(name, alive=True, last_seen=now, load={}))
 
     def update(self, now: float) -> None:
-        """Note changes of state as events, and forget what was not seen for long."""
+        """Note changes of state as events, and forget what was not seen for long.
+
+        A replica whose token is there is kept, however rarely it publishes its load.
+        """
         for name in _unseen(self.vehicles.items(), now):
             del self.vehicles[name]
-        for name in _unseen(self.replicas.items(), now):
+        unannounced = [(n, r) for n, r in self.replicas.items() if not r.announced]
+        for name in _unseen(unannounced, now):
             del self.replicas[name]
         changed: dict[tuple[str, str], list[str]] = {}
         states: dict[tuple[str, str], str] = {}

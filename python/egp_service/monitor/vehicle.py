@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
 
 Json = dict[str, object]
+MODES: Final = ("normal", "tail", "stop", "waiting")
+"""Modes of a vehicle's step."""
 SILENT_SECONDS: Final = 1.0
 """A vehicle counts as silent after this time without a message, or after `_PERIODS` if longer."""
 _PERIODS: Final = 3

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ipaddress
 import json
 import signal
 import socket
@@ -38,7 +39,6 @@ PAGE = resources.files("egp_service.monitor") / "page"
 REFRESH_SECONDS: Final = 0.1
 RETRY_MS: Final = 300
 """Time after which a page connects again to a monitor that ended."""
-_LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 # As a request names them, with brackets about an address that has colons.
 _NAMED: Final = ["127.0.0.1", "localhost", "::1", "[::1]"]
 _HEADERS: Final = [
@@ -75,10 +75,10 @@ class _Refresh:
 
     async def stream(self, selected: str) -> AsyncIterator[str]:
         """Give the events of one page that shows the vehicle `selected`."""
-        self._pages += 1
         run, sampled, happened, road_sent = "", 0, 0, False
-        yield f"retry: {RETRY_MS}\n\n"
+        self._pages += 1
         try:
+            yield f"retry: {RETRY_MS}\n\n"
             while True:
                 await self._tick.wait()
                 if self.ended():
@@ -132,6 +132,17 @@ def bind(host: str, port: int) -> socket.socket:
         ) from error
 
 
+def allowed_hosts(host: str, address: str) -> list[str]:
+    """Return the hosts that a request may name for a page that is bound to an address.
+
+    `host` is the name or address that was asked for. On a loopback address they are its names,
+    otherwise all.
+    """
+    if not ipaddress.ip_address(address).is_loopback:
+        return ["*"]
+    return [*_NAMED, host, f"[{host}]", address, f"[{address}]"]
+
+
 def serve(listener: Listener, bound: socket.socket, host: str, started: Callable[[], None]) -> None:
     """Serve the page until SIGTERM, SIGINT or SIGHUP; call `started` once these end it in order.
 
@@ -153,7 +164,7 @@ def serve(listener: Listener, bound: socket.socket, host: str, started: Callable
         chosen = request.query_params.get("vehicle", "")
         return StreamingResponse(refresh.stream(chosen), media_type="text/event-stream")
 
-    hosts = _NAMED if host in _LOOPBACK else ["*"]
+    hosts = allowed_hosts(host, bound.getsockname()[0])
     app = Starlette(
         routes=[Route("/events", events), Mount("/", StaticFiles(directory=str(PAGE), html=True))],
         middleware=[Middleware(_Headers), Middleware(TrustedHostMiddleware, allowed_hosts=hosts)],

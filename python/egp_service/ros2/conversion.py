@@ -98,9 +98,9 @@ def path_of(points: NDArray[np.float64], friction: float) -> Path:
         points = points[:-1]
     try:
         path = Path.from_points(np.ascontiguousarray(points), closed)
+        return path.with_friction([(0.0, friction)])
     except EgpError as error:
         raise PathError(f"path of {len(points)} poses: {error}") from error
-    return path.with_friction([(0.0, friction)])
 
 
 def message_of(command: Command, kind: str, time_ns: int, frame: str) -> object:

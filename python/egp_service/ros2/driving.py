@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import SpeedProfile, horizon_reference
+from egp_service._core import (
+    EgpError,
+    InvalidArgumentError,
+    SpeedProfile,
+    horizon_reference,
+)
 from egp_service.quantities import DELTA, NX, POSITION, PSI, V_X
 from egp_service.ros2.conversion import (
     Command,
@@ -45,9 +50,16 @@ _UNIT: Final = (0.9, 1.1)
 _TURN_DISTANCE: Final = 5.0
 
 
+# Largest values of a drive. After a longer silence than this one a vehicle has driven too far.
+_MOST: Final = {"friction": 2.0, "grip": 1.0, "v_max": 100.0, "silence": 2.0}
+
+
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What is driven, how fast, and on which topics."""
+    """What is driven, how fast, and on which topics.
+
+    Raises `InvalidArgumentError` for a number out of its range, and without a topic for commands.
+    """
 
     vehicle: VehicleParameters
     to_centre: float
@@ -59,13 +71,27 @@ class Drive:
     v_max: float = 10.0
     """m/s."""
     silence: float = 0.2
-    """Time without odometry, or reports of `steering`, after which the vehicle is stopped, s."""
+    """Time without odometry, or reports of `steering`, after which the vehicle is stopped, s; at
+    most 2."""
     odometry: str = "/localization/kinematic_state"
     path: str = "/planning/path"
     steering: str | None = None
     """Topic of the measured steering angle; without it the commanded angle counts as measured."""
     ackermann: str | None = "/drive"
     control: str | None = "/control/command/control_cmd"
+
+    def __post_init__(self) -> None:
+        """Check the numbers and the topics."""
+        for name, most in _MOST.items():
+            value = getattr(self, name)
+            if not 0.0 < value <= most:
+                raise InvalidArgumentError(
+                    f"{name}: expected a number above 0 and at most {most:g}, got {value}"
+                )
+        if self.ackermann is None and self.control is None:
+            raise InvalidArgumentError(
+                "there is no topic for commands: name one for `ackermann` or `control`"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +153,10 @@ class Vehicle:
         the measured steering angle were never received, in which case nothing is published. A
         period begins when odometry arrives; if none does, after 1.25 periods with the extrapolated
         state, and from `silence` seconds on with a stop, which lasts until the program is started
-        again.
+        again. Raises `InvalidArgumentError` for `seconds` that are not positive.
         """
+        if seconds is not None and not seconds > 0.0:
+            raise InvalidArgumentError(f"expected a positive number of seconds, got {seconds}")
         dt = self._controller.dt
         begun = last = time.monotonic()
         with ThreadPoolExecutor(max_workers=1) as reader:
@@ -204,13 +232,16 @@ class Vehicle:
         if present is not None and np.array_equal(points, present.points):
             return present
         path = path_of(points, drive.friction)
-        profile = SpeedProfile(
-            path,
-            drive.vehicle,
-            drive.grip,
-            drive.v_max,
-            end_speed=None if path.closed else 0.0,
-        )
+        try:
+            profile = SpeedProfile(
+                path,
+                drive.vehicle,
+                drive.grip,
+                drive.v_max,
+                end_speed=None if path.closed else 0.0,
+            )
+        except EgpError as error:
+            raise PathError(f"path of {len(points)} poses: {error}") from error
         return _Course(points, path, profile, message.header.frame_id)
 
     def _receive_odometry(self) -> None:

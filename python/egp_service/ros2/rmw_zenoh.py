@@ -16,7 +16,7 @@ from typing import Final, Literal
 import xxhash
 
 from egp_service._core import InvalidArgumentError
-from egp_service.ros2.messages import MessageError, type_hash
+from egp_service.ros2.messages import type_hash
 
 _TOPIC: Final = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _NODE: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -98,19 +98,3 @@ def gid(token: str) -> bytes:
 def encode_attachment(sequence: int, time_ns: int, publisher: bytes) -> bytes:
     """Return the attachment of a message: number from 1 on, time [ns since 1970], identity."""
     return _ATTACHMENT.pack(sequence, time_ns, _GID_BYTES, publisher)
-
-
-def decode_attachment(data: bytes) -> tuple[int, int, bytes]:
-    """Return number, time [ns] and publisher's identity of a message.
-
-    Raises:
-        MessageError: for bytes of another layout, as rmw_zenoh_cpp before 0.6 wrote it.
-
-    """
-    if len(data) != _ATTACHMENT.size or data[16] != _GID_BYTES:
-        raise MessageError(
-            f"attachment of {len(data)} bytes: expected {_ATTACHMENT.size} with an identity of "
-            f"{_GID_BYTES}; use rmw_zenoh_cpp 0.6 or newer"
-        )
-    sequence, time_ns, _, publisher = _ATTACHMENT.unpack(data)
-    return sequence, time_ns, publisher

@@ -1,9 +1,9 @@
 """The closed loop: simulated vehicle, reference and control step in lockstep.
 
-In each period the plant waits for the step, which has `dt` of real time, and is then driven with
-the gate's command for `dt` of simulated time. A slow machine therefore slows the simulation down
-without changing it, and a missed deadline has the same effect as on a vehicle: the tail of the last
-plan.
+In each period the plant waits for the step, and is then driven with the gate's command for `dt` of
+simulated time. A step in this process may take any time, so that a slow machine slows the
+simulation down without changing it. A service has the controller's deadline of real time, by
+default 0.8 `dt`; missing it has the same effect as on a vehicle, mostly the tail of the last plan.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from egp_service.simulation.plant import make_plant
 from egp_service.simulation.reference import speed_reference, told_reference
 from egp_service.simulation.scenario import check_scenario, library_path
 from egp_service.simulation.summary import Ending, Summary, summarise
-from egp_service.simulation.trace import Period, Trace, Truth
+from egp_service.simulation.trace import Period, Trace, Truth, row_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -51,6 +51,9 @@ class Run:
     """(N,) friction coefficients of the members' surfaces; none if they are not known because a
     service used another library than the scenario's."""
     dt: float
+    """Control period, s."""
+    deadline: float
+    """Time that each step but the first had, s; see `StepController.deadline`."""
     trace: Trace
     summary: Summary
 
@@ -80,14 +83,14 @@ def drive(
     check_scenario(scenario, scenario.name)
     frictions = _frictions(scenario, controller)
     loop = _Loop(scenario, controller, frictions, belief, told_from)
-    periods: list[Period] = []
+    rows: list[dict[str, object]] = []
     ending = None
     while ending is None:
         period = loop.period()
-        periods.append(period)
+        rows.append(row_of(period))
         observe(period)
         ending = loop.advance(period)
-    trace = Trace.of(periods, len(controller.members))
+    trace = Trace.of(rows, len(controller.members))
     summary = summarise(
         trace,
         ending,
@@ -96,7 +99,15 @@ def drive(
         members=controller.members,
         dt=controller.dt,
     )
-    return Run(scenario, controller.members, frictions, controller.dt, trace, summary)
+    return Run(
+        scenario,
+        controller.members,
+        frictions,
+        controller.dt,
+        controller.deadline,
+        trace,
+        summary,
+    )
 
 
 def _frictions(scenario: Scenario, controller: StepController) -> NDArray[np.float64]:

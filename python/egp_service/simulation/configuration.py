@@ -69,7 +69,7 @@ def _value(kind: object, value: object, where: str) -> object:
             typing.cast("type[object]", kind), typing.cast("dict[str, object]", value), where
         )
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
+        value = _float(value, where)
     if not isinstance(value, typing.cast("type", kind)) or (
         kind is int and isinstance(value, bool)
     ):
@@ -77,6 +77,15 @@ def _value(kind: object, value: object, where: str) -> object:
             f"{where} must be {getattr(kind, '__name__', kind)}, got {value!r}"
         )
     return _checked(value, where)
+
+
+def _float(value: int, where: str) -> float:
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise ConfigurationError(
+            f"{where} must be a number below 1.8e308, got one of {len(str(value))} digits"
+        ) from error
 
 
 def _checked(value: object, where: str) -> object:

@@ -148,11 +148,12 @@ def load_simulator(name: str) -> Simulator:
             "module of this folder or of an installed package"
         ) from error
     # A property may need `reset` first, so it is looked for and not read.
-    has = {*dir(type(simulator)), *vars(simulator)}
+    own = getattr(simulator, "__dict__", {})  # some classes have none
+    has = {*dir(type(simulator)), *own}
     lacking = [part for part in ("reset", "step", "state") if part not in has]
     if lacking == ["state"]:
         simulator.reset(np.array([0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0]))
-        lacking = [] if "state" in vars(simulator) else lacking
+        lacking = [] if "state" in own else lacking
     if lacking:
         raise PlantError(
             f"plant {name!r} has no {', '.join(lacking)}: expected reset(x), step(u, dt, friction) "

@@ -127,6 +127,8 @@ def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath
     return path
 
 
+_SHORTEST: Final = 1.0
+"""Least length of a plot over distance, m."""
 # A label is centred on a direction that is at most this much of the unit vector towards it.
 _BESIDE: Final = 0.4
 
@@ -207,7 +209,11 @@ def _legend_above(ax: Axes, columns: int) -> None:
 
 
 def draw_zones(ax: Axes, path: Path, distance: float) -> None:
-    """Draw surfaces as bands behind a plot over distance."""
+    """Draw surfaces as bands behind a plot over distance.
+
+    A run may end at its start or behind it; the plot then covers the first metre.
+    """
+    distance = max(distance, _SHORTEST)
     for start, end, mu in _zones(path, distance):
         ax.axvspan(start, end, color=SURFACE(FRICTION_RANGE(mu)), alpha=0.45, linewidth=0)
     ax.set_xlim(0.0, distance)
@@ -314,7 +320,7 @@ def _commands_figure(run: Run) -> Figure:
 
 def _step_times_figure(run: Run) -> Figure:
     figure, ax = plt.subplots(figsize=(8.0, 3.2))
-    milliseconds, deadline = 1e3 * run.trace.step_time, 1e3 * run.dt
+    milliseconds, deadline = 1e3 * run.trace.step_time, 1e3 * run.deadline
     low = 0.8 * float(np.min(milliseconds))
     high = 1.25 * max(deadline, float(np.max(milliseconds)))
     ax.hist(milliseconds, bins=list(np.geomspace(low, high, 60)), color=MEMBER_COLOURS[0])

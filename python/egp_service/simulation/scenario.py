@@ -1,7 +1,7 @@
 """Scenarios: vehicle, track, speed, surfaces and library of a run.
 
-A scenario is one TOML file. The built-in scenarios are in `scenarios/` next to this module and
-document every field; unknown fields are errors.
+A scenario is one TOML file, whose fields are those of `Scenario` (docs/settings.md); unknown fields
+are errors. The built-in scenarios are in `scenarios/` next to this module.
 """
 
 from __future__ import annotations
@@ -164,7 +164,8 @@ class Scenario:
     """A validated scenario."""
 
     name: str
-    """Name of the run's folder: 1 to 50 letters, digits, spaces and `. _ -`, a letter first."""
+    """Name of the run's folder: 1 to 50 letters, digits, spaces and `. _ -`, of which a letter, a
+    digit or an underscore comes first."""
     track: Track
     zones: tuple[Zone, ...] = ()
     zones_in_metres: bool = False
@@ -237,12 +238,17 @@ def parse_scenario(text: str, folder: Path, origin: str) -> Scenario:
     """Parse a scenario file's text; paths in it are relative to `folder`."""
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # also of a number with thousands of digits
         raise ScenarioError(f"{origin} is not TOML: {error}") from error
-    if isinstance(table.get("zones_file"), str):
+    if isinstance(zones_file := table.get("zones_file"), str):
+        if "\0" in zones_file:
+            raise ScenarioError(
+                f"{origin}: zones_file must not contain the character NUL, got {zones_file!r}"
+            )
         if "zones" in table:
             raise ScenarioError(f"{origin}: expected `zones` or `zones_file`, got both")
-        table["zones"] = read_zone_rows(folder / table.pop("zones_file"))
+        del table["zones_file"]
+        table["zones"] = read_zone_rows(folder / zones_file)
     scenario = build(Scenario, table, origin)
     check_scenario(scenario, origin)
     if scenario.vehicle_file is not None:
@@ -356,7 +362,7 @@ def _check_name(name: str, origin: str) -> None:
     if not _NAME.fullmatch(name):
         raise ScenarioError(
             f"{origin}: name must be 1 to {MAX_NAME} letters, digits, spaces and . _ -, with a "
-            f"letter or digit first, got {name!r}"
+            f"letter, digit or _ first, got {name!r}"
         )
 
 

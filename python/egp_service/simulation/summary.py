@@ -65,7 +65,8 @@ class Summary:
     step_time_ms: dict[str, float]
     """Percentiles of the time from request to command: p50, p90, p99, max."""
     deadline_misses: int
-    """Number of periods without a usable plan within `dt`."""
+    """Number of periods in which no answer came before the deadline, which is 0.8 `dt` by default;
+    none in this process, where a step may take any time."""
     tail_ticks: int
     stop_ticks: int
     solver_statuses: dict[str, int]

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service.quantities import NU, NX, V_X
+from egp_service.quantities import V_X
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from numpy.typing import NDArray
 
     from egp_service.control.step import Step
@@ -75,35 +77,44 @@ class Trace:
     """Why there is no plan, or why the vehicle counts as lost; empty otherwise."""
 
     @classmethod
-    def of(cls, periods: list[Period], members: int) -> Trace:
-        """Return the columns of `periods` for a library with `members` members."""
-        truths = [period.truth for period in periods]
-        steps = [period.step for period in periods]
+    def of(cls, rows: Sequence[Mapping[str, object]], members: int) -> Trace:
+        """Return the columns of at least one row of `row_of`, for a library of `members` members.
+
+        Rows without weights get NaN (N,).
+        """
         unknown = np.full(members, np.nan)
-        columns = {
-            "time": [truth.time for truth in truths],
-            "x": np.array([truth.x for truth in truths]).reshape(-1, NX),
-            "u": np.array([step.u for step in steps]).reshape(-1, NU),
-            "friction": [truth.friction for truth in truths],
-            "distance": [truth.distance for truth in truths],
-            "lateral_error": [truth.lateral_error for truth in truths],
-            "heading_error": [truth.heading_error for truth in truths],
-            "speed_error": [truth.x[V_X] - truth.speed_reference for truth in truths],
-            "friction_planned": [truth.friction_planned for truth in truths],
-            "friction_found": np.array([_interval(step) for step in steps]).reshape(-1, 2),
-            "weights": np.array(
-                [step.weights if step.weights.size else unknown for step in steps]
-            ).reshape(len(steps), members),
-            "step_time": [step.timings.total for step in steps],
-            "mode": [step.mode for step in steps],
-            "status": [step.status for step in steps],
-            "detail": [step.detail for step in steps],
-        }
-        return cls(**{item.name: np.asarray(columns[item.name]) for item in fields(cls)})
+        columns = {item.name: [row[item.name] for row in rows] for item in fields(cls)}
+        columns["weights"] = [unknown if each is None else each for each in columns["weights"]]
+        return cls(**{name: np.asarray(column) for name, column in columns.items()})
 
     def __len__(self) -> int:
         """Count the periods."""
         return len(self.time)
+
+
+def row_of(period: Period) -> dict[str, object]:
+    """Return a row of a trace by column, which keeps nothing else of the period.
+
+    A step has 15 kB of messages and plan. The weights are `None` before the first reply.
+    """
+    truth, step = period.truth, period.step
+    return {
+        "time": truth.time,
+        "x": truth.x,
+        "u": step.u,
+        "friction": truth.friction,
+        "distance": truth.distance,
+        "lateral_error": truth.lateral_error,
+        "heading_error": truth.heading_error,
+        "speed_error": truth.x[V_X] - truth.speed_reference,
+        "friction_planned": truth.friction_planned,
+        "friction_found": _interval(step),
+        "weights": step.weights if step.weights.size else None,
+        "step_time": step.timings.total,
+        "mode": step.mode,
+        "status": step.status,
+        "detail": step.detail,
+    }
 
 
 def _interval(step: Step) -> tuple[float, float]:

@@ -34,7 +34,7 @@ def read_zone_rows(path: Path) -> list[dict[str, object]]:
     if not kept:
         raise ConfigurationError(f"{path}: expected zones with a header such as start,friction")
     separator = ";" if ";" in kept[0][1] else ","
-    header, *rows = csv.reader((line for _, line in kept), delimiter=separator)
+    header, *rows = [_cells(line, separator, f"{path}: line {n}") for n, line in kept]
     names = [name.strip() for name in header]
     if unknown := [name for name in names if name not in {*_NUMBERS, *_NAMES}]:
         raise ConfigurationError(
@@ -57,6 +57,13 @@ def read_zone_rows(path: Path) -> list[dict[str, object]]:
             }
         )
     return zones
+
+
+def _cells(line: str, separator: str, where: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=separator, strict=True))
+    except csv.Error as error:
+        raise ConfigurationError(f"{where}: {error}; is a quotation mark missing?") from error
 
 
 def _number(cell: str, separator: str, where: str) -> float:

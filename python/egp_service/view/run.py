@@ -1,4 +1,4 @@
-"""What a recording holds for a viewer: its messages, decoded by the schemas in the file."""
+"""What a recording holds for a viewer."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.message import DecodeError
 from mcap.records import Channel, Footer, Metadata, Schema
 from mcap.records import Message as Record
-from mcap_protobuf.decoder import DecoderFactory
 
+from egp_service.control.messages import message_class
 from egp_service.control.recorded import Damage, RecordingError, missing, records
 from egp_service.control.recorder import ABOUT
 
@@ -21,7 +24,12 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
     from numpy.typing import NDArray
 
-_TOPICS = ("/step", "/plant", "/plan", "/scene")
+_TOPICS: Mapping[str, type[Message]] = {
+    "/step": message_class("StepRecord"),
+    "/plant": message_class("PlantTruth"),
+    "/plan": PosesInFrame,
+    "/scene": SceneUpdate,
+}
 
 
 @dataclass
@@ -38,8 +46,6 @@ class RecordedRun:
     """Positions (n, 2) of each new plan, m."""
     scene: Message | None = None
     """`foxglove.SceneUpdate` with road and car; `None` without a simulated road."""
-    complete: bool = False
-    """Whether the recording was read to its end."""
     missing: str = ""
     """Sentence about what is missing because of an interruption or a damage; empty if complete."""
 
@@ -63,11 +69,26 @@ def read_run(path: Path) -> RecordedRun:
         OSError: if the file cannot be read.
 
     """
+    try:
+        run = _read(path)
+    except RecordingError:
+        raise
+    except (KeyError, DecodeError) as error:
+        raise RecordingError(f"{path}: the recording is damaged ({error!r})") from error
+    if not run.about or not run.steps:
+        raise RecordingError(
+            f"{path}: expected a recording of `egp drive` or `Recorder` with at least one control "
+            f"step, found {len(run.steps)} steps and {'the' if run.about else 'no'} metadata "
+            f"{ABOUT!r}"
+        )
+    return run
+
+
+def _read(path: Path) -> RecordedRun:
     run = RecordedRun()
     end: Footer | Damage | None = None
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    decoders = DecoderFactory()
     for record in records(path):
         if isinstance(record, Metadata) and record.name == ABOUT:
             run.about = record.metadata
@@ -80,22 +101,22 @@ def read_run(path: Path) -> RecordedRun:
         elif isinstance(record, Record):
             channel = channels[record.channel_id]
             if channel.topic in _TOPICS:
-                schema = schemas[channel.schema_id]
-                decode = decoders.decoder_for(channel.message_encoding, schema)
-                if decode is None:
-                    raise RecordingError(
-                        f"{path}: expected protobuf messages on {channel.topic}, found "
-                        f"{channel.message_encoding!r}"
-                    )
-                _keep(run, channel.topic, record.log_time, decode(record.data))
-    run.complete, run.missing = isinstance(end, Footer), missing(end)
-    if not run.about or not run.steps:
-        raise RecordingError(
-            f"{path}: expected a recording of `egp drive` or `Recorder` with at least one control "
-            f"step, found {len(run.steps)} steps and {'the' if run.about else 'no'} metadata "
-            f"{ABOUT!r}"
-        )
+                kind = _kind(path, channel, schemas.get(channel.schema_id))
+                _keep(run, channel.topic, record.log_time, kind.FromString(record.data))
+    run.missing = missing(end)
     return run
+
+
+def _kind(path: Path, channel: Channel, schema: Schema | None) -> type[Message]:
+    """Return the class of a topic's messages, or raise if the recording has others on it."""
+    kind = _TOPICS[channel.topic]
+    expected, found = str(kind.DESCRIPTOR.full_name), "no type" if schema is None else schema.name
+    if found != expected or channel.message_encoding != "protobuf":
+        raise RecordingError(
+            f"{path}: expected {expected} as 'protobuf' on {channel.topic}, found {found} as "
+            f"{channel.message_encoding!r}: give a recording of `egp drive` or `Recorder`"
+        )
+    return kind
 
 
 def _keep(run: RecordedRun, topic: str, time: int, message: Message) -> None:

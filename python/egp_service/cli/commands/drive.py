@@ -47,7 +47,7 @@ def drive(
         typer.Option(
             metavar="FILE",
             help="Configuration of zenoh (JSON5) for --connect, --fleet and --monitor, with TLS "
-            "and keys.",
+            "and keys. Without --connect the service is at its endpoints, unless --in-process.",
         ),
     ] = None,
     plant: Annotated[
@@ -134,7 +134,7 @@ def drive(
         chosen = replace(chosen, seed=seed)
     if chosen.plant is not None:
         load_simulator(chosen.plant)  # reports a class that cannot be made before a folder is
-    _check_use(vehicle, connect, zenoh, fleet, monitor)
+    _check_use(vehicle, connect, zenoh, fleet, monitor, in_process=in_process)
     belief = load_belief(chosen, road)
     fleet_name, name = fleet_and_name(vehicle)
     with (
@@ -158,7 +158,7 @@ def drive(
             console=console,
         ) as publish,
     ):
-        if connect or zenoh:
+        if connect or (zenoh and not in_process):
             _show_differences(console, chosen, controller)
         folder = new_folder(output, chosen.name)
         with StatusLine(console) as line:
@@ -194,13 +194,12 @@ def _controller(
     from egp_service.cli.backends import remote_controller, service_controller
     from egp_service.simulation.in_process import in_process_controller
 
-    if connect is None and zenoh is None:
+    if in_process or (connect is None and zenoh is None):
         for option, value in (("--key", key), ("--traces", traces)):
             if value is not None:
-                raise typer.BadParameter(f"{option} has no use without --connect or --zenoh")
+                where = "with --in-process" if in_process else "without --connect or --zenoh"
+                raise typer.BadParameter(f"{option} has no use {where}")
         return in_process_controller(scenario) if in_process else service_controller(scenario)
-    if in_process:
-        raise typer.BadParameter("--in-process excludes --connect and --zenoh")
     fleet, name = fleet_and_name(vehicle)
     return remote_controller(
         scenario,
@@ -213,9 +212,23 @@ def _controller(
     )
 
 
-def _check_use(vehicle: str | None, *others: str | Path | None) -> None:
-    """Check that something is told the car's name."""
-    if vehicle is not None and not any(others):
+def _check_use(
+    vehicle: str | None,
+    connect: str | None,
+    zenoh: Path | None,
+    fleet: str | None,
+    monitor: str | None,
+    *,
+    in_process: bool,
+) -> None:
+    """Check that the car's name and the configuration of zenoh are used."""
+    if in_process and connect is not None:
+        raise typer.BadParameter("--in-process excludes --connect")
+    if in_process and zenoh is not None and not (fleet or monitor):
+        raise typer.BadParameter(
+            "--zenoh has no use with --in-process unless --fleet or --monitor is given"
+        )
+    if vehicle is not None and not any((connect, zenoh, fleet, monitor)):
         raise typer.BadParameter(
             "--vehicle has no use without --connect, --zenoh, --fleet or --monitor"
         )

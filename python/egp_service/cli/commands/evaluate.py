@@ -12,19 +12,11 @@ from egp_service.shipped import EVALUATION_LIBRARY
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from rich.progress import Progress
-
-    from egp_service.evaluation.batch import Batch
-    from egp_service.evaluation.campaign import Campaign, Outcome
-    from egp_service.evaluation.entry_speed import EntrySpeed
-    from egp_service.evaluation.experiment import ClosedLoopExperiment
-    from egp_service.evaluation.hidden_ice import IceOutcome
-    from egp_service.evaluation.prediction import SeedOutcomes
+    from egp_service.cli.evaluation_parts import Selection
+    from egp_service.evaluation.campaign import Campaign
     from egp_service.evaluation.scaling import StepTime
 
 _SHOWN = ("varying-speed", "unseen-track", "lane-change", "four-members")
-_QUICK_TRANSITIONS = 200
-_QUICK_ITERATIONS = 20
 _QUICK_MEMBERS = (1, 2, 4, 8)
 
 
@@ -104,21 +96,6 @@ def evaluate(
       egp evaluate --log data/oval.parquet --log data/road.parquet
           --vehicle car.toml
     """
-    import shlex
-    import sys
-
-    from egp_service.cli.tables import headline_table
-    from egp_service.evaluation import disturbances
-    from egp_service.evaluation.batch import finish
-    from egp_service.evaluation.campaign import Campaign, require_members
-    from egp_service.evaluation.experiments import (
-        EXPERIMENTS,
-        HIDDEN_ICE,
-        OBSTACLE_AVOIDANCE,
-        on_track,
-    )
-    from egp_service.evaluation.summary_report import HEADLINE, headline, write_report
-
     console = Console()
     if log:
         _on_logs(console, log, vehicle, output, {
@@ -127,24 +104,58 @@ def evaluate(
             "--jobs": jobs, "--cluster": cluster,
         })  # fmt: skip
         return
-    avoidance = OBSTACLE_AVOIDANCE.name
-    known = ["prediction", *(e.name for e in EXPERIMENTS), HIDDEN_ICE.name, avoidance, "step-times"]
-    chosen = _chosen(experiment, known)
+    from egp_service.cli.evaluation_parts import run
+
+    chosen = _chosen(experiment)
     _check_options(track, scale, vehicle, chosen, {
         "--full and --quick": full and quick, "--train and --library": train and library,
+        "--jobs and --cluster": jobs and cluster,
     })  # fmt: skip
+    selection = _selection(console, chosen, track, scale, full=full)
+    if plant is not None:
+        selection = _on_plant(selection, plant, experiment)
+    source = _train(console, output, jobs, cluster) if train else library or EVALUATION_LIBRARY
+    campaign = _campaign(console, selection, output, source, jobs, cluster)
+    results = run(console, campaign, selection, output, jobs=jobs, cluster=cluster)
+    _write(console, campaign, selection, output, source, results, jobs, cluster)
+
+
+def _selection(
+    console: Console, chosen: list[str], track: Path | None, scale: float, *, full: bool
+) -> "Selection":
+    from egp_service.cli.evaluation_parts import Selection
+    from egp_service.evaluation import disturbances
+    from egp_service.evaluation.experiments import (
+        EXPERIMENTS,
+        HIDDEN_ICE,
+        OBSTACLE_AVOIDANCE,
+        on_track,
+    )
+
     driven = [
         on_track(e, track, scale) if track and e.name == "unseen-track" else e
         for e in EXPERIMENTS
         if e.name in chosen and (full or e.quick_seeds)
     ]
-    apart = [e for e in (OBSTACLE_AVOIDANCE, HIDDEN_ICE) if e.name in chosen]
     if disturbances.NAME in chosen and not full:
         console.print("disturbances trains six libraries and is driven with --full only.")
-    if plant is not None:
-        driven, apart = _on_plant((driven, apart), plant, experiment)
-    source = _train(console, output, cluster) if train else library or EVALUATION_LIBRARY
-    require_members(source, [*driven, *apart])
+    apart = [e for e in (OBSTACLE_AVOIDANCE, HIDDEN_ICE) if e.name in chosen]
+    return Selection(full, chosen, driven, apart)
+
+
+def _campaign(
+    console: Console,
+    selection: "Selection",
+    output: Path,
+    source: Path,
+    jobs: int | None,
+    cluster: str | None,
+) -> "Campaign":
+    """Resume the campaign of the folder or begin one, with the libraries that it needs."""
+    from egp_service.evaluation import disturbances
+    from egp_service.evaluation.campaign import Campaign, require_members
+
+    require_members(source, [*selection.driven, *selection.apart])
     campaign = Campaign(output, source)
     if campaign.of_another_build:
         console.print(
@@ -154,43 +165,44 @@ def evaluate(
             markup=False,
             highlight=False,
         )
-    if disturbances.NAME in {e.name for e in driven}:
+    if disturbances.NAME in {e.name for e in selection.driven}:
         _train_disturbed(console, campaign, jobs, cluster)
-    with _progress(console) as progress:
-        predictions = _predictions(progress, output, full=full) if "prediction" in chosen else None
-        runs = _runs(progress, campaign, driven, full=full)
-        cones, patches = (
-            next((e for e in apart if e.name == name), None)
-            for name in (avoidance, HIDDEN_ICE.name)
-        )
-        speeds = _entry_speeds(progress, campaign, cones, full=full) if cones else None
-        ice = _ice(progress, campaign, patches, full=full) if patches else None
-        try:
-            finish(
-                [part for part in (predictions, runs, speeds, ice) if part is not None],
-                jobs,
-                cluster,
-            )
-        except KeyboardInterrupt:
-            progress.console.print("Interrupted. The same command continues with the missing runs.")
-            raise
-    outcomes = runs.results()
-    seeds = predictions.results() if predictions else []
-    times = _step_times(console, source, full=full) if "step-times" in chosen else []
+    return campaign
+
+
+def _write(
+    console: Console,
+    campaign: "Campaign",
+    selection: "Selection",
+    output: Path,
+    source: Path,
+    results: "dict[str, list[Any]]",
+    jobs: int | None,
+    cluster: str | None,
+) -> None:
+    import shlex
+    import sys
+
+    from egp_service.cli.tables import headline_table
+    from egp_service.evaluation.experiments import HIDDEN_ICE, OBSTACLE_AVOIDANCE
+    from egp_service.evaluation.summary_report import HEADLINE, headline, write_report
+
+    timed = "step-times" in selection.chosen
+    times = _step_times(console, source, full=selection.full) if timed else []
     with console.status("Drawing ..."):
-        shown = campaign.drives([e for e in driven if e.name in _SHOWN], jobs=jobs, cluster=cluster)
-        command = shlex.join(["egp", *sys.argv[1:]])
+        shown = [e for e in selection.driven if e.name in _SHOWN]
+        seeds = results.get("predictions", [])
         report = write_report(
             output,
-            command,
-            outcomes=outcomes,
+            shlex.join(["egp", *sys.argv[1:]]),
+            outcomes=results["runs"],
             predictions=[outcome for seed in seeds for outcome in seed.outcomes],
-            speeds=speeds.results() if speeds else [],
-            ice=ice.results() if ice else [],
+            speeds=results.get(OBSTACLE_AVOIDANCE.name, []),
+            ice=results.get(HIDDEN_ICE.name, []),
             times=times,
-            drives=shown,
+            drives=campaign.drives(shown, jobs=jobs, cluster=cluster),
         )
-    if rows := headline(outcomes):
+    if rows := headline(results["runs"]):
         console.print(headline_table(HEADLINE, rows))
     console.print(f"Look at {report}", markup=False, highlight=False)
 
@@ -229,10 +241,10 @@ def _check_options(
         raise EgpError("--scale requires --track: give both")
 
 
-def _on_plant(
-    parts: "tuple[list[ClosedLoopExperiment], ...]", plant: str, named: list[str] | None
-) -> "list[list[ClosedLoopExperiment]]":
+def _on_plant(selection: "Selection", plant: str, named: list[str] | None) -> "Selection":
     """Let a simulator drive the experiments; raises `EgpError` if one of those named needs ours."""
+    from dataclasses import replace
+
     from egp_service._core import EgpError
     from egp_service.evaluation import disturbances
     from egp_service.evaluation.experiments import on_plant
@@ -244,28 +256,38 @@ def _on_plant(
             "without --plant"
         )
     load_simulator(plant)  # reports a class that cannot be made before the runs start
-    return [[on_plant(e, plant) for e in part if e.name != disturbances.NAME] for part in parts]
+    driven = [on_plant(e, plant) for e in selection.driven if e.name != disturbances.NAME]
+    return replace(selection, driven=driven, apart=[on_plant(e, plant) for e in selection.apart])
 
 
-def _chosen(experiment: list[str] | None, known: list[str]) -> list[str]:
+def _chosen(experiment: list[str] | None) -> list[str]:
     from egp_service._core import EgpError
+    from egp_service.evaluation.experiments import EXPERIMENTS, HIDDEN_ICE, OBSTACLE_AVOIDANCE
 
+    apart = [HIDDEN_ICE.name, OBSTACLE_AVOIDANCE.name]
+    known = ["prediction", *(e.name for e in EXPERIMENTS), *apart, "step-times"]
     for name in experiment or []:
         if name not in known:
             raise EgpError(f"no experiment {name!r}; known: {', '.join(known)}")
     return experiment or known
 
 
-def _train(console: Console, output: Path, cluster: str | None) -> Path:
+def _train(console: Console, output: Path, jobs: int | None, cluster: str | None) -> Path:
+    from egp_service._core import EgpError
     from egp_service.cli.progress import collecting, fitting
     from egp_service.evaluation.library import make, write
     from egp_service.training.recipe import Displays
 
     path = output / "library.safetensors"
     if not path.exists():
+        if (output / "library.sha256").exists():
+            raise EgpError(
+                f"{output} contains runs of a library that was not trained there: choose another "
+                "--output, or leave out --train"
+            )
         output.mkdir(parents=True, exist_ok=True)
         displays = Displays(lambda: collecting(console), lambda: fitting(console))
-        write(path, make(displays, cluster=cluster))
+        write(path, make(displays, jobs=jobs, cluster=cluster))
     return path
 
 
@@ -285,75 +307,6 @@ def _train_disturbed(
             train(path, disturbances, displays, jobs=jobs, cluster=cluster)
 
 
-def _predictions(progress: "Progress", output: Path, *, full: bool) -> "Batch[Any, SeedOutcomes]":
-    from egp_service.evaluation.prediction import PredictionSettings, SeedOutcomes, seeds
-
-    settings = (
-        PredictionSettings()
-        if full
-        else PredictionSettings(1, _QUICK_TRANSITIONS, _QUICK_ITERATIONS)
-    )
-    task = progress.add_task("prediction: training and testing seeds", total=settings.seeds)
-
-    def report(_: SeedOutcomes) -> None:
-        progress.advance(task)
-
-    return seeds(settings, output, report)
-
-
-def _runs(
-    progress: "Progress", campaign: "Campaign", chosen: "list[ClosedLoopExperiment]", *, full: bool
-) -> "Batch[Any, Outcome]":
-    trials = {e.name: list(e.trials(range(e.seeds if full else e.quick_seeds))) for e in chosen}
-    lost = dict.fromkeys(trials, 0)
-    tasks = {
-        name: progress.add_task(name, start=False, total=len(own)) for name, own in trials.items()
-    }
-
-    def report(outcome: "Outcome") -> None:
-        name = outcome.experiment
-        lost[name] += not outcome.completed
-        progress.start_task(tasks[name])
-        text = f"{name}: {lost[name]} not completed"
-        progress.update(tasks[name], advance=1, description=text)
-
-    return campaign.runs([trial for own in trials.values() for trial in own], report)
-
-
-def _entry_speeds(
-    progress: "Progress", campaign: "Campaign", cones: "ClosedLoopExperiment", *, full: bool
-) -> "Batch[Any, EntrySpeed]":
-    from egp_service.evaluation.entry_speed import EntrySpeed, find
-
-    last = cones.conditions[-1][0]
-    seeds = range(cones.seeds if full else cones.quick_seeds)
-    trials = [t for t in cones.trials(seeds) if full or t.condition == last]
-    name = f"{cones.name}: bisecting entry speeds"
-    task = progress.add_task(name, start=False, total=len(trials))
-
-    def report(_: EntrySpeed) -> None:
-        progress.start_task(task)
-        progress.advance(task)
-
-    return campaign.batch("entry-speeds", trials, find, EntrySpeed, report)
-
-
-def _ice(
-    progress: "Progress", campaign: "Campaign", patches: "ClosedLoopExperiment", *, full: bool
-) -> "Batch[Any, IceOutcome]":
-    from egp_service.evaluation import hidden_ice
-
-    seeds = range(patches.seeds if full else patches.quick_seeds)
-    trials = [t for t in patches.trials(seeds) if full or t.condition == patches.compared]
-    task = progress.add_task(patches.name, start=False, total=len(trials))
-
-    def report(_: "IceOutcome") -> None:
-        progress.start_task(task)
-        progress.advance(task)
-
-    return campaign.batch(patches.name, trials, hidden_ice.run, hidden_ice.IceOutcome, report)
-
-
 def _step_times(console: Console, library: Path, *, full: bool) -> "list[StepTime]":
     from egp_service.evaluation import scaling
     from egp_service.evaluation.experiment import CUSTOM_TRACK
@@ -364,23 +317,3 @@ def _step_times(console: Console, library: Path, *, full: bool) -> "list[StepTim
         members = scaling.MEMBERS if full else _QUICK_MEMBERS
         periods = 200 if full else 60
         return scaling.measure(library, scenario, periods=periods, members=members)
-
-
-def _progress(console: Console) -> "Progress":
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-    )

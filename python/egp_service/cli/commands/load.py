@@ -43,6 +43,7 @@ def load(
     from tempfile import TemporaryFile
 
     from egp_service._core import EgpError, run_load
+    from egp_service.cli.options import check_outputs
     from egp_service.cli.programs import run_program
     from egp_service.control.recorded import read_recording, write_requests
 
@@ -58,6 +59,7 @@ def load(
             )
         check_picture(figure)
         report = report or figure.with_suffix(".json")
+    check_outputs([replay], report, figure)
     if report is not None:
         arguments += ["--json", str(report)]
     if replay is None:

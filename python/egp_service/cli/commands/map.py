@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from egp_service.control.endpoints import MAP_ENDPOINT, check_free
+
 
 def keep_map(
     config: Annotated[
@@ -15,7 +17,7 @@ def keep_map(
     listen: Annotated[
         list[str] | None,
         typer.Option(
-            help="Endpoint to listen on; repeat for more. By default tcp/127.0.0.1:7448, which "
+            help=f"Endpoint to listen on; repeat for more. By default {MAP_ENDPOINT}, which "
             "only this machine reaches."
         ),
     ] = None,
@@ -55,7 +57,6 @@ def keep_map(
     """
     from egp_service._core import serve_map
     from egp_service.cli.settings_file import naming, read_map
-    from egp_service.control.endpoints import check_free
     from egp_service.control.toml_text import dumps
 
     options: dict[str, object] = {
@@ -67,7 +68,7 @@ def keep_map(
     }
     given = {name: value for name, value in options.items() if value is not None}
     if config is None:
-        check_free(listen or ["tcp/127.0.0.1:7448"])
+        check_free(listen or [MAP_ENDPOINT])
         if listen:
             given["zenoh"] = {"listen/endpoints": json.dumps(listen)}
         serve_map(dumps(given))

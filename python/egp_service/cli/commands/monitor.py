@@ -5,18 +5,20 @@ from typing import Annotated
 
 import typer
 
+from egp_service.control.endpoints import MONITOR_ENDPOINT, SERVICE_ENDPOINT, check_free
+
 
 def monitor(
     connect: Annotated[
         list[str] | None,
         typer.Option(
             help="Endpoint of a service or router; repeat for more. By default "
-            "tcp/127.0.0.1:7447, where `egp serve` listens."
+            f"{SERVICE_ENDPOINT}, where `egp serve` listens."
         ),
     ] = None,
     listen: Annotated[
         list[str] | None,
-        typer.Option(help="Endpoint for vehicles that connect. By default tcp/127.0.0.1:7450."),
+        typer.Option(help=f"Endpoint for vehicles that connect. By default {MONITOR_ENDPOINT}."),
     ] = None,
     *,
     zenoh: Annotated[
@@ -42,12 +44,10 @@ def monitor(
       egp drive --monitor tcp/127.0.0.1:7450 --vehicle car-1
     """
     from egp_service.cli.signals import until_signal
-    from egp_service.control.endpoints import check_free
-    from egp_service.control.status import MONITOR_ENDPOINT
     from egp_service.monitor.web import bind, serve
 
     given = zenoh is not None
-    connected = connect or ([] if given else ["tcp/127.0.0.1:7447"])
+    connected = connect or ([] if given else [SERVICE_ENDPOINT])
     listening = listen or ([] if given else [MONITOR_ENDPOINT])
     check_free(listening)
     with until_signal(), bind(host, port) as bound:

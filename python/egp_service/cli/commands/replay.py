@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from egp_service.cli.options import check_unused
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -53,7 +55,10 @@ def replay(
     from egp_service.control.recorded import read_recording
     from egp_service.control.replay import replay as compute
 
-    if output is not None and pictures:
+    if not pictures:
+        reason = "names a picture, which --no-pictures leaves out: give one of them"
+        check_unused({"--output": output}, reason)
+    if output is not None:
         from egp_service.simulation.report import check_picture
 
         output.parent.mkdir(parents=True, exist_ok=True)

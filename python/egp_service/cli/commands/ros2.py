@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from egp_service.control.endpoints import ROS_ROUTER_ENDPOINT
 from egp_service.shipped import DEMO_LIBRARY
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ def ros2(
     *,
     router: Annotated[
         str, typer.Option(help="Endpoint of rmw_zenoh's router.")
-    ] = "tcp/127.0.0.1:7447",
+    ] = ROS_ROUTER_ENDPOINT,
     domain: Annotated[int, typer.Option(help="ROS_DOMAIN_ID.")] = 0,
     node: Annotated[str, typer.Option(help="Name of the node.")] = "egp_controller",
     library: Annotated[
@@ -74,9 +75,9 @@ def ros2(
         float, typer.Option(min=0.01, max=2.0, help="Friction for which the speed is planned.")
     ] = 0.5,
     grip: Annotated[float, typer.Option(min=0.01, max=1.0, help="Used part of it.")] = 0.8,
-    v_max: Annotated[float, typer.Option(min=0.1, help="Largest speed, m/s.")] = 10.0,
+    v_max: Annotated[float, typer.Option(min=0.1, max=100.0, help="Largest speed, m/s.")] = 10.0,
     silence: Annotated[
-        float, typer.Option(min=0.02, help="Seconds without measurements before a stop.")
+        float, typer.Option(min=0.02, max=2.0, help="Seconds without measurements before a stop.")
     ] = 0.2,
     seconds: Annotated[float | None, typer.Option(help="End after this time.")] = None,
     zenoh: Annotated[

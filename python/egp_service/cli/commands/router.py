@@ -8,12 +8,14 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from egp_service.control.endpoints import ROUTER_ENDPOINT, check_free
+
 
 def router(
     listen: Annotated[
         list[str] | None,
         typer.Option(
-            help="Endpoint to listen on; repeat for more. By default tcp/127.0.0.1:7449, which "
+            help=f"Endpoint to listen on; repeat for more. By default {ROUTER_ENDPOINT}, which "
             "only this machine reaches."
         ),
     ] = None,
@@ -40,10 +42,9 @@ def router(
       egp drive --connect tcp/127.0.0.1:7449
     """
     from egp_service.cli.signals import until_signal
-    from egp_service.control.endpoints import check_free
     from egp_service.control.router import Router
 
-    endpoints = listen or ([] if zenoh else ["tcp/127.0.0.1:7449"])
+    endpoints = listen or ([] if zenoh else [ROUTER_ENDPOINT])
     check_free(endpoints)
     # Each connection takes a descriptor, also that of a stranger before its handshake ends.
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)

@@ -113,7 +113,7 @@ def serve(
     from egp_service._core import EgpError, check_service
     from egp_service._core import serve as serve_until_signal
     from egp_service.cli.settings_file import naming, read_service, read_settings
-    from egp_service.control.endpoints import check_endpoints, check_free
+    from egp_service.control.endpoints import SERVICE_ENDPOINT, check_endpoints, check_free
     from egp_service.control.toml_text import dumps
 
     table: dict[str, object] = {}
@@ -140,7 +140,7 @@ def serve(
             typer.echo(f"egp: {warning}", err=True)
         return
     if config is None or listen:
-        check_free(listen or ["tcp/127.0.0.1:7447"])
+        check_free(listen or [SERVICE_ENDPOINT])
     with naming(config):
         serve_until_signal(dumps(table))
 

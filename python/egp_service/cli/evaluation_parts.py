@@ -1,0 +1,147 @@
+"""The parts of `egp evaluate` that run in parallel, with their progress."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from egp_service.evaluation import hidden_ice, prediction
+from egp_service.evaluation.batch import finish
+from egp_service.evaluation.entry_speed import EntrySpeed, find
+from egp_service.evaluation.experiments import HIDDEN_ICE, OBSTACLE_AVOIDANCE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from egp_service.evaluation.batch import Batch
+    from egp_service.evaluation.campaign import Campaign, Outcome
+    from egp_service.evaluation.experiment import ClosedLoopExperiment
+    from egp_service.evaluation.prediction import SeedOutcomes
+
+_QUICK_TRANSITIONS = 200
+_QUICK_ITERATIONS = 20
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What is evaluated."""
+
+    full: bool
+    chosen: list[str]
+    """Names, also those that drive nothing."""
+    driven: list[ClosedLoopExperiment]
+    apart: list[ClosedLoopExperiment]
+    """Experiments whose trials are several drives."""
+
+
+def run(
+    console: Console,
+    campaign: Campaign,
+    selection: Selection,
+    output: Path,
+    *,
+    jobs: int | None,
+    cluster: str | None,
+) -> dict[str, list[Any]]:
+    """Run what is missing; give the results of predictions and runs, and of experiments apart."""
+    full = selection.full
+    parts: dict[str, Batch[Any, Any]] = {}
+    with _progress(console) as progress:
+        if "prediction" in selection.chosen:
+            parts["predictions"] = _predictions(progress, output, full=full)
+        parts["runs"] = _runs(progress, campaign, selection.driven, full=full)
+        begin: dict[str, Callable[..., Batch[Any, Any]]] = {
+            OBSTACLE_AVOIDANCE.name: _entry_speeds,
+            HIDDEN_ICE.name: _ice,
+        }
+        for e in selection.apart:
+            parts[e.name] = begin[e.name](progress, campaign, e, full=full)
+        try:
+            finish(list(parts.values()), jobs, cluster)
+        except KeyboardInterrupt:
+            progress.console.print("Interrupted. The same command continues with the missing runs.")
+            raise
+    return {name: part.results() for name, part in parts.items()}
+
+
+def _predictions(progress: Progress, output: Path, *, full: bool) -> Batch[Any, SeedOutcomes]:
+    quick = prediction.PredictionSettings(1, _QUICK_TRANSITIONS, _QUICK_ITERATIONS)
+    settings = prediction.PredictionSettings() if full else quick
+    task = progress.add_task("prediction: training and testing seeds", total=settings.seeds)
+
+    def report(_: SeedOutcomes) -> None:
+        progress.advance(task)
+
+    return prediction.seeds(settings, output, report)
+
+
+def _runs(
+    progress: Progress, campaign: Campaign, chosen: list[ClosedLoopExperiment], *, full: bool
+) -> Batch[Any, Outcome]:
+    trials = {e.name: list(e.trials(range(e.seeds if full else e.quick_seeds))) for e in chosen}
+    lost = dict.fromkeys(trials, 0)
+    tasks = {
+        name: progress.add_task(name, start=False, total=len(own)) for name, own in trials.items()
+    }
+
+    def report(outcome: Outcome) -> None:
+        name = outcome.experiment
+        lost[name] += not outcome.completed
+        progress.start_task(tasks[name])
+        text = f"{name}: {lost[name]} not completed"
+        progress.update(tasks[name], advance=1, description=text)
+
+    return campaign.runs([trial for own in trials.values() for trial in own], report)
+
+
+def _entry_speeds(
+    progress: Progress, campaign: Campaign, cones: ClosedLoopExperiment, *, full: bool
+) -> Batch[Any, EntrySpeed]:
+    last = cones.conditions[-1][0]
+    seeds = range(cones.seeds if full else cones.quick_seeds)
+    trials = [t for t in cones.trials(seeds) if full or t.condition == last]
+    name = f"{cones.name}: bisecting entry speeds"
+    task = progress.add_task(name, start=False, total=len(trials))
+
+    def report(_: EntrySpeed) -> None:
+        progress.start_task(task)
+        progress.advance(task)
+
+    return campaign.batch("entry-speeds", trials, find, EntrySpeed, report)
+
+
+def _ice(
+    progress: Progress, campaign: Campaign, patches: ClosedLoopExperiment, *, full: bool
+) -> Batch[Any, hidden_ice.IceOutcome]:
+    seeds = range(patches.seeds if full else patches.quick_seeds)
+    trials = [t for t in patches.trials(seeds) if full or t.condition == patches.compared]
+    task = progress.add_task(patches.name, start=False, total=len(trials))
+
+    def report(_: hidden_ice.IceOutcome) -> None:
+        progress.start_task(task)
+        progress.advance(task)
+
+    return campaign.batch(patches.name, trials, hidden_ice.run, hidden_ice.IceOutcome, report)
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )

@@ -1,0 +1,59 @@
+"""Options that a command would not use, or that contradict each other, are errors at once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from typer.testing import CliRunner
+
+from egp_service import EgpError
+from egp_service.cli import app
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RUNNER = CliRunner()
+NOBODY = "tcp/127.0.0.1:9"
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        ("replay run.mcap -o x.png --no-pictures", "--output names a picture, which --no-pictures"),
+        ("load --replay run.mcap --json run.mcap", "run.mcap would overwrite run.mcap"),
+        ("load --replay run.mcap --figure x.png --json x.png", "x.png would overwrite x.png"),
+        ("evaluate --train --jobs 2 --cluster 127.0.0.1:6379", "--jobs and --cluster exclude"),
+        ("evaluate --train -o .", "runs of a library that was not trained there"),
+        ("drive --in-process --connect tcp/127.0.0.1:9", "--in-process excludes --connect"),
+        ("drive --in-process --zenoh z.json5", "--zenoh has no use with --in-process unless"),
+        (
+            "drive --in-process --zenoh z.json5 --monitor tcp/127.0.0.1:9 --key k",
+            "--key has no use with --in-process",
+        ),
+    ],
+)
+def test_what_would_not_be_used_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, told: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "library.sha256").write_text("0" * 64)
+    result = RUNNER.invoke(app, command.split(), env={"COLUMNS": "200"})
+    message = result.output
+    if isinstance(result.exception, EgpError):
+        message = str(result.exception)
+    assert result.exit_code != 0
+    assert told in message
+    assert [path.name for path in tmp_path.iterdir()] == ["library.sha256"]
+
+
+def test_a_drive_in_this_process_publishes_by_a_configuration_of_zenoh(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def called(controller: object, *_: object, zenoh_file: Path, **__: object) -> None:
+        raise EgpError(f"{type(controller).__name__} with {zenoh_file}")
+
+    monkeypatch.setattr("egp_service.cli.publication.StatusPublisher", called)
+    command = ["drive", "--in-process", "--zenoh", "z.json5", "--monitor", NOBODY]
+    result = RUNNER.invoke(app, [*command, "-o", str(tmp_path)])
+    assert str(result.exception) == "Controller with z.json5"

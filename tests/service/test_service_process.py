@@ -1,0 +1,59 @@
+"""The process of a service: how it starts, and what it removes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from egp_service import EgpError
+from egp_service.control.endpoints import free_endpoint, why_unreachable
+from egp_service.control.service_process import ServiceProcess, ServiceStartError
+from egp_service.control.toml_text import dumps
+from egp_service.shipped import DEMO_LIBRARY
+from patience import PATIENCE, wait_until
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_a_service_starts_only_within_its_block(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    service = ServiceProcess(DEMO_LIBRARY, {})
+    with pytest.raises(EgpError, match="start it within `with ServiceProcess"):
+        service.start()
+    with service:
+        pass
+    with pytest.raises(EgpError, match="start it within `with ServiceProcess"):
+        service.start()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["egp-service-x", "someones"])
+def test_a_service_left_alone_removes_no_folder_but_its_own(tmp_path: Path, name: str) -> None:
+    folder, endpoint = tmp_path / name, free_endpoint()
+    folder.mkdir()
+    config = folder / "service.toml"
+    listening = {"zenoh": {"listen/endpoints": f'["{endpoint}"]'}}
+    config.write_text(dumps({"library": str(DEMO_LIBRARY), **listening}), encoding="utf-8")
+    command = [sys.executable, "-m", "egp_service.control.service_child", "serve", "--config"]
+    with subprocess.Popen([*command, str(config)], stdin=subprocess.PIPE) as process:
+        wait_until(lambda: why_unreachable(endpoint) is None or process.poll() is not None)
+        assert process.stdin is not None
+        process.stdin.close()  # as the system does when the process that began it ends
+        process.wait(PATIENCE)
+    assert folder.exists() == (name == "someones")
+
+
+def test_a_service_that_cannot_start_says_why(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.safetensors"
+    broken.write_bytes(b"no library")
+    with (
+        pytest.raises(ServiceStartError, match=r"broken\.safetensors"),
+        ServiceProcess(broken, {}),
+    ):
+        pass
