@@ -24,7 +24,7 @@ struct Options {
     #[arg(long, value_parser = seeds, default_value = "0..20", conflicts_with = "planted")]
     seeds: std::ops::Range<u64>,
     /// Print which oracle finds each planted fault.
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["seconds", "vehicles", "routers", "replicas"])]
     planted: bool,
     /// With --seed: this fault in place of those of the seed; may be given more than once. WHAT:WHERE@BEGIN+LENGTH, s:
     /// kill:r0@1.5+2 kills replica 0 and starts it again after 2 s, and so freeze, slow, restart, drain, reload,
@@ -113,13 +113,33 @@ fn run(options: &Options) -> Result<bool, SimulationError> {
         }
         return Ok(report(seed, &run));
     }
-    let (mut sound, mut total) = (true, Run::default());
-    let (count, terminal) = (
+    let (sound, total) = hunt(&scene, options.seeds.clone(), config)?;
+    let hours = total.periods as f64 * scene.period() / 3600.0;
+    println!(
+        "{} seeds, {hours:.3} vehicle-hours, {} faults, {} of {} periods with a reply: {}",
         options.seeds.clone().count(),
-        std::io::stderr().is_terminal(),
+        total.faults,
+        total.replied,
+        total.periods,
+        if sound {
+            "no oracle was violated, and every seed repeats"
+        } else {
+            "violated"
+        }
     );
-    for (done, seed) in options.seeds.clone().enumerate() {
-        let run = repeat(&scene, &config(seed))?;
+    Ok(sound)
+}
+
+/// Runs many seeds and prints those that broke a promise; returns whether none did, and the sums of all runs.
+fn hunt(
+    scene: &Scene,
+    seeds: std::ops::Range<u64>,
+    config: impl Fn(u64) -> Config,
+) -> Result<(bool, Run), SimulationError> {
+    let (mut sound, mut total) = (true, Run::default());
+    let (count, terminal) = (seeds.clone().count(), std::io::stderr().is_terminal());
+    for (done, seed) in seeds.enumerate() {
+        let run = repeat(scene, &config(seed))?;
         if !run.violations.is_empty() {
             sound = report(seed, &run);
         }
@@ -140,19 +160,7 @@ fn run(options: &Options) -> Result<bool, SimulationError> {
     if terminal {
         eprintln!();
     }
-    let hours = total.periods as f64 * scene.period() / 3600.0;
-    println!(
-        "{count} seeds, {hours:.3} vehicle-hours, {} faults, {} of {} periods with a reply: {}",
-        total.faults,
-        total.replied,
-        total.periods,
-        if sound {
-            "no oracle was violated, and every seed repeats"
-        } else {
-            "violated"
-        }
-    );
-    Ok(sound)
+    Ok((sound, total))
 }
 
 /// Prints what was broken; returns whether nothing was.
@@ -173,4 +181,34 @@ fn report(seed: u64, run: &Run) -> bool {
         run.violations.len()
     );
     run.violations.is_empty()
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::error::ErrorKind;
+
+    use super::*;
+
+    fn parsed(options: &[&str]) -> Result<Options, clap::Error> {
+        let files = ["egp-simulate", "a.safetensors", "--other", "b.safetensors"];
+        Options::try_parse_from(files.iter().chain(options))
+    }
+
+    #[test]
+    fn options_of_a_run_are_errors_beside_the_planted_faults() {
+        assert!(parsed(&["--planted"]).is_ok_and(|options| options.planted));
+        for (option, value) in [
+            ("--seconds", "1"),
+            ("--vehicles", "3"),
+            ("--replicas", "3"),
+            ("--routers", "0"),
+            ("--seeds", "0..20"),
+            ("--seed", "0"),
+        ] {
+            assert!(parsed(&[option, value]).is_ok(), "{option}");
+            let error = parsed(&["--planted", option, value]).err();
+            let kind = error.map(|error| error.kind());
+            assert_eq!(kind, Some(ErrorKind::ArgumentConflict), "{option}");
+        }
+    }
 }

@@ -11,7 +11,8 @@ use crate::event::{Event, Message};
 use crate::link::latency;
 use crate::mutant::Mutant;
 use crate::oracle::{Oracle, typed};
-use crate::replica::{Exchange, Received};
+use crate::replica::{Exchange, Received, Sent};
+use crate::router::{Route, Way};
 use crate::tampering::real_micros;
 use crate::world::World;
 
@@ -47,11 +48,11 @@ impl World<'_> {
         }
         let process = &self.replicas[r];
         let end = Event::Deliver(v, query.id, Message::End);
-        let routes = self.routers.routes(v, r).len();
-        if routes == 0 {
+        let routes = self.routers.routes(v, r);
+        let Some((first, others)) = routes.split_first() else {
             self.agenda.add(self.now + delay, end);
             return;
-        }
+        };
         if process.machine.is_none() || !process.declared() {
             self.send((v, r), delay, std::iter::once(end));
             return;
@@ -62,14 +63,17 @@ impl World<'_> {
             payload: query.payload,
             attachment: query.attachment,
             asker: Some((v, query.id)),
+            way: first.way,
             outbox: self.outbox.clone(),
             answers: Rc::default(),
             copies: Rc::default(),
         };
-        let mut copies: Vec<Exchange> = (1..routes).map(|_| exchange.copy()).collect();
-        copies.push(exchange);
-        let arrivals = copies
-            .into_iter()
+        let copies: Vec<Exchange> = others
+            .iter()
+            .map(|route| exchange.copy(route.way))
+            .collect();
+        let arrivals = std::iter::once(exchange)
+            .chain(copies)
             .map(|copy| Event::Arrive(r, incarnation, copy));
         self.send((v, r), delay, arrivals);
     }
@@ -81,7 +85,8 @@ impl World<'_> {
             return;
         }
         if process.frozen > 0 {
-            process.waiting.push(exchange);
+            let event = Event::Arrive(r, incarnation, exchange);
+            process.deferred.push(event);
             return;
         }
         let victim = matches!(exchange.asker, Some((0, _)));
@@ -160,7 +165,8 @@ impl World<'_> {
             return;
         }
         if process.frozen > 0 {
-            process.ended.push(worker);
+            let event = Event::StepEnds(r, incarnation, worker);
+            process.deferred.push(event);
             return;
         }
         let now = self.epoch + self.now + process.clock;
@@ -186,7 +192,12 @@ impl World<'_> {
         {
             sent.reverse();
         }
-        for (asker, message) in sent {
+        for Sent {
+            asker,
+            way,
+            message,
+        } in sent
+        {
             let message = self.plant_error(message);
             if matches!(&message, Message::Error(bytes) if !typed(bytes)) {
                 self.broken(Oracle::Typed, format!("r{r} sent an error without a code"));
@@ -198,12 +209,12 @@ impl World<'_> {
             let asked = outstanding.iter().find(|(own, ..)| *own == id);
             let r = asked.map_or(r, |(_, asked, _)| *asked);
             self.judge_library(v, r, &message);
-            self.travel(v, r, id, message);
+            self.travel((v, r), way, id, message);
         }
     }
 
-    /// Puts a replica's answer on the link to a vehicle.
-    fn travel(&mut self, v: usize, r: usize, id: QueryId, message: Message) {
+    /// Puts a replica's answer on the links by which its question came.
+    fn travel(&mut self, (v, r): (usize, usize), way: Option<Way>, id: QueryId, message: Message) {
         let mut delay = latency(&mut self.rng);
         if !self.links[v][r].answers_pass() {
             return;
@@ -236,11 +247,18 @@ impl World<'_> {
             }
             other => other,
         };
-        // The end of a query does not overtake its answer.
-        let Some(route) = self.routers.routes(v, r).first().copied() else {
+        // An answer is lost with a link of its question. A query also ends when such a link closes.
+        let stands = |route: &Route| route.way == way;
+        let route = self.routers.routes(v, r).into_iter().find(stands);
+        let ends = matches!(message, Message::End);
+        if route.is_none() && !ends {
             return;
-        };
-        let hops: Duration = (0..route.hops).map(|_| latency(&mut self.rng)).sum();
+        }
+        let hops = route.map_or(0, |route| route.hops);
+        let hops: Duration = (0..hops).map(|_| latency(&mut self.rng)).sum();
+        // The end of a query does not overtake its answers.
+        let holder = ends.then(|| self.routers.holder(v, id)).flatten();
+        let frozen = holder.or(route.and_then(|route| route.frozen));
         let mut due = self.now + delay + hops;
         let mut asked = self.vehicles[v].outstanding.iter_mut();
         if let Some((_, _, last)) = asked.find(|(own, ..)| *own == id) {
@@ -248,7 +266,7 @@ impl World<'_> {
             *last = due;
         }
         let event = Event::Deliver(v, id, message);
-        match route.frozen {
+        match frozen {
             Some(k) => self.routers.each[k].held.push((v, r, event)),
             None => self.agenda.add(due, event),
         }

@@ -11,12 +11,12 @@ use crate::event::Event;
 use crate::fault::Fault;
 use crate::library::File;
 use crate::lifecycle::name;
-use crate::link::lease;
+use crate::link::{Link, lease};
 use crate::replica::{Exchange, Stage};
 use crate::scene::SimulationError;
 use crate::world::World;
 
-/// Time from the start of a process to its announcement, and from the withdrawal to the end of a drain.
+/// Time from the end of a process to the start of the next one in a restart.
 const START: Duration = Duration::from_millis(300);
 /// Time between two requests of a flood, and the number of names that it uses.
 const FLOOD: Duration = Duration::from_millis(1);
@@ -25,7 +25,7 @@ const NAMES: u32 = 64;
 const PATIENT: u32 = 10_000_000;
 
 impl World<'_> {
-    pub(crate) fn begin(&mut self, fault: Fault) -> Result<(), SimulationError> {
+    pub(crate) fn begin(&mut self, fault: Fault, length: Duration) -> Result<(), SimulationError> {
         self.run.faults += 1;
         self.note(&format!("{fault:?} begins"));
         match fault {
@@ -35,11 +35,7 @@ impl World<'_> {
                 self.agenda.add(self.now + START, Event::Start(r));
             }
             Fault::Reload(r) => {
-                let file = match self.rng.random_range(0..4) {
-                    0 => File::Broken,
-                    1 => File::Library(1),
-                    _ => File::Library(2),
-                };
+                let file = self.other_file();
                 self.replace_file(r, file);
             }
             Fault::OtherLibrary(r) => {
@@ -53,12 +49,7 @@ impl World<'_> {
                 self.agenda.add(self.now + START, Event::StartRouter(k));
             }
             Fault::RouterFreeze(k) => self.freeze_router(k),
-            Fault::Freeze(r) => {
-                self.replicas[r].frozen += 1;
-                for v in 0..self.vehicles.len() {
-                    self.fall_silent(v, r);
-                }
-            }
+            Fault::Freeze(r) => self.freeze(r, length),
             Fault::Slow(r) => self.replicas[r].slow += 1,
             Fault::Hostile(r) => self.replicas[r].hostile += 1,
             Fault::Disorder(r) => self.replicas[r].disorder += 1,
@@ -66,18 +57,8 @@ impl World<'_> {
                 self.replicas[r].flood += 1;
                 self.agenda.add(self.now, Event::Flood(r, 0));
             }
-            Fault::Partition(v, r) => {
-                for r in self.behind(r) {
-                    self.links[v][r].cut += 1;
-                    self.fall_silent(v, r);
-                }
-            }
-            Fault::HalfOpen(v, r) => {
-                for r in self.behind(r) {
-                    self.links[v][r].half += 1;
-                    self.fall_silent(v, r);
-                }
-            }
+            Fault::Partition(v, r) => self.disturb_link(v, r, |link| link.cut += 1),
+            Fault::HalfOpen(v, r) => self.disturb_link(v, r, |link| link.half += 1),
             Fault::VehicleClock(v) => {
                 let jump = self.jump();
                 self.vehicles[v].clock += jump;
@@ -87,6 +68,11 @@ impl World<'_> {
                 self.replicas[r].clock += jump;
             }
             Fault::Drain(r) => self.drain(r),
+        }
+        // The end of a freeze is that of the process which was frozen.
+        if !matches!(fault, Fault::Freeze(_)) {
+            let end = self.now.saturating_add(length);
+            self.agenda.add(end, Event::Finish(fault));
         }
         self.judge_replicas();
         Ok(())
@@ -104,24 +90,14 @@ impl World<'_> {
             }
             Fault::RouterKill(k) => self.start_router(k),
             Fault::RouterFreeze(k) => self.thaw_router(k),
-            Fault::Freeze(r) => self.thaw(r),
             Fault::Slow(r) => self.replicas[r].slow -= 1,
             Fault::Hostile(r) => self.replicas[r].hostile -= 1,
             Fault::Disorder(r) => self.replicas[r].disorder -= 1,
             Fault::Flood(r) => self.replicas[r].flood -= 1,
-            Fault::Partition(v, r) => {
-                for r in self.behind(r) {
-                    self.links[v][r].cut -= 1;
-                    self.heal(v, r);
-                }
-            }
-            Fault::HalfOpen(v, r) => {
-                for r in self.behind(r) {
-                    self.links[v][r].half -= 1;
-                    self.heal(v, r);
-                }
-            }
+            Fault::Partition(v, r) => self.heal(v, r, |link| link.cut -= 1),
+            Fault::HalfOpen(v, r) => self.heal(v, r, |link| link.half -= 1),
             Fault::Restart(_)
+            | Fault::Freeze(_)
             | Fault::RouterRestart(_)
             | Fault::VehicleClock(_)
             | Fault::ReplicaClock(_)
@@ -145,14 +121,35 @@ impl World<'_> {
     }
 
     /// A link on which nothing arrives is closed when its lease has passed.
-    fn fall_silent(&mut self, v: usize, r: usize) {
+    pub(crate) fn fall_silent(&mut self, v: usize, r: usize) {
         let lease = lease(&mut self.rng);
         self.agenda.add(self.now + lease, Event::Token(v, r, false));
     }
 
-    fn heal(&mut self, v: usize, r: usize) {
-        self.links[v][r].since = self.now;
-        self.announce(v, r);
+    /// Begins a fault of the link between a vehicle and a replica.
+    fn disturb_link(&mut self, v: usize, r: usize, begin: impl Fn(&mut Link)) {
+        for r in self.behind(r) {
+            begin(&mut self.links[v][r]);
+            self.fall_silent(v, r);
+        }
+    }
+
+    /// Ends a fault of the link between a vehicle and a replica.
+    fn heal(&mut self, v: usize, r: usize, end: impl Fn(&mut Link)) {
+        for r in self.behind(r) {
+            end(&mut self.links[v][r]);
+            self.links[v][r].since = self.now;
+            self.announce(v, r);
+        }
+    }
+
+    /// A file for a reload: another library or, in one of four cases, none.
+    fn other_file(&mut self) -> File {
+        match self.rng.random_range(0..4) {
+            0 => File::Broken,
+            1 => File::Library(1),
+            _ => File::Library(2),
+        }
     }
 
     /// A vehicle sees a token appear or go, if that is still so and it did not see it before.
@@ -210,6 +207,7 @@ impl World<'_> {
             payload: request.encode(),
             attachment: Vec::new(),
             asker: None,
+            way: None,
             outbox: self.outbox.clone(),
             answers: Rc::default(),
             copies: Rc::default(),

@@ -38,10 +38,12 @@ pub(crate) enum Event {
     Deliver(usize, QueryId, Message),
     /// A replica's liveliness token appears to a vehicle, or is lost.
     Token(usize, usize, bool),
-    /// A fault begins.
-    Begin(Fault),
+    /// A fault begins, and lasts so long.
+    Begin(Fault, Duration),
     /// A fault ends.
     Finish(Fault),
+    /// A frozen process of a replica continues, if the replica is still in this incarnation.
+    Thaw(usize, u32),
     /// A drained replica stops receiving queries.
     Undeclare(usize, u32),
     /// A replica starts.

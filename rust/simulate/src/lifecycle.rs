@@ -17,6 +17,8 @@ use crate::world::{QUEUE, World};
 
 /// Time from the withdrawal of a token to the end of a drain.
 const DRAIN: Duration = Duration::from_millis(50);
+/// Time from the end of a drain to the start of the next process, in which requests that wait are still answered.
+const CLOSED: Duration = Duration::from_secs(1);
 
 impl World<'_> {
     /// Notes since when each replica has been sound.
@@ -31,6 +33,11 @@ impl World<'_> {
     pub(crate) fn start(&mut self, r: usize) -> Result<(), SimulationError> {
         let process = &mut self.replicas[r];
         if process.machine.is_some() && process.declared() {
+            return Ok(());
+        }
+        if process.frozen > 0 {
+            // A process that has not ended has no successor.
+            process.deferred.push(Event::Start(r));
             return Ok(());
         }
         let missed = process
@@ -58,7 +65,7 @@ impl World<'_> {
         let process = &mut self.replicas[r];
         process.libraries = Some(libraries);
         process.served.clear();
-        (process.commanded, process.loading, process.loaded) = (false, false, None);
+        (process.commanded, process.loading) = (false, false);
         process.machine = Some(match &self.keys {
             Some(keys) => machine.with_keys(keys.clone()),
             None => machine,
@@ -66,8 +73,7 @@ impl World<'_> {
         process.incarnation += 1;
         process.stage = Stage::Serving;
         process.received.clear();
-        process.waiting.clear();
-        process.ended.clear();
+        process.deferred.clear();
         self.note(&format!("r{r} starts"));
         self.note_served(r);
         self.close_home(r);
@@ -93,8 +99,8 @@ impl World<'_> {
         process.incarnation += 1;
         process.served.clear();
         process.received.clear();
-        process.waiting.clear();
-        process.ended.clear();
+        process.deferred.clear();
+        process.frozen = 0;
         for v in 0..self.vehicles.len() {
             self.end_queries(v, r);
             let delay = token_delay(&mut self.rng);
@@ -103,26 +109,48 @@ impl World<'_> {
         self.close_home(r);
     }
 
-    /// A frozen process continues: what waited in its sockets is processed.
-    pub(crate) fn thaw(&mut self, r: usize) {
+    /// Stops a process that runs, as SIGSTOP does, for a time.
+    pub(crate) fn freeze(&mut self, r: usize, length: Duration) {
         let process = &mut self.replicas[r];
-        process.frozen -= 1;
-        if process.frozen > 0 {
+        if process.machine.is_none() {
             return;
         }
-        let (now, incarnation) = (self.now, process.incarnation);
+        process.frozen += 1;
+        let thaw = Event::Thaw(r, process.incarnation);
+        self.agenda.add(self.now.saturating_add(length), thaw);
+        for v in 0..self.vehicles.len() {
+            self.fall_silent(v, r);
+        }
+    }
+
+    /// A frozen process continues: what waited in its sockets is processed.
+    pub(crate) fn thaw(&mut self, r: usize, incarnation: u32) -> Result<(), SimulationError> {
+        let process = &mut self.replicas[r];
+        if process.incarnation != incarnation {
+            return Ok(());
+        }
+        process.frozen -= 1;
+        let continues = process.frozen == 0;
+        self.note(&format!("Freeze({r}) ends"));
+        if continues {
+            self.resume(r)?;
+        }
+        self.judge_replicas();
+        Ok(())
+    }
+
+    fn resume(&mut self, r: usize) -> Result<(), SimulationError> {
+        let now = self.now;
+        let process = &mut self.replicas[r];
         for received in &mut process.received {
             received.at = now;
         }
-        let waiting = std::mem::take(&mut process.waiting);
-        for worker in std::mem::take(&mut process.ended) {
-            self.step_ends(r, incarnation, worker);
-        }
-        for exchange in waiting {
-            self.arrive(r, incarnation, exchange);
-        }
-        if let Some(file) = self.replicas[r].loaded.take() {
-            self.loaded(r, incarnation, file);
+        for event in std::mem::take(&mut process.deferred) {
+            match event {
+                // What has waited is still answered.
+                Event::Start(_) => self.agenda.add(now + CLOSED, event),
+                event => self.happen(event)?,
+            }
         }
         self.load_again(r);
         self.work(r);
@@ -133,6 +161,7 @@ impl World<'_> {
             self.replicas[r].stage = Stage::Serving;
             self.drain(r);
         }
+        Ok(())
     }
 
     /// Drains a replica; one that is frozen begins when it continues, as a stopped process receives SIGTERM.
@@ -164,6 +193,10 @@ impl World<'_> {
         if process.incarnation != incarnation {
             return;
         }
+        if process.frozen > 0 {
+            process.deferred.push(Event::Undeclare(r, incarnation));
+            return;
+        }
         process.stage = Stage::Closed;
         process.served.clear();
         if let Some(machine) = &process.machine {
@@ -172,8 +205,7 @@ impl World<'_> {
         if drops {
             process.machine = None;
         }
-        self.agenda
-            .add(self.now + Duration::from_secs(1), Event::Start(r));
+        self.agenda.add(self.now + CLOSED, Event::Start(r));
         self.judge_replicas();
     }
 }

@@ -52,6 +52,10 @@ mutants! {
     SteeringSlew => Limits,
     /// A command is not a number.
     NotFinite => Limits,
+    /// The driving force exceeds the motor's power.
+    Power => Limits,
+    /// A command steers beyond the largest steering angle.
+    SteeringAngle => Limits,
     /// A plan is driven beyond its tail.
     LongTail => Tail,
     /// A command of the tail is called that of a new plan.
@@ -64,6 +68,22 @@ mutants! {
     StopRepeats => Tail,
     /// The stop after the tail drives, as if a limit asked for it.
     StopDrives => Tail,
+    /// The vehicle stops although its plan has an input for the period.
+    StopsEarly => Tail,
+    /// A stop ends with the next reply, without a reset.
+    StopEnds => Tail,
+    /// A stop coasts in place of braking.
+    StopCoasts => Tail,
+    /// A stop brakes as hard as the limits allow.
+    StopLocks => Tail,
+    /// The force of a stop does not decrease before standstill.
+    StopHolds => Tail,
+    /// A stop steers.
+    StopSteers => Tail,
+    /// The vehicle drives before the first plan.
+    WaitingDrives => Tail,
+    /// Half of a planned driving force is driven, as if the power asked for it.
+    HalfForce => Tail,
     /// The weights of a reply change places on its way.
     ChangedWeights => Match,
     /// The forces of a plan are halved on its way.
@@ -106,6 +126,8 @@ mutants! {
     UnboundedQueue => Memory,
     /// Queries that have ended are not forgotten.
     LeakedQueries => Memory,
+    /// Wake-ups are planned that are of no use.
+    LeakedWakes => Memory,
     /// The time of a step is that of the real clock.
     RealClock => Repeat,
     /// The real clock decides the order of messages that are sent at the same moment.

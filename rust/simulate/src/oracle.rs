@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use egp_driver::Step;
+use egp_driver::{Outcome, Step};
 use egp_gate::{Limits, Mode};
 use egp_wire::{Code, MessageLimits, Reply, WireError};
 
@@ -14,9 +14,10 @@ use crate::ledger::{Ledger, hash};
 pub enum Oracle {
     /// Each control period has one command, which comes by its deadline.
     Command,
-    /// Commands are finite and within the limits of value and slew.
+    /// Commands are finite and within the limits of value and slew, of the motor's power and of the steering angle.
     Limits,
-    /// A command is the planned input of the newest plan for this period, or braking once that plan's tail has ended.
+    /// A command is the planned input of the newest plan for this period. It is braking before the first plan, and from the
+    /// end of the plan's tail, a lost vehicle or a state that cannot be used until the reset.
     Tail,
     /// A reply that is used was made by an engine for a request of this vehicle; one that decides a period answers the
     /// request of that period.
@@ -50,6 +51,9 @@ pub struct Violation {
 
 /// Relative rounding of the limits.
 const ROUNDING: f64 = 1e-9;
+/// Deceleration of a stop, m/s², if the limits allow it, and the speed, m/s, below which it decreases linearly to zero.
+const STOP_DECELERATION: f64 = 3.0;
+const HOLD_SPEED: f64 = 0.5;
 
 /// The oracles of one vehicle.
 pub(crate) struct VehicleOracles {
@@ -57,12 +61,18 @@ pub(crate) struct VehicleOracles {
     dt: f64,
     max_tail: u64,
     previous: [f64; 2],
+    /// Speed, m/s, and steering angle, rad, of the newest usable measurement.
+    measured: [f64; 2],
     /// Number of the present control period.
     period: u64,
     /// Period of each request, by its hash.
     requests: BTreeMap<u64, u64>,
+    /// Period of the request that the newest reply answers.
+    newest: u64,
     /// Period and inputs of the newest plan.
     plan: Option<(u64, Vec<[f64; 2]>)>,
+    /// Whether the vehicle must stop, until it is reset.
+    stopped: bool,
     /// Commands of the present period.
     pub(crate) commands: u32,
     /// When the last reply was used.
@@ -76,9 +86,12 @@ impl VehicleOracles {
             dt,
             max_tail,
             previous: [0.0; 2],
+            measured: [f64::INFINITY, 0.0],
             period: 0,
             requests: BTreeMap::new(),
+            newest: 0,
             plan: None,
+            stopped: false,
             commands: 0,
             replied: Duration::ZERO,
         }
@@ -91,18 +104,22 @@ impl VehicleOracles {
         self.requests.retain(|_, period| *period >= oldest);
     }
 
-    pub(crate) fn forget_plan(&mut self) {
+    /// The vehicle's driver was reset: no plan is held, and replies to earlier requests are not used.
+    pub(crate) fn reset(&mut self) {
         self.plan = None;
+        self.newest = self.period;
+        self.stopped = false;
     }
 
     pub(crate) fn asked(&mut self, request: &[u8]) {
         self.requests.insert(hash(request), self.period);
     }
 
-    /// Judges a command; returns what it breaks.
+    /// Judges a command for a measured speed, m/s, and steering angle, rad; returns what it breaks.
     pub(crate) fn judge(
         &mut self,
         now: Duration,
+        measured: [f64; 2],
         step: &Step,
         ledger: &Ledger,
     ) -> Vec<(Oracle, String)> {
@@ -111,20 +128,26 @@ impl VehicleOracles {
         if self.commands > 1 {
             broken.push((Oracle::Command, "a second command in one period".to_owned()));
         }
-        let previous = self.previous;
+        let usable = !matches!(step.outcome, Outcome::InvalidState(_));
+        if usable {
+            self.measured = measured;
+        }
         self.limits(step.command.u, &mut broken);
+        // Late replies have come before the one that decides the period.
+        for late in &step.late {
+            self.take(&late.reply_bytes, ledger, None, &mut broken);
+        }
         if step.reply.is_some() {
             self.replied = now;
             self.take(&step.reply_bytes, ledger, Some(self.period), &mut broken);
         }
-        for late in &step.late {
-            self.take(&late.reply_bytes, ledger, None, &mut broken);
-        }
-        self.tail(step, previous, &mut broken);
+        self.stopped |= step.lost.is_some() || !usable;
+        self.source(step, &mut broken);
+        self.previous = step.command.u;
         broken
     }
 
-    /// Checks who made a reply, and keeps its plan if it is the newest.
+    /// Checks who made a reply, and keeps its plan if no newer reply has come before.
     fn take(
         &mut self,
         bytes: &[u8],
@@ -144,14 +167,17 @@ impl VehicleOracles {
             };
             return broken.push((Oracle::Match, detail.to_owned()));
         };
+        if period <= self.newest {
+            return;
+        }
+        self.newest = period;
         let plan = Reply::decode(bytes, &MessageLimits::default()).map(|reply| reply.plan_u);
-        let newer = self.plan.as_ref().is_none_or(|(held, _)| *held <= period);
-        if let Some(plan_u) = plan.ok().filter(|plan_u| !plan_u.is_empty() && newer) {
+        if let Some(plan_u) = plan.ok().filter(|plan_u| !plan_u.is_empty()) {
             self.plan = Some((period, plan_u));
         }
     }
 
-    fn limits(&mut self, u: [f64; 2], broken: &mut Vec<(Oracle, String)>) {
+    fn limits(&self, u: [f64; 2], broken: &mut Vec<(Oracle, String)>) {
         let [force, rate] = u;
         let limits = &self.limits;
         let within = |value: f64, low: f64, high: f64| {
@@ -174,75 +200,146 @@ impl VehicleOracles {
                 "slew of the steering rate",
                 within(rate - last_rate, -rate_step, rate_step),
             ),
+            // If the power falls faster than the slew allows, the force falls as fast as the slew allows.
+            (
+                "power",
+                force <= self.powered().max(last_force - force_step) + self.slack()[0],
+            ),
+            (
+                "steering angle",
+                self.steers_within(rate, 1.0) && self.steers_within(rate, -1.0),
+            ),
         ] {
             if !holds {
-                broken.push((
-                    Oracle::Limits,
-                    format!("{name} of {u:?} after {:?}", self.previous),
-                ));
+                let detail = format!(
+                    "{name} of {u:?} after {:?} at [v_x, delta] = {:?}",
+                    self.previous, self.measured
+                );
+                broken.push((Oracle::Limits, detail));
             }
         }
-        self.previous = u;
     }
 
-    fn tail(&self, step: &Step, previous: [f64; 2], broken: &mut Vec<(Oracle, String)>) {
-        let command = &step.command;
-        let newest = self.plan.as_ref();
-        let age = newest.map(|(period, _)| self.period - period);
-        let allowed = match command.mode {
-            Mode::Normal => age == Some(0),
-            Mode::Tail => age.is_some_and(|age| (1..=self.max_tail).contains(&age)),
-            Mode::Waiting => age.is_none(),
-            // A stop is always allowed; the force that drives then falls as fast as its slew allows.
-            Mode::Stop => {
-                let left = previous[0] - self.limits.force_slew * self.dt;
-                command.u[0] <= left.max(0.0) + ROUNDING * self.limits.force_max
-            }
-        };
-        if !allowed {
-            let text = format!("mode {:?} with a plan of age {age:?}", command.mode);
-            broken.push((Oracle::Tail, text));
+    /// The driving force, N, for which the motor's power suffices.
+    fn powered(&self) -> f64 {
+        self.limits.power / self.measured[0].abs()
+    }
+
+    /// What rounding may change in force, N, and steering rate, rad/s.
+    fn slack(&self) -> [f64; 2] {
+        let limits = &self.limits;
+        let ranges = [
+            limits.force_max - limits.force_min,
+            2.0 * limits.steering_rate,
+        ];
+        ranges.map(|range| ROUNDING * range)
+    }
+
+    /// Whether the wheels keep the steering angle's limit on one side (1 or -1) when the steering rate goes to zero after this
+    /// command as fast as its slew allows. If the slew or the largest rate allows no better one, a command holds as well.
+    fn steers_within(&self, rate: f64, side: f64) -> bool {
+        let limits = &self.limits;
+        let step = limits.steering_slew * self.dt;
+        let (rate, last) = (side * rate, side * self.previous[1]);
+        let lowest = (last - step).max(-limits.steering_rate);
+        if rate <= lowest + self.slack()[1] {
+            return true;
         }
-        let planned = newest
-            .zip(age)
-            .and_then(|((_, plan_u), age)| plan_u.get(usize::try_from(age).unwrap_or(usize::MAX)));
-        let driven = matches!(command.mode, Mode::Normal | Mode::Tail);
-        if let Some(planned) = planned.filter(|_| driven)
-            && *planned != command.u
-            && !(command.limited && self.towards(*planned, previous, command.u))
-        {
+        let mut rate = rate.min(limits.steering_rate);
+        let mut angle = side * self.measured[1] + rate * self.dt;
+        while rate > step {
+            rate -= step;
+            angle += rate * self.dt;
+        }
+        angle <= limits.steering_angle * (1.0 + ROUNDING)
+    }
+
+    /// Checks the mode of a command, and that the command is what this mode is for.
+    fn source(&mut self, step: &Step, broken: &mut Vec<(Oracle, String)>) {
+        let command = &step.command;
+        let age = self.plan.as_ref().map(|(period, _)| self.period - period);
+        let planned = self.planned();
+        let due = match (age, planned) {
+            _ if self.stopped => Mode::Stop,
+            (None, _) => Mode::Waiting,
+            (Some(0), Some(_)) => Mode::Normal,
+            (Some(_), Some(_)) => Mode::Tail,
+            (Some(_), None) => Mode::Stop,
+        };
+        self.stopped = due == Mode::Stop;
+        if command.mode != due {
             let text = format!(
-                "{:?} is driven after {previous:?}, planned is {planned:?}",
-                command.u
+                "mode {:?} with a plan of age {age:?}, due is {due:?}",
+                command.mode
+            );
+            return broken.push((Oracle::Tail, text));
+        }
+        let u = command.u;
+        let holds = match planned.filter(|_| !self.stopped) {
+            Some(planned) => planned == u || (command.limited && self.towards(planned, u)),
+            None => self.brakes(u),
+        };
+        if !holds {
+            let planned = planned.filter(|_| !self.stopped);
+            let text = format!(
+                "{u:?} is driven after {:?} at [v_x, delta] = {:?} in mode {due:?}, planned is {planned:?}",
+                self.previous, self.measured
             );
             broken.push((Oracle::Tail, text));
         }
     }
 
-    /// Whether limits explain that `u` is driven in place of the planned input: each component is the planned one, an end
-    /// of its range, or the last one changed towards the planned one as fast as its slew allows. The power makes the
-    /// driving force smaller, and the end of the steering angle's range the steering rate.
-    fn towards(&self, planned: [f64; 2], previous: [f64; 2], u: [f64; 2]) -> bool {
+    /// The input of the newest plan for this period; none if the plan has no such input or its tail has ended.
+    fn planned(&self) -> Option<[f64; 2]> {
+        let (period, plan_u) = self.plan.as_ref()?;
+        let age = Some(self.period - period).filter(|age| *age <= self.max_tail)?;
+        plan_u.get(usize::try_from(age).ok()?).copied()
+    }
+
+    /// Whether the command brakes: the force goes to that of a stop, and the steering rate to zero, as fast as their slew
+    /// allows. Wheels beyond the limit of the steering angle may return.
+    fn brakes(&self, u: [f64; 2]) -> bool {
+        let [v_x, delta] = self.measured;
         let limits = &self.limits;
-        let ranges = [
-            (limits.force_min, limits.force_max, limits.force_slew),
-            (
-                -limits.steering_rate,
-                limits.steering_rate,
-                limits.steering_slew,
-            ),
-        ];
-        (0..2).all(|i| {
-            let (low, high, slew) = ranges[i];
-            let near = |value: f64| (u[i] - value).abs() <= ROUNDING * (high - low);
-            let step = slew * self.dt * (planned[i] - previous[i]).signum();
-            let smaller = u[i] * planned[i] >= 0.0 && u[i].abs() <= planned[i].abs();
-            let may_be_smaller = i == 1 || planned[i] > 0.0;
-            near(planned[i])
-                || near(planned[i].clamp(low, high))
-                || near(previous[i] + step)
-                || (smaller && may_be_smaller)
-        })
+        let stopping = (-limits.mass * STOP_DECELERATION).max(limits.force_min);
+        let force = stopping * (v_x / HOLD_SPEED).clamp(-1.0, 1.0);
+        let held = self.approached(1, 0.0);
+        let held = (u[1] - held).abs() <= self.slack()[1];
+        self.forced(force, u[0]) && (held || delta.abs() > limits.steering_angle)
+    }
+
+    /// Whether limits explain that `u` is driven in place of the planned input. The force is the nearest one that they
+    /// allow. The steering rate is the planned one, an end of its range, or the last one changed towards the planned one as
+    /// fast as its slew allows; the end of the steering angle's range makes it smaller.
+    fn towards(&self, planned: [f64; 2], u: [f64; 2]) -> bool {
+        let end = self.limits.steering_rate;
+        let near = |value: f64| (u[1] - value).abs() <= self.slack()[1];
+        let step = self.limits.steering_slew * self.dt * (planned[1] - self.previous[1]).signum();
+        let smaller = u[1] * planned[1] >= 0.0 && u[1].abs() <= planned[1].abs();
+        self.forced(planned[0], u[0])
+            && (near(planned[1])
+                || near(planned[1].clamp(-end, end))
+                || near(self.previous[1] + step)
+                || smaller)
+    }
+
+    /// Whether `force` is the nearest one to `wanted` that the limits allow.
+    fn forced(&self, wanted: f64, force: f64) -> bool {
+        let Limits {
+            force_min,
+            force_max,
+            ..
+        } = self.limits;
+        let wanted = wanted.clamp(force_min, force_max).min(self.powered());
+        (force - self.approached(0, wanted)).abs() <= self.slack()[0]
+    }
+
+    /// The last command's component `i`, changed to `wanted` as far as the slew allows in one period. A component that is not
+    /// a number breaks the limits already, and is no limit here.
+    fn approached(&self, i: usize, wanted: f64) -> f64 {
+        let slew = [self.limits.force_slew, self.limits.steering_slew][i];
+        let (last, step) = (self.previous[i], slew * self.dt);
+        wanted.max(last - step).min(last + step)
     }
 }
 

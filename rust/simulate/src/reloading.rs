@@ -91,7 +91,7 @@ impl World<'_> {
             return;
         }
         if process.frozen > 0 {
-            process.loaded = Some(file);
+            process.deferred.push(Event::Loaded(r, incarnation, file));
             return;
         }
         process.loading = false;

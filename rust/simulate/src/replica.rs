@@ -10,14 +10,22 @@ use egp_driver::QueryId;
 use egp_service::{Query, Replica};
 use egp_wire::{LibraryId, WireError};
 
-use crate::event::Message;
+use crate::event::{Event, Message};
 use crate::library::{File, ProcessLibraries};
+use crate::router::Way;
 
 /// Who asked, and with which query; a flood's queries have no vehicle.
 pub(crate) type Asker = Option<(usize, QueryId)>;
 
-/// Messages that a replica has sent, to be put on the links: asker, number of the exchange, message.
-pub(crate) type Outbox = Rc<RefCell<Vec<(Asker, Message)>>>;
+/// A message that a replica has sent, with the asker and the way of the question that it answers.
+pub(crate) struct Sent {
+    pub(crate) asker: Asker,
+    pub(crate) way: Option<Way>,
+    pub(crate) message: Message,
+}
+
+/// Messages that are to be put on the links.
+pub(crate) type Outbox = Rc<RefCell<Vec<Sent>>>;
 
 /// A query on its way, which ends when it is dropped, as zenoh's does.
 pub(crate) struct Exchange {
@@ -25,6 +33,8 @@ pub(crate) struct Exchange {
     pub(crate) payload: Vec<u8>,
     pub(crate) attachment: Vec<u8>,
     pub(crate) asker: Asker,
+    /// The way on which it came; none without routers.
+    pub(crate) way: Option<Way>,
     pub(crate) outbox: Outbox,
     /// Answers sent on this query, to be counted by the oracle.
     pub(crate) answers: Rc<Cell<u32>>,
@@ -33,13 +43,14 @@ pub(crate) struct Exchange {
 }
 
 impl Exchange {
-    /// The same query, as it arrives by another route.
-    pub(crate) fn copy(&self) -> Self {
+    /// The same query, as it arrives on another way.
+    pub(crate) fn copy(&self, way: Option<Way>) -> Self {
         Self {
             key: self.key.clone(),
             payload: self.payload.clone(),
             attachment: self.attachment.clone(),
             asker: self.asker,
+            way,
             outbox: self.outbox.clone(),
             answers: Rc::default(),
             copies: self.copies.clone(),
@@ -48,14 +59,24 @@ impl Exchange {
 
     fn send(&self, message: Message) {
         self.answers.set(self.answers.get() + 1);
-        self.outbox.borrow_mut().push((self.asker, message));
+        self.post(message);
+    }
+
+    fn post(&self, message: Message) {
+        let (asker, way) = (self.asker, self.way);
+        let sent = Sent {
+            asker,
+            way,
+            message,
+        };
+        self.outbox.borrow_mut().push(sent);
     }
 }
 
 impl Drop for Exchange {
     fn drop(&mut self) {
         if Rc::strong_count(&self.copies) == 1 {
-            self.outbox.borrow_mut().push((self.asker, Message::End));
+            self.post(Message::End);
         }
     }
 }
@@ -134,14 +155,10 @@ pub(crate) struct Process {
     /// Whether it was commanded to load its file again, and whether it does so at present.
     pub(crate) commanded: bool,
     pub(crate) loading: bool,
-    /// What was loaded while it was frozen.
-    pub(crate) loaded: Option<File>,
     /// How far its clock is ahead.
     pub(crate) clock: Duration,
-    /// What waits while it is frozen.
-    pub(crate) waiting: Vec<Exchange>,
-    /// Steps that ended while it was frozen.
-    pub(crate) ended: Vec<usize>,
+    /// What happens to it when it continues, because it is frozen.
+    pub(crate) deferred: Vec<Event>,
     pub(crate) received: Vec<Received>,
     /// When a worker last began a step, or no request waited.
     pub(crate) progress: Duration,
@@ -168,10 +185,8 @@ impl Process {
             started: Duration::ZERO,
             commanded: false,
             loading: false,
-            loaded: None,
             clock: Duration::ZERO,
-            waiting: Vec::new(),
-            ended: Vec::new(),
+            deferred: Vec::new(),
             received: Vec::new(),
             progress: Duration::ZERO,
             old_answer: None,

@@ -6,6 +6,7 @@
 
 use std::time::Duration;
 
+use egp_driver::QueryId;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
@@ -76,9 +77,19 @@ pub(crate) struct ReplicaLink {
     pub(crate) epoch: u32,
 }
 
+/// The links of a question through routers, on which its answers return: the vehicle's router, and the epochs of its link to
+/// the vehicle and of the replica's link. A link that was made again is another one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Way {
+    router: usize,
+    epochs: [u32; 2],
+}
+
 /// A way of a message through routers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Route {
+    /// Its links; none without routers.
+    pub(crate) way: Option<Way>,
     /// Routers on the way.
     pub(crate) hops: u32,
     /// A frozen router on the way, in which messages wait.
@@ -118,19 +129,37 @@ impl Routers {
     /// The routes between a vehicle and a replica; one without a hop if there are no routers.
     pub(crate) fn routes(&self, v: usize, r: usize) -> Vec<Route> {
         if self.direct() {
-            let (hops, frozen) = (0, None);
-            return vec![Route { hops, frozen }];
+            return vec![Route {
+                way: None,
+                hops: 0,
+                frozen: None,
+            }];
         }
-        let Some(home) = self.replica_links[r].router else {
+        let link = self.replica_links[r];
+        let Some(home) = link.router else {
             return Vec::new();
         };
         let uplinks = self.uplinks[v].iter().enumerate();
         let stands = uplinks.filter(|(_, uplink)| uplink.stands);
-        let route = |(k, _)| Route {
+        let route = |(k, uplink): (usize, &Uplink)| Route {
+            way: Some(Way {
+                router: k,
+                epochs: [uplink.epoch, link.epoch],
+            }),
             hops: if k == home { 1 } else { 2 },
             frozen: [k, home].into_iter().find(|&k| self.each[k].frozen > 0),
         };
         stands.map(route).collect()
+    }
+
+    /// The frozen router in which an answer to a vehicle's query waits, if there is one.
+    pub(crate) fn holder(&self, v: usize, query: QueryId) -> Option<usize> {
+        let answers = |event: &Event| match event {
+            Event::Deliver(asker, id, _) => (*asker, *id) == (v, query),
+            _ => false,
+        };
+        let holds = |router: &Router| router.held.iter().any(|(.., event)| answers(event));
+        self.each.iter().position(holds)
     }
 
     /// Whether messages pass between a vehicle and a replica without waiting.

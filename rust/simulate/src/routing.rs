@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::event::Event;
+use crate::event::{Event, Message};
 use crate::link::{latency, lease, token_delay};
 use crate::mutant::Mutant;
 use crate::router::{Attempt, Node, handshake};
@@ -117,7 +117,14 @@ impl World<'_> {
                 self.agenda.add(self.now + delay, Event::Token(v, r, false));
             }
             let held = &mut self.routers.each[k].held;
-            held.retain(|(own, asked, _)| (*own, *asked) != (v, r));
+            let lost = held.extract_if(.., |(own, asked, _)| (*own, *asked) == (v, r));
+            // What waits on the link is lost, but the query ends.
+            let ends = lost
+                .map(|(.., event)| event)
+                .filter(|event| matches!(event, Event::Deliver(.., Message::End)));
+            for end in ends {
+                self.agenda.add(self.now, end);
+            }
         }
     }
 

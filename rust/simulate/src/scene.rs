@@ -104,10 +104,6 @@ pub(crate) struct Road<'a>(pub(crate) &'a Path, pub(crate) f64);
 
 impl Friction for Road<'_> {
     fn surface(&self, position: [f64; 2]) -> Surface {
-        if !position.iter().all(|value| value.is_finite()) {
-            return f64::NAN.into(); // the plant reports the surface as an error
-        }
-        let projection = self.0.project(position, Some(self.1));
-        self.0.surface_beside(projection.s, projection.lateral)
+        self.0.surface_at(position, Some(self.1)).0
     }
 }

@@ -3,58 +3,100 @@
 use std::time::Duration;
 
 use egp_driver::Step;
+use egp_gate::{Limits, Mode};
 use egp_wire::{Code, MessageLimits, Reply, WireError};
 use rand::RngExt;
 
 use crate::event::Message;
 use crate::mutant::Mutant;
+use crate::scene::CAR;
 use crate::world::World;
 
 impl World<'_> {
     /// Plants a fault into a command. Returns how often the command is given.
     pub(crate) fn spoil(&mut self, v: usize, step: &mut Step) -> u32 {
-        use egp_gate::Mode;
         let Some(mutant) = self.config.mutant.filter(|_| v == 0) else {
             return 1;
         };
-        let limits = egp_gate::Limits::of(&crate::scene::CAR.vehicle());
         let late = self.now > Duration::from_secs(1);
-        let command = &mut step.command;
+        if late {
+            self.spoil_limits(v, mutant, &mut step.command.u);
+        }
+        self.spoil_source(v, mutant, step, late);
         match mutant {
-            Mutant::NoCommand if late => return 0,
-            Mutant::TwoCommands if late => return 2,
-            Mutant::Braking if late => command.u[0] = 1.01 * limits.force_min,
-            Mutant::Driving if late => command.u[0] = 1.01 * limits.force_max,
-            Mutant::ForceSlew if late => {
-                let step = 1.5 * limits.force_slew * self.dt.as_secs_f64();
-                command.u[0] = self.vehicles[v].u[0] - step;
-            }
-            Mutant::SteeringRate if late => command.u[1] = 1.01 * limits.steering_rate,
-            Mutant::SteeringSlew if late => {
-                let step = 1.5 * limits.steering_slew * self.dt.as_secs_f64();
-                command.u[1] = self.vehicles[v].u[1] - step;
-            }
-            Mutant::NotFinite if late => command.u[1] = f64::NAN,
-            Mutant::TailAsNormal if command.mode == Mode::Tail => command.mode = Mode::Normal,
-            Mutant::TailShifted if command.mode == Mode::Tail => {
-                command.u = self.vehicles[v].u;
-                command.limited = false;
-            }
-            Mutant::TailHeld if command.mode == Mode::Tail => {
-                command.u = self.vehicles[v].u;
-                command.limited = true;
-            }
-            Mutant::StopDrives if command.mode == Mode::Stop => {
-                command.u[0] = self.vehicles[v].u[0].abs().max(1.0);
-                command.limited = true;
-            }
-            Mutant::StopRepeats if command.mode == Mode::Stop => {
-                command.u[0] = self.vehicles[v].u[0].abs().max(1.0);
-                command.limited = false;
-            }
+            Mutant::NoCommand if late => 0,
+            Mutant::TwoCommands if late => 2,
+            _ => 1,
+        }
+    }
+
+    /// Plants a fault into the values of a command.
+    fn spoil_limits(&self, v: usize, mutant: Mutant, u: &mut [f64; 2]) {
+        let limits = Limits::of(&CAR.vehicle());
+        let [force, rate] = self.vehicles[v].u;
+        let [force_step, rate_step] = self.steps();
+        match mutant {
+            Mutant::Braking => u[0] = 1.01 * limits.force_min,
+            Mutant::Driving => u[0] = 1.01 * limits.force_max,
+            Mutant::ForceSlew => u[0] = force - 1.5 * force_step,
+            Mutant::SteeringRate => u[1] = 1.01 * limits.steering_rate,
+            Mutant::SteeringSlew => u[1] = rate - 1.5 * rate_step,
+            Mutant::NotFinite => u[1] = f64::NAN,
+            Mutant::Power => u[0] = approach(force, limits.force_max, force_step),
+            Mutant::SteeringAngle => u[1] = approach(rate, limits.steering_rate, rate_step),
             _ => {}
         }
-        1
+    }
+
+    /// Plants a fault into the mode of a command, or into what the mode stands for.
+    fn spoil_source(&self, v: usize, mutant: Mutant, step: &mut Step, late: bool) {
+        let limits = Limits::of(&CAR.vehicle());
+        let last = self.vehicles[v].u;
+        let [force_step, rate_step] = self.steps();
+        let force = |wanted| approach(last[0], wanted, force_step);
+        let rate = |wanted| approach(last[1], wanted, rate_step);
+        let stopping = -limits.mass * limits.stop_deceleration();
+        let command = &mut step.command;
+        match (mutant, command.mode) {
+            (Mutant::TailAsNormal, Mode::Tail) => command.mode = Mode::Normal,
+            (Mutant::TailShifted, Mode::Tail) => (command.u, command.limited) = (last, false),
+            (Mutant::TailHeld, Mode::Tail) => (command.u, command.limited) = (last, true),
+            (Mutant::HalfForce, Mode::Normal | Mode::Tail) if command.u[0] > 0.0 => {
+                command.u[0] *= 0.5;
+                command.limited = true;
+            }
+            (Mutant::StopDrives, Mode::Stop) => {
+                command.u[0] = last[0].abs().max(1.0);
+                command.limited = true;
+            }
+            (Mutant::StopRepeats, Mode::Stop) => {
+                command.u[0] = last[0].abs().max(1.0);
+                command.limited = false;
+            }
+            (Mutant::StopsEarly, Mode::Normal | Mode::Tail) if late => {
+                command.mode = Mode::Stop;
+                command.u = [force(stopping), rate(0.0)];
+            }
+            (Mutant::StopEnds, Mode::Stop) => {
+                let planned = step.reply.as_ref().and_then(|reply| reply.plan_u.first());
+                if let Some(planned) = planned {
+                    (command.mode, command.limited) = (Mode::Normal, true);
+                    command.u = [force(planned[0]), rate(planned[1])];
+                }
+            }
+            (Mutant::StopCoasts, Mode::Stop) => command.u[0] = force(0.0),
+            (Mutant::StopLocks, Mode::Stop) => command.u[0] = force(limits.force_min),
+            (Mutant::StopHolds, Mode::Stop) => command.u[0] = force(stopping),
+            (Mutant::StopSteers, Mode::Stop) => command.u[1] = rate(limits.steering_rate),
+            (Mutant::WaitingDrives, Mode::Waiting) => command.u[0] = force(-stopping),
+            _ => {}
+        }
+    }
+
+    /// The largest change of force, N, and steering rate, rad/s, from one control period to the next.
+    fn steps(&self) -> [f64; 2] {
+        let limits = Limits::of(&CAR.vehicle());
+        [limits.force_slew, limits.steering_slew].map(|slew| slew * self.dt.as_secs_f64())
     }
 
     /// Plants a fault into an error.
@@ -113,6 +155,11 @@ impl World<'_> {
         }
         reply.encode()
     }
+}
+
+/// `from`, changed towards `to` by at most `step`.
+fn approach(from: f64, to: f64, step: f64) -> f64 {
+    from + (to - from).clamp(-step, step)
 }
 
 /// The bytes of a reply after a change, or the bytes as they were if they are no reply.

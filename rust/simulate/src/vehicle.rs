@@ -16,8 +16,8 @@ use crate::scene::{CAR, Road, Scene, SimulationError};
 pub(crate) const FLEET: &str = "fleet";
 /// Control periods that the rest of a plan may bridge, as the oracle has it.
 const MAX_TAIL: u64 = 25;
-/// Below this speed, m/s, a stopped vehicle is put back on its course.
-const STANDSTILL: f64 = 0.5;
+/// Below this speed, m/s, a stopped vehicle is put back on its course. The force of a stop decreases before it.
+const STANDSTILL: f64 = 0.1;
 
 /// A vehicle on the course.
 pub(crate) struct Vehicle {
@@ -79,7 +79,7 @@ impl Vehicle {
             ..VehicleState::default()
         })?;
         self.driver.reset();
-        self.oracles.forget_plan();
+        self.oracles.reset();
         self.s = s;
         Ok(())
     }
@@ -124,8 +124,10 @@ impl Vehicle {
         })
     }
 
-    /// Present speed, m/s.
-    pub(crate) fn speed(&self) -> f64 {
-        self.plant.vehicle_state().v_x
+    /// Present speed, m/s, and steering angle, rad; both are measured without an error, and change between control periods
+    /// only.
+    pub(crate) fn motion(&self) -> [f64; 2] {
+        let state = self.plant.vehicle_state();
+        [state.v_x, state.delta]
     }
 }

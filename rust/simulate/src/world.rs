@@ -43,6 +43,8 @@ pub(crate) struct World<'a> {
     pub(crate) keys: Option<KeyRing>,
     /// The newest request of any vehicle, which floods send again.
     pub(crate) last_request: Vec<u8>,
+    /// Number of events that are planned at the start.
+    pub(crate) planned: usize,
 }
 
 /// Simulates one run.
@@ -84,8 +86,10 @@ pub fn simulate(scene: &Scene, config: &Config) -> Result<Run, SimulationError> 
         dt: Duration::from_secs_f64(served.dt),
         keys,
         last_request: Vec::new(),
+        planned: 0,
     };
     world.plan()?;
+    world.planned = world.agenda.len();
     world.run()?;
     let World { trace, mut run, .. } = world;
     (run.hash, run.trace) = trace.finish();
@@ -136,10 +140,8 @@ impl World<'_> {
                 if !scheduled.fits(vehicles, replicas, routers) {
                     return Err(SimulationError::Schedule(scheduled.fault));
                 }
-                let (begin, fault) = (scheduled.begin, scheduled.fault);
-                self.agenda.add(begin, Event::Begin(fault));
-                let end = begin.saturating_add(scheduled.length);
-                self.agenda.add(end, Event::Finish(fault));
+                let event = Event::Begin(scheduled.fault, scheduled.length);
+                self.agenda.add(scheduled.begin, event);
             }
             return Ok(());
         }
@@ -147,8 +149,7 @@ impl World<'_> {
         // The last quarter has no new faults, so that every run also shows the return.
         while at.as_secs_f64() < 0.75 * self.config.seconds {
             let (fault, length) = draw(&mut self.rng, vehicles, replicas, routers);
-            self.agenda.add(at, Event::Begin(fault));
-            self.agenda.add(at + length, Event::Finish(fault));
+            self.agenda.add(at, Event::Begin(fault, length));
             at += Duration::from_micros(self.rng.random_range(50_000..1_200_000));
         }
         Ok(())
@@ -167,7 +168,7 @@ impl World<'_> {
         Ok(())
     }
 
-    fn happen(&mut self, event: Event) -> Result<(), SimulationError> {
+    pub(crate) fn happen(&mut self, event: Event) -> Result<(), SimulationError> {
         match event {
             Event::Period(v) => self.period(v)?,
             Event::Wake(v) => {
@@ -186,8 +187,9 @@ impl World<'_> {
             Event::StepEnds(r, incarnation, worker) => self.step_ends(r, incarnation, worker),
             Event::Deliver(v, id, message) => self.deliver(v, id, message),
             Event::Token(v, r, alive) => self.token(v, r, alive),
-            Event::Begin(fault) => self.begin(fault)?,
+            Event::Begin(fault, length) => self.begin(fault, length)?,
             Event::Finish(fault) => self.finish(fault)?,
+            Event::Thaw(r, incarnation) => self.thaw(r, incarnation)?,
             Event::Undeclare(r, incarnation) => self.undeclare(r, incarnation),
             Event::Start(r) => self.start(r)?,
             Event::Flood(r, left) => self.flood(r, left),

@@ -137,6 +137,21 @@ fn a_question_that_comes_twice_is_answered() {
     }
 }
 
+/// Answers return on the links by which their question came: after its restart the first router is not the replica's, and what
+/// passes through it alone waits.
+#[test]
+fn an_answer_takes_the_way_of_its_question() {
+    let config = Config {
+        routers: 2,
+        ..config(&["router-kill:router-0@1+0.5", "router-freeze:router-0@2.5+1"])
+    };
+    let run = repeat(&scene(), &config).unwrap();
+    assert_eq!(run.violations, []);
+    let solved = times(&run, "solved of r0");
+    let frozen = solved.iter().filter(|t| (2.5..3.5).contains(*t)).count();
+    assert_eq!(frozen, 50, "{solved:?}");
+}
+
 #[test]
 fn faults_of_routers_and_libraries_that_are_planted_are_found() {
     let scene = scene();

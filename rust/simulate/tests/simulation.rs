@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use egp_simulate::{Config, Mutant, Oracle, Scene, ScheduledFault, repeat, simulate};
+use egp_simulate::{Config, Mutant, Oracle, Run, Scene, ScheduledFault, repeat, simulate};
 
 fn scene() -> Scene {
     let shipped =
@@ -57,6 +57,130 @@ fn each_oracle_finds_its_planted_fault() {
     }
 }
 
+/// A fault that begins after the end of a run: the run has none.
+const NONE: &[&str] = &["kill:r0@60+1"];
+
+/// One vehicle and one replica with the given faults.
+fn config(seconds: f64, faults: &[&str]) -> Config {
+    Config {
+        vehicles: 1,
+        replicas: 1,
+        seconds,
+        recorded: true,
+        faults: faults.iter().map(|text| text.parse().unwrap()).collect(),
+        ..Config::new(0)
+    }
+}
+
+/// The times of the lines with this text.
+fn times(run: &Run, text: &str) -> Vec<f64> {
+    let lines = run.trace.iter().filter(|line| line.contains(text));
+    lines
+        .map(|line| line.trim().split(' ').next().unwrap().parse().unwrap())
+        .collect()
+}
+
+/// Each of these faults breaks one promise only, and is found by the words of one check of its oracle.
+#[test]
+fn faults_of_stops_and_of_braking_are_found_by_their_own_check() {
+    let scene = scene();
+    let killed = &["kill:r0@1+2"][..];
+    for (mutant, seconds, faults, words) in [
+        (
+            Mutant::StopsEarly,
+            1.5,
+            NONE,
+            "mode Stop with a plan of age Some(0), due is Normal",
+        ),
+        (
+            Mutant::StopEnds,
+            4.0,
+            killed,
+            "mode Normal with a plan of age Some(0), due is Stop",
+        ),
+        (Mutant::StopCoasts, 2.0, killed, "in mode Stop"),
+        (Mutant::StopLocks, 2.0, killed, "in mode Stop"),
+        (Mutant::StopHolds, 5.8, killed, "in mode Stop"),
+        (Mutant::StopSteers, 2.0, killed, "in mode Stop"),
+        (
+            Mutant::WaitingDrives,
+            1.5,
+            &["kill:r0@0+2"],
+            "in mode Waiting",
+        ),
+        (Mutant::HalfForce, 1.5, NONE, "in mode Normal"),
+    ] {
+        let config = Config {
+            mutant: Some(mutant),
+            ..config(seconds, faults)
+        };
+        let run = simulate(&scene, &config).unwrap();
+        let found: Vec<Oracle> = run.violations.iter().map(|v| v.oracle).collect();
+        assert_eq!(found, [Oracle::Tail], "{mutant:?}: {:?}", run.violations);
+        let detail = &run.violations[0].detail;
+        assert!(detail.contains(words), "{mutant:?}: {detail}");
+    }
+}
+
+/// A stop ends in standstill, for which its force decreases below 0.5 m/s.
+#[test]
+fn a_stop_is_judged_down_to_standstill() {
+    let run = simulate(&scene(), &config(9.0, &["kill:r0@1+2"])).unwrap();
+    assert_eq!(run.violations, []);
+    let speed = |line: &str| -> f64 {
+        let (_, after) = line.split_once("rad/s at ").unwrap();
+        after.split_once(" m/s").unwrap().0.parse().unwrap()
+    };
+    let stops = run.trace.iter().filter(|line| line.contains(" Stop "));
+    let slow = stops.filter(|line| speed(line) < 0.5).count();
+    assert!(slow > 5, "{slow}");
+    assert_eq!(times(&run, "is put back on its course").len(), 1);
+}
+
+#[test]
+fn faults_of_power_and_steering_angle_are_found_by_their_own_check() {
+    let scene = scene();
+    for (mutant, words) in [
+        (Mutant::Power, "car-0: power of"),
+        (Mutant::SteeringAngle, "car-0: steering angle of"),
+    ] {
+        let config = Config {
+            mutant: Some(mutant),
+            ..config(9.0, NONE)
+        };
+        let run = simulate(&scene, &config).unwrap();
+        let found = run.violations.iter().find(|v| v.oracle == Oracle::Limits);
+        let detail = &found.unwrap().detail;
+        assert!(detail.starts_with(words), "{mutant:?}: {detail}");
+    }
+}
+
+#[test]
+fn events_that_are_planned_without_bound_are_found() {
+    let config = Config {
+        mutant: Some(Mutant::LeakedWakes),
+        ..config(2.0, NONE)
+    };
+    let run = simulate(&scene(), &config).unwrap();
+    let found: Vec<Oracle> = run.violations.iter().map(|v| v.oracle).collect();
+    assert_eq!(found, [Oracle::Memory]);
+    let detail = &run.violations[0].detail;
+    assert!(detail.contains("events are planned"), "{detail}");
+}
+
+/// Many vehicles and replicas connect to a router again at the same time, which is no fault.
+#[test]
+fn the_bound_of_events_is_that_of_the_whole_run() {
+    let config = Config {
+        vehicles: 100,
+        replicas: 100,
+        routers: 1,
+        ..config(1.3, &["router-restart:router-0@1+0"])
+    };
+    let run = simulate(&scene(), &config).unwrap();
+    assert_eq!(run.violations, []);
+}
+
 #[test]
 fn scheduled_faults_replace_those_of_the_seed() {
     let scene = scene();
@@ -71,20 +195,14 @@ fn scheduled_faults_replace_those_of_the_seed() {
         };
         repeat(&scene, &config)
     };
-    let periods = |trace: &[String], mode: &str| {
-        let lines = trace.iter().filter(|line| line.contains(mode));
-        lines
-            .map(|line| line.trim().split(' ').next().unwrap().parse().unwrap())
-            .collect::<Vec<f64>>()
-    };
     let short = run(&["kill:r0@1+2", "freeze:r1@1.5+0.2"]).unwrap();
     assert_eq!((short.faults, short.violations.len()), (2, 0));
-    let tail = periods(&short.trace, " Tail ");
+    let tail = times(&short, " Tail ");
     assert!(tail.len() >= 8, "{tail:?}");
     assert!(tail.iter().all(|t| (1.0..1.8).contains(t)), "{tail:?}");
-    assert!(periods(&short.trace, " Stop ").is_empty());
+    assert!(times(&short, " Stop ").is_empty());
     let long = run(&["kill:r0@1+2", "freeze:r1@1.5+1"]).unwrap();
-    assert!(!periods(&long.trace, " Stop ").is_empty());
+    assert!(!times(&long, " Stop ").is_empty());
     let error = run(&["partition:car-1:r0@1+1"]).unwrap_err();
     assert!(error.to_string().contains("--vehicles"), "{error}");
 }
@@ -120,13 +238,35 @@ fn a_frozen_replica_drains_when_it_continues() {
     };
     let run = simulate(&scene(), &config).unwrap();
     assert_eq!(run.violations, []);
-    let starts: Vec<&str> = run
-        .trace
-        .iter()
-        .filter(|line| line.ends_with("r0 starts"))
-        .map(|line| line.trim().split(' ').next().unwrap())
-        .collect();
-    assert_eq!(starts, ["0.000000", "3.550000"], "drained at 2.5 s");
+    assert_eq!(times(&run, "r0 starts"), [0.0, 3.55], "drained at 2.5 s");
+}
+
+/// A stopped process does not complete its drain, and a new one starts when it has ended.
+#[test]
+fn a_replica_that_is_frozen_in_its_drain_completes_it_later() {
+    for (faults, start) in [
+        (["drain:r0@1+0", "freeze:r0@1.02+0.5"], 2.52),
+        (["drain:r0@1+0", "freeze:r0@1.02+1.5"], 3.52),
+        (["drain:r0@1+0", "freeze:r0@1.5+1.5"], 4.0),
+    ] {
+        let run = simulate(&scene(), &config(5.0, &faults)).unwrap();
+        assert_eq!(run.violations, [], "{faults:?}");
+        assert_eq!(times(&run, "r0 starts"), [0.0, start], "{faults:?}");
+    }
+}
+
+/// A freeze is one of a process: the next process is not frozen, and the end of the freeze does not concern it.
+#[test]
+fn a_replica_that_was_frozen_and_killed_starts_anew() {
+    let faults = ["freeze:r0@1+2.5", "kill:r0@1.5+0.5", "freeze:r0@3+1"];
+    let run = simulate(&scene(), &config(5.0, &faults)).unwrap();
+    assert_eq!(run.violations, []);
+    let solved = times(&run, "solved of r0");
+    let between = |a: f64, b: f64| solved.iter().any(|t| (a..b).contains(t));
+    assert!(between(2.0, 2.3), "{solved:?}");
+    assert!(!between(3.02, 4.0), "the second freeze lasts: {solved:?}");
+    assert!(between(4.0, 4.3), "{solved:?}");
+    assert_eq!(times(&run, "Freeze(0) ends"), [4.0]);
 }
 
 #[test]
