@@ -2,8 +2,8 @@
 //!
 //! Virtual time, one thread and one seed: the same [`Config`] gives the same trace, byte for byte. The decisions are the
 //! product's own: the driver and the gate of each vehicle, intake, queue, workers and libraries of each replica, the engine's
-//! control step and the multi-body plant. Only network, clocks and faults are simulated. `docs/simulation.md` describes the faults
-//! and the oracles.
+//! control step and the multi-body plant. Only network, clocks and faults are simulated. `docs/simulation.md` describes the
+//! faults and the oracles.
 
 mod command;
 mod config;
