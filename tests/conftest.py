@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from playwright.sync_api import Browser
 
@@ -40,6 +41,17 @@ CHROMIUM = next(
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     rank = {name: k for k, name in enumerate(SLOW)}
     items.sort(key=lambda item: rank.get(item.nodeid.partition("::")[0], len(SLOW)))
+
+
+@pytest.fixture
+def interrupted_pictures(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """From the call on, Ctrl-C comes while matplotlib writes a picture."""
+
+    def interrupted(_: object, path: Path, **_options: object) -> None:
+        path.write_bytes(b"\x89PNG")
+        raise KeyboardInterrupt
+
+    return lambda: monkeypatch.setattr("matplotlib.figure.Figure.savefig", interrupted)
 
 
 @pytest.fixture(scope="session")

@@ -28,7 +28,7 @@ ALLOWED = {
     "egp-trace": set(),
     "egp-session": set(),
     "egp-service": {"egp-core", "egp-engine", "egp-map", "egp-session", "egp-trace", "egp-wire"},
-    "egp-driver": {"egp-wire", "egp-gate"},
+    "egp-driver": {VEHICLE, "egp-wire", "egp-gate"},
     "egp-simulate": {
         "egp-core",
         "egp-driver",

@@ -25,8 +25,8 @@ COMMAND: Command = get_command(app)  # type: ignore[assignment] # Typer has its 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 
 
-def run_examples(document: Path, count: int) -> list[dict[str, object]]:
-    """Run a document's first Python examples; the names of each."""
+def run_examples(document: Path, count: int | None = None) -> list[dict[str, object]]:
+    """Run a document's Python examples, or the first ones; the names of each."""
     text = document.read_text(encoding="utf-8")
     found = []
     for example in re.findall(r"```python\n(.*?)```", text, re.DOTALL)[:count]:
@@ -37,7 +37,7 @@ def run_examples(document: Path, count: int) -> list[dict[str, object]]:
 
 
 def test_the_readmes_example_steers_back_to_the_reference() -> None:
-    (names,) = run_examples(README, 1)
+    (names,) = run_examples(README)
     step = names["step"]
     assert step.mode == "normal"  # type: ignore[attr-defined]
     # The car is left of the reference.

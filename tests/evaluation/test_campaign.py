@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from egp_service import EgpError
 from egp_service._core import write_library_subset
@@ -29,7 +28,7 @@ from egp_service.evaluation.experiment import NOISE, Trial
 from egp_service.evaluation.experiments import EXPERIMENTS, OBSTACLE_AVOIDANCE
 from egp_service.evaluation.prediction import PredictionOutcome
 from egp_service.evaluation.settling import settling_times
-from egp_service.evaluation.statistics import Interval, grouped, mean, median, student_95, wilson
+from egp_service.evaluation.statistics import Interval, grouped, mean, median, wilson
 from egp_service.shipped import EVALUATION_LIBRARY as SHIPPED
 from egp_service.simulation.scenario import (
     Scenario,
@@ -317,11 +316,6 @@ def test_intervals() -> None:
     assert mean([0.0, 0.0, 0.0, 4.0]).value == 1.0
     interval = median(np.arange(101.0))
     assert interval.low < interval.value == 50.0 < interval.high
-
-
-@pytest.mark.parametrize("freedom", [1, 2, 3, 4, 19, 100, 999])
-def test_intervals_are_those_of_students_distribution(freedom: int) -> None:
-    assert student_95(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=1e-12)
 
 
 # As `expanded` states; the percentiles of 2.5 and 97.5 % cover the mean of five in 0.84.

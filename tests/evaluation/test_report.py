@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from matplotlib.figure import Figure
 
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
@@ -17,6 +16,7 @@ from egp_service.evaluation.summary_report import HEADLINE, headline, write_repo
 from outcome_example import OUTCOME
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from playwright.sync_api import Browser
@@ -114,16 +114,13 @@ def test_a_variant_that_is_closer_breaks_the_claim_about_other_controllers(
     assert claimed([one for one in outcomes if one.seed == 0]) == (True, "in none")
 
 
-def test_a_picture_is_whole_or_as_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_is_whole_or_as_before(
+    tmp_path: Path, interrupted_pictures: Callable[[], None]
+) -> None:
     path = tmp_path / "step-times.png"
     times = [StepTime("egp", members, 0.1, 0.2) for members in (1, 2)]
     drawn = draw_scaling(times, path).read_bytes()
-
-    def interrupted(_: Figure, path: Path, **_options: object) -> None:
-        path.write_bytes(drawn[:100])
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Figure, "savefig", interrupted)
+    interrupted_pictures()
     with pytest.raises(KeyboardInterrupt):
         draw_scaling(times, path)
     assert path.read_bytes() == drawn

@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -26,7 +25,7 @@ from egp_service._core import (
     encode_tile_evidence,
 )
 from egp_service._core.testing import MAP_HEALTH_KEY, MAP_METRICS_KEY, MapServer
-from egp_service.control.endpoints import free_endpoint
+from egp_service.control.endpoints import free_endpoint, why_unreachable
 from egp_service.control.fleet_map import FleetMap
 from egp_service.control.session import session_config
 from egp_service.simulation.course import build_path, road_name
@@ -47,14 +46,8 @@ def map_service(endpoint: str, *options: str) -> Iterator[subprocess.Popen[str]]
     """Run `egp map` and end it with Ctrl-C."""
     command = [sys.executable, "-m", "egp_service", "map", "--listen", endpoint, *options]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        host, port = endpoint.removeprefix("tcp/").split(":")
-
-        def listens() -> bool:
-            with socket.socket() as probe:
-                return probe.connect_ex((host, int(port))) == 0
-
         try:
-            wait_until(listens)
+            wait_until(lambda: why_unreachable(endpoint) is None)
             yield process
         finally:
             process.send_signal(signal.SIGINT)

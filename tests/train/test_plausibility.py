@@ -163,6 +163,20 @@ def test_speeds_on_both_sides_of_a_pause_are_not_compared() -> None:
         plausibility.check(log, columns, MASS)
 
 
+def test_demands_beyond_the_grip_are_no_wrong_unit() -> None:
+    t = np.arange(0.0, 120.0, 0.02)
+    demand = np.sin(0.7 * t) * np.where(np.sin(0.1 * t) > 0.5, 8.0, 1.0)
+    log = pieces(20.0, seconds=120.0)
+    change = np.clip(demand, -1.2, 1.2)
+    log["v_x"] = 20.0 + np.concatenate([[0.0], 0.02 * np.cumsum(change[:-1])])
+    log["delta"] = 2.7 * log["omega"] / log["v_x"]
+    log["a_x"] = demand - 0.1 * log["omega"] ** 2
+    check(log)
+    log["a_x"] = log["a_x"] / 9.81
+    with pytest.raises(EgpError, match="contradict each other"):
+        check(log)
+
+
 def test_the_same_value_on_both_sides_of_a_pause_is_no_stuck_sensor() -> None:
     log = pieces(10.0, 10.0, seconds=4.0)
     log["v_x"] = np.full_like(log["time"], 10.0)  # of a sensor with steps of 1 m/s

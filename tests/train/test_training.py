@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from surfaces import NOISE, TOY, provenance, surface
 
 from egp_service import EgpError
@@ -24,6 +23,7 @@ from egp_service.training.validation_report import draw_validation
 from egp_service.training.vehicle_fit import fit_vehicle
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -229,7 +229,7 @@ def test_matrix_is_best_on_the_diagonal(
     members: list[TrainedMember],
     library_path: Path,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    interrupted_pictures: Callable[[], None],
 ) -> None:
     held_out = {member.dataset.provenance.surface: member.validation for member in members}
     matrix = validate(Library.load(library_path), held_out)
@@ -244,12 +244,7 @@ def test_matrix_is_best_on_the_diagonal(
     draw_validation(matrix, picture)
     drawn = picture.read_bytes()
     assert drawn.startswith(b"\x89PNG")
-
-    def interrupted(_: Figure, path: Path, **_options: object) -> None:
-        path.write_bytes(drawn[:100])
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Figure, "savefig", interrupted)
+    interrupted_pictures()
     with pytest.raises(KeyboardInterrupt):
         draw_validation(matrix, picture)
     assert picture.read_bytes() == drawn

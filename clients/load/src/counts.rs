@@ -34,8 +34,8 @@ pub(crate) struct Sent {
     pub(crate) budget: Duration,
     pub(crate) counts: Arc<Mutex<Counts>>,
     pub(crate) answered: AtomicBool,
-    /// The first error that a copy of the request may have got while another copy is answered, and its time.
-    pub(crate) copied: OnceLock<(Code, Duration)>,
+    /// When the first error came that a copy of the request may have got while another copy is answered.
+    pub(crate) copied: OnceLock<Duration>,
 }
 
 impl Sent {
@@ -58,8 +58,8 @@ impl Sent {
     pub(crate) fn refused(&self, payload: &[u8]) {
         let latency = self.due.elapsed();
         match WireError::decode(payload).map(|error| error.code) {
-            Ok(code @ (Code::Superseded | Code::Unauthenticated)) => {
-                let _ = self.copied.set((code, latency)); // the first one stays
+            Ok(Code::Superseded) => {
+                let _ = self.copied.set(latency); // the first one stays
             }
             Ok(code) => self.count(refused(code), Some(latency), None),
             Err(_) => self.count("timeout".to_owned(), Some(latency), None),
@@ -93,7 +93,7 @@ impl Sent {
 impl Drop for Sent {
     fn drop(&mut self) {
         match self.copied.get() {
-            Some((code, latency)) => self.count(refused(*code), Some(*latency), None),
+            Some(latency) => self.count(refused(Code::Superseded), Some(*latency), None),
             None => self.count("no answer".to_owned(), None, None),
         }
     }
@@ -139,15 +139,11 @@ mod tests {
         let solved = messages::solved_reply();
         let one = |outcome: &str| vec![(outcome.to_owned(), 1)];
         assert_eq!(counted(&[], None), one("no answer"));
-        for (code, alone) in [
-            (Code::Superseded, "refused: superseded"),
-            (Code::Unauthenticated, "refused: unauthenticated"),
-        ] {
-            assert_eq!(counted(&[code], Some(&solved)), one("solved"));
-            assert_eq!(counted(&[code], None), one(alone));
-            let late = counted(&[code, Code::TooLate], None);
-            assert_eq!(late, one("refused: too_late"));
-        }
+        let copied = Code::Superseded;
+        assert_eq!(counted(&[copied], Some(&solved)), one("solved"));
+        assert_eq!(counted(&[copied], None), one("refused: superseded"));
+        let late = counted(&[copied, Code::TooLate], None);
+        assert_eq!(late, one("refused: too_late"));
         let first = counted(&[Code::TooLate], Some(&solved));
         assert_eq!(first, one("refused: too_late"));
     }

@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use egp_simulator::Period;
 use egp_vehicle::{Mode, Outcome};
-use egp_wire::code_name;
 use hdrhistogram::Histogram;
 
 /// A histogram of microseconds from 1 to a minute with three exact digits.
@@ -121,7 +120,7 @@ impl Tally {
 /// The outcome in one word, with the code of an error reply: `solved`, `infeasible`, `late`, `refused: too_late`.
 fn name(outcome: &Outcome) -> String {
     match outcome {
-        Outcome::Refused(error) => format!("refused: {}", code_name(error.code)),
+        Outcome::Refused(error) => format!("refused: {}", error.code_name()),
         other => other.name().to_owned(),
     }
 }

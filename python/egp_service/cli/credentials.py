@@ -75,7 +75,7 @@ def write_credentials(
 ) -> list[str]:
     """Write or complete the files of a fleet in `folder`; return the vehicles that are new.
 
-    Folders that are made, and all files, are for their owner alone.
+    The folder, if it is made, `vehicles` in it, and all files are for their owner alone.
 
     The other `vehicles` keep their secret keys and endpoints, and get new certificates; so do
     operator and monitor. The files of new ones connect to `hosts`. The certificates of service, map

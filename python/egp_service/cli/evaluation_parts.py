@@ -5,25 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-
+from egp_service.cli.progress import counting
 from egp_service.evaluation import hidden_ice, prediction
 from egp_service.evaluation.batch import finish
 from egp_service.evaluation.entry_speed import EntrySpeed, find
-from egp_service.evaluation.experiments import HIDDEN_ICE, OBSTACLE_AVOIDANCE
+from egp_service.evaluation.experiments import HIDDEN_ICE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from rich.console import Console
+    from rich.progress import Progress
 
     from egp_service.evaluation.batch import Batch
     from egp_service.evaluation.campaign import Campaign, Outcome
@@ -58,16 +50,12 @@ def run(
     """Run what is missing; give the results of predictions and runs, and of experiments apart."""
     full = selection.full
     parts: dict[str, Batch[Any, Any]] = {}
-    with _progress(console) as progress:
+    with counting(console) as progress:
         if "prediction" in selection.chosen:
             parts["predictions"] = _predictions(progress, output, full=full)
         parts["runs"] = _runs(progress, campaign, selection.driven, full=full)
-        begin: dict[str, Callable[..., Batch[Any, Any]]] = {
-            OBSTACLE_AVOIDANCE.name: _entry_speeds,
-            HIDDEN_ICE.name: _ice,
-        }
         for e in selection.apart:
-            parts[e.name] = begin[e.name](progress, campaign, e, full=full)
+            parts[e.name] = _apart(progress, campaign, e, full=full)
         try:
             finish(list(parts.values()), jobs, cluster)
         except KeyboardInterrupt:
@@ -106,42 +94,21 @@ def _runs(
     return campaign.runs([trial for own in trials.values() for trial in own], report)
 
 
-def _entry_speeds(
-    progress: Progress, campaign: Campaign, cones: ClosedLoopExperiment, *, full: bool
-) -> Batch[Any, EntrySpeed]:
-    last = cones.conditions[-1][0]
-    seeds = range(cones.seeds if full else cones.quick_seeds)
-    trials = [t for t in cones.trials(seeds) if full or t.condition == last]
-    name = f"{cones.name}: bisecting entry speeds"
-    task = progress.add_task(name, start=False, total=len(trials))
+def _apart(
+    progress: Progress, campaign: Campaign, experiment: ClosedLoopExperiment, *, full: bool
+) -> Batch[Any, Any]:
+    ice = experiment.name == HIDDEN_ICE.name
+    quick = experiment.compared if ice else experiment.conditions[-1][0]
+    seeds = range(experiment.seeds if full else experiment.quick_seeds)
+    trials = [t for t in experiment.trials(seeds) if full or t.condition == quick]
+    title = experiment.name if ice else f"{experiment.name}: bisecting entry speeds"
+    task = progress.add_task(title, start=False, total=len(trials))
 
-    def report(_: EntrySpeed) -> None:
+    def report(_: object) -> None:
         progress.start_task(task)
         progress.advance(task)
 
+    if ice:
+        name, kind = experiment.name, hidden_ice.IceOutcome
+        return campaign.batch(name, trials, hidden_ice.run, kind, report)
     return campaign.batch("entry-speeds", trials, find, EntrySpeed, report)
-
-
-def _ice(
-    progress: Progress, campaign: Campaign, patches: ClosedLoopExperiment, *, full: bool
-) -> Batch[Any, hidden_ice.IceOutcome]:
-    seeds = range(patches.seeds if full else patches.quick_seeds)
-    trials = [t for t in patches.trials(seeds) if full or t.condition == patches.compared]
-    task = progress.add_task(patches.name, start=False, total=len(trials))
-
-    def report(_: hidden_ice.IceOutcome) -> None:
-        progress.start_task(task)
-        progress.advance(task)
-
-    return campaign.batch(patches.name, trials, hidden_ice.run, hidden_ice.IceOutcome, report)
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-    )

@@ -1,4 +1,4 @@
-"""Progress bars of imports, collection and training."""
+"""Progress bars of imports, collection, training and evaluation."""
 
 from __future__ import annotations
 
@@ -20,6 +20,18 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from egp_service.training.train import FitProgress
+
+
+def counting(console: Console) -> Progress:
+    """Return bars that count runs, with the time so far and the remaining one."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
 from egp_service.evaluation.contenders import ORACLE
 from egp_service.quantities import NORMAL_95
@@ -20,15 +21,14 @@ if TYPE_CHECKING:
     from egp_service.evaluation.campaign import Outcome
 
 _RESAMPLES: Final = 2000
-_LEVEL: Final = 0.95
-_BISECTIONS: Final = 50
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
     """A value with the ends of its 95 % confidence interval, as `wilson` or `median` gives them.
 
-    The ends are NaN if one run alone gives the value, and all three are NaN if no run does.
+    The ends of `median` and `mean` are NaN if one run alone gives the value, and all three are NaN
+    if no run does.
     """
 
     value: float
@@ -132,31 +132,7 @@ def expanded(count: int) -> float:
     the median in 76, 93, 96 and 96 % of cases, with 3, 5, 10 and 20 values (2000 samples each,
     standard error at most 1 %). Of two or three values they are the whole range.
     """
-    wide = math.sqrt(count / (count - 1)) * student_95(count - 1)
-    return 0.5 * math.erfc(wide / math.sqrt(2.0))
-
-
-def student_95(freedom: int) -> float:
-    """Half the width of the two-sided 95 % interval of Student's distribution, by bisection.
-
-    With `freedom` degrees of freedom, one or more, the probability between `-t` and `t` is a finite
-    sum of powers of the cosine of `atan(t / sqrt(freedom))` (Abramowitz and Stegun, eqs. 26.7.3 and
-    26.7.4).
-    """
-    odd = freedom % 2
-    low, high = 0.0, 0.5 * math.pi
-    for _ in range(_BISECTIONS):
-        angle = 0.5 * (low + high)
-        square = math.cos(angle) ** 2
-        total, term = 0.0, math.cos(angle) ** odd
-        for power in range(odd, freedom - 1, 2):
-            total += term
-            term *= square * (power + 1) / (power + 2)
-        inside = math.sin(angle) * total
-        if odd:
-            inside = 2.0 / math.pi * (angle + inside)
-        low, high = (angle, high) if inside < _LEVEL else (low, angle)
-    return math.sqrt(freedom) * math.tan(low)
+    return float(ndtr(-math.sqrt(count / (count - 1)) * stdtrit(count - 1, 0.975)))
 
 
 def _group(

@@ -71,8 +71,6 @@ def read_run(path: Path) -> RecordedRun:
     """
     try:
         run = _read(path)
-    except RecordingError:
-        raise
     except (KeyError, DecodeError) as error:
         raise RecordingError(f"{path}: the recording is damaged ({error!r})") from error
     if not run.about or not run.steps:

@@ -1,5 +1,6 @@
 //! What a transport hands over at the start of a control period.
 
+use egp_parameters::{MOST_WIDTH, REFERENCE_SPEED};
 use egp_wire::{FrictionRow, Invalid, ReferenceRow, State, WidthRow};
 use thiserror::Error;
 
@@ -9,11 +10,6 @@ use crate::situation::wrap;
 const MIN_SPACING: f64 = 0.05;
 /// Largest angle between a reference's yaw and the direction of its points, rad.
 const MAX_DEVIATION: f64 = 0.5;
-
-/// Reference speeds that a control step accepts, m/s. Rounding may make that of a standstill negative.
-const SPEEDS: std::ops::RangeInclusive<f64> = -1.0..=100.0;
-/// Largest magnitude of a width that a control step accepts, m.
-const WIDEST: f64 = 1e3;
 
 /// What the vehicle measured and where it is to go.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -92,11 +88,14 @@ impl Measurement {
     }
 
     fn check_speed(&self) -> Result<(), Invalid> {
+        let (least, most) = REFERENCE_SPEED;
         let speeds = self.reference.iter().map(|row| row[2]);
-        match speeds.enumerate().find(|(_, v_x)| !SPEEDS.contains(v_x)) {
+        match speeds
+            .enumerate()
+            .find(|(_, v_x)| !(least..=most).contains(v_x))
+        {
             None => Ok(()),
             Some((row, v_x)) => {
-                let (least, most) = (SPEEDS.start(), SPEEDS.end());
                 let reason = format!("row {row}: v_x = {v_x} m/s is outside {least} to {most} m/s");
                 Err(Invalid::field("reference", reason))
             }
@@ -104,13 +103,13 @@ impl Measurement {
     }
 
     fn check_width(&self) -> Result<(), Invalid> {
-        let beyond = |row: &WidthRow| row.iter().any(|width| width.abs() > WIDEST);
+        let beyond = |row: &WidthRow| row.iter().any(|width| width.abs() > MOST_WIDTH);
         let Some(row) = self.widths.iter().position(beyond) else {
             return Ok(());
         };
         let [left, right] = self.widths[row];
         let reason = format!(
-            "row {row}: [{left}, {right}] m is beyond ±{WIDEST} m; no row at all means no edges"
+            "row {row}: [{left}, {right}] m is beyond ±{MOST_WIDTH} m; no row at all means no edges"
         );
         Err(Invalid::field("widths", reason))
     }

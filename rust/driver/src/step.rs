@@ -23,7 +23,8 @@ pub struct Step {
     pub reply: Option<Reply>,
     /// Bytes of that reply; empty without one.
     pub reply_bytes: Vec<u8>,
-    /// From the start of the period to the answer, when one came in time; zero where the answer is computed in the same process.
+    /// From the start of the period to the answer, when one came in time; zero where the answer is computed in the same
+    /// process.
     pub latency: Option<Duration>,
     /// Where the service spent its time, when the reply says so.
     pub timing: Option<Timing>,

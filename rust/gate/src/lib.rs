@@ -1,9 +1,9 @@
 //! The last check between a planner and the actuators.
 //!
-//! A [`Gate`] gives the newest plan's input for each control period, uses the rest of the last plan (its tail) while new plans are missing,
-//! brakes to a stop when the tail ends, and keeps every output inside hard limits of value and slew ([`Limits`]) for
-//! any input. It has a fixed size, no allocation, no clock and no network, so it also runs on a small controller beside
-//! the actuators.
+//! A [`Gate`] gives the newest plan's input for each control period, uses the rest of the last plan (its tail) while new
+//! plans are missing, brakes to a stop when the tail ends, and keeps every output inside hard limits of value and slew
+//! ([`Limits`]) for any input. It has a fixed size, no allocation, no clock and no network, so it also runs on a small
+//! controller beside the actuators.
 //!
 //! ```
 //! use egp_gate::{Gate, Limits, Mode};

@@ -8,8 +8,8 @@ use crate::tile::{TILE_CELLS, Tile};
 /// Logarithm of the odds that reports describe the road before anything was measured, 4 to 1. With larger odds more vehicles
 /// leave the road at the start on a map that is wrong; with smaller ones they start more slowly on one that is right.
 const INITIAL: f64 = 1.386_294_361_119_890_6;
-/// Largest magnitude of the logarithm of the odds that earlier windows leave, 99 to 1, so that one informed window can contradict
-/// the reports; with the newest window the odds for them are at most the same.
+/// Largest magnitude of the logarithm of the odds that earlier windows leave, 99 to 1, so that one informed window can
+/// contradict the reports; with the newest window the odds for them are at most the same.
 const MOST: f64 = 4.595_119_850_134_59;
 /// Share of windows whose estimate may be far off although the reports describe the road.
 const OUTLIERS: f64 = 0.01;
@@ -62,10 +62,10 @@ impl Reported {
     ///
     /// `stated` are the probabilities of the coefficients in the cells there, which count equally, since a border may be
     /// reported a few metres off. Successive windows share all transitions but one: the odds before the present window
-    /// contain those that ended before it began, each with the weight `1 / window`, and the present window counts once. A window
-    /// changes the logarithm of the odds, in nats, by `r = ln(ε + (1 - ε) Σ q ((1 - β) l + β l̄) / Σ p₀ l)` (`docs/map.md`,
-    /// section 3), with the stated probabilities `q`, the likelihoods `l`, those of the coefficient as a lower bound `l̄`, and the
-    /// prior `p₀`.
+    /// contain those that ended before it began, each with the weight `1 / window`, and the present window counts once. A
+    /// window changes the logarithm of the odds, in nats, by `r = ln(ε + (1 - ε) Σ q ((1 - β) l + β l̄) / Σ p₀ l)`
+    /// (`docs/map.md`, section 3), with the stated probabilities `q`, the likelihoods `l`, those of the coefficient as a
+    /// lower bound `l̄`, and the prior `p₀`.
     pub fn compare(&mut self, stated: &[Row], log_likelihood: &Row, grid: &Grid, window: usize) {
         let likelihood = log_likelihood.map(f64::exp);
         let mean =

@@ -11,7 +11,9 @@ mod friction;
 mod surface;
 mod vehicle;
 
-pub use domain::{MAGNITUDE, MOST_FORCE, ROAD_FRICTION, SIMPLEX_TOLERANCE};
+pub use domain::{
+    MAGNITUDE, MOST_FORCE, MOST_WIDTH, REFERENCE_SPEED, ROAD_FRICTION, SIMPLEX_TOLERANCE,
+};
 pub use friction::{
     FRICTION_HYPOTHESES, FRICTION_INFORMED, FRICTION_RANGE, friction_hypotheses,
     interpolate_hypotheses,

@@ -161,8 +161,8 @@ impl Path {
         self.sides(s)[usize::from(lateral < 0.0)]
     }
 
-    /// The surface at a finite position `[x, y]`, m, by its projection, and the arc length of this, which is the hint for a position
-    /// nearby ([`Self::project`]).
+    /// The surface at a finite position `[x, y]`, m, by its projection, and the arc length of this, which is the hint for a
+    /// position nearby ([`Self::project`]).
     pub fn surface_at(&self, position: [f64; 2], hint: Option<f64>) -> (Surface, f64) {
         let projection = self.project(position, hint);
         let surface = self.surface_beside(projection.s, projection.lateral);

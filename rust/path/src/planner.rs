@@ -75,10 +75,10 @@ impl SpeedPlanner {
         (s / self.step).floor() * self.step
     }
 
-    /// The fastest speed from `s` on, by a backward pass for braking and a forward pass for driving from the present
-    /// speed `v`. Where the vehicle is too fast for what lies ahead, the plan brakes with all grip. At the last place the
-    /// vehicle can still brake for each bend of the road behind it, and for the end of an open path, on the friction of this
-    /// place.
+    /// The fastest speed from `s` on, by a backward pass for braking and a forward pass for driving from the present speed
+    /// `v`. Where the vehicle is too fast for what lies ahead, the plan brakes with all grip. At the last place the vehicle
+    /// can still brake for the bends behind it, as far as it brakes from the highest speed on a straight, and for the end of
+    /// an open path, on the friction of this place.
     ///
     /// `friction` has the friction coefficient to plan for at each place, [`Self::step`] m apart from [`Self::start`]
     /// on. Without a present speed the plan begins with the largest one.

@@ -357,7 +357,8 @@ pub fn vector_instructions() -> &'static str {
     egp_core::vector_instructions()
 }
 
-/// Why zenoh does not accept a setting or a file, from the text of its error; without what the error quotes, which may be secret.
+/// Why zenoh does not accept a setting or a file, from the text of its error; without what the error quotes, which may be
+/// secret.
 #[pyfunction]
 pub fn refused_setting(error: &str) -> String {
     egp_session::refused(error)

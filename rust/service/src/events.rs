@@ -4,7 +4,7 @@
 //! shows them. With `log_json` each is a line with `fleet`, `vehicle`, `sequence` and the fields of its kind.
 
 use egp_wire::keys::{self, Target};
-use egp_wire::{Status, Timing, WireError, code_name, status_name};
+use egp_wire::{Status, Timing, WireError, status_name};
 
 /// The target of the events.
 const TARGET: &str = "egp_service::request";
@@ -39,7 +39,7 @@ pub(crate) fn refused(key: &str, sequence: Option<u64>, error: &WireError) {
         fleet,
         vehicle,
         sequence,
-        code = code_name(error.code),
+        code = error.code_name(),
         %error,
         "refused"
     );

@@ -79,11 +79,10 @@ pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
     let (mut ended, mut reload) = (false, false);
     let mut stopped = || {
         for signal in signals.pending() {
-            *(if signal == SIGHUP {
-                &mut reload
-            } else {
-                &mut ended
-            }) = true;
+            match signal {
+                SIGHUP => reload = true,
+                _ => ended = true,
+            }
         }
         ended
     };

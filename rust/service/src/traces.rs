@@ -6,7 +6,7 @@ use egp_trace::{
     Counts, Kind, Moment, Resource, Share, Span, StepIds, TraceError, TraceFile, name,
 };
 use egp_wire::keys::{self, Name, Target};
-use egp_wire::{Header, MessageLimits, Status, WireError, code_name, status_name};
+use egp_wire::{Header, MessageLimits, Status, WireError, status_name};
 
 use crate::config::ServiceConfig;
 use crate::intake::Job;
@@ -109,7 +109,7 @@ fn ended_with(span: Span, outcome: Result<Status, &WireError>) -> Span {
             .with("egp.status", status_name(status))
             .failed("the solver found no plan"),
         Err(error) => span
-            .with("egp.error_code", code_name(error.code))
+            .with("egp.error_code", error.code_name())
             .failed(error.to_string()),
     }
 }

@@ -75,8 +75,8 @@ pub fn set(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkErr
     })
 }
 
-/// Why zenoh does not accept a setting or a file, from its error in Rust's debug format. What it quotes, which may be a secret, is
-/// left out, except for endpoints.
+/// Why zenoh does not accept a setting or a file, from its error in Rust's debug format. Endpoints are kept; what else it
+/// quotes, which may be a secret, is left out.
 pub fn refused(error: &str) -> String {
     let expected = error.rfind("expected ").map(|start| &error[start..]);
     match expected.and_then(|text| text.split('"').next()) {
@@ -91,7 +91,7 @@ pub fn refused(error: &str) -> String {
         }
         None if error.contains("unknown key") => "zenoh has no such setting".to_owned(),
         None if error.contains("Json5Err") => "zenoh does not accept this value".to_owned(),
-        None => without_places(error),
+        None => without_places(error.split('"').next().unwrap_or(error)),
     }
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use egp_driver::{Outcome, Step};
+use egp_driver::Step;
 use egp_gate::{Limits, Mode};
 use egp_wire::{Code, MessageLimits, Reply, WireError};
 
@@ -17,7 +17,7 @@ pub enum Oracle {
     /// Commands are finite and within the limits of value and slew, of the motor's power and of the steering angle.
     Limits,
     /// A command is the planned input of the newest plan for this period. It is braking before the first plan, and from the
-    /// end of the plan's tail, a lost vehicle or a state that cannot be used until the reset.
+    /// end of the plan's tail or a lost vehicle until the reset.
     Tail,
     /// A reply that is used was made by an engine for a request of this vehicle; one that decides a period answers the
     /// request of that period.
@@ -61,7 +61,7 @@ pub(crate) struct VehicleOracles {
     dt: f64,
     max_tail: u64,
     previous: [f64; 2],
-    /// Speed, m/s, and steering angle, rad, of the newest usable measurement.
+    /// Speed, m/s, and steering angle, rad, of the newest measurement.
     measured: [f64; 2],
     /// Number of the present control period.
     period: u64,
@@ -128,10 +128,7 @@ impl VehicleOracles {
         if self.commands > 1 {
             broken.push((Oracle::Command, "a second command in one period".to_owned()));
         }
-        let usable = !matches!(step.outcome, Outcome::InvalidState(_));
-        if usable {
-            self.measured = measured;
-        }
+        self.measured = measured;
         self.limits(step.command.u, &mut broken);
         // Late replies have come before the one that decides the period.
         for late in &step.late {
@@ -141,7 +138,7 @@ impl VehicleOracles {
             self.replied = now;
             self.take(&step.reply_bytes, ledger, Some(self.period), &mut broken);
         }
-        self.stopped |= step.lost.is_some() || !usable;
+        self.stopped |= step.lost.is_some();
         self.source(step, &mut broken);
         self.previous = step.command.u;
         broken

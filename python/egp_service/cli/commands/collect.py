@@ -149,12 +149,10 @@ def collect(
     road = parse_surface(friction)
     mu = surface_friction(road)
     label = surface or (road if isinstance(road, str) else f"mu {road:g}")
-    # This check comes before the minutes that a collection or a long log takes.
-    output.parent.mkdir(parents=True, exist_ok=True)
-    check_writable(output, picture)
     if from_log:
         provenance = Provenance(dt, vehicle, label, mu, seed, "", tool())
         columns = _once("--column", map(_column, column or []))
+        _make_writable(output, picture)
         dataset = _import(console, from_log, columns, provenance, mass, separator, steering_ratio)
     else:
         if not vehicle.isdecimal():
@@ -164,6 +162,7 @@ def collect(
             settings = CollectionSettings(tuple(track), runs, samples)
         disturbances = _once("--disturbance", map(_disturbance, disturbance or []))
         experiment = Experiment(road, label, seed, dt, int(vehicle), disturbances)
+        _make_writable(output, picture)
         with collecting(console) as report:
             dataset = collect_dataset(
                 experiment,
@@ -175,6 +174,12 @@ def collect(
     dataset.write(output)
     _show_coverage(console, dataset, label, picture)
     console.print(f"{output}: {len(dataset)} transitions of {dt:g} s on {label}")
+
+
+def _make_writable(output: Path, picture: Path | None) -> None:
+    """Find files that cannot be written before the minutes that a collection or a log takes."""
+    output.parent.mkdir(parents=True, exist_ok=True)
+    check_writable(output, picture)
 
 
 def _check_picture(picture: Path | None) -> None:

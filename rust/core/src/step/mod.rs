@@ -210,9 +210,10 @@ fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
 /// distinguish the members: without excitation they differ by less than the noise, which the weights would follow.
 /// Predictions that the request lacks are computed for all members and returned.
 ///
-/// With a measurement delay the inputs of the oldest transitions are not in the request, and their predictions belong to the
-/// inputs of another row. They are in the reply because it has one row for each transition, and no estimate uses them. A
-/// transition that is known was also known when it was predicted: the history then had the same older rows, or was full.
+/// With a measurement delay the inputs of the oldest transitions are not in the request, and their predictions may belong to
+/// the inputs of another row: the request does not tell whether their inputs were known when they were predicted. They are
+/// in the reply because it has one row for each transition, and no estimate uses them. A transition that is known was also
+/// known when it was predicted: the history then had the same older rows, or was full.
 fn estimate_weights(
     library: &Library,
     settings: &Settings,

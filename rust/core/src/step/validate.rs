@@ -1,6 +1,6 @@
 //! Checks of a request: shapes, finite numbers and the domain of the controller.
 
-use egp_parameters::{MAGNITUDE, ROAD_FRICTION, SIMPLEX_TOLERANCE};
+use egp_parameters::{MAGNITUDE, MOST_WIDTH, REFERENCE_SPEED, ROAD_FRICTION, SIMPLEX_TOLERANCE};
 
 use super::StepRequest;
 use crate::vehicle::{DELTA, DELTA_DOT, FORCE, OMEGA, P_X, P_Y, V_X, V_Y};
@@ -267,10 +267,11 @@ fn domains(mass: f64, rows: &Rows) -> Result<(), StepError> {
         let distance = (row[0] - x[P_X]).hypot(row[1] - x[P_Y]);
         let quantity = "distance of a reference point from the vehicle (m)";
         within(["reference", quantity], distance, 0.0, 1000.0)?;
-        within(["reference", "reference.v_x (m/s)"], row[2], -1.0, 100.0)?;
+        let (least, most) = REFERENCE_SPEED;
+        within(["reference", "reference.v_x (m/s)"], row[2], least, most)?;
     }
     for width in rows.widths.iter().flatten() {
-        within(["widths", "widths (m)"], *width, -1000.0, 1000.0)?;
+        magnitude(["widths", "widths (m)"], *width, MOST_WIDTH)?;
     }
     let (least, most) = ROAD_FRICTION;
     for [friction, std] in rows.road_friction {

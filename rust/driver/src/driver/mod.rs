@@ -67,7 +67,7 @@ struct Running {
     asked: u32,
     /// The queries whose answers are awaited, with their replicas.
     awaited: Vec<(QueryId, Name)>,
-    /// The replica that replied, or that was asked last.
+    /// The replica that replied, or that failed or was asked last.
     replica: Option<Name>,
     /// The outcome of the queries so far.
     outcome: Outcome,
@@ -147,14 +147,14 @@ impl Driver {
         self.carry.weights()
     }
 
-    /// Lets the next request start from these weights `[N]`, which are not negative and sum to 1, instead of the last reply's. The
-    /// service answers a request with other weights by an error.
+    /// Lets the next request start from these weights `[N]`, which are not negative and sum to 1, instead of the last
+    /// reply's. The service answers a request with other weights by an error.
     pub fn start_from(&mut self, weights: Vec<f64>) {
         self.carry.start_from(weights);
     }
 
-    /// As [`Self::start_from`], and from now on requests carry no history, so that the service returns the weights as they are; for
-    /// a caller that knows the surface and states the weights in each period.
+    /// As [`Self::start_from`], and from now on requests carry no history, so that the service returns the weights as they
+    /// are; for a caller that knows the surface and states the weights in each period.
     pub fn hold_weights(&mut self, weights: Vec<f64>) {
         self.carry.hold_weights(weights);
     }

@@ -95,6 +95,7 @@ impl Driver {
         {
             run.outcome = Outcome::Late;
             for (id, replica) in &run.awaited {
+                run.replica = Some(replica.clone());
                 self.replicas.demote(replica, now);
                 if let Some(pending) = self.pending.get_mut(id) {
                     pending.counted = true;
@@ -189,12 +190,11 @@ impl Driver {
     pub(super) fn stop_unmeasured(&mut self, x: &State, invalid: Invalid) {
         self.carry.skip();
         self.gate.stop();
-        let usable = |index: usize| {
-            let mut alone = [0.0; 7];
-            alone[index] = x[index];
-            egp_wire::check_state(&alone).map_or(f64::NAN, |()| x[index])
-        };
-        let (v_x, delta) = (usable(2), usable(6));
+        let [_, _, v_x, _, _, _, delta] = *x;
+        let usable =
+            |state: State, value: f64| egp_wire::check_state(&state).map_or(f64::NAN, |()| value);
+        let v_x = usable([0.0, 0.0, v_x, 0.0, 0.0, 0.0, 0.0], v_x);
+        let delta = usable([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, delta], delta);
         let command = self.gate.command(self.carry.sequence(), v_x, delta);
         self.carry.applied(command.u);
         let step = Step {

@@ -112,7 +112,18 @@ fn a_period_reports_the_replica_that_failed_last() {
     driver.replica_gone(ms(62), &last.replica);
     let step = decided(&mut driver);
     assert_eq!(step.outcome, Outcome::Unreachable);
-    assert_eq!(step.replica, Some(last.replica));
+    assert_eq!(step.replica, Some(last.replica.clone()));
+
+    driver.replica_appeared(ms(70), last.replica);
+    tick(&mut driver, ms(80));
+    let silent = asked(&mut driver);
+    driver.wake(ms(88));
+    let hedge = asked(&mut driver);
+    driver.refused(ms(90), hedge.id, &error(Code::Overloaded));
+    driver.wake(ms(96));
+    let step = decided(&mut driver);
+    assert_eq!(step.outcome, Outcome::Late);
+    assert_eq!(step.replica, Some(silent.replica));
 }
 
 #[test]

@@ -20,7 +20,7 @@ pub struct MapConfig {
     pub lifetime: f64,
     /// Largest logarithm of a likelihood ratio that one vehicle contributes to a cell, nats. Default 6.
     pub capacity: f64,
-    /// Vehicles that contribute to a tile; a further one replaces the oldest. Default 16.
+    /// Vehicles that contribute to a tile; one with newer evidence replaces the oldest. Default 16.
     pub vehicles: usize,
     /// Tiles to which one vehicle contributes. Default 4096.
     pub tiles: usize,

@@ -1,7 +1,7 @@
 //! From a query to the keeper. Runs on the network's receive thread, so it reads keys and sizes only.
 
 use egp_wire::road_keys::{self, RoadKey, RoadTarget};
-use egp_wire::{Code, ROAD_TILES, WireError, code_name};
+use egp_wire::{Code, ROAD_TILES, WireError};
 
 use super::metrics::Metrics;
 use super::turns::{Refused, Turns};
@@ -94,7 +94,7 @@ impl<Q: Query> Intake<Q> {
     /// Sends an error and counts it.
     pub(crate) fn refuse(&self, query: &Q, error: &WireError) {
         self.metrics.refused(error.code);
-        tracing::debug!(key = query.key(), code = code_name(error.code), %error, "refused");
+        tracing::debug!(key = query.key(), code = error.code_name(), %error, "refused");
         query.refuse(error);
     }
 }

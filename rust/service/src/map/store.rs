@@ -11,7 +11,7 @@ use egp_wire::{Code, RoadTile, RoadTiles, TILES_AT_ONCE, TileOrigin, WireError};
 const LIFETIMES: f64 = 6.5;
 
 /// Least time between two looks for evidence that is too old by vehicles that ask for room, s. A look reads the whole store.
-const EXPIRE: f64 = 1.0;
+const LEAST_BETWEEN_LOOKS: f64 = 1.0;
 
 /// How much a store keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -279,7 +279,8 @@ impl Store {
         now: f64,
     ) -> Result<(), StoreError> {
         let full = |store: &Self| store.total >= store.limits.contributions;
-        if (full(self) || self.limited(key).is_some()) && now - self.expired >= EXPIRE {
+        if (full(self) || self.limited(key).is_some()) && now - self.expired >= LEAST_BETWEEN_LOOKS
+        {
             self.expire(now);
         }
         if let Some(error) = self.limited(key) {

@@ -49,6 +49,23 @@ fn start(name: &str, endpoint: &str, http: SocketAddr) -> Child {
         .unwrap()
 }
 
+/// A service process with HTTP that is a client of a router.
+fn start_client(name: &str, router: &str, http: SocketAddr) -> Child {
+    let library = library_file(name);
+    let config = library.with_extension("toml");
+    let text = format!(
+        "library = \"{}\"\nhttp = \"{http}\"\nlog = \"off\"\n[zenoh]\nmode = '\"client\"'\n\
+         \"listen/endpoints\" = '[]'\n\"connect/endpoints\" = '[\"{router}\"]'\n",
+        library.display()
+    );
+    std::fs::write(&config, text).unwrap();
+    Command::new(env!("CARGO_BIN_EXE_egp-server"))
+        .arg("--config")
+        .arg(&config)
+        .spawn()
+        .unwrap()
+}
+
 #[test]
 fn pages_and_log_follow_a_process_from_start_to_drain() {
     let (endpoint, http) = (free_endpoint(), free_address());
@@ -125,19 +142,7 @@ fn pages_and_log_follow_a_process_from_start_to_drain() {
 #[test]
 fn a_service_that_waits_for_its_router_is_alive_and_not_ready() {
     let (router, http) = (free_endpoint(), free_address());
-    let library = library_file("waiting.safetensors");
-    let config = library.with_extension("toml");
-    let text = format!(
-        "library = \"{}\"\nhttp = \"{http}\"\nlog = \"off\"\n[zenoh]\nmode = '\"client\"'\n\
-         \"listen/endpoints\" = '[]'\n\"connect/endpoints\" = '[\"{router}\"]'\n",
-        library.display()
-    );
-    std::fs::write(&config, text).unwrap();
-    let mut process = Command::new(env!("CARGO_BIN_EXE_egp-server"))
-        .arg("--config")
-        .arg(&config)
-        .spawn()
-        .unwrap();
+    let mut process = start_client("waiting.safetensors", &router, http);
     let late = Instant::now() + Duration::from_secs(20);
     while ask(http, "GET", "/health").is_err() && Instant::now() < late {
         std::thread::sleep(Duration::from_millis(20));
@@ -153,19 +158,7 @@ fn a_service_that_waits_for_its_router_is_alive_and_not_ready() {
 #[test]
 fn a_sighup_that_comes_while_the_service_waits_for_its_router_reloads_after_the_start() {
     let (router, http) = (free_endpoint(), free_address());
-    let library = library_file("early.safetensors");
-    let config = library.with_extension("toml");
-    let text = format!(
-        "library = \"{}\"\nhttp = \"{http}\"\nlog = \"off\"\n[zenoh]\nmode = '\"client\"'\n\
-         \"listen/endpoints\" = '[]'\n\"connect/endpoints\" = '[\"{router}\"]'\n",
-        library.display()
-    );
-    std::fs::write(&config, text).unwrap();
-    let mut process = Command::new(env!("CARGO_BIN_EXE_egp-server"))
-        .arg("--config")
-        .arg(&config)
-        .spawn()
-        .unwrap();
+    let mut process = start_client("early.safetensors", &router, http);
     let wait_for = |page: &str, words: &str| {
         let late = Instant::now() + Duration::from_secs(60);
         while !ask(http, "GET", page).is_ok_and(|(_, text)| text.contains(words)) {

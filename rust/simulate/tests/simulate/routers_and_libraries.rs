@@ -1,39 +1,8 @@
 //! Libraries that are replaced while replicas serve, and routers between vehicles and replicas.
-#![allow(clippy::unwrap_used)]
 
-use std::path::PathBuf;
+use egp_simulate::{Config, Mutant, repeat, simulate};
 
-use egp_simulate::{Config, Mutant, Run, Scene, repeat, simulate};
-
-fn scene() -> Scene {
-    let shipped =
-        PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../python/egp_service/shipped");
-    Scene::load(
-        &shipped.join("demo-library.safetensors"),
-        &shipped.join("evaluation-library.safetensors"),
-    )
-    .unwrap()
-}
-
-/// Five seconds of one vehicle and one replica with the given faults.
-fn config(faults: &[&str]) -> Config {
-    Config {
-        vehicles: 1,
-        replicas: 1,
-        seconds: 5.0,
-        recorded: true,
-        faults: faults.iter().map(|text| text.parse().unwrap()).collect(),
-        ..Config::new(0)
-    }
-}
-
-/// The times of the lines with this text.
-fn times(run: &Run, text: &str) -> Vec<f64> {
-    let lines = run.trace.iter().filter(|line| line.contains(text));
-    lines
-        .map(|line| line.trim().split(' ').next().unwrap().parse().unwrap())
-        .collect()
-}
+use crate::{config, scene, times};
 
 #[test]
 fn a_reload_costs_no_period() {
@@ -42,7 +11,10 @@ fn a_reload_costs_no_period() {
         let config = Config {
             vehicles: 2,
             two_libraries,
-            ..config(&["reload:r0@0.8+1.5", "reload:r0@1.9+1", "reload:r0@3.2+0.3"])
+            ..config(
+                5.0,
+                &["reload:r0@0.8+1.5", "reload:r0@1.9+1", "reload:r0@3.2+0.3"],
+            )
         };
         let run = repeat(&scene, &config).unwrap();
         assert_eq!(run.violations, [], "{:#?}", run.trace);
@@ -55,7 +27,7 @@ fn a_reload_costs_no_period() {
 fn a_vehicle_that_asks_for_another_library_gets_its_replies() {
     let config = Config {
         two_libraries: true,
-        ..config(&["reload:r0@1+1"])
+        ..config(5.0, &["reload:r0@1+1"])
     };
     let run = simulate(&scene(), &config).unwrap();
     assert_eq!((run.violations.len(), run.replied), (0, run.periods));
@@ -66,7 +38,7 @@ fn a_vehicle_that_asks_for_another_library_gets_its_replies() {
 fn a_restarted_router_is_found_again() {
     let config = Config {
         routers: 1,
-        ..config(&["router-kill:router-0@1+1.5"])
+        ..config(5.0, &["router-kill:router-0@1+1.5"])
     };
     let run = repeat(&scene(), &config).unwrap();
     assert_eq!(run.violations, []);
@@ -88,7 +60,7 @@ fn a_frozen_router_continues() {
         let fault = format!("router-freeze:router-0@1+{length}");
         let config = Config {
             routers: 1,
-            ..config(&[&fault])
+            ..config(5.0, &[&fault])
         };
         let run = repeat(&scene, &config).unwrap();
         assert_eq!(run.violations, []);
@@ -108,7 +80,7 @@ fn a_frozen_router_continues() {
 fn one_of_two_routers_may_end() {
     let config = Config {
         routers: 2,
-        ..config(&["router-kill:router-0@1+1.5"])
+        ..config(5.0, &["router-kill:router-0@1+1.5"])
     };
     let run = repeat(&scene(), &config).unwrap();
     assert_eq!(run.violations, []);
@@ -130,7 +102,7 @@ fn a_question_that_comes_twice_is_answered() {
         let config = Config {
             routers: 2,
             keys,
-            ..config(&["reload:r0@1+1"])
+            ..config(5.0, &["reload:r0@1+1"])
         };
         let run = repeat(&scene, &config).unwrap();
         assert_eq!((run.violations.len(), run.replied), (0, run.periods));
@@ -143,7 +115,10 @@ fn a_question_that_comes_twice_is_answered() {
 fn an_answer_takes_the_way_of_its_question() {
     let config = Config {
         routers: 2,
-        ..config(&["router-kill:router-0@1+0.5", "router-freeze:router-0@2.5+1"])
+        ..config(
+            5.0,
+            &["router-kill:router-0@1+0.5", "router-freeze:router-0@2.5+1"],
+        )
     };
     let run = repeat(&scene(), &config).unwrap();
     assert_eq!(run.violations, []);
@@ -169,7 +144,7 @@ fn faults_of_routers_and_libraries_that_are_planted_are_found() {
                 routers,
                 keys,
                 mutant: Some(mutant),
-                ..config(&[faults])
+                ..config(5.0, &[faults])
             };
             let run = simulate(&scene, &config).unwrap();
             run.violations.iter().any(|v| v.oracle == mutant.oracle())
@@ -180,6 +155,6 @@ fn faults_of_routers_and_libraries_that_are_planted_are_found() {
 
 #[test]
 fn a_fault_of_a_router_that_does_not_take_part_is_an_error() {
-    let error = simulate(&scene(), &config(&["router-freeze:router-0@1+1"])).unwrap_err();
+    let error = simulate(&scene(), &config(5.0, &["router-freeze:router-0@1+1"])).unwrap_err();
     assert!(error.to_string().contains("--routers"), "{error}");
 }

@@ -1,19 +1,8 @@
 //! A few seeds without a violation, and planted faults that are found.
-#![allow(clippy::unwrap_used)]
 
-use std::path::PathBuf;
+use egp_simulate::{Config, Mutant, Oracle, ScheduledFault, repeat, simulate};
 
-use egp_simulate::{Config, Mutant, Oracle, Run, Scene, ScheduledFault, repeat, simulate};
-
-fn scene() -> Scene {
-    let shipped =
-        PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../python/egp_service/shipped");
-    Scene::load(
-        &shipped.join("demo-library.safetensors"),
-        &shipped.join("evaluation-library.safetensors"),
-    )
-    .unwrap()
-}
+use crate::{config, scene, times};
 
 #[test]
 fn no_promise_is_broken_and_every_seed_repeats() {
@@ -59,26 +48,6 @@ fn each_oracle_finds_its_planted_fault() {
 
 /// A fault that begins after the end of a run: the run has none.
 const NONE: &[&str] = &["kill:r0@60+1"];
-
-/// One vehicle and one replica with the given faults.
-fn config(seconds: f64, faults: &[&str]) -> Config {
-    Config {
-        vehicles: 1,
-        replicas: 1,
-        seconds,
-        recorded: true,
-        faults: faults.iter().map(|text| text.parse().unwrap()).collect(),
-        ..Config::new(0)
-    }
-}
-
-/// The times of the lines with this text.
-fn times(run: &Run, text: &str) -> Vec<f64> {
-    let lines = run.trace.iter().filter(|line| line.contains(text));
-    lines
-        .map(|line| line.trim().split(' ').next().unwrap().parse().unwrap())
-        .collect()
-}
 
 /// Each of these faults breaks one promise only, and is found by the words of one check of its oracle.
 #[test]
