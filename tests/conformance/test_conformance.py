@@ -42,6 +42,8 @@ SPEED = 15.0
 PATIENCE = 30.0
 # While all replicas are frozen no answer can come. Three such periods take 0.2 s, a lease 2 s.
 FROZEN_DEADLINE = 0.06
+# More than a tail, less than the time after which zenoh closes a link.
+HELD_UP_PERIODS = 40
 
 
 def named_by_preference() -> dict[str, str]:
@@ -83,6 +85,14 @@ def measured(
     return x, reference
 
 
+def befall(vehicle: Vehicle, schedule: dict[str, Any], period: int) -> None:
+    """Do to the vehicle itself what the schedule says for the time before a period."""
+    if period in schedule.get("reset_before", []):
+        vehicle.reset()
+    if period == schedule.get("held_up_before"):
+        vehicle.hold_up(HELD_UP_PERIODS * vehicle.dt)
+
+
 def run(vehicle: Vehicle, schedule: dict[str, Any], names: dict[str, str]) -> list[Outcome]:
     """Drive the schedule, and over zenoh on until the replica answers that is to answer last."""
     outcomes: list[Outcome] = []
@@ -106,8 +116,7 @@ def run(vehicle: Vehicle, schedule: dict[str, Any], names: dict[str, str]) -> li
             if period == last:
                 vehicle.thaw(names[replica])
                 frozen.discard(replica)
-        if period in schedule.get("reset_before", []):
-            vehicle.reset()
+        befall(vehicle, schedule, period)
         x, reference = measured(vehicle, schedule.get("state", {}), period)
         all_frozen = len(frozen) == schedule.get("replicas", 2)
         deadline = FROZEN_DEADLINE if all_frozen else DEADLINE
@@ -144,6 +153,10 @@ def check(expected: dict[str, Any], outcomes: list[Outcome], names: dict[str, st
     for period in expected.get("fresh_request", []):
         request = decode_request(outcomes[period - 1].request)
         assert (len(request.plan_u), len(request.history_z), len(request.weights)) == (0, 0, 0)
+    for period in expected.get("request_after_gap", []):
+        before, request = (decode_request(outcomes[k].request) for k in (period - 2, period - 1))
+        assert request.sequence - before.sequence >= HELD_UP_PERIODS, story
+        assert (len(request.plan_u), len(request.history_z), len(request.weights)) == (0, 0, 2)
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES["schedule"], ids=lambda schedule: schedule["name"])

@@ -74,6 +74,9 @@ class Vehicle(Protocol):
     def reset(self) -> None:
         """Reset the driver."""
 
+    def hold_up(self, seconds: float) -> None:
+        """Do nothing for a time."""
+
     def freeze(self, replica: str) -> None:
         """Stop a replica where it is."""
 
@@ -162,6 +165,10 @@ class InProcess:
         """Reset the driver."""
         self._driver.reset()
 
+    def hold_up(self, seconds: float) -> None:
+        """Let the time pass."""
+        self._now += seconds
+
     def freeze(self, replica: str) -> None:
         """Hold its answers back."""
         self._frozen[replica] = []
@@ -209,6 +216,10 @@ class Processes:
         except BaseException:
             self._cleanup.close()
             raise
+
+    def hold_up(self, seconds: float) -> None:
+        """Let the time pass."""
+        time.sleep(seconds)
 
     def freeze(self, replica: str) -> None:
         """Stop a replica as a machine does that hangs."""

@@ -36,7 +36,7 @@ class Decision:
     reply: Final[bytes | None]
     late: Final[list[bytes]]
     service_time: Final[tuple[float, float]]
-    asked: Final[int]
+    held_up: Final[int]
 
 @final
 class Driver:
@@ -75,8 +75,6 @@ class Driver:
     def finish_traces(self) -> int: ...
     @property
     def budget(self) -> float: ...
-    @property
-    def mode(self) -> Literal["normal", "tail", "stop", "waiting"]: ...
     @property
     def weights(self) -> NDArray[np.float64]: ...
     def reset(self) -> None: ...

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from os import PathLike
-from typing import Literal, Self, final
+from typing import Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,8 +53,6 @@ class InProcessDriver:
     ) -> Decision: ...
     @property
     def budget(self) -> float: ...
-    @property
-    def mode(self) -> Literal["normal", "tail", "stop", "waiting"]: ...
     @property
     def weights(self) -> NDArray[np.float64]: ...
     def start_from(self, weights: ArrayLike) -> None: ...

@@ -99,6 +99,9 @@ class Step:
     lost: bool = False
     """Whether the vehicle counts as lost (far outside the training data, far from the reference, or
     pointing away from it) and is therefore stopped, until `reset()`."""
+    held_up: int = 0
+    """Control periods in which the program was held up before or in this step, if they are more
+    than a plan may bridge (`max_tail_ticks`); 0 otherwise, and always in a `Controller`."""
 
     def __repr__(self) -> str:
         """Return mode, status, command, weights and friction in one line."""
@@ -134,6 +137,7 @@ class Step:
             late=tuple(decision.late),
             envelope_distance=decision.envelope_distance,
             lost=decision.lost,
+            held_up=decision.held_up,
         )
 
 

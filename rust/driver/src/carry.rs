@@ -89,11 +89,6 @@ impl Carry {
         self.history.clear();
     }
 
-    /// The input [`applied`](Self::applied) last.
-    pub fn last_input(&self) -> Input {
-        self.u
-    }
-
     /// Notes the input that goes to the actuators for the period that now begins.
     pub fn applied(&mut self, u: Input) {
         self.u = u;
@@ -144,10 +139,10 @@ impl Carry {
         }
     }
 
-    /// Opens a control period in which no request can be made, because the measured state is not known. The history
-    /// starts anew with the next request.
-    pub fn skip(&mut self) {
-        self.sequence += 1;
+    /// Counts control periods in which no request was made, because the measured state was not known or the caller was
+    /// held up. The history starts anew with the next request.
+    pub fn skip(&mut self, periods: u64) {
+        self.sequence += periods;
         self.running = None;
         self.x = None;
     }

@@ -96,12 +96,11 @@ impl Discovery {
         })
     }
 
-    /// Notes that a replica announces itself.
+    /// Notes that a replica announces itself. It counts as absent while 256 others are known.
     pub fn replica_appeared(&mut self, replica: Name) {
-        self.unusable
-            .entry(replica.clone())
-            .or_insert(Unusable::Silent);
-        self.replicas.appeared(replica);
+        if self.replicas.appeared(replica.clone()) {
+            self.unusable.entry(replica).or_insert(Unusable::Silent);
+        }
     }
 
     /// Notes that a replica withdrew its announcement or was lost.
@@ -224,6 +223,16 @@ mod tests {
         assert_eq!(round(&mut discovery), ["egp/v1/r/b/ready"]);
         let live: Vec<_> = discovery.live().cloned().collect();
         assert_eq!(live, [name("b")]);
+    }
+
+    #[test]
+    fn replicas_without_number_take_bounded_memory() {
+        let mut discovery = discovery(&[]);
+        for i in 0..300 {
+            discovery.replica_appeared(name(&format!("r{i}")));
+        }
+        assert_eq!(discovery.error().0.len(), discovery.live().count());
+        assert_eq!(discovery.live().count(), 256);
     }
 
     #[test]

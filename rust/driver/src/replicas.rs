@@ -1,7 +1,7 @@
 //! Which replicas are alive, and in which order they are asked.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use egp_wire::keys::Name;
@@ -18,6 +18,10 @@ const MAX_DEMOTION: Duration = Duration::from_secs(30);
 const PROBATION: Duration = Duration::from_secs(60);
 /// Time between two probes of a demoted replica.
 const PROBE_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Most replicas that are known at a time. Further ones that announce themselves count as absent: whoever may announce replicas
+/// could otherwise fill the memory and delay each period.
+const MOST: usize = 256;
 
 /// Why a replica is asked last.
 #[derive(Clone, Debug)]
@@ -46,7 +50,8 @@ struct Demotion {
 pub(crate) struct Replicas {
     fleet: Name,
     vehicle: Name,
-    live: BTreeSet<Name>,
+    /// The live replicas in the order of the vehicle's hash.
+    live: Vec<Name>,
     demoted: BTreeMap<Name, Demotion>,
     /// When each replica last sent a usable reply.
     answered: BTreeMap<Name, Time>,
@@ -57,18 +62,28 @@ impl Replicas {
         Self {
             fleet,
             vehicle,
-            live: BTreeSet::new(),
+            live: Vec::new(),
             demoted: BTreeMap::new(),
             answered: BTreeMap::new(),
         }
     }
 
-    pub(crate) fn appeared(&mut self, replica: Name) {
-        self.live.insert(replica);
+    /// Notes that a replica is there; returns whether it is known now.
+    pub(crate) fn appeared(&mut self, replica: Name) -> bool {
+        if self.live.contains(&replica) {
+            return true;
+        }
+        if self.live.len() >= MOST {
+            return false;
+        }
+        let mut live = std::mem::take(&mut self.live);
+        live.push(replica);
+        self.live = rank(&self.fleet, &self.vehicle, live);
+        true
     }
 
     pub(crate) fn gone(&mut self, replica: &Name) {
-        self.live.remove(replica);
+        self.live.retain(|live| live != replica);
         self.answered.remove(replica);
     }
 
@@ -79,18 +94,14 @@ impl Replicas {
         }
     }
 
-    /// The live replicas.
-    pub(crate) fn live(&self) -> &BTreeSet<Name> {
+    /// The live replicas in the order of the vehicle's hash.
+    pub(crate) fn live(&self) -> &[Name] {
         &self.live
     }
 
     /// The live replicas in the order to ask them.
     pub(crate) fn order(&self) -> Vec<Name> {
-        let mut order = rank(
-            &self.fleet,
-            &self.vehicle,
-            self.live.iter().cloned().collect(),
-        );
+        let mut order = self.live.clone();
         // The sort is stable, so those that are not demoted keep their rank.
         order.sort_by_key(|replica| {
             let demotion = self.demoted.get(replica).filter(|demotion| !demotion.ended);
@@ -192,6 +203,22 @@ mod tests {
         replicas.probe_answered(&usual[0]);
         assert_eq!(replicas.order(), usual);
         assert_eq!(replicas.next_probe(seconds(9.0)), None);
+    }
+
+    #[test]
+    fn beyond_256_replicas_a_further_one_is_known_only_once_another_has_gone() {
+        let (mut replicas, usual) = three();
+        let name = |i: usize| format!("r{i}").parse::<Name>().unwrap();
+        for i in usual.len()..MOST {
+            assert!(replicas.appeared(name(i)));
+        }
+        assert!(!replicas.appeared(name(MOST)));
+        assert!(replicas.appeared(usual[0].clone()), "it is known already");
+        assert_eq!(replicas.order().len(), MOST);
+        let ranked = rank(&replicas.fleet, &replicas.vehicle, replicas.order());
+        assert_eq!(replicas.order(), ranked);
+        replicas.gone(&usual[0]);
+        assert!(replicas.appeared(name(MOST)));
     }
 
     #[test]

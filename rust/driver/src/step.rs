@@ -37,6 +37,9 @@ pub struct Step {
     pub situation: Option<Situation>,
     /// Why the vehicle counts as lost and is therefore stopped, until the driver is reset; none while it does not.
     pub lost: Option<Lost>,
+    /// Control periods by the clock in which the caller was held up before or in this step, when they are more than a plan
+    /// may bridge; 0 otherwise. Plans have aged by them, and the history starts anew.
+    pub held_up: u64,
 }
 
 /// A usable reply that came after its deadline.

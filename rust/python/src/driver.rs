@@ -67,8 +67,8 @@ pub struct Decision {
     late: Vec<Cow<'static, [u8]>>,
     /// Seconds in the service's queue and in its worker; zeros if the reply does not state them.
     service_time: (f64, f64),
-    /// Number of replicas that were asked.
-    asked: u32,
+    /// Control periods in which the caller was held up; 0 unless they are more than a plan may bridge.
+    held_up: u64,
 }
 
 impl Decision {
@@ -103,7 +103,7 @@ impl Decision {
             service_time: step.timing.map_or((0.0, 0.0), |timing| {
                 (seconds(timing.queue_us), seconds(timing.step_us))
             }),
-            asked: step.asked,
+            held_up: step.held_up,
         })
     }
 }
@@ -330,12 +330,6 @@ impl Driver {
     #[getter]
     fn budget(&self) -> f64 {
         self.0.budget().as_secs_f64()
-    }
-
-    /// The mode of the gate.
-    #[getter]
-    fn mode(&self) -> &'static str {
-        self.0.mode().name()
     }
 
     /// Weights of the newest reply (N,); empty before the first.

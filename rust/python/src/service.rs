@@ -198,12 +198,6 @@ impl InProcessDriver {
         self.driver.driver().budget().as_secs_f64()
     }
 
-    /// The mode of the gate.
-    #[getter]
-    fn mode(&self) -> &'static str {
-        self.driver.driver().mode().name()
-    }
-
     /// Weights of the newest reply (N,); empty before the first.
     #[getter]
     fn weights<'py>(&self, py: Python<'py>) -> NewVector<'py> {

@@ -21,6 +21,8 @@ const START: Duration = Duration::from_millis(300);
 /// Time between two requests of a flood, and the number of names that it uses.
 const FLOOD: Duration = Duration::from_millis(1);
 const NAMES: u32 = 64;
+/// The longest time for which the program of a vehicle is held up, µs: as long as a plan may bridge, and as much again.
+const HELD_UP: u64 = 1_000_000;
 /// The budget of a patient request of a flood, µs.
 const PATIENT: u32 = 10_000_000;
 
@@ -60,7 +62,7 @@ impl World<'_> {
             Fault::Partition(v, r) => self.disturb_link(v, r, |link| link.cut += 1),
             Fault::HalfOpen(v, r) => self.disturb_link(v, r, |link| link.half += 1),
             Fault::VehicleClock(v) => {
-                let jump = self.jump();
+                let jump = Duration::from_micros(self.rng.random_range(1000..HELD_UP));
                 self.vehicles[v].clock += jump;
             }
             Fault::ReplicaClock(r) => {

@@ -21,7 +21,7 @@ pub enum Fault {
     HalfOpen(usize, usize),
     /// The process restarts at once.
     Restart(usize),
-    /// The clock of a vehicle jumps forward.
+    /// The clock of a vehicle jumps forward, as if its program had been held up.
     VehicleClock(usize),
     /// The clock of a replica jumps forward.
     ReplicaClock(usize),

@@ -58,6 +58,8 @@ mutants! {
     SteeringAngle => Limits,
     /// A plan is driven beyond its tail.
     LongTail => Tail,
+    /// The time in which a vehicle's program is held up does not count.
+    StandingClock => Tail,
     /// A command of the tail is called that of a new plan.
     TailAsNormal => Tail,
     /// An input of the tail is driven a period too late.

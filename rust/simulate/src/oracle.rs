@@ -17,7 +17,8 @@ pub enum Oracle {
     /// Commands are finite and within the limits of value and slew, of the motor's power and of the steering angle.
     Limits,
     /// A command is the planned input of the newest plan for this period. It is braking before the first plan, and from the
-    /// end of the plan's tail or a lost vehicle until the reset.
+    /// end of the plan's tail or a lost vehicle until the reset. Periods in which the vehicle's program was held up count if
+    /// they are more than the tail.
     Tail,
     /// A reply that is used was made by an engine for a request of this vehicle; one that decides a period answers the
     /// request of that period.
@@ -60,6 +61,8 @@ pub(crate) struct VehicleOracles {
     limits: Limits,
     dt: f64,
     max_tail: u64,
+    /// When the next control period is due on the vehicle's clock; none before the first one and after a reset.
+    due: Option<Duration>,
     previous: [f64; 2],
     /// Speed, m/s, and steering angle, rad, of the newest measurement.
     measured: [f64; 2],
@@ -85,6 +88,7 @@ impl VehicleOracles {
             limits,
             dt,
             max_tail,
+            due: None,
             previous: [0.0; 2],
             measured: [f64::INFINITY, 0.0],
             period: 0,
@@ -97,16 +101,35 @@ impl VehicleOracles {
         }
     }
 
-    pub(crate) fn begin(&mut self) {
+    /// A control period begins at a time on the vehicle's clock.
+    pub(crate) fn begin(&mut self, time: Duration) {
+        self.count_held_up(time);
+        self.due = Some(time + Duration::from_secs_f64(self.dt));
         self.period += 1;
         self.commands = 0;
         let oldest = self.period.saturating_sub(200);
         self.requests.retain(|_, period| *period >= oldest);
     }
 
+    /// Counts the periods that have passed since the next one was due, if the tail has ended in them.
+    fn count_held_up(&mut self, time: Duration) {
+        let Some(due) = self.due else { return };
+        let mut end = due + Duration::from_secs_f64(self.dt);
+        let mut periods = 0;
+        while end <= time {
+            periods += 1;
+            end += Duration::from_secs_f64(self.dt);
+        }
+        if periods > self.max_tail {
+            self.period += periods;
+            self.due = Some(time + Duration::from_secs_f64(self.dt));
+        }
+    }
+
     /// The vehicle's driver was reset: no plan is held, and replies to earlier requests are not used.
     pub(crate) fn reset(&mut self) {
         self.plan = None;
+        self.due = None;
         self.newest = self.period;
         self.stopped = false;
     }
@@ -115,10 +138,12 @@ impl VehicleOracles {
         self.requests.insert(hash(request), self.period);
     }
 
-    /// Judges a command for a measured speed, m/s, and steering angle, rad; returns what it breaks.
+    /// Judges a command at a `time` on the vehicle's clock, for a measured speed, m/s, and steering angle, rad; returns what it
+    /// breaks.
     pub(crate) fn judge(
         &mut self,
         now: Duration,
+        time: Duration,
         measured: [f64; 2],
         step: &Step,
         ledger: &Ledger,
@@ -138,6 +163,7 @@ impl VehicleOracles {
             self.replied = now;
             self.take(&step.reply_bytes, ledger, Some(self.period), &mut broken);
         }
+        self.count_held_up(time);
         self.stopped |= step.lost.is_some();
         self.source(step, &mut broken);
         self.previous = step.command.u;

@@ -41,7 +41,7 @@ impl World<'_> {
         let budget = self.vehicles[v].driver.budget();
         let now = self.time_of(v);
         let vehicle = &mut self.vehicles[v];
-        vehicle.oracles.begin();
+        vehicle.oracles.begin(self.now + vehicle.clock);
         vehicle.deadline = self.now + budget;
         vehicle.driver.tick(now, now + budget, measurement)?;
         self.run.periods += 1;
@@ -158,8 +158,10 @@ impl World<'_> {
                 let vehicle = &mut self.vehicles[v];
                 vehicle.u = step.command.u;
                 let measured = vehicle.motion();
-                let ledger = &self.ledger;
-                vehicle.oracles.judge(self.now, measured, &step, ledger)
+                let (ledger, time) = (&self.ledger, self.now + vehicle.clock);
+                vehicle
+                    .oracles
+                    .judge(self.now, time, measured, &step, ledger)
             };
             for (oracle, detail) in broken {
                 self.broken(oracle, format!("car-{v}: {detail}"));

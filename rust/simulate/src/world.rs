@@ -201,9 +201,12 @@ impl World<'_> {
         Ok(())
     }
 
-    /// The time on a vehicle's clock.
+    /// The time that a vehicle's driver is told: that of the vehicle's clock.
     pub(crate) fn time_of(&self, v: usize) -> Duration {
-        self.now + self.vehicles[v].clock
+        match self.config.mutant {
+            Some(Mutant::StandingClock) => self.now,
+            _ => self.now + self.vehicles[v].clock,
+        }
     }
 
     pub(crate) fn note(&mut self, text: &str) {

@@ -1,6 +1,7 @@
 //! The state machine: events in, actions out.
 
 mod hedge;
+mod open;
 mod period;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -8,7 +9,7 @@ use std::time::Duration;
 
 use egp_gate::{Gate, Mode};
 use egp_wire::keys::Name;
-use egp_wire::{Code, MAX_BUDGET_US, Ready, Request, Tag, Timing, WireError};
+use egp_wire::{Code, MAX_BUDGET_US, Ready, Timing, WireError};
 use prost::Message as _;
 
 use crate::action::{Action, QueryId};
@@ -17,72 +18,16 @@ use crate::config::{DriverConfig, DriverError};
 use crate::measurement::{InvalidArgument, Measurement};
 use crate::replicas::Replicas;
 use crate::reply;
-use crate::situation::{Lost, LostDetector, Situation};
+use crate::situation::{LostDetector, Situation};
+#[cfg(doc)]
+use crate::step::Step;
 use crate::step::{Late, Outcome};
 use hedge::HedgeAllowance;
+use open::{Pending, Probe, Running};
 use period::Answer;
 
 /// Time since a moment that the transport chooses and then keeps; it must not run backwards.
 pub type Time = Duration;
-
-/// A request that was sent, for the time in which its reply is of use.
-#[derive(Clone, Debug)]
-struct Pending {
-    replica: Name,
-    sent: Time,
-    /// Deadline of its control period.
-    due: Time,
-    request: Request,
-    /// The tag of the question, if the vehicle has a key.
-    tag: Option<Tag>,
-    /// Whether an answer without the key's tag came.
-    forged: bool,
-    /// Whether the failure of this query was counted against its replica. What comes later does not demote it again.
-    counted: bool,
-    /// Whether another replica's answer decided the period.
-    decided_without: bool,
-    /// An error that may concern one of two copies of the question only.
-    refusal: Option<WireError>,
-}
-
-/// A query of a replica's `ready` key.
-#[derive(Clone, Debug)]
-struct Probe {
-    replica: Name,
-    sent: Time,
-    tag: Option<Tag>,
-}
-
-/// A control period that is not decided yet.
-#[derive(Clone, Debug)]
-struct Running {
-    begun: Time,
-    deadline: Time,
-    /// When the next replica is asked although those asked before may still answer.
-    hedge: Option<Time>,
-    request: Request,
-    bytes: Vec<u8>,
-    /// Replicas still to be asked, the next one last.
-    remaining: Vec<Name>,
-    asked: u32,
-    /// The queries whose answers are awaited, with their replicas.
-    awaited: Vec<(QueryId, Name)>,
-    /// The replica that replied, or that failed or was asked last.
-    replica: Option<Name>,
-    /// The outcome of the queries so far.
-    outcome: Outcome,
-    situation: Situation,
-    lost: Option<Lost>,
-}
-
-impl Running {
-    /// Waits no longer for the queries that `ended` names; returns whether there was one.
-    fn end(&mut self, ended: impl Fn(QueryId, &Name) -> bool) -> bool {
-        let before = self.awaited.len();
-        self.awaited.retain(|(id, replica)| !ended(*id, replica));
-        self.awaited.len() < before
-    }
-}
 
 /// The vehicle's side of the control loop; see the crate's documentation for an example.
 #[derive(Clone, Debug)]
@@ -96,6 +41,10 @@ pub struct Driver {
     hedges: HedgeAllowance,
     lost: LostDetector,
     running: Option<Running>,
+    /// When the next tick is expected at the latest; none before the first one and after a reset.
+    due: Option<Time>,
+    /// Control periods in which the caller was held up, until a step reports them.
+    held_up: u64,
     pending: BTreeMap<QueryId, Pending>,
     probes: BTreeMap<QueryId, Probe>,
     late: Vec<Late>,
@@ -122,6 +71,8 @@ impl Driver {
             replicas: Replicas::new(config.fleet.clone(), config.vehicle.clone()),
             lost: LostDetector::default(),
             running: None,
+            due: None,
+            held_up: 0,
             pending: BTreeMap::new(),
             probes: BTreeMap::new(),
             late: Vec::new(),
@@ -170,6 +121,8 @@ impl Driver {
         self.gate.reset();
         self.lost = LostDetector::default();
         self.running = None;
+        self.due = None;
+        self.held_up = 0;
         self.pending.clear();
         self.late.clear();
         self.actions.clear();
@@ -197,6 +150,11 @@ impl Driver {
     /// Actions follow until [`Action::Command`], which comes at once when no replica can be asked. A period that is still
     /// open is given up.
     ///
+    /// One tick counts as one control period, whatever the time between two ticks is, so that simulators may be slower or
+    /// faster than a vehicle. Only a caller that was held up for more than `max_tail_ticks` periods after a period's end is
+    /// taken for a vehicle that has driven on alone: these periods count ([`Step::held_up`]), so that no plan is driven
+    /// whose tail has ended, and the history starts anew.
+    ///
     /// # Errors
     /// [`InvalidArgument`] when no request can be made of the measurement; the period is then not opened, but counts: plans
     /// are a period older, and the history starts anew. A measured state that cannot be used is no error: its command is a
@@ -208,6 +166,8 @@ impl Driver {
         measurement: Measurement,
     ) -> Result<(), InvalidArgument> {
         self.give_up(now);
+        self.count_held_up(now);
+        self.due = Some(now.saturating_add(self.period()));
         // The state comes first: a reference that was computed from an unusable state is wrong, too, and must not keep the
         // vehicle from being stopped.
         if let Err(invalid) = egp_wire::check_state(&measurement.x) {
@@ -217,7 +177,7 @@ impl Driver {
         }
         measurement
             .check(self.served.horizon as usize)
-            .inspect_err(|_| self.carry.skip())?;
+            .inspect_err(|_| self.carry.skip(1))?;
         self.probe(now);
         let Measurement {
             x,
@@ -231,6 +191,7 @@ impl Driver {
         if lost.is_some() {
             self.gate.stop();
         }
+        self.due = self.due.max(Some(deadline));
         // If the deadline has passed, no replica is asked and the gate gives the command.
         let left = deadline.saturating_sub(now).as_micros();
         let budget_us = u32::try_from(left).unwrap_or(u32::MAX);
@@ -319,7 +280,8 @@ impl Driver {
         self.replicas.answered(&pending.replica, now);
         if pending.decided_without {
             if now >= pending.due {
-                self.demote(now, &pending); // a deadline counts although nobody waited for this answer
+                // The replica missed its deadline, although another one's answer had decided the period.
+                self.demote(now, &pending);
             }
             return;
         }

@@ -153,6 +153,8 @@ impl Driver {
         let Some(run) = self.running.take() else {
             return;
         };
+        self.count_held_up(now);
+        self.due = Some(now.max(run.begun.saturating_add(self.period())));
         if answer.is_some() {
             for (id, _) in &run.awaited {
                 if let Some(pending) = self.pending.get_mut(id) {
@@ -181,6 +183,7 @@ impl Driver {
             asked: run.asked,
             situation: Some(run.situation),
             lost: run.lost,
+            held_up: std::mem::take(&mut self.held_up),
         };
         self.actions.push_back(Action::Command(Box::new(step)));
     }
@@ -188,7 +191,7 @@ impl Driver {
     /// The command of a period whose measured state cannot be used: a stop. The gate gets the speed and the steering angle if
     /// they themselves can be used.
     pub(super) fn stop_unmeasured(&mut self, x: &State, invalid: Invalid) {
-        self.carry.skip();
+        self.carry.skip(1);
         self.gate.stop();
         let [_, _, v_x, _, _, _, delta] = *x;
         let usable =
@@ -210,6 +213,7 @@ impl Driver {
             asked: 0,
             situation: None,
             lost: self.lost.lost(),
+            held_up: std::mem::take(&mut self.held_up),
         };
         self.actions.push_back(Action::Command(Box::new(step)));
     }
@@ -219,6 +223,17 @@ impl Driver {
         if self.carry.accept(reply) == Ok(true) && !reply.plan_u.is_empty() {
             // A gate in STOP takes no plan; its command says so.
             let _ = self.gate.accept(reply.sequence, &reply.plan_u);
+        }
+    }
+
+    /// Counts the control periods that have passed since the next tick was due, if they are more than a plan may bridge.
+    pub(super) fn count_held_up(&mut self, now: Time) {
+        let late = self.due.map_or(Time::ZERO, |due| now.saturating_sub(due));
+        let periods = late.as_nanos() / self.period().as_nanos().max(1);
+        let periods = u64::from(u32::try_from(periods).unwrap_or(u32::MAX));
+        if periods > self.config.max_tail_ticks {
+            self.carry.skip(periods);
+            self.held_up += periods;
         }
     }
 
@@ -272,7 +287,7 @@ impl Driver {
         }
     }
 
-    fn period(&self) -> Duration {
+    pub(super) fn period(&self) -> Duration {
         Duration::from_secs_f64(self.served.dt)
     }
 }

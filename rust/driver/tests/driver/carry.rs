@@ -138,8 +138,8 @@ fn a_gap_starts_the_history_anew() {
     assert_eq!((carry.library(), carry.sequence()), (LIBRARY, 0));
     period(&mut carry, 10.0, 100.0);
     assert_eq!(period(&mut carry, 11.0, 200.0).history_z.len(), 1);
-    assert_eq!((carry.last_input(), carry.sequence()), ([200.0, 0.0], 2));
-    carry.skip();
+    assert_eq!(carry.sequence(), 2);
+    carry.skip(1);
     carry.applied([-50.0, 0.0]);
     assert_eq!(carry.sequence(), 3);
     let after = period(&mut carry, 12.0, 300.0);

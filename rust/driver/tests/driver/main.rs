@@ -4,6 +4,7 @@
 mod carry;
 mod gate;
 mod hedge;
+mod held_up;
 mod in_process;
 mod measurements;
 mod periods;

@@ -57,7 +57,7 @@ pub(crate) fn without_hedge(replicas: &[&str]) -> Driver {
     configured(replicas, DriverConfig { hedge, ..config() })
 }
 
-fn configured(replicas: &[&str], config: DriverConfig) -> Driver {
+pub(crate) fn configured(replicas: &[&str], config: DriverConfig) -> Driver {
     let mut driver = Driver::new(config, served()).unwrap();
     for replica in replicas {
         driver.replica_appeared(Duration::ZERO, name(replica));
