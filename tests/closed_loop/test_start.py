@@ -46,6 +46,19 @@ def test_a_slow_start_keeps_the_path(friction: float, v_start: float) -> None:
     assert turns.sum() <= 5
 
 
+@pytest.mark.parametrize(("steering", "speed"), [(0.2, 1.0), (0.0, -1.0)])
+def test_a_standing_vehicle_learns_nothing(steering: float, speed: float) -> None:
+    """The models let it turn with its wheels, and drive backwards when it brakes."""
+    x = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, steering])
+    with in_process_controller(BASE) as controller:
+        s = speed * np.linspace(0.0, 0.1, controller.horizon + 1)
+        reference = np.column_stack([s, 0.0 * s, 0.0 * s + speed, 0.0 * s])
+        steps = [controller.step(x, reference) for _ in range(controller.history + 5)]
+    assert all(step.status == "solved" for step in steps)
+    assert {tuple(step.weights) for step in steps} == {tuple(steps[0].weights)}
+    assert all(step.friction is not None and step.friction.information == 0.0 for step in steps)
+
+
 def test_a_drive_keeps_no_step() -> None:
     """A step has 15 kB of messages and plan."""
     gc.collect()

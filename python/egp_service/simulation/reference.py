@@ -88,6 +88,8 @@ class _Believed(_Planned):
 
     def found(self, step: Step) -> None:
         self._found = step.friction
+        if step.held_up or step.status == "invalid_state":
+            self._belief.leave()  # the window starts anew, and with it the places that it covers
 
     def road_friction(self, places: NDArray[np.float64]) -> NDArray[np.float64] | None:
         return self._belief.preview(places) if self._preview else None

@@ -67,7 +67,8 @@ impl Reported {
     /// (`docs/map.md`, section 3), with the stated probabilities `q`, the likelihoods `l`, those of the coefficient as a
     /// lower bound `l̄`, and the prior `p₀`.
     pub fn compare(&mut self, stated: &[Row], log_likelihood: &Row, grid: &Grid, window: usize) {
-        let likelihood = log_likelihood.map(f64::exp);
+        let most = (log_likelihood.iter().copied()).fold(0.0, f64::max);
+        let likelihood = log_likelihood.map(|value| (value - most).exp());
         let mean =
             |row: &Row, values: &Row| -> f64 { row.iter().zip(values).map(|(p, v)| p * v).sum() };
         // The window's probability for each coefficient, if that is a lower bound.

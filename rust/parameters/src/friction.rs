@@ -16,8 +16,22 @@ pub fn friction_hypotheses() -> [f64; FRICTION_HYPOTHESES] {
     std::array::from_fn(|i| low * (gap * i as f64).exp())
 }
 
-/// Interpolates values at the hypotheses in `ln mu`, by the cubic of Catmull and Rom through four of them; beyond the
-/// ends they are continued linearly. Used for logarithms of likelihoods, which are nearly parabolas.
+/// Ratio of second differences up to which both come from one smooth curve; those of a parabola are equal.
+const SMOOTH: f64 = 4.0;
+
+/// Interpolates values at the hypotheses in `ln mu`; beyond the ends they are continued linearly. Used for logarithms of
+/// likelihoods.
+///
+/// With the second differences `D` at the neighbours `b` and `c`, this is the cubic of Catmull and Rom,
+///
+/// ```text
+/// (1 - t) b + t c - t (1 - t) ((1 - t) D_b + t D_c) / 2
+/// ```
+///
+/// which continues parabolas exactly. A likelihood that falls steeply beside a flat part, where one surface cannot transmit a
+/// force that all others can, is no parabola, and the cubic would rise above the flat part by 7 % of the fall. The larger second
+/// difference therefore counts as at most four times the smaller one, and both as zero if their signs differ (the limiter of
+/// Harten and Osher, *Uniformly High-Order Accurate Nonoscillatory Schemes*, SIAM Journal on Numerical Analysis 24(2), 1987).
 ///
 /// `position` counts hypotheses from the first and is at most that of the last.
 pub fn interpolate_hypotheses(values: &[f64; FRICTION_HYPOTHESES], position: f64) -> f64 {
@@ -33,9 +47,17 @@ pub fn interpolate_hypotheses(values: &[f64; FRICTION_HYPOTHESES], position: f64
     } else {
         2.0 * c - b
     };
-    let cubic = 3.0 * (b - c) + d - a;
-    let square = 2.0 * a - 5.0 * b + 4.0 * c - d;
-    b + 0.5 * t * (c - a + t * (square + t * cubic))
+    let (at_b, at_c) = limited(a - 2.0 * b + c, b - 2.0 * c + d);
+    (1.0 - t) * b + t * c - 0.5 * t * (1.0 - t) * ((1.0 - t) * at_b + t * at_c)
+}
+
+/// Two neighbouring second differences, of which neither is more than [`SMOOTH`] times the other; zero if their signs differ.
+fn limited(left: f64, right: f64) -> (f64, f64) {
+    if left * right <= 0.0 {
+        return (0.0, 0.0);
+    }
+    let most = SMOOTH * left.abs().min(right.abs());
+    (left.clamp(-most, most), right.clamp(-most, most))
 }
 
 #[cfg(test)]
@@ -58,6 +80,22 @@ mod tests {
         }
         for i in 0..FRICTION_HYPOTHESES {
             assert_eq!(interpolate_hypotheses(&values, i as f64), values[i]);
+        }
+    }
+
+    #[test]
+    fn beside_a_cliff_the_flat_part_stays_flat() {
+        for fall in [1.0, 60.0, 1e6] {
+            let cliff = std::array::from_fn(|i| if i < 6 { -fall } else { 0.0 });
+            let tilted =
+                std::array::from_fn(|i| cliff[i] - if i > 6 { 0.01 * i as f64 } else { 0.0 });
+            for k in 0..=160 {
+                let position = 0.1 * f64::from(k);
+                let value = interpolate_hypotheses(&cliff, position);
+                assert!((-fall..=0.0).contains(&value), "{position}: {value}");
+                let value = interpolate_hypotheses(&tilted, position);
+                assert!((-fall..=0.01).contains(&value), "{position}: {value}");
+            }
         }
     }
 }

@@ -33,8 +33,8 @@ const TEMPERATURE: f64 = 1.6;
 /// Lower limit of the logarithms of the likelihoods, so that a reply can hold them. Without it they would go to minus infinity
 /// as the noise goes to zero.
 const LEAST: f64 = -1e6;
-/// Logarithm below which the sum of densities may lose digits or become zero.
-const UNDERFLOW: f64 = -600.0;
+/// Magnitude of the largest logarithm from which the sum of densities may lose digits, become zero or overflow.
+const EXTREME: f64 = 600.0;
 /// Number of points at which the density is evaluated.
 const POINTS: usize = 121;
 /// Probabilities of the interval's ends.
@@ -184,7 +184,7 @@ impl FrictionEstimator {
             *density = interpolate_hypotheses(&log_likelihood, *position);
             most = most.max(*density);
         }
-        let shift = if most < UNDERFLOW { most } else { 0.0 };
+        let shift = if most.abs() > EXTREME { most } else { 0.0 };
         for density in &mut self.density {
             *density = (*density - shift).exp();
         }

@@ -26,11 +26,12 @@ const LARGEST_WEIGHT: f64 = 100.0;
 /// d_t = Σ_axles max(0, -p_f f(0)) c (e/g)²,        c = max |d²/du² (1 + u⁴)^(-1/2)|
 /// ```
 ///
-/// so that `½ d_t (a_t - ā_t)²` about the previous plan's `ā_t` makes the cost of the problem an upper bound on the cost in
-/// this term, and its minimum a descent (Hunter and Lange, *A tutorial on MM algorithms*, The American Statistician 58(1),
-/// 2004; Verschueren, van Duijkeren, Quirynen and Diehl, *Exploiting convexity in direct optimal control: a sequential convex
-/// quadratic programming method*, CDC 2016, for convex Hessians in sequential programming). The term vanishes where the plan
-/// does not change, and where lateral force is not scarce: there the multipliers are small.
+/// for an axle whose force is wanted, so that `½ d_t (a_t - ā_t)²` about the previous plan's `ā_t` outweighs it, as in
+/// majorisation (Hunter and Lange, *A tutorial on MM algorithms*, The American Statistician 58(1), 2004) and with convex Hessians
+/// in sequential programming (Verschueren, van Duijkeren, Quirynen and Diehl, *Exploiting convexity in direct optimal control: a
+/// sequential convex quadratic programming method*, CDC 2016). A descent is not guaranteed: `p_f` and `f(0)` are those of the
+/// operating trajectory, `d_t` is limited, and axles whose force costs are left out. The term vanishes where the plan does not
+/// change, and where lateral force is not scarce: there the multipliers are small.
 ///
 /// Multipliers are those of the cost and of the soft bounds along the operating trajectory, `p_t = ∇_x + A_tᵀ p_{t+1}`, but not
 /// of the track's edges, whose penalty would hold the plan of a vehicle that has to come back from beyond one. The

@@ -48,7 +48,7 @@ pub struct Cost {
     /// Yaw error, 1/rad². Default 10.
     pub psi: f64,
     /// Factor of the state weights at the last stage on a surface with the friction 1; it is inversely proportional to the
-    /// friction on those with less: `Q_T = terminal / min(mu, 1) · Q`. Default 2.
+    /// friction on those with less: `Q_T = terminal / mu · Q` with `mu` limited to 0.05 to 1. Default 2.
     pub terminal: f64,
     /// `R` on `[F_x/m, delta_dot]`, 1/(m/s²)² and 1/(rad/s)². Default [0.05, 2].
     pub input: [f64; NU],

@@ -7,6 +7,9 @@ use crate::{Ensemble, GpInput, GpOutput, NZ, State};
 /// Index of the steering angle in `z`; the inputs follow.
 const STEERING: usize = 3;
 
+/// Part of a period by which a delay may differ from whole periods by rounding.
+const ROUNDING: f64 = 1e-9;
+
 /// The delay `d` of the measured `[v_x, v_y, omega]`: `(periods + part) dt` with `part` in [0, 1).
 ///
 /// Positions, yaw and steering angle are measured without it. A row of the history holds
@@ -23,6 +26,13 @@ impl Delay {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // the settings bound it
     pub fn new(seconds: f64, dt: f64) -> Option<Self> {
         let late = seconds / dt;
+        // A delay of 0.14 s is seven periods of 0.02 s, although the quotient is larger by rounding.
+        let whole = late.round();
+        let late = if (late - whole).abs() < ROUNDING {
+            whole
+        } else {
+            late
+        };
         let periods = late.floor();
         (seconds > 0.0).then_some(Self {
             periods: periods as usize,

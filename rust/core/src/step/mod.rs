@@ -21,9 +21,18 @@ use crate::ocp::{self, Road, Setup};
 use crate::preview::StageWeights;
 use crate::solver::{Status, solve_with_fallback};
 use crate::trajectory::Guess;
-use crate::vehicle::{DELTA_DOT, FORCE, Frame, P_X, P_Y, PSI, TyreLimits, V_X, wrap};
+use crate::vehicle::{
+    DELTA_DOT, FORCE, Frame, MIN_SLIP_SPEED, P_X, P_Y, PSI, TyreLimits, V_X, wrap,
+};
 use crate::weights::blend_error;
-use crate::{Ensemble, GpInput, GpOutput, Input, Library, Member, NY, Settings, State};
+use crate::{Ensemble, GpInput, GpOutput, Input, Library, Member, NY, NZ, Settings, State};
+
+/// Speed, m/s, below which a vehicle counts as standing.
+const STANDING: f64 = 0.5;
+/// Force of the drive per mass, m/s², that the most slippery surface transmits.
+const DRIVE: f64 = 1.0;
+/// Slip angle, rad, up to which tyres transmit nearly the same force on all surfaces.
+const FALSE_SLIP: f64 = 0.02;
 
 /// One control step: weights, eq. (6); residual; linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
 ///
@@ -214,6 +223,8 @@ fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
 /// the inputs of another row: the request does not tell whether their inputs were known when they were predicted. They are
 /// in the reply because it has one row for each transition, and no estimate uses them. A transition that is known was also
 /// known when it was predicted: the history then had the same older rows, or was full.
+///
+/// Transitions up to the last one that [`misleads`] are left out.
 fn estimate_weights(
     library: &Library,
     settings: &Settings,
@@ -244,8 +255,12 @@ fn estimate_weights(
     reply.history_f.extend_from_slice(rows.history_f);
     validate::starting_weights(rows.weights, &mut ws.previous);
     reply.weights.resize(members.len(), 0.0);
-    let predictions = &reply.history_f[..known * width];
-    let measured = &rows.history_y[..known];
+    let moving = history_z[..known]
+        .iter()
+        .position(|z| misleads(z, ws.vehicle.mass))
+        .unwrap_or(known);
+    let predictions = &reply.history_f[..moving * width];
+    let measured = &rows.history_y[..moving];
     ws.estimator.estimate(
         predictions,
         measured,
@@ -256,10 +271,20 @@ fn estimate_weights(
     );
     reply.friction = ws
         .friction
-        .estimate(&history_z[..known], predictions, measured);
+        .estimate(&history_z[..moving], predictions, measured);
     if settings.weights.whiten && !ws.estimator.informed(&reply.weights) {
         reply.weights.copy_from_slice(&ws.previous);
     }
+}
+
+/// Whether the models say something wrong about a transition of a vehicle with this mass (kg) because it stood or was slow.
+/// Brakes hold a vehicle that stands, and the models let it drive backwards, or forwards with a small force; and below
+/// [`MIN_SLIP_SPEED`], with which slip angles are then computed, turned wheels seem to slip by the part
+/// `1 - v_x / MIN_SLIP_SPEED` of the steering angle. The smallest friction would explain both best.
+fn misleads(z: &[f64; NZ], mass: f64) -> bool {
+    let [v_x, _, _, delta, force, _] = *z;
+    let stands = v_x < STANDING && force < DRIVE * mass;
+    stands || (1.0 - v_x / MIN_SLIP_SPEED) * delta.abs() > FALSE_SLIP
 }
 
 /// Writes what the residual adds to the ensemble's prediction at each stage, with its variances, and returns its
