@@ -18,6 +18,7 @@ use std::{fs, io, thread};
 
 use clap::Parser;
 use egp_simulator::{Course, Track};
+use egp_wire::print_line;
 use serde::Serialize;
 
 use crate::drive::{Assignment, drive};
@@ -156,13 +157,13 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Prints a result, and writes it as JSON if that is asked for.
+/// Writes a result as JSON if that is asked for, and prints it.
 fn report(arguments: &Arguments, result: &(impl Display + Serialize)) -> Result<(), Failure> {
-    println!("{result}");
     if let Some(path) = &arguments.json {
         let json = serde_json::to_vec_pretty(result)?;
         fs::write(path, json).map_err(|error| unwritten(path, &error))?;
     }
+    print_line(result)?;
     Ok(())
 }
 

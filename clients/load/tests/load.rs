@@ -1,7 +1,8 @@
 //! A short load test of a real service: the counts must add up.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use std::process::Command;
+use std::fs::{self, File};
+use std::process::{Command, Stdio};
 
 use egp_service::{Server, ServiceConfig};
 use egp_testing::ports::free_endpoint;
@@ -42,7 +43,7 @@ fn every_due_request_is_accounted_for() {
     );
     let table = String::from_utf8(output.stdout).unwrap();
     assert!(table.contains("latency from due time"), "{table}");
-    let report: Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
     let number = |name: &str| report[name].as_f64().unwrap();
     // Two vehicles, 50 requests a second each, for two seconds, on a schedule that nothing delays.
     assert_eq!(number("requests"), 200.0, "{table}");
@@ -79,5 +80,42 @@ fn a_measurement_takes_time() {
         let message = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(2), "{message}");
         assert!(message.contains("above 0"), "{message}");
+    }
+}
+
+#[test]
+fn the_report_is_kept_although_nobody_reads_the_result() {
+    let endpoint = free_endpoint();
+    let mut config = ServiceConfig::new(LIBRARY);
+    config
+        .zenoh
+        .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
+    let _server = Server::start(&config).unwrap();
+    let json = concat!(env!("CARGO_TARGET_TMPDIR"), "/unread.json");
+    let (reader, closed) = std::io::pipe().unwrap();
+    drop(reader);
+    let full = File::options().write(true).open("/dev/full").unwrap();
+    for (out, code, reason) in [
+        (Stdio::from(closed), 0, ""),
+        (
+            Stdio::from(full),
+            1,
+            "egp-load: cannot write to the standard output",
+        ),
+    ] {
+        let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
+            .args(["--connect", &endpoint, "--vehicles", "1", "--json", json])
+            .args(["--seconds", "0.1", "--warm-up", "0"])
+            .stdout(out)
+            .stderr(Stdio::piped())
+            .output()
+            .unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{message}");
+        assert!(message.starts_with(reason), "{message}");
+        assert!(!message.contains("panicked"), "{message}");
+        let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
+        assert_eq!(report["requests"], 5, "{report}");
+        fs::remove_file(json).unwrap();
     }
 }

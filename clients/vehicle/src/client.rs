@@ -34,7 +34,7 @@ pub enum ClientError {
         /// Where it connected to; empty if the zenoh file says where.
         endpoints: Vec<String>,
     },
-    /// The system gives no random number, which the publication of the status needs.
+    /// The system gives no random number, which a run with a key and the publication of the status need.
     #[error("the system gives no random number: {0}")]
     Random(getrandom::Error),
     /// Budget, limits or gate settings are out of range.
@@ -73,14 +73,15 @@ impl VehicleClient {
     /// # Errors
     /// [`ClientError`], above all when no replica gives a usable answer in time.
     pub fn connect(config: &VehicleConfig) -> Result<Self, ClientError> {
-        let discovery = Discovery::new(&config.driver)?;
+        let own = config.driver_of_a_run().map_err(ClientError::Random)?;
+        let discovery = Discovery::new(&own)?;
         let open = |path: &PathBuf| {
-            let DriverConfig { fleet, vehicle, .. } = &config.driver;
+            let DriverConfig { fleet, vehicle, .. } = &own;
             StepTraces::open(path, config.traces_share, fleet, vehicle)
         };
         let traces = config.traces.as_ref().map(open).transpose()?;
         let (epoch, network) = (Instant::now(), Network::open(config)?);
-        let driver = discover(discovery, &network, config, epoch)?;
+        let driver = discover(discovery, &network, config, &own, epoch)?;
         let status = if config.publish_status {
             let run = getrandom::u64().map_err(ClientError::Random)?;
             Some(Status::new(
@@ -201,9 +202,7 @@ impl VehicleClient {
     }
 
     fn decide(&mut self, deadline: Instant, measurement: Measurement) -> Result<Step, ClientError> {
-        while let Some(event) = self.network.next(Duration::ZERO) {
-            self.tell(event);
-        }
+        self.tell_what_came(deadline);
         let (now, due) = (self.time(Instant::now()), self.time(deadline));
         self.driver.tick(now, due, measurement)?;
         loop {
@@ -239,6 +238,18 @@ impl VehicleClient {
         }
     }
 
+    /// Tells the driver the events that have come. More than [`FEW`] are told only until the deadline, and the next step
+    /// goes on with the rest.
+    fn tell_what_came(&mut self, deadline: Instant) {
+        let mut told = 0;
+        while (told < FEW || Instant::now() < deadline)
+            && let Some(event) = self.network.next(Duration::ZERO)
+        {
+            self.tell(event);
+            told += 1;
+        }
+    }
+
     fn tell(&mut self, event: Event) {
         let at = self.time(event.at);
         if let Some(traces) = &mut self.traces {
@@ -270,6 +281,7 @@ fn discover(
     mut discovery: Discovery,
     network: &Network,
     config: &VehicleConfig,
+    own: &DriverConfig,
     epoch: Instant,
 ) -> Result<Driver, ClientError> {
     let deadline = Instant::now() + config.patience;
@@ -302,7 +314,7 @@ fn discover(
         let Some(ready) = network.ask_and_wait(&question, left.min(QUESTION), read)? else {
             continue;
         };
-        let mut driver = Driver::new(config.driver.clone(), ready)?;
+        let mut driver = Driver::new(own.clone(), ready)?;
         for replica in discovery.live() {
             driver.replica_appeared(epoch.elapsed(), replica.clone());
         }
@@ -310,7 +322,59 @@ fn discover(
     }
 }
 
+/// Events that are told before each period, even if its deadline has passed, so that they do not pile up.
+const FEW: usize = 64;
 /// Time between two rounds of questions.
 const POLL: Duration = Duration::from_millis(100);
 /// Time that a replica may take to answer what it serves.
 const QUESTION: Duration = Duration::from_secs(1);
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use egp_driver::QueryId;
+    use egp_gate::Limits;
+    use egp_parameters::VehicleParameters;
+    use egp_wire::Ready;
+
+    use super::*;
+    use crate::network::report;
+
+    #[test]
+    fn events_beyond_the_deadline_wait_for_the_next_step() {
+        let limits = Limits::of(&VehicleParameters::FORD_ESCORT);
+        let config = VehicleConfig::new("test", "car", limits, &[]).unwrap();
+        let ready = Ready {
+            ready: true,
+            library: [7; 32],
+            others: Vec::new(),
+            dt: 0.02,
+            horizon: 4,
+            history: 3,
+            members: vec!["dry".to_owned()],
+            envelope: [[0.0; 6], [1.0; 6]],
+            vehicle: None,
+        };
+        let mut client = VehicleClient {
+            network: Network::open(&config).unwrap(),
+            driver: Driver::new(config.driver, ready).unwrap(),
+            epoch: Instant::now(),
+            status: None,
+            traces: None,
+        };
+        let now = Instant::now();
+        for (deadline, left) in [(now, 1000 - FEW), (now + Duration::from_secs(60), 0)] {
+            for id in 0..1000 {
+                report(&client.network.sender, EventKind::Ended(QueryId(id)));
+            }
+            let measurement = Measurement {
+                x: [0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0],
+                reference: vec![[0.0; 4]; 5],
+                ..Measurement::default()
+            };
+            client.step_by(deadline, measurement).unwrap();
+            let waiting = std::iter::from_fn(|| client.network.next(Duration::ZERO));
+            assert_eq!(waiting.count(), left);
+        }
+    }
+}

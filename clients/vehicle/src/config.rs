@@ -7,7 +7,7 @@ use std::time::Duration;
 use egp_driver::{DriverConfig, RunKey};
 use egp_gate::Limits;
 use egp_wire::keys::NameError;
-use egp_wire::{KeyError, KeyFileError, KeyRing};
+use egp_wire::{KeyError, KeyFileError, KeyRing, VehicleKey};
 use thiserror::Error;
 
 /// Why the secret key of a vehicle cannot be used.
@@ -24,9 +24,6 @@ pub enum VehicleKeyError {
         /// Which key is missing.
         source: KeyError,
     },
-    /// The system gives no random numbers.
-    #[error("the system gives no random number: {0}")]
-    Random(getrandom::Error),
 }
 
 /// Configuration of a [`crate::VehicleClient`].
@@ -34,6 +31,9 @@ pub enum VehicleKeyError {
 pub struct VehicleConfig {
     /// Name, budget, actuator limits and gate of the vehicle.
     pub driver: DriverConfig,
+    /// The vehicle's secret key, which [`VehicleConfig::with_key`] reads. Each connection is a run of its own with this key,
+    /// in place of `driver.key`. Default none.
+    pub key: Option<VehicleKey>,
     /// Routers or replicas to connect to, as `tcp/host:7447`.
     pub connect: Vec<String>,
     /// How long to wait for a replica when connecting. Default 10 s.
@@ -64,6 +64,7 @@ impl VehicleConfig {
     ) -> Result<Self, NameError> {
         Ok(Self {
             driver: DriverConfig::new(fleet, vehicle, limits)?,
+            key: None,
             connect: connect.iter().map(ToString::to_string).collect(),
             patience: Duration::from_secs(10),
             zenoh_file: None,
@@ -88,9 +89,19 @@ impl VehicleConfig {
                 source,
             })?
             .clone();
-        let run = getrandom::u64().map_err(VehicleKeyError::Random)?;
-        self.driver.key = Some(RunKey { key, run });
+        self.key = Some(key);
         Ok(self)
+    }
+
+    /// The driver's configuration for one connection, with a random number of the run if there is a key: a service answers each
+    /// number of a run once, and every driver counts its questions from 1.
+    pub(crate) fn driver_of_a_run(&self) -> Result<DriverConfig, getrandom::Error> {
+        let mut driver = self.driver.clone();
+        if let Some(key) = self.key.clone() {
+            let run = getrandom::u64()?;
+            driver.key = Some(RunKey { key, run });
+        }
+        Ok(driver)
     }
 
     /// The same vehicle with the options of a command line: the endpoints that are given, otherwise those of the zenoh
@@ -103,5 +114,27 @@ impl VehicleConfig {
         }
         self.zenoh_file = zenoh_file.map(Path::to_owned);
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use egp_parameters::VehicleParameters;
+
+    use super::*;
+
+    #[test]
+    fn each_connection_with_a_key_is_a_run_of_its_own() {
+        let limits = Limits::of(&VehicleParameters::FORD_ESCORT);
+        let mut config = VehicleConfig::new("test", "car", limits, &[]).unwrap();
+        assert_eq!(config.driver_of_a_run().unwrap().key, None);
+        let ring = KeyRing::parse(&format!("test/car {}", "07".repeat(32))).unwrap();
+        let own = ring.get(&config.driver.fleet, &config.driver.vehicle);
+        let own = own.unwrap().clone();
+        config.key = Some(own.clone());
+        let [first, second] = [(); 2].map(|()| config.driver_of_a_run().unwrap().key.unwrap());
+        assert_eq!([first.key, second.key], [own.clone(), own]);
+        assert_ne!(first.run, second.run);
     }
 }

@@ -45,7 +45,7 @@ pub fn open_session(config: &VehicleConfig) -> Result<zenoh::Session, NetworkErr
 pub(crate) struct Network {
     session: zenoh::Session,
     events: Receiver<Event>,
-    sender: Sender<Event>,
+    pub(crate) sender: Sender<Event>,
     status: Option<zenoh::pubsub::Publisher<'static>>,
     // This field is never read; while it lives, it reports replicas that come and go.
     _subscriber: zenoh::pubsub::Subscriber<()>,
@@ -203,7 +203,7 @@ impl Drop for End {
     }
 }
 
-fn report(out: &Sender<Event>, kind: EventKind) {
+pub(crate) fn report(out: &Sender<Event>, kind: EventKind) {
     let at = Instant::now();
     // An error means that the client was dropped.
     let _ = out.send(Event { at, kind });

@@ -256,29 +256,28 @@ fn with_a_key_only_a_service_that_has_the_same_key_is_driven_with() {
         path
     };
     let (own, other) = (file("own.keys", "01"), file("other.keys", "02"));
-    let connect = |endpoint: &str| {
-        let config = VehicleConfig::new("test", "car", limits(), &[endpoint]).unwrap();
-        let mut config = config.with_key(&own).unwrap();
-        config.patience = Duration::from_secs(2);
-        VehicleClient::connect(&config)
-    };
+    let endpoint = free_endpoint();
+    let config = VehicleConfig::new("test", "car", limits(), &[&endpoint]).unwrap();
+    let mut config = config.with_key(&own).unwrap();
+    config.patience = Duration::from_secs(2);
+    let connect = || VehicleClient::connect(&config);
     let sealed = |endpoint: &str, keys: Option<&PathBuf>| {
         let mut config = service("main", endpoint);
         config.vehicle_keys = keys.cloned();
         Server::start(&config).unwrap()
     };
-    let endpoint = free_endpoint();
     let server = sealed(&endpoint, Some(&own));
-    let mut vehicle = Vehicle {
-        client: connect(&endpoint).unwrap(),
+    let of = |client| Vehicle {
+        client,
         p_x: 0.0,
         u: [0.0; 2],
     };
+    let mut vehicle = of(connect().unwrap());
     vehicle.step_until_solved();
     drop(server);
     for keys in [None, Some(&other)] {
         let stranger = sealed(&endpoint, keys);
-        let error = connect(&endpoint).err().unwrap().to_string();
+        let error = connect().err().unwrap().to_string();
         assert!(
             error.contains("does not have the tag of this vehicle's key"),
             "{error}"
@@ -292,6 +291,9 @@ fn with_a_key_only_a_service_that_has_the_same_key_is_driven_with() {
     let _server = sealed(&endpoint, Some(&own));
     vehicle.client.reset();
     vehicle.step_until_solved();
+    // The numbers of a second connection start again from 1, in a run of its own.
+    let mut second = of(connect().unwrap());
+    assert!((0..3).any(|_| second.step().outcome.is_solved()));
 }
 
 /// The spans of a file.

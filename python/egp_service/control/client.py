@@ -38,6 +38,9 @@ REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
 # Time that a replica may take to answer what it serves, and time between two rounds of questions.
 _QUESTION_SECONDS = 1.0
 _POLL_SECONDS = 0.05
+# Events that the driver is told before each period even if its deadline has passed, so that they do
+# not pile up. Further ones are told until the deadline only, and the next step goes on with them.
+_FEW_EVENTS = 64
 _NO_LINK = (
     "there is no link to a service: nobody listens, or, with TLS, a certificate is missing, has "
     "expired or is of another authority"
@@ -150,8 +153,12 @@ class VehicleClient(StepController):
 
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
         due = start + budget
-        while (happened := self._network.next(0.0)) is not None:
+        told = 0
+        while told < _FEW_EVENTS or time.monotonic() < due:
+            if (happened := self._network.next(0.0)) is None:
+                break
             happened(self._driver)
+            told += 1
         self._driver.tick(start, due, *measured)
         while True:
             while (action := self._driver.next_action()) is not None:

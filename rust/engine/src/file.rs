@@ -3,7 +3,6 @@
 use std::fs::{self, File};
 use std::io::{self, Read as _, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use egp_core::library::MAX_FILE_BYTES;
 
@@ -31,7 +30,7 @@ pub fn read_regular(path: &Path, most: u64) -> io::Result<Vec<u8>> {
 }
 
 /// Replaces a file atomically: whoever opens the path gets the old bytes or the new ones, also after a crash. The new bytes
-/// are written into `NAME.PID.NUMBER.part` beside the file first, with a number for each call.
+/// are written into a new file `NAME.PID.NUMBER.part` beside the file first. A process that is killed leaves it behind.
 ///
 /// # Errors
 /// [`io::Error`] if the file cannot be written. The path then has the old bytes, unless only the last step failed, which
@@ -53,18 +52,14 @@ impl Replacement {
     /// # Errors
     /// [`io::Error`] if they cannot be written, or the path is a folder, which no file can replace.
     pub fn write(path: &Path, bytes: &[u8]) -> io::Result<Self> {
-        static CALLS: AtomicU64 = AtomicU64::new(0);
         if path.is_dir() {
             return Err(io::Error::from(io::ErrorKind::IsADirectory));
         }
-        let number = CALLS.fetch_add(1, Ordering::Relaxed);
-        let mut name = path.file_name().unwrap_or_default().to_owned();
-        name.push(format!(".{}.{number}.part", std::process::id()));
+        let (mut file, beside) = create_beside(path)?;
         let written = Self {
             path: path.to_owned(),
-            beside: path.with_file_name(name),
+            beside,
         };
-        let mut file = File::create(&written.beside)?;
         file.write_all(bytes)?;
         file.sync_all()?;
         Ok(written)
@@ -82,9 +77,24 @@ impl Replacement {
     }
 }
 
+/// Makes `NAME.PID.NUMBER.part` with the first number that no other file has: a process with the same id may write the same
+/// file from another container.
+fn create_beside(path: &Path) -> io::Result<(File, PathBuf)> {
+    let mut number = 0_u64;
+    loop {
+        let mut name = path.file_name().unwrap_or_default().to_owned();
+        name.push(format!(".{}.{number}.part", std::process::id()));
+        let beside = path.with_file_name(name);
+        match File::create_new(&beside) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => number += 1,
+            made => return made.map(|file| (file, beside)),
+        }
+    }
+}
+
 impl Drop for Replacement {
     fn drop(&mut self) {
-        // After `replace`, or if the file was not made, there is nothing to remove.
+        // After `replace` there is nothing to remove.
         let _ = fs::remove_file(&self.beside);
     }
 }

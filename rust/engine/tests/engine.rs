@@ -1,4 +1,4 @@
-//! What an engine cannot be made of.
+//! What an engine cannot be made of, and files that are replaced.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use egp_core::library::encode;
 use egp_core::settings::InputBounds;
 use egp_core::{Kernel, Library, Settings};
-use egp_engine::{Engine, EngineError};
+use egp_engine::{Engine, EngineError, replace_file};
 use egp_testing::libraries;
 
 fn bytes() -> Vec<u8> {
@@ -74,4 +74,25 @@ fn errors_name_the_file_of_the_library() {
     }
     let missing = Engine::load(path, Settings::default()).unwrap_err();
     assert!(missing.to_string().contains("folder/some.safetensors"));
+}
+
+#[test]
+fn what_another_container_writes_beside_the_same_file_stays() {
+    let folder = std::env::temp_dir().join(format!("egp-beside-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("library");
+    let others = [0, 1, 2].map(|number| {
+        let name = format!("library.{}.{number}.part", std::process::id());
+        folder.join(name)
+    });
+    for other in &others {
+        std::fs::write(other, "of another container").unwrap();
+    }
+    replace_file(&path, b"own").unwrap();
+    assert_eq!(std::fs::read(&path).unwrap(), b"own");
+    for other in &others {
+        assert_eq!(std::fs::read(other).unwrap(), b"of another container");
+    }
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 4);
+    std::fs::remove_dir_all(&folder).unwrap();
 }

@@ -166,7 +166,7 @@ impl Limits {
     /// slew limit takes precedence, as for the force. Beyond a limit the wheels return, at a rate that can be reduced to zero
     /// before the other limit.
     pub(crate) fn steering_rate(&self, wanted: f64, previous: f64, delta: f64, dt: f64) -> f64 {
-        let step = self.steering_slew * dt;
+        let step = (self.steering_slew * dt).min(f64::MAX);
         let left = self.approach_rate(self.steering_angle - delta, step, dt);
         let right = -self.approach_rate(self.steering_angle + delta, step, dt);
         let allowed = if right <= left {
@@ -187,11 +187,13 @@ impl Limits {
     /// n (n + 1) / 2)` with `n = floor(r / step)`. This is solved for `r`, and `n` follows from `room = dt step (n +
     /// 1)(n + 2) / 2`, where `n` changes. Beyond the limit (negative room) the rate points back.
     ///
-    /// Room of more than a turn is treated as a turn, so that no measured angle causes an overflow.
+    /// Room of more than a turn is treated as a turn, and the ratio of room to `step` is bounded, so that neither a measured
+    /// angle nor a limit causes an overflow.
     fn approach_rate(&self, room: f64, step: f64, dt: f64) -> f64 {
         let turns = room.min(std::f64::consts::TAU) / dt;
         let rate = if turns > 0.0 {
-            let n = (0.5 * ((1.0 + 8.0 * turns / step).sqrt() - 1.0)).floor();
+            let ratio = (8.0 * turns / step).min(f64::MAX);
+            let n = (0.5 * ((1.0 + ratio).sqrt() - 1.0)).floor();
             (turns + 0.5 * step * n * (n + 1.0)) / (n + 1.0)
         } else {
             turns

@@ -35,6 +35,12 @@ pub enum ReloadError {
     /// The service has no library file: it was started with a handler of its own.
     #[error("this service was not started from a library file")]
     NoFile,
+    /// The loading panicked.
+    #[error("the loading failed by a defect of the service; please report it")]
+    Defect,
+    /// The thread that loads libraries has ended.
+    #[error("the thread that loads libraries has ended; restart the service")]
+    Ended,
 }
 
 impl From<TableFull> for ReloadError {

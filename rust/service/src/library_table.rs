@@ -355,7 +355,7 @@ mod tests {
         assert_eq!(tried.replace(3, 60), Ok(vec![3, 2]));
         assert_eq!(tried.ask(3, 61), Ok(vec![3, 3]));
         assert_eq!(tried.replace(4, 69), full);
-        // The library that is described is not excepted once another one is.
+        // A library that ready described is removed like any other once ready describes another one.
         assert_eq!(tried.replace(2, 69), Ok(vec![2, 3]));
         assert_eq!(tried.replace(4, 70), Ok(vec![4, 3]));
     }

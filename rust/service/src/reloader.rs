@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::os::unix::fs::MetadataExt as _;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -10,7 +11,7 @@ use egp_wire::LibraryId;
 use crate::libraries::{Libraries, ReloadError};
 use crate::library_table::Reloaded;
 use crate::sync::Arc;
-use crate::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
+use crate::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender, TrySendError};
 use crate::sync::thread::{self, JoinHandle};
 
 /// How a reload ended, and all libraries that are served now.
@@ -73,8 +74,14 @@ impl Reloader {
     }
 
     /// Starts the thread, which hands each outcome to `note`.
-    pub(crate) fn start(
+    pub(crate) fn start(self, note: impl Fn(Outcome) + Send + 'static) -> std::io::Result<Running> {
+        self.start_with(Libraries::reload, note)
+    }
+
+    /// As [`Reloader::start`], with this function that loads the file. A panic in it becomes an error.
+    fn start_with(
         mut self,
+        reload: impl Fn(&Libraries) -> Result<Reloaded, ReloadError> + Send + 'static,
         note: impl Fn(Outcome) + Send + 'static,
     ) -> std::io::Result<Running> {
         // Commands that come while one waits are the same command.
@@ -91,7 +98,8 @@ impl Reloader {
                 if changed || again {
                     // A change during the loading is seen at the next look.
                     self.stamp = now;
-                    let reloaded = self.libraries.reload();
+                    let reloaded = catch_unwind(AssertUnwindSafe(|| reload(&self.libraries)));
+                    let reloaded = reloaded.unwrap_or(Err(ReloadError::Defect));
                     let before = self.failed.take().map(|failed| failed.why);
                     self.failed = reloaded.as_ref().err().map(|error| Failed {
                         at: Instant::now(),
@@ -126,10 +134,14 @@ impl Reloader {
 
 impl Running {
     /// Commands a reload and returns at once.
-    pub(crate) fn reload(&self) {
-        if let Some(command) = &self.command {
+    ///
+    /// # Errors
+    /// [`ReloadError::Ended`] if the thread has ended, which only a panic can cause.
+    pub(crate) fn reload(&self) -> Result<(), ReloadError> {
+        match self.command.as_ref().map(|command| command.try_send(())) {
             // A full channel holds a command that has not begun.
-            let _ = command.try_send(());
+            Some(Ok(()) | Err(TrySendError::Full(()))) => Ok(()),
+            Some(Err(TrySendError::Disconnected(()))) | None => Err(ReloadError::Ended),
         }
     }
 }
@@ -166,6 +178,7 @@ mod tests {
 
     use super::*;
     use crate::config::ServiceConfig;
+    use crate::sync::atomic::{AtomicBool, Ordering};
 
     #[test]
     fn a_file_of_the_same_length_and_time_is_another_one() {
@@ -186,15 +199,53 @@ mod tests {
         fs::remove_dir_all(&folder).unwrap();
     }
 
+    /// Writes a library with this number of points.
+    fn write(file: &Path, points: usize) {
+        let spec = libraries::spec(Kernel::Rbf, &[0.5], points, 3);
+        fs::write(file, library::encode(&spec).unwrap()).unwrap();
+    }
+
+    #[test]
+    fn a_loading_that_panics_is_an_error_and_the_next_one_is_tried() {
+        let file = std::env::temp_dir().join(format!("egp-reload-panic-{}", std::process::id()));
+        write(&file, 20);
+        let libraries = Arc::new(Libraries::load(&ServiceConfig::new(file.clone())).unwrap());
+        let (told, outcomes) = mpsc::sync_channel(8);
+        let begun = AtomicBool::new(false);
+        let reload = move |libraries: &Libraries| {
+            assert!(begun.swap(true, Ordering::Relaxed), "the first one panics");
+            libraries.reload()
+        };
+        let running = Reloader::new(libraries, None, None)
+            .start_with(reload, move |outcome| told.send(outcome).unwrap())
+            .unwrap();
+        let next = || {
+            running.reload().unwrap();
+            outcomes.recv_timeout(Duration::from_secs(60)).unwrap()
+        };
+        assert!(matches!(next(), Err(ReloadError::Defect)));
+        assert!(matches!(next(), Ok((Reloaded::Same(_), _))));
+        fs::remove_file(&file).unwrap();
+    }
+
+    #[test]
+    fn a_command_to_a_thread_that_has_ended_is_an_error() {
+        let (command, commands) = mpsc::sync_channel(1);
+        let running = Running {
+            command: Some(command),
+            thread: None,
+        };
+        assert!(running.reload().is_ok() && running.reload().is_ok());
+        drop(commands);
+        assert!(matches!(running.reload(), Err(ReloadError::Ended)));
+    }
+
     #[test]
     fn a_file_that_was_replaced_after_the_stamp_is_loaded_again() {
         let folder = std::env::temp_dir().join(format!("egp-reloader-{}", std::process::id()));
         fs::create_dir_all(&folder).unwrap();
         let file = folder.join("library.safetensors");
-        let write = |points| {
-            let spec = libraries::spec(Kernel::Rbf, &[0.5], points, 3);
-            fs::write(&file, library::encode(&spec).unwrap()).unwrap();
-        };
+        let write = |points| write(&file, points);
         write(20);
         let before = stamp(&file);
         write(30);

@@ -93,7 +93,7 @@ pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
         }
         Err(error) => {
             if config.log_json {
-                // A program that collects the log reads nothing else.
+                // The caller prints the error as plain text, which a program that collects JSON lines does not read.
                 tracing::error!(%error, "not started");
             }
             return Err(error.into());

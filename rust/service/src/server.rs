@@ -181,12 +181,11 @@ impl Server {
     /// outcome. What was served before is still served to requests that state it.
     ///
     /// # Errors
-    /// [`ReloadError::NoFile`] if the server was started with a handler of its own.
+    /// [`ReloadError::NoFile`] if the server was started with a handler of its own, and [`ReloadError::Ended`] if the thread
+    /// has ended.
     pub fn reload(&self) -> Result<(), ReloadError> {
-        self.reloader
-            .as_ref()
-            .ok_or(ReloadError::NoFile)
-            .map(Running::reload)
+        let running = self.reloader.as_ref().ok_or(ReloadError::NoFile)?;
+        running.reload()
     }
 
     /// Withdraws the announcement, serves new requests for a moment longer, finishes those that wait, and closes.

@@ -1,10 +1,11 @@
 //! The program `egp-simulate`, which is also the command `egp simulate` of the Python package.
 
 use std::ffi::OsString;
-use std::io::{IsTerminal as _, Write as _};
+use std::io::{self, IsTerminal as _, Write as _};
 use std::path::PathBuf;
 
 use clap::Parser;
+use egp_wire::print_line;
 
 use crate::{Config, Run, Scene, ScheduledFault, SimulationError, planted, repeat};
 
@@ -66,7 +67,8 @@ fn seeds(text: &str) -> Result<std::ops::Range<u64>, String> {
 /// Replays one seed with a readable trace, hunts over many seeds, or shows which oracle finds each planted fault.
 ///
 /// The first of the arguments is the name that the help shows. Returns the exit code: 0 if no promise was broken and every
-/// planted fault was found, 1 otherwise, 2 if the simulation cannot run or for arguments that cannot be used.
+/// planted fault was found, 1 otherwise, 2 if the simulation cannot run or for arguments that cannot be used. If the reader of
+/// the output closes it, the program ends early, and the code is that of what was found until then.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let options = match Options::try_parse_from(arguments) {
         Ok(options) => options,
@@ -108,14 +110,15 @@ fn run(options: &Options) -> Result<bool, SimulationError> {
                 ..config(seed)
             },
         )?;
-        for line in &run.trace {
-            println!("{line}");
+        if !run.trace.is_empty() {
+            print_line(run.trace.join("\n"))?;
         }
-        return Ok(report(seed, &run));
+        report(seed, &run)?;
+        return Ok(run.violations.is_empty());
     }
     let (sound, total) = hunt(&scene, options.seeds.clone(), config)?;
     let hours = total.periods as f64 * scene.period() / 3600.0;
-    println!(
+    print_line(format_args!(
         "{} seeds, {hours:.3} vehicle-hours, {} faults, {} of {} periods with a reply: {}",
         options.seeds.clone().count(),
         total.faults,
@@ -126,7 +129,7 @@ fn run(options: &Options) -> Result<bool, SimulationError> {
         } else {
             "violated"
         }
-    );
+    ))?;
     Ok(sound)
 }
 
@@ -141,7 +144,10 @@ fn hunt(
     for (done, seed) in seeds.enumerate() {
         let run = repeat(scene, &config(seed))?;
         if !run.violations.is_empty() {
-            sound = report(seed, &run);
+            sound = false;
+            if !report(seed, &run)? {
+                break;
+            }
         }
         total.periods += run.periods;
         total.replied += run.replied;
@@ -163,24 +169,23 @@ fn hunt(
     Ok((sound, total))
 }
 
-/// Prints what was broken; returns whether nothing was.
-fn report(seed: u64, run: &Run) -> bool {
+/// Prints what was broken; returns whether anybody reads on.
+fn report(seed: u64, run: &Run) -> io::Result<bool> {
     for violation in &run.violations {
-        println!(
+        print_line(format_args!(
             "seed {seed}: {:?} broken at {:.6} s: {}",
             violation.oracle,
             violation.at.as_secs_f64(),
             violation.detail
-        );
+        ))?;
     }
-    println!(
+    print_line(format_args!(
         "seed {seed}: trace {:016x}, {} of {} periods with a reply, {} oracles violated",
         run.hash,
         run.replied,
         run.periods,
         run.violations.len()
-    );
-    run.violations.is_empty()
+    ))
 }
 
 #[cfg(test)]

@@ -1,5 +1,7 @@
 //! Which oracle finds each planted fault, and with which seed.
 
+use egp_wire::print_line;
+
 use crate::config::Config;
 use crate::mutant::Mutant;
 use crate::oracle::Oracle;
@@ -13,25 +15,25 @@ const TEXT: usize = 60;
 /// The same for the name of an oracle, which is followed by the seed.
 const ORACLE: usize = 11;
 
-/// Prints the table of all planted faults; returns whether each was found.
+/// Prints the table of all planted faults, as long as it is read; returns whether each was found.
 pub(crate) fn print(scene: &Scene) -> Result<bool, SimulationError> {
-    for line in rows("Planted fault", "oracle", "seed") {
-        println!("{line}");
-    }
-    println!("{}", "-".repeat(TEXT + ORACLE + 8));
+    let head = rows("Planted fault", "oracle", "seed").join("\n");
+    print_line(format_args!("{head}\n{}", "-".repeat(TEXT + ORACLE + 8)))?;
     let mut found = 0;
-    for &mutant in Mutant::ALL {
+    for (tried, &mutant) in (1..).zip(Mutant::ALL) {
         let seed = first_seed(scene, mutant)?;
         found += usize::from(seed.is_some());
         let seed = seed.map_or("none".to_owned(), |seed| seed.to_string());
         let oracle = format!("{:?}", mutant.oracle());
-        for line in rows(mutant.text(), &oracle, &seed) {
-            println!("{line}");
+        if !print_line(rows(mutant.text(), &oracle, &seed).join("\n"))? {
+            return Ok(found == tried);
         }
     }
     let all = Mutant::ALL.len();
-    println!("\nThe seed is the first one that finds the fault; {TRIED} seeds are tried.");
-    println!("{found} of {all} planted faults were found by their oracle.");
+    print_line(format_args!(
+        "\nThe seed is the first one that finds the fault; {TRIED} seeds are tried.\n\
+         {found} of {all} planted faults were found by their oracle."
+    ))?;
     Ok(found == all)
 }
 

@@ -46,6 +46,9 @@ pub enum SimulationError {
          --routers"
     )]
     Schedule(Fault),
+    /// The result cannot be written.
+    #[error(transparent)]
+    Output(#[from] std::io::Error),
     /// A vehicle's measurement is not accepted.
     #[error(transparent)]
     Measurement(#[from] egp_driver::InvalidArgument),

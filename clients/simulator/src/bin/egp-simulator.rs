@@ -1,5 +1,6 @@
 //! `egp-simulator`: one simulated vehicle drives laps through a running service.
 
+use std::io::{self, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -145,7 +146,8 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         start += period;
     }
     eprintln!();
-    println!(
+    let told = writeln!(
+        io::stdout(),
         "{:.1} s, largest lateral error {:.2} m, {} of {} periods without a new plan, slowest answer {:.1} ms",
         begin.elapsed().as_secs_f64(),
         summary.lateral,
@@ -153,7 +155,12 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         summary.periods,
         summary.latency.as_secs_f64() * 1e3,
     );
-    Ok(())
+    match told {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(format!("cannot write to the standard output: {error}").into())
+        }
+        _ => Ok(()),
+    }
 }
 
 #[allow(unsafe_code)]

@@ -86,3 +86,22 @@ fn a_gate_wider_than_the_planned_vehicle_is_told_with_both_numbers() {
          narrow the gate, or use a library trained for this vehicle"
     );
 }
+
+#[test]
+fn an_absurd_steering_slew_gives_a_finite_command() {
+    for steering_slew in [5e-324, 1e-310, 1e-304, 1e-160, 1e307, f64::MAX] {
+        let limits = Limits {
+            steering_slew,
+            ..car()
+        };
+        for dt in [1e-4, 10.0] {
+            let mut gate = Gate::new(limits, dt, 3, 3.0).unwrap();
+            gate.accept(0, &[[0.0, 0.1]]).unwrap();
+            let rate = gate.command(0, 10.0, 0.0).u[1];
+            assert!(
+                (0.0..=0.1).contains(&rate),
+                "{rate} of {steering_slew}, {dt} s"
+            );
+        }
+    }
+}

@@ -92,7 +92,7 @@ pub fn libraries_change_between_steps(file: &Path) {
         let _ = outcomes.send(outcome.map_err(|error| error.to_string()));
     });
     let running = running.unwrap();
-    running.reload();
+    running.reload().unwrap();
     drop(running);
     let [old, new] = made();
     let both = vec![new.id, old.id];

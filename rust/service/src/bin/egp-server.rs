@@ -7,6 +7,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use egp_core::library::hex;
 use egp_service::{ServiceConfig, serve};
+use egp_wire::print_line;
 
 /// The text of `--help` behind the options.
 const HELP: &str = r#"Answers the control steps of vehicles over zenoh.
@@ -132,14 +133,16 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
         eprintln!("egp-server: {warning}");
     }
     let served = checked.served;
-    println!("library {}", hex(&served.library));
-    println!("surfaces: {}", served.members.join(", "));
-    println!(
-        "period {} s, horizon {}, window {}",
-        served.dt, served.horizon, served.history
-    );
+    print_line(format_args!(
+        "library {}\nsurfaces: {}\nperiod {} s, horizon {}, window {}",
+        hex(&served.library),
+        served.members.join(", "),
+        served.dt,
+        served.horizon,
+        served.history
+    ))?;
     for other in &served.others {
-        println!("further library {}", hex(other));
+        print_line(format_args!("further library {}", hex(other)))?;
     }
     Ok(())
 }

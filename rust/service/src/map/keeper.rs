@@ -68,7 +68,8 @@ impl<Q: Query> Keeper<Q> {
                 self.store.expire(self.started.elapsed().as_secs_f64());
                 self.count();
             }
-            // While roads of the last time are due, those that change again and again do not come before them.
+            // Roads that changed since are added once all roads of the last round were begun: a road that changes again
+            // and again would otherwise delay the others.
             if due(&mut saved, self.save) && self.due.is_empty() {
                 self.due.clone_from(&self.store.unsaved);
             }
@@ -182,7 +183,7 @@ impl<Q: Query> Keeper<Q> {
     }
 }
 
-/// After a panic, too, nobody waits for an answer in vain.
+/// Drops the queries that wait, also after a panic, so that they end at once at their senders.
 impl<Q: Query> Drop for Keeper<Q> {
     fn drop(&mut self) {
         self.intake.waiting.close();

@@ -20,7 +20,7 @@ use super::folder_lock::lock;
 use super::intake::Intake;
 use super::keeper::{Keeper, clocks};
 use super::store::{Road, Store};
-use super::writer::{Content, Writer, write};
+use super::writer::{Content, Writer, remove_unfinished, write};
 use crate::certificates;
 use crate::config::ConfigError;
 use crate::descriptors::allow_all;
@@ -89,6 +89,7 @@ impl MapServer {
         let mut store = Store::new(config.merge(), config.limits());
         let lock = config.folder.as_deref().map(lock).transpose()?;
         if let Some(folder) = &config.folder {
+            remove_unfinished(folder)?;
             load(folder, &mut store, clocks(started))?;
         }
         let mut zenoh = config.zenoh.clone();

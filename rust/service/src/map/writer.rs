@@ -92,10 +92,45 @@ pub(crate) fn write(folder: &Path, road: &Road, content: Content) -> Result<(), 
     written.map_err(system(&path))
 }
 
+/// Removes the new bytes of roads' files that a service could not put in their place because it was killed. The folder must be
+/// locked: what another service writes has such a name, too.
+///
+/// # Errors
+/// [`RoadFileError::System`] if the folder cannot be read, or a file cannot be removed.
+pub(crate) fn remove_unfinished(folder: &Path) -> Result<(), RoadFileError> {
+    for entry in fs::read_dir(folder).map_err(system(folder))? {
+        let path = entry.map_err(system(folder))?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if name.contains(".road.") && name.ends_with(".part") {
+            fs::remove_file(&path).map_err(system(&path))?;
+        }
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 #[allow(clippy::unwrap_used, clippy::panic)]
 mod tests {
+    use egp_engine::Replacement;
+
     use super::*;
+
+    #[test]
+    fn what_a_killed_service_has_begun_to_write_is_removed() {
+        let folder = std::env::temp_dir().join(format!("egp-map-killed-{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        let road: Road = ("depot".parse().unwrap(), "ring".parse().unwrap());
+        write(&folder, &road, Some(vec![7])).unwrap();
+        fs::write(folder.join("notes.part"), "").unwrap();
+        let begun = Replacement::write(&path(&folder, &road), &[8]).unwrap();
+        std::mem::forget(begun);
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 3);
+        remove_unfinished(&folder).unwrap();
+        assert_eq!(fs::read(path(&folder, &road)).unwrap(), [7]);
+        assert!(folder.join("notes.part").exists());
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 2);
+        fs::remove_dir_all(&folder).unwrap();
+    }
 
     #[test]
     fn a_thread_that_panicked_has_written_nothing() {

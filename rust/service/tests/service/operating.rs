@@ -249,3 +249,18 @@ fn a_check_looks_at_the_host_for_http_and_not_at_its_port() {
     config.http = Some(taken.local_addr().unwrap());
     assert!(check(&config).is_ok());
 }
+
+#[test]
+fn a_check_ends_without_an_error_if_nobody_reads_what_it_prints() {
+    let (reader, closed) = std::io::pipe().unwrap();
+    drop(reader);
+    let output = Command::new(env!("CARGO_BIN_EXE_egp-server"))
+        .args(["--check", "--library"])
+        .arg(library_file("unread.safetensors"))
+        .stdout(closed)
+        .stderr(Stdio::piped())
+        .output()
+        .unwrap();
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && message.is_empty(), "{message}");
+}
