@@ -14,6 +14,7 @@ from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from loky import ProcessPoolExecutor
+from loky.process_executor import TerminatedWorkerError
 
 from egp_service._core import EgpError
 
@@ -25,6 +26,10 @@ Result = TypeVar("Result")
 Arguments = ParamSpec("Arguments")
 _LOOK_SECONDS = 0.2
 _CONNECT_SECONDS = 5.0
+
+
+class WorkerError(EgpError):
+    """A process was ended by the system, so that its work has no result."""
 
 
 @contextmanager
@@ -39,6 +44,7 @@ def workers(jobs: int | None = None, cluster: str | None = None) -> Iterator[Exe
 
     Raises:
         EgpError: if both `jobs` and `cluster` are given, or there is no cluster at that address.
+        WorkerError: if one of the processes was killed.
 
     """
     if cluster is not None:
@@ -57,8 +63,13 @@ def workers(jobs: int | None = None, cluster: str | None = None) -> Iterator[Exe
             with _interruptions_deferred():
                 pool.submit(os.getpid)  # the first call starts all processes
             yield pool
-        except BaseException:
+        except BaseException as error:
             pool.shutdown(kill_workers=True)
+            if isinstance(error, TerminatedWorkerError):
+                raise WorkerError(
+                    "a worker process was ended by the system, perhaps for lack of memory; try "
+                    "fewer with --jobs N"
+                ) from error
             raise
 
 

@@ -74,6 +74,11 @@ def test_a_full_disk_ends_a_recording_that_stays_readable(
     with limited(100), pytest.raises(OSError, match="large"):
         Recorder(other, controller)
     assert not other.exists()
+    other.write_bytes(b"what was recorded before")
+    with limited(100), pytest.raises(OSError, match="large"):
+        Recorder(other, controller)
+    assert other.read_bytes() == b"what was recorded before"
+    assert set(tmp_path.iterdir()) == {file, other}
 
 
 def test_steps_of_two_controllers_have_their_own_replies(tmp_path: Path) -> None:

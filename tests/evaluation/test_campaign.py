@@ -124,6 +124,16 @@ def test_a_folder_belongs_to_one_library(tmp_path: Path) -> None:
         Campaign(tmp_path, other)
 
 
+def test_an_identity_is_written_again_only_if_it_is_empty(tmp_path: Path) -> None:
+    Campaign(tmp_path, SHIPPED)
+    library, program = (tmp_path / name for name in ("library.sha256", "program.sha256"))
+    identity, written = library.read_text(), program.stat().st_mtime_ns
+    library.write_text("")  # as a full disk left it
+    Campaign(tmp_path, SHIPPED)
+    assert library.read_text() == identity
+    assert program.stat().st_mtime_ns == written
+
+
 def test_a_changed_python_file_is_another_build(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

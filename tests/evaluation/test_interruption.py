@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import multiprocessing
 import os
 import signal
@@ -12,12 +13,15 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import partial
 from typing import TYPE_CHECKING, NoReturn
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from loky.process_executor import ShutdownExecutorError
+from rich.console import Console
 
-from egp_service.workers import workers
+from egp_service.cli import evaluation_parts
+from egp_service.workers import WorkerError, workers
 from patience import PATIENCE, wait_until
 
 if TYPE_CHECKING:
@@ -49,6 +53,27 @@ def test_an_exception_ends_workers_and_what_they_have_queued(tmp_path: Path) -> 
         with pytest.raises((CancelledError, ShutdownExecutorError)):
             future.result(PATIENCE)
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def end_by_the_system() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_worker_is_an_error_in_words() -> None:
+    with pytest.raises(WorkerError, match="try fewer with --jobs N"), workers(1) as pool:
+        pool.submit(end_by_the_system).result(PATIENCE)
+
+
+def test_an_evaluation_whose_worker_was_killed_says_how_it_goes_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(evaluation_parts, "finish", Mock(side_effect=WorkerError("killed")))
+    console = Console(file=io.StringIO())
+    nothing = evaluation_parts.Selection(full=False, chosen=[], driven=[], apart=[])
+    with pytest.raises(WorkerError):
+        evaluation_parts.run(console, Mock(), nothing, tmp_path, jobs=None, cluster=None)
+    assert isinstance(console.file, io.StringIO)
+    assert "The same command continues" in console.file.getvalue()
 
 
 INTERRUPTED_RESULTS = """

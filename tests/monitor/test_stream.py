@@ -6,16 +6,22 @@ import asyncio
 import http.client
 import json
 import signal
+import subprocess
+import sys
 import time
+import tracemalloc
 from collections.abc import AsyncGenerator
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import pytest
+import zenoh
 
-from egp_service._core import EgpError, InvalidArgumentError
+from egp_service._core import EgpError, InvalidArgumentError, vehicle_key
 from egp_service.control.endpoints import free_endpoint
 from egp_service.control.messages import message_class
+from egp_service.monitor import listener
 from egp_service.monitor.fleet import FORGET_SECONDS, Fleet
 from egp_service.monitor.web import _Refresh, allowed_hosts, bind
 from monitor.conftest import MonitorProcess
@@ -93,6 +99,67 @@ def test_what_would_fill_the_memory_is_not_kept() -> None:
     fleet.status("f/car", status("x" * 1000, run=4), 10.1)
     fleet.status("f/other", status("hovering"), 10.1)
     assert (set(fleet.vehicles), car.status.run, car.last_seen) == ({"f/car"}, 1, 10.0)
+
+
+def test_samples_and_roads_take_little_memory_and_reach_the_page_as_they_came() -> None:
+    fleet, message = Fleet(), message_class("VehicleStatus").FromString(status())
+    message.step.weights.extend([0.25] * 64)
+    payload = message.SerializeToString()
+    names = ("left_x", "left_y", "right_x", "right_y", "friction")
+    road = message_class("VehicleRoad")(**{n: [0.5 * k for k in range(25_000)] for n in names})
+    described = road.SerializeToString()
+    fleet.status("f/car", payload, 10.0)
+    tracemalloc.start()
+    try:
+        for number in range(600):
+            fleet.status("f/car", payload, 10.1 + 0.1 * number)
+        sampled, _ = tracemalloc.get_traced_memory()
+        fleet.road("f/car", described)
+        all_of_it, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert sampled < 600_000
+    assert all_of_it - sampled < 1_100_000
+    samples = fleet.vehicles["f/car"].detail(0)[0]["samples"]
+    assert isinstance(samples, list)
+    assert len(samples) == 600
+    row = samples[-1]
+    assert (row[:3], row[10], row[18:]) == ([70.0, "normal", 0.0], None, [False, [0.25] * 64])
+
+
+def test_what_waits_for_the_page_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    payload, fleet = status(), Fleet()
+    room = 3 * (len(payload) + 1024)
+    monkeypatch.setattr(listener, "_MOST_WAITING", room)
+    key = vehicle_key("f", "car")
+    with listener.Listener([], []) as opened:
+        receive: Any = opened._on_vehicle  # noqa: SLF001
+        receive(SimpleNamespace(key_expr=key, payload=zenoh.ZBytes(bytes(1 << 20))))
+        assert opened.dropped == 0, "a message that is too long takes no room"
+        for dropped in (2, 4):
+            for _ in range(5):
+                receive(SimpleNamespace(key_expr=key, payload=zenoh.ZBytes(payload)))
+            assert opened.dropped == dropped
+            opened.deliver(fleet)
+    assert fleet.vehicles["f/car"].sampled == 6
+
+
+BROKEN = """
+from egp_service.monitor.web import bind, serve
+
+class Listener:
+    def deliver(self, _):
+        raise LookupError("what is wrong")
+
+serve(Listener(), bind("127.0.0.1", 0), "127.0.0.1", lambda: None)
+"""
+
+
+def test_an_error_of_the_fleet_ends_the_server_and_is_told() -> None:
+    command = [sys.executable, "-c", BROKEN]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert ended.returncode == 1
+    assert "LookupError: what is wrong" in ended.stderr
 
 
 @pytest.mark.parametrize("points", [25_000, 25_001])

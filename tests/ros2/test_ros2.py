@@ -9,9 +9,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -25,7 +23,7 @@ from egp_service._core import EgpError, InvalidArgumentError
 from egp_service.cli import app
 from egp_service.control.endpoints import free_endpoint
 from egp_service.control.router import Router
-from egp_service.ros2 import driving, messages, node
+from egp_service.ros2 import messages, node
 from egp_service.ros2.autoware import AutowareError, map_parameters, read_parameters
 from egp_service.ros2.conversion import (
     Command,
@@ -35,8 +33,7 @@ from egp_service.ros2.conversion import (
     positions_of,
     state_of,
 )
-from egp_service.ros2.driving import Drive, Vehicle
-from egp_service.ros2.messages import ODOMETRY
+from egp_service.ros2.driving import Drive
 from egp_service.ros2.rmw_zenoh import (
     Topic,
     encode_attachment,
@@ -46,15 +43,9 @@ from egp_service.ros2.rmw_zenoh import (
 )
 from patience import ATTEMPTS, PATIENCE
 from ros2 import idl, vehicle
-from ros2.topics import Clock, Reader, Topics
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from egp_service import Path as Road
-    from egp_service.control.step import Step
 
 TESTS = Path(__file__).parents[1]
 # From the design document of rmw_zenoh.
@@ -212,141 +203,6 @@ def test_numbers_of_a_drive_are_in_their_ranges(name: str, value: str) -> None:
 def test_a_drive_without_a_topic_for_commands_is_an_error() -> None:
     result = CliRunner().invoke(app, ["ros2", "--ackermann", "", "--control", ""])
     assert "no topic for commands" in str(result.exception)
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    """Replace the time of the adapter, and the thread in which it reads paths."""
-    replaced = Clock()
-    monkeypatch.setattr(driving, "time", replaced)
-    monkeypatch.setattr(driving, "ThreadPoolExecutor", Reader)
-    return replaced
-
-
-def test_measurements_that_cannot_be_used_stop_the_vehicle_with_its_wheels_held(
-    clock: Clock,
-) -> None:
-    car = Plant().parameters
-    topics = Topics(clock)
-    state = np.array([0.0, 0.3, 8.0, 0.0, 0.0, 0.0, 0.1])
-    points = [(10.0 * k, 0.0) for k in range(20)]
-    header = idl.Header(idl.Time(), "map")
-    poses = [idl.PoseStamped(header, vehicle.pose(x, y, 0.0)) for x, y in points]
-    straight = messages.decode(idl.Path(header, poses).serialize(), messages.PATH)
-
-    def odometry(state: NDArray[np.float64]) -> object:
-        return messages.decode(vehicle.odometry(state, 1.0), messages.ODOMETRY)
-
-    settings = Drive(car, 1.0, odometry="odom", path="plan", steering="steering", control=None)
-    cases: list[tuple[str, Any]] = [
-        *(("steering", SimpleNamespace(steering_tire_angle=a)) for a in (np.nan, np.inf, -5.0)),
-        *(("odom", np.where(np.arange(7) == k, bad, state))
-          for k, bad in ((0, np.nan), (0, 1e300), (3, np.nan), (4, np.nan), (4, 1e300))),
-    ]  # fmt: skip
-    for topic, broken in cases:
-        with Controller(shipped.DEMO_LIBRARY, gate=car.gate_limits()) as controller:
-            driven = Vehicle(topics, controller, settings)
-            topics.commands.clear()
-            modes: list[str | None] = []
-            topics.messages.update(
-                plan=straight, odom=odometry(np.full(7, np.nan)),
-                steering=SimpleNamespace(steering_tire_angle=0.1),
-            )  # fmt: skip
-
-            def observe(step: Step | None, modes: list[str | None] = modes) -> None:
-                modes.append(None if step is None else step.mode)
-
-            driven.run(observe, 0.01)
-            assert set(modes) == {None}, "without a usable state there is no reference"
-            report = SimpleNamespace(steering_tire_angle=0.1)
-            topics.messages.update(odom=odometry(state), steering=report)
-            driven.run(observe, 0.01)
-            newest = broken if topic == "steering" else odometry(broken)
-            topics.messages.update({"odom": odometry(state), "steering": report, topic: newest})
-            driven.run(observe, 0.01)
-        assert modes[-2:] == ["normal", "stop"], (topic, modes)
-        angles = [command.drive.steering_angle for command in topics.commands]
-        assert len(angles) == 2
-        assert np.isfinite(angles).all()
-        assert angles[-1] == pytest.approx(0.1, abs=0.02)
-        assert topics.commands[-1].drive.speed == 0.0
-
-
-def straight(frame: str, length: int = 200) -> object:
-    header = idl.Header(idl.Time(), frame)
-    poses = [idl.PoseStamped(header, vehicle.pose(float(x), 0.0, 0.0)) for x in range(length)]
-    return messages.decode(idl.Path(header, poses).serialize(), messages.PATH)
-
-
-def drive_topics(
-    clock: Clock, settings: Drive, rounds: Sequence[dict[str, object]]
-) -> tuple[list[str | None], str, list[Any]]:
-    """Drive some periods with the messages of each round; give modes, problem and commands."""
-    topics = Topics(clock)
-    modes: list[str | None] = []
-    with Controller(shipped.DEMO_LIBRARY, gate=settings.vehicle.gate_limits()) as controller:
-        driven = Vehicle(topics, controller, settings)
-        for received in rounds:
-            topics.messages.update(received)
-            driven.run(lambda step: modes.append(step and step.mode), 0.03)
-    return modes, driven.problem, topics.commands
-
-
-def test_odometry_that_hangs_and_steering_that_is_silent_stop_the_vehicle(clock: Clock) -> None:
-    car = Plant().parameters
-    names = {"odometry": "odom", "path": "plan", "control": None, "silence": 0.1}
-    frozen = messages.decode(vehicle.odometry(np.array([9.0, 0, 8, 0, 0, 0, 0]), 1.0), ODOMETRY)
-    rounds = [{"plan": straight("map"), "odom": frozen}, *({"odom": frozen} for _ in range(8))]
-    modes, problem, _ = drive_topics(clock, Drive(car, 1.0, **names), rounds)
-    assert "normal" in modes
-    assert modes[-1] == "stop"
-    assert problem == "the time stamp of the odometry does not advance"
-    modes, _, commands = drive_topics(clock, Drive(car, 1.0, steering="steering", **names), rounds)
-    assert set(modes) == {None}, "the steering angle was never reported"
-    assert commands == []
-
-
-def test_a_path_is_driven_in_its_own_frame_and_to_its_end(clock: Clock) -> None:
-    car = Plant().parameters
-
-    def odometry(x: float) -> dict[str, object]:
-        state = np.array([x, 0.0, 8.0, 0.0, 0.0, 0.0, 0.0])
-        return {"odom": messages.decode(vehicle.odometry(state, 1.0), ODOMETRY)}
-
-    settings = Drive(car, 1.0, odometry="odom", path="plan", control=None)
-    wrong = {"plan": straight("base_link")}
-    refused = "the path is in the frame 'base_link': expected that of the odometry, 'map'"
-    for rounds in ([odometry(9.0), wrong, odometry(9.2)], [wrong, odometry(9.0), odometry(9.2)]):
-        modes, problem, _ = drive_topics(clock, settings, rounds)
-        assert set(modes) == {None}
-        assert problem == refused
-    # The same poses in the right frame are driven.
-    right = [wrong, odometry(9.0), {"plan": straight("map")}, odometry(9.2), odometry(9.4)]
-    modes, problem, _ = drive_topics(clock, settings, right)
-    assert (modes[-1], problem) == ("normal", "")
-    # A path that cannot be used is named until the one in use is published again.
-    right += [{"plan": straight("map", 2)}, odometry(9.6)]
-    modes, problem, _ = drive_topics(clock, settings, right)
-    assert modes[-1] == "normal"
-    assert "path with 2 different poses" in problem
-    modes, problem, _ = drive_topics(
-        clock, settings, [*right, {"plan": straight("map")}, odometry(9.8)]
-    )
-    assert (modes[-1], problem) == ("normal", "")
-    begin = {"plan": straight("map"), **odometry(190.0)}
-    modes, problem, commands = drive_topics(
-        clock, settings, [begin, odometry(190.2), odometry(190.4)]
-    )
-    assert problem == ""
-    assert modes[-1] == "normal"
-    assert commands[-1].drive.acceleration < -1.0, "9 m before the end of the path"
-
-
-def test_a_path_without_speeds_is_named(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(driving, "SpeedProfile", Mock(side_effect=EgpError("no speed")))
-    settings = Drive(Plant().parameters, 1.0, path="plan")
-    _, problem, _ = drive_topics(clock, settings, [{"plan": straight("map")}, {}])
-    assert problem == "path of 200 poses: no speed"
 
 
 SILENCE = 0.3

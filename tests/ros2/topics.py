@@ -78,11 +78,13 @@ class Topics:
         self._clock = clock
 
     def subscribe(self, topic: str, kind: str) -> Any:  # noqa: ANN401
-        """Return what reads a topic."""
+        """Return what reads a topic; a message that is an exception is raised."""
         del kind
 
         def take() -> tuple[Any, float] | None:
             message = self.messages.pop(topic, None)
+            if isinstance(message, Exception):
+                raise message
             return None if message is None else (message, self._clock.now)
 
         return SimpleNamespace(take=take)

@@ -326,6 +326,19 @@ def test_replicas_that_come_and_go_take_no_memory(service: ServiceProcess) -> No
     assert sum(len(value._events) for value in held) < 20  # noqa: SLF001
 
 
+def test_events_beyond_the_deadline_wait_for_the_next_step(service: ServiceProcess) -> None:
+    with VehicleClient.connect(service.endpoint, gate=GATE) as client:
+        vehicle = Standstill(client)
+        vehicle.step(deadline=5.0)
+        inbox = client._network._inbox  # noqa: SLF001
+        for _ in range(1000):
+            inbox.put(Announcement(time.monotonic(), "main", appeared=True))
+        vehicle.step(deadline=1e-9)
+        assert len(inbox._events) >= 1000 - 64  # noqa: SLF001
+        vehicle.step(deadline=5.0)
+        assert len(inbox._events) < 20  # noqa: SLF001
+
+
 def test_a_handler_of_a_signal_that_is_slow_does_not_prolong_a_wait() -> None:
     inbox: Inbox[str] = Inbox()
     late = threading.Timer(20.0, inbox.put, ["late"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import ssl
 import subprocess
 import sys
 from base64 import b64decode
@@ -229,6 +230,25 @@ def test_a_vehicle_with_two_keys_and_a_damaged_authority_are_errors(tmp_path: Pa
         with pytest.raises(EgpError, match="is not as `egp keys` wrote it"):
             write()
         file.write_bytes(before)
+    authority = tmp_path / "ca.pem"
+    before = authority.read_bytes()
+    version = b"\xa0\x03\x02\x01"  # of X.509
+    der = ssl.PEM_cert_to_DER_cert(before.decode()).replace(version + b"\2", version + b"\7", 1)
+    authority.write_text(ssl.DER_cert_to_PEM_cert(der))
+    with pytest.raises(EgpError, match=r"is not as `egp keys` wrote it \(7 is not a valid"):
+        write()
+    authority.write_bytes(before)
+    service = tmp_path / "service.json5"
+    config = json.loads(service.read_text())
+    operator = json.loads((tmp_path / "operator.json5").read_text())
+    tls = operator["transport"]["link"]["tls"]
+    without_hosts = {"listen_certificate_base64": tls["connect_certificate_base64"]}
+    config["transport"]["link"]["tls"] |= without_hosts
+    kept = service.read_bytes()
+    service.write_text(json.dumps(config))
+    with pytest.raises(EgpError, match=r"service\.json5 is not as `egp keys` wrote it"):
+        write()
+    service.write_bytes(kept)
     write()
 
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +26,7 @@ from egp_service._core import (
     encode_tile_evidence,
 )
 from egp_service._core.testing import MAP_HEALTH_KEY, MAP_METRICS_KEY, MapServer
+from egp_service.control import fleet_map
 from egp_service.control.endpoints import free_endpoint, why_unreachable
 from egp_service.control.fleet_map import FleetMap
 from egp_service.control.session import session_config
@@ -153,6 +155,20 @@ def test_evidence_that_was_not_sent_is_counted(caplog: pytest.LogCaptureFixture)
     fleet.close()
     assert fleet.unsent == 2
     assert "the evidence about 2 tiles of the road was not sent" in caplog.text
+
+
+def test_evidence_that_is_too_old_for_a_message_is_dropped(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    belief, now = RoadBelief(PATH), 100.0
+    clock = SimpleNamespace(monotonic=lambda: now, sleep=time.sleep)
+    monkeypatch.setattr(fleet_map, "time", clock)
+    with FleetMap(free_endpoint(), belief, road="r", vehicle="v", timeout=0.1) as fleet:
+        measure(belief, 0.4, 150.0)
+        assert fleet.unsent == 2
+        now += 50 * 86_400.0
+        fleet.exchange()
+        assert fleet.unsent == 0
 
 
 def test_a_lost_answer_is_asked_for_again_while_the_vehicle_waits() -> None:

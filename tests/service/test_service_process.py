@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -27,10 +28,23 @@ def test_a_service_starts_only_within_its_block(
     with pytest.raises(EgpError, match="start it within `with ServiceProcess"):
         service.start()
     with service:
-        pass
+        with pytest.raises(EgpError, match="runs already"):
+            service.start()
+        assert why_unreachable(service.endpoint) is None
     with pytest.raises(EgpError, match="start it within `with ServiceProcess"):
         service.start()
     assert not list(tmp_path.iterdir())
+
+
+def test_another_program_at_the_endpoint_is_no_service() -> None:
+    service = ServiceProcess(DEMO_LIBRARY, {})
+    host, _, port = service.endpoint.removeprefix("tcp/").rpartition(":")
+    with (
+        socket.create_server((host, int(port))),
+        pytest.raises(ServiceStartError, match="another program listens at tcp/127"),
+        service,
+    ):
+        pass
 
 
 @pytest.mark.parametrize("name", ["egp-service-x", "someones"])

@@ -66,25 +66,47 @@ def check_hosts(hosts: Sequence[str]) -> None:
 
 
 def listening_hosts(certificate: bytes) -> list[str]:
-    """Return the hosts at which the owner of a certificate (PEM) may listen."""
+    """Return the hosts at which the owner of a certificate (PEM) may listen.
+
+    Raises `ValueError` if it is no certificate, or names no hosts.
+    """
     from cryptography import x509
 
-    read = x509.load_pem_x509_certificate(certificate)
-    names = read.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    try:
+        read = _read(certificate)
+        names = read.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except (
+        x509.ExtensionNotFound,
+        x509.DuplicateExtension,
+        x509.UnsupportedGeneralNameType,
+    ) as error:
+        raise ValueError(str(error)) from error
     return [str(name.value) for name in names]
+
+
+def _read(certificate: bytes) -> x509.Certificate:
+    """Read a certificate (PEM); raises `ValueError` if it cannot be read."""
+    from cryptography import x509
+
+    try:
+        return x509.load_pem_x509_certificate(certificate)
+    except x509.InvalidVersion as error:
+        raise ValueError(str(error)) from error
 
 
 class Authority:
     """A certificate authority."""
 
     def __init__(self, identity: Identity) -> None:
-        """Use the authority's own certificate and private key."""
-        from cryptography import x509
+        """Use the authority's own certificate and private key.
+
+        Raises `ValueError` or `TypeError` if they cannot be read.
+        """
         from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
         from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
         self.identity = identity
-        self._certificate = x509.load_pem_x509_certificate(identity.certificate)
+        self._certificate = _read(identity.certificate)
         key = load_pem_private_key(identity.private_key, None)
         if not isinstance(key, EllipticCurvePrivateKey):
             raise TypeError("expected the private key of an authority that `egp keys` made")

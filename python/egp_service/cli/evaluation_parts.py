@@ -10,6 +10,7 @@ from egp_service.evaluation import hidden_ice, prediction
 from egp_service.evaluation.batch import finish
 from egp_service.evaluation.entry_speed import EntrySpeed, find
 from egp_service.evaluation.experiments import HIDDEN_ICE
+from egp_service.workers import WorkerError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,7 +59,7 @@ def run(
             parts[e.name] = _apart(progress, campaign, e, full=full)
         try:
             finish(list(parts.values()), jobs, cluster)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, WorkerError):
             progress.console.print("Interrupted. The same command continues with the missing runs.")
             raise
     return {name: part.results() for name, part in parts.items()}

@@ -38,6 +38,8 @@ _AGEING_SECONDS = 60.0
 # Part of `timeout` that the first question for tiles may take, so that a lost answer is asked for
 # again. Later ones may take all of it, as the answers on a slow link do.
 _FIRST_SHARE = 1.0 / 3.0
+# The largest age of evidence that its message can state in 32 bits of ms, s.
+_OLDEST = 4_294_967.0
 # Above the largest ratio of likelihoods that a tile can hold, nats.
 _UNLIMITED = 8.0
 
@@ -203,17 +205,21 @@ class FleetMap:
         now = time.monotonic()
         self._note_changed(now)
         for index in sorted(self._unsent.keys() - self._sending):
-            measured = self._unsent.pop(index)
+            measured = self._unsent[index]
+            evidence = encode_tile_evidence(self._belief.tile(index), now - measured)
+            del self._unsent[index]
             self._sending.add(index)
             self._query(
                 self._keys.tile(index),
                 lambda _: None,
                 partial(self._sent, index, measured),
-                encode_tile_evidence(self._belief.tile(index), now - measured),
+                evidence,
             )
 
     def _note_changed(self, now: float) -> None:
         self._unsent.update(dict.fromkeys(self._belief.take_changed(), now))
+        for index in [i for i, measured in self._unsent.items() if now - measured > _OLDEST]:
+            del self._unsent[index]
 
     def _sent(self, index: int, measured: float, answered: bool) -> None:  # noqa: FBT001 - a callback
         self._sending.discard(index)

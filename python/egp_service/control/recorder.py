@@ -29,6 +29,7 @@ from egp_service._core import InvalidArgumentError, vector_instructions
 from egp_service.control.messages import message_class
 from egp_service.control.step_record import measured_state, step_record
 from egp_service.control.toml_text import dumps
+from egp_service.files import replacing
 from egp_service.quantities import P_X, P_Y, PSI
 
 if TYPE_CHECKING:
@@ -74,29 +75,27 @@ class Recorder:
         *,
         notes: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
-        """Create the file `path` for the steps of `controller`.
+        """Create the file `path` for the steps of `controller`, in place of one that is there.
 
         `notes` are further metadata records, each a name with a mapping of texts. Raises `OSError`
         if the file cannot be written, and `InvalidArgumentError` for notes that are no texts or
         have the name of a record of the recorder; a file that is there then stays as it is.
         """
-        path = Path(path)
         about = _about(controller) | _checked_notes(notes or {})
-        path.parent.mkdir(parents=True, exist_ok=True)
         self._channels: dict[str, int] = {}
         self._steps = 0
         self._ended = "it is closed"
-        self._file = _File(path)
-        try:
-            self._writer = Writer(cast("IO[bytes]", self._file))
-            self._writer.start(profile="egp.v1", library="egp-service")
-            for name, texts in about.items():
-                self._writer.add_metadata(name, texts)
-            self._flush()
-        except BaseException:
-            self._file.close()
-            path.unlink()  # it has no header, or nothing else
-            raise
+        with replacing(Path(path)) as beside:
+            self._file = _File(beside)
+            try:
+                self._writer = Writer(cast("IO[bytes]", self._file))
+                self._writer.start(profile="egp.v1", library="egp-service")
+                for name, texts in about.items():
+                    self._writer.add_metadata(name, texts)
+                self._flush()
+            except BaseException:
+                self._file.close()
+                raise
 
     def add(self, step: Step, x: ArrayLike, time: float) -> None:
         """Record one control period.

@@ -50,11 +50,20 @@ class ServiceProcess:
     def start(self) -> None:
         """Start the service and wait until it listens.
 
-        Raises `ServiceStartError` if it does not, and `EgpError` outside a `with` block.
+        Raises `ServiceStartError` if it does not, or if another program listens at the endpoint.
+        Raises `EgpError` if it runs already, and outside a `with` block.
         """
         if self._folder is None:
             raise EgpError(
                 "there is no folder for its files: start it within `with ServiceProcess(...):`"
+            )
+        if self._process is not None and self._process.poll() is None:
+            raise EgpError("the service runs already: call `stop` or `kill` first")
+        self._ended()
+        if why_unreachable(self.endpoint) is None:
+            raise ServiceStartError(
+                f"the service did not start: another program listens at {self.endpoint}; make "
+                "another `ServiceProcess`"
             )
         config, log_file = self._folder / "service.toml", self._folder / "log.txt"
         config.write_text(dumps(self._config), encoding="utf-8")
@@ -65,8 +74,8 @@ class ServiceProcess:
                 command, stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT
             )
         deadline = time.monotonic() + START_SECONDS
-        while why_unreachable(self.endpoint) is not None:
-            if self._process.poll() is not None or time.monotonic() > deadline:
+        while (ended := self._process.poll() is not None) or why_unreachable(self.endpoint):
+            if ended or time.monotonic() > deadline:
                 self.kill()
                 said = log_file.read_text(encoding="utf-8", errors="replace").strip()
                 last = said[-2000:].removeprefix("egp: ") or (

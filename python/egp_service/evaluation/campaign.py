@@ -21,6 +21,7 @@ from egp_service.evaluation.disturbances import GENTLE
 from egp_service.evaluation.experiments import REPLAYED
 from egp_service.evaluation.file_names import file_name
 from egp_service.evaluation.settling import resolution, settling_times
+from egp_service.files import write_text
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import vehicle_parameters
@@ -102,15 +103,10 @@ class Campaign:
         self._source = library
         self._id = Library.load(library).id
         self._defaults = Engine(str(library)).settings_toml
-        mark = folder / "library.sha256"
-        if mark.exists() and mark.read_text(encoding="utf-8") != self._id:
+        if not _marked(folder / "library.sha256", self._id):
             raise EgpError(f"{folder} contains runs of another library: choose another --output")
-        mark.write_text(self._id, encoding="utf-8")
-        program, build = folder / "program.sha256", _build()
-        self.of_another_build = program.exists() and program.read_text(encoding="utf-8") != build
+        self.of_another_build = not _marked(folder / "program.sha256", _build())
         """Whether outcomes so far may come from another build of this program."""
-        if not self.of_another_build:
-            program.write_text(build, encoding="utf-8")
 
     def runs(
         self, trials: Iterable[Trial], report: Callable[[Outcome], None]
@@ -201,6 +197,13 @@ class Campaign:
             # The library is for the scenario's vehicle, so the gate has to be, too.
             scenario = replace(scenario, gate={})
         return replace(trial, scenario=scenario)
+
+
+def _marked(file: Path, identity: str) -> bool:
+    """Whether a file holds this identity; one that is missing, or empty, gets it."""
+    if not file.exists() or not file.read_text(encoding="utf-8"):
+        write_text(file, identity)
+    return file.read_text(encoding="utf-8") == identity
 
 
 def _shown(experiment: ClosedLoopExperiment) -> list[Trial]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time as clock
+from array import array
 from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -33,8 +34,10 @@ _ROOM_SECONDS: Final = 1.0
 _LARGEST: Final = (64, 64, 258, 64)
 """Largest numbers of weights, members, coordinates of the plan and times of periods in a message;
 vehicles send no more."""
-_LARGEST_STATUS: Final = 1 << 16
+LARGEST_STATUS: Final = 1 << 16
 """Longest message of a vehicle, bytes; the filters of `egp keys` have the same bound."""
+LARGEST_ROAD: Final = 1 << 20
+"""Longest message that describes a road, bytes; 25 000 points take less."""
 _ROAD: Final = ("left_x", "left_y", "right_x", "right_y", "friction")
 _MOST_POINTS: Final = 25_000
 """Most points of a road; `egp drive` tells one for each metre."""
@@ -88,7 +91,7 @@ class Fleet:
         One that cannot be decoded, has no control period, has an unknown mode or is too long is
         ignored. Unknown fields are not kept.
         """
-        if len(payload) > _LARGEST_STATUS:
+        if len(payload) > LARGEST_STATUS:
             return
         status = message_class("VehicleStatus")()
         try:
@@ -131,10 +134,9 @@ class Fleet:
         whole = len(lengths) == 1 and max(lengths) <= _MOST_POINTS
         if name not in self.vehicles or not whole:
             return
-        columns = {name: [round(value, 2) for value in found[name]] for name in _ROAD}
-        finite = all(math.isfinite(value) for column in columns.values() for value in column)
-        if finite:
-            self.vehicles[name].road = dict(columns)
+        columns = {name: array("d", found[name]) for name in _ROAD}
+        if all(math.isfinite(value) for column in columns.values() for value in column):
+            self.vehicles[name].road = columns
 
     def load(self, name: str, payload: bytes, now: float) -> None:
         """Keep a replica's message `Load`."""

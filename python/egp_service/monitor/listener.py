@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import queue
+import logging
+import threading
 import time
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import zenoh
 
@@ -19,6 +20,7 @@ from egp_service._core import (
     vehicle_road_key,
 )
 from egp_service.control.session import direct, look_again, open_session, session_config
+from egp_service.monitor.fleet import LARGEST_ROAD, LARGEST_STATUS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -28,6 +30,12 @@ if TYPE_CHECKING:
 
 _CONNECT_SECONDS = 1.0
 _ROAD_SECONDS = 2.0
+# Bytes of the events that wait for `deliver`, several seconds of 1000 vehicles; further ones are
+# dropped. An event without a message counts as `_EVENT`.
+_MOST_WAITING: Final = 1 << 27
+_EVENT: Final = 1 << 10
+
+_log = logging.getLogger(__name__)
 
 
 class Listener:
@@ -44,7 +52,11 @@ class Listener:
         configuration that cannot be used, and `EgpError` if zenoh opens no session.
         """
         more = {"listen/endpoints": list(listen)} if listen else {}
-        self._inbox: queue.SimpleQueue[Callable[[Fleet], None]] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._events: list[Callable[[Fleet], None]] = []
+        self._waiting = 0
+        self.dropped = 0
+        """Number of events that found no room."""
         try:
             config = session_config(connect, _CONNECT_SECONDS, more, zenoh_file)
             self._session = open_session(config, _CONNECT_SECONDS)
@@ -69,8 +81,10 @@ class Listener:
 
     def deliver(self, fleet: Fleet) -> None:
         """Tell the fleet what has come since the last call, and ask for missing roads."""
-        for _ in range(self._inbox.qsize()):
-            self._inbox.get()(fleet)
+        with self._lock:
+            events, self._events, self._waiting = self._events, [], 0
+        for event in events:
+            event(fleet)
         now = time.monotonic()
         for vehicle in fleet.vehicles.values():
             if vehicle.wants_road(now):
@@ -88,17 +102,30 @@ class Listener:
         """Close."""
         self.close()
 
+    def _put(self, event: Callable[[Fleet], None], size: int = 0) -> None:
+        """Keep an event with a message of `size` bytes for `deliver`, if there is room."""
+        with self._lock:
+            kept = self._waiting + _EVENT + size <= _MOST_WAITING
+            if kept:
+                self._events.append(event)
+                self._waiting += _EVENT + size
+            else:
+                self.dropped += 1
+            first = not kept and self.dropped == 1
+        if first:
+            _log.warning("messages come faster than the monitor reads them; some are dropped")
+
     def _on_vehicle(self, sample: zenoh.Sample) -> None:
         found = publishing_vehicle(str(sample.key_expr))
-        if found is not None:
+        if found is not None and len(sample.payload) <= LARGEST_STATUS:
             now, name, payload = time.monotonic(), "/".join(found), sample.payload.to_bytes()
-            self._inbox.put(lambda fleet: fleet.status(name, payload, now))
+            self._put(lambda fleet: fleet.status(name, payload, now), len(payload))
 
     def _on_load(self, sample: zenoh.Sample) -> None:
         replica = replica_of_load(str(sample.key_expr))
-        if replica is not None:
+        if replica is not None and len(sample.payload) <= LARGEST_STATUS:
             now, payload = time.monotonic(), sample.payload.to_bytes()
-            self._inbox.put(lambda fleet: fleet.load(replica, payload, now))
+            self._put(lambda fleet: fleet.load(replica, payload, now), len(payload))
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         replica = replica_of_live(str(sample.key_expr))
@@ -111,15 +138,15 @@ class Listener:
             if not appeared:
                 look_again(self._session, LIVE_KEYS.replace("*", replica), self._on_token)
 
-        self._inbox.put(note)
+        self._put(note)
 
     def _ask_road(self, name: str) -> None:
         fleet_name, _, vehicle = name.partition("/")
 
         def deliver(reply: zenoh.Reply) -> None:
-            if reply.ok is not None:
+            if reply.ok is not None and len(reply.ok.payload) <= LARGEST_ROAD:
                 payload = reply.ok.payload.to_bytes()
-                self._inbox.put(lambda fleet: fleet.road(name, payload))
+                self._put(lambda fleet: fleet.road(name, payload), len(payload))
 
         self._session.get(
             vehicle_road_key(fleet_name, vehicle),

@@ -62,16 +62,18 @@ class _Refresh:
 
     async def run(self) -> None:
         """Update until the server ends."""
-        while not self.ended():
-            now = time.monotonic()
-            self._listener.deliver(self.fleet)
-            self.fleet.update(now)
-            if self._pages:
-                self.snapshot = self.fleet.snapshot(now)
+        try:
+            while not self.ended():
+                now = time.monotonic()
+                self._listener.deliver(self.fleet)
+                self.fleet.update(now)
+                if self._pages:
+                    self.snapshot = self.fleet.snapshot(now)
+                self._tick.set()
+                self._tick = asyncio.Event()
+                await asyncio.sleep(max(0.0, now + REFRESH_SECONDS - time.monotonic()))
+        finally:
             self._tick.set()
-            self._tick = asyncio.Event()
-            await asyncio.sleep(max(0.0, now + REFRESH_SECONDS - time.monotonic()))
-        self._tick.set()
 
     async def stream(self, selected: str) -> AsyncIterator[str]:
         """Give the events of one page that shows the vehicle `selected`."""
@@ -98,7 +100,8 @@ class _Refresh:
                         detail["begin"] = True
                     sampled = count
                     if vehicle.road is not None and not road_sent:
-                        detail["road"], road_sent = vehicle.road, True
+                        road = {n: [round(v, 2) for v in c] for n, c in vehicle.road.items()}
+                        detail["road"], road_sent = road, True
                     parts.append(f'"detail":{json.dumps(detail)}')
                 yield f"data: {{{','.join(parts)}}}\n\n"
         finally:
@@ -147,15 +150,24 @@ def serve(listener: Listener, bound: socket.socket, host: str, started: Callable
     """Serve the page until SIGTERM, SIGINT or SIGHUP; call `started` once these end it in order.
 
     On a loopback address only requests that name it as their host are answered, so that a foreign
-    page cannot read the data by a name that resolves to this machine.
+    page cannot read the data by a name that resolves to this machine. Raises what the listener and
+    the fleet raise, which ends the server.
     """
     refresh: _Refresh
+    failures: list[Exception] = []
+
+    async def update() -> None:
+        try:
+            await refresh.run()
+        except Exception as error:  # noqa: BLE001 - the page would show what is old
+            failures.append(error)
+            server.should_exit = True
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         nonlocal refresh
         refresh = _Refresh(listener, lambda: server.should_exit)
-        task = asyncio.create_task(refresh.run())
+        task = asyncio.create_task(update())
         started()
         yield
         task.cancel()
@@ -175,3 +187,5 @@ def serve(listener: Listener, bound: socket.socket, host: str, started: Callable
     # An exception within the event loop would end in a traceback of every open page.
     signal.signal(signal.SIGHUP, server.handle_exit)
     server.run(sockets=[bound])
+    if failures:
+        raise failures[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from egp_service.ros2.messages import ACKERMANN, CONTROL, make, stamp
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+LARGEST: Final = 1e7
+"""m, m/s and so on; requests allow no larger number, and coordinates of UTM are smaller."""
 _FEWEST_POSES = 4
 # A path is closed if its ends are not further apart than this multiple of its median spacing.
 _CLOSING_GAP = 1.5
@@ -77,13 +79,18 @@ def path_of(points: NDArray[np.float64], friction: float) -> Path:
     Poses at the same place count once. `friction` is that of the whole road.
 
     Raises:
-        PathError: for poses that are not finite, fewer than four different ones, or ones that no
-            path passes.
+        PathError: for poses that are not finite or too far away, fewer than four different ones, or
+            ones that no path passes.
 
     """
     if not np.isfinite(points).all():
         wrong = int(np.argmin(np.isfinite(points).all(axis=1)))
         raise PathError(f"pose {wrong} of the path is at {points[wrong].tolist()}: not finite")
+    if (far := np.abs(points).max(initial=0.0)) > LARGEST:
+        raise PathError(
+            f"the path has a coordinate of {far:g} m: expected at most {LARGEST:g} m; publish it "
+            "in a frame with a nearer origin"
+        )
     steps = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
     points = points[np.concatenate(([True], steps > 1e-6))[: len(points)]]  # noqa: PLR2004
     if len(points) < _FEWEST_POSES:

@@ -17,6 +17,7 @@ from egp_service._core import (
 )
 from egp_service.quantities import DELTA, NX, POSITION, PSI, V_X
 from egp_service.ros2.conversion import (
+    LARGEST,
     Command,
     PathError,
     extrapolated,
@@ -42,8 +43,6 @@ _EARLY: Final = 0.25
 _FIRST_DEADLINE: Final = 2.0
 # rad; requests allow no larger steering angle.
 _LARGEST_ANGLE: Final = 1.6
-# m, m/s and so on; requests allow no larger component, and coordinates of UTM are smaller.
-_LARGEST: Final = 1e7
 # Smallest and largest square of the norm of an orientation's quaternion.
 _UNIT: Final = (0.9, 1.1)
 # m; a heading error of a radian counts as this distance where a new path is joined.
@@ -106,7 +105,7 @@ class _Course:
 
 def _usable(x: NDArray[np.float64]) -> bool:
     """Whether all components are numbers that a vehicle can have, which NaN is not."""
-    return bool((np.abs(x) <= _LARGEST).all() and abs(x[DELTA]) <= _LARGEST_ANGLE)
+    return bool((np.abs(x) <= LARGEST).all() and abs(x[DELTA]) <= _LARGEST_ANGLE)
 
 
 class Vehicle:
@@ -134,7 +133,9 @@ class Vehicle:
         # The last state that was usable, from which the reference starts.
         self._known: NDArray[np.float64] | None = None
         self._seen = self._reported = -np.inf
+        # The stamp of the newest odometry that was used, and that of one that was refused after it.
         self._stamp = (0, 0)
+        self._refused: tuple[int, int] | None = None
         # The steering angle as it was measured, and the last one that is an angle of wheels.
         self._measured = self._delta = 0.0
         self._frame = self._map_frame = ""
@@ -204,6 +205,7 @@ class Vehicle:
         self._measured = float(message.steering_tire_angle)
         if abs(self._measured) <= _LARGEST_ANGLE:
             self._delta = self._measured
+            self._problems.pop("steering", None)
 
     def _receive_path(self, reader: ThreadPoolExecutor) -> None:
         """Use a path once it has been read and there is odometry; let the next one be read."""
@@ -250,15 +252,19 @@ class Vehicle:
         message, arrival = newest
         stamp = (message.header.stamp.sec, message.header.stamp.nanosec)
         if stamp != (0, 0):
-            if stamp <= self._stamp:
+            # A clock that was set back advances again with the second stamp.
+            set_back = self._refused is not None and self._refused < stamp < self._stamp
+            if stamp <= self._stamp and not set_back:
+                self._refused = stamp
                 self._problems["odometry"] = "the time stamp of the odometry does not advance"
                 return
-            self._stamp = stamp
+            self._stamp, self._refused = stamp, None
         self._seen = arrival
         self._frame, self._map_frame = message.child_frame_id, message.header.frame_id
         self._x = state_of(message, self._measured, self._drive.to_centre)
         q = message.pose.pose.orientation
-        if not _UNIT[0] <= q.x**2 + q.y**2 + q.z**2 + q.w**2 <= _UNIT[1]:
+        # Products of large numbers are infinite, while their powers raise `OverflowError`.
+        if not _UNIT[0] <= q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w <= _UNIT[1]:
             self._x[PSI] = np.nan
         if _usable(self._x):
             self._problems.pop("odometry", None)
@@ -287,18 +293,16 @@ class Vehicle:
         """Compute the step of a period, and publish its command.
 
         A state that cannot be used makes the driver stop; the reference of `known`, the last one
-        that could, then has no meaning. The commanded angle is that of the last angle of wheels.
+        that could, then has no meaning. So does a reference that cannot be used. The commanded
+        angle is that of the last angle of wheels.
         """
         controller, drive = self._controller, self._drive
-        hint = _joined(course.path, known) if self._s is None else self._s
-        reference, widths, projection = horizon_reference(
-            course.path, course.profile, known, controller.dt, controller.horizon, hint
-        )
-        self._s = projection.s
-        step = controller.step(
-            x, reference, widths, deadline=_FIRST_DEADLINE if self._first else None
-        )
-        self._first = False
+        try:
+            step = self._step(x, known, course)
+            self._problems.pop("reference", None)
+        except EgpError as error:
+            self._problems["reference"] = str(error)
+            step = controller.step(np.full(NX, np.nan), np.zeros((controller.horizon + 1, 4)))
         acceleration, rate = float(step.u[0]) / drive.vehicle.mass, float(step.u[1])
         limit = drive.vehicle.steering_angle
         angle = float(np.clip(self._delta + rate * controller.dt, -limit, limit))
@@ -308,6 +312,20 @@ class Vehicle:
         command = Command(angle, rate, 0.0 if step.mode == "stop" else speed, acceleration)
         for kind, publish in self._publish:
             publish(message_of(command, kind, time.time_ns(), self._frame))
+        return step
+
+    def _step(self, x: NDArray[np.float64], known: NDArray[np.float64], course: _Course) -> Step:
+        """Compute the step for the reference that begins at the state `known`."""
+        controller = self._controller
+        hint = _joined(course.path, known) if self._s is None else self._s
+        reference, widths, projection = horizon_reference(
+            course.path, course.profile, known, controller.dt, controller.horizon, hint
+        )
+        self._s = projection.s
+        step = controller.step(
+            x, reference, widths, deadline=_FIRST_DEADLINE if self._first else None
+        )
+        self._first = False
         return step
 
 

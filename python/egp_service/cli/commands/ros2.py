@@ -1,5 +1,6 @@
 """`egp ros2`."""
 
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -151,8 +152,10 @@ def ros2(
             detail = "" if step is None or step.mode == "normal" else step.detail
             told = ": ".join(text for text in (mode, detail, driven.problem) if text)
             if told != shown:
-                console.print(told)
                 shown = told
+                # The vehicle is driven on, whether or not the terminal is still there.
+                with suppress(OSError):
+                    typer.echo(told, err=True)
 
         console.print(f"Node {node} in domain {domain}, router {router}  (Ctrl-C ends it)")
         driven.run(observe, seconds)
