@@ -259,8 +259,8 @@ def test_braking_on_a_split_road_turns_to_the_side_that_grips() -> None:
     assert abs(yaw_rate(0.6, 0.6)) < 0.005  # the tyres are not quite symmetric
 
 
-def test_without_disturbances_the_plant_is_the_package() -> None:
-    """Zero disturbances have no bit of an effect; any other one has."""
+def test_a_disturbance_of_zero_changes_no_bit() -> None:
+    """Disturbances of zero give the same bits as none; any other value changes the state."""
     names = ["load", "wear_front", "wear_rear", "brake_bias", "brake_pull", "wind_y", "grade"]
 
     def driven(disturbances: dict[str, float] | None) -> Vector:
