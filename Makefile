@@ -7,6 +7,10 @@ RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name 
 .DEFAULT_GOAL := help
 .PHONY: help demo test bench fmt lint lint-rust lint-python deny rust-test python-test timed-tests busy-tests browser site wheel wheel-test arm-test instructions soak clean
 
+# Python's bytecode is written once: without it a process that imports torch takes 6 s of processor time longer, and the tests
+# start hundreds of processes.
+unexport PYTHONDONTWRITEBYTECODE
+
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
 

@@ -196,11 +196,19 @@ def test_a_replay_gives_the_recorded_bytes(lap: Lap) -> None:
     assert f"All {len(lap.periods)} replies have the same bytes" in result.output
 
 
-def test_an_interrupted_recording_can_be_replayed(lap: Lap, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def first_tenth(lap: Lap) -> Path:
     whole = (lap.folder / "run.mcap").read_bytes()
-    path = tmp_path / "cut.mcap"
+    path = lap.folder / "cut.mcap"
     path.write_bytes(whole[: len(whole) // 10])
-    recorded = read_recording(path)
+    return path
+
+
+def test_an_interrupted_recording_can_be_replayed(
+    lap: Lap, first_tenth: Path, tmp_path: Path
+) -> None:
+    whole = (lap.folder / "run.mcap").read_bytes()
+    recorded = read_recording(first_tenth)
     assert not recorded.complete
     assert recorded.scenario == SCENARIO.toml()
     assert len(recorded.steps) > 0.05 * len(lap.periods)
@@ -245,9 +253,9 @@ def test_a_replay_shows_where_other_settings_matter(lap: Lap, tmp_path: Path) ->
     assert re.search(r"softer\.toml: .*line 2.*laterall", str(refused.exception), re.DOTALL)
 
 
-def test_a_replay_with_another_prior_solver_and_window(lap: Lap, tmp_path: Path) -> None:
+def test_a_replay_with_another_prior_solver_and_window(first_tenth: Path, tmp_path: Path) -> None:
     settings = tmp_path / "other.toml"
-    command = ["replay", str(lap.folder / "run.mcap"), "--settings", str(settings), "--no-pictures"]
+    command = ["replay", str(first_tenth), "--settings", str(settings), "--no-pictures"]
     for text, shown in (
         ("weights.prior = { kind = 'l1', alpha = 1e-5 }", "weights.prior.kind: quadratic → l1"),
         ("solver.kind = 'clarabel'", "solver.kind: riccati → clarabel"),
@@ -257,8 +265,9 @@ def test_a_replay_with_another_prior_solver_and_window(lap: Lap, tmp_path: Path)
         result = CliRunner().invoke(app, command)
         assert result.exit_code == 0, result.exception
         assert shown in result.output
-    recorded = read_recording(lap.folder / "run.mcap")
+    recorded = read_recording(first_tenth)
     again = replay(recorded, library_path(SCENARIO), {"weights": {"window": 10}})
+    assert len(again.now) > 50
     assert {answer.status for answer in again.now} == {"solved"}
     # In the first periods no request has more than ten transitions.
     assert again.same[:10].all()

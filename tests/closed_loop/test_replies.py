@@ -1,6 +1,6 @@
 """The replies to every request of recorded runs: same bits everywhere, same plans by Clarabel.
 
-Clarabel is asked for 1e-12, and for 1e-13, 1e-11 and 1e-10 where its plan is not ours, because
+Clarabel is asked for 1e-10, and for 1e-11, 1e-12 and 1e-13 where its plan is not ours, because
 none of them is enough for every problem. With 1e-12 it stops in some problems before a control
 has reached a weakly active bound, up to 1e-5 from it; with 1e-13 the control is on the bound, as
 ours is. Near the end of its precision it leaves a few problems at residuals of 1e-7 to 1e-5, which
@@ -75,23 +75,25 @@ class Patient(Controller):
 
 
 @pytest.fixture(scope="module", params=RUNS)
-def requests(request: pytest.FixtureRequest) -> list[bytes]:
-    recorded: list[bytes] = []
+def exchanged(request: pytest.FixtureRequest) -> list[tuple[bytes, bytes]]:
+    recorded: list[tuple[bytes, bytes]] = []
     scenario: Scenario = RUNS[request.param]
     with Patient(LIBRARY, gate=gate_settings(scenario)) as controller:
-        drive(scenario, controller, lambda period: recorded.append(period.step.request))
+        drive(
+            scenario, controller, lambda p: recorded.append((p.step.request, p.step.reply or b""))
+        )
     assert len(recorded) > 500
     return recorded
 
 
-def test_clarabel_finds_the_same_plans(requests: list[bytes]) -> None:
-    fast = Engine(str(LIBRARY))
+def test_clarabel_finds_the_same_plans(exchanged: list[tuple[bytes, bytes]]) -> None:
+    # Less precision takes less time, and nearly all problems need no more.
     oracles = [
         Engine(str(LIBRARY), f'[solver]\nkind = "clarabel"\ntolerance = {tolerance}')
-        for tolerance in (1e-12, 1e-13, 1e-11, 1e-10)
+        for tolerance in (1e-10, 1e-11, 1e-12, 1e-13)
     ]
-    for sent in requests:
-        ours = decode_reply(fast.step(sent))
+    for sent, reply in exchanged:
+        ours = decode_reply(reply)
         assert ours.status == "solved"
         differences = []
         for oracle in oracles:
@@ -105,11 +107,13 @@ def test_clarabel_finds_the_same_plans(requests: list[bytes]) -> None:
             pytest.fail(f"the plans of Clarabel differ by {differences}")
 
 
-def test_another_engine_and_the_service_reply_with_the_same_bytes(requests: list[bytes]) -> None:
-    engine, other = Engine(str(LIBRARY)), Engine(str(LIBRARY))
-    replies = [engine.step(request) for request in requests]
+def test_another_engine_and_the_service_reply_with_the_same_bytes(
+    exchanged: list[tuple[bytes, bytes]],
+) -> None:
+    other = Engine(str(LIBRARY))
     # The order is reversed, because an engine keeps nothing from one request to the next.
-    assert [other.step(request) for request in reversed(requests)] == replies[::-1]
+    for request, reply in reversed(exchanged):
+        assert other.step(request) == reply
     config = zenoh.Config()
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("mode", '"client"')
@@ -120,7 +124,7 @@ def test_another_engine_and_the_service_reply_with_the_same_bytes(requests: list
             while not list(session.liveliness().get(LIVE_KEYS)):
                 time.sleep(0.05)
             key = step_key("main", "fleet", "car")
-            for request, reply in zip(requests, replies, strict=True):
+            for request, reply in exchanged:
                 (served,) = list(session.get(key, payload=request))
                 assert served.ok is not None
                 assert served.ok.payload.to_bytes() == reply

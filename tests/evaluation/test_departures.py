@@ -53,10 +53,23 @@ def driven(library: Path, border: float, assumed: float = 0.9) -> Run:
     return drive(road, make(DRIVER, road), lambda _: None)
 
 
-def test_a_replay_has_the_same_states_up_to_the_border_and_other_ones_after_it(
-    library: Path,
-) -> None:
-    run = driven(library, EARLY)
+@pytest.fixture(scope="module")
+def early(library: Path) -> Run:
+    return driven(library, EARLY)
+
+
+@pytest.fixture(scope="module")
+def late(library: Path) -> Run:
+    return driven(library, LATE)
+
+
+@pytest.fixture(scope="module")
+def careful(library: Path) -> Run:
+    return driven(library, LATE, SLIPPERY)
+
+
+def test_a_replay_has_the_same_states_up_to_the_border_and_other_ones_after_it(early: Run) -> None:
+    run = early
     assert departed(run)
     border = last_border(run)
     assert run.trace.friction[border] == 1.1
@@ -71,14 +84,16 @@ def test_a_replay_has_the_same_states_up_to_the_border_and_other_ones_after_it(
     assert again.trace.weights[border + 5] == pytest.approx([1.0, 0.0])
 
 
-def test_a_departure_is_avoidable_unless_the_vehicle_came_too_fast(library: Path) -> None:
-    assert avoidable(DRIVER, driven(library, EARLY)) is True
-    assert avoidable(DRIVER, driven(library, LATE)) is False
-    assert avoidable(DRIVER, driven(library, LATE, SLIPPERY)) is None
+def test_a_departure_is_avoidable_unless_the_vehicle_came_too_fast(
+    early: Run, late: Run, careful: Run
+) -> None:
+    assert avoidable(DRIVER, early) is True
+    assert avoidable(DRIVER, late) is False
+    assert avoidable(DRIVER, careful) is None
 
 
-def test_a_border_that_is_crossed_beside_the_path_is_not_the_last_one(library: Path) -> None:
-    run = driven(library, LATE)
+def test_a_border_that_is_crossed_beside_the_path_is_not_the_last_one(late: Run) -> None:
+    run = late
     slid = int(np.argmax(np.abs(run.trace.lateral_error) > 1.0))
     friction = run.trace.friction.copy()
     friction[slid:] = 0.2  # as if another surface began where the vehicle is already lost
@@ -89,8 +104,8 @@ def test_a_border_that_is_crossed_beside_the_path_is_not_the_last_one(library: P
     assert last_border(same) == 0
 
 
-def test_a_run_that_took_too_long_is_no_departure(library: Path) -> None:
-    run = driven(library, LATE, SLIPPERY)
+def test_a_run_that_took_too_long_is_no_departure(careful: Run) -> None:
+    run = careful
     ending = replace(run.summary.ending, completed=False, reason=TOO_LONG)
     assert not departed(replace(run, summary=replace(run.summary, ending=ending)))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import replace
 from statistics import median
 from typing import TYPE_CHECKING
 
@@ -17,11 +16,10 @@ from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.experiment import NOISE
 from egp_service.evaluation.experiments import EXACT
 from egp_service.evaluation.scaling import OURS, PAPER
+from two_contenders import of_two_contenders
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from egp_service.evaluation.experiment import ClosedLoopExperiment
 
 Rows = list[dict[str, str]]
 
@@ -42,12 +40,6 @@ EXPERIMENTS = (
     "step-times",
 )
 OF_TWO_CONTENDERS = {"varying-speed", "four-members", "unseen-track"}
-
-
-def of_two_contenders(experiment: ClosedLoopExperiment) -> ClosedLoopExperiment:
-    own = tuple(c for c in experiment.contenders if c.name in {ENSEMBLE, ORACLE})
-    assert len(own) == 2
-    return replace(experiment, contenders=own)
 
 
 @pytest.fixture(scope="module")

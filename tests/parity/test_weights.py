@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -158,6 +159,7 @@ def test_the_evaluation_whitens_as_the_service_does(whiten: bool) -> None:  # no
     assert taken == set(range(len(noise.levels))), taken
 
 
+@cache
 def recorded(sensors: Measurement) -> list[bytes]:
     requests: list[bytes] = []
     scenario = replace(LAP, measurement=sensors)

@@ -291,7 +291,7 @@ def test_progress_reaches_every_fit(
     mean: Literal["constant", "single-track", "best"], fits: int
 ) -> None:
     seen: list[FitProgress] = []
-    settings = dataclasses.replace(SETTINGS, mean=mean, max_iterations=5)
+    settings = dataclasses.replace(SETTINGS, mean=mean, max_points=20, max_iterations=5)
     train([surface()], settings, seen.append, vehicle=TOY)
     assert len({step.stage for step in seen}) == fits
     assert all(0 < step.done <= step.total for step in seen)

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import torch
 
 from egp_service._core import Library, solve_weights
 from egp_service.data.experiment import Experiment
@@ -23,8 +22,6 @@ from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.window_noise import model_noise
 from egp_service.quantities import NORMAL_95, NY, NZ
-from egp_service.training.export import export
-from egp_service.training.train import TrainingSettings, train
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -101,6 +98,8 @@ def run_seed(part: tuple[PredictionSettings, int]) -> SeedOutcomes:
     With several threads the bits of sums would depend on their number.
     """
     settings, seed = part
+    import torch  # noqa: PLC0415 - takes seconds, and most evaluations train nothing
+
     torch.set_num_threads(1)
     library = _train(settings, seed)
     names = {member.label: number for number, member in enumerate(library.members)}
@@ -133,6 +132,9 @@ def _train(settings: PredictionSettings, seed: int) -> Library:
         for number, (name, mu) in enumerate(SURFACES.items())
         if name != "T"
     }
+    from egp_service.training.export import export  # noqa: PLC0415 - as torch
+    from egp_service.training.train import TrainingSettings, train  # noqa: PLC0415
+
     plan = TrainingSettings(
         kernel="rbf",
         mean="constant",

@@ -219,5 +219,5 @@ def _final(
     spread = torch.quantile(errors, 0.95) / NORMAL_95
     values = dataclasses.replace(values, noise=float(widen * spread) ** 2)
     process = process_of(y.new_zeros(len(inducing)))
-    targets = average_targets(process, z, kept)
+    (targets,) = average_targets([process], z, [kept])
     return process_of(targets), targets

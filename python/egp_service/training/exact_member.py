@@ -130,10 +130,9 @@ def _averaged(
 
     Returns these, (M, 3); all are z-scored.
     """
-    columns = []
-    for j, process in enumerate(processes):
-        columns.append(average_targets(process, z, y[:, j].contiguous()))
-        process.replace_targets(columns[j])
+    columns = average_targets(processes, z, [y[:, j].contiguous() for j in range(NY)])
+    for process, targets in zip(processes, columns, strict=True):
+        process.replace_targets(targets)
     return torch.stack(columns, dim=1).cpu().numpy()
 
 

@@ -20,7 +20,7 @@ from egp_service._core import EgpError
 from egp_service.training.gaussian_process import OutputProcess, exact
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 _JITTER: Final = 1e-8  # of the prior variance, on the covariance of the inducing points
 _BLOCK: Final = 4096  # transitions whose covariances with the inducing points are held at a time
@@ -76,24 +76,30 @@ def fit_sparse(
 def posterior_mean(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
     """Mean (n,) of the approximation at z (n, 6) given z and the z-scored targets y (n,)."""
     with torch.no_grad(), exact():
-        alpha = _weights(process, z, y)
+        (alpha,) = _weights([process], z, [y])
         K = process.covar_module(z, process.inputs).to_dense()
         mean: torch.Tensor = process.mean_module(z) + K @ alpha
     return mean
 
 
-def average_targets(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-    """Targets (M,) at the inputs of `process` that give it the mean of the approximation.
+def average_targets(
+    processes: Sequence[OutputProcess], z: torch.Tensor, y: Sequence[torch.Tensor]
+) -> list[torch.Tensor]:
+    """Targets (M,) at the inputs of each process that give it the mean of its approximation.
 
-    With `alpha` such that this mean is `constant + k(z, Z) alpha`, the targets are
+    The processes share inputs, kernel and noise; `y` has the targets (n,) of each at z (n, 6). With
+    `alpha` such that a mean is `constant + k(z, Z) alpha`, the targets are
     `constant + (K + s² I) alpha`.
     """
+    first = processes[0]
     with torch.no_grad(), exact():
-        alpha = _weights(process, z, y)
-        K = process.covar_module(process.inputs).to_dense()
-        K.diagonal().add_(process.likelihood.noise)
-        targets: torch.Tensor = process.mean_module(process.inputs) + K @ alpha
-    return targets
+        weights = _weights(processes, z, y)
+        K = first.covar_module(first.inputs).to_dense()
+        K.diagonal().add_(first.likelihood.noise)
+        return [
+            process.mean_module(process.inputs) + K @ alpha
+            for process, alpha in zip(processes, weights, strict=True)
+        ]
 
 
 def _factor(process: OutputProcess) -> torch.Tensor:
@@ -105,17 +111,22 @@ def _factor(process: OutputProcess) -> torch.Tensor:
     return factor
 
 
-def _scaled(
-    process: OutputProcess, L: torch.Tensor, z: torch.Tensor, y: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return `A = L⁻¹ K_mn / s` (M, n) and `(y - m) / s` (n,).
+def _scaled(process: OutputProcess, L: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
+    """Return `A = L⁻¹ K_mn / s` (M, n), with K_mn between the inducing points and z."""
+    across = process.covar_module(process.inputs, z).to_dense() / _std(process)
+    A: torch.Tensor = torch.linalg.solve_triangular(L, across, upper=False)
+    return A
 
-    K_mn is the covariance between the inducing points and z.
-    """
-    std = process.likelihood.noise[0].sqrt()
-    across = process.covar_module(process.inputs, z).to_dense() / std
-    A = torch.linalg.solve_triangular(L, across, upper=False)
-    return A, (y - process.mean_module(z)) / std
+
+def _rest(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """Return `(y - m) / s` (n,)."""
+    rest: torch.Tensor = (y - process.mean_module(z)) / _std(process)
+    return rest
+
+
+def _std(process: OutputProcess) -> torch.Tensor:
+    std: torch.Tensor = process.likelihood.noise[0].sqrt()
+    return std
 
 
 def _bound(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
@@ -124,7 +135,7 @@ def _bound(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Te
     The matrix to invert is `B = I + A Aᵀ`, with A as `_scaled` returns it.
     """
     noise, prior = process.likelihood.noise[0], process.covar_module.outputscale
-    A, rest = _scaled(process, _factor(process), z, y)
+    A, rest = _scaled(process, _factor(process), z), _rest(process, z, y)
     LB = torch.linalg.cholesky(torch.eye(len(A), dtype=A.dtype, device=A.device) + A @ A.T)
     c = torch.linalg.solve_triangular(LB, (A @ rest)[:, None], upper=False)
     bound: torch.Tensor = 0.5 * (
@@ -138,20 +149,23 @@ def _bound(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Te
     return bound
 
 
-def _weights(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-    """Weights alpha (M,) of the approximation's mean, `constant + k(z, Z) alpha`.
+def _weights(
+    processes: Sequence[OutputProcess], z: torch.Tensor, y: Sequence[torch.Tensor]
+) -> list[torch.Tensor]:
+    """Weights alpha (M,) of the mean of each approximation, `constant + k(z, Z) alpha`.
 
     They are `L⁻ᵀ B⁻¹ A (y - m) / s`. The sums over the transitions are computed block by block, so
     that the memory does not grow with a log.
     """
-    L = _factor(process)
+    L = _factor(processes[0])
     B = torch.eye(len(L), dtype=L.dtype, device=L.device)
-    b = L.new_zeros(len(L), 1)
-    for block in range(0, len(y), _BLOCK):
+    b = [L.new_zeros(len(L), 1) for _ in processes]
+    for block in range(0, len(z), _BLOCK):
         rows = slice(block, block + _BLOCK)
-        A, rest = _scaled(process, L, z[rows], y[rows])
+        A = _scaled(processes[0], L, z[rows])
         B += A @ A.T
-        b += A @ rest[:, None]
-    inner = torch.cholesky_solve(b, torch.linalg.cholesky(B))
-    alpha: torch.Tensor = torch.linalg.solve_triangular(L.T, inner, upper=True)[:, 0]
-    return alpha
+        for process, targets, total in zip(processes, y, b, strict=True):
+            total.add_(A @ _rest(process, z[rows], targets[rows])[:, None])
+    LB = torch.linalg.cholesky(B)
+    inner = [torch.cholesky_solve(total, LB) for total in b]
+    return [torch.linalg.solve_triangular(L.T, each, upper=True)[:, 0] for each in inner]

@@ -68,10 +68,14 @@ class TrainedMember:
             query = torch.tensor(z, dtype=torch.float64, device=self.processes[0].inputs.device)
             mean = self._vehicle_change(query)
             scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
+            covariance: dict[torch.nn.Module, torch.Tensor] = {}
             for j, process in enumerate(self.processes):
-                f = process.mean_module(scaled) + process.covar_module(
-                    scaled, process.inputs
-                ).to_dense() @ query.new_tensor(self.alpha[j])
+                kernel = process.covar_module
+                if kernel not in covariance:  # outputs may share theirs
+                    covariance[kernel] = kernel(scaled, process.inputs).to_dense()
+                f = process.mean_module(scaled) + covariance[kernel] @ query.new_tensor(
+                    self.alpha[j]
+                )
                 mean[:, j] += f * self.target_std[j] + self.target_mean[j]
         return np.asarray(mean.cpu().numpy())
 
