@@ -29,11 +29,13 @@ from egp_service.data.sensors import Sensors, measure
 from egp_service.evaluation.logs import OURS, PAPER, LogOutcome, evaluate_logs
 from egp_service.training.delays import find_delays
 from egp_service.training.open_loop import LINEAR, NO_CHANGE
-from egp_service.training.train import TrainingSettings
+from egp_service.training.train import FitProgress, TrainingSettings
 from egp_service.training.vehicle_fit import fit_vehicle
 from egp_service.vehicle import known_vehicle
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 # The file is not part of the repository; its licence is the GPL.
@@ -230,8 +232,13 @@ def test_the_command_prints_tables_and_draws(
     (tmp_path / "car.toml").write_text(dumps(car.fields()), encoding="utf-8")
 
     def evaluated(
-        logs: list[Dataset], vehicle: VehicleParameters | None, *_: object
+        logs: list[Dataset],
+        vehicle: VehicleParameters | None,
+        settings: TrainingSettings,
+        report: Callable[[FitProgress], None],
     ) -> list[LogOutcome]:
+        assert settings == TrainingSettings(mean="best")
+        report(FitProgress("dry: delays", loss=0.0, done=0, total=1))
         assert [log.digest() for log in logs] == [exact.digest()]
         assert vehicle is not None
         assert vehicle.fields() == car.fields()

@@ -205,6 +205,11 @@ def test_a_clock_that_was_set_back_is_used_from_its_second_stamp_on(clock: Clock
     assert problem == "the time stamp of the odometry does not advance"
     modes, problem, _ = drive_topics(clock, settings, [*rounds, odometry(9.6, sec=6)])
     assert (modes[-1], problem) == ("normal", "")
+    # Messages that only came late are not those of a clock that was set back.
+    late = [odometry(9.1, sec=9, nanosec=850_000_000), odometry(9.15, sec=9, nanosec=900_000_000)]
+    begun = {"plan": straight("map"), **odometry(9.2, sec=10, nanosec=0)}
+    _, problem, _ = drive_topics(clock, settings, [begun, *late])
+    assert problem == "the time stamp of the odometry does not advance"
     # Two stamps that come in turn do not advance.
     frozen = [odometry(9.6, sec=5, nanosec=k % 2) for k in range(12)]
     modes, problem, _ = drive_topics(clock, settings, [rounds[0], *frozen])

@@ -178,7 +178,7 @@ def test_a_missing_router_is_told_at_once_and_at_the_end(monkeypatch: pytest.Mon
     monkeypatch.setattr(node, "_CONNECT_SECONDS", 0.2)
     endpoint = free_endpoint()
     result = CliRunner().invoke(app, ["ros2", "--router", endpoint])
-    assert f"Nobody listens at {endpoint}" in " ".join(result.output.split())
+    assert f"No program listens at {endpoint}" in " ".join(result.output.split())
     assert isinstance(result.exception, EgpError)
     message = str(result.exception)
     assert f"no router of rmw_zenoh at {endpoint}" in message

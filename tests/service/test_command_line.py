@@ -248,9 +248,9 @@ def test_a_drive_says_that_nobody_listens_where_it_publishes(tmp_path: Path) -> 
     result = CliRunner().invoke(app, [*command, "--monitor", endpoint])
     assert result.exit_code == 0, result.output
     shown = " ".join(result.output.split())
-    assert f"Nobody listens at {endpoint} (Connection refused)" in shown
+    assert f"No program listens at {endpoint} (Connection refused)" in shown
     assert f"start `egp monitor --listen {endpoint}`" in shown
-    assert "Nobody" not in CliRunner().invoke(app, command).output
+    assert "No program" not in CliRunner().invoke(app, command).output
 
 
 @pytest.mark.parametrize(

@@ -94,9 +94,13 @@ def test_two_names_of_the_same_friction_cannot_be_told_apart() -> None:
         drive_laps(LIBRARY, alike, TWO_LAPS)
 
 
-def test_two_seeds_of_a_surface_get_its_laps_once() -> None:
+def test_two_seeds_of_a_surface_get_its_laps_once(monkeypatch: pytest.MonkeyPatch) -> None:
     seeds = [replace(SURFACES[0], seed=seed) for seed in (0, 7)]
     assert distinct_surfaces([*seeds, SURFACES[1]]) == SURFACES
+    x = np.tile([0.0, 0.0, 2.0 * STANDING, 0.0, 0.0, 0.0, 0.0], (20, 1))
+    lap = on_policy._Driven(x, np.zeros((20, 2)), np.full(20, 0.5))  # noqa: SLF001
+    monkeypatch.setattr(on_policy, "in_order", lambda *_: [lap])
+    assert len(drive_laps(LIBRARY, seeds, replace(TWO_LAPS, laps=1), jobs=1)) == 1
 
 
 @pytest.mark.parametrize("change", [{"vehicle": 2}, {"disturbances": {"load": 300.0}}])

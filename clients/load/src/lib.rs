@@ -224,7 +224,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let arguments = match Arguments::try_parse_from(arguments) {
         Ok(arguments) => arguments,
         Err(answer) => {
-            // A terminal that has been closed leaves nobody to tell.
+            // Printing fails if the terminal was closed; there is no other place for the message.
             let _ = answer.print();
             return u8::from(answer.use_stderr()) * 2;
         }

@@ -63,7 +63,7 @@ class RoadBelief:
         and at most 0.
         """
     def leave(self) -> None:
-        """Forget where the vehicle was, for instance after it was moved."""
+        """Forget where the vehicle was: after it was moved, or when the history started anew."""
     def ahead(self, places: ArrayLike, risk: float) -> NDArray[np.float64]:
         """Return the friction to plan for at equidistant arc lengths (n,), those of `places`.
 

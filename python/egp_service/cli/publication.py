@@ -35,7 +35,7 @@ def publication(
 ) -> Iterator[Callable[[Period], None]]:
     """Give what to call with each period; without an endpoint it does nothing.
 
-    Says if nobody listens at the endpoint. A monitor that is started later shows the rest.
+    Says if no program listens at the endpoint. A monitor that is started later shows the rest.
     """
     if endpoint is None:
         yield lambda _: None
@@ -43,7 +43,7 @@ def publication(
     check_endpoints([endpoint])
     if reason := why_unreachable(endpoint):
         console.print(
-            f"Nobody listens at {endpoint} ({reason}), so that no page shows this drive; start "
+            f"No program listens at {endpoint} ({reason}), so that no page shows this drive; start "
             f"`egp monitor --listen {endpoint}`",
             markup=False,
             highlight=False,

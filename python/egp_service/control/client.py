@@ -42,8 +42,8 @@ _POLL_SECONDS = 0.05
 # not pile up. Further ones are told until the deadline only, and the next step goes on with them.
 _FEW_EVENTS = 64
 _NO_LINK = (
-    "there is no link to a service: nobody listens, or, with TLS, a certificate is missing, has "
-    "expired or is of another authority"
+    "there is no link to a service: no program listens, or, with TLS, a certificate is missing, "
+    "has expired or is of another authority"
 )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import platform
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from itertools import starmap
 from pathlib import Path
@@ -77,6 +77,8 @@ class Recorder:
     ) -> None:
         """Create the file `path` for the steps of `controller`, in place of one that is there.
 
+        Where `path` is a symbolic link, the file to which it leads is replaced.
+
         `notes` are further metadata records, each a name with a mapping of texts. Raises `OSError`
         if the file cannot be written, and `InvalidArgumentError` for notes that are no texts or
         have the name of a record of the recorder; a file that is there then stays as it is.
@@ -85,17 +87,16 @@ class Recorder:
         self._channels: dict[str, int] = {}
         self._steps = 0
         self._ended = "it is closed"
-        with replacing(Path(path)) as beside:
-            self._file = _File(beside)
-            try:
+        with ExitStack() as failed:
+            with replacing(Path(path).resolve()) as beside:
+                self._file = _File(beside)
+                failed.callback(self._file.close)
                 self._writer = Writer(cast("IO[bytes]", self._file))
                 self._writer.start(profile="egp.v1", library="egp-service")
                 for name, texts in about.items():
                     self._writer.add_metadata(name, texts)
                 self._flush()
-            except BaseException:
-                self._file.close()
-                raise
+            failed.pop_all()
 
     def add(self, step: Step, x: ArrayLike, time: float) -> None:
         """Record one control period.

@@ -253,7 +253,10 @@ class Vehicle:
         stamp = (message.header.stamp.sec, message.header.stamp.nanosec)
         if stamp != (0, 0):
             # A clock that was set back advances again with the second stamp.
-            set_back = self._refused is not None and self._refused < stamp < self._stamp
+            # A message that only came late is behind by less than a silence.
+            behind = self._stamp[0] - stamp[0] + 1e-9 * (self._stamp[1] - stamp[1])
+            later = self._refused is not None and self._refused < stamp
+            set_back = later and behind > self._drive.silence
             if stamp <= self._stamp and not set_back:
                 self._refused = stamp
                 self._problems["odometry"] = "the time stamp of the odometry does not advance"
@@ -299,7 +302,8 @@ class Vehicle:
         controller, drive = self._controller, self._drive
         try:
             step = self._step(x, known, course)
-            self._problems.pop("reference", None)
+            if step.mode != "stop":  # the first cause of a stop remains its reason
+                self._problems.pop("reference", None)
         except EgpError as error:
             self._problems["reference"] = str(error)
             step = controller.step(np.full(NX, np.nan), np.zeros((controller.horizon + 1, 4)))

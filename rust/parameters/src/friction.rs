@@ -28,7 +28,7 @@ const SMOOTH: f64 = 4.0;
 /// (1 - t) b + t c - t (1 - t) ((1 - t) D_b + t D_c) / 2
 /// ```
 ///
-/// which continues parabolas exactly. A likelihood that falls steeply beside a flat part, where one surface cannot transmit a
+/// which continues parabolas exactly; it is linear in the first and the last interval. A likelihood that falls steeply beside a flat part, where one surface cannot transmit a
 /// force that all others can, is no parabola, and the cubic would rise above the flat part by 7 % of the fall. The larger second
 /// difference therefore counts as at most four times the smaller one, and both as zero if their signs differ (the limiter of
 /// Harten and Osher, *Uniformly High-Order Accurate Nonoscillatory Schemes*, SIAM Journal on Numerical Analysis 24(2), 1987).

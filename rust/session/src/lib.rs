@@ -187,7 +187,7 @@ fn not_opened(reason: &str) -> &'static str {
         "a tls endpoint needs a certificate and its key: state a zenoh file that `egp keys` wrote; cannot open the zenoh \
          session"
     } else if reason.contains("Unable to connect") {
-        "there is no link to an endpoint of connect/endpoints: nobody accepts connections there or answers, or, with TLS, a \
+        "there is no link to an endpoint of connect/endpoints: no program accepts connections there or answers, or, with TLS, a \
          certificate is missing, has expired or is of another authority; cannot open the zenoh session"
     } else {
         "cannot open the zenoh session"

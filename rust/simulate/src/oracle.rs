@@ -122,7 +122,7 @@ impl VehicleOracles {
         }
         if periods > self.max_tail {
             self.period += periods;
-            self.due = Some(time + Duration::from_secs_f64(self.dt));
+            self.due = Some(time);
         }
     }
 

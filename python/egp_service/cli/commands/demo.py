@@ -79,8 +79,8 @@ def _explain(console: Console, laps: "list[Lap]") -> None:
         return
     first, last, told = (runs[label].ending.time for label in (LAPS[0], LAPS[-1], TOLD))
     console.print(
-        f"Nobody tells the friction: the first lap takes {first / told:.2f} times as long as the "
-        f"one that is told all zones, the third {last / told:.2f} times."
+        f"Without being told the friction, the first lap takes {first / told:.2f} times as long as "
+        f"the one that is told all zones, the third {last / told:.2f} times."
     )
     alone = [s.lateral_error.max for label, s in runs.items() if label.startswith("told,")]
     console.print(

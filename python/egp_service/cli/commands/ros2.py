@@ -134,7 +134,7 @@ def ros2(
     check_endpoints([router])
     if reason := why_unreachable(router):
         console.print(
-            f"Nobody listens at {router} ({reason}); waiting for rmw_zenoh's router there",
+            f"No program listens at {router} ({reason}); waiting for rmw_zenoh's router there",
             highlight=False,
         )
     with (

@@ -54,8 +54,8 @@ pub fn step(
     ws.belongs_to(library, settings)?;
     let rows = validate::validate(library, settings, ws.vehicle.mass, request)?;
     let known = known_rows(ws.delay, &rows);
-    estimate_weights(library, settings, &rows, known, ws, reply);
-    let disturbance = estimate_residual(&rows, known, ws, reply);
+    let used = estimate_weights(library, settings, &rows, known, ws, reply);
+    let disturbance = estimate_residual(&rows, used, ws, reply);
     let frame = Frame::of(&rows.x);
     localise_reference(&frame, &rows, &mut ws.reference);
     ws.guess
@@ -224,7 +224,7 @@ fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
 /// in the reply because it has one row for each transition, and no estimate uses them. A transition that is known was also
 /// known when it was predicted: the history then had the same older rows, or was full.
 ///
-/// Transitions up to the last one that [`misleads`] are left out.
+/// Transitions up to the last one that [`misleads`] are left out. Returns the number of those that were used.
 fn estimate_weights(
     library: &Library,
     settings: &Settings,
@@ -232,7 +232,7 @@ fn estimate_weights(
     known: usize,
     ws: &mut Workspace,
     reply: &mut StepReply,
-) {
+) -> usize {
     let members = library.members();
     let width = members.len() * NY;
     let history_z = match ws.delay {
@@ -275,6 +275,7 @@ fn estimate_weights(
     if settings.weights.whiten && !ws.estimator.informed(&reply.weights) {
         reply.weights.copy_from_slice(&ws.previous);
     }
+    moving
 }
 
 /// Whether the models say something wrong about a transition of a vehicle with this mass (kg) because it stood or was slow.
@@ -288,15 +289,15 @@ fn misleads(z: &[f64; NZ], mass: f64) -> bool {
 }
 
 /// Writes what the residual adds to the ensemble's prediction at each stage, with its variances, and returns its
-/// disturbance; zero without a residual. It is estimated from the `known` newest transitions.
-fn estimate_residual(rows: &Rows, known: usize, ws: &mut Workspace, reply: &StepReply) -> GpOutput {
+/// disturbance; zero without a residual. It is estimated from the `used` newest transitions.
+fn estimate_residual(rows: &Rows, used: usize, ws: &mut Workspace, reply: &StepReply) -> GpOutput {
     let Some(filter) = &ws.residual else {
         return GpOutput::zeros();
     };
     let width = reply.weights.len() * NY;
-    let transitions = reply.history_f[..known * width].chunks_exact(width);
+    let transitions = reply.history_f[..used * width].chunks_exact(width);
     let errors = transitions
-        .zip(&rows.history_y[..known])
+        .zip(&rows.history_y[..used])
         .map(|(predicted, measured)| blend_error(predicted, measured, &reply.weights));
     let residual = filter.estimate(errors.rev());
     ws.deviations.residual.clear();

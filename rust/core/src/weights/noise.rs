@@ -3,7 +3,8 @@
 use crate::settings::WeightSettings;
 use crate::{GpOutput, Library, Member, NY};
 
-/// Candidate fractions of the standard deviations of the members' noise: errors over all training data are larger than errors in a steady bend.
+/// Candidate fractions of the standard deviations of the members' noise: errors over all training data are larger than errors
+/// in a steady bend.
 const MODEL: [f64; 2] = [1.0, 0.5];
 /// Candidate fractions of the standard deviations of the measured states' noise: sensors may be better than specified.
 const STATE: [f64; 3] = [1.0, 0.3, 0.1];

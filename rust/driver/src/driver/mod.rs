@@ -151,9 +151,9 @@ impl Driver {
     /// open is given up.
     ///
     /// One tick counts as one control period, whatever the time between two ticks is, so that simulators may be slower or
-    /// faster than a vehicle. Only a caller that was held up for more than `max_tail_ticks` periods after a period's end is
-    /// taken for a vehicle that has driven on alone: these periods count ([`Step::held_up`]), so that no plan is driven
-    /// whose tail has ended, and the history starts anew.
+    /// faster than a vehicle. Only a caller that was held up for more whole periods than `max_tail_ticks` after a period's end
+    /// is taken for a vehicle that has driven on alone: these periods count ([`Step::held_up`]), so that a plan from before
+    /// is not driven any more, and the history starts anew. Shorter delays are not counted and do not add up.
     ///
     /// # Errors
     /// [`InvalidArgument`] when no request can be made of the measurement; the period is then not opened, but counts: plans

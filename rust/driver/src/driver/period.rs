@@ -153,8 +153,10 @@ impl Driver {
         let Some(run) = self.running.take() else {
             return;
         };
-        self.count_held_up(now);
-        self.due = Some(now.max(run.begun.saturating_add(self.period())));
+        let counted = self.count_held_up(now);
+        // A delay that is not counted yet goes on after the command.
+        let end = if counted { now } else { now.min(run.deadline) };
+        self.due = Some(end.max(run.begun.saturating_add(self.period())));
         if answer.is_some() {
             for (id, _) in &run.awaited {
                 if let Some(pending) = self.pending.get_mut(id) {
@@ -226,15 +228,18 @@ impl Driver {
         }
     }
 
-    /// Counts the control periods that have passed since the next tick was due, if they are more than a plan may bridge.
-    pub(super) fn count_held_up(&mut self, now: Time) {
+    /// Counts the whole control periods that have passed since the next tick was due, if they are more than a plan may bridge.
+    /// Returns whether that was so.
+    pub(super) fn count_held_up(&mut self, now: Time) -> bool {
         let late = self.due.map_or(Time::ZERO, |due| now.saturating_sub(due));
         let periods = late.as_nanos() / self.period().as_nanos().max(1);
         let periods = u64::from(u32::try_from(periods).unwrap_or(u32::MAX));
-        if periods > self.config.max_tail_ticks {
+        let counts = periods > self.config.max_tail_ticks;
+        if counts {
             self.carry.skip(periods);
             self.held_up += periods;
         }
+        counts
     }
 
     /// Leaves an open period without a command and forgets requests that are too old to be answered.

@@ -1,4 +1,4 @@
-//! A caller that was held up: no plan is driven whose tail has ended by the clock, and no transition spans the gap.
+//! A caller that was held up for longer than a tail: no plan from before is driven, and no transition spans the gap.
 
 use std::time::Duration;
 
@@ -85,6 +85,21 @@ fn a_caller_that_is_held_up_while_it_waits_does_not_drive_the_plan_either() {
     // The gap is counted once.
     tick(&mut driver, resumed + PERIOD);
     assert_eq!(request(&asked(&mut driver)).sequence, 7);
+}
+
+#[test]
+fn a_delay_that_goes_on_after_the_command_is_one_delay() {
+    let mut driver = driving();
+    tick(&mut driver, ms(60));
+    asked(&mut driver);
+    driver.wake(ms(80) + JUST_BRIDGED);
+    let step = decided(&mut driver);
+    assert_eq!((step.command.mode, step.held_up), (Mode::Tail, 0));
+    tick(&mut driver, ms(80) + 2 * JUST_BRIDGED);
+    assert!(request(&asked(&mut driver)).history_z.is_empty());
+    driver.wake(ms(300));
+    let step = decided(&mut driver);
+    assert_eq!((step.command.mode, step.held_up), (Mode::Stop, 5));
 }
 
 #[test]

@@ -92,6 +92,15 @@ pub(crate) fn write(folder: &Path, road: &Road, content: Content) -> Result<(), 
     written.map_err(system(&path))
 }
 
+/// Whether this is the name of a road's new bytes, `NAME.road.PID.NUMBER.part`.
+fn is_unfinished(name: &str) -> bool {
+    let number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    name.strip_suffix(".part")
+        .and_then(|rest| rest.rsplit_once(".road."))
+        .and_then(|(_, numbers)| numbers.split_once('.'))
+        .is_some_and(|(process, count)| number(process) && number(count))
+}
+
 /// Removes the new bytes of roads' files that a service could not put in their place because it was killed. The folder must be
 /// locked: what another service writes has such a name, too.
 ///
@@ -101,7 +110,7 @@ pub(crate) fn remove_unfinished(folder: &Path) -> Result<(), RoadFileError> {
     for entry in fs::read_dir(folder).map_err(system(folder))? {
         let path = entry.map_err(system(folder))?.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        if name.contains(".road.") && name.ends_with(".part") {
+        if is_unfinished(&name) && path.is_file() {
             fs::remove_file(&path).map_err(system(&path))?;
         }
     }
@@ -121,13 +130,20 @@ mod tests {
         fs::create_dir_all(&folder).unwrap();
         let road: Road = ("depot".parse().unwrap(), "ring".parse().unwrap());
         write(&folder, &road, Some(vec![7])).unwrap();
-        fs::write(folder.join("notes.part"), "").unwrap();
+        let others = [
+            "notes.part",
+            "depot@ring.road.part",
+            "depot@ring.road.1.x.part",
+        ];
+        for other in others {
+            fs::write(folder.join(other), "").unwrap();
+        }
         let begun = Replacement::write(&path(&folder, &road), &[8]).unwrap();
         std::mem::forget(begun);
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 3);
         remove_unfinished(&folder).unwrap();
         assert_eq!(fs::read(path(&folder, &road)).unwrap(), [7]);
-        assert!(folder.join("notes.part").exists());
+        assert!(others.iter().all(|other| folder.join(other).exists()));
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 2);
         fs::remove_dir_all(&folder).unwrap();
     }
