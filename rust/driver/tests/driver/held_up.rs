@@ -97,7 +97,7 @@ fn a_delay_that_goes_on_after_the_command_is_one_delay() {
     assert_eq!((step.command.mode, step.held_up), (Mode::Tail, 0));
     tick(&mut driver, ms(80) + 2 * JUST_BRIDGED);
     assert!(request(&asked(&mut driver)).history_z.is_empty());
-    driver.wake(ms(300));
+    driver.wake(ms(220));
     let step = decided(&mut driver);
     assert_eq!((step.command.mode, step.held_up), (Mode::Stop, 5));
 }
