@@ -1,10 +1,12 @@
 //! A short load test of a real service: the counts must add up.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use std::fs::{self, File};
-use std::process::{Command, Stdio};
+use std::fs;
+use std::path::Path;
+use std::process::Command;
 
 use egp_service::{Server, ServiceConfig};
+use egp_testing::outputs::without_output;
 use egp_testing::ports::free_endpoint;
 use serde_json::Value;
 
@@ -91,30 +93,21 @@ fn the_report_is_kept_although_nobody_reads_the_result() {
         .zenoh
         .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
     let _server = Server::start(&config).unwrap();
-    let json = concat!(env!("CARGO_TARGET_TMPDIR"), "/unread.json");
-    let (reader, closed) = std::io::pipe().unwrap();
-    drop(reader);
-    let full = File::options().write(true).open("/dev/full").unwrap();
-    for (out, code, reason) in [
-        (Stdio::from(closed), 0, ""),
-        (
-            Stdio::from(full),
-            1,
-            "egp-load: cannot write to the standard output",
-        ),
-    ] {
-        let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
-            .args(["--connect", &endpoint, "--vehicles", "1", "--json", json])
-            .args(["--seconds", "0.1", "--warm-up", "0"])
-            .stdout(out)
-            .stderr(Stdio::piped())
-            .output()
-            .unwrap();
-        let message = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(code), "{message}");
-        assert!(message.starts_with(reason), "{message}");
-        assert!(!message.contains("panicked"), "{message}");
-        let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let mut reports = ["closed.json", "full.json"]
+        .map(|name| folder.join(name))
+        .into_iter();
+    let written = reports.clone();
+    without_output("egp-load", 1, || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_egp-load"));
+        command
+            .args(["--connect", &endpoint, "--vehicles", "1"])
+            .args(["--seconds", "0.1", "--warm-up", "0", "--json"])
+            .arg(reports.next().unwrap());
+        command
+    });
+    for json in written {
+        let report: Value = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
         assert_eq!(report["requests"], 5, "{report}");
         fs::remove_file(json).unwrap();
     }

@@ -345,16 +345,10 @@ mod tests {
         let limits = Limits::of(&VehicleParameters::FORD_ESCORT);
         let config = VehicleConfig::new("test", "car", limits, &[]).unwrap();
         let ready = Ready {
-            ready: true,
-            library: [7; 32],
-            others: Vec::new(),
-            dt: 0.02,
-            horizon: 4,
-            history: 3,
-            members: vec!["dry".to_owned()],
-            envelope: [[0.0; 6], [1.0; 6]],
             vehicle: None,
+            ..egp_testing::messages::ready()
         };
+        let reference = vec![[0.0; 4]; ready.horizon as usize + 1];
         let mut client = VehicleClient {
             network: Network::open(&config).unwrap(),
             driver: Driver::new(config.driver, ready).unwrap(),
@@ -369,7 +363,7 @@ mod tests {
             }
             let measurement = Measurement {
                 x: [0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0],
-                reference: vec![[0.0; 4]; 5],
+                reference: reference.clone(),
                 ..Measurement::default()
             };
             client.step_by(deadline, measurement).unwrap();

@@ -1,5 +1,6 @@
 //! Data that the tests, benchmarks and examples of several crates share: libraries of GPs, requests of a control step,
-//! a vehicle that plans its speed, random optimal control problems, free ports and the golden messages. Other crates name this one only as a dev-dependency.
+//! a vehicle that plans its speed, random optimal control problems, free ports, outputs that take nothing, and the golden
+//! messages. Other crates name this one only as a dev-dependency.
 #![allow(
     clippy::unwrap_used,
     clippy::missing_panics_doc,
@@ -13,6 +14,7 @@ use bolero as _;
 pub mod drives;
 pub mod libraries;
 pub mod messages;
+pub mod outputs;
 pub mod planning;
 pub mod ports;
 pub mod requests;

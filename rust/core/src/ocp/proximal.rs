@@ -30,8 +30,8 @@ const LARGEST_WEIGHT: f64 = 100.0;
 /// majorisation (Hunter and Lange, *A tutorial on MM algorithms*, The American Statistician 58(1), 2004) and with convex Hessians
 /// in sequential programming (Verschueren, van Duijkeren, Quirynen and Diehl, *Exploiting convexity in direct optimal control: a
 /// sequential convex quadratic programming method*, CDC 2016). A descent is not guaranteed: `p_f` and `f(0)` are those of the
-/// operating trajectory, `d_t` is limited, and axles whose force increases the cost are left out. The term vanishes where the plan does not
-/// change, and where lateral force is not scarce: there the multipliers are small.
+/// operating trajectory, `d_t` is limited, and axles whose force increases the cost are left out. The term vanishes where the
+/// plan does not change, and where lateral force is not scarce: there the multipliers are small.
 ///
 /// Multipliers are those of the cost and of the soft bounds along the operating trajectory, `p_t = ∇_x + A_tᵀ p_{t+1}`, but not
 /// of the track's edges, whose penalty would hold the plan of a vehicle that has to come back from beyond one. The

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use crate::common::{Client, Outcome, first_request, free_endpoint, library_file, step_key};
 use egp_service::{ServiceConfig, check};
+use egp_testing::outputs::without_output;
 use egp_testing::ports::free_port;
 use serde_json::Value;
 use zenoh::Wait as _;
@@ -252,15 +253,11 @@ fn a_check_looks_at_the_host_for_http_and_not_at_its_port() {
 
 #[test]
 fn a_check_ends_without_an_error_if_nobody_reads_what_it_prints() {
-    let (reader, closed) = std::io::pipe().unwrap();
-    drop(reader);
-    let output = Command::new(env!("CARGO_BIN_EXE_egp-server"))
-        .args(["--check", "--library"])
-        .arg(library_file("unread.safetensors"))
-        .stdout(closed)
-        .stderr(Stdio::piped())
-        .output()
-        .unwrap();
-    let message = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() && message.is_empty(), "{message}");
+    let library = library_file("unread.safetensors");
+    let [unread, _] = without_output("egp-server", 1, || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_egp-server"));
+        command.args(["--check", "--library"]).arg(&library);
+        command
+    });
+    assert!(unread.stderr.is_empty(), "{unread:?}");
 }
