@@ -5,7 +5,7 @@ RUST   := Cargo.toml Cargo.lock $(shell find rust clients -name '*.rs' -o -name 
 	$(wildcard python/egp_service/_core/*.pyi)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench fmt lint lint-rust lint-python deny rust-test python-test timed-tests busy-tests browser site wheel wheel-test arm-test instructions soak clean
+.PHONY: help demo test bench fmt lint lint-rust lint-python deny rust-test python-test timed-tests busy-tests browser site wheel wheel-test arm-test instructions soak recipe clean
 
 # Python's bytecode is written once: without it a process that imports torch takes 6 s of processor time longer, and the tests
 # start hundreds of processes.
@@ -54,6 +54,9 @@ SHIPPED := python/egp_service/shipped
 soak: ## Simulate vehicles and replicas with faults for hours: make soak SEEDS=0..10000
 	cargo run --release --locked -p egp-simulate -- $(SHIPPED)/demo-library.safetensors \
 		--other $(SHIPPED)/evaluation-library.safetensors --seeds $(SEEDS)
+
+recipe: .venv/built-dev ## Make the demo library again by its whole recipe, and compare it with the shipped one
+	EGP_WHOLE_RECIPE=1 $(BIN)/pytest tests/train/test_demo_library.py
 
 deny: ## Check licences, sources and advisories of the Rust crates, with cargo-deny and the network
 	cargo deny --locked check $(CHECKS)

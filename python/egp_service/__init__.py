@@ -1,8 +1,8 @@
 """Ensemble Gaussian-process model predictive control for roads of unknown friction.
 
-The public names are imported when they are first used, so that importing one room of the package
+The public names are imported when they are first used, so that importing one subpackage
 (`control`, `simulation`, `data`, `training`, `evaluation`, `cli`) does not import the libraries
-that only another room needs.
+that only another subpackage needs.
 """
 
 import os

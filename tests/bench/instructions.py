@@ -57,8 +57,8 @@ def run(*command: str | Path) -> str:
 
 def count(cargo: str, valgrind: str, size: Size) -> tuple[str, list[int]]:
     """Build the example and run it under callgrind; return the tier and the counts of `PARTS`."""
-    # All crates that the tests are built of, so that their dependencies are not compiled again.
-    crates = ("--workspace", "--exclude", "egp-bench", "--features", "egp-core/baseline-qp")
+    # All crates that the tests are built of, so that nothing but the example is compiled.
+    crates = ("--workspace", "--exclude", "egp-bench")
     built = ("--example", "instructions", *crates)
     run(cargo, "build", "--release", "--locked", "--quiet", *built)
     program, library = TARGET / "release/examples/instructions", TARGET / "instructions.library"

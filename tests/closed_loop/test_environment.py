@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from egp_service._core import InvalidArgumentError
 from egp_service.simulation.environment import TrackEnvironment
 from egp_service.simulation.plant import PlantError
+from egp_service.simulation.scenario import Measurement, load_scenario
 
 DOCUMENT = Path(__file__).parents[2] / "docs/simulator.md"
 CREEP = np.array([0.05, 0.0])
@@ -52,6 +54,40 @@ def test_a_seed_makes_the_track() -> None:
     again, _ = environment.reset(seed=1)
     assert not np.array_equal(first, other)
     np.testing.assert_array_equal(first, again)
+
+
+def test_a_seed_is_followed_by_new_episodes() -> None:
+    environment = TrackEnvironment("random")
+    own, _ = environment.reset()
+    np.testing.assert_array_equal(own, environment.reset(seed=load_scenario("random").seed)[0])
+    episodes = [environment.reset(seed=1)[0], environment.reset()[0], environment.reset()[0]]
+    assert len({episode.tobytes() for episode in episodes}) == 3
+    again = [environment.reset(seed=1)[0], environment.reset()[0], environment.reset()[0]]
+    np.testing.assert_array_equal(episodes, again)
+
+
+def test_delay_and_noise_of_the_scenario_act() -> None:
+    plain = load_scenario("rounded-rectangle")
+    deviations = Measurement(position=0.1, psi=0.05)
+    environment = TrackEnvironment(replace(plain, measurement=deviations))
+    observed = np.array([environment.reset(seed=seed)[0] for seed in range(200)])
+    measured = np.std(observed[:, :2], axis=0)
+    np.testing.assert_allclose(measured, [0.1, 0.05], rtol=0.2)  # four standard errors of 200
+    assert np.ptp(observed[:, 2:6], axis=0).max() == 0.0
+    _, info = environment.reset(seed=0)
+    assert info["s"] == 0.0
+    delayed = TrackEnvironment(replace(plain, actuator_delay=2))
+    delayed.reset()
+    steering = [delayed.step(np.array([0.0, 1.0]))[0][5] for _ in range(3)]
+    assert steering[1] == 0.0
+    assert steering[2] > 0.0
+
+
+def test_the_ends_of_an_episode_are_python_bools() -> None:
+    environment = TrackEnvironment("rounded-rectangle")
+    environment.reset()
+    _, _, terminated, truncated, _ = environment.step(CREEP)
+    assert (type(terminated), type(truncated)) == (bool, bool)
 
 
 def test_the_documents_example_drives(capsys: pytest.CaptureFixture[str]) -> None:

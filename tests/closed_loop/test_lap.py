@@ -196,6 +196,18 @@ def test_a_replay_gives_the_recorded_bytes(lap: Lap) -> None:
     assert f"All {len(lap.periods)} replies have the same bytes" in result.output
 
 
+def test_a_replay_without_a_difference_draws_nothing_and_says_so(
+    first_tenth: Path, tmp_path: Path
+) -> None:
+    picture = tmp_path / "pictures" / "differences.png"
+    command = ["replay", str(first_tenth), "-o", str(picture)]
+    result = CliRunner().invoke(app, command, env={"FORCE_COLOR": "1"})
+    assert result.exit_code == 0, result.output
+    assert "No picture: nothing differs." in result.output
+    assert not picture.parent.exists()
+    assert "replaying" in result.output  # as a terminal shows it
+
+
 @pytest.fixture(scope="module")
 def first_tenth(lap: Lap) -> Path:
     whole = (lap.folder / "run.mcap").read_bytes()

@@ -13,12 +13,13 @@ from typer.testing import CliRunner
 
 from egp_service.cli import app
 from egp_service.evaluation import experiments
+from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.plant import PlantError, load_simulator
 from egp_service.simulation.report import draw_comparison, draw_run
 from egp_service.simulation.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
-from two_contenders import of_two_contenders
+from fewer_contenders import with_contenders
 
 DOCUMENT = Path(__file__).parents[2] / "docs/simulator.md"
 BROKEN = """
@@ -173,7 +174,8 @@ def test_the_evaluation_drives_a_simulator_of_ones_own(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fewer = [
-        of_two_contenders(e) if e.name == "lane-change" else e for e in experiments.EXPERIMENTS
+        with_contenders(e, ENSEMBLE, ORACLE) if e.name == "lane-change" else e
+        for e in experiments.EXPERIMENTS
     ]
     monkeypatch.setattr(experiments, "EXPERIMENTS", tuple(fewer))
     (folder / "rails_car.py").write_text(ON_RAILS)

@@ -15,14 +15,18 @@ from egp_service import (
     InvalidArgumentError,
     Plant,
     StatusPublisher,
+    VehicleParameters,
     shipped,
 )
 from egp_service.control.step import Step
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.scenario import ScenarioError, Zone, load_scenario, told_zones
+from library_example import write_example
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from egp_service.simulation.trace import Period
 
 BASE = told_zones(load_scenario("rounded-rectangle"))
@@ -44,6 +48,19 @@ def test_a_slow_start_keeps_the_path(friction: float, v_start: float) -> None:
     largest = 0.9 * np.abs(steps).max()
     turns = (np.sign(steps[1:]) != np.sign(steps[:-1])) & (np.abs(steps[1:]) > largest)
     assert turns.sum() <= 5
+
+
+def test_a_library_of_another_vehicle_is_driven_with_its_file(tmp_path: Path) -> None:
+    car = VehicleParameters.commonroad(1).fields() | {"mass": 1284.0}
+    library, file = tmp_path / "own.safetensors", tmp_path / "car.toml"
+    write_example(library, vehicle=VehicleParameters(**car))
+    file.write_text("".join(f"{name} = {value}\n" for name, value in car.items()))
+    scenario = replace(BASE, library=str(library), laps=0.02)
+    with pytest.raises(EgpError, match=r"mass is 1225\.887 kg, .* 1284 kg; .*`vehicle_file`"):
+        in_process_controller(scenario)
+    stated = replace(scenario, vehicle_file=str(file))
+    with in_process_controller(stated) as controller:
+        assert drive(stated, controller, lambda _: None).summary.ending.completed
 
 
 @pytest.mark.parametrize(("steering", "speed"), [(0.2, 1.0), (0.0, -1.0)])

@@ -107,9 +107,12 @@ class ScriptedReplica:
                 return Answer(error=b"\xff" * 40)
             case "noise_in_attachment":
                 return Answer(reply, b"\xff" * 9)
-            case "internal_error":
+            case "internal_error" | "invalid_field":
                 error = message("Error")
-                error.code, error.detail = 9, "a defect"
+                error.code, error.detail = {
+                    "internal_error": (9, "a defect"),
+                    "invalid_field": (3, "a value outside its domain"),
+                }[fault]
                 return Answer(error=error.SerializeToString())
             case "old_reply":
                 return Answer(self._replies[sequence - 2], _timing())

@@ -75,6 +75,8 @@ def measured(
                 reference[:, 1] += 100.0
             case "spin":
                 x[4] = -9.0
+            case "rolling_back":
+                x[2] = -1.5
             case "not_finite":
                 x[2] = np.nan
             case "nowhere":

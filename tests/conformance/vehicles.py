@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from signal import SIGCONT
 from tempfile import TemporaryDirectory
@@ -28,7 +29,7 @@ from egp_service._core import (
 )
 from egp_service.control.endpoints import free_endpoint
 from frozen import freeze
-from patience import wait_for_replicas
+from patience import wait_for_replicas, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -289,9 +290,8 @@ class OverZenohInRust(Processes):
             if "error" in served:
                 raise ConnectError(served["error"])
         self.dt, self.horizon = float(served["dt"]), int(served["horizon"])
-        if len(scripts) > 1:
-            # The other replica has its own link, and the program does not tell when it is known.
-            time.sleep(2.0)
+        with self._closed_on_error():
+            wait_until(lambda: self._call({"replicas": True})["replicas"] >= len(scripts))
 
     def step(
         self, x: NDArray[np.float64], reference: NDArray[np.float64], deadline: float
@@ -328,6 +328,7 @@ class OverZenohInRust(Processes):
         return answer
 
 
+@cache
 def _built_example() -> str:
     """Build the Rust vehicle and give the path of its program.
 

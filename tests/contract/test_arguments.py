@@ -122,6 +122,20 @@ def test_errors_whose_squares_are_no_numbers_give_no_weights(
         solve_weights(predictions, np.zeros((2, 3)), [0.1] * 3, [0.5, 0.5], prior, 1.0)
 
 
+@pytest.mark.parametrize("prior", ["quadratic", "l1"])
+def test_a_strength_of_the_prior_that_is_too_large_is_named(
+    prior: Literal["quadratic", "l1"],
+) -> None:
+    predictions = np.array([[[0.1, 0.0, 0.0], [0.3, 0.0, 0.0]]])
+
+    measured, noise, previous = [[0.2, 0.0, 0.0]], [0.01] * 3, [0.9, 0.1]
+    w = solve_weights(predictions, measured, noise, previous, prior, 1e300)
+    np.testing.assert_allclose(w, previous, rtol=1e-12)
+    for strength in (1.7e308, -1.0, np.inf, np.nan):
+        with pytest.raises(EgpError, match="strength must be a number from 0 to 1e300"):
+            solve_weights(predictions, measured, noise, previous, prior, strength)
+
+
 def test_the_argument_is_in_a_note() -> None:
     with pytest.raises(InvalidArgumentError) as caught:
         PATH.project([[1.0, 2.0]])

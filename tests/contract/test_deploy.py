@@ -191,8 +191,17 @@ def test_the_compose_file_publishes_to_this_machine_only() -> None:
     for name in ("replica-1", "replica-2"):
         (port,) = services[name]["ports"]
         assert compose["http"].endswith(f":{port.split(':')[-1]}")
-        files = {volume.split(":")[-2] for volume in services[name]["volumes"]}
-        assert files == {"/etc/egp/service.toml", compose["library"]}
+        volumes = [volume.rsplit(":", 2) for volume in services[name]["volumes"]]
+        mounted = {inside: outside for outside, inside, _ in volumes}
+        assert all(rights == "ro" for _, _, rights in volumes)
+        folder = str(Path(compose["library"]).parent)
+        assert mounted.keys() == {"/etc/egp/service.toml", folder}
+        # A file that is mounted by itself stays the old one when a new one takes its name.
+        default = re.fullmatch(r"\$\{LIBRARY_FOLDER:-(.*)\}", mounted[folder])
+        assert default
+        assert (ROOT / "deploy" / default[1] / Path(compose["library"]).name).is_file()
+        stated = f"{folder}/${{LIBRARY:-{Path(compose['library']).name}}}"
+        assert f"--library={stated}" in services[name]["command"]
     names = [services[name]["command"][-1] for name in ("replica-1", "replica-2")]
     assert names == ["--replica=replica-1", "--replica=replica-2"]
     build = services["replica-1"]["build"]
@@ -218,6 +227,12 @@ def router() -> Iterator[str]:
     config.insert_json5("connect/endpoints", "[]")
     with zenoh.open(config):
         yield endpoint
+
+
+@pytest.mark.parametrize("file", ["kubernetes/service.toml", "compose.toml"])
+def test_a_replica_waits_for_its_router_without_an_end(file: str) -> None:
+    written = tomllib.loads((ROOT / "deploy" / file).read_text(encoding="utf-8"))
+    assert json.loads(written["zenoh"]["connect/timeout_ms"]) == -1
 
 
 @pytest.mark.parametrize("file", ["kubernetes/service.toml", "compose.toml"])

@@ -81,6 +81,19 @@ def test_a_full_disk_ends_a_recording_that_stays_readable(
     assert set(tmp_path.iterdir()) == {file, other}
 
 
+def test_a_time_that_runs_backward_is_an_error(
+    tmp_path: Path, controller: Controller, step: Step
+) -> None:
+    with Recorder(tmp_path / "run.mcap", controller) as recorder:
+        recorder.add(step, X, 0.02)
+        recorder.add(step, X, 0.02)
+        with pytest.raises(
+            InvalidArgumentError, match=r"0\.01 s is before that of the last step, 0"
+        ):
+            recorder.add(step, X, 0.01)
+    assert len(read_recording(tmp_path / "run.mcap").steps) == 2
+
+
 def test_steps_of_two_controllers_have_their_own_replies(tmp_path: Path) -> None:
     file, limits = tmp_path / "run.mcap", Plant().parameters.gate_limits()
     with (

@@ -23,6 +23,7 @@ WATCHED = {
 }  # fmt: skip
 TRAINING = {"torch", "gpytorch", "botorch", "scipy", "polars", "loky"}
 TERMINAL = {"rich", "typer"}
+LIBRARIES = "libraries of training"
 # What each room may load. A module in a line of its own is an exception in its room.
 MAY_LOAD = {
     "egp_service": set(),
@@ -65,37 +66,58 @@ MAY_LOAD = {
     "egp_service.cli.evaluation_parts": TERMINAL | TRAINING,
 }
 
+# Each room is imported in a process that is forked from the one of its parent, so that what several
+# rooms load is loaded once.
 LOAD = """
-import importlib, json, sys
-for names in sys.argv[1:]:
-    for name in names.split():
+import importlib, json, os, sys
+
+def load(rule):
+    for name in MODULES[rule]:
         importlib.import_module(name)
-    print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})))
+    loaded = sorted({name.partition(".")[0] for name in sys.modules})
+    print(json.dumps([rule, loaded]), flush=True)
+    for child in CHILDREN.get(rule, []):
+        pid = os.fork()
+        if pid == 0:
+            load(child)
+            os._exit(0)
+        if os.waitpid(pid, 0)[1] != 0:
+            sys.exit(f"{child} cannot be imported")
+
+MODULES, CHILDREN = json.loads(sys.argv[1])
+load("egp_service")
 """
 
 
 @cache
-def loaded_by(chain: tuple[str, ...]) -> dict[str, set[str]]:
-    """Import the rooms of a chain in a fresh interpreter: the watched libraries loaded by then."""
-    command = [sys.executable, "-c", LOAD, *(" ".join(MODULES[rule]) for rule in chain)]
-    output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-    found = [WATCHED & set(json.loads(line)) for line in output.splitlines()]
-    return dict(zip(chain, found, strict=True))
+def loaded() -> dict[str, set[str]]:
+    """Import the rooms in a fresh interpreter and forks: the watched libraries that each loads."""
+    tree = json.dumps([MODULES | {LIBRARIES: sorted(TRAINING)}, children()])
+    done = subprocess.run(
+        [sys.executable, "-c", LOAD, tree], check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    found = [json.loads(line) for line in done.stdout.splitlines()]
+    return {rule: WATCHED & set(names) for rule, names in found}
 
 
-def chains() -> list[tuple[str, ...]]:
-    """Share interpreters: in a chain each room may load all that the rooms before it may.
+def children() -> dict[str, list[str]]:
+    """Name the rooms that are imported after each one and that may load all that this one may.
 
     Most rooms are thus not the first one that is imported; `lint-imports` finds cycles of rooms.
+    The libraries of training, which take seconds, are a room of this tree.
     """
-    found: list[list[str]] = []
-    for rule in sorted(MODULES, key=lambda rule: len(MAY_LOAD[rule])):
-        fitting = [chain for chain in found if MAY_LOAD[chain[-1]] <= MAY_LOAD[rule]]
-        if fitting:
-            max(fitting, key=lambda chain: len(MAY_LOAD[chain[-1]])).append(rule)
-        else:
-            found.append([rule])
-    return [tuple(chain) for chain in found]
+    found: dict[str, list[str]] = {}
+    may_load = MAY_LOAD | {LIBRARIES: TRAINING}
+    first, *others = sorted(may_load, key=lambda rule: len(may_load[rule]))
+    earlier = [first]
+    for rule in others:
+        fitting = [other for other in earlier if may_load[other] <= may_load[rule]]
+        # Of those that may load most the last one, after which most is imported.
+        parent = max(reversed(fitting), key=lambda other: len(may_load[other]))
+        found.setdefault(parent, []).append(rule)
+        earlier.append(rule)
+    return found
 
 
 def rule_of(module: str) -> str:
@@ -123,8 +145,7 @@ def test_every_room_has_its_own_rule() -> None:
 
 @pytest.mark.parametrize("rule", MODULES)
 def test_a_room_loads_only_what_it_needs(rule: str) -> None:
-    (chain,) = (chain for chain in chains() if rule in chain)
-    assert loaded_by(chain)[rule] <= MAY_LOAD[rule]
+    assert loaded()[rule] <= MAY_LOAD[rule]
 
 
 def test_the_extension_has_what_the_package_uses_and_the_rest_is_marked_as_for_tests() -> None:

@@ -65,6 +65,11 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         (("friction = 0.8", "friction = -1.0"), r"zones\[0\].friction must be positive"),
         (("friction = 0.8", 'friction = "wet"'), r"zones\[0\]: friction must be float"),
         (("friction = 0.8", "friction = 0.8\nright = 0"), r"zones\[0\].right must be positive"),
+        (("[track]", "[speed]\ngrip = 85\n[track]"), "mine.toml: speed.grip .* at most 1, got 85"),
+        (
+            ("friction = 0.8", "friction = 0.8\n[[zones]]\nstart = 30.0\nfriction = 0.5"),
+            r"mine.toml: zones\[1\].start must be below 1, .*, got 30.0; .* zones_in_metres = true",
+        ),
         (("[track]", "[speed]\ngirp = 0.9\n[track]"), "speed: unknown field 'girp'"),
         (
             ("[track]", '[speed]\nknows = "all"\n[track]'),
@@ -84,7 +89,8 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         (("friction = 0.8", "surface = 0.8"), r"zones\[0\]: surface must be str"),
         (("friction = 0.8", "surface = {stiffness = 0.5}"), r"zones\[0\]: .* needs its `peak`"),
         (("friction = 0.8", "surface = {peak = 0.5, grip = 1}"), "unknown field `grip`"),
-        (("friction = 0.8", "surface = {peak = 0}"), "friction coefficient > 0, got 0"),
+        (("friction = 0.8", "surface = {peak = 0}"), "coefficient > 0 and at most 3, got 0"),
+        (("friction = 0.8", "friction = 8.0"), r"mine.toml: zones\[0\]: .*at most 3, got 8"),
         (("friction = 0.8", "surface = {peak = 1, shape = 2}"), "0.75 to 1.218 on the shape"),
         (
             ("friction = 0.8", 'friction = 0.8\nright = 0.5\nsurface_right = "ice"'),

@@ -53,3 +53,22 @@ def test_replay_asks_for_settings_only_if_none_are_given() -> None:
     assert "give the service's with --settings" in without[0]
     given = outcome(recorded, replay, {"cost": {"lateral": 20.0}}, changed=True)
     assert given == ["All 1 replies have the same bytes as recorded."]
+
+
+def test_a_map_checks_its_configuration(tmp_path: Path) -> None:
+    runner, file = CliRunner(), tmp_path / "map.toml"
+    for command in (["--listen", "tcp/127.0.0.1:7448"], ["--config", str(file)]):
+        file.write_text('http = "127.0.0.1:9465"\nfolder = "roads"\n')
+        result = runner.invoke(app, ["map", "--check", *command])
+        assert result.exit_code == 0, result.output
+        assert result.output == "Configuration and network settings are valid.\n"
+    for text, told in (
+        ('http = "9465"', "such as 127.0.0.1:9464"),
+        ('log = "loud"', "'loud' is no level"),
+        ('[zenoh]\nmode = "\'router"', "mode"),
+    ):
+        file.write_text(text)
+        message = str(runner.invoke(app, ["map", "--check", "--config", str(file)]).exception)
+        assert message.startswith(f"{file}: ")
+        assert told in message.replace('"', "'")
+    assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]

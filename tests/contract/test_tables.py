@@ -16,9 +16,11 @@ from egp_service import shipped
 from egp_service.cli import app
 from egp_service.cli.inspect_library import inspect
 from egp_service.cli.tables import (
+    calibration_warnings,
     delay_sentence,
     headline_table,
     no_plan,
+    prior_warnings,
     skill_table,
     summary_table,
     validation_table,
@@ -113,6 +115,25 @@ def test_validation_of_a_library_fits() -> None:
          for surface in SURFACES] for member in SURFACES
     ]  # fmt: skip
     check_table(validation_table(cells))
+
+
+def test_badly_calibrated_members_and_parameters_far_from_the_prior_are_named() -> None:
+    other, zeros = np.zeros(3), np.zeros(3)
+    for coverage, expected in ((0.81, 0), (0.79, 1)):
+        own = np.array([0.95, coverage, 0.95])
+        cells = [Cell("wet", surface, zeros, zeros, covered, zeros)
+                 for surface, covered in (("wet", own), ("dry", other))]  # fmt: skip
+        warnings = calibration_warnings([cells])
+        assert len(warnings) == expected
+    assert warnings[0].startswith("wet: the 95 % interval of d_v_y holds 79% of the held-out data")
+    assert "too narrow; collect more data" in warnings[0]
+    near, far = (
+        FittedParameter(name, 1.0, 0.9, 1.1, distance, determined=True, at_bound=False)
+        for name, distance in (("m", 2.9), ("l_f", -3.1))
+    )
+    assert prior_warnings("wet", FittedVehicle((near,)).summary()) == []
+    (warning,) = prior_warnings("wet", FittedVehicle((near, far)).summary())
+    assert "from the prior: l_f (-3.1); check the units" in warning
 
 
 @pytest.mark.parametrize("determined", [False, True])

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 LONG = 3600.0  # s
-PATIENCE = 60.0
+# The processes import torch, and may get little of a busy machine.
+PATIENCE = 300.0
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +47,8 @@ def cluster() -> Iterator[str]:
             for line in head.stdout:
                 if "--block" in line:  # the cluster runs, and the command waits
                     break
+            else:
+                pytest.fail(f"ray ended with code {head.wait()} before the cluster ran")
             yield f"127.0.0.1:{port}"
         finally:
             head.terminate()

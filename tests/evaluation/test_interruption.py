@@ -79,7 +79,7 @@ def test_an_evaluation_whose_worker_was_killed_says_how_it_goes_on(
 INTERRUPTED_RESULTS = """
 from egp_service.workers import workers
 
-for _ in range(20):
+for _ in range(5):
     try:
         with workers(2) as pool:
             futures = [pool.submit(bytes, 3_000_000) for _ in range(50)]
@@ -96,7 +96,7 @@ def test_results_cut_off_in_the_middle_hold_nobody_up() -> None:
 
 
 @contextmanager
-def evaluation(folder: Path) -> Iterator[subprocess.Popen[str]]:
+def evaluation(folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
     """Drive twelve laps of 190 m."""
     track = folder / "circle.csv"
     angle = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
@@ -104,7 +104,7 @@ def evaluation(folder: Path) -> Iterator[subprocess.Popen[str]]:
     np.savetxt(track, rows, delimiter=",", header="x_m,y_m,w_tr_right_m,w_tr_left_m")
     command = [sys.executable, "-m", "egp_service", "evaluate", "-e", "unseen-track"]
     process = subprocess.Popen(
-        [*command, "--track", str(track), "-o", str(folder)],
+        [*command, "--track", str(track), "-o", str(folder), *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -125,15 +125,17 @@ def _is_longer(file: Path, size: int) -> bool:
 def test_an_evaluation_ends_with_its_processes_and_goes_on(tmp_path: Path) -> None:
     log = tmp_path / "runs.jsonl"
     finished = ""
-    for send, sent, code in (
-        (os.killpg, signal.SIGINT, 128 + signal.SIGINT),  # Ctrl-C
-        (os.kill, signal.SIGINT, 128 + signal.SIGINT),
-        (os.kill, signal.SIGKILL, -signal.SIGKILL),
+    one = ("--jobs", "1")
+    for send, sent, code, jobs in (
+        (os.killpg, signal.SIGINT, 128 + signal.SIGINT, ()),  # Ctrl-C
+        (os.kill, signal.SIGINT, 128 + signal.SIGINT, one),
+        (os.kill, signal.SIGKILL, -signal.SIGKILL, one),
     ):
-        with evaluation(tmp_path) as process:
-            wait_until(partial(_is_longer, log, len(finished)))
+        with evaluation(tmp_path, *jobs) as process:
+            wait_until(partial(_is_longer, log, len(finished)), 5 * PATIENCE)
             send(process.pid, sent)
-            output, _ = process.communicate(timeout=PATIENCE)  # until all have closed it
+            # Until all have closed it.
+            output, _ = process.communicate(timeout=5 * PATIENCE)
         assert process.returncode == code, output
         assert "Traceback" not in output
         assert sent == signal.SIGKILL or "The same command continues" in output

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,14 +12,18 @@ from typer.testing import CliRunner
 
 from egp_service import EgpError
 from egp_service.cli import app
-from egp_service.evaluation.campaign import fingerprint
-from egp_service.evaluation.contenders import ENSEMBLE
+from egp_service.evaluation import experiments
+from egp_service.evaluation.campaign import SHOWN_CONTENDERS, fingerprint
+from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.experiments import EXPERIMENTS, on_track
+from fewer_contenders import with_contenders
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 UNSEEN = next(experiment for experiment in EXPERIMENTS if experiment.name == "unseen-track")
+# Those whose drives are compared in a picture, and the oracle.
+CONTENDERS = (*SHOWN_CONTENDERS, ORACLE)
 
 
 def write_centre_line(file: Path, radius: float) -> None:
@@ -29,7 +34,10 @@ def write_centre_line(file: Path, radius: float) -> None:
     np.savetxt(file, rows, fmt="%.6f", delimiter=",", header="x_m,y_m,w_tr_right_m,w_tr_left_m")
 
 
-def test_one_command_drives_a_circuit_of_ones_own(tmp_path: Path) -> None:
+def test_one_command_drives_a_circuit_of_ones_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experiments, "EXPERIMENTS", (with_contenders(UNSEEN, *CONTENDERS),))
     file = tmp_path / "oval.csv"
     write_centre_line(file, 3.2)
     arguments = ["evaluate", "-e", "unseen-track", "--track", str(file), "--scale", "10"]
@@ -38,10 +46,23 @@ def test_one_command_drives_a_circuit_of_ones_own(tmp_path: Path) -> None:
     text = (tmp_path / "out" / "runs.csv").read_text(encoding="utf-8")
     runs = list(csv.DictReader(text.splitlines()))
     assert {row["condition"] for row in runs} == {"14 m/s on oval"}
-    assert len(runs) == len(UNSEEN.contenders)
+    assert len(runs) == len(CONTENDERS)
     (own,) = (row for row in runs if row["contender"] == ENSEMBLE)
     assert own["completed"] == "True"
     assert 190.0 < float(own["distance"]) < 230.0
+    # The report opens with contents, tables and pictures.
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    sections = re.findall(r'<a href="#(section-\d+)">', report)
+    assert len(sections) > 2
+    assert all(f'id="{section}"' in report for section in sections)
+    # The terminal has the table of the best controllers, too.
+    head, body = report.partition("Best controllers</h2>")[::2]
+    assert "<h2" in head
+    assert re.search(r"<td>unseen-track</td><td>14 m/s on oval</td><td>1/1, 0\.\d+ m</td>", body)
+    assert "unseen-track" in result.output
+    sources = re.findall(r'<img [^>]*src="([^"]{0,22})', report)
+    assert len(sources) > 1
+    assert set(sources) == {"data:image/png;base64,"}
 
 
 def test_runs_belong_to_what_the_file_says(tmp_path: Path) -> None:

@@ -101,6 +101,22 @@ def test_what_would_fill_the_memory_is_not_kept() -> None:
     assert (set(fleet.vehicles), car.status.run, car.last_seen) == ({"f/car"}, 1, 10.0)
 
 
+def test_long_texts_reach_no_page() -> None:
+    fleet = Fleet()
+    message = message_class("VehicleStatus").FromString(status())
+    message.step.replica = "r" * 60_000
+    fleet.status("f/stranger", message.SerializeToString(), 10.0)
+    assert not fleet.vehicles
+    message.step.replica = "r" * 64
+    message.step.detail, message.step.status = "d" * 20_000, "s" * 20_000
+    message.members.extend(["m" * 10_000])
+    fleet.status("f/car", message.SerializeToString(), 10.0)
+    car = fleet.vehicles["f/car"]
+    assert car.status.step.detail == "d" * 256
+    # 64 + 3 * 256 characters of texts, and the numbers.
+    assert len(fleet.snapshot(10.0)) + len(json.dumps(car.detail(0)[0])) < 4000
+
+
 def test_samples_and_roads_take_little_memory_and_reach_the_page_as_they_came() -> None:
     fleet, message = Fleet(), message_class("VehicleStatus").FromString(status())
     message.step.weights.extend([0.25] * 64)

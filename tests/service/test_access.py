@@ -32,15 +32,17 @@ def documented() -> tuple[list[str], set[Right]]:
     """Read the keys and the rights from the table."""
     keys, rights = [], set()
     for line in TABLE.read_text(encoding="utf-8").splitlines():
-        row = re.fullmatch(r"\| `(egp/v1/[^`]+)` \|(.*)\|", line)
-        if row is None:
+        if not line.startswith("| ") or "egp/v1/" not in line:
             continue
+        row = re.fullmatch(r"\| `(egp/v1/[^`]+)` \|(.*)\|", line)
+        assert row is not None, line
         keys.append(row[1])
         cells = [cell.strip() for cell in row[2].split("|")]
         for identity, cell in zip(IDENTITIES, cells, strict=True):
             found = set() if cell == "-" else set(cell.split(", "))
             assert found <= set(OPERATIONS), line
             rights |= {(identity, operation, row[1]) for operation in found}
+    assert {identity for identity, _, _ in rights} == {*IDENTITIES} - {"stranger"}
     return keys, rights
 
 

@@ -27,7 +27,7 @@ from egp_service.control.session import session_config
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario, told_zones
 from frozen import freeze
-from patience import PATIENCE, wait_until
+from patience import ATTEMPTS, PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -72,6 +72,12 @@ def freeze_service(service: ServiceProcess) -> None:
     process = service._process  # noqa: SLF001
     assert process is not None
     freeze(process)
+
+
+def thaw_service(service: ServiceProcess) -> None:
+    process = service._process  # noqa: SLF001
+    assert process is not None
+    process.send_signal(signal.SIGCONT)
 
 
 def unreachable(endpoint: str, gate: dict[str, float], reason: str) -> ServiceUnreachableError:
@@ -206,14 +212,18 @@ def test_without_a_service_a_step_costs_no_time(service: ServiceProcess) -> None
 
 
 def test_a_frozen_service_costs_no_more_than_the_deadline(service: ServiceProcess) -> None:
+    deadline = 1.5  # longer than queries usually may take
+    steps: list[Step] = []
     with VehicleClient.connect([service.endpoint], gate=GATE) as client:
         vehicle = Standstill(client)
-        vehicle.step(deadline=5.0)
-        freeze_service(service)
-        step = vehicle.step(deadline=1.5)  # longer than queries usually may take
+        for _ in range(ATTEMPTS):  # a stall of the machine prolongs one
+            assert vehicle.step(deadline=5.0).mode == "normal"
+            freeze_service(service)
+            steps.append(vehicle.step(deadline=deadline))
+            thaw_service(service)
         service.kill()
-    assert (step.mode, step.status) == ("tail", "late")
-    assert step.timings.total < 3.0
+    assert [(step.mode, step.status) for step in steps] == [("tail", "late")] * ATTEMPTS
+    assert min(step.timings.total for step in steps) < deadline + 0.1  # measured: 1.501
 
 
 def test_a_handler_of_a_signal_may_reset_within_a_step(service: ServiceProcess) -> None:

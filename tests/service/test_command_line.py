@@ -343,7 +343,7 @@ def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -
         (recording,) = runs.glob("*/run.mcap")
         report = tmp_path / "load.json"
         replay = ["load", "--replay", str(recording), "--connect", service.endpoint]
-        options = ["--vehicles", "2", "--seconds", "3", "--ramp", "0.5", "--most", "3"]
+        options = ["--vehicles", "2", "--seconds", "1", "--ramp", "0.5", "--most", "3"]
         figure = ["--figure", str(report.with_suffix(".png"))]
         assert CliRunner().invoke(app, [*replay, *options, *figure]).exit_code == 0
     rates = json.loads(report.read_text())["rates"]

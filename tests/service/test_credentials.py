@@ -84,6 +84,33 @@ def test_a_vehicle_is_renewed_with_its_key_and_endpoints(tmp_path: Path) -> None
     assert endpoints(own / "vehicles" / "f@b.json5") == ["tls/other.example:7447"]
 
 
+def test_without_the_list_of_vehicles_no_key_is_replaced(tmp_path: Path) -> None:
+    own = secrets(tmp_path / "own", "tls/127.0.0.1:7447")
+    from egp_service.cli.credentials import write_credentials  # noqa: PLC0415
+
+    ring = own / "vehicles.keys"
+    whole = ring.read_bytes()
+    ring.unlink()
+    before = written(own)
+    with pytest.raises(EgpError, match=r"vehicles.keys is missing.*restore it"):
+        write_credentials(own, "f", ["a", "c"], hosts=["localhost"], days=1)
+    assert written(own) == before
+    # The list is restored as the error says.
+    ring.write_bytes(b"".join(f.read_bytes() for f in sorted((own / "vehicles").glob("*.keys"))))
+    assert ring.read_bytes() == whole
+    assert write_credentials(own, "f", ["a", "c"], hosts=["localhost"], days=1) == ["f/c"]
+    assert ring.read_bytes().startswith(whole)
+
+
+@pytest.mark.parametrize("name", ["service", "map", "operator"])
+def test_a_router_does_not_take_the_file_of_another_program(tmp_path: Path, name: str) -> None:
+    from egp_service.control.router import Router  # noqa: PLC0415
+
+    own = secrets(tmp_path / "own", "tls/127.0.0.1:7447")
+    with pytest.raises(EgpError, match=rf"{name}.json5 has the mode 'peer'.*state router.json5"):
+        Router([], (), own / f"{name}.json5")
+
+
 def test_calls_at_the_same_time_complete_one_folder(tmp_path: Path) -> None:
     own, names = tmp_path / "own", ["a", "b", "c", "d"]
     command = [sys.executable, "-m", "egp_service", "keys", str(own), "--host", "localhost"]
@@ -272,3 +299,9 @@ def test_a_check_warns_of_a_certificate_that_expires_soon(
     warning = r"a certificate of this service expires in (9|10) days; renew it with `egp keys`"
     assert bool(re.search(warning, result.output)) == warned
     assert "valid" in result.output
+    # The file of another role is an error.
+    text = config.read_text(encoding="utf-8").replace("service.json5", "map.json5")
+    config.write_text(text, encoding="utf-8")
+    result = CliRunner().invoke(app, ["serve", "--config", str(config), "--check"])
+    assert "map.json5" in str(result.exception)
+    assert "state the file service.json5" in str(result.exception)

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 import zenoh
 
+from egp_service import simulation
 from egp_service._core import (
     EgpError,
     RoadBelief,
@@ -36,7 +38,6 @@ from patience import PATIENCE, shortest, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 SCENARIO = load_scenario("random")
 PATH = build_path(SCENARIO)
@@ -91,10 +92,12 @@ def measure(belief: RoadBelief, friction: float, metres: float) -> None:
         belief.update(s, row - row.max())
 
 
-def lap_time(tmp_path: Path, endpoint: str, vehicle: str) -> tuple[float, str]:
+def lap_time(
+    tmp_path: Path, endpoint: str, vehicle: str, scenario: str = "random"
+) -> tuple[float, str]:
     """Drive a lap in another process; give its time and what was printed."""
     output = tmp_path / vehicle
-    command = [sys.executable, "-m", "egp_service", "drive", "-s", "random", "--in-process"]
+    command = [sys.executable, "-m", "egp_service", "drive", "-s", scenario, "--in-process"]
     command += ["--no-pictures", "-o", str(output), "--fleet", endpoint, "--vehicle", vehicle]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     (summary,) = output.glob("*/summary.json")
@@ -137,7 +140,10 @@ def test_without_a_map_service_nothing_waits(tmp_path: Path) -> None:
         assert shortest(exchange) < 0.5
         assert fleet.origins == {}
     endpoint = free_endpoint()
-    _, said = lap_time(tmp_path, endpoint, "car-1")
+    short = tmp_path / "short.toml"
+    text = (Path(simulation.__file__).parent / "scenarios/random.toml").read_text(encoding="utf-8")
+    short.write_text(f"laps = 0.05\n{text}", encoding="utf-8")
+    _, said = lap_time(tmp_path, endpoint, "car-1", str(short))
     assert f"No map service answers at {endpoint}; start one with `egp map`" in said
     assert f"No map service has answered at {endpoint}, so that the fleet's map was not" in said
     assert "says nothing" not in said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service import Controller, Plant, shipped
+from egp_service import Controller, Plant, shipped, simulation
 from egp_service.cli.credentials import write_credentials
 
 if TYPE_CHECKING:
@@ -40,6 +41,17 @@ def make(page: str, with_ports: Callable[[str], str]) -> dict[str, object]:
         for folder in ("python", "tests"):
             Path(folder).symlink_to(ROOT / folder)
     return {}
+
+
+def shortened(page: str, text: str) -> str:
+    """Return the commands of a page with a twentieth of the lap that they drive."""
+    command = "egp drive --in-process -o first\n"
+    if page != "first-drive" or command not in text:
+        return text
+    scenario = Path(simulation.__file__).parent / "scenarios/rounded-rectangle.toml"
+    short = re.sub(r"(?m)^laps = .*$", "", scenario.read_text(encoding="utf-8"))
+    Path("short.toml").write_text(f"laps = 0.05\n{short}", encoding="utf-8")
+    return text.replace(command, "egp drive -s short.toml --in-process -o first\n")
 
 
 def end(names: dict[str, object]) -> None:

@@ -1,9 +1,9 @@
 """Every program and command of the documents runs, in the order of the page.
 
 Blocks with a title are files, `python` blocks of a page share their names, and lines of `sh` blocks
-run one after another; those that end with `&` run until the page is done. Blocks marked `minutes`
-run only if the environment variable `EGP_EVERY_COMMAND` is set. What a page assumes to be there is
-made by a function of `tests/stories/page_inputs.py`.
+run one after another; those that end with `&` run until the page is done. Blocks marked `minutes`,
+and the whole lap of the first drive, run only if the environment variable `EGP_EVERY_COMMAND` is
+set. What a page assumes to be there is made by a function of `tests/stories/page_inputs.py`.
 """
 
 from __future__ import annotations
@@ -46,6 +46,23 @@ PAGES: Final = [
 ELSEWHERE: Final = {
     ("README", "python"): "contract/test_readme.py",
     ("simulator", "python"): "closed_loop/test_environment.py",
+}
+# Page and first words of the blocks marked `minutes`, and a test that runs their commands on less
+# with the word of it that shows this.
+MINUTES: Final = {
+    ("README", "egp drive -s random --road"): ("closed_loop/test_unknown_friction.py", ".road"),
+    ("deploying", "egp serve"): ("service/test_command_line.py", '"--replay"'),
+    ("logs", "egp train"): ("evaluation/test_logs.py", '"--log"'),
+    ("map", "egp map"): ("service/test_map.py", '"--fleet"'),
+    ("simulation", "egp simulate --seeds"): ("stories/stories.py", '"--seeds=0..1"'),
+    ("simulator", "egp evaluate"): ("closed_loop/test_own_plant.py", '"--plant"'),
+    ("your-data", "egp vehicle fit"): ("train/test_vehicle_fit.py", '"fit"'),
+    ("your-data", "egp drive"): ("closed_loop/test_start.py", "vehicle_file=str(file)"),
+    ("your-data", "egp train --recipe"): ("train/test_data_commands.py", '"--recipe"'),
+}
+# Those that no test runs.
+NOT_REPLACED: Final = {
+    ("surfaces", "egp train --recipe"): "Trains for minutes, for tables that no test compares.",
 }
 # Blocks without a language are not executed. tests/contract/test_readme.py looks up the commands
 # and options in them.
@@ -161,8 +178,6 @@ class Shell:
 def test_every_block_of_a_page_runs(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if page == "first-drive" and not EVERY:
-        pytest.skip("a whole lap, which tests/closed_loop drives too: set EGP_EVERY_COMMAND=1")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
     shutil.copy(shipped.DEMO_LIBRARY, "library.safetensors")
@@ -173,6 +188,8 @@ def test_every_block_of_a_page_runs(
             if mark and not EVERY:
                 continue
             text = shell.with_ports(content)
+            if not EVERY:
+                text = page_inputs.shortened(page, text)
             if title:
                 Path(title).write_text(text, encoding="utf-8")
             elif (page, language) in ELSEWHERE or language not in EXECUTED:
@@ -191,6 +208,14 @@ def test_every_block_of_a_page_runs(
 def test_every_block_is_executed_by_a_test(page: str) -> None:
     found = blocks(page)
     commands = "".join(content for language, _, _, content in found if language == "sh")
+    marked = [content for _, mark, _, content in found if mark]
+    keys = [key for key in MINUTES.keys() | NOT_REPLACED if key[0] == page]
+    assert len(marked) == len(keys), "list each block marked `minutes` with the test in its place"
+    for content in marked:
+        (key,) = (key for key in keys if content.startswith(key[1]))
+        if key in MINUTES:
+            test, word = MINUTES[key]
+            assert word in (ROOT / "tests" / test).read_text(encoding="utf-8"), test
     for language, _, title, content in found:
         if title:
             # A file that no command uses is executed by nothing.

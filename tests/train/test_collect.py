@@ -120,6 +120,8 @@ def test_both_directions_turn() -> None:
 def test_refuses_what_is_not_there() -> None:
     with pytest.raises(EgpError, match="no track 'moon'"):
         collect(WET, CollectionSettings(tracks=("moon",), runs=1), jobs=1)
+    with pytest.raises(EgpError, match="samples is -5: expected a number of at least 0"):
+        CollectionSettings(runs=1, samples=-5)
     with pytest.raises(EgpError, match="nothing to collect"):
         CollectionSettings(runs=0, samples=0)
 

@@ -59,6 +59,8 @@ def test_options_of_the_other_source_are_errors(tmp_path: Path) -> None:
     for option in (("--separator", ";"), ("--steering-ratio", "16")):
         assert "--from-log" in failure(*collect, *option)
     log = options(tmp_path / "log.csv", plant_log())
+    told = failure("collect", *log, "-o", str(tmp_path / "data.parquet"), "--mass", "1.2")
+    assert told.startswith("--mass 1.2 is below 50 kg: state kg, such as 1200 for 1.2 t")
     for option in (("--track", "random"), ("--runs", "2"), ("--disturbance", "load=300")):
         told = failure("collect", *log, "-o", str(tmp_path / "data.parquet"), *option)
         assert told.startswith(f"{option[0]} can be given for simulated data only")
@@ -121,7 +123,10 @@ def test_a_recipe_states_what_options_would(tmp_path: Path) -> None:
         (TWO.format("ice", "friction = 0.3\nvehicle = 2"), ".*: one library has one dt and one"),
         (TWO.format("wet", "friction = 0.5"), "surface 'wet' with seed 0 is stated twice"),
         (TWO.format("ice", "friction = [0.3]"), "surface 'ice' has friction .*: expected a coeff"),
-        (TWO.format("ice", "friction = -0.3"), "expected a friction coefficient > 0, got -0.3"),
+        (
+            TWO.format("ice", "friction = -0.3"),
+            "expected a friction coefficient > 0 and at most 3, got -0.3",
+        ),
         (TWO.format("ice", "friction = 0.3\ndt = 2.0"), "dt is 2.0 s: expected a period of"),
         (TWO.format("", "friction = 0.3"), "the surface label is empty"),
     ],

@@ -232,6 +232,12 @@ def test_clocks_periods_and_empty_topics_are_checked(tmp_path: Path) -> None:
 
 
 def test_files_that_are_no_complete_recording_are_named(tmp_path: Path) -> None:
+    with (tmp_path / "empty.mcap").open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        writer.finish()  # type: ignore[no-untyped-call]
+    with pytest.raises(EgpError, match=r"empty\.mcap: the recording has no messages"):
+        load(tmp_path / "empty.mcap")
     with pytest.raises(EgpError, match="no such file or folder"):
         load(tmp_path / "none.mcap")
     for name in ("noise.mcap", "noise.db3", "noise.bag"):

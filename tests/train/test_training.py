@@ -158,6 +158,7 @@ def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) ->
     assert (z[:, 4] < 0.0).any()
     for name, trained in (("vehicle", member), ("other", other), ("free", without)):
         library = Library.load(tmp_path / name)
+        assert library.members[0].euler_steps == 3
         read = library.members[0]
         assert read.single_track is not None
         assert read.resistance is not None

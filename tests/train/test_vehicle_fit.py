@@ -191,9 +191,9 @@ def test_an_assumed_mass_is_not_determined() -> None:
         assert "the value follows the mass of the import" in lines[name].warning
 
 
-@pytest.mark.parametrize("width", [-1.0, 0.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("width", [-1.0, 0.0, 182.0, float("nan"), float("inf")])
 def test_a_width_is_checked_before_the_fit(width: float) -> None:
-    with pytest.raises(EgpError, match=f"the width is {width:g} m: expected a positive number"):
+    with pytest.raises(EgpError, match=f"the width is {width:g} m: expected 0.1 to 5 m"):
         vehicle_lines([], width=width)
 
 
@@ -254,7 +254,9 @@ def test_the_file_of_a_vehicle_from_logs(tmp_path: Path) -> None:
     known = tmp_path / "known.toml"
     known.write_text("".join(f"{name} = {value}\n" for name, value in TOY.fields().items()))
     command = ["vehicle", "fit", *paths, "-o", str(file), "--known", str(known)]
-    assert CliRunner().invoke(app, command).exit_code == 0
+    result = CliRunner().invoke(app, command, env={"FORCE_COLOR": "1"})
+    assert result.exit_code == 0
+    assert "fitting the vehicle" in result.output  # as a terminal shows it
     again = read_vehicle(file)
     assert (again.steering_angle, again.width) == (TOY.steering_angle, TOY.width)
     assert again.mass == pytest.approx(TOY.mass, rel=0.03)

@@ -76,7 +76,8 @@ impl SimulatedVehicle {
         Ok(vehicle)
     }
 
-    /// Puts the vehicle on the course at arc length `s` and forgets the past.
+    /// Puts the vehicle on the course at arc length `s`, with the speed of the profile there, and resets the client
+    /// ([`VehicleClient::reset`]).
     ///
     /// # Errors
     /// [`SimulationError::Plant`].

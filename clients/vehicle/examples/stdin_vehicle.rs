@@ -2,7 +2,8 @@
 //! `tests/conformance`. Its arguments are the seconds in which it must have connected, and the endpoints.
 //!
 //! It first writes what is served, or why it cannot connect. Then `{"deadline": s, "x": [7], "reference": [[4], ...]}` opens
-//! a period, and `{"reset": true}` resets. Each line is answered by one line.
+//! a period, `{"reset": true}` resets, and `{"replicas": true}` asks how many replicas announce themselves. Each line is
+//! answered by one line.
 
 use std::error::Error;
 use std::io::{BufRead as _, Write as _, stdin, stdout};
@@ -25,6 +26,10 @@ enum Command {
         #[serde(rename = "reset")]
         _reset: bool,
     },
+    Replicas {
+        #[serde(rename = "replicas")]
+        _replicas: bool,
+    },
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -33,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let endpoints: Vec<&str> = endpoints.iter().map(String::as_str).collect();
     let limits = GateLimits::of(&VehicleParameters::FORD_ESCORT);
     let mut config = VehicleConfig::new("conformance", "car", limits, &endpoints)?;
-    config.driver.max_tail_ticks = 5;
+    config.driver.max_tail_ticks = Some(5);
     config.patience = Duration::try_from_secs_f64(patience.parse()?)?;
     let mut vehicle = match VehicleClient::connect(&config) {
         Ok(vehicle) => vehicle,
@@ -46,6 +51,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 vehicle.reset();
                 answer(&json!({}))?;
             }
+            Command::Replicas { .. } => answer(&json!({ "replicas": vehicle.replicas().len() }))?,
             Command::Step {
                 deadline,
                 x,

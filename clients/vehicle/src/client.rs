@@ -9,6 +9,7 @@ use egp_driver::{
 };
 use egp_gate::Mode;
 use egp_session::NetworkError;
+use egp_wire::keys::Name;
 use egp_wire::{ReferenceRow, State, WidthRow};
 use prost::Message as _;
 use thiserror::Error;
@@ -37,13 +38,14 @@ pub enum ClientError {
     /// The system gives no random number, which a run with a key and the publication of the status need.
     #[error("the system gives no random number: {0}")]
     Random(getrandom::Error),
-    /// Budget, limits or gate settings are out of range.
+    /// Budget, hedge, limits or gate settings are out of range, or the limits allow more than the vehicle that plans are made
+    /// for can do, or have another mass.
     #[error(transparent)]
     Driver(#[from] DriverError),
     /// The spans of control steps cannot be written.
     #[error(transparent)]
     Traces(#[from] StepTracesError),
-    /// No request can be made of the reference or the widths.
+    /// No request can be made of the reference, the widths or `road_friction`.
     #[error(transparent)]
     Argument(#[from] InvalidArgument),
 }
@@ -125,12 +127,18 @@ impl VehicleClient {
         self.driver.weights()
     }
 
+    /// The replicas that have announced themselves until now, also since the last period.
+    pub fn replicas(&mut self) -> &[Name] {
+        self.tell_what_came(Instant::now());
+        self.driver.replicas()
+    }
+
     /// The mode of the last command.
     pub fn mode(&self) -> Mode {
         self.driver.mode()
     }
 
-    /// Leaves STOP and forgets the past, for instance after the vehicle was moved.
+    /// Leaves STOP and discards history, weights, plan and outstanding requests, for instance after the vehicle was moved.
     pub fn reset(&mut self) {
         self.driver.reset();
     }
@@ -141,8 +149,8 @@ impl VehicleClient {
     /// has rows `[p_x, p_y, v_x, psi]` for the stages 0..=T, `widths` as many rows `[left, right]` or none.
     ///
     /// # Errors
-    /// [`ClientError::Argument`] if no request can be made of `reference` or `widths`. A measured state that is not
-    /// finite is not an error: its command is a stop.
+    /// [`ClientError::Argument`] if no request can be made of `reference`, `widths` or the road's friction. A measured state
+    /// that is not finite, or is outside its domain, is not an error: its command is a stop.
     pub fn step(
         &mut self,
         x: State,
@@ -238,8 +246,8 @@ impl VehicleClient {
         }
     }
 
-    /// Tells the driver the events that have come. More than [`FEW`] are told only until the deadline, and the next step
-    /// goes on with the rest.
+    /// Passes the received events to the driver: the first [`FEW`] in any case, further ones until the deadline. The next
+    /// step goes on with the rest.
     fn tell_what_came(&mut self, deadline: Instant) {
         let mut told = 0;
         while (told < FEW || Instant::now() < deadline)
@@ -322,7 +330,7 @@ fn discover(
     }
 }
 
-/// Events that are told before each period, even if its deadline has passed, so that they do not pile up.
+/// Events that are passed to the driver before each period, even if its deadline has passed, so that they do not pile up.
 const FEW: usize = 64;
 /// Time between two rounds of questions.
 const POLL: Duration = Duration::from_millis(100);

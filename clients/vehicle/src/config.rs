@@ -34,7 +34,7 @@ pub struct VehicleConfig {
     /// The vehicle's secret key, which [`VehicleConfig::with_key`] reads. Each connection is a run of its own with this key,
     /// in place of `driver.key`. Default none.
     pub key: Option<VehicleKey>,
-    /// Routers or replicas to connect to, as `tcp/host:7447`.
+    /// Routers or replicas to connect to, such as `tcp/host:7447`.
     pub connect: Vec<String>,
     /// How long to wait for a replica when connecting. Default 10 s.
     pub patience: Duration,

@@ -137,7 +137,9 @@ impl Status {
             friction_lower: friction.map_or(f64::NAN, |found| found.lower),
             friction_upper: friction.map_or(f64::NAN, |found| found.upper),
             friction_information: friction.map_or(f64::NAN, |found| found.information),
-            envelope_distance: step.situation.map_or(f64::NAN, |here| here.envelope),
+            envelope_distance: step
+                .situation
+                .map_or(f64::NAN, |here| here.envelope_distance),
             total_ms: milliseconds(period.total),
             queue_ms: milliseconds(micros(queue)),
             compute_ms: milliseconds(micros(compute)),

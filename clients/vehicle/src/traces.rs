@@ -22,7 +22,7 @@ pub enum StepTracesError {
 }
 
 /// Collects what happens to the questions of one control period after the other, and writes the periods' spans. A transport
-/// tells it the same events as its driver, with the times of the driver's clock.
+/// passes it the same events as its driver, with the times of the driver's clock.
 pub struct StepTraces {
     file: TraceFile,
     share: Share,
@@ -121,7 +121,7 @@ impl StepTraces {
         };
         let (fleet, vehicle) = (self.fleet.as_str(), self.vehicle.as_str());
         let ids = StepIds::new(fleet, vehicle, &step.request);
-        if !self.share.has(ids.trace()) {
+        if !self.share.contains(ids.trace()) {
             return;
         }
         let moment = Moment::now(clock);

@@ -65,10 +65,10 @@ class RoadBelief:
     def leave(self) -> None:
         """Forget where the vehicle was: after it was moved, or when the history started anew."""
     def ahead(self, places: ArrayLike, risk: float) -> NDArray[np.float64]:
-        """Return the friction to plan for at equidistant arc lengths (n,), those of `places`.
+        """Return the friction to plan for (n,) at equidistant arc lengths `places` (n,), m.
 
-        It is the friction below which that of each place lies with the probability `risk`,
-        reckoning with a change within the last `commitment` m. Raises `InvalidArgumentError` unless
+        It is the friction below which that of each place lies with the probability `risk`, if the
+        surface may also change within the last `commitment` m. Raises `InvalidArgumentError` unless
         the distances are equal, and `EgpError` unless `risk` is between 0 and 1.
         """
     def preview(self, places: ArrayLike) -> NDArray[np.float64]:
@@ -119,7 +119,9 @@ def merge_tiles(
     """Merge what several vehicles measured in the same tile, each with its age in s.
 
     Each contributes at most `capacity` nats (default 6) to a cell, and its information falls to 1/e
-    in `lifetime` s (1800). The result does not depend on the order. Raises `InvalidArgumentError`
+    in `lifetime` s (1800). Of n informative contributions to a cell, of at least 0.5 nats, the
+    (n - 1) // 2 smallest likelihoods of a coefficient do not count (a trimmed sum; docs/map.md,
+    section 2). The result does not depend on the order. Raises `InvalidArgumentError`
     for an age that is negative or not finite, and `EgpError` if bytes are not those of a tile, or a
     setting is not positive.
 
@@ -134,8 +136,19 @@ def merge_tiles(
 class SpeedPlanner:
     """Plans the speed over the next 250 m of a path, once in each control period.
 
-    `grip`, `v_max` and `tyres` are those of `SpeedProfile`. The path's zones of friction are not
-    used.
+    `grip`, `v_max`, `end_speed` (m/s) and `tyres` are those of `SpeedProfile`. The path's zones of
+    friction are not used. Without `end_speed` a plan takes no account of the end of an open path,
+    behind which it goes straight on: for a vehicle that shall stop there, state 0. Raises
+    `EgpError` if a number is out of range.
+
+    >>> import numpy as np
+    >>> from egp_service import Path, SpeedPlanner, VehicleParameters
+    >>> points = np.column_stack([np.linspace(0.0, 120.0, 25), np.zeros(25)])
+    >>> path = Path.from_points(points, closed=False)
+    >>> planner = SpeedPlanner(path, VehicleParameters.commonroad(1), end_speed=0.0)
+    >>> friction = np.full(len(planner.places(100.0)), 0.8)
+    >>> planner.plan(100.0, friction, 10.0).speed(np.array([100.0, 120.0])).round(3).tolist()
+    [10.0, 0.0]
     """
 
     def __new__(
@@ -145,6 +158,7 @@ class SpeedPlanner:
         grip: float = 0.8,
         v_max: float = 30.0,
         *,
+        end_speed: float | None = None,
         tyres: ArrayLike | None = None,
     ) -> SpeedPlanner: ...
     def places(self, s: float) -> NDArray[np.float64]:

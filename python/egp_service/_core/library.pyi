@@ -57,11 +57,14 @@ class Library:
     def predict(
         self, z: ArrayLike, member: int = 0
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Predict with one member at GP inputs `z` (n, 6), all in physical units.
+        """Predict with one member at GP inputs `z` (n, 6).
 
-        Returns the mean (n, 3), its Jacobian (n, 3, 6) and the variance of the latent function,
-        which excludes measurement noise, (n, 3). Raises `InvalidArgumentError` for inputs that are
-        not finite or so large that a prediction is not.
+        Rows of `z` are `[v_x, v_y, omega, delta, F_x, delta_dot]` in m/s, m/s, rad/s, rad, N and
+        rad/s. Returns the mean (n, 3), its Jacobian (n, 3, 6) and the variance of the latent
+        function, which excludes measurement noise, (n, 3). The mean is the change of
+        `[v_x, v_y, omega]` over `dt`, in m/s, m/s and rad/s. Raises `IndexError` if there is no
+        such member, and `InvalidArgumentError` for inputs that have another shape, are not finite,
+        or are so large that a prediction is not.
 
         >>> import numpy as np
         >>> from egp_service import Library
@@ -75,11 +78,11 @@ class Library:
         (True, True)
         """
     def predict_mean(self, z: ArrayLike, member: int = 0) -> NDArray[np.float64]:
-        """Mean (n, 3) of one member at GP inputs `z` (n, 6), in physical units.
+        """Mean (n, 3) of one member at GP inputs `z` (n, 6), with the units of `predict`.
 
         It is that of `predict` up to rounding, and takes a fraction of the time, because the
         variance needs M² operations a point and the mean M, for M points of the member. Raises
-        `InvalidArgumentError` as `predict` does.
+        `IndexError` and `InvalidArgumentError` as `predict` does.
 
         >>> import numpy as np
         >>> from egp_service import Library
@@ -155,6 +158,12 @@ class Member:
         them, and None without such a vehicle.
         """
     @property
+    def euler_steps(self) -> int:
+        """Number of Euler steps with which the single-track vehicle predicts a period.
+
+        It is 1 without such a vehicle.
+        """
+    @property
     def kinematic(self) -> NDArray[np.float64] | None:
         """Parameters (3,) of a vehicle whose wheels roll without slip, or None.
 
@@ -188,6 +197,7 @@ class MemberData:
         single_track: ArrayLike | None = None,
         kinematic: ArrayLike | None = None,
         resistance: ArrayLike | None = None,
+        euler_steps: int = 1,
     ) -> MemberData: ...
 
 def write_library(

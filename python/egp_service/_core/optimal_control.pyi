@@ -50,16 +50,19 @@ class OcpResult:
         """One of "solved", "iteration_limit", "infeasible", "numerical_error", "check_failed"."""
     @property
     def x(self) -> NDArray[np.float64]:
-        """States (T+1, 7)."""
+        """States (T+1, 7), `[p_x, p_y, v_x, psi, v_y, omega, delta]` in SI units."""
     @property
     def u(self) -> NDArray[np.float64]:
-        """Scaled inputs (T, 2)."""
+        """Inputs (T, 2): acceleration in m/s² and steering rate in rad/s."""
     @property
     def iterations(self) -> int:
         """Iterations of the last solver."""
     @property
     def kkt_residual(self) -> float:
-        """Largest residual of the optimality conditions."""
+        """Largest of stationarity, primal, dual and complementarity residual.
+
+        All but the primal one are relative to the size of their terms, which counts as at least 1.
+        """
     @property
     def solver(self) -> str:
         """Name of the last solver, which gave the result."""
@@ -137,8 +140,8 @@ def solve_weights(
     simplex. noise_std (3,) is the standard deviation of the predictions' own noise. With
     measurement_std (3,), that of the measured states, the k transitions have to be consecutive: an
     output's errors then have the covariance noise_std² + 2 measurement_std², and neighbours
-    -measurement_std². Raises `EgpError` for shapes that differ and for numbers outside their
-    domain.
+    -measurement_std². Raises `EgpError` for shapes that differ, for numbers outside their domain
+    and unless `strength` is from 0 to 1e300.
 
     The measurement is halfway between the predictions of two members:
 

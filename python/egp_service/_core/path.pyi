@@ -22,7 +22,13 @@ class Path:
 
     @staticmethod
     def from_points(points: ArrayLike, closed: bool, widths: ArrayLike | None = None) -> Path:
-        """Make a smooth path through points (n, 2), with `[left, right]` widths (n, 2) at them."""
+        """Make a smooth path through points (n, 2), m, n >= 4.
+
+        `widths` (n, 2) are the distances `[left, right]`, m, to the edges at the points. Raises
+        `EgpError` for fewer points, repeated ones, turns that are too sharp, a path that is too
+        long, coordinates that are not finite or beyond 1e8 m, and widths that are not finite,
+        negative, or of another number.
+        """
     @staticmethod
     def rounded_rectangle(
         length: float = 120.0,
@@ -33,7 +39,8 @@ class Path:
     ) -> Path:
         """Make a counter-clockwise lap that starts along +x in the middle of the lower side.
 
-        Corners are arcs between clothoids of length `transition`.
+        Corners are arcs between clothoids of length `transition`. All dimensions are in m. Raises
+        `EgpError` if one is out of range or a side is too short for its corners.
         """
     @staticmethod
     def l_shape(
@@ -44,7 +51,10 @@ class Path:
         transition: float = 10.0,
         track_width: float = 7.0,
     ) -> Path:
-        """Make a closed L with arms of width `arm`: five left turns and a right one."""
+        """Make a closed L with arms of width `arm`: five left turns and a right one.
+
+        All dimensions are in m. Raises `EgpError` as `rounded_rectangle` does.
+        """
     @staticmethod
     def iso_3888_2(
         vehicle_width: float,
@@ -55,7 +65,8 @@ class Path:
         """Make the severe double lane change of ISO 3888-2, with a drivable path between the cones.
 
         Widths reach to the cones, which start after `lead_in`; `margin` is the distance between the
-        cones and the sides of a vehicle on the path.
+        cones and the sides of a vehicle on the path. All dimensions are in m. Raises `EgpError` if
+        one is out of range or the margin leaves no room in the first lane.
         """
     @staticmethod
     def lane_changes(
@@ -65,19 +76,29 @@ class Path:
         hold: float = 20.0,
         track_width: float = 7.0,
     ) -> Path:
-        """Make a straight road on which the path repeatedly changes to the left lane and back."""
+        """Make a straight road on which the path repeatedly changes to the left lane and back.
+
+        All dimensions are in m. Raises `EgpError` if one is out of range or the road is too short
+        for a lane change and back.
+        """
     @staticmethod
     def random(
         seed: int, length: float = 500.0, min_radius: float = 15.0, track_width: float = 7.0
     ) -> Path:
-        """Make a closed track from a seed: no crossing, no turn tighter than `min_radius`."""
+        """Make a closed track from a seed: no crossing, no turn tighter than `min_radius`.
+
+        All dimensions are in m. Raises `EgpError` if one is out of range, the lap is too short for
+        the radius, or the radius is at most half the track's width.
+        """
     @staticmethod
     def from_csv(file: str | PathLike[str], scale: float = 1.0) -> Path:
         """Read a closed track: a raceline (columns by `;`) or a centre line (columns by `,`).
 
         `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2` has no widths, and its psi must fit
         the positions, measured from +x or from +y; `x_m,y_m,w_tr_right_m,w_tr_left_m` has widths.
-        Lengths are multiplied by `scale`, which is 10 for a track of 1:10 cars.
+        Lengths are in m and multiplied by `scale`, which is 10 for a track of 1:10 cars. Raises
+        `EgpError` if the file cannot be read or has another format, `scale` is out of range, or
+        `from_points` raises it for the points.
         """
     def with_friction(
         self, zones: Sequence[tuple[float, _Surface] | tuple[float, _Surface, _Surface]]
@@ -86,7 +107,8 @@ class Path:
 
         A zone is its start as a fraction of the length, and its surface, which `surface_friction`
         describes; the first starts at 0. A third member is the surface to the right of the path,
-        and the second is then that to the left.
+        and the second is then that to the left. Raises `EgpError` if the starts do not increase
+        from 0 to below 1 or a surface is out of range.
         """
     @property
     def length(self) -> float:
@@ -95,10 +117,11 @@ class Path:
     def closed(self) -> bool:
         """Whether the end joins the start."""
     def project(self, position: ArrayLike, hint: float | None = None) -> Projection:
-        """Return the point of the path that is nearest to a position `[x, y]`.
+        """Return the point of the path that is nearest to a position `[x, y]` (2,), m.
 
-        With the last `s` as `hint`, the search starts there and goes downhill, so that it stays on
-        its branch where the path comes close to itself. Without a hint the whole path is searched.
+        With the last `s`, m, as `hint`, the search starts there and goes downhill, so that it stays
+        on its branch where the path comes close to itself. Without a hint the whole path is
+        searched. Raises `EgpError` if a number is not finite.
         """
     def sample(
         self, s: ArrayLike
@@ -197,11 +220,13 @@ def horizon_reference(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, Projection]:
     """Return reference rows `[p_x, p_y, v_x, psi]` (horizon + 1, 4), widths and projection.
 
-    `x` is the vehicle's state (7,). Rows follow the profile by time from the vehicle's projection;
-    yaw is unwrapped relative to the vehicle's. Widths `[left, right]` (horizon + 1, 2) are None for
-    a path without. Pass the last projection's `s` as `hint`.
+    `x` is the vehicle's state (7,), and `dt` the control period in s. Rows, in m, m, m/s and rad,
+    follow the profile by time from the vehicle's projection; yaw is unwrapped relative to the
+    vehicle's. Widths `[left, right]` (horizon + 1, 2), m, are None for a path without. Pass the
+    last projection's `s`, m, as `hint`.
 
     If the profile is more than 2 m/s above the vehicle's `v_x`, as at a start, the rows catch up
     with it: after `t` seconds their speed is at most `v_x + 2 m/s + 1 m/s² t`. Without `catch_up`
-    they follow the profile however far the vehicle is behind.
+    they follow the profile however far the vehicle is behind. Raises `EgpError` if position, yaw or
+    hint is not finite, `dt` is not positive, or the profile is not one of `path`.
     """

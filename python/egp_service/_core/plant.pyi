@@ -31,7 +31,12 @@ class Plant:
         v_y: float = 0.0,
         delta: float = 0.0,
     ) -> None:
-        """Put the vehicle at a pose with forward speed `v >= 0` and its suspension at rest."""
+        """Put the vehicle at `x`, `y` (m) and `yaw` (rad) with rolling wheels.
+
+        It gets the forward speed `v >= 0` and the lateral speed `v_y` (m/s), the yaw rate
+        `yaw_rate` (rad/s) and the steering angle `delta` (rad); its suspension is at rest. Raises
+        `EgpError` if a number is not finite or `v` is negative.
+        """
     def step(
         self,
         u: ArrayLike,
@@ -52,30 +57,34 @@ class Plant:
         """
     @property
     def state(self) -> NDArray[np.float64]:
-        """All 29 states in the order of CommonRoad's multi-body vehicle."""
+        """All states (29,) in the order and the SI units of CommonRoad's multi-body vehicle.
+
+        Setting them raises `InvalidArgumentError` for another shape, and `EgpError` if a number is
+        not finite or the forward speed is negative.
+        """
     @state.setter
     def state(self, value: ArrayLike) -> None: ...
     @property
     def vehicle_state(self) -> NDArray[np.float64]:
-        """The state for a controller: `[p_x, p_y, v_x, psi, v_y, omega, delta]`, SI units."""
+        """The state (7,) for a controller: `[p_x, p_y, v_x, psi, v_y, omega, delta]`.
+
+        In m, m, m/s, rad, m/s, rad/s and rad.
+        """
     @property
     def parameters(self) -> VehicleParameters:
         """The parameters for a controller of this vehicle."""
     @property
     def mass(self) -> float:
         """Mass of the simulated vehicle in kg, which `parameters` states rounded."""
-    @property
-    def lateral_acceleration(self) -> float:
-        """Lateral acceleration of the body in m/s²."""
 
 def surface_friction(surface: _Surface) -> float:
     """Return the friction coefficient of a surface: longitudinal peak force over load.
 
-    A surface is this number alone, a preset (`dry`, `wet`, `snow`, `ice`), or a table with `peak`
-    and factors on the tyre's `stiffness`, `shape` and `curvature`, all 1 unless stated. The lateral
-    force has a peak of `0.9 peak` and the same factors, unless `lateral_peak`, `lateral_stiffness`,
-    `lateral_shape` or `lateral_curvature` state others. `shift` is a factor on the lateral force of
-    camber alone.
+    A surface is this number alone, above 0 and at most 3, a preset (`dry`, `wet`, `snow`, `ice`),
+    or a table with `peak` and factors on the tyre's `stiffness`, `shape` and `curvature`, all 1
+    unless stated. The lateral force has a peak of `0.9 peak` and the same factors, unless
+    `lateral_peak`, `lateral_stiffness`, `lateral_shape` or `lateral_curvature` state others.
+    `shift` is a factor on the lateral force of camber alone.
 
     Raises `EgpError` if a name is unknown or a value out of its range.
     """

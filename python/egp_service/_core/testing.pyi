@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from egp_service._core.optimal_control import OcpBounds, OcpWeights
 from egp_service._core.path import _Surface
+from egp_service._core.plant import Plant
 
 MAP_HEALTH_KEY: str
 MAP_METRICS_KEY: str
@@ -71,6 +72,7 @@ def plant_derivative(
 def plant_initial_states(
     vehicle_states: NDArray[np.float64], vehicle: int = 1
 ) -> NDArray[np.float64]: ...
+def plant_lateral_acceleration(plant: Plant) -> float: ...
 def plant_step_batch(
     states: ArrayLike,
     u: ArrayLike,

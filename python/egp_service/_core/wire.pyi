@@ -80,6 +80,7 @@ class Refusal:
             "superseded",
             "too_late",
             "draining",
+            "unauthenticated",
             "internal",
         ]
     ]

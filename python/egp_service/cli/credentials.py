@@ -84,8 +84,8 @@ def write_credentials(
     listens on 7447 without it. `report` is also told if certificates cannot be valid for `days`.
 
     Raises `EgpError` before anything is written for a name or host that cannot be used, for a file
-    that is not as an earlier call wrote it, and if the folder's authority has expired or lacks its
-    certificate or key.
+    that is not as an earlier call wrote it or is missing, and if the folder's authority has expired
+    or lacks its certificate or key.
     """
     names = list(dict.fromkeys(_vehicle(fleet, vehicle) for vehicle in vehicles))
     check_hosts(hosts)
@@ -122,7 +122,16 @@ def _collect(
     report: Callable[[str], None],
 ) -> _Fleet:
     """Join what earlier calls wrote with what is to be added."""
-    keys = _read_keys(folder / "vehicles.keys")
+    ring = folder / "vehicles.keys"
+    own = list((folder / "vehicles").glob("*.keys"))
+    if own and not ring.exists() and (folder / "ca.pem").exists():
+        raise EgpError(
+            f"{ring} is missing, and without it the secret keys of {len(own)} vehicles would be "
+            f"lost: restore it from a copy, or from the vehicles' own files by `cat "
+            f"{folder / 'vehicles'}/*.keys > {ring}`, without the lines of vehicles that were "
+            "removed"
+        )
+    keys = _read_keys(ring)
     new = [name for name in names if name not in keys]
     keys |= {name: secrets.token_hex(32) for name in new}
     listening = {
@@ -177,7 +186,7 @@ def _write_all(folder: Path, fleet: _Fleet, authority: Authority, days: int) -> 
         config = _listener(authority, identity, end, at, fleet.keys)
         _write(folder / f"{end}.json5", _text(config))
     # The list of the vehicles comes last: a call that was interrupted after it had made the
-    # authority can be repeated.
+    # authority can be repeated, once the list is restored if files of vehicles are there.
     _write(folder / "vehicles.keys", _key_lines(fleet.keys))
 
 

@@ -55,24 +55,45 @@ def collecting(console: Console) -> Iterator[Callable[[str, int, int], None]]:
         yield report
 
 
-@contextlib.contextmanager
-def reading(console: Console, name: str) -> Iterator[Callable[[int, int], None]]:
+def reading(
+    console: Console, name: str
+) -> contextlib.AbstractContextManager[Callable[[int, int], None]]:
     """Show a bar for a recording; the callable takes the messages that were read, and all."""
+    return counted(console, f"reading {name}", "messages")
+
+
+@contextlib.contextmanager
+def counted(console: Console, what: str, noun: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a bar until the work is done; the callable takes the completed things, and all."""
     with Progress(
-        TextColumn("reading {task.description}", markup=False),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("messages"),
+        TextColumn(noun),
         TimeRemainingColumn(),
         console=console,
         transient=True,
     ) as progress:
-        task = progress.add_task(name, total=None, visible=False)
+        task = progress.add_task(what, total=None, visible=False)
 
         def report(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total, visible=True)
 
         yield report
+
+
+@contextlib.contextmanager
+def working(console: Console, what: str) -> Iterator[None]:
+    """Show a bar without an end, and the time so far, around work that counts nothing."""
+    with Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+    ) as progress:
+        progress.add_task(what, total=None)
+        yield
 
 
 @contextlib.contextmanager

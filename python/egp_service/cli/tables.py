@@ -30,6 +30,10 @@ for drive and braking; e: how much these reduce the lateral force; c_0: rolling
 resistance in m/s², c_2: drag in 1/m. From prior: in standard deviations of the
 prior. The intervals tell how well the data determine these numbers; the error of
 the single-track equations is not in them (docs/your-car.md)."""
+_COVERED: Final = 0.8
+"""Share of held-out data in the 95 % intervals below which a member is badly calibrated."""
+_FAR: Final = 3.0
+"""Standard deviations of the prior beyond which a fitted parameter is implausible."""
 MOTION_NAMES: Final = tuple(list(STATE)[column] for column in MOTION)
 
 
@@ -150,6 +154,32 @@ def vehicle_table(label: str, parameters: Mapping[str, Mapping[str, float | bool
             ", ".join(remarks),
         )
     return table
+
+
+def calibration_warnings(matrix: list[list[Cell]]) -> list[str]:
+    """Return a sentence for each member whose intervals hold too little of its own surface."""
+    return [
+        f"{cell.member}: the 95 % interval of {list(GP_OUTPUT)[int(cell.coverage.argmin())]} holds "
+        f"{cell.coverage.min():.0%} of the held-out data: the intervals are too narrow; collect "
+        "more data, or check the units of the log"
+        for row in matrix
+        for cell in row
+        if cell.member == cell.surface and cell.coverage.min() < _COVERED
+    ]
+
+
+def prior_warnings(label: str, parameters: Mapping[str, Mapping[str, float | bool]]) -> list[str]:
+    """Return a sentence if parameters of `FittedVehicle.summary` are far from their priors."""
+    far = {name: p["distance"] for name, p in parameters.items() if abs(p["distance"]) > _FAR}
+    if not far:
+        return []
+    listed = ", ".join(f"{name} ({distance:+.1f})" for name, distance in far.items())
+    return [
+        (
+            f"{label}: more than {_FAR:g} standard deviations from the prior: {listed}; "
+            "check the units of the log, and the vehicle's file"
+        )
+    ]
 
 
 def skill_table(label: str, skill: Skill) -> Table:

@@ -38,8 +38,8 @@ REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
 # Time that a replica may take to answer what it serves, and time between two rounds of questions.
 _QUESTION_SECONDS = 1.0
 _POLL_SECONDS = 0.05
-# Events that the driver is told before each period even if its deadline has passed, so that they do
-# not pile up. Further ones are told until the deadline only, and the next step goes on with them.
+# Events that are passed to the driver before each period even if its deadline has passed, so that
+# they do not pile up. Further ones are passed until the deadline, and the next step goes on.
 _FEW_EVENTS = 64
 _NO_LINK = (
     "there is no link to a service: no program listens, or, with TLS, a certificate is missing, "
@@ -190,7 +190,7 @@ class Announcement:
     appeared: bool
 
     def __call__(self, driver: Driver) -> None:
-        """Tell the driver."""
+        """Call `replica_appeared` or `replica_gone` of the driver."""
         note = driver.replica_appeared if self.appeared else driver.replica_gone
         note(self.at, self.replica)
 

@@ -69,7 +69,7 @@ class Recorded:
     about: Mapping[str, str]
     """Versions, machine and library, as `Recorder` writes them."""
     settings: Mapping[str, object] | None
-    """All settings of the control step; `None` if the recorder did not know them."""
+    """All settings of the control step; `None` if they were not available to the recorder."""
     stated_settings: Mapping[str, object]
     """Settings that do not have their default."""
     scenario: str | None

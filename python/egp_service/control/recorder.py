@@ -86,6 +86,7 @@ class Recorder:
         about = _about(controller) | _checked_notes(notes or {})
         self._channels: dict[str, int] = {}
         self._steps = 0
+        self._last = 0.0
         self._ended = "it is closed"
         with ExitStack() as failed:
             with replacing(Path(path).resolve()) as beside:
@@ -103,9 +104,9 @@ class Recorder:
 
         `x` is the measured state (7,), `[p_x, p_y, v_x, psi, v_y, omega, delta]` in SI units and
         rad, `time` the time since the start of the recording in s. Raises `InvalidArgumentError`,
-        and records nothing, for a time that is negative, above 292 years or not finite, for a state
-        of another shape, and after the end of the recording. Raises `OSError` if the file cannot be
-        written to, which ends it.
+        and records nothing, for a time that is negative, below that of the step before, above 292
+        years or not finite, for a state of another shape, and after the end of the recording.
+        Raises `OSError` if the file cannot be written to, which ends it.
         """
         state = self._checked(x, time)
         request, reply = message_class("StepRequest"), message_class("StepReply")
@@ -117,6 +118,7 @@ class Recorder:
             messages.append((topic, type(message), message.SerializeToString()))
         with self._whole():
             self._write(messages, time)
+            self._last = time
             self._steps += 1
             if self._steps % FLUSH_STEPS == 0:
                 self._flush()
@@ -128,6 +130,11 @@ class Recorder:
             raise InvalidArgumentError(
                 f"expected for time the seconds since the start of the recording, from 0 to less "
                 f"than {LATEST:.3g}, got {time}"
+            )
+        if time < self._last:
+            raise InvalidArgumentError(
+                f"the time {time} s is before that of the last step, {self._last} s: use a clock "
+                "that does not run backward, such as `time.monotonic`"
             )
         return measured_state(x)
 

@@ -94,12 +94,18 @@ class Replay:
         return _first(self.share > MATTERS)
 
 
-def replay(recorded: Recorded, library: Path, settings: Mapping[str, object]) -> Replay:
+def replay(
+    recorded: Recorded,
+    library: Path,
+    settings: Mapping[str, object],
+    report: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Replay:
     """Answer the recorded requests again with a library file and settings.
 
     Requests are sent unchanged to the library that they name. For another library they name that
     one, and leave out what only the members of the recorded one give: their predictions and, if the
     members' names differ, the weights. For a shorter window they leave out the oldest transitions.
+    `report(done, total)` is called after each step.
 
     Raises:
         RecordingError: if the period or the horizon differ from the recorded ones, the window is
@@ -124,6 +130,7 @@ def replay(recorded: Recorded, library: Path, settings: Mapping[str, object]) ->
         before.append(_answer(reply))
         now.append(answer)
         same.append(data == reply)
+        report(len(same), len(steps))
     limits = engine.vehicle.gate_limits()
     return Replay(
         time=np.array([step.time for step, _ in steps]),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Self
 
 import zenoh
 
-from egp_service._core import EgpError
+from egp_service._core import EgpError, InvalidArgumentError
 from egp_service.control.session import session_config
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Router:
 
         Without endpoints those of `zenoh_file` are used, a configuration of zenoh in JSON5 with TLS
         and access control. Raises `EgpError` if zenoh opens no session, and `InvalidArgumentError`
-        for endpoints or a configuration that cannot be used.
+        for endpoints or a configuration that cannot be used, or that is meant for another program.
         """
         more: dict[str, object] = {"mode": "router"}
         if listen:
@@ -41,6 +41,8 @@ class Router:
         if zenoh_file is None:
             more["transport/link/rx/max_message_size"] = _MAX_MESSAGE_BYTES
         config = session_config(connect, 0.0, more, zenoh_file)
+        if zenoh_file is not None:
+            _check_mode(zenoh_file)
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -59,3 +61,14 @@ class Router:
     def __exit__(self, *_: object) -> None:
         """Close all links."""
         self.close()
+
+
+def _check_mode(file: Path) -> None:
+    """Raise `InvalidArgumentError` if a configuration states that it is no router's."""
+    mode = json.loads(zenoh.Config.from_file(file).get_json("mode"))
+    if mode not in (None, "router"):
+        raise InvalidArgumentError(
+            f"{file} has the mode {mode!r}, so it is the file of a service, a map or a client, and "
+            "its access control is not a router's: state router.json5 of `egp keys`, or a file "
+            'with the mode "router"'
+        )

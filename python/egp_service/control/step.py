@@ -202,12 +202,13 @@ class StepController(ABC):
         Call it once each period. It returns within `deadline` seconds (default: 0.8 `dt`), with a
         command whatever happens to the service; without a service it takes as long as the control
         step, and `deadline` is only stated in the request. With a deadline of 0 or less a command
-        is returned, too; values above 10 s count as 10 s. A measured state that is not finite is
-        not an error: its command is a stop.
+        is returned, too; values above 10 s count as 10 s. A measured state that is not finite, or
+        is outside its domain, is not an error: its command is a stop.
 
         Raises `InvalidArgumentError` if an argument has the wrong shape, `deadline` is not finite,
-        or the reference is not one to drive, for instance with a yaw in degrees. Raises `EgpError`
-        after `close`, and in a handler of a signal that interrupts another step of this controller.
+        or the reference is not one to drive, for instance with a yaw in degrees or speeds in km/h.
+        Raises `EgpError` after `close`, and in a handler of a signal that interrupts another step
+        of this controller.
         """
         start = time.monotonic()
         if deadline is not None and not math.isfinite(deadline):
@@ -243,10 +244,11 @@ class StepController(ABC):
         """Decide the period that began at `start` of the monotonic clock, within `budget` s."""
 
     def reset(self) -> None:
-        """Leave STOP and forget the past, for instance after the vehicle was moved.
+        """Leave STOP and discard history, weights, plan and outstanding requests.
 
-        The command that the actuators apply is not forgotten. In a handler of a signal that
-        interrupts a step, the reset comes at the end of that step.
+        Call it for instance after the vehicle was moved. The input that the actuators apply is
+        kept. In a handler of a signal that interrupts a step, the reset comes at the end of that
+        step.
         """
         with self._lock:
             if self._stepping:

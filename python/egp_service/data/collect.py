@@ -41,7 +41,10 @@ class CollectionSettings:
 
     def __post_init__(self) -> None:
         """Check that something is collected."""
-        if self.runs < 0 or self.samples < 0 or self.runs + self.samples == 0:
+        for name, count in (("runs", self.runs), ("samples", self.samples)):
+            if count < 0:
+                raise EgpError(f"{name} is {count}: expected a number of at least 0")
+        if self.runs + self.samples == 0:
             raise EgpError("nothing to collect: ask for runs, samples or both")
         if self.runs and not self.tracks:
             raise EgpError("runs need at least one track")

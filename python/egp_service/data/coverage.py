@@ -35,6 +35,8 @@ class Coverage:
     seconds: float
     """Time of all transitions."""
     trajectories: int
+    longest: float
+    """Time of the longest trajectory, s. Logs are split into trajectories of at most 10 s."""
     gaps: tuple[float, ...]
     """Lengths in s of the gaps of the imported logs."""
     ranges: dict[str, tuple[float, float, str]]
@@ -52,10 +54,12 @@ class Coverage:
         lateral = np.abs(z["v_x"] * z["omega"])
         speed = np.maximum(z["v_x"], 0.0)
         count, _, _ = np.histogram2d(speed, lateral, bins=(SPEEDS, LATERAL))
+        _, lengths = np.unique(dataset.trajectory, return_counts=True)
         limit = _GRIP * dataset.provenance.friction * STANDARD_GRAVITY
         return cls(
             seconds=dt * len(dataset),
-            trajectories=len(np.unique(dataset.trajectory)),
+            trajectories=len(lengths),
+            longest=dt * float(lengths.max()),
             gaps=dataset.gaps,
             ranges={
                 name: (float(z[name].min()), float(z[name].max()), unit)
@@ -67,7 +71,10 @@ class Coverage:
 
     def lines(self) -> Iterator[str]:
         """Say what is covered, and what is too thin to train on."""
-        yield f"{self.seconds:.0f} s in {self.trajectories} pieces without gaps"
+        noun = "trajectory" if self.trajectories == 1 else "trajectories"
+        yield (
+            f"{self.seconds:.0f} s in {self.trajectories} {noun} of at most {self.longest:.3g} s"
+        )
         if self.gaps:
             noun = "gap" if len(self.gaps) == 1 else "gaps"
             yield (

@@ -80,6 +80,11 @@ def read_recording(
 def _split(path: Path, name: str, topics: Iterable[str]) -> tuple[str, list[str]]:
     """Split a name into its topic and the steps to a number."""
     listed = sorted(topics)
+    if not listed:
+        raise EgpError(
+            f"{path}: the recording has no messages: check that it was copied whole, and that "
+            "something was recorded"
+        )
     found = [topic for topic in listed if name == topic or name.startswith(f"{topic}/")]
     if not found:
         raise EgpError(

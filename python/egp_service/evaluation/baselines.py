@@ -128,5 +128,6 @@ def _vehicle_alone(
         golden_mean=np.empty((0, NY)),
         golden_jacobian=np.empty((0, NY, NZ)),
         golden_variance=np.empty((0, NY)),
+        euler_steps=like.euler_steps if "single_track" in vehicle else 1,
         **vehicle,
     )

@@ -34,6 +34,10 @@ _ROOM_SECONDS: Final = 1.0
 _LARGEST: Final = (64, 64, 258, 64)
 """Largest numbers of weights, members, coordinates of the plan and times of periods in a message;
 vehicles send no more."""
+_LONGEST_NAME: Final = 64
+"""Longest name of a replica; the protocol permits no longer one."""
+_LONGEST_TEXT: Final = 256
+"""What is kept of another text of a message, characters."""
 LARGEST_STATUS: Final = 1 << 16
 """Longest message of a vehicle, bytes; the filters of `egp keys` have the same bound."""
 LARGEST_ROAD: Final = 1 << 20
@@ -89,7 +93,8 @@ class Fleet:
         """Keep a vehicle's message `VehicleStatus`.
 
         One that cannot be decoded, has no control period, has an unknown mode or is too long is
-        ignored. Unknown fields are not kept.
+        ignored, and so is one with a name of a replica that no replica can have. Unknown fields are
+        not kept, and long texts are cut.
         """
         if len(payload) > LARGEST_STATUS:
             return
@@ -104,6 +109,11 @@ class Fleet:
         lists = (status.step.weights, status.members, status.plan, status.times)
         if any(len(values) > most for values, most in zip(lists, _LARGEST, strict=True)):
             return
+        if len(status.step.replica) > _LONGEST_NAME:
+            return
+        for field in ("status", "detail"):
+            setattr(status.step, field, getattr(status.step, field)[:_LONGEST_TEXT])
+        status.members[:] = [member[:_LONGEST_TEXT] for member in status.members]
         known = self.vehicles.get(name)
         if known is not None:
             known.add(status, now)

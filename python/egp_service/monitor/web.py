@@ -25,6 +25,12 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from egp_service._core import EgpError
+from egp_service.monitor.connections import (
+    BACKLOG,
+    BoundedConnection,
+    allow_descriptors,
+    report,
+)
 from egp_service.monitor.fleet import Fleet
 
 if TYPE_CHECKING:
@@ -166,6 +172,7 @@ def serve(listener: Listener, bound: socket.socket, host: str, started: Callable
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         nonlocal refresh
+        asyncio.get_running_loop().set_exception_handler(report)
         refresh = _Refresh(listener, lambda: server.should_exit)
         task = asyncio.create_task(update())
         started()
@@ -182,7 +189,15 @@ def serve(listener: Listener, bound: socket.socket, host: str, started: Callable
         middleware=[Middleware(_Headers), Middleware(TrustedHostMiddleware, allowed_hosts=hosts)],
         lifespan=lifespan,
     )
-    config = uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=1, ws="none")
+    allow_descriptors()
+    config = uvicorn.Config(
+        app,
+        http=BoundedConnection,
+        ws="none",
+        log_level="error",
+        backlog=BACKLOG,
+        timeout_graceful_shutdown=1,
+    )
     server = uvicorn.Server(config)
     # An exception within the event loop would end in a traceback of every open page.
     signal.signal(signal.SIGHUP, server.handle_exit)

@@ -9,7 +9,7 @@ default 0.8 `dt`; missing it has the same effect as on a vehicle, mostly the tai
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from egp_service._core import Library, RoadBelief, VehicleLostError, horizon_reference
 from egp_service.quantities import NU, NX, POSITION, PSI, V_X
 from egp_service.simulation.course import build_path, build_profile
-from egp_service.simulation.plant import make_plant
+from egp_service.simulation.plant import make_plant, measurement_noise
 from egp_service.simulation.reference import speed_reference, told_reference
 from egp_service.simulation.scenario import check_scenario, library_path
 from egp_service.simulation.summary import Ending, Summary, summarise
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from egp_service._core import Path, Projection
     from egp_service.control.step import StepController
-    from egp_service.simulation.scenario import Measurement, Scenario
+    from egp_service.simulation.scenario import Scenario
 
 # s; the first step may take longer because connections and caches are cold.
 FIRST_DEADLINE = 2.0
@@ -141,7 +141,7 @@ class _Loop:
         belief.window = controller.history
         self._speed = speed_reference(scenario, self.path, belief, frictions)
         self._told_from = told_from
-        self._noise = _noise(scenario.measurement)
+        self._noise = measurement_noise(scenario.measurement)
         self._random = np.random.default_rng(scenario.seed)
         self._plant = make_plant(scenario, self.path)
         # Commands that have not yet reached the wheels.
@@ -247,12 +247,6 @@ class _Loop:
             distance=self._distance,
             position=(float(p_x), float(p_y)),
         )
-
-
-def _noise(measurement: Measurement) -> NDArray[np.float64]:
-    """Put the standard deviations in the order of the state."""
-    position, *rest = astuple(measurement)
-    return np.array([position, position, *rest])
 
 
 def _wrap(angle: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,7 +12,7 @@ import numpy as np
 from egp_service._core import InvalidArgumentError, VehicleLostError
 from egp_service.quantities import DELTA, NU, NX, OMEGA, P_X, P_Y, POSITION, PSI, V_X, V_Y
 from egp_service.simulation.course import build_path, build_profile
-from egp_service.simulation.plant import make_plant
+from egp_service.simulation.plant import make_plant, measurement_noise
 from egp_service.simulation.scenario import (
     Scenario,
     check_scenario,
@@ -38,11 +39,15 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
       left.
     * An observation has 11 numbers: lateral error in m (positive to the left of the path), heading
       error in rad, `v_x`, `v_y` in m/s, `omega` in rad/s, `delta` in rad, and the path's curvature
-      in 1/m at the vehicle and 5, 10, 20 and 40 m ahead. The friction is not observed.
+      in 1/m at the vehicle and 5, 10, 20 and 40 m ahead. It is that of the measured state, which
+      has the noise of the scenario's `measurement`. The friction is not observed.
     * The reward is the progress along the path in m.
-    * `info` has the state `x` (7,), the arc length `s` in m and the `friction` under the vehicle.
+    * `info` has the true state `x` (7,), its arc length `s` in m and the `friction` under the
+      vehicle.
 
-    With the seed of `reset` a random track is drawn anew.
+    Actions reach the wheels after the scenario's `actuator_delay`, counted in periods of `dt`.
+    `library`, `control`, `gate` and `speed.knows` of a scenario concern the controller of a closed
+    loop and have no effect here (docs/simulator.md).
     """
 
     def __init__(self, scenario: Scenario | str = "random", dt: float = 0.02) -> None:
@@ -67,9 +72,18 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Put the vehicle on the start of the path, at the speed of the told lap."""
+        """Put the vehicle on the start of the path, at the speed of the told lap.
+
+        `seed` replaces the scenario's seed: it makes the measurement noise, and a random track
+        unless the scenario's `track.parameters` state a seed. The same seed makes the same episode,
+        and the same ones after it. Without `seed`, the first episode has the scenario's own seed,
+        and each later one a seed that is drawn from `np_random`. `options` has no effect.
+        """
+        if seed is None and self._np_random is None:
+            seed = self._scenario.seed
         super().reset(seed=seed, options=options)
-        self._start(self._scenario if seed is None else replace(self._scenario, seed=seed))
+        drawn = int(self.np_random.integers(1 << 63)) if seed is None else seed
+        self._start(replace(self._scenario, seed=drawn))
         return self._observe(self._plant.state)
 
     def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -86,20 +100,25 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         share, rate = np.clip(shares, -1.0, 1.0)
         u = np.array([share * self._force[int(share > 0.0)], rate * self._steering])
         before, x, spun = self._distance, self._plant.state, False
+        self._pending.append(u)
         try:
-            self._plant.drive(u, self._dt, self._s)
+            self._plant.drive(self._pending.popleft(), self._dt, self._s)
             x = self._plant.state
         except VehicleLostError:
             spun = True  # the state before the loss is observed
         self._time += self._dt
         observation, info = self._observe(x)
-        left = spun or abs(observation[0]) > self._scenario.leave_distance
+        left = spun or abs(self._lateral) > self._scenario.leave_distance
         ended = left or self._distance >= self._goal
         return observation, self._distance - before, ended, self._time > self._limit, info
 
     def _start(self, scenario: Scenario) -> None:
         self._path: Path = build_path(scenario)
         self._plant = make_plant(scenario, self._path)
+        self._noise = measurement_noise(scenario.measurement)
+        self._random = np.random.default_rng(scenario.seed)
+        # Inputs that have not yet reached the wheels.
+        self._pending = deque([np.zeros(NU)] * scenario.actuator_delay)
         profile = build_profile(scenario, self._path)
         laps = scenario.laps if self._path.closed else 1.0
         self._goal = laps * self._path.length
@@ -113,15 +132,17 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         self._plant.reset(x)
 
     def _observe(self, x: NDArray[np.float64]) -> tuple[Observation, dict[str, Any]]:
-        """Return observation and info of a state (7,), and update the driven distance."""
+        """Return observation and info of a true state (7,), and update the driven distance."""
+        measured = x + self._noise * self._random.standard_normal(NX)
+        seen = self._path.project(measured[POSITION], self._s)
         projection = self._path.project(x[POSITION], self._s)
         advanced = projection.s - self._s
         if self._path.closed:
             advanced -= self._path.length * round(advanced / self._path.length)
         self._distance += advanced
-        self._s = projection.s
-        heading = (x[PSI] - projection.yaw + np.pi) % (2.0 * np.pi) - np.pi
-        curvature = self._path.sample(self._s + _AHEAD)[3]
-        motion = [x[V_X], x[V_Y], x[OMEGA], x[DELTA]]
-        observation = np.array([projection.lateral, heading, *motion, *curvature])
+        self._s, self._lateral = projection.s, projection.lateral
+        heading = (measured[PSI] - seen.yaw + np.pi) % (2.0 * np.pi) - np.pi
+        curvature = self._path.sample(seen.s + _AHEAD)[3]
+        motion = measured[[V_X, V_Y, OMEGA, DELTA]]
+        observation = np.array([seen.lateral, heading, *motion, *curvature])
         return observation, {"x": x, "s": self._s, "friction": projection.friction}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from importlib import import_module
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Protocol
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from egp_service._core import Path
-    from egp_service.simulation.scenario import Scenario
+    from egp_service.simulation.scenario import Measurement, Scenario
 
 # Number of updates of the friction under the wheels within a control period.
 FRICTION_UPDATES = 10
@@ -126,6 +126,12 @@ def make_plant(scenario: Scenario, path: Path) -> CommonRoadPlant | OwnPlant:
     if scenario.plant is None:
         return CommonRoadPlant(scenario, path)
     return OwnPlant(scenario.plant, path)
+
+
+def measurement_noise(measurement: Measurement) -> NDArray[np.float64]:
+    """Return the standard deviations of the measured state (7,)."""
+    position, *rest = astuple(measurement)
+    return np.array([position, position, *rest])
 
 
 def load_simulator(name: str) -> Simulator:

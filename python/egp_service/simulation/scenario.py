@@ -302,11 +302,7 @@ def check_scenario(scenario: Scenario, origin: str) -> None:
 
     Raises `ScenarioError`, whose message begins with `origin`.
     """
-    if not scenario.zones or scenario.zones[0].start != 0.0:
-        raise ScenarioError(f"{origin}: zones must begin with one at start = 0.0")
-    starts = [zone.start for zone in scenario.zones]
-    if any(later <= earlier for earlier, later in pairwise(starts)):
-        raise ScenarioError(f"{origin}: zones must be in order of start")
+    _check_starts([zone.start for zone in scenario.zones], scenario.zones_in_metres, origin)
     _check_name(scenario.name, origin)
     check_seed(scenario.seed, f"{origin}: seed")
     if not 0 <= scenario.actuator_delay <= MAX_DELAY:
@@ -320,7 +316,6 @@ def check_scenario(scenario: Scenario, origin: str) -> None:
             "kind = 'csv', or leave out `file`"
         )
     positive = {
-        "speed.grip": scenario.speed.grip,
         "speed.v_max": scenario.speed.v_max,
         "speed.friction": 1.0 if scenario.speed.friction is None else scenario.speed.friction,
         "laps": scenario.laps,
@@ -343,6 +338,17 @@ def check_scenario(scenario: Scenario, origin: str) -> None:
         except EgpError as error:
             raise ScenarioError(f"{origin}: zones[{i}]: {error}") from error
     _check_plant(scenario, origin)
+
+
+def _check_starts(starts: list[float], in_metres: bool, origin: str) -> None:  # noqa: FBT001
+    if not starts or starts[0] != 0.0:
+        raise ScenarioError(f"{origin}: zones must begin with one at start = 0.0")
+    if any(later <= earlier for earlier, later in pairwise(starts)):
+        raise ScenarioError(f"{origin}: zones must be in order of start")
+    if starts[-1] >= 1.0 and not in_metres:
+        reason = f"must be below 1, a fraction of the path's length, got {starts[-1]}"
+        last = f"{origin}: zones[{len(starts) - 1}].start {reason}"
+        raise ScenarioError(f"{last}; for a start in m state zones_in_metres = true")
 
 
 def _check_plant(scenario: Scenario, origin: str) -> None:
@@ -379,6 +385,8 @@ def check_seed(seed: float, where: str) -> None:
 
 
 def _check_speed(speed: Speed, origin: str) -> None:
+    if not 0.0 < speed.grip <= 1.0:
+        raise ScenarioError(f"{origin}: speed.grip must be above 0, at most 1, got {speed.grip}")
     if speed.knows not in KNOWLEDGE:
         raise ScenarioError(
             f"{origin}: speed.knows must be one of {', '.join(KNOWLEDGE)}, got {speed.knows!r}"

@@ -8,6 +8,7 @@ Jacobians include them. `vehicle_fit` determines the parameters.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import torch
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MIN_SLIP_SPEED: Final = 3.0  # m/s; slip angles are computed with at least this speed
+_LONGEST_STEP: Final = 0.02  # s; the Euler method is stable with it down to that speed
 
 
 class Parameter(NamedTuple):
@@ -73,15 +75,32 @@ PARAMETERS: Final = BODY | TYRES | ROLLING | DRAG
 """All parameters, in the order of `change`."""
 
 
+def euler_steps(dt: float) -> int:
+    """Return the number of steps of the Euler method for a period of `dt` s, each 20 ms at most."""
+    return max(1, math.ceil(dt / _LONGEST_STEP - 1e-9))
+
+
 def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
     """Change of `[v_x, v_y, omega]` (n, 3) over `dt` at inputs z (n, 6).
 
     The parameters (17,) or, with a resistance, (19,) are common to all inputs, or each input has
     its own (n, 17) or (n, 19).
 
-    This is one explicit Euler step with the steering angle in the middle of the period, by the
-    equations of `SingleTrack` in Rust.
+    These are `euler_steps(dt)` explicit Euler steps with the steering angle in the middle of each,
+    by the equations of `SingleTrack` in Rust.
     """
+    steps = euler_steps(dt)
+    step = dt / steps
+    total = _euler_step(z, parameters, step)
+    for done in range(1, steps):
+        steering = z[..., 3] + done * step * z[..., 5]
+        after = torch.cat([z[..., :3] + total, steering[..., None], z[..., 4:]], dim=-1)
+        total = total + _euler_step(after, parameters, step)
+    return total
+
+
+def _euler_step(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
+    """Return the change (n, 3) over one step of `dt` s."""
     v_x, v_y, omega, delta, force, delta_dot = z.unbind(-1)
     mass, l_f, l_r, gyration, height, drive, brake, *rest = parameters.unbind(-1)
     tyres, resistance = rest[:10], rest[10:]

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from egp_service.training.vehicle_fit import FittedParameter, FittedVehicle
 
 _WIDTH: Final = 1.8
+_WIDTHS: Final = (0.1, 5.0)  # m, what --width accepts
 _REACHED: Final = 0.995
 """Quantile that counts as the largest value in a log; beyond it are outliers."""
 _REACHED_TEXT: Final = f"reached in the logs, outliers of {1.0 - _REACHED:.1%} left out"
@@ -79,10 +80,13 @@ def vehicle_lines(
 
     `known` are parameters of a vehicle's file: its body is the prior of the fit, and what a fit
     cannot tell is kept. Errors if the datasets have different periods or vehicles, the seed is
-    negative, the width in m is not positive, or the fit fails.
+    negative, the width is not 0.1 to 5 m, or the fit fails.
     """
-    if width is not None and not 0.0 < width < math.inf:
-        raise EgpError(f"the width is {width:g} m: expected a positive number, see --width")
+    if width is not None and not _WIDTHS[0] <= width <= _WIDTHS[1]:
+        raise EgpError(
+            f"the width is {width:g} m: expected {_WIDTHS[0]:g} to {_WIDTHS[1]:g} m; "
+            "check the unit of --width"
+        )
     check_one_car([data.provenance for data in surfaces], "fit")
     check_seed(seed)
     rngs = [np.random.default_rng([seed, number]) for number in range(len(surfaces))]

@@ -42,6 +42,7 @@ fn main() {
 }
 
 fn period(library: &Library, horizon: u32, window: u32) {
+    egp_core::count_with_baseline_qp();
     let mut settings = requests::settings();
     settings.horizon = Some(horizon as usize);
     settings.weights.window = Some(window as usize);

@@ -36,6 +36,8 @@ pub use kernel::Kernel;
 pub use library::{Library, LibraryError, Member};
 pub use qp::{OcpQp, OcpSolution};
 pub use settings::{Settings, SettingsError};
+#[doc(hidden)]
+pub use simd::count_with_baseline_qp;
 pub use simd::vector_instructions;
 pub use solver::{QpSolver, Status};
 pub use step::{StepError, StepReply, StepRequest, Workspace, step};

@@ -27,6 +27,9 @@ pub struct Linearisation {
     pub stages: Vec<AffineDynamics>,
 }
 
+/// Share of the largest operating `|v_y|` and `|omega|` by which a shifted state may differ from the ensemble's prediction.
+const FAR: f64 = 0.5;
+
 /// Box to which operating states are clamped.
 #[derive(Debug, Clone, Copy)]
 struct Domain {
@@ -37,6 +40,12 @@ struct Domain {
 }
 
 impl Domain {
+    /// Whether lateral speed and yaw rate of a shifted state are near those that the ensemble predicts from the stage before.
+    fn is_near(&self, planned: &State, predicted: &State) -> bool {
+        let within = |i: usize, most: f64| (planned[i] - predicted[i]).abs() <= FAR * most;
+        within(V_Y, self.v_y) && within(OMEGA, self.omega)
+    }
+
     /// The nearest state in the box; positions and yaw are free.
     fn clamp(&self, mut x: State) -> State {
         x[V_X] = x[V_X].clamp(self.v_x.0, self.v_x.1);
@@ -61,14 +70,17 @@ impl Linearisation {
         }
     }
 
-    /// Linearises the ensemble of each stage about the inputs of the guess and, with [`Operating::Shift`], about its states. Stages without a
-    /// guessed state use the ensemble's prediction, and stage 0 is always the measured state `x0`.
+    /// Linearises the ensemble of each stage about the inputs of the guess and, with [`Operating::Shift`], about its states.
+    /// Stages without a guessed state use the ensemble's prediction, and stage 0 is always the measured state `x0`.
     ///
     /// `models` gives the ensemble of a stage and what is added to the change that it predicts.
     ///
-    /// Value and Jacobian of the active members are evaluated once for each stage. Operating states are clamped to the
-    /// box of the settings, in which the members have training data, and to `|delta|` and `v_x_max`. The affine term is
-    /// that of the clamped state, so the result is still a tangent of the ensemble.
+    /// If a guessed state is far from the prediction, all stages use the prediction. Over long horizons the errors of a
+    /// linearisation grow along an unstable vehicle; about the plan that they lead to, the next errors would be larger.
+    ///
+    /// Value and Jacobian of the active members are evaluated once for each stage, and twice if a guessed state is far.
+    /// Operating states are clamped to the box of the settings, in which the members have training data, and to `|delta|` and
+    /// `v_x_max`. The affine term is that of the clamped state, so the result is still a tangent of the ensemble.
     pub fn along<'a>(
         &mut self,
         models: impl Fn(usize) -> (Ensemble<'a>, GpOutput),
@@ -85,17 +97,36 @@ impl Linearisation {
             delta,
         };
         self.x[0] = domain.clamp(*x0);
-        for t in 0..self.stages.len() {
-            let model = models(t);
-            let point = (&self.x[t], &guess.u[t]);
-            let (stage, next) = tangent(&model, dt, settings.yaw_at, point);
-            self.stages[t] = stage;
-            let planned = match settings.kind {
-                Operating::Shift => guess.x.get(t + 1),
-                Operating::Rollout => None,
-            };
-            self.x[t + 1] = domain.clamp(*planned.unwrap_or(&next));
+        let planned: &[State] = match settings.kind {
+            Operating::Shift => &guess.x,
+            Operating::Rollout => &[],
+        };
+        let yaw_at = settings.yaw_at;
+        if !self.about(&models, [dt, yaw_at], planned, &guess.u, &domain) {
+            self.about(&models, [dt, yaw_at], &[], &guess.u, &domain);
         }
+    }
+
+    /// Linearises about `planned` from stage 1 on, and about the prediction where it has no state. Returns whether all states
+    /// are near their predictions; the stages are incomplete otherwise.
+    fn about<'a>(
+        &mut self,
+        models: impl Fn(usize) -> (Ensemble<'a>, GpOutput),
+        [dt, yaw_at]: [f64; 2],
+        planned: &[State],
+        u: &[Input],
+        domain: &Domain,
+    ) -> bool {
+        for (t, (stage, u)) in self.stages.iter_mut().zip(u).enumerate() {
+            let (dynamics, next) = tangent(&models(t), dt, yaw_at, (&self.x[t], u));
+            *stage = dynamics;
+            let shifted = planned.get(t + 1);
+            if shifted.is_some_and(|shifted| !domain.is_near(shifted, &next)) {
+                return false;
+            }
+            self.x[t + 1] = domain.clamp(*shifted.unwrap_or(&next));
+        }
+        true
     }
 }
 

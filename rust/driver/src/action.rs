@@ -1,4 +1,4 @@
-//! What the driver asks its transport to do.
+//! The actions that a driver returns to its transport.
 
 use std::time::Duration;
 

@@ -193,8 +193,8 @@ impl Carry {
         Ok(true)
     }
 
-    /// Forgets history, weights and plan, for instance after the vehicle was moved; sequence numbers go on, and the
-    /// actuators go on applying the input.
+    /// Discards history, weights and plan, for instance after the vehicle was moved. Sequence numbers go on, and the input
+    /// that the actuators apply is kept.
     pub fn reset(&mut self) {
         *self = Self {
             sequence: self.sequence,

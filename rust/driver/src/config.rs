@@ -41,8 +41,9 @@ pub struct DriverConfig {
     pub hedge: f64,
     /// Limits of the actuators.
     pub limits: Limits,
-    /// Control periods that the rest of a plan may bridge. Default 25, half a second at 50 Hz.
-    pub max_tail_ticks: u64,
+    /// Control periods that the rest of a plan may bridge. Default: half a second, which is 25 periods of 0.02 s
+    /// ([`Gate::default_tail_ticks`]).
+    pub max_tail_ticks: Option<u64>,
     /// Deceleration of a stop, m/s². Default 3, or the strongest that the limits allow.
     pub stop_deceleration: f64,
     /// Whether to ask for the predicted standard deviations. Default false.
@@ -72,7 +73,7 @@ impl DriverConfig {
             budget: 0.8,
             hedge: 0.5,
             limits,
-            max_tail_ticks: 25,
+            max_tail_ticks: None,
             stop_deceleration: limits.stop_deceleration(),
             want_sigma: false,
             key: None,
@@ -124,7 +125,13 @@ impl DriverConfig {
     /// # Errors
     /// [`GateError`] when limits or gate settings are out of range.
     pub(crate) fn gate(&self, dt: f64) -> Result<Gate, GateError> {
-        Gate::new(self.limits, dt, self.max_tail_ticks, self.stop_deceleration)
+        Gate::new(self.limits, dt, self.tail_ticks(dt), self.stop_deceleration)
+    }
+
+    /// Control periods of `dt` s that the rest of a plan may bridge.
+    pub(crate) fn tail_ticks(&self, dt: f64) -> u64 {
+        self.max_tail_ticks
+            .unwrap_or_else(|| Gate::default_tail_ticks(dt))
     }
 
     /// The time that an answer may take in a control period of `dt` s.

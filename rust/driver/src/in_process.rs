@@ -13,7 +13,7 @@ pub type Answer = Result<(Vec<u8>, Timing), WireError>;
 
 /// A [`Driver`] whose only replica is a function, such as an engine's step.
 ///
-/// An answer counts whenever it comes: there is no one else to ask, so waiting for it costs the same as giving it up.
+/// An answer counts whenever it comes: there is no other replica, so that giving the answer up would gain nothing.
 #[derive(Clone, Debug)]
 pub struct InProcessDriver {
     driver: Driver,

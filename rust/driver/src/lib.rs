@@ -1,8 +1,8 @@
 //! Everything that a vehicle's side decides about control steps: which replica to ask, how long to wait, which replies
 //! to use, what to carry to the next step, and what reaches the actuators.
 //!
-//! [`Driver`] is a state machine without clock, network or threads. A transport tells it what happened, each time with
-//! the time, and carries out the [`Action`]s that it asks for. The onboard client does this over zenoh, the in-process
+//! [`Driver`] is a state machine without clock, network or threads. A transport reports each event with its time, and
+//! carries out the [`Action`]s that the driver returns. The onboard client does this over zenoh, the in-process
 //! controllers with an engine beside them; the decisions are the same.
 //!
 //! ```

@@ -20,7 +20,7 @@ const PATIENCE: u32 = 3;
 pub struct Situation {
     /// Distance of `[v_x, v_y, omega, delta]` from the library's envelope: the largest excess over the training data's
     /// range among the components, in half widths of that range; 0 inside.
-    pub envelope: f64,
+    pub envelope_distance: f64,
     /// Distance from the reference, m.
     pub distance: f64,
     /// Angle from the reference's heading to the vehicle's, rad, in (-π, π].
@@ -74,7 +74,7 @@ impl Situation {
                 ((value - 0.5 * (low + high)).abs() - half) / half
             });
         Self {
-            envelope: excess.fold(0.0, f64::max),
+            envelope_distance: excess.fold(0.0, f64::max),
             distance: (p_x - first[0]).hypot(p_y - first[1]),
             heading: wrap(psi - first[3]),
         }
@@ -82,8 +82,8 @@ impl Situation {
 
     /// The first limit that the situation exceeds.
     fn beyond(&self) -> Option<Lost> {
-        if self.envelope > MAX_ENVELOPE {
-            Some(Lost::Envelope(self.envelope))
+        if self.envelope_distance > MAX_ENVELOPE {
+            Some(Lost::Envelope(self.envelope_distance))
         } else if self.distance > MAX_DISTANCE {
             Some(Lost::Distance(self.distance))
         } else if self.heading.abs() > MAX_HEADING {
@@ -146,12 +146,12 @@ mod tests {
     fn inside_the_envelope_the_distance_is_zero_and_outside_it_counts_half_widths() {
         let inside = situation([1.0, 2.0, 26.0, 3.0, -6.0, 1.0, 0.5]);
         assert_eq!(
-            (inside.envelope, inside.distance, inside.heading),
+            (inside.envelope_distance, inside.distance, inside.heading),
             (0.0, 0.0, 0.0)
         );
         // 2.5 m/s below -6 m/s, where half the range is 5 m/s.
         assert_eq!(
-            situation([1.0, 2.0, 10.0, 3.0, -8.5, 0.0, 0.0]).envelope,
+            situation([1.0, 2.0, 10.0, 3.0, -8.5, 0.0, 0.0]).envelope_distance,
             0.5
         );
         assert_eq!(
@@ -200,7 +200,7 @@ mod tests {
         let distance = situation([26.0, 2.0, 10.0, 3.0, 0.0, 0.0, 0.0]);
         let x = [0.0, 0.0, 10.0, FRAC_PI_2, 0.0, 0.0, 0.0];
         let heading = Situation::new(&x, &[0.0; 4], &ENVELOPE);
-        assert_eq!(envelope.envelope, MAX_ENVELOPE);
+        assert_eq!(envelope.envelope_distance, MAX_ENVELOPE);
         assert_eq!(distance.distance, MAX_DISTANCE);
         assert_eq!(heading.heading, MAX_HEADING);
         for at in [envelope, distance, heading] {

@@ -135,8 +135,8 @@ impl Engine {
         Err(unknown_library(&[self.library.id()], &request.library))
     }
 
-    /// Errors if plans, or commands within the limits of the vehicle that clients are told, may have forces beyond those of a
-    /// message. Replies and later requests would be invalid.
+    /// Errors if plans, or commands within the limits of the vehicle that [`Engine::describe`] states, may have forces beyond
+    /// those of a message. Replies and later requests would be invalid.
     fn check_forces(&self) -> Result<(), EngineError> {
         for vehicle in [
             self.settings.vehicle(self.library.vehicle()),

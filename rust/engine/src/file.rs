@@ -39,8 +39,9 @@ pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     Replacement::write(path, bytes)?.replace()
 }
 
-/// New bytes of a file that are written beside it. They are removed unless [`Replacement::replace`] puts them in its place, so
-/// that of several files all or none are replaced where one cannot be written.
+/// New bytes of a file that are written beside it. They are removed unless [`Replacement::replace`] puts them in its
+/// place. A caller that writes all new files before it replaces the first one leaves every old file in place if one cannot be
+/// written.
 pub struct Replacement {
     path: PathBuf,
     beside: PathBuf,

@@ -4,10 +4,11 @@
 use std::path::Path;
 
 use egp_core::library::encode;
-use egp_core::settings::InputBounds;
+use egp_core::settings::{InputBounds, Operating};
 use egp_core::{Kernel, Library, Settings};
 use egp_engine::{Engine, EngineError, replace_file};
-use egp_testing::libraries;
+use egp_testing::{libraries, requests};
+use egp_wire::{Request, Status};
 
 fn bytes() -> Vec<u8> {
     encode(&libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0)).unwrap()
@@ -95,4 +96,55 @@ fn what_another_container_writes_beside_the_same_file_stays() {
     }
     assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 4);
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// A request of the wire for [`requests::settings`] with the library of [`requests::library`].
+fn message(request: &requests::Request, library: [u8; 32]) -> Vec<u8> {
+    Request {
+        library,
+        sequence: 1,
+        budget_us: 40_000,
+        x: request.x,
+        u_prev: request.u_prev,
+        weights: request.weights.clone(),
+        plan_x: request.plan_x.as_chunks().0.to_vec(),
+        plan_u: request.plan_u.as_chunks().0.to_vec(),
+        plan_shift: request.plan_shift,
+        history_z: request.history_z.as_chunks().0.to_vec(),
+        history_y: request.history_y.as_chunks().0.to_vec(),
+        reference: request.reference.as_chunks().0.to_vec(),
+        widths: request.widths.as_chunks().0.to_vec(),
+        ..Request::default()
+    }
+    .encode()
+}
+
+#[test]
+fn a_plan_is_shifted_by_the_periods_that_the_message_states() {
+    // The states of a roll-out depend on the inputs of the plan only, of which the last one is held with constant angle.
+    let mut settings = requests::settings();
+    settings.operating.kind = Operating::Rollout;
+    let warm = requests::warm();
+    let library = libraries::library(Kernel::Rbf, &[0.5, 1.1], 250, 3);
+    let engine = Engine::new(library, settings).unwrap();
+    let mut workspace = engine.workspace().unwrap();
+    let mut reply = |request: &requests::Request| {
+        let (bytes, mut reply) = (message(request, engine.library().id()), Vec::new());
+        let status = engine.step(&mut workspace, &bytes, &mut reply).unwrap();
+        assert_eq!(status, Status::Solved);
+        reply
+    };
+    let now = reply(&warm);
+    for shift in [1, 3] {
+        let mut shifted = warm.clone();
+        shifted.plan_u.drain(..2 * shift);
+        shifted.plan_u.extend([warm.plan_u[38], 0.0].repeat(shift));
+        let late = requests::Request {
+            plan_shift: u32::try_from(shift).unwrap(),
+            ..warm.clone()
+        };
+        let late = reply(&late);
+        assert!(late == reply(&shifted), "the replies differ, {shift}");
+        assert!(late != now, "the replies are the same, {shift}");
+    }
 }

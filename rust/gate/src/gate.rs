@@ -10,6 +10,9 @@ pub const MAX_HORIZON: usize = 128;
 /// Accepted control periods \[s\]. With much smaller or larger ones, differences of rates overflow or vanish.
 const PERIODS: RangeInclusive<f64> = 1e-4..=10.0;
 
+/// How long the rest of a plan may be used by default \[s\].
+const TAIL: f64 = 0.5;
+
 /// Below this speed \[m/s\] the stopping force decreases linearly to zero, so that a stop ends in standstill.
 const HOLD_SPEED: f64 = 0.5;
 
@@ -107,6 +110,13 @@ pub struct Gate {
 }
 
 impl Gate {
+    /// Number of periods of `dt` \[s\] that the rest of a plan may bridge by default: half a second, rounded to whole
+    /// periods, and at least one period.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at least 1, and at most 5000 for a valid period
+    pub fn default_tail_ticks(dt: f64) -> u64 {
+        (TAIL / dt).round().max(1.0) as u64
+    }
+
     /// A gate with periods of `dt` \[s\], from 1e-4 to 10. After `max_tail_ticks` periods without a new plan it brakes with
     /// `stop_deceleration` \[m/s²\].
     ///

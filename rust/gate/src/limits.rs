@@ -38,8 +38,9 @@ pub struct LimitsError {
 /// A limit that allows more than the vehicle that plans are made for can do, or another mass.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "gate limit {name} is {gate} {unit}, the vehicle that plans are made for has {planned} {unit}; \
-     narrow the gate, or use a library trained for this vehicle"
+    "gate limit {name} is {gate} {unit}, the vehicle that plans are made for has {planned} {unit}; {}, or use a library \
+     trained for the gate's vehicle",
+    advice(.name)
 )]
 pub struct WiderError {
     /// The field of [`Limits`].
@@ -69,6 +70,17 @@ pub(crate) fn positive(name: &'static str, value: f64) -> Result<f64, LimitsErro
             expected: "positive",
             value,
         })
+    }
+}
+
+/// What to change in the gate; its mass cannot be narrowed.
+fn advice(name: &str) -> &'static str {
+    match name {
+        "mass" => {
+            "take the gate's limits from the vehicle that the library was trained for (a scenario states its file as \
+             `vehicle_file`)"
+        }
+        _ => "narrow the gate",
     }
 }
 

@@ -139,7 +139,8 @@ impl RoadBelief {
         self.settings.window
     }
 
-    /// Replaces the window; if it is another one, where the vehicle was is forgotten, and what was stored remains.
+    /// Replaces the window. If its length changes, the places of the last periods and the newest window are discarded; the
+    /// evidence of the cells remains.
     ///
     /// # Errors
     /// [`BeliefError`] unless it is 1 to 1000 transitions.

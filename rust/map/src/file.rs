@@ -54,8 +54,8 @@ pub enum StoredBeliefError {
 }
 
 impl RoadBelief {
-    /// States the road's course by points in m with equal distances along it, so that [`Self::recall`] refuses a belief
-    /// about another road of the same length.
+    /// States the road's course by points in m with equal distances along it, so that [`Self::recall`] returns an error
+    /// for a belief about another road of the same length.
     #[must_use]
     pub fn with_shape(mut self, points: Vec<[f64; 2]>) -> Self {
         self.shape = points;

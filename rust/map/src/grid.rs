@@ -2,7 +2,7 @@
 
 use egp_parameters::{FRICTION_HYPOTHESES, FRICTION_RANGE, interpolate_hypotheses};
 
-/// Number of friction coefficients between two hypotheses of the control step, that of one of them included.
+/// Number of intervals of the grid between two neighbouring hypotheses of the control step.
 const FINER: usize = 3;
 /// Number of friction coefficients, equidistant in `ln mu`.
 pub(crate) const LEVELS: usize = (FRICTION_HYPOTHESES - 1) * FINER + 1;
@@ -75,7 +75,7 @@ pub(crate) fn interpolate(hypotheses: &[f64; FRICTION_HYPOTHESES]) -> Row {
     std::array::from_fn(|i| interpolate_hypotheses(hypotheses, i as f64 / FINER as f64))
 }
 
-/// The same, of which differences from the largest value, 0, count only beyond `indifference`.
+/// As [`interpolate`], with `min(ln L + indifference, 0)` in place of each logarithm `ln L`, of which the largest is 0.
 pub(crate) fn told_apart(hypotheses: &[f64; FRICTION_HYPOTHESES], indifference: f64) -> Row {
     interpolate(hypotheses).map(|value| (value + indifference).min(0.0))
 }

@@ -1,4 +1,4 @@
-//! What a vehicle believes about the friction of a road, by place.
+//! The belief about the friction of a road, by place.
 //!
 //! A [`RoadBelief`] collects the evidence of control steps in cells along the road, and gives the friction to plan for.
 

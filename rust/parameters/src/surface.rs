@@ -15,7 +15,8 @@ const ICE_CURVE: [f64; 4] = [4.0, 2.0, 0.1, 1.0];
 /// Pacejka's scaling factors `lambda`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForceCurve {
-    /// Friction coefficient: the ratio of the peak force to the load (`D`), > 0.
+    /// Friction coefficient: the ratio of the peak force to the load (`D`), > 0 and at most
+    /// [`ForceCurve::MOST_PEAK`].
     pub peak: f64,
     /// Factor on the slope at zero slip (`B C D`), within [`ForceCurve::STIFFNESS`].
     pub stiffness: f64,
@@ -26,6 +27,8 @@ pub struct ForceCurve {
 }
 
 impl ForceCurve {
+    /// Largest friction coefficient; no tyre reaches it.
+    pub const MOST_PEAK: f64 = 3.0;
     /// Range of the factor on the stiffness.
     pub const STIFFNESS: [f64; 2] = [1e-3, 10.0];
     /// Range of the factor on the shape. The shapes of the simulated tyre are 1.64 (longitudinal) and 1.35 (lateral).
@@ -45,20 +48,20 @@ impl ForceCurve {
         }
     }
 
-    /// Whether [`ForceCurve::validate`] gives no error. The plant asks this for each wheel in each substep, so there is no
-    /// branch for each value.
+    /// Whether [`ForceCurve::validate`] gives no error. The plant calls this function for each wheel in each substep, so
+    /// there is no branch for each value.
     #[inline]
     #[allow(clippy::needless_bitwise_bool)]
     fn is_valid(&self) -> bool {
         let within = |value: f64, [low, high]: [f64; 2]| (value >= low) & (value <= high);
-        within(self.peak, [f64::MIN_POSITIVE, f64::MAX])
+        within(self.peak, [f64::MIN_POSITIVE, Self::MOST_PEAK])
             & within(self.stiffness, Self::STIFFNESS)
             & within(self.shape, Self::SHAPE)
             & within(self.curvature, Self::CURVATURE)
     }
 
     fn validate(&self) -> Result<(), SurfaceError> {
-        if !self.peak.is_normal() || self.peak < 0.0 {
+        if !(f64::MIN_POSITIVE..=Self::MOST_PEAK).contains(&self.peak) {
             return Err(SurfaceError::Peak(self.peak));
         }
         for (name, value, [low, high]) in [
@@ -79,7 +82,7 @@ impl ForceCurve {
     }
 }
 
-/// What a tyre finds on the road.
+/// The force curves of a tyre on one road surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
     /// Force along the wheel.
@@ -152,7 +155,7 @@ impl Surface {
         self.longitudinal.peak
     }
 
-    /// The surface as a worn tyre finds it, which has the share `left` of a new tyre's peak and stiffness.
+    /// The surface for a worn tyre, which has the share `left` of a new tyre's peak and stiffness.
     #[inline]
     #[must_use]
     pub fn worn(&self, left: f64) -> Self {
@@ -168,7 +171,7 @@ impl Surface {
         }
     }
 
-    /// Errors unless both peaks are positive and all factors are within their ranges.
+    /// Errors unless both peaks are positive and at most [`ForceCurve::MOST_PEAK`], and all factors are within their ranges.
     ///
     /// # Errors
     /// [`SurfaceError`] with the first value out of range.
@@ -201,8 +204,11 @@ impl From<f64> for Surface {
 /// A surface for which the tyre has no force law.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SurfaceError {
-    /// A peak that is not positive and finite.
-    #[error("expected a friction coefficient > 0, got {0}; dry asphalt is about 1, ice 0.1")]
+    /// A peak that is not positive, or is above [`ForceCurve::MOST_PEAK`].
+    #[error(
+        "expected a friction coefficient > 0 and at most {most}, got {0}; dry asphalt is about 1, ice 0.1",
+        most = ForceCurve::MOST_PEAK
+    )]
     Peak(f64),
     /// A factor out of its range.
     #[error("expected a factor from {low} to {high} on the {name} of a surface, got {value}")]
@@ -256,6 +262,8 @@ mod tests {
             Err(SurfaceError::Peak(-0.1))
         );
         assert!(Surface::from(f64::NAN).validate().is_err());
+        assert_eq!(Surface::from(3.0).validate(), Ok(()));
+        assert_eq!(Surface::from(8.0).validate(), Err(SurfaceError::Peak(8.0)));
         for bad in [
             Surface::new(0.5, 0.0, 1.0, 1.0),
             Surface::new(0.5, 1.0, 1.3, 1.0),

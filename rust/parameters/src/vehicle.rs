@@ -1,4 +1,4 @@
-//! What one vehicle is and what its actuators may be asked for.
+//! Body, actuator limits and tyres of one vehicle.
 
 use serde::{Deserialize, Serialize};
 

@@ -9,7 +9,7 @@ pub enum PathError {
     /// Fewer waypoints than a spline needs.
     #[error("expected at least 4 distinct points, got {0}")]
     TooFewPoints(usize),
-    /// A coordinate or width is not a number.
+    /// A coordinate or width is not finite, or is outside its range.
     #[error("expected finite {what}, got {value} at index {index}")]
     NotFinite {
         /// Description of the value.

@@ -13,8 +13,8 @@ use crate::speed::SpeedProfile;
 /// Stage `k` is the point that the profile reaches from the vehicle's projection after `k dt` seconds, `ds/dt = v(s)`,
 /// so the reference contains the braking and cornering of the profile. Yaw is unwrapped: the first row is within pi of
 /// `psi`, and each other row within pi of the previous one. `hint` is the `s` of the last projection. Past the end of
-/// an open path the reference continues straight. The vehicle's speed does not matter: [`catch_up`] follows for one that may be far
-/// below the profile, as at a start. Allocates nothing.
+/// an open path the reference continues straight. The rows do not depend on the vehicle's speed. If it may be far
+/// below the profile's, as at a start, call [`catch_up`] afterwards. Allocates nothing.
 ///
 /// # Errors
 /// [`PathError`] if the position, yaw or hint is not finite, the period is not positive, the profile belongs to another

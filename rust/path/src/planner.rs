@@ -1,4 +1,4 @@
-//! Reference speed ahead of the vehicle, for friction that is only believed.
+//! Reference speed ahead of the vehicle, for estimated friction.
 
 use crate::error::{PathError, check};
 use crate::knot::Knot;

@@ -22,17 +22,19 @@ pub struct SpeedPlanner(egp_path::SpeedPlanner);
 #[pymethods]
 impl SpeedPlanner {
     #[new]
-    #[pyo3(signature = (path, vehicle, grip = 0.8, v_max = 30.0, *, tyres = None))]
+    #[pyo3(signature = (path, vehicle, grip = 0.8, v_max = 30.0, *, end_speed = None, tyres = None))]
     fn new(
         path: &Path,
         vehicle: &VehicleParameters,
         grip: f64,
         v_max: f64,
+        end_speed: Option<f64>,
         tyres: Option<Matrix<'_>>,
     ) -> PyResult<Self> {
         let limits = SpeedLimits {
             grip,
             v_max,
+            end_speed,
             tyres: tyre_rows(tyres)?,
             ..SpeedLimits::of(&vehicle.0)
         };

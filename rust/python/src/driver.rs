@@ -84,7 +84,9 @@ impl Decision {
             status: step.outcome.name(),
             lost: lost.is_some(),
             detail: lost.unwrap_or_else(|| step.outcome.detail()),
-            envelope_distance: step.situation.map_or(f64::NAN, |here| here.envelope),
+            envelope_distance: step
+                .situation
+                .map_or(f64::NAN, |here| here.envelope_distance),
             plan_x: rows_of(py, reply.map(|reply| &reply.plan_x))?,
             plan_u: rows_of(py, reply.map(|reply| &reply.plan_u))?,
             sigma: rows_of(py, reply.map(|reply| &reply.sigma))?,

@@ -22,15 +22,16 @@ pub struct Command {
 /// WAITING (brakes) → NORMAL → TAIL (rest of the last plan) → STOP (brakes, latched).
 ///
 /// Every command lies inside hard limits of value and slew. Periods have `dt` s. `settings` holds all limits, as
-/// `VehicleParameters.gate_limits` gives them, and may hold `max_tail_ticks` (25) and `stop_deceleration` (3 m/s²,
-/// or the strongest that the limits allow).
+/// `VehicleParameters.gate_limits` gives them, and may hold `max_tail_ticks` (half a second) and `stop_deceleration`
+/// (3 m/s², or the strongest that the limits allow).
 /// Raises `InvalidArgumentError` for a limit that is missing or has the wrong sign, and for an unknown name.
 #[pyclass(module = "egp_service._core.testing")]
 pub struct Gate(egp_gate::Gate);
 
-/// Limits, tail and deceleration of a gate. All limits must be stated; unknown names are errors.
-pub fn configure(mut settings: BTreeMap<String, f64>) -> PyResult<(Limits, u64, f64)> {
-    let max_tail_ticks = settings.remove("max_tail_ticks").unwrap_or(25.0);
+/// Limits, tail in periods (none for the default) and deceleration of a gate, m/s². All limits must be stated; unknown names
+/// are errors.
+pub fn configure(mut settings: BTreeMap<String, f64>) -> PyResult<(Limits, Option<u64>, f64)> {
+    let max_tail_ticks = settings.remove("max_tail_ticks");
     let stop_deceleration = settings.remove("stop_deceleration");
     let mut limit = |name: &str| {
         settings.remove(name).ok_or_else(|| {
@@ -55,16 +56,18 @@ pub fn configure(mut settings: BTreeMap<String, f64>) -> PyResult<(Limits, u64, 
              steering_angle, steering_rate, steering_slew, max_tail_ticks, stop_deceleration"
         )));
     }
-    if !(0.0..=1e6).contains(&max_tail_ticks) || max_tail_ticks.fract() != 0.0 {
+    if let Some(ticks) = max_tail_ticks
+        && (!(0.0..=1e6).contains(&ticks) || ticks.fract() != 0.0)
+    {
         return Err(InvalidArgumentError::new_err(format!(
-            "gate setting max_tail_ticks must be a whole number from 0 to 1000000, got {max_tail_ticks}"
+            "gate setting max_tail_ticks must be a whole number from 0 to 1000000, got {ticks}"
         )));
     }
     // The number is whole, not negative and small by the check above.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
     Ok((
         limits,
-        max_tail_ticks as u64,
+        max_tail_ticks.map(|ticks| ticks as u64),
         stop_deceleration.unwrap_or_else(|| limits.stop_deceleration()),
     ))
 }
@@ -74,6 +77,8 @@ impl Gate {
     #[new]
     fn new(dt: f64, settings: BTreeMap<String, f64>) -> PyResult<Self> {
         let (limits, max_tail_ticks, stop_deceleration) = configure(settings)?;
+        let max_tail_ticks =
+            max_tail_ticks.unwrap_or_else(|| egp_gate::Gate::default_tail_ticks(dt));
         egp_gate::Gate::new(limits, dt, max_tail_ticks, stop_deceleration)
             .map(Self)
             .map_err(raise)

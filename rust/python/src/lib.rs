@@ -67,8 +67,8 @@ mod _core {
     mod map {
         #[pymodule_export]
         use crate::map::{
-            Keys, RoadTile, decode_road_tiles, decode_tiles_changed, encode_tile_evidence,
-            serve_map,
+            Keys, RoadTile, check_map, decode_road_tiles, decode_tiles_changed,
+            encode_tile_evidence, serve_map,
         };
     }
 
@@ -126,7 +126,7 @@ mod _core {
         #[pymodule_export]
         use crate::testing::{
             MapServer, decode_timing, live_key, ocp_to_qp, plant_derivative, plant_initial_states,
-            plant_step_batch, ready_key, step_key,
+            plant_lateral_acceleration, plant_step_batch, ready_key, step_key,
         };
     }
 

@@ -288,6 +288,15 @@ impl Member {
         }
     }
 
+    #[doc = doc!(Member.euler_steps)]
+    #[getter]
+    fn euler_steps(&self) -> u32 {
+        match self.get().vehicle() {
+            Some(VehicleModel::SingleTrack(vehicle)) => vehicle.steps(),
+            Some(VehicleModel::Kinematic(_)) | None => 1,
+        }
+    }
+
     #[doc = doc!(Member.resistance)]
     #[getter]
     fn resistance<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {

@@ -24,7 +24,8 @@ use crate::parameters::VehicleParameters;
 /// (3, 6), outputscale, noise and constant (3,), alpha (3, M), envelope (2, 6), golden_z (G, 6), golden_mean (G, 3),
 /// golden_jacobian (G, 3, 6), golden_variance (G, 3); `single_track` (17,) or `kinematic` (3,) as in `Member`, with
 /// which targets and golden arrays include that vehicle's part and `y` is the rest of the targets; `resistance` (2,),
-/// positive, of a single-track vehicle that has one.
+/// positive, of a single-track vehicle that has one, and `euler_steps`, the number of steps of the Euler method with which
+/// a single-track vehicle predicts a period, 1 to 100.
 ///
 /// A member with a vehicle may be a vehicle alone, with M = 0, any G, and the outputscale 0. Its variance is then that of
 /// the noise.
@@ -37,7 +38,7 @@ impl MemberData {
     #[pyo3(signature = (
         *, label, friction, dataset, inputs, targets, input_mean, input_std, target_mean, target_std, lengthscales,
         outputscale, noise, constant, alpha, envelope, golden_z, golden_mean, golden_jacobian, golden_variance,
-        single_track = None, kinematic = None, resistance = None
+        single_track = None, kinematic = None, resistance = None, euler_steps = 1
     ))]
     #[allow(clippy::too_many_arguments)]
     fn new(
@@ -63,6 +64,7 @@ impl MemberData {
         single_track: Option<Vector<'_>>,
         kinematic: Option<Vector<'_>>,
         resistance: Option<Vector<'_>>,
+        euler_steps: u32,
     ) -> PyResult<Self> {
         let vehicle = match (single_track, kinematic) {
             (None, None) => None,
@@ -112,6 +114,7 @@ impl MemberData {
             golden_variance: rows("golden_variance", &golden_variance)?,
             vehicle,
             resistance,
+            euler_steps,
         }))
     }
 }

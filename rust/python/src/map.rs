@@ -21,6 +21,14 @@ pub fn serve_map(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     ended.map_err(raise)
 }
 
+/// Check what a map service needs to start, except its folder. Return a warning if one of its certificates expires within 30
+/// days, otherwise `None`. Raises `EgpError` as `serve_map` does.
+#[pyfunction]
+pub fn check_map(py: Python<'_>, config_toml: &str) -> PyResult<Option<String>> {
+    let config = MapConfig::from_toml(config_toml).map_err(raise)?;
+    (py.detach(|| egp_service::map::check_map(&config))).map_err(raise)
+}
+
 /// The keys of a road of a fleet for one vehicle. Raises `InvalidArgumentError` for a text that is no name.
 #[pyclass(name = "RoadKey", module = "egp_service._core", frozen)]
 pub struct Keys(RoadKey);

@@ -16,6 +16,9 @@ use crate::array::{array, fixed, rows, vector, wrong_shape};
 use crate::error::{EgpError, InvalidArgumentError, raise};
 use crate::problem::{Arrays, OcpBounds, OcpWeights, scale_soft_rows};
 
+/// Largest strength of the weights' prior, with which its products with weights are finite.
+const MOST_STRENGTH: f64 = 1e300;
+
 #[doc = doc!(OcpResult)]
 #[pyclass(frozen, get_all, module = "egp_service._core")]
 pub struct OcpResult {
@@ -178,18 +181,22 @@ pub fn solve_weights<'py>(
             )));
         }
     };
+    if !(0.0..=MOST_STRENGTH).contains(&strength) {
+        return Err(EgpError::new_err(format!(
+            "strength must be a number from 0 to {MOST_STRENGTH:e}, got {strength}"
+        )));
+    }
     let predictions: Vec<f64> = predictions.as_array().iter().copied().collect();
     let numbers = predictions.iter().chain(measured.as_flattened());
     let sum: f64 = previous.iter().sum();
     let sensible = numbers.chain(&previous).all(|v| v.is_finite())
         && noise.iter().all(|std| (1e-100..1e100).contains(std)) // so that squares are finite, and not zero
         && state_noise.iter().all(|std| (0.0..1e100).contains(std))
-        && (0.0..=f64::MAX).contains(&strength)
         && previous.iter().all(|w| *w >= 0.0)
         && (sum - 1.0).abs() <= 1e-9;
     if !sensible {
         return Err(EgpError::new_err(
-            "expected finite numbers, positive noise_std, measurement_std and strength >= 0 and previous weights on the simplex",
+            "expected finite numbers, positive noise_std, measurement_std >= 0 and previous weights on the simplex",
         ));
     }
     let mut w = vec![0.0; previous.len()];

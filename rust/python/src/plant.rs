@@ -14,7 +14,7 @@ use crate::surface::Road;
 
 #[doc = doc!(Plant)]
 #[pyclass(module = "egp_service._core")]
-pub struct Plant(egp_plant::Plant, VehicleId);
+pub struct Plant(pub egp_plant::Plant, VehicleId);
 
 #[pymethods]
 impl Plant {
@@ -101,11 +101,5 @@ impl Plant {
     #[getter]
     fn mass(&self) -> f64 {
         self.0.parameters().mass
-    }
-
-    #[doc = doc!(Plant.lateral_acceleration)]
-    #[getter]
-    fn lateral_acceleration(&self) -> f64 {
-        self.0.lateral_acceleration()
     }
 }

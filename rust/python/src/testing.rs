@@ -14,6 +14,7 @@ use pyo3::prelude::*;
 use crate::array::{ArrayLike, Matrix, NewMatrix, NewVector, Vector};
 use crate::array::{array, fixed, rows, vector};
 use crate::error::{EgpError, raise};
+use crate::plant::Plant;
 use crate::problem::{Arrays, OcpBounds, OcpWeights};
 use crate::surface::SurfaceValue;
 use crate::wire::name;
@@ -128,6 +129,12 @@ pub fn plant_derivative<'py>(
     )
     .map(|slope| vector(py, slope))
     .map_err(raise)
+}
+
+/// Lateral acceleration of a plant's body in m/s².
+#[pyfunction]
+pub fn plant_lateral_acceleration(plant: &Plant) -> f64 {
+    plant.0.lateral_acceleration()
 }
 
 /// Full states (n, 29) for `[p_x, p_y, v_x, psi, v_y, omega, delta]` rows (n, 7).

@@ -1,4 +1,4 @@
-//! The ends of the certificates that zenoh's TLS settings name.
+//! Validity and owners of the certificates that zenoh's TLS settings name.
 
 use std::fs;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -26,15 +26,31 @@ pub(crate) const SETTINGS: [&str; 6] = [
 /// A certificate that cannot be used: the setting that names it, and the reason.
 pub(crate) type Unusable = (String, String);
 
+/// The names that `egp keys` writes into the certificates of those who listen, each also the name of their file.
+const ROLES: [&str; 3] = ["service", "map", "router"];
+
+/// What is read from a certificate.
+struct Certificate {
+    /// First and last time at which it is valid, s since 1970.
+    begin: i64,
+    end: i64,
+    /// The day of `begin`.
+    from: String,
+    /// The common name of its owner, if it has one.
+    owner: Option<String>,
+}
+
 /// The earliest end of the certificates in these settings ([`SETTINGS`], with their values), s since 1970; none if they name
-/// none. A file of authorities lasts as long as the one that ends last, and a chain as long as its first certificate, which is
-/// the service's own. `now` is in s since 1970, too.
+/// none. A file of authorities is valid from the first begin to the last end, and a chain as long as its first certificate,
+/// which is the service's own. `now` is in s since 1970, too. `role` is the name of this program in [`ROLES`].
 ///
 /// # Errors
-/// [`Unusable`] for a file that cannot be read, has no certificate, or has one that has expired.
+/// [`Unusable`] for a file that cannot be read, has no certificate, has one that has expired or is not valid yet, or one
+/// with which another role listens.
 pub(crate) fn earliest_end(
     settings: &[(String, Value)],
     now: i64,
+    role: &str,
 ) -> Result<Option<i64>, Unusable> {
     let mut earliest = None;
     for (key, value) in settings {
@@ -52,21 +68,43 @@ pub(crate) fn earliest_end(
         } else {
             decode(text)
         };
-        let ends = content.and_then(|content| ends(&content));
-        let ends = ends.map_err(|reason| (named.clone(), reason))?;
-        let end = if key.contains("root_ca") {
-            ends.iter().max()
+        let found = content.and_then(|content| certificates(&content));
+        let found = found.map_err(|reason| (named.clone(), reason))?;
+        let (first, last) = if key.contains("root_ca") {
+            (
+                found.iter().min_by_key(|one| one.begin),
+                found.iter().max_by_key(|one| one.end),
+            )
         } else {
-            ends.first()
+            (found.first(), found.first())
         };
-        let Some(&end) = end else {
+        let (Some(first), Some(last)) = (first, last) else {
             return Err((named, "expected a certificate in PEM, got none".to_owned()));
         };
+        if first.begin > now {
+            let reason = format!(
+                "the certificate is valid only from {}; check this machine's clock",
+                first.from
+            );
+            return Err((named, reason));
+        }
+        let end = last.end;
         if end <= now {
             let days = (now - end) / DAY;
             let reason = format!(
                 "the certificate expired {} ago; renew it with `egp keys`",
                 in_days(days)
+            );
+            return Err((named, reason));
+        }
+        if key.contains("listen_certificate")
+            && let Some(owner) = &first.owner
+            && owner != role
+            && ROLES.contains(&owner.as_str())
+        {
+            let reason = format!(
+                "the certificate is that of the role {owner}, and this program has the role {role}; state the file \
+                 {role}.json5 of `egp keys`"
             );
             return Err((named, reason));
         }
@@ -120,17 +158,24 @@ fn decode(base64: &str) -> Result<Vec<u8>, String> {
     })
 }
 
-/// The end of each certificate of a text in PEM.
-fn ends(pem: &[u8]) -> Result<Vec<i64>, String> {
-    let mut ends = Vec::new();
+/// The certificates of a text in PEM.
+fn certificates(pem: &[u8]) -> Result<Vec<Certificate>, String> {
+    let mut found = Vec::new();
     for block in Pem::iter_from_buffer(pem) {
         let block = block.map_err(|error| error.to_string())?;
         if block.label == "CERTIFICATE" {
-            let certificate = block.parse_x509().map_err(|error| error.to_string())?;
-            ends.push(certificate.validity().not_after.timestamp());
+            let read = block.parse_x509().map_err(|error| error.to_string())?;
+            let validity = read.validity();
+            let owner = read.subject().iter_common_name().next();
+            found.push(Certificate {
+                begin: validity.not_before.timestamp(),
+                end: validity.not_after.timestamp(),
+                from: validity.not_before.to_datetime().date().to_string(),
+                owner: owner.and_then(|name| name.as_str().ok().map(str::to_owned)),
+            });
         }
     }
-    Ok(ends)
+    Ok(found)
 }
 
 #[cfg(test)]
@@ -150,6 +195,8 @@ do6S23DDFe9OW8P2HIfrrhcdDw==
 ";
     /// 2020-01-01 00:00:00 UTC.
     const END: i64 = 1_577_836_800;
+    /// 2019-01-01 00:00:00 UTC.
+    const BEGIN: i64 = 1_546_300_800;
 
     fn setting(key: &str, value: &str) -> Vec<(String, Value)> {
         vec![(key.to_owned(), Value::from(value))]
@@ -161,33 +208,67 @@ do6S23DDFe9OW8P2HIfrrhcdDw==
         fs::write(&file, PEM).unwrap();
         let key = "transport/link/tls/listen_certificate";
         let named = setting(key, file.to_str().unwrap());
-        assert_eq!(earliest_end(&named, END - 1), Ok(Some(END)));
-        let (what, reason) = earliest_end(&named, END + 200_000).unwrap_err();
+        assert_eq!(earliest_end(&named, END - 1, "service"), Ok(Some(END)));
+        let (what, reason) = earliest_end(&named, END + 200_000, "service").unwrap_err();
         assert!(what.contains(key) && what.contains("egp-"), "{what}");
         assert!(reason.contains("expired 2 days ago"), "{reason}");
         fs::write(&file, "no certificate").unwrap();
-        let (_, reason) = earliest_end(&named, 0).unwrap_err();
+        let (_, reason) = earliest_end(&named, 0, "service").unwrap_err();
         assert!(reason.contains("got none"), "{reason}");
         fs::remove_file(&file).unwrap();
-        assert!(earliest_end(&named, 0).is_err());
+        assert!(earliest_end(&named, 0, "service").is_err());
         let none = vec![(key.to_owned(), Value::Null)];
-        assert_eq!(earliest_end(&none, 0), Ok(None));
+        assert_eq!(earliest_end(&none, 0, "service"), Ok(None));
     }
 
     #[test]
     fn certificates_inside_the_settings_are_read() {
         assert_eq!(decode("YWJj").unwrap(), b"abc");
         let named = setting("transport/link/tls/connect_certificate_base64", BASE64);
-        assert_eq!(earliest_end(&named, 0), Ok(Some(END)));
-        assert!(earliest_end(&setting("root_ca_certificate_base64", "YWJj"), 0).is_err());
+        assert_eq!(earliest_end(&named, END - 1, "service"), Ok(Some(END)));
+        assert!(
+            earliest_end(&setting("root_ca_certificate_base64", "YWJj"), 0, "service").is_err()
+        );
     }
 
     #[test]
     fn a_configuration_with_an_expired_certificate_is_an_error() {
         let key = "transport/link/tls/connect_certificate_base64".to_owned();
         let values = [(key, format!("\"{BASE64}\""))].into();
-        let error = configuration(None, &values).unwrap_err().to_string();
+        let error = configuration(None, &values, "service")
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("the certificate expired"), "{error}");
+    }
+
+    #[test]
+    fn a_certificate_that_is_not_valid_yet_is_an_error() {
+        for key in ["root_ca_certificate_base64", "connect_certificate_base64"] {
+            let named = setting(key, BASE64);
+            let (what, reason) = earliest_end(&named, BEGIN - 1, "service").unwrap_err();
+            assert_eq!(what, key);
+            assert!(
+                reason.contains("valid only from 2019-01-01; check this machine's clock"),
+                "{reason}"
+            );
+            assert_eq!(earliest_end(&named, BEGIN, "service"), Ok(Some(END)));
+        }
+    }
+
+    #[test]
+    fn the_certificate_of_another_role_is_an_error_where_it_listens() {
+        let named = |key| earliest_end(&setting(key, MAP), BEGIN, "service");
+        let (_, reason) = named("transport/link/tls/listen_certificate_base64").unwrap_err();
+        assert!(
+            reason.contains("the role map") && reason.contains("state the file service.json5"),
+            "{reason}"
+        );
+        assert_eq!(named("connect_certificate_base64"), Ok(Some(END)));
+        let own = setting("listen_certificate_base64", MAP);
+        assert_eq!(earliest_end(&own, BEGIN, "map"), Ok(Some(END)));
+        // The name of a certificate that `egp keys` did not write may be any other one.
+        let other = setting("listen_certificate_base64", BASE64);
+        assert_eq!(earliest_end(&other, BEGIN, "service"), Ok(Some(END)));
     }
 
     #[test]
@@ -202,4 +283,11 @@ do6S23DDFe9OW8P2HIfrrhcdDw==
         bVZrTUNvdwpCUVlESzJWd0F5RUFRZHFzaGdLRy9xUmVqNm1KYkgyY0hNMDVYRXRQL0czcG13SzFkcmRZdGtNd0JRWURLMlZ3CkEw\
         RUE0TVlLcllDYTlwSWdXUXA3SEFjYVViWm0zWDYyUHRSTHpIK0pJclZpa2E0MTRqNkcwTE9XMXZNeTRYWTgKZG82UzIzRERGZTlP\
         VzhQMkhJZnJyaGNkRHc9PQotLS0tLUVORCBDRVJUSUZJQ0FURS0tLS0tCg==";
+
+    /// A certificate as that of [`PEM`], with the common name `map`.
+    const MAP: &str = "LS0tLS1CRUdJTiBDRVJUSUZJQ0FURS0tLS0tCk1JSEhNSHVnQXdJQkFnSUJBVEFGQmdNclpYQXdEakVNTUFvR0ExVUVBd3dEYldG\
+        d01CNFhEVEU1TURFd01UQXcKTURBd01Gb1hEVEl3TURFd01UQXdNREF3TUZvd0RqRU1NQW9HQTFVRUF3d0RiV0Z3TUNvd0JRWURL\
+        MlZ3QXlFQQo4NWdLVzVKcWVzeUpzOXJpMzkvMEltbjlGS2dpUzZIaExpTk5UUXNHb0lFd0JRWURLMlZ3QTBFQVUxMm93cEUrCkQr\
+        NWN5OHRPYmJIR1I5TkMxR3llZ2JLbkVIczEvNXlXT1VNVWtCVExScXJXZE9adC8vV25sSDd2QlQ4S1Jsb1UKU3k4aEd6Zm9aQUU3\
+        Q1E9PQotLS0tLUVORCBDRVJUSUZJQ0FURS0tLS0tCg==";
 }

@@ -64,10 +64,11 @@ pub struct ServiceConfig {
     /// Time between load reports, ms. Default 500.
     #[serde(default = "default_load")]
     pub load_ms: u64,
-    /// Address for `/health`, `/ready` and `/metrics` over HTTP, as `127.0.0.1:9464`. Default: none.
+    /// Address for `/health`, `/ready` and `/metrics` over HTTP, such as `127.0.0.1:9464`. Default: none.
     #[serde(default, deserialize_with = "address")]
     pub http: Option<SocketAddr>,
-    /// What to log: a level, or directives as `egp_service=debug,zenoh=warn`. Default `info,zenoh=warn`.
+    /// What to log: a level, or directives such as `egp_service=debug,zenoh=warn`. Default
+    /// `info,zenoh=warn,zenoh_link_tls=error`.
     #[serde(default = "default_log")]
     pub log: String,
     /// Whether each log line is a JSON object instead of text. Default false.
@@ -119,7 +120,7 @@ fn default_load() -> u64 {
 }
 
 fn default_log() -> String {
-    "info,zenoh=warn".to_owned()
+    "info,zenoh=warn,zenoh_link_tls=error".to_owned()
 }
 
 fn default_traces_share() -> f64 {
@@ -291,7 +292,9 @@ impl ServiceConfig {
 }
 
 /// Reads an address for HTTP.
-fn address<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<SocketAddr>, D::Error> {
+pub(crate) fn address<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<SocketAddr>, D::Error> {
     let text = String::deserialize(deserializer)?;
     let wrong = |_| {
         let expected = "`http` must be an IP address and a port, such as 127.0.0.1:9464, got";

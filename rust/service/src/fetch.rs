@@ -14,7 +14,7 @@ use egp_wire::{WireError, library_keys};
 
 use crate::config::ServiceConfig;
 use crate::fetch_error::{FetchError, FetchFailure};
-use crate::network::{Network, asking, configuration};
+use crate::network::{Network, SERVICE, asking, configuration};
 use crate::query::Answer;
 use crate::signature::{Signature, Signers, signature_path};
 
@@ -71,7 +71,7 @@ impl Wanted<'_> {
         }
         let (library, file) = (self.hex(), self.file.display());
         tracing::info!(library, %file, "asking replicas for the library");
-        let (config, _) = configuration(network.zenoh_file.as_deref(), &network.zenoh)?;
+        let (config, _) = configuration(network.zenoh_file.as_deref(), &network.zenoh, SERVICE)?;
         let mut fetching = Fetching {
             wanted: self,
             signers,

@@ -10,7 +10,7 @@ use prometheus_client::metrics::counter::Counter;
 use prost::Message as _;
 
 use crate::query::Query;
-use crate::sync::{Mutex, PoisonError};
+use crate::sync::{Mutex, PoisonError, RwLock};
 
 /// Runs of a vehicle's client that are remembered: those of a week in which a client starts every ten seconds, in 3 MB. Only
 /// the vehicle's key begins a run. A vehicle that starts more often than this while the service runs is answered, but copies
@@ -57,7 +57,7 @@ impl Seen {
 
 /// The keys of all vehicles, and the questions that came.
 pub(crate) struct Guard {
-    keys: KeyRing,
+    keys: RwLock<KeyRing>,
     seen: Mutex<BTreeMap<(Name, Name), Seen>>,
     /// Number of requests of a known run that follow a request of another run with the same key.
     twice: Counter,
@@ -80,7 +80,7 @@ impl Guard {
     /// A guard with these keys.
     pub(crate) fn new(keys: KeyRing) -> Self {
         Self {
-            keys,
+            keys: RwLock::new(keys),
             seen: Mutex::new(BTreeMap::new()),
             twice: Counter::default(),
         }
@@ -91,14 +91,24 @@ impl Guard {
     /// # Errors
     /// [`KeyFileError`] if the file cannot be read, or has no key or something else.
     pub(crate) fn load(path: &Path) -> Result<Self, KeyFileError> {
-        let keys = KeyRing::read(path)?;
-        if keys.is_empty() {
-            return Err(KeyFileError::Content {
-                path: path.display().to_string(),
-                source: KeyError::Empty,
-            });
-        }
-        Ok(Self::new(keys))
+        read(path).map(Self::new)
+    }
+
+    /// Reads the keys again, and returns their number. What came from a vehicle remains known.
+    ///
+    /// # Errors
+    /// As [`Guard::load`]; the keys of before hold then.
+    pub(crate) fn reload(&self, path: &Path) -> Result<usize, KeyFileError> {
+        let keys = read(path)?;
+        let vehicles = keys.len();
+        *self.keys.write().unwrap_or_else(PoisonError::into_inner) = keys;
+        Ok(vehicles)
+    }
+
+    /// The key of a vehicle.
+    fn key(&self, fleet: &Name, vehicle: &Name) -> Result<VehicleKey, KeyError> {
+        let keys = self.keys.read().unwrap_or_else(PoisonError::into_inner);
+        keys.get(fleet, vehicle).cloned()
     }
 
     /// Counts how often clients with one key took turns.
@@ -119,8 +129,7 @@ impl Guard {
     ) -> Result<Sealed, WireError> {
         let denied = |detail: String| WireError::permanent(Code::Unauthenticated, detail);
         let key = self
-            .keys
-            .get(fleet, vehicle)
+            .key(fleet, vehicle)
             .map_err(|missing| denied(missing.to_string()))?;
         let seal = Seal::decode(&query.attachment()).ok_or_else(|| {
             denied("the request has no seal; give the client the key of this vehicle".to_owned())
@@ -141,7 +150,7 @@ impl Guard {
             return Err(denied(reason.to_owned()));
         }
         Ok(Sealed {
-            key: key.clone(),
+            key,
             question: seal.tag,
         })
     }
@@ -150,10 +159,10 @@ impl Guard {
     fn question(&self, query: &impl Query) -> Option<Sealed> {
         let seal = Seal::decode(&query.attachment())?;
         let (fleet, vehicle) = &seal.vehicle;
-        let key = self.keys.get(fleet, vehicle).ok()?;
+        let key = self.key(fleet, vehicle).ok()?;
         key.is_question(query.key(), &seal, &query.payload())
-            .then(|| Sealed {
-                key: key.clone(),
+            .then_some(Sealed {
+                key,
                 question: seal.tag,
             })
     }
@@ -188,6 +197,18 @@ impl Guard {
         }
         due
     }
+}
+
+/// Reads the keys of a file, which must have at least one.
+fn read(path: &Path) -> Result<KeyRing, KeyFileError> {
+    let keys = KeyRing::read(path)?;
+    if keys.is_empty() {
+        return Err(KeyFileError::Content {
+            path: path.display().to_string(),
+            source: KeyError::Empty,
+        });
+    }
+    Ok(keys)
 }
 
 #[cfg(test)]
@@ -238,8 +259,8 @@ mod tests {
         assert_eq!(unknown.err().unwrap().code, Code::Unauthenticated);
         query.attachment.clear();
         assert!(accept(&guard, &query).err().unwrap().contains("no seal"));
-        let foreign = guard.keys.get(&name("fleet"), &name("b")).unwrap();
-        let forged = accept(&guard, &sealed(foreign, 7, 2)).err().unwrap();
+        let foreign = guard.key(&name("fleet"), &name("b")).unwrap();
+        let forged = accept(&guard, &sealed(&foreign, 7, 2)).err().unwrap();
         assert!(forged.contains("was not made with"), "{forged}");
     }
 
@@ -250,8 +271,8 @@ mod tests {
         let question = Seal::decode(&query.attachment).unwrap().tag;
         let tag = guard.question(&query).unwrap().tag(b"answer");
         assert!(key.is_answer(&question, b"answer", &tag));
-        let foreign = guard.keys.get(&name("fleet"), &name("b")).unwrap();
-        assert!(guard.question(&sealed(foreign, 7, 1)).is_none());
+        let foreign = guard.key(&name("fleet"), &name("b")).unwrap();
+        assert!(guard.question(&sealed(&foreign, 7, 1)).is_none());
     }
 
     #[test]

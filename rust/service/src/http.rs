@@ -8,7 +8,6 @@ use std::convert::Infallible;
 use std::io;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
@@ -25,9 +24,7 @@ use tokio::sync::oneshot;
 use tokio::task::AbortHandle;
 use tokio::time;
 
-use crate::intake::Shared;
-use crate::query::Query;
-use crate::server::StartError;
+use crate::start_error::StartError;
 
 /// How long a connection may last.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -67,15 +64,11 @@ impl HttpListener {
             .map_err(|reason| unusable(address, &reason))
     }
 
-    /// Answers requests in a thread of its own, as not ready until `serving` is set.
+    /// Answers requests in a thread of its own with these pages.
     ///
     /// # Errors
     /// [`StartError::Thread`] if the system cannot start the thread.
-    pub(crate) fn answer<Q: Query + Send + 'static>(
-        self,
-        shared: Arc<Shared<Q>>,
-        serving: Arc<AtomicBool>,
-    ) -> Result<HttpEndpoint, StartError> {
+    pub(crate) fn answer(self, pages: Arc<dyn Pages>) -> Result<HttpEndpoint, StartError> {
         if let Ok(address) = self.0.local_addr() {
             tracing::info!(%address, "health, ready and metrics over HTTP");
         }
@@ -86,7 +79,6 @@ impl HttpListener {
             .build()?;
         let (stop, stopped) = oneshot::channel();
         let thread = thread::Builder::new().name("egp-http".to_owned());
-        let pages = Pages { shared, serving };
         let thread = thread.spawn(move || run(&runtime, self.0, pages, stopped))?;
         Ok(HttpEndpoint {
             stop: Some(stop),
@@ -122,16 +114,16 @@ impl Drop for HttpEndpoint {
 }
 
 /// Answers requests until the sender of `stopped` is dropped; connections that are open then are closed.
-fn run<Q: Query + Send + 'static>(
+fn run(
     runtime: &Runtime,
     listener: TcpListener,
-    pages: Pages<Q>,
+    pages: Arc<dyn Pages>,
     stopped: oneshot::Receiver<()>,
 ) {
     runtime.block_on(async move {
         match tokio::net::TcpListener::from_std(listener) {
             Ok(listener) => {
-                tokio::spawn(accept(listener, Arc::new(pages)));
+                tokio::spawn(accept(listener, pages));
                 // Nothing is ever sent: the channel closes.
                 let _ = stopped.await;
             }
@@ -140,10 +132,7 @@ fn run<Q: Query + Send + 'static>(
     });
 }
 
-async fn accept<Q: Query + Send + 'static>(
-    listener: tokio::net::TcpListener,
-    pages: Arc<Pages<Q>>,
-) {
+async fn accept(listener: tokio::net::TcpListener, pages: Arc<dyn Pages>) {
     let mut open = VecDeque::<AbortHandle>::new();
     loop {
         match listener.accept().await {
@@ -170,9 +159,9 @@ fn close_beyond(most: usize, open: &mut VecDeque<AbortHandle>) {
 }
 
 /// Answers the request of a connection.
-async fn converse<Q: Query + Send + 'static>(stream: TcpStream, pages: Arc<Pages<Q>>) {
+async fn converse(stream: TcpStream, pages: Arc<dyn Pages>) {
     let answer = service_fn(move |request| {
-        let response = pages.respond(&request);
+        let response = respond(&*pages, &request);
         async move { Ok::<_, Infallible>(response) }
     });
     let answered = http1::Builder::new()
@@ -186,58 +175,44 @@ async fn converse<Q: Query + Send + 'static>(stream: TcpStream, pages: Arc<Pages
 }
 
 /// What the pages show.
-struct Pages<Q> {
-    shared: Arc<Shared<Q>>,
-    /// Whether vehicles can see the service.
-    serving: Arc<AtomicBool>,
+pub(crate) trait Pages: Send + Sync + 'static {
+    /// Why the service is not ready, in one word; none if it is.
+    fn not_ready(&self) -> Option<&'static str>;
+
+    /// The metrics as OpenMetrics text.
+    fn metrics(&self) -> String;
 }
 
-impl<Q: Query> Pages<Q> {
-    fn respond(&self, request: &Request<Incoming>) -> Response<Full<Bytes>> {
-        let answered = [Method::GET, Method::HEAD].contains(request.method());
-        let (status, content, text) = if answered {
-            self.page(request.uri().path())
-        } else {
-            let text = "expected the method GET or HEAD\n";
-            (StatusCode::METHOD_NOT_ALLOWED, TEXT, text.to_owned())
-        };
-        let mut response = Response::new(Full::from(text));
-        *response.status_mut() = status;
-        let headers = response.headers_mut();
-        headers.insert(CONTENT_TYPE, HeaderValue::from_static(content));
-        if !answered {
-            headers.insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
-        }
-        response
+fn respond(pages: &dyn Pages, request: &Request<Incoming>) -> Response<Full<Bytes>> {
+    let answered = [Method::GET, Method::HEAD].contains(request.method());
+    let (status, content, text) = if answered {
+        page(pages, request.uri().path())
+    } else {
+        let text = "expected the method GET or HEAD\n";
+        (StatusCode::METHOD_NOT_ALLOWED, TEXT, text.to_owned())
+    };
+    let mut response = Response::new(Full::from(text));
+    *response.status_mut() = status;
+    let headers = response.headers_mut();
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(content));
+    if !answered {
+        headers.insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
     }
+    response
+}
 
-    /// Status, content type and text of the page with this path.
-    fn page(&self, path: &str) -> (StatusCode, &'static str, String) {
-        match path {
-            "/health" => (StatusCode::OK, TEXT, "ok\n".to_owned()),
-            "/ready" => match self.not_ready() {
-                Some(state) => (StatusCode::SERVICE_UNAVAILABLE, TEXT, format!("{state}\n")),
-                None => (StatusCode::OK, TEXT, "ready\n".to_owned()),
-            },
-            "/metrics" => {
-                let text = self.shared.metrics.text(self.shared.queue.len());
-                (StatusCode::OK, OPEN_METRICS, text)
-            }
-            _ => {
-                let text = "no such page: expected /health, /ready or /metrics\n";
-                (StatusCode::NOT_FOUND, TEXT, text.to_owned())
-            }
-        }
-    }
-
-    /// Why the service is not ready, if it is not.
-    fn not_ready(&self) -> Option<&'static str> {
-        if self.shared.draining.load(Ordering::Relaxed) {
-            Some("draining")
-        } else if self.serving.load(Ordering::Relaxed) {
-            None
-        } else {
-            Some("starting")
+/// Status, content type and text of the page with this path.
+fn page(pages: &dyn Pages, path: &str) -> (StatusCode, &'static str, String) {
+    match path {
+        "/health" => (StatusCode::OK, TEXT, "ok\n".to_owned()),
+        "/ready" => match pages.not_ready() {
+            Some(state) => (StatusCode::SERVICE_UNAVAILABLE, TEXT, format!("{state}\n")),
+            None => (StatusCode::OK, TEXT, "ready\n".to_owned()),
+        },
+        "/metrics" => (StatusCode::OK, OPEN_METRICS, pages.metrics()),
+        _ => {
+            let text = "no such page: expected /health, /ready or /metrics\n";
+            (StatusCode::NOT_FOUND, TEXT, text.to_owned())
         }
     }
 }

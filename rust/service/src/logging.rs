@@ -1,22 +1,61 @@
 //! Structured logs on standard error.
 
-use std::io::IsTerminal as _;
+use std::fs::File;
+use std::io::{self, IsTerminal as _};
+use std::os::fd::AsFd as _;
+use std::sync::OnceLock;
+use std::time::Duration;
 
+use prometheus_client::registry::Registry;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::filter::LevelFilter;
 
+use crate::log_writer::LogWriter;
+
+/// How long the end of a process waits for its last lines.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// What writes the log of this process.
+static WRITER: OnceLock<LogWriter> = OnceLock::new();
+
+/// Shows in a metric how many lines of the log could not be written or had no room.
+pub(crate) fn show_lost(registry: &mut Registry) {
+    let lost = WRITER.get().map(LogWriter::lost).unwrap_or_default();
+    let help = "Lines of the log that could not be written, or that were not read in time";
+    registry.register("log_lines_lost", help, lost);
+}
+
+/// Lets the lines of the log be written when it is dropped, for a second at most.
+pub(crate) struct FlushAtEnd;
+
+impl Drop for FlushAtEnd {
+    fn drop(&mut self) {
+        if let Some(writer) = WRITER.get() {
+            writer.flush(PATIENCE);
+        }
+    }
+}
+
 /// Logs the events that `filter` selects, each line as text or a JSON object. Later calls in a process have no effect.
 ///
+/// Nothing waits for the program that reads the log: a line that it has no room for is lost, and counted.
+///
 /// # Errors
-/// A message that says what is wrong with the filter.
+/// A message that says what is wrong with the filter, or why the thread that writes cannot be started.
 pub fn init_logging(filter: &str, json: bool) -> Result<(), String> {
     let filter = log_filter(filter)?;
+    let writer = if let Some(writer) = WRITER.get() {
+        writer
+    } else {
+        let new = writer().map_err(|error| format!("cannot start the log: {error}"))?;
+        WRITER.get_or_init(|| new)
+    };
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_ansi(std::io::stderr().is_terminal())
-        // A line that cannot be written is lost. The report of that loss would go to standard error, too, and fail with a panic.
+        .with_ansi(io::stderr().is_terminal())
+        // The report of a line that is lost would go to standard error, too, and fail with a panic.
         .log_internal_errors(false)
-        .with_writer(std::io::stderr);
+        .with_writer(writer.clone());
     // A process that has set up its own logging keeps it.
     let _ = if json {
         // The fields of an event stand beside its message, where programs that collect logs look for them.
@@ -25,6 +64,15 @@ pub fn init_logging(filter: &str, json: bool) -> Result<(), String> {
         subscriber.try_init()
     };
     Ok(())
+}
+
+/// A writer to standard error. It has a descriptor of its own, because one that waits must not hold the lock of
+/// [`io::stderr`], which reports of panics take.
+fn writer() -> io::Result<LogWriter> {
+    match io::stderr().as_fd().try_clone_to_owned() {
+        Ok(output) => LogWriter::start(File::from(output)),
+        Err(_) => LogWriter::start(io::sink()), // standard error is closed
+    }
 }
 
 /// Reads a filter: a level, or directives. A word that is no level would be taken for the name of a target, and all logs of
@@ -54,7 +102,11 @@ pub(crate) fn log_filter(filter: &str) -> Result<EnvFilter, String> {
 
 #[cfg(test)]
 mod tests {
+    use tracing::Level;
+
     use super::*;
+    use crate::config::ServiceConfig;
+    use crate::map::MapConfig;
 
     #[test]
     fn a_word_that_is_no_level_is_an_error() {
@@ -85,6 +137,21 @@ mod tests {
             "warn,[request]",
         ] {
             assert!(log_filter(filter).is_ok(), "{filter}");
+        }
+    }
+
+    #[test]
+    fn the_default_filters_leave_out_what_zenoh_says_of_each_stranger() {
+        for filter in [ServiceConfig::new("").log, MapConfig::default().log] {
+            let subscriber = tracing_subscriber::fmt()
+                .with_env_filter(log_filter(&filter).unwrap_or_default())
+                .finish();
+            tracing::subscriber::with_default(subscriber, || {
+                assert!(!tracing::enabled!(target: "zenoh_link_tls::unicast", Level::WARN));
+                assert!(tracing::enabled!(target: "zenoh_link_tls::unicast", Level::ERROR));
+                assert!(tracing::enabled!(target: "zenoh_transport::manager", Level::WARN));
+                assert!(tracing::enabled!(target: "egp_service::server", Level::INFO));
+            });
         }
     }
 }

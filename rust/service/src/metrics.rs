@@ -56,6 +56,7 @@ pub(crate) struct Metrics {
     libraries: Family<Sha256, Gauge>,
     reloads: Outcomes,
     offers: Outcomes,
+    key_reloads: Outcomes,
     /// Spans by what became of them, and where they are counted; none if no traces are written.
     spans: Option<Mutex<(Outcomes, Counts)>>,
 }
@@ -76,6 +77,7 @@ impl Metrics {
             libraries: Family::default(),
             reloads: Family::default(),
             offers: Family::default(),
+            key_reloads: Family::default(),
             spans: None,
         };
         let registry = &mut metrics.registry;
@@ -104,6 +106,8 @@ impl Metrics {
         registry.register("reloads", help, family);
         let (help, family) = ("Questions for library files", metrics.offers.clone());
         registry.register("library_questions", help, family);
+        let (help, family) = ("Reloads of the vehicles' keys", metrics.key_reloads.clone());
+        registry.register("key_reloads", help, family);
         metrics.serve(libraries);
         metrics
     }
@@ -112,6 +116,16 @@ impl Metrics {
     pub(crate) fn show_twice(&mut self, twice: Counter) {
         let help = "Turns of several clients with the key of one vehicle";
         self.registry.register("identity_twice", help, twice);
+    }
+
+    /// Shows the counter of services with the name of this one.
+    pub(crate) fn show_name_twice(&mut self) -> Counter {
+        let (help, twice) = (
+            "Questions of each minute that another service of this name answered, too",
+            Counter::default(),
+        );
+        self.registry.register("name_twice", help, twice.clone());
+        twice
     }
 
     /// Where further metrics are registered.
@@ -139,6 +153,11 @@ impl Metrics {
     /// Counts a reload by its outcome.
     pub(crate) fn reloaded(&self, outcome: &'static str) {
         count(&self.reloads, outcome);
+    }
+
+    /// Counts a reload of the vehicles' keys.
+    pub(crate) fn keys_read(&self, read: bool) {
+        count(&self.key_reloads, if read { "read" } else { "failed" });
     }
 
     /// Counts a question for a library file or a part of it.

@@ -1,7 +1,10 @@
 //! Access to the network; no other file of this crate uses zenoh.
 
+use std::cell::Cell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use std::{borrow::Cow, collections::BTreeMap, fs::File, net::SocketAddr, path::Path};
 
 use egp_session::{NetworkError, get, set};
@@ -19,23 +22,41 @@ use crate::zenoh_settings::{DEFAULTS, check_endpoints, free_ports};
 /// Time for which a service in zenoh's mode `client` waits for its routers.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 
-/// A zenoh configuration: this service's defaults or a JSON5 file, then single values by their key; and the earliest end of
-/// its certificates, s since 1970, if it has some.
+/// The roles of the programs of this crate, as `egp keys` names their certificates and files.
+pub(crate) const SERVICE: &str = "service";
+pub(crate) const MAP: &str = "map";
+
+/// A zenoh configuration, and the earliest end of its certificates, s since 1970, if it has some.
+pub(crate) type Configured = (Config, Option<i64>);
+
+/// A zenoh configuration: this service's defaults or a JSON5 file, then single values by their key. `role` is [`SERVICE`]
+/// or [`MAP`].
 ///
 /// # Errors
-/// [`NetworkError`] naming the file or the key that zenoh does not accept, or a certificate that cannot be read or has
-/// expired.
+/// [`NetworkError`] naming the file or the key that zenoh does not accept, or a certificate that cannot be read, is not
+/// valid now, or belongs to another role.
 pub(crate) fn configuration(
     file: Option<&Path>,
     values: &BTreeMap<String, String>,
-) -> Result<(Config, Option<i64>), NetworkError> {
+    role: &str,
+) -> Result<Configured, NetworkError> {
     let given = values
         .iter()
         .map(|(key, value)| (key.as_str(), value.as_str()));
     let config = egp_session::configuration(file, &DEFAULTS, given)?;
-    let end = certificates::earliest_end(&tls(&config, &SETTINGS)?, certificates::now())
-        .map_err(|(named, reason)| NetworkError::new(named, &reason))?;
+    let end = certificates::earliest_end(&tls(&config, &SETTINGS)?, certificates::now(), role);
+    let end = end.map_err(|(named, reason)| {
+        let place = file.map_or(String::new(), |path| {
+            format!("zenoh file {}, ", path.display())
+        });
+        NetworkError::new(place + &named, &reason)
+    })?;
     Ok((config, end))
+}
+
+/// Whether a session has zenoh's mode `client`: it is reached through the router that it connects to.
+pub(crate) fn is_client(config: &Config) -> Result<bool, NetworkError> {
+    Ok(get(config, "mode")? == "client")
 }
 
 /// Opens a session with this configuration and closes it again, to see whether a service could start: listeners take a
@@ -175,7 +196,15 @@ impl Network {
         stopped: &mut dyn FnMut() -> bool,
     ) -> Result<Self, NetworkError> {
         const PAUSE: Duration = Duration::from_millis(500);
-        let told = |reason: &str| tracing::warn!(reason, "no session yet; trying again");
+        /// Least time between two warnings: of several routers each may have a reason of its own.
+        const WARN: Duration = Duration::from_secs(10);
+        let warned = Cell::new(None::<Instant>);
+        let told = |reason: &str| {
+            if warned.get().is_none_or(|last| last.elapsed() >= WARN) {
+                warned.set(Some(Instant::now()));
+                tracing::warn!(reason, "no session yet; trying again");
+            }
+        };
         let listen = config.get_json("listen/endpoints").unwrap_or_default();
         let stated = get(&config, "connect/timeout_ms")?.as_i64();
         let patience = match stated.map(u64::try_from) {
@@ -284,6 +313,11 @@ impl Network {
         Ok(answers)
     }
 
+    /// Looks at the session's links and at who else answers.
+    pub(crate) fn surroundings(&self) -> Surroundings {
+        Surroundings(self.session.clone())
+    }
+
     /// Publishes on keys that are not known in advance.
     pub(crate) fn putter(&self) -> Putter {
         Putter(self.session.clone())
@@ -297,6 +331,36 @@ impl Network {
             .wait()
             .map(Publisher)
             .map_err(|e| NetworkError::new(format!("cannot declare {key}"), &e))
+    }
+}
+
+/// The programs that a session reaches.
+pub(crate) struct Surroundings(zenoh::Session);
+
+impl Surroundings {
+    /// The number of sessions that this one is connected to: routers, peers and clients.
+    pub(crate) fn links(&self) -> usize {
+        self.0.info().transports().wait().count()
+    }
+
+    /// Asks all who answer `key`, this program included, and counts their answers until `timeout`. It does not wait for them.
+    pub(crate) fn answers(&self, key: &str, timeout: Duration) -> Arc<AtomicUsize> {
+        let answers = Arc::new(AtomicUsize::new(0));
+        let counted = answers.clone();
+        let asked = self
+            .0
+            .get(key)
+            .target(QueryTarget::All)
+            .consolidation(ConsolidationMode::None)
+            .timeout(timeout)
+            .callback(move |reply| {
+                counted.fetch_add(usize::from(reply.result().is_ok()), Ordering::Relaxed);
+            })
+            .wait();
+        if let Err(error) = asked {
+            tracing::debug!(key, %error, "not asked");
+        }
+        answers
     }
 }
 

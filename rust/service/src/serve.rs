@@ -13,9 +13,10 @@ use crate::guard::Guard;
 use crate::handler::Handler as _;
 use crate::http::HttpListener;
 use crate::libraries::Libraries;
-use crate::logging::{init_logging, log_filter};
-use crate::network::{configuration, rehearse};
-use crate::server::{Server, StartError, wanted};
+use crate::logging::{FlushAtEnd, init_logging, log_filter};
+use crate::network::{SERVICE, configuration, rehearse};
+use crate::server::{Server, wanted};
+use crate::start_error::StartError;
 
 /// Why serving failed.
 #[derive(Debug, Error)]
@@ -57,8 +58,8 @@ pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
     let traces = config.traces.as_deref().map(TraceFile::check);
     traces.transpose().map_err(StartError::from)?;
     config.http.map(HttpListener::check).transpose()?;
-    let (zenoh, end) =
-        configuration(config.zenoh_file.as_deref(), &config.zenoh).map_err(StartError::from)?;
+    let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &config.zenoh, SERVICE)
+        .map_err(StartError::from)?;
     rehearse(zenoh, config.http).map_err(StartError::from)?;
     Ok(Checked {
         served: libraries.describe(),
@@ -72,6 +73,7 @@ pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
 /// # Errors
 /// [`ServeError`] if the service does not start.
 pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
+    let _flush = FlushAtEnd;
     init_logging(&config.log, config.log_json).map_err(ServeError::Logging)?;
     allow_all();
     // Signals are registered before the start, so that an early one is not lost.

@@ -1,22 +1,18 @@
 //! A running service: start and drain.
 
-use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use egp_core::library;
-use egp_session::NetworkError;
-use egp_trace::TraceError;
-use egp_wire::keys::{self, NameError};
-use egp_wire::{KeyFileError, WireError};
-use prost::Message as _;
-use thiserror::Error;
+use egp_wire::keys;
+use prometheus_client::metrics::counter::Counter;
 
 use crate::certificates;
-use crate::config::{ConfigError, ServiceConfig};
+use crate::config::ServiceConfig;
 use crate::fetch::{Fetched, Wanted};
 use crate::fetch_error::FetchError;
 use crate::guard::Guard;
@@ -25,54 +21,19 @@ use crate::http::{HttpEndpoint, HttpListener};
 use crate::intake::Shared;
 use crate::libraries::{Libraries, ReloadError};
 use crate::library_table::Reloaded;
+use crate::links::Links;
+use crate::logging::show_lost;
 use crate::metrics::Metrics;
-use crate::network::{Network, PATIENCE, Publisher, Received, configuration};
+use crate::network::{Network, PATIENCE, Received, SERVICE, configuration, is_client};
 use crate::offer::{Asked, Offer, offer};
+use crate::pages::ServicePages;
 use crate::queue::Queue;
 use crate::reloader::{Outcome, Reloader, Running, stamp};
+use crate::reporter::Reporter;
 use crate::standing::Standing;
+use crate::start_error::StartError;
 use crate::traces::Traces;
 use crate::worker::work;
-
-/// Why a service did not start.
-#[derive(Debug, Error)]
-pub enum StartError {
-    /// The configuration is out of range.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The replica's name is not 1 to 64 of the characters `A-Z a-z 0-9 . _ -`.
-    #[error(transparent)]
-    Name(#[from] NameError),
-    /// A library or the settings cannot be used.
-    #[error(transparent)]
-    Library(#[from] ReloadError),
-    /// The library was not fetched from another replica.
-    #[error(transparent)]
-    Fetch(#[from] FetchError),
-    /// A worker could not be set up.
-    #[error("cannot set up a worker: {0}")]
-    Worker(#[from] WireError),
-    /// The system could not start a thread.
-    #[error("cannot start a thread: {0}")]
-    Thread(#[from] std::io::Error),
-    /// The address for HTTP cannot be listened on.
-    #[error("cannot listen for HTTP on {address}: {reason}; choose another address for `http`")]
-    Http {
-        /// The address.
-        address: SocketAddr,
-        /// The error of the system.
-        reason: String,
-    },
-    /// The keys of the vehicles cannot be used.
-    #[error(transparent)]
-    Keys(#[from] KeyFileError),
-    /// The file of traces cannot be written.
-    #[error(transparent)]
-    Traces(#[from] TraceError),
-    /// An operation of zenoh that failed.
-    #[error(transparent)]
-    Network(#[from] NetworkError),
-}
 
 /// A service that answers queries until it is drained or dropped.
 pub struct Server {
@@ -84,6 +45,8 @@ pub struct Server {
     reporter: Option<(Sender<()>, JoinHandle<()>)>,
     reloader: Option<Running>,
     http: Option<HttpEndpoint>,
+    /// The file of the vehicles' keys.
+    keys: Option<PathBuf>,
 }
 
 impl Server {
@@ -129,16 +92,24 @@ impl Server {
         stopped: &mut dyn FnMut() -> bool,
     ) -> Result<Self, StartError> {
         config.validate()?;
-        let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &config.zenoh)?;
+        let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &config.zenoh, SERVICE)?;
         let (offering, questions) = Offer::new();
-        let shared = share(config, handler, offering, end)?;
+        let mut metrics = Metrics::new(&handler.describe().libraries(), config.workers());
+        let twice = metrics.show_name_twice();
+        show_lost(metrics.registry());
+        let links = Arc::new(Links::new(is_client(&zenoh)?, metrics.registry()));
+        let shared = share(config, handler, offering, end, metrics)?;
         let replica = shared.replica.clone();
         let serving = Arc::new(AtomicBool::new(false));
         let http = config.http.map(HttpListener::bind).transpose()?;
-        let http = http
-            .map(|listener| listener.answer(shared.clone(), serving.clone()))
-            .transpose()?;
+        let pages = Arc::new(ServicePages {
+            shared: shared.clone(),
+            links: links.clone(),
+            serving: serving.clone(),
+        });
+        let http = http.map(|listener| listener.answer(pages)).transpose()?;
         let network = Network::open(zenoh, PATIENCE, stopped)?;
+        links.note(network.surroundings().links());
         let mut server = Self {
             shared,
             network,
@@ -148,6 +119,7 @@ impl Server {
             reporter: None,
             reloader: None,
             http,
+            keys: config.vehicle_keys.clone(),
         };
         server.start_workers(handler)?;
         server.start_offerer(handler, questions)?;
@@ -157,7 +129,7 @@ impl Server {
             .declare(&keys::replica(&replica), move |query| {
                 shared.take(query, Instant::now());
             })?;
-        server.start_reporter(Duration::from_millis(config.load_ms))?;
+        server.start_reporter(Duration::from_millis(config.load_ms), links, twice)?;
         if server.network.announced(&replica) {
             tracing::warn!(
                 %replica,
@@ -177,13 +149,24 @@ impl Server {
         Ok(server)
     }
 
-    /// Loads the library file again on a thread of its own, while requests are answered; the log and the metrics tell the
-    /// outcome. What was served before is still served to requests that state it.
+    /// Reads the keys of the vehicles again, and loads the library file again on a thread of its own, while requests are
+    /// answered; the log and the metrics tell the outcomes. The library that was served before is still served to requests
+    /// that state it, and the keys of before hold if the file of the keys cannot be used.
     ///
     /// # Errors
     /// [`ReloadError::NoFile`] if the server was started with a handler of its own, and [`ReloadError::Ended`] if the thread
     /// has ended.
     pub fn reload(&self) -> Result<(), ReloadError> {
+        if let (Some(guard), Some(file)) = (&self.shared.guard, &self.keys) {
+            let read = guard.reload(file);
+            self.shared.metrics.keys_read(read.is_ok());
+            match read {
+                Ok(vehicles) => tracing::info!(vehicles, "keys of the vehicles read again"),
+                Err(error) => {
+                    tracing::error!(%error, "keys of the vehicles not read again; those of before hold");
+                }
+            }
+        }
         let running = self.reloader.as_ref().ok_or(ReloadError::NoFile)?;
         running.reload()
     }
@@ -223,12 +206,23 @@ impl Server {
         Ok(())
     }
 
-    fn start_reporter(&mut self, period: Duration) -> Result<(), StartError> {
-        let publisher = self.network.publisher(&keys::load(&self.shared.replica))?;
+    fn start_reporter(
+        &mut self,
+        period: Duration,
+        links: Arc<Links>,
+        twice: Counter,
+    ) -> Result<(), StartError> {
+        let reporter = Reporter {
+            publisher: self.network.publisher(&keys::load(&self.shared.replica))?,
+            surroundings: self.network.surroundings(),
+            shared: self.shared.clone(),
+            links,
+            twice,
+            period,
+        };
         let (stop, stopped) = mpsc::channel();
-        let shared = self.shared.clone();
         let thread = thread::Builder::new().name("egp-load".to_owned());
-        let thread = thread.spawn(move || report(&shared, &publisher, period, &stopped))?;
+        let thread = thread.spawn(move || reporter.run(&stopped))?;
         self.reporter = Some((stop, thread));
         Ok(())
     }
@@ -257,6 +251,7 @@ fn share<H: Handler>(
     handler: &Arc<H>,
     offer: Offer<Received>,
     end: Option<i64>,
+    mut metrics: Metrics,
 ) -> Result<Arc<Shared<Received>>, StartError> {
     let workers = config.workers();
     let guard = config
@@ -264,7 +259,6 @@ fn share<H: Handler>(
         .as_deref()
         .map(Guard::load)
         .transpose()?;
-    let mut metrics = Metrics::new(&handler.describe().libraries(), workers);
     if let Some(guard) = &guard {
         metrics.show_twice(guard.twice());
     }
@@ -317,18 +311,6 @@ pub(crate) fn wanted(config: &ServiceConfig) -> Option<Wanted<'_>> {
         file: &config.library,
         keys: config.library_keys.as_deref(),
     })
-}
-
-/// Publishes the load until `stop` is dropped.
-fn report(
-    shared: &Shared<Received>,
-    publisher: &Publisher,
-    period: Duration,
-    stop: &mpsc::Receiver<()>,
-) {
-    while stop.recv_timeout(period) == Err(RecvTimeoutError::Timeout) {
-        publisher.publish(shared.load().encode_to_vec());
-    }
 }
 
 /// Tells log and metrics how a reload ended.

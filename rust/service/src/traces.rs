@@ -60,7 +60,7 @@ impl Traces {
         let payload = job.query.payload();
         let (replica, fleet, vehicle) = (replica.as_str(), fleet.as_str(), vehicle.as_str());
         let ids = StepIds::new(fleet, vehicle, &payload);
-        if !self.share.has(ids.trace()) {
+        if !self.share.contains(ids.trace()) {
             return;
         }
         let moment = Moment::now(|| self.epoch.elapsed());

@@ -141,7 +141,8 @@ pub fn open(config: Config) -> Result<Session, NetworkError> {
 
 /// Opens a session as [`open`] does. In zenoh's mode `client`, in which there is no session without a link, each endpoint is
 /// tried, and all of them again after `pause` until `patience` is over or `stopped` returns true. A router that accepts a
-/// connection and then says nothing costs at most about that time, too. `told` gets each reason that differs from the last.
+/// connection and then says nothing costs at most about that time, too. `report` is called with each reason
+/// that differs from the one before.
 ///
 /// # Errors
 /// [`NetworkError`] with the last reason if no session opens.
@@ -150,7 +151,7 @@ pub fn open_patiently(
     patience: Duration,
     pause: Duration,
     stopped: &mut dyn FnMut() -> bool,
-    told: &dyn Fn(&str),
+    report: &dyn Fn(&str),
 ) -> Result<Session, NetworkError> {
     /// The shortest time in which a link may become a session, ms.
     const LEAST_OPEN: u64 = 500;
@@ -171,7 +172,7 @@ pub fn open_patiently(
             Err(error) if client && begun.elapsed() < patience && !stopped() => {
                 let reason = error.to_string();
                 if reason != last {
-                    told(&reason);
+                    report(&reason);
                 }
                 last = reason;
                 thread::sleep(pause);

@@ -64,7 +64,7 @@ fn seeds(text: &str) -> Result<std::ops::Range<u64>, String> {
         .ok_or_else(|| format!("expected A..B with A below B, such as 0..1000, got {text}"))
 }
 
-/// Replays one seed with a readable trace, hunts over many seeds, or shows which oracle finds each planted fault.
+/// Replays one seed with a readable trace, runs many seeds, or shows which oracle finds each planted fault.
 ///
 /// The first of the arguments is the name that the help shows. Returns the exit code: 0 if no promise was broken and every
 /// planted fault was found, 1 otherwise, 2 if the simulation cannot run or for arguments that cannot be used. If the reader of

@@ -86,6 +86,8 @@ mutants! {
     WaitingDrives => Tail,
     /// Half of a planned driving force is driven, as if the power asked for it.
     HalfForce => Tail,
+    /// Half of a planned steering rate is driven, as if the steering angle asked for it.
+    HalfSteering => Tail,
     /// The weights of a reply change places on its way.
     ChangedWeights => Match,
     /// The forces of a plan are halved on its way.
@@ -96,7 +98,7 @@ mutants! {
     ChangedRequest => Match,
     /// The service drops one vehicle's requests.
     DroppedVehicle => Starvation,
-    /// The service refuses one vehicle always.
+    /// The service answers one vehicle with errors only.
     RefusedVehicle => Starvation,
     /// Tokens do not appear again once they were lost.
     LostTokens => Starvation,

@@ -52,6 +52,8 @@ pub struct Violation {
 
 /// Relative rounding of the limits.
 const ROUNDING: f64 = 1e-9;
+/// Steering rate, rad/s, that is more than rounding of the largest one that keeps the end of the steering angle's range.
+const MORE: f64 = 1e-6;
 /// Deceleration of a stop, m/s², if the limits allow it, and the speed, m/s, below which it decreases linearly to zero.
 const STOP_DECELERATION: f64 = 3.0;
 const HOLD_SPEED: f64 = 0.5;
@@ -332,18 +334,20 @@ impl VehicleOracles {
     }
 
     /// Whether limits explain that `u` is driven in place of the planned input. The force is the nearest one that they
-    /// allow. The steering rate is the planned one, an end of its range, or the last one changed towards the planned one as
-    /// fast as its slew allows; the end of the steering angle's range makes it smaller.
+    /// allow. The steering rate is the planned one, an end of its range, the last one changed towards the planned one as
+    /// fast as its slew allows, or the largest one that keeps the end of the steering angle's range.
     fn towards(&self, planned: [f64; 2], u: [f64; 2]) -> bool {
         let end = self.limits.steering_rate;
         let near = |value: f64| (u[1] - value).abs() <= self.slack()[1];
         let step = self.limits.steering_slew * self.dt * (planned[1] - self.previous[1]).signum();
         let smaller = u[1] * planned[1] >= 0.0 && u[1].abs() <= planned[1].abs();
+        let side = planned[1].signum();
+        let largest = || !self.steers_within(side * (u[1].abs() + MORE), side);
         self.forced(planned[0], u[0])
             && (near(planned[1])
                 || near(planned[1].clamp(-end, end))
                 || near(self.previous[1] + step)
-                || smaller)
+                || (smaller && largest()))
     }
 
     /// Whether `force` is the nearest one to `wanted` that the limits allow.

@@ -65,6 +65,10 @@ impl World<'_> {
                 command.u[0] *= 0.5;
                 command.limited = true;
             }
+            (Mutant::HalfSteering, Mode::Normal | Mode::Tail) => {
+                command.u[1] *= 0.5;
+                command.limited = true;
+            }
             (Mutant::StopDrives, Mode::Stop) => {
                 command.u[0] = last[0].abs().max(1.0);
                 command.limited = true;

@@ -52,7 +52,7 @@ impl Vehicle {
             config.key = Some(RunKey { key, run });
         }
         if mutant == Some(Mutant::LongTail) {
-            config.max_tail_ticks = 3 * MAX_TAIL;
+            config.max_tail_ticks = Some(3 * MAX_TAIL);
         }
         let mut vehicle = Self {
             oracles: VehicleOracles::new(limits, served.dt, MAX_TAIL),

@@ -201,7 +201,7 @@ impl World<'_> {
         Ok(())
     }
 
-    /// The time that a vehicle's driver is told: that of the vehicle's clock.
+    /// The time that is passed to a vehicle's driver: that of the vehicle's clock.
     pub(crate) fn time_of(&self, v: usize) -> Duration {
         match self.config.mutant {
             Some(Mutant::StandingClock) => self.now,

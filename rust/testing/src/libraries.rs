@@ -104,6 +104,7 @@ fn member(outputs: &Outputs, kernel: Kernel, friction: f64, n: usize, seed: u64)
         constant: [0.1, 0.0, -0.2],
         vehicle: None,
         resistance: None,
+        euler_steps: 1,
         alpha: Default::default(),
         envelope: [
             std::array::from_fn(|d| CENTRE[d] - HALF_WIDTH[d]),

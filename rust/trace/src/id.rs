@@ -134,7 +134,7 @@ impl Share {
 
     /// Whether the trace is among this share. As the samplers `TraceIdRatioBased` of `OpenTelemetry` do, it reads the last 8
     /// bytes of the id as a big-endian number and compares it with the share; a larger share has all traces of a smaller one.
-    pub fn has(self, trace: TraceId) -> bool {
+    pub fn contains(self, trace: TraceId) -> bool {
         let mut low = [0; 8];
         low.copy_from_slice(&trace.0[8..]);
         // 53 bits are exact as f64.
@@ -200,10 +200,10 @@ mod tests {
             TraceId(id)
         };
         let quarter = Share::new(0.25).unwrap();
-        assert!(quarter.has(with((1 << 62) - 1)));
-        assert!(!quarter.has(with(1 << 62)));
-        assert!(Share::new(1.0).unwrap().has(with(u64::MAX)));
-        assert!(!Share::new(0.0).unwrap().has(with(0)));
+        assert!(quarter.contains(with((1 << 62) - 1)));
+        assert!(!quarter.contains(with(1 << 62)));
+        assert!(Share::new(1.0).unwrap().contains(with(u64::MAX)));
+        assert!(!Share::new(0.0).unwrap().contains(with(0)));
         for wrong in [-0.1, 1.1, f64::NAN] {
             assert!(
                 Share::new(wrong)
@@ -217,8 +217,9 @@ mod tests {
     #[test]
     fn about_the_share_of_all_traces_is_chosen() {
         let tenth = Share::new(0.1).unwrap();
-        let chosen = (0..10_000_u32)
-            .filter(|number| tenth.has(StepIds::new("depot", "a", &number.to_le_bytes()).trace()));
+        let chosen = (0..10_000_u32).filter(|number| {
+            tenth.contains(StepIds::new("depot", "a", &number.to_le_bytes()).trace())
+        });
         // The standard deviation of the count is 30.
         let count = chosen.count();
         assert!((880..1120).contains(&count), "{count}");

@@ -9,7 +9,7 @@
 //!
 //! let (request, sequence) = (b"the bytes of a request", 7);
 //! let ids = StepIds::new("depot", "car-7", request);
-//! if Share::new(1.0)?.has(ids.trace()) {
+//! if Share::new(1.0)?.contains(ids.trace()) {
 //!     let span = Span::new(&ids, name::REQUEST, Kind::Server, 1_000..2_000)
 //!         .with_id(ids.span("garage-1", name::REQUEST))
 //!         .with_parent(ids.span("garage-1", name::ASK))

@@ -9,7 +9,7 @@ use crate::id::{Hexadecimal, SpanId, StepIds, TraceId};
 
 /// The names of spans.
 pub mod name {
-    /// One control step as the vehicle sees it.
+    /// One control step, measured at the vehicle.
     pub const STEP: &str = "egp.step";
     /// A vehicle asks a replica.
     pub const ASK: &str = "egp.ask";
@@ -23,7 +23,7 @@ pub mod name {
     pub const SOLVE: &str = "egp.solve";
 }
 
-/// The part of a span in the conversation of vehicle and service.
+/// The kind of a span (`SpanKind` of OTLP).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Work within one program.
@@ -76,7 +76,7 @@ impl From<&[u8; 32]> for Value {
     }
 }
 
-/// What a span says about its work.
+/// An attribute of a span (`KeyValue` of OTLP).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Attribute {
     /// Its name.
@@ -85,7 +85,7 @@ pub struct Attribute {
     pub value: Value,
 }
 
-/// That a span's work failed.
+/// The reason why the work of a span failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure(pub String);
 
@@ -117,7 +117,7 @@ pub struct Span {
     pub parent_span_id: Option<SpanId>,
     /// One of [`name`].
     pub name: &'static str,
-    /// Its part in the conversation.
+    /// Its kind.
     pub kind: Kind,
     /// When it began, in nanoseconds since 1970-01-01 00:00 UTC.
     #[serde(serialize_with = "as_text")]
@@ -125,7 +125,7 @@ pub struct Span {
     /// When it ended.
     #[serde(serialize_with = "as_text")]
     pub end_time_unix_nano: u64,
-    /// What it says about its work.
+    /// Its attributes.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub attributes: Vec<Attribute>,
     /// Why the work failed.

@@ -1,8 +1,8 @@
 //! Reading a message field by field in place, without copies and allocations.
 //!
-//! The generated messages of prost copy every `bytes` field, which costs a service time that answers thousands of
-//! requests per second. Varints, keys and skipping are prost's. As in protobuf, the last one counts of a number that
-//! comes twice.
+//! The generated messages of prost copy every `bytes` field, which takes too much time in a service that answers
+//! thousands of requests per second. Varints, keys and skipping are prost's. If a number comes twice, the last one counts,
+//! as protobuf prescribes.
 
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
 

@@ -3,8 +3,8 @@
 use std::fmt::Display;
 use std::io::{self, Write};
 
-/// Writes a text and the end of its line to the standard output. Returns whether anybody reads on: a reader that has closed
-/// the pipe, as `head` does after its lines, is no error, and a program has nothing more to write then.
+/// Writes a text and the end of its line to the standard output. Returns false if the reader has closed the
+/// pipe, as `head` does after its lines. This is no error, and the program should write nothing more.
 ///
 /// # Errors
 /// [`io::Error`] if the text cannot be written, because a disk is full for instance.

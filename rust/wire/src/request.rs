@@ -29,9 +29,9 @@ pub struct Request {
     pub plan_u: Vec<Input>,
     /// Control periods since that plan's row 0, at most T.
     pub plan_shift: u32,
-    /// GP inputs of the last transitions, newest first.
+    /// GP inputs `[v_x, v_y, omega, delta, F_x, delta_dot]` of the last transitions, newest first, `[k, 6]`.
     pub history_z: Vec<GpInput>,
-    /// Changes of the velocities over each of those transitions.
+    /// Changes of `[v_x, v_y, omega]` over each of those transitions, `[k, 3]`, in m/s, m/s and rad/s.
     pub history_y: Vec<GpOutput>,
     /// The members' predictions of the oldest rows of the history, `[K', N]`, newest of them first.
     pub history_f: Predictions,
@@ -41,8 +41,8 @@ pub struct Request {
     pub widths: Vec<WidthRow>,
     /// Whether to compute the predicted standard deviations.
     pub want_sigma: bool,
-    /// Friction of the road on which the history was measured, then at the stages 0..=T; empty means that nothing is
-    /// known.
+    /// Rows of friction coefficient and standard deviation, `[T+2, 2]`: first of the road on which the history was measured,
+    /// then at the stages 0..=T; empty if nothing is known.
     pub road_friction: Vec<FrictionRow>,
 }
 

@@ -1,6 +1,6 @@
 //! Secret keys of vehicles, with which a vehicle and its service prove who sent a question and an answer.
 //!
-//! Both know the same 32 bytes. A *tag* is HMAC-SHA-256 of these bytes, concatenated:
+//! Both hold the same 32 bytes. A *tag* is HMAC-SHA-256 of these bytes, concatenated:
 //!
 //! | tag of | bytes |
 //! |---|---|
@@ -143,7 +143,7 @@ pub enum KeyError {
     Twice(usize),
     /// No line has a key.
     #[error(
-        "there is no key in it, so that every request would be refused; `egp keys` writes such files"
+        "there is no key in it, so that every request would get an error; `egp keys` writes such files"
     )]
     Empty,
     /// The vehicle is not there.
@@ -217,6 +217,11 @@ impl KeyRing {
             }
         }
         Ok(Self(keys))
+    }
+
+    /// The number of vehicles that have a key.
+    pub fn len(&self) -> usize {
+        self.0.len()
     }
 
     /// Whether it has no key.

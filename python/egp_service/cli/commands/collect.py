@@ -18,6 +18,9 @@ Value = TypeVar("Value")
 
 _RUNS = 6
 _SAMPLES = 300
+_VEHICLE = "1"  # number of CommonRoad
+_UNNAMED = "unnamed"  # vehicle of a log
+_LIGHTEST = 50.0  # kg, as --mass
 
 
 def collect(
@@ -34,16 +37,17 @@ def collect(
     dt: Annotated[float, typer.Option(help="Control period, s.")] = 0.02,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
     vehicle: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="CommonRoad number of the simulated car; for a log, the car's name or TOML file."
+            help=f"CommonRoad number of the simulated car, by default {_VEHICLE}; for a log, the "
+            f"car's name, by default {_UNNAMED}, or TOML file."
         ),
-    ] = "1",
+    ] = None,
     runs: Annotated[
-        int, typer.Option(help="Number of runs on tracks, at increasing speed.")
+        int, typer.Option(min=0, help="Number of runs on tracks, at increasing speed.")
     ] = _RUNS,
     samples: Annotated[
-        int, typer.Option(help="Number of cars that start in random states.")
+        int, typer.Option(min=0, help="Number of cars that start in random states.")
     ] = _SAMPLES,
     track: Annotated[
         list[str] | None, typer.Option(help="Track of the runs; repeat for more, used in turn.")
@@ -124,6 +128,13 @@ def collect(
         raise EgpError(f"--dt must be positive, got {dt:g} s")
     if output.suffix != ".parquet":
         raise EgpError(f"{output}: a dataset is a Parquet file; name it {output.stem}.parquet")
+    if vehicle is None:
+        vehicle = _UNNAMED if from_log else _VEHICLE
+    if mass is not None and 0.0 < mass < _LIGHTEST:
+        raise EgpError(
+            f"--mass {mass:g} is below {_LIGHTEST:g} kg: state kg, such as {1e3 * mass:g} for "
+            f"{mass:g} t; a car that is so light needs a file, given with --vehicle"
+        )
     check_outputs([*(from_log or []), Path(vehicle)], output, picture)
     _check_picture(picture)
     of_simulation = {

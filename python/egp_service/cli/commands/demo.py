@@ -25,12 +25,13 @@ def demo(
         "runs"
     ),
 ) -> None:
-    """Drive laps over three surfaces whose friction nobody tells.
+    """Drive laps over three surfaces of unknown friction.
 
     The control steps find the friction, and each lap is planned with what the
-    laps before found. Then the same lap is driven by a car that is told the
-    friction of all zones: with the library's ensemble, and with each of its two
-    members alone. A service in its own process computes every control step.
+    laps before found. Then the same lap is driven with a reference speed that
+    is planned for the true friction of all zones: with the library's ensemble,
+    and with each of its two members alone. A service in its own process
+    computes every control step.
 
     For example: egp demo
     """
@@ -79,11 +80,11 @@ def _explain(console: Console, laps: "list[Lap]") -> None:
         return
     first, last, told = (runs[label].ending.time for label in (LAPS[0], LAPS[-1], TOLD))
     console.print(
-        f"Without being told the friction, the first lap takes {first / told:.2f} times as long as "
-        f"the one that is told all zones, the third {last / told:.2f} times."
+        f"The first lap, planned for the estimated friction, takes {first / told:.2f} times as "
+        f"long as the lap planned for the true friction, and the third {last / told:.2f} times."
     )
     alone = [s.lateral_error.max for label, s in runs.items() if label.startswith("told,")]
     console.print(
-        f"Told all zones, the ensemble stays within {runs[TOLD].lateral_error.max:.2f} m of the "
-        f"path, its members alone within {max(alone):.2f} m."
+        f"Planned for the true friction, laps stay within {runs[TOLD].lateral_error.max:.2f} m of "
+        f"the path with the ensemble, and within {max(alone):.2f} m with one member alone."
     )

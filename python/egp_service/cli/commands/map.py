@@ -10,6 +10,7 @@ from egp_service.control.endpoints import MAP_ENDPOINT, check_free
 
 
 def keep_map(
+    *,
     config: Annotated[
         Path | None,
         typer.Option("--config", "-c", help="Configuration (TOML) in place of other options."),
@@ -40,6 +41,10 @@ def keep_map(
         int | None,
         typer.Option(help="Tiles of all vehicles that are kept, of 3.3 kB each; 65536."),
     ] = None,
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="Check configuration and network settings, and end."),
+    ] = False,
 ) -> None:
     """Keep the map of a fleet: what its vehicles measure about the friction of roads.
 
@@ -67,13 +72,26 @@ def keep_map(
         "contributions": contributions,
     }
     given = {name: value for name, value in options.items() if value is not None}
-    if config is None:
-        check_free(listen or [MAP_ENDPOINT])
-        if listen:
-            given["zenoh"] = {"listen/endpoints": json.dumps(listen)}
-        serve_map(dumps(given))
-    elif given or listen:
+    if config is not None and (given or listen):
         raise typer.BadParameter("--config excludes other options: put them into the file")
-    else:
-        with naming(config):
-            serve_map(dumps(read_map(config)))
+    if config is None and not check:
+        check_free(listen or [MAP_ENDPOINT])
+    if listen:
+        given["zenoh"] = {"listen/endpoints": json.dumps(listen)}
+    with naming(config):
+        if config is not None:
+            given = read_map(config)
+        if check:
+            _check(dumps(given))
+        else:
+            serve_map(dumps(given))
+
+
+def _check(configuration: str) -> None:
+    """Check a configuration, and print what was found."""
+    from egp_service._core import check_map
+
+    warning = check_map(configuration)
+    typer.echo("Configuration and network settings are valid.")
+    if warning is not None:
+        typer.echo(f"egp: {warning}", err=True)

@@ -52,6 +52,7 @@ def replay(
       cost.lateral = 20.0
     """
     from egp_service.cli import replay_text
+    from egp_service.cli.progress import counted
     from egp_service.control.recorded import read_recording
     from egp_service.control.replay import replay as compute
 
@@ -61,23 +62,30 @@ def replay(
     if output is not None:
         from egp_service.simulation.report import check_picture
 
-        output.parent.mkdir(parents=True, exist_ok=True)
-        check_picture(output)  # before the time that the replay takes
+        # The check comes before the time that the replay takes, and makes no folder.
+        folder = output.parent
+        while not folder.exists():
+            folder = folder.parent
+        check_picture(folder / output.name)
     console = Console(soft_wrap=True, markup=False)
     recorded = read_recording(recording)
     console.print(replay_text.heading(recording, recorded))
     file = _library(recorded, library)
     used = _settings(recorded, settings, other_library=library is not None)
-    result = compute(recorded, file, used)
+    with counted(console, "replaying", "steps") as report:
+        result = compute(recorded, file, used, report)
     changed = settings is not None or library is not None
     for line in replay_text.outcome(recorded, result, used, changed=changed):
         console.print(line)
     if result.first_different is None:
+        if output is not None:
+            console.print("No picture: nothing differs.")
         return
     if pictures:
         from egp_service.simulation.replay_report import draw_replay
 
         target = output or recording.with_name(f"{recording.stem}-replay.png")
+        target.parent.mkdir(parents=True, exist_ok=True)
         given = {"library": library, "settings": settings}
         words = [f"{name} {file.name}" for name, file in given.items() if file is not None]
         draw_replay(result, ", ".join(words) or "this version on this machine", target)

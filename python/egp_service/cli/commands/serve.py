@@ -39,7 +39,7 @@ def serve(
     listen: Annotated[
         list[str] | None,
         typer.Option(
-            help="Endpoint to listen on, as tcp/0.0.0.0:7447; may be given more than once."
+            help="Endpoint to listen on, such as tcp/0.0.0.0:7447; may be given more than once."
         ),
     ] = None,
     connect: Annotated[
@@ -62,7 +62,7 @@ def serve(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Address for /health, /ready and /metrics over HTTP, as 127.0.0.1:9464.",
+            help="Address for /health, /ready and /metrics over HTTP, such as 127.0.0.1:9464.",
         ),
     ] = None,
     log_json: Annotated[

@@ -6,7 +6,7 @@ import typer
 def simulate(context: typer.Context) -> None:
     """Simulate vehicles, replicas, routers and network with faults from a seed.
 
-    --seed N replays one seed with its trace, --seeds A..B hunts over many,
+    --seed N replays one seed with its trace, --seeds A..B runs many seeds,
     --planted shows which oracle finds each planted fault, --vehicles,
     --replicas, --routers and --seconds set the size; `egp simulate -- --help`
     lists all options. The libraries are those of the demo and the evaluation.

@@ -173,8 +173,10 @@ def _show(
 ) -> None:
     """Print what training found about each member, and how each one predicts."""
     from egp_service.cli.tables import (
+        calibration_warnings,
         delay_sentence,
         kind_sentence,
+        prior_warnings,
         skill_table,
         skill_warnings,
         validation_table,
@@ -183,12 +185,15 @@ def _show(
     from egp_service.training.validation import member_skill
 
     console.print(delay_sentence(members[0].delays), highlight=False)
+    warnings = calibration_warnings(matrix)
     for member in members:
         if member.vehicle is not None:
-            console.print(
-                vehicle_table(member.dataset.provenance.surface, member.vehicle.summary())
-            )
+            label, found = member.dataset.provenance.surface, member.vehicle.summary()
+            console.print(vehicle_table(label, found))
+            warnings += prior_warnings(label, found)
     console.print(validation_table(matrix))
+    for warning in warnings:
+        console.print(warning, style="yellow", markup=False, highlight=False)
     for number, member in enumerate(members):
         label = member.dataset.provenance.surface
         if member.kind:

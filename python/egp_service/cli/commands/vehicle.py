@@ -65,6 +65,7 @@ def fit(
     from rich.console import Console
     from rich.text import Text
 
+    from egp_service.cli.progress import working
     from egp_service.cli.tables import vehicle_table
     from egp_service.data.dataset import Dataset, merge
     from egp_service.files import write_text
@@ -85,7 +86,8 @@ def fit(
         surfaces.setdefault(dataset.provenance.surface, []).append(dataset)
     before = None if known is None else read_vehicle(known)
     merged = [merge(parts) for parts in surfaces.values()]
-    lines, fitted = vehicle_lines(merged, before, width, seed)
+    with working(console, "fitting the vehicle"):
+        lines, fitted = vehicle_lines(merged, before, width, seed)
     write_text(output, vehicle_toml(lines))
     for label, found in zip(surfaces, fitted, strict=True):
         console.print(vehicle_table(label, found.summary()))

@@ -1,4 +1,4 @@
-//! The friction coefficient that the last transitions indicate, and how sure it is.
+//! The posterior of the friction coefficient, given the last transitions.
 //!
 //! The estimate is the posterior of the friction coefficient `mu` given the window of eq. (6). Each of
 //! [`friction_hypotheses`] has a model, whose whitened errors `e` over the window give a likelihood:

@@ -68,6 +68,8 @@ pub struct MemberData {
     pub vehicle: Option<ModelParameters>,
     /// Rolling resistance (m/s²) and drag (1/m) of a single-track vehicle, `[2]`, both positive, if it has any.
     pub resistance: Option<[f64; 2]>,
+    /// Number of steps of the Euler method with which a single-track vehicle predicts a period, 1 to 100.
+    pub euler_steps: u32,
     /// `(K + s² I)⁻¹ (y - m)`, `[3, M]`.
     pub alpha: [Vec<f64>; NY],
     /// Smallest and largest inputs for which the member is meant: those of the data it was fitted to, `[2, 6]`.
@@ -219,6 +221,7 @@ impl MemberData {
             constant,
             vehicle,
             resistance,
+            euler_steps: metadata.euler_steps,
             alpha: std::array::from_fn(|o| alpha[o * m..(o + 1) * m].to_vec()),
             envelope: row(&rows(&source.take("envelope", &[2, NZ])?)),
             golden_z: rows(&source.take("golden_z", &[g, NZ])?),

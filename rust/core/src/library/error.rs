@@ -140,6 +140,18 @@ pub enum LibraryError {
         /// Value in the file.
         found: f64,
     },
+    /// A number of steps of the Euler method that is out of range.
+    #[error(
+        "euler_steps of member \"{label}\" is {found}, it must be 1 to {limit} for this kind of member"
+    )]
+    EulerSteps {
+        /// Member.
+        label: String,
+        /// Value in the file.
+        found: u32,
+        /// Largest number.
+        limit: u32,
+    },
     /// A tensor that must be there is not.
     #[error("tensor \"{tensor}\" is missing; export the library again")]
     MissingTensor {
@@ -282,6 +294,7 @@ impl LibraryError {
             Self::Count { .. } => "count",
             Self::Label { .. } => "label",
             Self::Friction { .. } => "friction",
+            Self::EulerSteps { .. } => "euler_steps",
             Self::MissingTensor { .. } => "missing_tensor",
             Self::UnexpectedTensor { .. } => "unexpected_tensor",
             Self::DataType { .. } => "data_type",

@@ -12,6 +12,8 @@ pub(super) const MAX_MEMBERS: usize = 256;
 pub(super) const MAX_POINTS: usize = 5000;
 /// Most golden points of a member.
 pub(super) const MAX_GOLDEN: usize = 1000;
+/// Most steps of the Euler method in a period.
+pub(super) const MAX_EULER_STEPS: u32 = 100;
 /// Shortest period `dt`, s.
 pub(super) const MIN_DT: f64 = 1e-3;
 /// Longest period `dt`, s.

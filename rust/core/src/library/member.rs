@@ -58,9 +58,11 @@ impl Member {
             target_scaler: Scaler::new(data.target_mean, data.target_std),
             hyperparameters,
             gp,
-            vehicle: data
-                .vehicle
-                .map(|parameters| VehicleModel::new(&parameters, dt).with_resistance(resistance)),
+            vehicle: data.vehicle.map(|parameters| {
+                VehicleModel::new(&parameters, dt)
+                    .with_resistance(resistance)
+                    .with_steps(data.euler_steps)
+            }),
         })
     }
 

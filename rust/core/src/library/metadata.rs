@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::LibraryError;
 use super::data::LibrarySpec;
-use super::limits::{MAX_DT, MAX_MEMBERS, MAX_POINTS, MIN_DT, SCHEMA_VERSION};
+use super::limits::{MAX_DT, MAX_EULER_STEPS, MAX_MEMBERS, MAX_POINTS, MIN_DT, SCHEMA_VERSION};
 use crate::settings::{Settings, WeightSettings};
 use crate::vehicle::ModelParameters;
 use crate::{Kernel, NY};
@@ -58,6 +58,19 @@ pub struct MemberMetadata {
     pub n: usize,
     /// What its GPs are added to.
     pub mean: PriorMean,
+    /// Number of steps of the Euler method with which a single-track vehicle predicts a period. It is 1 for other members
+    /// and where this entry is missing.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub euler_steps: u32,
+}
+
+fn one() -> u32 {
+    1
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // serde calls it with a reference
+fn is_one(steps: &u32) -> bool {
+    *steps == 1
 }
 
 /// The metadata of a library, stored as one JSON string.
@@ -106,6 +119,7 @@ impl Metadata {
                 Some(ModelParameters::SingleTrack(_)) => PriorMean::SingleTrack,
                 Some(ModelParameters::Kinematic(_)) => PriorMean::Kinematic,
             },
+            euler_steps: member.euler_steps,
         };
         Self {
             schema: SCHEMA_VERSION,
@@ -164,6 +178,18 @@ impl Metadata {
                 return Err(LibraryError::Friction {
                     label,
                     found: member.friction,
+                });
+            }
+            let steps = 1..=if member.mean == PriorMean::SingleTrack {
+                MAX_EULER_STEPS
+            } else {
+                1
+            };
+            if !steps.contains(&member.euler_steps) {
+                return Err(LibraryError::EulerSteps {
+                    label,
+                    found: member.euler_steps,
+                    limit: *steps.end(),
                 });
             }
             if member.n > 0 || member.mean == PriorMean::Constant {

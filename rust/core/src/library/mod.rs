@@ -104,7 +104,7 @@ impl Library {
 
 /// The bytes of a library file; the same specification gives the same bytes.
 ///
-/// They are read back and verified, so that no file is ever written that would be refused.
+/// They are read back and verified, so that no file is written that [`Library::from_bytes`] would not read.
 ///
 /// # Errors
 /// As [`Library::from_bytes`].

@@ -142,8 +142,12 @@ fn steering(vehicle: &VehicleParameters, slip: f64, operating: &State) -> SoftRo
     interval(DELTA, bound(direction - slip), bound(direction + slip))
 }
 
+/// Half the width of the narrowest strip to which a track is bounded, m. On a strip without width both of its bounds are
+/// active at once and their multipliers are not unique, so that the solvers miss the tolerance of the check.
+pub(super) const NARROWEST: f64 = 0.01;
+
 /// The strip between the track edges, bounded by half-planes normal to the reference yaw. Where the track is narrower
-/// than both margins, the strip is the centre line between the edges.
+/// than both margins, the strip has the half width [`NARROWEST`] about the centre line between the edges.
 fn track(reference: &State, [left, right]: &[f64; 2], margin: f64) -> SoftRow {
     let (sin, cos) = reference[PSI].sin_cos();
     let mut normal = State::zeros();
@@ -154,14 +158,26 @@ fn track(reference: &State, [left, right]: &[f64; 2], margin: f64) -> SoftRow {
     let middle = 0.5 * (lower + upper);
     SoftRow {
         normal,
-        lower: lower.min(middle),
-        upper: upper.max(middle),
+        lower: lower.min(middle - NARROWEST),
+        upper: upper.max(middle + NARROWEST),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_track_without_room_for_both_margins_is_a_narrow_strip_about_its_centre_line() {
+        let reference = State::zeros();
+        for margin in [2.0, 3.0, 1e3] {
+            let row = track(&reference, &[2.5, 1.5], margin);
+            assert!((row.lower - 0.49).abs() < 1e-9, "{margin}: {row:?}");
+            assert!((row.upper - 0.51).abs() < 1e-9, "{margin}: {row:?}");
+        }
+        let row = track(&reference, &[2.5, 1.5], 1.0);
+        assert_eq!((row.lower, row.upper), (-0.5, 1.5));
+    }
 
     #[test]
     fn in_a_bend_the_drive_is_bounded_by_the_load_of_the_wheels_inside() {
@@ -271,6 +287,8 @@ mod tests {
         let at = |x: f64| row.normal[P_X] * x + row.normal[P_Y] * 1.0;
         assert!((at(-0.5) - row.upper).abs() < 1e-12 && (at(4.5) - row.lower).abs() < 1e-12);
         let narrow = track(&reference, &[0.2, 0.4], 0.5);
-        assert!(narrow.lower == narrow.upper && (at(3.1) - narrow.lower).abs() < 1e-12);
+        for (bound, expected) in [(narrow.lower, -NARROWEST), (narrow.upper, NARROWEST)] {
+            assert!((bound - at(3.1) - expected).abs() < 1e-12, "{narrow:?}");
+        }
     }
 }

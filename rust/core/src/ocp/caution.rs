@@ -2,6 +2,7 @@
 
 use nalgebra::SMatrix;
 
+use super::bounds::NARROWEST;
 use crate::qp::{OcpQp, SOFT_SPEED, SOFT_TRACK, Stage};
 use crate::vehicle::{OMEGA, V_X, V_Y};
 use crate::{GpOutput, NU, NX, NY, State};
@@ -50,7 +51,7 @@ impl Caution {
     }
 
     /// Tightens the track's edges and the bound on the speed in `qp` by `k_sigma` standard deviations. Where the edges leave
-    /// no room they become the line in their middle. `disturbances` has one entry for each transition.
+    /// no room they become the narrowest strip about their middle. `disturbances` has one entry for each transition.
     pub fn tighten(&mut self, k_sigma: f64, disturbances: &[Disturbance], qp: &mut OcpQp) {
         self.regulate(qp);
         let mut covariance = SMatrix::<f64, NX, NX>::zeros();
@@ -99,6 +100,7 @@ fn narrow(stage: &mut Stage, std: impl Fn(&State) -> f64) {
     speed.upper = (speed.upper - std(&speed.normal)).max(speed.lower);
     let track = &mut stage.soft[SOFT_TRACK];
     let (margin, middle) = (std(&track.normal), f64::midpoint(track.lower, track.upper));
-    track.lower = (track.lower + margin).min(middle);
-    track.upper = (track.upper - margin).max(middle);
+    let (lower, upper) = (track.lower + margin, track.upper - margin);
+    track.lower = lower.min(middle - NARROWEST).max(track.lower);
+    track.upper = upper.max(middle + NARROWEST).min(track.upper);
 }

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use egp_parameters::{MOST_WIDTH, REFERENCE_SPEED};
+
 use super::{LARGEST, SettingsError, check, not_negative, positive, positive_if_stated};
 use crate::NU;
 
@@ -22,7 +24,7 @@ pub enum Operating {
 pub struct OperatingSettings {
     /// Default `shift`.
     pub kind: Operating,
-    /// Lowest speed to linearise at, m/s. Slip angles are not defined at standstill. Default 1.
+    /// Lowest speed to linearise at, m/s, at most 100. Slip angles are not defined at standstill. Default 1.
     pub v_x_min: f64,
     /// Largest |v_y| to linearise at, in m/s. Default 8.
     pub v_y: f64,
@@ -33,7 +35,8 @@ pub struct OperatingSettings {
     pub yaw_at: f64,
 }
 
-/// Weights of the quadratic cost; every term is `½ weight · error²`.
+/// Weights of the quadratic cost; every term is `½ weight · error²`. Those of states and `terminal`, `proximal` are at most
+/// 1e5: with 1e9 many problems have no solution that passes the check.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Cost {
@@ -106,11 +109,11 @@ pub struct Soft {
     /// `[|v_y|, |omega|]` the plan should stay within, in m/s and rad/s; none by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub envelope: Option<[f64; 2]>,
-    /// Distance kept between centre of mass and track edge, in m. Default: half the width of the library's vehicle and
-    /// 0.263 m, which is 1.1 m for a width of 1.674 m.
+    /// Distance kept between centre of mass and track edge, in m, at most 1000. Default: half the width of the library's
+    /// vehicle and 0.263 m, which is 1.1 m for a width of 1.674 m.
     pub edge_margin: Option<f64>,
     /// Number of standard deviations of the plan's uncertainty by which track edges and the highest speed are tightened,
-    /// at most 10. Default 0, which takes no time; any other value takes that of the standard deviations in a reply.
+    /// at most 10. Default 0, which takes no time; `docs/settings.md` states what other values cost.
     pub caution: f64,
     /// Penalty of speed violations.
     pub speed: Penalty,
@@ -122,7 +125,7 @@ pub struct Soft {
     pub lateral_motion: Penalty,
 }
 
-/// Which QP solver a step asks first.
+/// Which QP solver a step calls first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SolverKind {
@@ -218,9 +221,19 @@ impl Default for SolverSettings {
     }
 }
 
+/// Largest accepted value of the lowest speed to linearise at, m/s: that of the fastest reference.
+const MOST_SLOWEST: f64 = REFERENCE_SPEED.1;
+/// Largest accepted weight of a state, and factor of such weights.
+const MOST_WEIGHT: f64 = 1e5;
+
 impl OperatingSettings {
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
-        positive("operating.v_x_min", self.v_x_min)?;
+        check(
+            "operating.v_x_min",
+            self.v_x_min,
+            "from 1e-9 to 100 m/s",
+            |v| (1e-9..=MOST_SLOWEST).contains(&v),
+        )?;
         positive("operating.v_y", self.v_y)?;
         positive("operating.omega", self.omega)?;
         check("operating.yaw_at", self.yaw_at, "in [0, 1]", |v| {
@@ -231,18 +244,25 @@ impl OperatingSettings {
 
 impl Cost {
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
-        not_negative("cost.longitudinal", self.longitudinal)?;
-        not_negative("cost.lateral", self.lateral)?;
-        not_negative("cost.v_x", self.v_x)?;
-        not_negative("cost.psi", self.psi)?;
-        not_negative("cost.terminal", self.terminal)?;
-        not_negative("cost.proximal", self.proximal)?;
+        weight("cost.longitudinal", self.longitudinal)?;
+        weight("cost.lateral", self.lateral)?;
+        weight("cost.v_x", self.v_x)?;
+        weight("cost.psi", self.psi)?;
+        weight("cost.terminal", self.terminal)?;
+        weight("cost.proximal", self.proximal)?;
         for i in 0..NU {
             positive("cost.input", self.input[i])?; // keeps the QP strictly convex: one solution
             not_negative("cost.rate", self.rate[i])?;
         }
         Ok(())
     }
+}
+
+/// Errors unless `got` may be the weight of a state.
+fn weight(field: &'static str, got: f64) -> Result<(), SettingsError> {
+    check(field, got, "not negative, at most 1e5", |v| {
+        (0.0..=MOST_WEIGHT).contains(&v)
+    })
 }
 
 impl InputBounds {
@@ -278,7 +298,12 @@ impl Soft {
             positive("soft.envelope", *bound)?;
         }
         if let Some(margin) = self.edge_margin {
-            not_negative("soft.edge_margin", margin)?;
+            check(
+                "soft.edge_margin",
+                margin,
+                "not negative, at most 1000 m",
+                |v| (0.0..=MOST_WIDTH).contains(&v),
+            )?;
         }
         check("soft.caution", self.caution, "in [0, 10]", |v| {
             (0.0..=10.0).contains(&v)

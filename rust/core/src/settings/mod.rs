@@ -45,7 +45,8 @@ pub struct Settings {
     /// Time in s by which the measured `[v_x, v_y, omega]` are late; positions, yaw and steering angle are those of now.
     ///
     /// The step pairs the measured changes with the inputs that caused them, and predicts the present state by the
-    /// inputs since. The oldest changes of a window, whose inputs came before it, are not used. Default: the library's
+    /// inputs since, which the window must hold: a window that is shorter than the delay is an error when a workspace is made.
+    /// The oldest changes of a window, whose inputs came before it, are not used. Default: the library's
     /// `measurement_delay`, and without that 0, which changes nothing; at most 0.5.
     pub measurement_delay: Option<f64>,
     /// How the weights follow the surface, eq. (6).
@@ -71,7 +72,7 @@ const LONGEST_DEFAULT_HORIZON: usize = 100;
 /// Longest delay of measured states accepted, in s.
 const MAX_DELAY: f64 = 0.5;
 
-/// Why settings were refused.
+/// Why settings are not valid.
 #[derive(Debug, thiserror::Error)]
 pub enum SettingsError {
     /// Not TOML, a field of the wrong type, or a field that does not exist.
@@ -363,6 +364,14 @@ mod tests {
             ("mass = nan", "mass"),
             ("mass = 1e-300", "mass"),
             ("[cost]\nlateral = 1e300", "cost.lateral"),
+            ("[cost]\nlongitudinal = 1.1e5", "cost.longitudinal"),
+            ("[cost]\nlateral = 1.1e5", "cost.lateral"),
+            ("[cost]\nv_x = 1.1e5", "cost.v_x"),
+            ("[cost]\npsi = 1.1e5", "cost.psi"),
+            ("[cost]\nterminal = 1.1e5", "cost.terminal"),
+            ("[cost]\nproximal = 1.1e5", "cost.proximal"),
+            ("[operating]\nv_x_min = 100.1", "operating.v_x_min"),
+            ("[soft]\nedge_margin = 1000.1", "soft.edge_margin"),
             ("[cost]\ninput = [1e-300, 1.0]", "cost.input"),
             ("[limits]\na_min = -1e300", "limits.a_min"),
             ("[limits]\na_min = 1.0", "limits.a_min"),

@@ -16,11 +16,26 @@ mod portable;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 pub(crate) use elementary::{atan, sin_cos};
 #[cfg(any(test, not(target_arch = "aarch64")))]
 use portable::Portable;
 
 use crate::kernel::Lanes;
+
+/// Whether [`vectorised`] uses the instruction set of the build.
+static BASELINE_QP: AtomicBool = AtomicBool::new(false);
+
+/// Makes the QP solver of this process use the instruction set of the build from now on, which takes longer and changes
+/// the rounding of its results.
+///
+/// This is for counting instructions only: Valgrind 3.19 lacks one encoding of `vmovq` that the compiler uses with
+/// AVX2. A feature would choose the same, but this crate and all that use it would be compiled once more for it.
+#[doc(hidden)]
+pub fn count_with_baseline_qp() {
+    BASELINE_QP.store(true, Ordering::Relaxed);
+}
 
 /// A computation that is compiled for several instruction sets.
 pub(crate) trait Vectorised {
@@ -72,23 +87,26 @@ pub(crate) trait Simd: Copy {
 }
 
 /// Runs a computation with the best instruction set of this machine except for 512-bit vectors, which are slower for
-/// the small matrices of the QP solver. With the feature `baseline-qp` it uses the instruction set of the build.
+/// the small matrices of the QP solver. After [`count_with_baseline_qp`] it uses the instruction set of the build.
 pub(crate) fn vectorised<C: Vectorised>(computation: C) -> C::Output {
-    if cfg!(feature = "baseline-qp") {
-        return computation.compute();
-    }
-    vectorised_loops(computation)
+    dispatched(computation, BASELINE_QP.load(Ordering::Relaxed))
 }
 
-/// Like [`vectorised`] but independent of the features of the build; for plain loops over long arrays.
+/// Like [`vectorised`] but independent of [`count_with_baseline_qp`]; for plain loops over long arrays.
 pub(crate) fn vectorised_loops<C: Vectorised>(computation: C) -> C::Output {
+    dispatched(computation, false)
+}
+
+/// Runs a computation with AVX2 if this machine has it, or with the `baseline`, of which the program has one copy.
+#[cfg_attr(not(target_arch = "x86_64"), allow(unused_variables))]
+fn dispatched<C: Vectorised>(computation: C, baseline: bool) -> C::Output {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2,fma")]
         fn avx2<C: Vectorised>(computation: C) -> C::Output {
             computation.compute()
         }
-        if x86::Avx2::detect().is_some() {
+        if !baseline && x86::Avx2::detect().is_some() {
             // SAFETY: both features were found on this machine.
             return unsafe { avx2(computation) };
         }

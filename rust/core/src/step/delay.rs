@@ -56,14 +56,20 @@ impl Delay {
         }));
     }
 
+    /// Number of rows of a history whose inputs were applied during the delay.
+    pub fn rows(&self) -> usize {
+        self.periods + usize::from(self.part > 0.0)
+    }
+
     /// Number of the newest rows of a history of `rows` whose inputs are all in this history.
     pub fn known(&self, rows: usize) -> usize {
-        rows.saturating_sub(self.periods + usize::from(self.part > 0.0))
+        rows.saturating_sub(self.rows())
     }
 
     /// The measured state with the velocities of now: the ensemble's prediction over the delay, with the inputs that
     /// were applied since, `x(t) = x(t - d) + Σ f(z) h / dt` over parts `h` of at most one period. Without a history the
-    /// last input counts as applied since then. `disturbance` is added to each change `f`.
+    /// last input counts as applied since then, and before the oldest row of a history that is shorter than the delay, as
+    /// after a reset, the inputs of this row. `disturbance` is added to each change `f`.
     pub fn present(&self, rows: &Rows, ensemble: &Ensemble, disturbance: &GpOutput) -> State {
         let [force, rate] = <[f64; 2]>::from(rows.u_prev);
         let alone = [[0.0, 0.0, 0.0, rows.x[DELTA], force, rate]];

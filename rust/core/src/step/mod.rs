@@ -215,16 +215,16 @@ fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
     }
 }
 
-/// Estimates weights and friction from the `known` newest transitions of the window. Weights change only if these
-/// distinguish the members: without excitation they differ by less than the noise, which the weights would follow.
-/// Predictions that the request lacks are computed for all members and returned.
+/// Estimates weights and friction from the `known` newest transitions of the window. Weights change only if the
+/// transitions distinguish the members. Without excitation the members' predictions differ by less than the noise, and the
+/// weights would follow the noise. Predictions that the request lacks are computed for all members and returned.
 ///
 /// With a measurement delay the inputs of the oldest transitions are not in the request, and their predictions may belong to
 /// the inputs of another row: the request does not tell whether their inputs were known when they were predicted. They are
 /// in the reply because it has one row for each transition, and no estimate uses them. A transition that is known was also
 /// known when it was predicted: the history then had the same older rows, or was full.
 ///
-/// Transitions up to the last one that [`misleads`] are left out. Returns the number of those that were used.
+/// Transitions up to the last one that [`is_outside_model`] are left out. Returns the number of those that were used.
 fn estimate_weights(
     library: &Library,
     settings: &Settings,
@@ -257,7 +257,7 @@ fn estimate_weights(
     reply.weights.resize(members.len(), 0.0);
     let moving = history_z[..known]
         .iter()
-        .position(|z| misleads(z, ws.vehicle.mass))
+        .position(|z| is_outside_model(z, ws.vehicle.mass))
         .unwrap_or(known);
     let predictions = &reply.history_f[..moving * width];
     let measured = &rows.history_y[..moving];
@@ -282,7 +282,7 @@ fn estimate_weights(
 /// Brakes hold a vehicle that stands, and the models let it drive backwards, or forwards with a small force; and below
 /// [`MIN_SLIP_SPEED`], with which slip angles are then computed, turned wheels seem to slip by the part
 /// `1 - v_x / MIN_SLIP_SPEED` of the steering angle. The smallest friction would explain both best.
-fn misleads(z: &[f64; NZ], mass: f64) -> bool {
+fn is_outside_model(z: &[f64; NZ], mass: f64) -> bool {
     let [v_x, _, _, delta, force, _] = *z;
     let stands = v_x < STANDING && force < DRIVE * mass;
     stands || (1.0 - v_x / MIN_SLIP_SPEED) * delta.abs() > FALSE_SLIP

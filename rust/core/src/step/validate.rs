@@ -1,6 +1,9 @@
 //! Checks of a request: shapes, finite numbers and the domain of the controller.
 
-use egp_parameters::{MAGNITUDE, MOST_WIDTH, REFERENCE_SPEED, ROAD_FRICTION, SIMPLEX_TOLERANCE};
+use egp_parameters::{
+    MAGNITUDE, MEASURED_SPEED, MOST_LATERAL_SPEED, MOST_STEERING_ANGLE, MOST_WIDTH, MOST_YAW_RATE,
+    REFERENCE_SPEED, ROAD_FRICTION, SIMPLEX_TOLERANCE,
+};
 
 use super::StepRequest;
 use crate::vehicle::{DELTA, DELTA_DOT, FORCE, OMEGA, P_X, P_Y, V_X, V_Y};
@@ -10,8 +13,6 @@ use crate::{EnsembleError, Input, Library, NU, NX, NY, NZ, Settings, State};
 pub(super) const MOST_ACCELERATION: f64 = 50.0;
 /// Largest steering rate in a request, rad/s.
 pub(super) const MOST_STEERING_RATE: f64 = 10.0;
-/// Largest steering angle in a request, rad.
-pub(super) const MOST_STEERING_ANGLE: f64 = 1.5;
 
 /// A request that is invalid or does not belong to the workspace.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -247,9 +248,10 @@ fn magnitude(names: [&'static str; 2], value: f64, most: f64) -> Result<(), Step
 
 fn domains(mass: f64, rows: &Rows) -> Result<(), StepError> {
     let x = &rows.x;
-    within(["x", "x.v_x (m/s)"], x[V_X], -1.0, 100.0)?; // a standing vehicle measures noise around zero
-    within(["x", "x.v_y (m/s)"], x[V_Y], -50.0, 50.0)?;
-    within(["x", "x.omega (rad/s)"], x[OMEGA], -20.0, 20.0)?;
+    let (least, most) = MEASURED_SPEED;
+    within(["x", "x.v_x (m/s)"], x[V_X], least, most)?;
+    magnitude(["x", "x.v_y (m/s)"], x[V_Y], MOST_LATERAL_SPEED)?;
+    magnitude(["x", "x.omega (rad/s)"], x[OMEGA], MOST_YAW_RATE)?;
     let a = rows.u_prev[FORCE] / mass;
     let rate = rows.u_prev[DELTA_DOT];
     magnitude(["x", "x.delta (rad)"], x[DELTA], MOST_STEERING_ANGLE)?;

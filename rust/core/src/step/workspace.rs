@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use egp_parameters::VehicleParameters;
+use egp_parameters::{MOST_STEERING_ANGLE, VehicleParameters};
 
 use super::StepError;
 use super::delay::Delay;
 use super::deviations::Deviations;
-use super::validate::{MOST_ACCELERATION, MOST_STEERING_ANGLE, MOST_STEERING_RATE};
+use super::validate::{MOST_ACCELERATION, MOST_STEERING_RATE};
 use crate::executor::{Executor, Sequential};
 use crate::friction::FrictionEstimator;
 use crate::linearisation::Linearisation;
@@ -31,6 +31,22 @@ pub enum SetupError {
     /// The QP solver could not be set up.
     #[error(transparent)]
     Solver(#[from] SolverSetupError),
+    /// A window that is shorter than the delay of the measured velocities.
+    #[error(
+        "`weights.window` is {window} periods of {dt} s, shorter than the `measurement_delay` of {delay} s: the present \
+         velocities are predicted with the inputs of the window; set `weights.window` to at least {least}, better to twice \
+         as many, or `measurement_delay` to a shorter time (without this setting it is the library's)"
+    )]
+    Window {
+        /// Number of transitions of the window.
+        window: usize,
+        /// The control period, s.
+        dt: f64,
+        /// The delay, s.
+        delay: f64,
+        /// Number of transitions whose inputs were applied during the delay.
+        least: usize,
+    },
     /// A limit of the vehicle beyond what a request may state.
     #[error(
         "{name} of the vehicle to control is {value} {unit}: at most {most} {unit} are supported; check its unit in the \
@@ -90,8 +106,8 @@ impl Workspace {
     /// Allocates the memory of a step and sets the QP solver up.
     ///
     /// # Errors
-    /// [`SetupError`] if settings are out of range, the vehicle's limits exceed those that requests may have, or the QP solver
-    /// cannot be set up.
+    /// [`SetupError`] if settings are out of range, the window is shorter than the delay of the measured velocities, the
+    /// vehicle's limits exceed those that requests may have, or the QP solver cannot be set up.
     pub fn new(library: &Library, settings: &Settings) -> Result<Self, SetupError> {
         settings.validate()?;
         let (n, dt) = (library.members().len(), library.dt());
@@ -101,6 +117,8 @@ impl Workspace {
         let vehicle = settings.vehicle(library.vehicle());
         check_limits(&vehicle)?;
         let late = settings.measurement_delay(library.metadata().measurement_delay);
+        let delay = Delay::new(late, dt);
+        check_window(settings.weights.window(dt), dt, late, delay)?;
         let limits = |member: &Member| {
             let limits = member.tyre_limits(&vehicle);
             let stated = settings.soft.slip.map(|slip| slip * member.friction());
@@ -115,7 +133,7 @@ impl Workspace {
             settings: settings.clone(),
             vehicle,
             tyres,
-            delay: Delay::new(late, dt),
+            delay,
             aligned: Vec::with_capacity(settings.weights.window(dt)),
             noise: WindowNoise::of(library, &settings.weights),
             estimator: WeightEstimator::new(n, settings.weights.window(dt)),
@@ -165,7 +183,21 @@ impl Workspace {
     }
 }
 
-/// Errors if the vehicle's inputs can leave the domain of the next request, which would then be refused.
+/// Errors if a full window of `window` transitions does not hold the inputs since the measured velocities, which are `late` s
+/// old.
+fn check_window(window: usize, dt: f64, late: f64, delay: Option<Delay>) -> Result<(), SetupError> {
+    match delay.map(|delay| delay.rows()) {
+        Some(least) if window < least => Err(SetupError::Window {
+            window,
+            dt,
+            delay: late,
+            least,
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// Errors if the vehicle's inputs can leave the domain of requests, so that the next request would be an error.
 fn check_limits(vehicle: &VehicleParameters) -> Result<(), SetupError> {
     for (name, unit, value) in vehicle.fields() {
         let most = match name {

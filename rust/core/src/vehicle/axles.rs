@@ -10,7 +10,7 @@ use crate::{GpInput, NZ};
 /// Number of vehicles in [`Axles`].
 pub(super) const VEHICLES: usize = 4;
 
-/// One axle: where it is, what it carries and how its tyres hold.
+/// Position, load and tyre parameters of one axle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Axle {
     /// Ahead of the centre of mass, m.
@@ -21,7 +21,8 @@ pub(super) struct Axle {
     pub load: f64,
     /// Change of the load with `a_x`.
     pub transfer: f64,
-    /// What drive and braking cost of the lateral force.
+    /// Coupling of the lateral with the longitudinal force under drive and braking, as [`SingleTrack`](super::SingleTrack)
+    /// defines `e`; no unit.
     pub coupling: Sides,
     pub friction: f64,
     pub stiffness: f64,

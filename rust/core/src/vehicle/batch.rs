@@ -5,7 +5,8 @@ use super::{SingleTrack, VehicleModel};
 use crate::{GpInput, GpJacobian, GpOutput};
 
 /// Vehicles in a fixed order, some of which may be missing. The forces of up to four single-track vehicles at consecutive
-/// places are computed together; the results are the same bits as those of each vehicle alone.
+/// places are computed together; the results are the same bits as those of each vehicle alone. A vehicle with several
+/// steps in a period is evaluated alone.
 #[derive(Clone, Debug)]
 pub(crate) struct Batch {
     dt: f64,
@@ -23,7 +24,7 @@ impl Batch {
             vehicles.clear();
         }
         let groups = vehicles.chunks(VEHICLES).map(|group| {
-            // A place without a single-track vehicle has the axles of another one, whose results are not used.
+            // A place without a single-track vehicle of one step has the axles of another one, whose results are not used.
             let at = |place: usize| single_track(group.get(place)?.as_ref());
             let any = (0..VEHICLES).find_map(at)?;
             Some(SingleTrack::axles(|place| at(place).unwrap_or(any)))
@@ -47,8 +48,8 @@ impl Batch {
             });
             for (place, (vehicle, out)) in group.iter().zip(out).enumerate() {
                 let Some(vehicle) = vehicle else { continue };
-                *out = match (vehicle, &forces) {
-                    (VehicleModel::SingleTrack(vehicle), Some((motion, forces))) => {
+                *out = match (single_track(Some(vehicle)), &forces) {
+                    (Some(vehicle), Some((motion, forces))) => {
                         vehicle.change_by(motion, forces, place)
                     }
                     _ => vehicle.change(z),
@@ -92,8 +93,8 @@ impl Tangents<'_> {
     pub fn change_jacobian(&mut self, place: usize) -> Option<(GpOutput, GpJacobian)> {
         let vehicle = self.batch.vehicles.get(place)?.as_ref()?;
         let (index, place) = (place / VEHICLES, place % VEHICLES);
-        let (VehicleModel::SingleTrack(single_track), Some(axles)) =
-            (vehicle, &self.batch.groups[index])
+        let (Some(single_track), Some(axles)) =
+            (single_track(Some(vehicle)), &self.batch.groups[index])
         else {
             return Some(vehicle.change_jacobian(&self.z));
         };
@@ -112,10 +113,10 @@ impl Tangents<'_> {
     }
 }
 
-/// The vehicle at a place if it is a single-track one.
+/// The vehicle at a place if it is a single-track one with one step in a period.
 fn single_track(vehicle: Option<&VehicleModel>) -> Option<&SingleTrack> {
     match vehicle {
-        Some(VehicleModel::SingleTrack(vehicle)) => Some(vehicle),
+        Some(VehicleModel::SingleTrack(vehicle)) if vehicle.steps() == 1 => Some(vehicle),
         _ => None,
     }
 }
@@ -131,7 +132,8 @@ mod tests {
         1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
     ];
 
-    /// Two groups: single-track vehicles that differ in all parameters, one without slip, and a place without vehicle.
+    /// Two groups: single-track vehicles that differ in all parameters, of which one has two steps, one vehicle without
+    /// slip, and a place without vehicle.
     fn vehicles() -> Vec<Option<VehicleModel>> {
         (0..7)
             .map(|place| {
@@ -144,7 +146,8 @@ mod tests {
                     }
                     _ => {
                         let parameters = ModelParameters::SingleTrack(CAR.map(|p| p * factor));
-                        Some(VehicleModel::new(&parameters, DT))
+                        let steps = if place == 5 { 2 } else { 1 };
+                        Some(VehicleModel::new(&parameters, DT).with_steps(steps))
                     }
                 }
             })

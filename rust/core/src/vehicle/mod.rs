@@ -3,6 +3,7 @@
 
 mod axles;
 mod batch;
+mod euler;
 mod frame;
 mod kinematic;
 mod kinematics;

@@ -40,6 +40,16 @@ impl VehicleModel {
         }
     }
 
+    /// The same vehicle with `steps >= 1` steps of the Euler method in a period, if its tyres slip; the equations of wheels
+    /// that roll without slip need none.
+    #[must_use]
+    pub fn with_steps(self, steps: u32) -> Self {
+        match self {
+            Self::SingleTrack(vehicle) => Self::SingleTrack(vehicle.with_steps(steps)),
+            Self::Kinematic(_) => self,
+        }
+    }
+
     /// The parameters that it was made from.
     pub fn parameters(&self) -> ModelParameters {
         match self {

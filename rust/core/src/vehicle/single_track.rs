@@ -7,6 +7,7 @@ use egp_parameters::GRAVITY;
 use nalgebra::{SMatrix, SVector};
 
 use super::axles::{Axle, Axles, Forces, Motion, Sides, Slopes};
+use super::euler;
 use super::resistance::Resistance;
 use crate::{GpInput, GpJacobian, GpOutput, NY};
 
@@ -28,8 +29,8 @@ pub const SINGLE_TRACK_PARAMETERS: usize = 17;
 const FRICTION_POWERS: [i32; SINGLE_TRACK_PARAMETERS] =
     [0, 0, 0, 0, 0, 1, 1, -1, -1, 1, -1, 0, -1, -1, 1, -1, 0];
 
-/// The change of `[v_x, v_y, omega]` over one period from `z = [v_x, v_y, omega, delta, F_x, delta_dot]`, by one step
-/// of the explicit Euler method with the steering angle of the period's middle.
+/// The change of `[v_x, v_y, omega]` over one period from `z = [v_x, v_y, omega, delta, F_x, delta_dot]`, by one step or
+/// several of the explicit Euler method with the steering angle of the step's middle.
 ///
 /// With `a = F_x / m`, slip angles `alpha = delta - atan((v_y + l omega) / v_x)` (no `delta` at the rear) and axle
 /// loads per mass `n`, which braking moves to the front:
@@ -51,7 +52,10 @@ const FRICTION_POWERS: [i32; SINGLE_TRACK_PARAMETERS] =
 /// of `a_x` and the coupling `e` are smooth stand-ins for the friction circle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SingleTrack {
-    dt: f64,
+    /// Length of a step of the Euler method, s.
+    step: f64,
+    /// Number of these steps in a period.
+    steps: u32,
     mass: f64,
     /// Radius of gyration squared, m².
     gyration: f64,
@@ -64,7 +68,7 @@ pub struct SingleTrack {
 impl SingleTrack {
     /// A vehicle of the parameters `[m, l_f, l_r, k², h]` (kg, m, m, m², m), `D_x` under drive and braking, and for the
     /// front, then the rear axle `e` under drive and braking, `D`, `B` and `C`; all positive, over periods of `dt`
-    /// seconds.
+    /// seconds, by one step of the Euler method.
     pub fn new(parameters: &[f64; SINGLE_TRACK_PARAMETERS], dt: f64) -> Self {
         let [mass, l_f, l_r, gyration, height, drive, brake, tyres @ ..] = *parameters;
         let per_wheelbase = 1.0 / (l_f + l_r);
@@ -80,7 +84,8 @@ impl SingleTrack {
         };
         let [ef_d, ef_b, d_f, b_f, c_f, er_d, er_b, d_r, b_r, c_r] = tyres;
         Self {
-            dt,
+            step: dt,
+            steps: 1,
             mass,
             gyration,
             grip: Sides { drive, brake },
@@ -90,6 +95,31 @@ impl SingleTrack {
             ],
             resistance: Resistance::default(),
             parameters: *parameters,
+        }
+    }
+
+    /// The same vehicle with `steps >= 1` steps of the Euler method in a period.
+    #[must_use]
+    pub fn with_steps(self, steps: u32) -> Self {
+        let step = self.step * f64::from(self.steps) / f64::from(steps);
+        Self {
+            step,
+            steps,
+            ..self
+        }
+    }
+
+    /// Number of steps of the Euler method in a period.
+    pub fn steps(&self) -> u32 {
+        self.steps
+    }
+
+    /// A vehicle of other parameters, with the steps of this one.
+    fn with_parameters(&self, parameters: &[f64; SINGLE_TRACK_PARAMETERS]) -> Self {
+        let steps = self.steps;
+        Self {
+            steps,
+            ..Self::new(parameters, self.step)
         }
     }
 
@@ -103,7 +133,8 @@ impl SingleTrack {
     /// same slope at zero slip.
     pub(crate) fn with_friction(&self, ratio: f64) -> Self {
         let scaled = |i: usize| self.parameters[i] * ratio.powi(FRICTION_POWERS[i]);
-        Self::new(&std::array::from_fn(scaled), self.dt).with_resistance(self.resistance)
+        self.with_parameters(&std::array::from_fn(scaled))
+            .with_resistance(self.resistance)
     }
 
     /// The vehicle whose parameters lie at `share` of the way to those of `other`, geometrically, and its resistance
@@ -111,7 +142,7 @@ impl SingleTrack {
     pub(crate) fn between(&self, other: &Self, share: f64) -> Self {
         let blend = |a: f64, b: f64| a * (b / a).powf(share);
         let blended = |i: usize| blend(self.parameters[i], other.parameters[i]);
-        Self::new(&std::array::from_fn(blended), self.dt)
+        self.with_parameters(&std::array::from_fn(blended))
             .with_resistance(self.resistance.between(&other.resistance, share))
     }
 
@@ -164,16 +195,21 @@ impl SingleTrack {
 
     /// The change of `[v_x, v_y, omega]` over the period.
     pub fn change(&self, z: &GpInput) -> GpOutput {
-        let motion = Motion::new(z, self.dt);
-        let forces = Self::axles(|_| self).forces(&motion);
-        self.change_by(&motion, &forces, 0)
+        let axles = Self::axles(|_| self);
+        euler::change(z, self.steps, self.step, |z| {
+            let motion = Motion::new(z, self.step);
+            self.change_by(&motion, &axles.forces(&motion), 0)
+        })
     }
 
     /// The change and its Jacobian.
     pub fn change_jacobian(&self, z: &GpInput) -> (GpOutput, GpJacobian) {
-        let motion = Motion::new(z, self.dt);
-        let (forces, slopes) = Self::axles(|_| self).forces_and_slopes(&motion);
-        self.change_jacobian_by(&motion, &forces, &slopes, 0)
+        let axles = Self::axles(|_| self);
+        euler::change_jacobian(z, self.steps, self.step, |z| {
+            let motion = Motion::new(z, self.step);
+            let (forces, slopes) = axles.forces_and_slopes(&motion);
+            self.change_jacobian_by(&motion, &forces, &slopes, 0)
+        })
     }
 
     /// The axles of several vehicles.
@@ -181,7 +217,7 @@ impl SingleTrack {
         Axles::new(|place| (of(place).mass, of(place).grip, of(place).axles))
     }
 
-    /// The change from the forces of the axles, of which this vehicle's are at the given place.
+    /// The change over one step, from the forces of the axles, of which this vehicle's are at the given place.
     pub(super) fn change_by(&self, motion: &Motion, forces: &Forces, place: usize) -> GpOutput {
         let Motion {
             v_x, v_y, omega, ..
@@ -192,7 +228,7 @@ impl SingleTrack {
         for (axle, f) in self.axles.iter().zip(&forces.lateral[2 * place..]) {
             rate += *f * self.across(axle, motion);
         }
-        rate * self.dt
+        rate * self.step
     }
 
     /// Like [`Self::change_by`], with the Jacobian.
@@ -226,9 +262,9 @@ impl SingleTrack {
         let mut jacobian = GpJacobian::zeros();
         jacobian
             .fixed_columns_mut::<4>(0)
-            .copy_from(&(by.fixed_columns::<4>(0) * self.dt));
-        jacobian.set_column(4, &(by.column(4) * (self.dt / self.mass)));
-        jacobian.set_column(5, &(by.column(3) * (0.5 * self.dt * self.dt)));
+            .copy_from(&(by.fixed_columns::<4>(0) * self.step));
+        jacobian.set_column(4, &(by.column(4) * (self.step / self.mass)));
+        jacobian.set_column(5, &(by.column(3) * (0.5 * self.step * self.step)));
         (self.change_by(motion, forces, place), jacobian)
     }
 

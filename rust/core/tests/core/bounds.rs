@@ -1,11 +1,11 @@
-//! The bounds on the force that plans keep.
+//! The bounds on the force, and those of the track, that plans keep.
 #![allow(clippy::unwrap_used)]
 
 use egp_core::library::encode;
 use egp_core::vehicle::ModelParameters;
-use egp_core::{Kernel, Library, StepReply, VehicleParameters, Workspace, step};
+use egp_core::{Kernel, Library, Status, StepReply, VehicleParameters, Workspace, step};
 use egp_testing::libraries;
-use egp_testing::requests::{Request, settings};
+use egp_testing::requests::{Request, settings, solve};
 
 const CAR: VehicleParameters = VehicleParameters::FORD_ESCORT;
 
@@ -45,5 +45,23 @@ fn the_smaller_bound_of_a_vehicle_that_catches_up_is_also_that_of_members_withou
         // Braking has no such bound.
         let brake = -accelerations(&library, 20.0)[3];
         assert!(brake > 0.9 * -CAR.a_min, "{brake}");
+    }
+}
+
+#[test]
+fn on_a_track_without_room_for_both_margins_there_is_a_plan() {
+    let mut settings = settings();
+    settings.horizon = Some(40);
+    settings.soft.edge_margin = Some(10.0);
+    // The vehicle drives on the centre line, on which the cost is least, so that both edges of a line would be active.
+    let mut request = Request::circle_of(40, 0);
+    (request.x, request.u_prev) = ([0.0, 0.0, 15.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0]);
+    let row = |t: u32| [0.75 * f64::from(t), 0.0, 15.0, 0.0];
+    request.reference = (0..=40).flat_map(row).collect();
+    request.widths = [3.5, 3.5].repeat(41);
+    for _ in 0..3 {
+        let reply = solve(&request, &settings);
+        assert_eq!(reply.status, Status::Solved);
+        request.carry(&reply);
     }
 }

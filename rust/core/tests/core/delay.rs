@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 
 use egp_core::settings::{Prior, ResidualSettings};
+use egp_core::step::SetupError;
 use egp_core::{FrictionEstimate, GpInput, Member, Settings, StepReply, Workspace, step};
 use egp_testing::requests::{Request, library, settings, solve};
 
@@ -239,4 +240,30 @@ fn standard_deviations_are_those_at_the_states_of_the_plan() {
     let [told, untold] = [sigma(8, 8), sigma(8, 0)].map(|sigma| largest_difference(&sigma, &exact));
     // 2.3e-15 and 0.017.
     assert!(told < 1e-3 * untold, "{told} {untold}");
+}
+
+#[test]
+fn a_window_shorter_than_the_delay_is_an_error_with_both_settings() {
+    let with = |window: usize, delay: f64| {
+        let mut settings = settings();
+        settings.weights.window = Some(window);
+        settings.measurement_delay = Some(delay);
+        Workspace::new(library(), &settings).map(|_| ())
+    };
+    // 0.14 s are 2.8 periods of 0.05 s, and 0.15 s three, although the quotient is larger by rounding.
+    for (window, delay) in [(3, 0.14), (3, 3.0 * DT), (10, 0.5), (1, 0.0), (1, 0.05)] {
+        with(window, delay).unwrap();
+    }
+    for (window, delay, least) in [(2, 0.14, 3), (2, 3.0 * DT, 3), (9, 0.5, 10), (1, 0.06, 2)] {
+        let error = with(window, delay).unwrap_err();
+        assert!(matches!(error, SetupError::Window { least: l, .. } if l == least));
+        let text = error.to_string();
+        for part in [
+            format!("`weights.window` is {window} periods of 0.05 s"),
+            format!("`measurement_delay` of {delay} s"),
+            format!("to at least {least}"),
+        ] {
+            assert!(text.contains(&part), "{text}");
+        }
+    }
 }

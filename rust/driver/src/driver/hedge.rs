@@ -27,8 +27,8 @@ impl HedgeAllowance {
         }
     }
 
-    /// A control period begins: when a second replica is to be asked in it; none if that is not allowed. If the part is
-    /// the whole time, the deadline decides the period first.
+    /// Begins a control period, and returns the time at which a second replica is to be asked, or `None` if no token is
+    /// left. With a part of 1 that time is the deadline, which decides the period first.
     pub(super) fn open(&mut self, now: Time, deadline: Time) -> Option<Time> {
         self.tokens = (self.tokens + SHARE).min(BURST);
         (self.tokens >= 1.0).then(|| now + deadline.saturating_sub(now).mul_f64(self.part))

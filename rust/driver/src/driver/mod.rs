@@ -88,7 +88,8 @@ impl Driver {
         &self.served
     }
 
-    /// Time that an answer may take unless a period states its own deadline.
+    /// Time from the start of a period that an answer may take by default. The transport adds it to the start to get the
+    /// deadline for [`Self::tick`].
     pub fn budget(&self) -> Duration {
         self.budget
     }
@@ -115,7 +116,7 @@ impl Driver {
         self.gate.mode()
     }
 
-    /// Leaves STOP and forgets history, weights, plan and outstanding requests, for instance after the vehicle was moved.
+    /// Leaves STOP and discards history, weights, plan and outstanding requests, for instance after the vehicle was moved.
     pub fn reset(&mut self) {
         self.carry.reset();
         self.gate.reset();
@@ -126,6 +127,11 @@ impl Driver {
         self.pending.clear();
         self.late.clear();
         self.actions.clear();
+    }
+
+    /// The replicas that announce themselves, in the order of the vehicle's hash.
+    pub fn replicas(&self) -> &[Name] {
+        self.replicas.live()
     }
 
     /// A replica announces itself.
@@ -151,9 +157,10 @@ impl Driver {
     /// open is given up.
     ///
     /// One tick counts as one control period, whatever the time between two ticks is, so that simulators may be slower or
-    /// faster than a vehicle. Only a caller that was held up for more whole periods than `max_tail_ticks` after a period's end
-    /// is taken for a vehicle that has driven on alone: these periods count ([`Step::held_up`]), so that a plan from before
-    /// is not driven any more, and the history starts anew. Shorter delays are not counted and do not add up.
+    /// faster than a vehicle. Only a caller that was held up for more whole periods after a period's end than a plan may
+    /// bridge (the smaller one of `max_tail_ticks` and the horizon less 1) is taken for a vehicle that has driven on alone:
+    /// these periods count ([`Step::held_up`]), so that a plan from before is not driven any more, and the history starts
+    /// anew. Shorter delays are not counted and do not add up.
     ///
     /// # Errors
     /// [`InvalidArgument`] when no request can be made of the measurement; the period is then not opened, but counts: plans
@@ -170,13 +177,13 @@ impl Driver {
         self.due = Some(now.saturating_add(self.period()));
         // The state comes first: a reference that was computed from an unusable state is wrong, too, and must not keep the
         // vehicle from being stopped.
-        if let Err(invalid) = egp_wire::check_state(&measurement.x) {
+        if let Err(invalid) = measurement.check_state() {
             self.probe(now);
             self.stop_unmeasured(&measurement.x, invalid);
             return Ok(());
         }
         measurement
-            .check(self.served.horizon as usize)
+            .check(self.served.horizon as usize, self.served.dt)
             .inspect_err(|_| self.carry.skip(1))?;
         self.probe(now);
         let Measurement {

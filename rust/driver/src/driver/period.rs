@@ -125,12 +125,17 @@ impl Driver {
 
     /// A replica answered with an error.
     pub(super) fn reject(&mut self, now: Time, id: QueryId, pending: &Pending, error: WireError) {
-        // These errors do not demote a replica: it is overloaded, drains, or has received a newer request.
-        let transient = matches!(
+        // These errors do not demote a replica: it is overloaded, drains, or has received a newer request, or the request
+        // itself has a value that no replica accepts.
+        let blameless = matches!(
             error.code,
-            Code::Overloaded | Code::TooLate | Code::Draining | Code::Superseded
+            Code::Overloaded
+                | Code::TooLate
+                | Code::Draining
+                | Code::Superseded
+                | Code::InvalidField
         );
-        if !transient {
+        if !blameless {
             self.demote(now, pending);
         }
         self.failed(now, id, &pending.replica, Outcome::Refused(error));
@@ -191,7 +196,7 @@ impl Driver {
     }
 
     /// The command of a period whose measured state cannot be used: a stop. The gate gets the speed and the steering angle if
-    /// they themselves can be used.
+    /// they themselves are inside the domain of the messages, so that its force opposes the motion of a vehicle that rolls back.
     pub(super) fn stop_unmeasured(&mut self, x: &State, invalid: Invalid) {
         self.carry.skip(1);
         self.gate.stop();
@@ -228,13 +233,15 @@ impl Driver {
         }
     }
 
-    /// Counts the whole control periods that have passed since the next tick was due, if they are more than a plan may bridge.
-    /// Returns whether that was so.
+    /// Counts the whole control periods that have passed since the next tick was due, if they are more than a plan may bridge:
+    /// more than the tail may last, or than the plan has inputs after its first one. Returns whether that was so.
     pub(super) fn count_held_up(&mut self, now: Time) -> bool {
         let late = self.due.map_or(Time::ZERO, |due| now.saturating_sub(due));
         let periods = late.as_nanos() / self.period().as_nanos().max(1);
         let periods = u64::from(u32::try_from(periods).unwrap_or(u32::MAX));
-        let counts = periods > self.config.max_tail_ticks;
+        let inputs = u64::from(self.served.horizon);
+        let tail = self.config.tail_ticks(self.served.dt);
+        let counts = periods > tail.min(inputs.saturating_sub(1));
         if counts {
             self.carry.skip(periods);
             self.held_up += periods;
@@ -242,7 +249,8 @@ impl Driver {
         counts
     }
 
-    /// Leaves an open period without a command and forgets requests that are too old to be answered.
+    /// Gives an open period up without a command, demotes the replicas that have let a deadline pass, and removes
+    /// requests and probes whose answers are no longer listened for.
     pub(super) fn give_up(&mut self, now: Time) {
         self.running = None;
         self.count_overdue(now);

@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
-use egp_driver::Outcome;
+use egp_driver::{Driver, Measurement, Outcome};
 use egp_gate::Mode;
+use egp_wire::Ready;
 
 use crate::world::{
     BUDGET, PERIOD, answered_period, asked, configured, decided, driver, ms, request, solved, tick,
@@ -13,9 +14,9 @@ use crate::world::{
 const JUST_BRIDGED: Duration = Duration::from_nanos(59_999_999);
 
 /// A driver whose tail bridges two periods, after two answered ones at 20 and 40 ms. The next tick is due at 60 ms.
-fn driving() -> egp_driver::Driver {
+fn driving() -> Driver {
     let config = egp_driver::DriverConfig {
-        max_tail_ticks: 2,
+        max_tail_ticks: Some(2),
         ..crate::world::config()
     };
     let mut driver = configured(&["a"], config);
@@ -136,4 +137,48 @@ fn a_reset_and_a_first_tick_are_no_hold_up() {
     driver.reset();
     tick(&mut driver, Duration::from_secs(7200));
     assert_eq!(request(&asked(&mut driver)).sequence, 2);
+}
+
+#[test]
+fn a_delay_longer_than_the_plan_counts_although_the_tail_may_last_longer() {
+    // The plan of four inputs ends three periods after its first one. The tail may last 25 periods.
+    let held_up = |delay: Duration| {
+        let mut driver = driver(&["a"]);
+        answered_period(&mut driver, ms(20));
+        answered_period(&mut driver, ms(40));
+        tick(&mut driver, ms(60) + delay);
+        let history = request(&asked(&mut driver)).history_z.len();
+        driver.wake(ms(60) + delay + BUDGET);
+        let step = decided(&mut driver);
+        (step.held_up, history, step.command.mode)
+    };
+    let one_less = Duration::from_nanos(79_999_999);
+    assert_eq!(held_up(one_less), (0, 2, Mode::Tail));
+    assert_eq!(held_up(4 * PERIOD), (4, 0, Mode::Stop));
+}
+
+#[test]
+fn by_default_the_tail_lasts_half_a_second_at_any_period() {
+    for (dt, ticks) in [(0.02, 25), (0.05, 10), (0.1, 5), (1.0 / 30.0, 15), (2.0, 1)] {
+        let served = Ready {
+            dt,
+            horizon: 128,
+            ..crate::world::served()
+        };
+        let mut driver = Driver::new(crate::world::config(), served).unwrap();
+        driver.replica_appeared(Duration::ZERO, crate::world::name("a"));
+        let period = Duration::from_secs_f64(dt);
+        let mut held_up = |now: Duration| {
+            let measurement = Measurement {
+                reference: vec![[3.0, 4.0, 12.0, 0.0]; 129],
+                ..crate::world::measurement()
+            };
+            driver.tick(now, now, measurement).unwrap();
+            decided(&mut driver).held_up
+        };
+        // A tick is due one period after the one before it.
+        assert_eq!(held_up(period), 0);
+        assert_eq!(held_up(period * (2 + ticks)), 0, "{dt}");
+        assert_eq!(held_up(period * (4 + 2 * ticks)), u64::from(ticks) + 1);
+    }
 }

@@ -1,12 +1,12 @@
 //! What a driver does with measured states, references and widths that cannot be used, and with a lost vehicle.
 
-use egp_driver::{Lost, Measurement};
+use egp_driver::{Action, Driver, Lost, Measurement};
 use egp_gate::Mode;
-use egp_wire::MAX_BUDGET_US;
+use egp_wire::{MAX_BUDGET_US, Ready};
 
 use crate::world::{
-    BUDGET, CAR, HORIZON, PERIOD, answered_period, asked, decided, driver, measurement, ms,
-    request, solved, tick,
+    BUDGET, CAR, HORIZON, PERIOD, answered_period, asked, config, decided, driver, measurement, ms,
+    request, served, solved, tick,
 };
 
 #[test]
@@ -40,6 +40,59 @@ fn a_state_that_cannot_be_used_stops_the_vehicle_although_its_reference_is_wrong
     let step = decided(&mut driver);
     assert_eq!(step.command.mode, Mode::Stop);
     assert_eq!(step.outcome.name(), "invalid_state");
+}
+
+#[test]
+fn a_state_outside_the_domain_of_the_control_step_stops_the_vehicle_without_a_request() {
+    let outcome = |component: usize, value: f64| {
+        let mut driver = driver(&["a"]);
+        answered_period(&mut driver, ms(20));
+        let mut measured = measurement();
+        measured.x[component] = value;
+        driver.tick(ms(40), ms(56), measured).unwrap();
+        match driver.next_action() {
+            Some(Action::Command(step)) => {
+                assert_eq!(step.command.mode, Mode::Stop);
+                assert_eq!((step.asked, step.request.len()), (0, 0));
+                step.outcome.detail()
+            }
+            _ => String::new(),
+        }
+    };
+    // Component of the state and its bounds.
+    for (component, least, most) in [
+        (2, -1.0, 100.0),
+        (4, -50.0, 50.0),
+        (5, -20.0, 20.0),
+        (6, -1.5, 1.5),
+    ] {
+        assert_eq!(outcome(component, least), "");
+        assert_eq!(outcome(component, most), "");
+        for value in [least - 0.01, most + 0.01] {
+            let detail = outcome(component, value);
+            let expected = format!(" = {value} ");
+            assert!(detail.contains(&expected), "{component}: {detail}");
+            assert!(detail.contains("check unit, sign and frame"), "{detail}");
+        }
+    }
+    assert_eq!(
+        outcome(2, -1.5),
+        "x: v_x = -1.5 m/s is outside -1 to 100 m/s; check unit, sign and frame"
+    );
+}
+
+#[test]
+fn a_vehicle_that_rolls_back_is_braked_against_its_motion() {
+    let mut driver = driver(&["a"]);
+    let mut force = f64::NAN;
+    for period in 1..=20 {
+        let mut measured = measurement();
+        measured.x[2] = -1.5;
+        let now = PERIOD * period;
+        driver.tick(now, now + BUDGET, measured).unwrap();
+        force = decided(&mut driver).command.u[0];
+    }
+    assert_eq!(force, 3.0 * CAR.mass);
 }
 
 #[test]
@@ -203,4 +256,48 @@ fn points_exactly_5_cm_apart_have_no_direction() {
     }
     driver.tick(ms(20), ms(36), to_and_fro).unwrap();
     asked(&mut driver);
+}
+
+#[test]
+fn speeds_in_another_unit_than_the_positions_are_an_error() {
+    const LONG: u32 = 50; // a horizon of 1 s
+    let long = || Ready {
+        horizon: LONG,
+        ..served()
+    };
+    let tick = |spacing: f64, v_x: f64| {
+        let mut driver = Driver::new(config(), long()).unwrap();
+        let row = |t: u32| [3.0 + spacing * f64::from(t), 4.0, v_x, 0.0];
+        let reference = (0..=LONG).map(row).collect();
+        let measured = Measurement {
+            reference,
+            ..measurement()
+        };
+        driver.tick(ms(20), ms(36), measured)
+    };
+    let error = tick(0.3, 54.0).unwrap_err().to_string();
+    assert_eq!(
+        error,
+        "reference: the positions of all rows are 15.0 m apart in total, and the speeds v_x cover 54.0 m in the same time; v_x \
+         is measured in m/s (1 m/s is 3.6 km/h), and rows are 0.02 s apart"
+    );
+    assert!(tick(1.5, 15.0).is_err(), "rows that are 0.1 s apart");
+    // A planner's path that ends within the horizon.
+    let mut ended = measurement();
+    ended.reference = (0..=LONG)
+        .map(|t| [3.0 + 0.3 * f64::from(t.min(8)), 4.0, 15.0, 0.0])
+        .collect();
+    let mut driver = Driver::new(config(), long()).unwrap();
+    assert_eq!(driver.tick(ms(20), ms(36), ended), Ok(()));
+    // Positions at another speed than the stated one, and vehicles that start or stand.
+    for (spacing, v_x) in [
+        (0.3, 15.0),
+        (0.3, 44.0),
+        (0.3, 5.5),
+        (0.04, 54.0),
+        (0.0, 54.0),
+        (0.3, 0.0),
+    ] {
+        assert_eq!(tick(spacing, v_x), Ok(()), "{spacing} {v_x}");
+    }
 }

@@ -173,6 +173,7 @@ fn the_next_replica_is_asked_after_any_answer_that_brings_no_plan() {
         ("too late", false),
         ("draining", false),
         ("superseded", false),
+        ("invalid field", false),
         ("internal", true),
         ("noise in an error", true),
         ("noise", true),
@@ -191,6 +192,7 @@ fn the_next_replica_is_asked_after_any_answer_that_brings_no_plan() {
                 driver.refused(now, id, &error(Code::Superseded));
                 driver.ended(now, id);
             }
+            "invalid field" => driver.refused(now, id, &error(Code::InvalidField)),
             "internal" => driver.refused(now, id, &error(Code::Internal)),
             "noise in an error" => driver.refused(now, id, &[0xff; 9]),
             "noise" => driver.replied(now, id, &[0xff; 9], b""),
@@ -256,7 +258,14 @@ fn the_last_answer_is_the_outcome_when_nobody_is_left() {
         ]
     );
     assert_eq!(Outcome::Replied(Status::Solved).detail(), "");
-    assert!(!Outcome::Replied(Status::CheckFailed).is_solved());
+    let inaccurate = Outcome::Replied(Status::CheckFailed);
+    assert!(!inaccurate.is_solved());
+    let detail = inaccurate.detail();
+    assert!(
+        detail.starts_with("the solver found no plan: check_failed (")
+            && detail.contains("above all a weight or a penalty"),
+        "{detail}"
+    );
 }
 
 fn outcome_names() -> [&'static str; 6] {

@@ -83,7 +83,17 @@ fn a_gate_wider_than_the_planned_vehicle_is_told_with_both_numbers() {
     assert_eq!(
         error.to_string(),
         "gate limit steering_rate is 0.6 rad/s, the vehicle that plans are made for has 0.4 rad/s; \
-         narrow the gate, or use a library trained for this vehicle"
+         narrow the gate, or use a library trained for the gate's vehicle"
+    );
+    let error = at_fault(Limits {
+        mass: 1284.0,
+        ..car()
+    });
+    assert_eq!(
+        error.to_string(),
+        "gate limit mass is 1284 kg, the vehicle that plans are made for has 1225.887 kg; take the gate's limits from \
+         the vehicle that the library was trained for (a scenario states its file as `vehicle_file`), or use a library \
+         trained for the gate's vehicle"
     );
 }
 

@@ -62,7 +62,7 @@ struct Arguments {
     /// Threads that run control steps; one a core by default.
     #[arg(long)]
     workers: Option<usize>,
-    /// Endpoint to listen on, as tcp/0.0.0.0:7447; may be given more than once.
+    /// Endpoint to listen on, such as tcp/0.0.0.0:7447; may be given more than once.
     #[arg(long)]
     listen: Vec<String>,
     /// Endpoint of a router or peer to connect to; may be given more than once.
@@ -71,7 +71,7 @@ struct Arguments {
     /// Load the library again when its file changes, and not only on SIGHUP.
     #[arg(long)]
     watch: bool,
-    /// Address for /health, /ready and /metrics over HTTP, as 127.0.0.1:9464.
+    /// Address for /health, /ready and /metrics over HTTP, such as 127.0.0.1:9464.
     #[arg(long, value_name = "ADDRESS")]
     http: Option<SocketAddr>,
     /// Log one JSON object a line.

@@ -1,6 +1,7 @@
 //! The configuration of the map service.
 
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use egp_map::MergeSettings;
@@ -8,7 +9,7 @@ use egp_wire::TILE_ORIGINS;
 use serde::Deserialize;
 
 use super::store::MapLimits;
-use crate::config::ConfigError;
+use crate::config::{ConfigError, address};
 
 /// The configuration of a map service, in TOML. Unknown keys are errors.
 #[derive(Clone, Debug, Deserialize)]
@@ -32,7 +33,10 @@ pub struct MapConfig {
     pub publish_ms: u64,
     /// Time between two writings of changed roads, ms. Default 10000.
     pub save_ms: u64,
-    /// What to log, as for `egp serve`. Default `info,zenoh=warn`.
+    /// Address for `/health`, `/ready` and `/metrics` over HTTP, such as `127.0.0.1:9465`. Default: none.
+    #[serde(deserialize_with = "address")]
+    pub http: Option<SocketAddr>,
+    /// What to log, as for `egp serve`. Default `info,zenoh=warn,zenoh_link_tls=error`.
     pub log: String,
     /// Whether each log line is a JSON object instead of text. Default false.
     pub log_json: bool,
@@ -55,7 +59,8 @@ impl Default for MapConfig {
             contributions: 65536,
             publish_ms: 500,
             save_ms: 10_000,
-            log: "info,zenoh=warn".to_owned(),
+            http: None,
+            log: "info,zenoh=warn,zenoh_link_tls=error".to_owned(),
             log_json: false,
             zenoh_file: None,
             zenoh: BTreeMap::new(),

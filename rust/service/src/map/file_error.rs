@@ -23,8 +23,8 @@ pub enum RoadFileError {
     Locked(PathBuf),
     /// A file of a later version of the program.
     #[error(
-        "{path}: it has version {version}, and this program knows {VERSION}; use the program that wrote it, or name \
-         another folder with --folder"
+        "{path}: it has version {version}, and this program reads version {VERSION}; use the program that wrote it, or \
+         name another folder with --folder"
     )]
     Newer {
         /// The file.

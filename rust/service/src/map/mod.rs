@@ -14,11 +14,12 @@ mod folder_lock;
 mod intake;
 mod keeper;
 mod metrics;
+mod pages;
 mod server;
 mod store;
 mod turns;
 mod writer;
 
 pub use config::MapConfig;
-pub use server::{MapError, MapServer, serve_map};
+pub use server::{MapError, MapServer, check_map, serve_map};
 pub use store::{MapLimits, Store, StoreError};

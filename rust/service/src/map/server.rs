@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fs::File;
 use std::io;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -19,13 +20,19 @@ use super::file_error::RoadFileError;
 use super::folder_lock::lock;
 use super::intake::Intake;
 use super::keeper::{Keeper, clocks};
+use super::pages::MapPages;
 use super::store::{Road, Store};
 use super::writer::{Content, Writer, remove_unfinished, write};
 use crate::certificates;
 use crate::config::ConfigError;
 use crate::descriptors::allow_all;
-use crate::logging::init_logging;
-use crate::network::{Network, PATIENCE, Received, configuration};
+use crate::http::{HttpEndpoint, HttpListener};
+use crate::links::{Links, Watch};
+use crate::logging::{FlushAtEnd, init_logging, log_filter, show_lost};
+use crate::network::{
+    Configured, MAP, Network, PATIENCE, Received, configuration, is_client, rehearse,
+};
+use crate::start_error::StartError;
 
 /// Where the service listens by default; a service of control steps on the same machine has the port before this one.
 const LISTEN: (&str, &str) = ("listen/endpoints", r#"["tcp/127.0.0.1:7448"]"#);
@@ -45,6 +52,9 @@ pub enum MapError {
     /// The system could not start a thread or catch signals.
     #[error("cannot start a thread or catch signals: {0}")]
     System(#[from] io::Error),
+    /// The address for HTTP cannot be listened on, or its thread cannot be started.
+    #[error(transparent)]
+    Http(#[from] StartError),
     /// An operation of zenoh that failed.
     #[error(transparent)]
     Network(#[from] NetworkError),
@@ -66,6 +76,8 @@ pub struct MapServer {
     network: Network,
     intake: Arc<Intake<Received>>,
     keeper: Option<JoinHandle<usize>>,
+    watch: Option<Watch>,
+    http: Option<HttpEndpoint>,
     /// Keeps other services from the folder.
     _lock: Option<File>,
 }
@@ -92,20 +104,25 @@ impl MapServer {
             remove_unfinished(folder)?;
             load(folder, &mut store, clocks(started))?;
         }
-        let mut zenoh = config.zenoh.clone();
-        if config.zenoh_file.is_none() {
-            let (key, value) = LISTEN;
-            zenoh
-                .entry(key.to_owned())
-                .or_insert_with(|| value.to_owned());
-        }
-        let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &zenoh)?;
-        let network = Network::open(zenoh, PATIENCE, stopped)?;
+        let (zenoh, end) = zenoh_settings(config)?;
         let mut intake = Intake::new();
+        show_lost(intake.metrics.registry());
+        let links = Arc::new(Links::new(is_client(&zenoh)?, intake.metrics.registry()));
         if let Some(end) = end {
             certificates::show(end, intake.metrics.registry());
         }
         let intake = Arc::new(intake);
+        let serving = Arc::new(AtomicBool::new(false));
+        let http = config.http.map(HttpListener::bind).transpose()?;
+        let pages = Arc::new(MapPages {
+            intake: intake.clone(),
+            links: links.clone(),
+            serving: serving.clone(),
+        });
+        let http = http.map(|listener| listener.answer(pages)).transpose()?;
+        let network = Network::open(zenoh, PATIENCE, stopped)?;
+        links.note(network.surroundings().links());
+        let watch = Watch::start(links, network.surroundings())?;
         let (contributions, roads) = (store.contributions(), store.roads());
         let putter = network.putter();
         let writer = config.folder.clone().map(|folder| {
@@ -129,12 +146,15 @@ impl MapServer {
             network,
             intake: intake.clone(),
             keeper,
+            watch: Some(watch),
+            http,
             _lock: lock,
         };
         let declared = server
             .network
             .declare(road_keys::ALL, move |query| intake.take(query));
         declared?;
+        serving.store(true, Ordering::Relaxed);
         tracing::info!(roads, contributions, "keeping a map");
         Ok(server)
     }
@@ -154,6 +174,7 @@ impl MapServer {
         self.network.undeclare();
         self.intake.waiting.close(); // which ends the keeper once it has answered what waits
         let unsaved = keeper.join();
+        drop((self.http.take(), self.watch.take()));
         self.network.close();
         tracing::info!("map closed");
         match unsaved {
@@ -172,11 +193,39 @@ impl Drop for MapServer {
     }
 }
 
+/// The settings of zenoh, and when the first of their certificates expires, s since 1970, if they have some.
+fn zenoh_settings(config: &MapConfig) -> Result<Configured, NetworkError> {
+    let mut zenoh = config.zenoh.clone();
+    if config.zenoh_file.is_none() {
+        let (key, value) = LISTEN;
+        zenoh
+            .entry(key.to_owned())
+            .or_insert_with(|| value.to_owned());
+    }
+    configuration(config.zenoh_file.as_deref(), &zenoh, MAP)
+}
+
+/// Checks what a map service needs to start, except its folder, which a running service may have locked: the log filter, all
+/// values, the host for HTTP, and a zenoh session, which listens on free ports and connects to nothing. Returns what to tell
+/// of the first certificate that expires, if it is time to renew it.
+///
+/// # Errors
+/// [`MapError`] as [`serve_map`] would report it.
+pub fn check_map(config: &MapConfig) -> Result<Option<String>, MapError> {
+    log_filter(&config.log).map_err(MapError::Logging)?;
+    config.validate()?;
+    config.http.map(HttpListener::check).transpose()?;
+    let (zenoh, end) = zenoh_settings(config)?;
+    rehearse(zenoh, config.http)?;
+    Ok(end.and_then(|end| certificates::warning(end, certificates::now())))
+}
+
 /// Keeps a map until SIGTERM, SIGINT or SIGHUP.
 ///
 /// # Errors
 /// [`MapError`] if the service does not start, or if something is not written at the end.
 pub fn serve_map(config: &MapConfig) -> Result<(), MapError> {
+    let _flush = FlushAtEnd;
     init_logging(&config.log, config.log_json).map_err(MapError::Logging)?;
     allow_all();
     // Signals are registered before the start, so that an early one is not lost.

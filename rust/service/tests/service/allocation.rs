@@ -4,7 +4,7 @@
 
 use std::cell::Cell;
 
-use crate::common::{engine, request};
+use crate::loopback::{engine, request};
 use counting::allocations;
 use egp_core::{StepReply, StepRequest, Workspace, step};
 use egp_driver::Carry;

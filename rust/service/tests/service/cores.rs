@@ -22,7 +22,7 @@ fn engine() -> Engine {
 #[test]
 fn replies_are_the_same_bytes_on_any_number_of_cores() {
     let alone = engine();
-    let mut request = crate::common::request(&mut Carry::new(alone.library().id(), 10));
+    let mut request = crate::loopback::request(&mut Carry::new(alone.library().id(), 10));
     request.want_sigma = true;
     let request = request.encode();
     let reply = |engine: &Engine| {

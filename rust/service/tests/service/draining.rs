@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
-use crate::common::{
+use crate::loopback::{
     Client, Outcome, Watched, config, engine, first_request, free_endpoint, library_file, step_key,
 };
 use egp_service::{ReloadError, Server};

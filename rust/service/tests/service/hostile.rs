@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use crate::common::{
+use crate::loopback::{
     Client, Outcome, Watched, config, engine, first_request, free_endpoint, step_key,
 };
 use egp_service::{Handler, Server};

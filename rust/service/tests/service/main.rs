@@ -1,10 +1,10 @@
 //! Tests of a real service and real clients over TCP on the loopback.
 
 mod allocation;
-mod common;
 mod cores;
 mod draining;
 mod hostile;
+mod loopback;
 mod map_store;
 mod operating;
 mod queueing;

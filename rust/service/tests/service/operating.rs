@@ -6,8 +6,11 @@ use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::{Client, Outcome, first_request, free_endpoint, library_file, step_key};
-use egp_service::{ServiceConfig, check};
+use crate::loopback::{
+    Client, Outcome, config, engine, first_request, free_endpoint, library_file, step_key,
+};
+use egp_service::map::{MapConfig, MapServer, check_map};
+use egp_service::{Server, ServiceConfig, check};
 use egp_testing::outputs::without_output;
 use egp_testing::ports::free_port;
 use serde_json::Value;
@@ -52,19 +55,51 @@ fn start(name: &str, endpoint: &str, http: SocketAddr) -> Child {
 
 /// A service process with HTTP that is a client of a router.
 fn start_client(name: &str, router: &str, http: SocketAddr) -> Child {
+    client(name, router, http, "off").spawn().unwrap()
+}
+
+/// The command of [`start_client`], with this filter of the log.
+fn client(name: &str, router: &str, http: SocketAddr, log: &str) -> Command {
     let library = library_file(name);
     let config = library.with_extension("toml");
     let text = format!(
-        "library = \"{}\"\nhttp = \"{http}\"\nlog = \"off\"\n[zenoh]\nmode = '\"client\"'\n\
+        "library = \"{}\"\nhttp = \"{http}\"\nlog = \"{log}\"\n[zenoh]\nmode = '\"client\"'\n\
          \"listen/endpoints\" = '[]'\n\"connect/endpoints\" = '[\"{router}\"]'\n",
         library.display()
     );
     std::fs::write(&config, text).unwrap();
-    Command::new(env!("CARGO_BIN_EXE_egp-server"))
-        .arg("--config")
-        .arg(&config)
-        .spawn()
-        .unwrap()
+    let mut command = Command::new(env!("CARGO_BIN_EXE_egp-server"));
+    command.arg("--config").arg(&config);
+    command
+}
+
+/// A router of zenoh in this process.
+fn router(endpoint: &str) -> zenoh::Session {
+    let mut settings = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"router\"".to_owned()),
+        ("listen/endpoints", format!("[\"{endpoint}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        settings.insert_json5(key, &value).unwrap();
+    }
+    zenoh::open(settings).wait().unwrap()
+}
+
+/// Waits until a page has these words.
+fn wait_for(http: SocketAddr, page: &str, words: &str) {
+    let late = Instant::now() + Duration::from_secs(60);
+    while !ask(http, "GET", page).is_ok_and(|(_, text)| text.contains(words)) {
+        assert!(Instant::now() < late, "{words} on {page}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn signal(process: &Child, name: &str) {
+    let kill = Command::new("kill")
+        .args([name, &process.id().to_string()])
+        .status();
+    assert!(kill.unwrap().success());
 }
 
 #[test]
@@ -160,33 +195,94 @@ fn a_service_that_waits_for_its_router_is_alive_and_not_ready() {
 fn a_sighup_that_comes_while_the_service_waits_for_its_router_reloads_after_the_start() {
     let (router, http) = (free_endpoint(), free_address());
     let mut process = start_client("early.safetensors", &router, http);
-    let wait_for = |page: &str, words: &str| {
-        let late = Instant::now() + Duration::from_secs(60);
-        while !ask(http, "GET", page).is_ok_and(|(_, text)| text.contains(words)) {
-            assert!(Instant::now() < late, "{words} on {page}");
-            std::thread::sleep(Duration::from_millis(20));
-        }
-    };
-    wait_for("/ready", "starting");
-    let pid = process.id().to_string();
-    let kill = Command::new("kill").args(["-HUP", &pid]).status();
-    assert!(kill.unwrap().success());
+    wait_for(http, "/ready", "starting");
+    signal(&process, "-HUP");
     // The service looks for signals between its attempts, half a second apart; a later signal has its effect in any case.
     std::thread::sleep(Duration::from_millis(1500));
-    let mut settings = zenoh::Config::default();
-    for (key, value) in [
-        ("mode", "\"router\"".to_owned()),
-        ("listen/endpoints", format!("[\"{router}\"]")),
-        ("scouting/multicast/enabled", "false".to_owned()),
-    ] {
-        settings.insert_json5(key, &value).unwrap();
-    }
-    let session = zenoh::open(settings).wait().unwrap();
-    wait_for("/ready", "ready\n");
-    wait_for("/metrics", "egp_reloads_total{outcome=\"same\"} 1");
+    let session = self::router(&router);
+    wait_for(http, "/ready", "ready\n");
+    wait_for(http, "/metrics", "egp_reloads_total{outcome=\"same\"} 1");
     process.kill().unwrap();
     process.wait().unwrap();
     drop(session);
+}
+
+#[test]
+fn a_replica_that_is_cut_off_from_its_router_is_not_ready_until_it_has_a_link_again() {
+    let (endpoint, http) = (free_endpoint(), free_address());
+    let first = router(&endpoint);
+    let mut command = client("cut-off.safetensors", &endpoint, http, "info");
+    let mut process = command.stderr(Stdio::piped()).spawn().unwrap();
+    wait_for(http, "/ready", "ready\n");
+    wait_for(http, "/metrics", "egp_links 1\n");
+    first.close().wait().unwrap();
+    wait_for(http, "/ready", "disconnected\n");
+    assert_eq!(ask(http, "GET", "/ready").unwrap().0, 503);
+    assert_eq!(ask(http, "GET", "/health").unwrap().0, 200);
+    wait_for(http, "/metrics", "egp_links 0\n");
+    let second = router(&endpoint);
+    wait_for(http, "/ready", "ready\n");
+    process.kill().unwrap();
+    let log = String::from_utf8(process.wait_with_output().unwrap().stderr).unwrap();
+    let (lost, again) = (
+        log.find("link to the router is lost"),
+        log.find("connected links=1"),
+    );
+    assert!(lost.is_some() && lost < again, "{log}");
+    drop(second);
+}
+
+#[test]
+fn a_program_that_stops_reading_the_log_stops_no_service() {
+    let (endpoint, http) = (free_endpoint(), free_address());
+    let library = library_file("unread-log.safetensors");
+    let (reader, mut unread) = std::io::pipe().unwrap();
+    let mut process = Command::new(env!("CARGO_BIN_EXE_egp-server"))
+        .args([
+            "--workers",
+            "1",
+            "--listen",
+            &endpoint,
+            "--http",
+            &http.to_string(),
+            "--library",
+        ])
+        .arg(&library)
+        .stderr(unread.try_clone().unwrap())
+        .spawn()
+        .unwrap();
+    // Whatever room the pipe has is filled, and the thread ends when the reader does.
+    let filler = std::thread::spawn(move || unread.write_all("\n".repeat(1 << 21).as_bytes()));
+    Client::connect(&endpoint);
+    assert_eq!(
+        ask(http, "GET", "/ready").unwrap(),
+        (200, "ready\n".to_owned())
+    );
+    let (_, metrics) = ask(http, "GET", "/metrics").unwrap();
+    assert!(metrics.contains("egp_log_lines_lost_total "), "{metrics}");
+    signal(&process, "-TERM");
+    let late = Instant::now() + Duration::from_secs(20);
+    while process.try_wait().unwrap().is_none() && Instant::now() < late {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let ended = process.try_wait().unwrap();
+    process.kill().unwrap();
+    process.wait().unwrap();
+    drop(reader);
+    assert!(filler.join().unwrap().is_err(), "the pipe took everything");
+    assert!(ended.is_some_and(|status| status.success()), "{ended:?}");
+}
+
+#[test]
+fn services_with_one_name_are_counted_after_the_start_too() {
+    let (endpoint, http) = (free_endpoint(), free_address());
+    let first = Server::start_with(&config(&endpoint), engine()).unwrap();
+    let mut other = config(&free_endpoint());
+    other.http = Some(http);
+    (other.zenoh).insert("connect/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
+    let second = Server::start_with(&other, engine()).unwrap();
+    wait_for(http, "/metrics", "egp_name_twice_total 1\n");
+    drop((first, second));
 }
 
 #[test]
@@ -260,4 +356,34 @@ fn a_check_ends_without_an_error_if_nobody_reads_what_it_prints() {
         command
     });
     assert!(unread.stderr.is_empty(), "{unread:?}");
+}
+
+#[test]
+fn a_map_shows_its_state_over_http_too() {
+    let http = free_address();
+    let mut config = MapConfig {
+        http: Some(http),
+        ..MapConfig::default()
+    };
+    let listen = format!("[\"{}\"]", free_endpoint());
+    config.zenoh.insert("listen/endpoints".to_owned(), listen);
+    let server = MapServer::start(&config).unwrap();
+    let page = |path| ask(http, "GET", path).unwrap();
+    assert_eq!(page("/health"), (200, "ok\n".to_owned()));
+    assert_eq!(page("/ready"), (200, "ready\n".to_owned()));
+    let (_, metrics) = page("/metrics");
+    for line in ["egp_map_unsaved_roads 0", "egp_map_links 0", "# EOF"] {
+        assert!(metrics.lines().any(|l| l == line), "{line}:\n{metrics}");
+    }
+    assert!(MapServer::start(&config).is_err(), "the address is in use");
+    // A check looks at the host and not at the port.
+    assert_eq!(check_map(&config).unwrap(), None);
+    config.http = Some("192.0.2.1:9464".parse().unwrap());
+    let message = check_map(&config).unwrap_err().to_string();
+    assert!(
+        message.contains("cannot listen for HTTP on 192.0.2.1:9464"),
+        "{message}"
+    );
+    server.stop().unwrap();
+    assert!(ask(http, "GET", "/health").is_err());
 }

@@ -5,7 +5,7 @@ use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-use crate::common::{
+use crate::loopback::{
     Client, Outcome, Watched, config, engine, first_request, free_endpoint, step_key,
 };
 use egp_service::{Server, ServiceConfig};

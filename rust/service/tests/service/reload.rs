@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use crate::common::{Client, Outcome, free_endpoint, request, step_key};
+use crate::loopback::{Client, Outcome, free_endpoint, request, step_key};
 use egp_core::{Kernel, library};
 use egp_driver::Carry;
 use egp_service::{Handler as _, Libraries, ReloadError, Reloaded, ServiceConfig};

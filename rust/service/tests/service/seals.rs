@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use crate::common::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
+use crate::loopback::{Client, Outcome, config, engine, first_request, free_endpoint, step_key};
 use egp_service::{Server, check};
 use egp_wire::keys::{self, Name};
 use egp_wire::{Code, KeyRing, Seal, Timing, VehicleKey, WireError};
@@ -134,9 +134,47 @@ fn only_the_vehicle_itself_takes_its_slot_and_only_the_service_can_answer() {
 }
 
 #[test]
+fn vehicles_are_added_and_removed_while_the_service_runs() {
+    let line = |vehicle: &str, byte: &str| format!("fleet/{vehicle} {}\n", byte.repeat(32));
+    let (car, other) = (line("car", "a1"), line("other", "b2"));
+    let endpoint = free_endpoint();
+    let mut config = config(&endpoint);
+    config.vehicle_keys = Some(key_file("changing.keys", &car));
+    let server = Server::start_with(&config, engine()).unwrap();
+    let client = Client::connect(&endpoint);
+    let (text, request) = (format!("{car}{other}"), first_request().encode());
+    let mut number = 0;
+    let mut served = |vehicle: &str| {
+        number += 1;
+        let step = step_key(vehicle);
+        let seal = sealed(&key(&text, vehicle), vehicle, &step, &request, number);
+        ask(&client, &step, &request, Some(&seal)).is_ok()
+    };
+    assert_eq!((served("car"), served("other")), (true, false));
+    for (file, expected) in [
+        (text.as_str(), (true, true)),
+        ("fleet/car 12\n", (true, true)), // no key: those of before hold
+        (other.as_str(), (false, true)),
+    ] {
+        key_file("changing.keys", file);
+        // This server has no library file, which is its second answer to the command.
+        assert!(server.reload().is_err());
+        assert_eq!((served("car"), served("other")), expected, "{file}");
+    }
+    let metrics = match client.ask(&keys::metrics(&name("main")), &[]) {
+        Outcome::Answer { payload, .. } => String::from_utf8(payload).unwrap(),
+        other => panic!("{other:?}"),
+    };
+    for (outcome, count) in [("read", 2), ("failed", 1)] {
+        let line = format!("egp_key_reloads_total{{outcome=\"{outcome}\"}} {count}\n");
+        assert!(metrics.contains(&line), "{line}: {metrics}");
+    }
+}
+
+#[test]
 fn keys_that_cannot_be_read_prevent_the_start() {
     let mut config = config(&free_endpoint());
-    config.library = crate::common::library_file("keys.safetensors");
+    config.library = crate::loopback::library_file("keys.safetensors");
     config.vehicle_keys = Some("nowhere.keys".into());
     let missing = check(&config).unwrap_err().to_string();
     assert!(

@@ -1,7 +1,7 @@
 //! The answers of a replica that works normally.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
-use crate::common::{
+use crate::loopback::{
     Client, Outcome, config, engine, free_endpoint, library_file, request, step_key,
 };
 use egp_driver::Carry;
@@ -41,7 +41,7 @@ fn a_replica_tells_what_it_serves_and_how_it_fares() {
     let endpoint = free_endpoint();
     let server = Server::start_with(&config(&endpoint), engine()).unwrap();
     let client = Client::connect(&endpoint);
-    client.ask(&step_key("car"), &crate::common::first_request().encode());
+    client.ask(&step_key("car"), &crate::loopback::first_request().encode());
     let text = |key: String| match client.ask(&key, &[]) {
         Outcome::Answer { payload, .. } => payload,
         other => panic!("{key}: {other:?}"),

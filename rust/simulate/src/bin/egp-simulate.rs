@@ -1,4 +1,4 @@
-//! Replays one seed with a readable trace, hunts over many seeds, or shows which oracle finds each planted fault.
+//! Replays one seed with a readable trace, runs many seeds, or shows which oracle finds each planted fault.
 
 use std::process::ExitCode;
 

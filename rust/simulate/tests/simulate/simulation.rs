@@ -17,37 +17,6 @@ fn no_promise_is_broken_and_every_seed_repeats() {
     }
 }
 
-/// One planted fault for each oracle but `Repeat`, and but `Outage` and `Library`, whose faults need routers or a reload
-/// (`routers_and_libraries.rs`), with a seed that finds it; `egp-simulate --planted` tries all.
-#[test]
-fn oracles_find_their_planted_faults() {
-    let scene = scene();
-    for mutant in [
-        Mutant::NoDeadline,
-        Mutant::ForceSlew,
-        Mutant::TailAsNormal,
-        Mutant::StandingClock,
-        Mutant::ChangedPlan,
-        Mutant::RefusedVehicle,
-        Mutant::StuckWorker,
-        Mutant::UntypedError,
-        Mutant::LeakedQueries,
-    ] {
-        let found: Vec<Oracle> = (0..10)
-            .flat_map(|seed| {
-                let config = Config {
-                    mutant: Some(mutant),
-                    ..Config::new(seed)
-                };
-                simulate(&scene, &config).unwrap().violations
-            })
-            .map(|violation| violation.oracle)
-            .take(1)
-            .collect();
-        assert!(found.contains(&mutant.oracle()), "{mutant:?}: {found:?}");
-    }
-}
-
 /// A fault that begins after the end of a run: the run has none.
 const NONE: &[&str] = &["kill:r0@60+1"];
 
@@ -80,6 +49,7 @@ fn faults_of_stops_and_of_braking_are_found_by_their_own_check() {
             "in mode Waiting",
         ),
         (Mutant::HalfForce, 1.5, NONE, "in mode Normal"),
+        (Mutant::HalfSteering, 1.5, NONE, "in mode Normal"),
     ] {
         let config = Config {
             mutant: Some(mutant),
