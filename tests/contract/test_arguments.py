@@ -229,9 +229,9 @@ def test_numbers_and_arrays_of_numpy_are_settings() -> None:
         dumps({"a": {1: 2}})
 
 
-def test_an_error_of_the_service_names_field_unit_and_range(controller: Controller) -> None:
+def test_a_state_outside_its_domain_is_named_with_unit_and_range(controller: Controller) -> None:
     s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
     reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
-    refused = controller.step([*X[:4], 60.0, *X[5:]], reference)
-    assert refused.status == "refused"
-    assert "x: x.v_y (m/s) is 60, outside [-50, 50]" in refused.detail
+    stopped = controller.step([*X[:4], 60.0, *X[5:]], reference)
+    assert stopped.status == "invalid_state"
+    assert "v_y = 60 m/s is outside -50 to 50 m/s" in stopped.detail

@@ -135,7 +135,7 @@ def test_refuses_what_is_not_there() -> None:
         ({"friction": [0.5]}, r"friction \[0.5\], .*: expected a coefficient"),
         ({"friction": "mud"}, "no surface"),
         ({"friction": 0.0}, "expected a friction coefficient"),
-        ({"friction": 3.5}, "expected a coefficient between 0 and 3"),
+        ({"friction": 3.5}, "expected a friction coefficient > 0 and at most 3"),
         ({"dt": 0.0}, "dt is 0.0 s: expected a period"),
         ({"dt": "0.02"}, "a period in s"),
         ({"label": ""}, "the surface label is empty"),

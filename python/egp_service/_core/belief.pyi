@@ -146,8 +146,8 @@ class SpeedPlanner:
     >>> points = np.column_stack([np.linspace(0.0, 120.0, 25), np.zeros(25)])
     >>> path = Path.from_points(points, closed=False)
     >>> planner = SpeedPlanner(path, VehicleParameters.commonroad(1), end_speed=0.0)
-    >>> friction = np.full(len(planner.places(100.0)), 0.8)
-    >>> planner.plan(100.0, friction, 10.0).speed(np.array([100.0, 120.0])).round(3).tolist()
+    >>> friction = np.full(len(planner.places(0.0)), 0.8)
+    >>> planner.plan(0.0, friction, 10.0).speed(np.array([0.0, 120.0])).round(3).tolist()
     [10.0, 0.0]
     """
 
