@@ -1,7 +1,7 @@
 """Connections to the live page: their number, and the time that each may take for its request.
 
 uvicorn bounds neither. A client that begins a request and never ends it would keep a descriptor,
-and without free descriptors the server accepts nobody.
+and without free descriptors the server accepts no connection.
 """
 
 from __future__ import annotations

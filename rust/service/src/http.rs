@@ -8,7 +8,6 @@ use std::convert::Infallible;
 use std::io;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
-use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use http_body_util::Full;
@@ -24,6 +23,7 @@ use tokio::sync::oneshot;
 use tokio::task::AbortHandle;
 use tokio::time;
 
+use crate::background::Background;
 use crate::start_error::StartError;
 
 /// How long a connection may last.
@@ -78,12 +78,8 @@ impl HttpListener {
             .enable_time()
             .build()?;
         let (stop, stopped) = oneshot::channel();
-        let thread = thread::Builder::new().name("egp-http".to_owned());
-        let thread = thread.spawn(move || run(&runtime, self.0, pages, stopped))?;
-        Ok(HttpEndpoint {
-            stop: Some(stop),
-            thread: Some(thread),
-        })
+        let work = move || run(&runtime, self.0, pages, stopped);
+        Ok(Background::start("egp-http", stop, work)?)
     }
 }
 
@@ -95,23 +91,7 @@ fn unusable(address: SocketAddr, reason: &io::Error) -> StartError {
 }
 
 /// Answers requests over HTTP until it is dropped.
-pub(crate) struct HttpEndpoint {
-    stop: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl Drop for HttpEndpoint {
-    fn drop(&mut self) {
-        drop(self.stop.take());
-        if self
-            .thread
-            .take()
-            .is_some_and(|thread| thread.join().is_err())
-        {
-            tracing::error!("the thread of HTTP ended by a panic");
-        }
-    }
-}
+pub(crate) type HttpEndpoint = Background<oneshot::Sender<()>>;
 
 /// Answers requests until the sender of `stopped` is dropped; connections that are open then are closed.
 fn run(

@@ -9,6 +9,7 @@
 //! An [`egp_engine::Engine`] turns request bytes into reply bytes, here as in a vehicle's own process. [`Server`] makes
 //! it available on the network; [`serve`] runs one until a signal.
 
+mod background;
 mod certificates;
 mod config;
 mod descriptors;

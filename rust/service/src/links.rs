@@ -4,18 +4,18 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
-use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 
+use crate::background::Background;
 use crate::network::Surroundings;
 
 /// Longest time between two looks at the links.
 pub(crate) const LOOK: Duration = Duration::from_millis(500);
 
-/// The links of a service, as they were when somebody looked last.
+/// The links of a service, as they were when they were last counted.
 pub(crate) struct Links {
     count: Gauge<i64, AtomicI64>,
     /// The number before; negative before the first look.
@@ -25,7 +25,7 @@ pub(crate) struct Links {
 }
 
 impl Links {
-    /// Shows the number of links in a metric. `needed` tells whether a service without links can be reached by nobody.
+    /// Shows the number of links in a metric. `needed` tells whether no vehicle can reach the service without links.
     pub(crate) fn new(needed: bool, registry: &mut Registry) -> Self {
         let count = Gauge::default();
         let help = "Sessions of zenoh that this one is connected to: routers, peers and clients";
@@ -54,50 +54,27 @@ impl Links {
         }
     }
 
-    /// Whether nobody can reach the service.
+    /// Whether no vehicle can reach the service.
     pub(crate) fn are_lost(&self) -> bool {
         self.needed && self.count.get() == 0
     }
 }
 
-/// A thread that looks at the links until this value is dropped.
-pub(crate) struct Watch {
-    stop: Option<Sender<()>>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl Watch {
-    /// Starts the thread.
-    ///
-    /// # Errors
-    /// If the system cannot start it.
-    pub(crate) fn start(links: Arc<Links>, surroundings: Surroundings) -> io::Result<Self> {
-        let (stop, stopped) = mpsc::channel::<()>();
-        let thread = thread::Builder::new().name("egp-links".to_owned());
-        let thread = thread.spawn(move || {
-            while stopped.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
-                links.note(surroundings.links());
-            }
-        })?;
-        Ok(Self {
-            stop: Some(stop),
-            thread: Some(thread),
-        })
-    }
-}
-
-impl Drop for Watch {
-    fn drop(&mut self) {
-        drop(self.stop.take());
-        if self
-            .thread
-            .take()
-            .is_some_and(|thread| thread.join().is_err())
-        {
-            tracing::error!("the thread that looks at the links ended by a panic");
+/// Takes the number of links twice a second in a thread of its own, until the value that is returned is dropped.
+///
+/// # Errors
+/// If the system cannot start the thread.
+pub(crate) fn watch(links: Arc<Links>, surroundings: Surroundings) -> io::Result<Watch> {
+    let (stop, stopped) = mpsc::channel::<()>();
+    Background::start("egp-links", stop, move || {
+        while stopped.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
+            links.note(surroundings.links());
         }
-    }
+    })
 }
+
+/// The thread of [`watch`].
+pub(crate) type Watch = Background<Sender<()>>;
 
 #[cfg(test)]
 mod tests {

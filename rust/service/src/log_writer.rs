@@ -1,4 +1,4 @@
-//! Lines for the log, which a thread of its own writes: a program that reads the log and stops keeps nobody waiting.
+//! Lines for the log, which a thread of its own writes: a program that stops reading the log does not block the service.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};

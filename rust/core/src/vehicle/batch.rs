@@ -125,13 +125,10 @@ fn single_track(vehicle: Option<&VehicleModel>) -> Option<&SingleTrack> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::vehicle::{Kinematic, ModelParameters, SINGLE_TRACK_PARAMETERS};
+    use crate::vehicle::example::{CAR, inputs};
+    use crate::vehicle::{Kinematic, ModelParameters};
 
     const DT: f64 = 0.02;
-    const CAR: [f64; SINGLE_TRACK_PARAMETERS] = [
-        1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
-    ];
-
     /// Two groups: single-track vehicles that differ in all parameters, of which one has two steps, one vehicle without
     /// slip, and a place without vehicle.
     fn vehicles() -> Vec<Option<VehicleModel>> {
@@ -152,14 +149,6 @@ mod tests {
                 }
             })
             .collect()
-    }
-
-    fn inputs() -> [GpInput; 3] {
-        [
-            GpInput::new(15.0, 0.3, 0.4, 0.05, 2000.0, 0.1),
-            GpInput::new(22.0, -1.0, 0.2, -0.1, -9000.0, -0.3),
-            GpInput::new(2.0, 0.1, 0.3, 0.3, 500.0, 0.4),
-        ]
     }
 
     #[test]

@@ -63,20 +63,9 @@ fn after(z: &GpInput, total: &GpOutput, time: f64) -> GpInput {
 
 #[cfg(test)]
 mod tests {
-    use crate::vehicle::{SINGLE_TRACK_PARAMETERS, SingleTrack};
-    use crate::{GpInput, NZ};
-
-    const CAR: [f64; SINGLE_TRACK_PARAMETERS] = [
-        1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
-    ];
-
-    fn inputs() -> [GpInput; 3] {
-        [
-            GpInput::new(15.0, 0.3, 0.4, 0.05, 2000.0, 0.1),
-            GpInput::new(22.0, -1.0, 0.2, -0.1, -9000.0, -0.3),
-            GpInput::new(2.0, 0.1, 0.3, 0.3, 500.0, 0.4),
-        ]
-    }
+    use crate::GpInput;
+    use crate::vehicle::SingleTrack;
+    use crate::vehicle::example::{CAR, check_jacobian, inputs};
 
     #[test]
     fn steps_are_those_of_shorter_periods() {
@@ -95,22 +84,7 @@ mod tests {
 
     #[test]
     fn the_jacobian_is_that_of_finite_differences() {
-        let car = SingleTrack::new(&CAR, 0.06).with_steps(3);
-        let steps = [1e-5, 1e-5, 1e-6, 1e-6, 1e-1, 1e-5];
-        for z in inputs() {
-            let (value, jacobian) = car.change_jacobian(&z);
-            assert_eq!(value, car.change(&z));
-            for d in 0..NZ {
-                let mut shift = GpInput::zeros();
-                shift[d] = steps[d];
-                let slope =
-                    (car.change(&(z + shift)) - car.change(&(z - shift))) / (2.0 * steps[d]);
-                for o in 0..slope.len() {
-                    let error = (slope[o] - jacobian[(o, d)]).abs() * z[d].abs().max(1.0);
-                    assert!(error < 1e-6, "{o} {d}: {} {}", slope[o], jacobian[(o, d)]);
-                }
-            }
-        }
+        check_jacobian(&SingleTrack::new(&CAR, 0.06).with_steps(3), 1e-6);
     }
 
     #[test]

@@ -3,7 +3,10 @@
 
 mod axles;
 mod batch;
+mod capacity;
 mod euler;
+#[cfg(test)]
+mod example;
 mod frame;
 mod kinematic;
 mod kinematics;

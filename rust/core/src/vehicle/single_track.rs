@@ -1,6 +1,5 @@
 //! A single-track vehicle with saturating tyres, the prior mean of a member's Gaussian processes.
 
-use std::f64::consts::FRAC_PI_2;
 use std::ops::AddAssign;
 
 use egp_parameters::GRAVITY;
@@ -14,13 +13,6 @@ use crate::{GpInput, GpJacobian, GpOutput, NY};
 /// Lowest speed, m/s, at which slip angles are computed. Below it the equations use this speed in place of `v_x`, and the bound
 /// on the slip is left out, because slip angles are not defined at standstill.
 pub const MIN_SLIP_SPEED: f64 = 3.0;
-
-/// Largest [`SingleTrack::peak_slip`], rad. Tyres on ice, whose peaks need the largest slip of the common surfaces, peak
-/// at 0.39 rad in the table of `docs/surfaces.md`. Where a fitted force peaks beyond this, the force is nearly constant.
-pub const LARGEST_PEAK_SLIP: f64 = 0.4;
-
-/// `F_x / m` in units of `g D_x` with which a vehicle reaches 96 % of its largest acceleration.
-const SATURATED: f64 = 1.5;
 
 /// Number of parameters of a [`SingleTrack`].
 pub const SINGLE_TRACK_PARAMETERS: usize = 17;
@@ -59,8 +51,8 @@ pub struct SingleTrack {
     mass: f64,
     /// Radius of gyration squared, m².
     gyration: f64,
-    grip: Sides,
-    axles: [Axle; 2],
+    pub(super) grip: Sides,
+    pub(super) axles: [Axle; 2],
     resistance: Resistance,
     parameters: [f64; SINGLE_TRACK_PARAMETERS],
 }
@@ -156,43 +148,6 @@ impl SingleTrack {
         self.resistance
     }
 
-    /// Slip angle in rad at which the lateral force of the front axle is largest, `tan(pi / (2 C)) / B`, or
-    /// 0.4 rad if that is less. For `C <= 1` the force rises with every slip angle and has no peak.
-    pub fn peak_slip(&self) -> f64 {
-        let [front, _] = &self.axles;
-        if front.shape <= 1.0 {
-            return LARGEST_PEAK_SLIP;
-        }
-        let peak = (FRAC_PI_2 / front.shape).tan() / front.stiffness;
-        peak.min(LARGEST_PEAK_SLIP)
-    }
-
-    /// Largest lateral acceleration of a steady bend in units of g, `min(D_f, D_r)`: each axle then carries the share of
-    /// the lateral force that it has of the load. Without a peak (`C <= 1`) an axle transmits `D sin(pi C / 2)` at most.
-    pub fn largest_lateral_acceleration(&self) -> f64 {
-        let peak = |axle: &Axle| axle.friction * (FRAC_PI_2 * axle.shape.min(1.0)).sin();
-        let [front, rear] = &self.axles;
-        peak(front).min(peak(rear))
-    }
-
-    /// Accelerations `F_x / m` in m/s², under drive and under braking, beyond which a larger force adds hardly anything: 1.5
-    /// times `g D_x`, with which the vehicle reaches 96 % of its largest acceleration.
-    pub fn largest_accelerations(&self) -> [f64; 2] {
-        [self.grip.drive, self.grip.brake].map(|grip| SATURATED * GRAVITY * grip)
-    }
-
-    /// `(e/g)²` of the front and the rear axle, the larger one of drive and braking, in 1/(m/s²)².
-    pub fn couplings(&self) -> [f64; 2] {
-        self.axles
-            .map(|axle| (axle.coupling.drive.max(axle.coupling.brake) / GRAVITY).powi(2))
-    }
-
-    /// Height of the centre of mass in m.
-    pub fn height(&self) -> f64 {
-        let [_, _, _, _, height, ..] = self.parameters;
-        height
-    }
-
     /// The change of `[v_x, v_y, omega]` over the period.
     pub fn change(&self, z: &GpInput) -> GpOutput {
         let axles = Self::axles(|_| self);
@@ -282,45 +237,18 @@ impl SingleTrack {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use super::super::example::{CAR, check_jacobian, inputs};
     use super::*;
-    use crate::NZ;
-
-    const CAR: [f64; SINGLE_TRACK_PARAMETERS] = [
-        1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
-    ];
 
     const RESISTANCE: Resistance = Resistance {
         rolling: 0.15,
         drag: 4e-4,
     };
 
-    fn inputs() -> [GpInput; 4] {
-        [
-            GpInput::new(15.0, 0.3, 0.4, 0.05, 2000.0, 0.1),
-            GpInput::new(22.0, -1.0, 0.2, -0.1, -9000.0, -0.3),
-            GpInput::new(2.0, 0.1, 0.3, 0.3, 500.0, 0.4), // slower than the slip angles know
-            GpInput::new(9.0, 3.0, -1.5, 0.4, 7000.0, 0.0),
-        ]
-    }
-
     #[test]
     fn the_jacobian_is_that_of_finite_differences() {
         let car = SingleTrack::new(&CAR, 0.02).with_resistance(RESISTANCE);
-        let steps = [1e-5, 1e-5, 1e-6, 1e-6, 1e-1, 1e-5];
-        for z in inputs() {
-            let (value, jacobian) = car.change_jacobian(&z);
-            assert_eq!(value, car.change(&z));
-            for d in 0..NZ {
-                let mut shift = GpInput::zeros();
-                shift[d] = steps[d];
-                let slope =
-                    (car.change(&(z + shift)) - car.change(&(z - shift))) / (2.0 * steps[d]);
-                for o in 0..NY {
-                    let error = (slope[o] - jacobian[(o, d)]).abs() * z[d].abs().max(1.0);
-                    assert!(error < 1e-7, "{o} {d}: {} {}", slope[o], jacobian[(o, d)]);
-                }
-            }
-        }
+        check_jacobian(&car, 1e-7);
     }
 
     #[test]
@@ -369,57 +297,6 @@ mod tests {
         let turning_in = |force: f64| car.change(&GpInput::new(9.0, 0.0, 0.0, 0.1, force, 0.0))[2];
         assert!(turning_in(1000.0) > 0.9 * turning_in(0.0));
         assert!(turning_in(10_000.0) < 0.5 * turning_in(0.0));
-    }
-
-    #[test]
-    fn the_front_force_is_largest_at_the_peak_slip() {
-        let with = |stiffness: f64, shape: f64| {
-            let mut parameters = CAR;
-            (parameters[10], parameters[11]) = (stiffness, shape);
-            SingleTrack::new(&parameters, 0.02)
-        };
-        // The yaw acceleration by steering alone, from which the cosine of the steering angle is divided out.
-        let force = |car: &SingleTrack, slip: f64| {
-            car.change(&GpInput::new(20.0, 0.0, 0.0, slip, 0.0, 0.0))[2] / slip.cos()
-        };
-        for (stiffness, shape) in [(40.0, 1.35), (16.5, 1.41), (28.0, 1.9), (12.0, 1.2)] {
-            let car = with(stiffness, shape);
-            let peak = car.peak_slip();
-            let [less, most, more] = [0.99, 1.0, 1.01].map(|share| force(&car, share * peak));
-            assert!(
-                peak < LARGEST_PEAK_SLIP && most > less && most > more,
-                "{stiffness} {shape}"
-            );
-        }
-        // Peaks that are far out, at infinity, or do not exist.
-        for shape in [1.05, 1.0, 0.9] {
-            let car = with(20.0, shape);
-            assert!(car.peak_slip() == LARGEST_PEAK_SLIP);
-            assert!(force(&car, LARGEST_PEAK_SLIP) > force(&car, 0.99 * LARGEST_PEAK_SLIP));
-        }
-    }
-
-    #[test]
-    fn no_steady_bend_needs_more_than_the_largest_lateral_acceleration() {
-        // The largest force of each axle over its slip angle; where the yaw moments of both axles cancel, the sum of the
-        // forces is limited by one of them.
-        for (front, rear, shape) in [(0.45, 0.5, 1.6), (1.0, 0.6, 1.3), (0.7, 0.9, 0.8)] {
-            let mut parameters = CAR;
-            (parameters[9], parameters[11]) = (front, shape);
-            (parameters[14], parameters[16]) = (rear, shape);
-            let car = SingleTrack::new(&parameters, 0.02);
-            let axles = SingleTrack::axles(|_| &car);
-            let most = (0..20_000).fold([0.0, 0.0], |most: [f64; 2], i| {
-                let v_y = -0.05 * f64::from(i);
-                let z = GpInput::new(20.0, v_y, 0.0, 0.0, 0.0, 0.0);
-                let forces = axles.forces(&Motion::new(&z, 0.02)).lateral;
-                [most[0].max(forces[0]), most[1].max(forces[1])]
-            });
-            let [l_f, l_r] = car.axles.map(|axle| axle.position.abs());
-            let sum = (most[0] * (1.0 + l_f / l_r)).min(most[1] * (1.0 + l_r / l_f));
-            let largest = GRAVITY * car.largest_lateral_acceleration();
-            assert!((largest / sum - 1.0).abs() < 0.02, "{largest} {sum}");
-        }
     }
 
     #[test]

@@ -27,7 +27,7 @@ use crate::certificates;
 use crate::config::ConfigError;
 use crate::descriptors::allow_all;
 use crate::http::{HttpEndpoint, HttpListener};
-use crate::links::{Links, Watch};
+use crate::links::{Links, Watch, watch};
 use crate::logging::{FlushAtEnd, init_logging, log_filter, show_lost};
 use crate::network::{
     Configured, MAP, Network, PATIENCE, Received, configuration, is_client, rehearse,
@@ -122,7 +122,7 @@ impl MapServer {
         let http = http.map(|listener| listener.answer(pages)).transpose()?;
         let network = Network::open(zenoh, PATIENCE, stopped)?;
         links.note(network.surroundings().links());
-        let watch = Watch::start(links, network.surroundings())?;
+        let watch = watch(links, network.surroundings())?;
         let (contributions, roads) = (store.contributions(), store.roads());
         let putter = network.putter();
         let writer = config.folder.clone().map(|folder| {
