@@ -56,6 +56,11 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically; raises `OSError` as `replacing` does."""
+    """Write a text file atomically.
+
+    Raises:
+        OSError: as for `replacing`.
+
+    """
     with replacing(path) as beside:
         beside.write_text(text, encoding="utf-8")

@@ -18,8 +18,11 @@ class RoadBelief:
     place within the last `commitment` m (40), over which the vehicle cannot react. `capacity` is
     the largest logarithm of a likelihood ratio that a cell keeps (6 nats), `window` the number of
     transitions from which a step estimates the friction (25), and `indifference` the logarithm of a
-    likelihood ratio up to which a window does not tell coefficients apart (0.25 nats). Raises
-    `EgpError` unless all are positive.
+    likelihood ratio up to which a window does not tell coefficients apart (0.25 nats).
+
+    Raises:
+        EgpError: unless all these numbers are positive.
+
     """
 
     def __new__(
@@ -47,20 +50,27 @@ class RoadBelief:
         """Add the evidence of a belief about the same road that `to_bytes` returned `age` s ago.
 
         Its information falls to 1/e in 30 minutes, because the friction of a road changes.
-        Raises `InvalidArgumentError` if the age is negative or not finite, and `EgpError` if the
-        data are no stored belief, are damaged, or are about another road; the belief is then
-        unchanged.
 
         >>> from egp_service import Path, RoadBelief
         >>> path = Path.rounded_rectangle()
         >>> RoadBelief(path).recall(RoadBelief(path).to_bytes())
+
+        Raises:
+            InvalidArgumentError: if the age is negative or not finite; the belief is then
+                unchanged.
+            EgpError: if the data are no stored belief, are damaged, or are about another road; the
+                belief is then unchanged.
+
         """
     def update(self, s: float, log_likelihood: ArrayLike | None = None) -> None:
         """Open a control period at arc length `s` with what the last step found.
 
         `log_likelihood` (17,) is that of its `Friction`; without it nothing is added. Only ratios
-        of likelihoods count. Raises `EgpError` unless `s` is finite and the logarithms are finite
-        and at most 0.
+        of likelihoods count.
+
+        Raises:
+            EgpError: unless `s` is finite and the logarithms are finite and at most 0.
+
         """
     def leave(self) -> None:
         """Forget where the vehicle was: after it was moved, or when the history started anew."""
@@ -68,15 +78,23 @@ class RoadBelief:
         """Return the friction to plan for (n,) at equidistant arc lengths `places` (n,), m.
 
         It is the friction below which that of each place lies with the probability `risk`, if the
-        surface may also change within the last `commitment` m. Raises `InvalidArgumentError` unless
-        the distances are equal, and `EgpError` unless `risk` is between 0 and 1.
+        surface may also change within the last `commitment` m.
+
+        Raises:
+            InvalidArgumentError: unless the distances are equal.
+            EgpError: unless `risk` is between 0 and 1.
+
         """
     def preview(self, places: ArrayLike) -> NDArray[np.float64]:
         """Return the `road_friction` (n + 1, 2) of a control step with its stages at `places` (n,).
 
         Rows are the median and the standard deviation of the friction: first the mean over the
         places that the vehicle passed in the window, then at each of `places`, which do not
-        decrease. Raises `EgpError` unless there are at least two of them.
+        decrease.
+
+        Raises:
+            EgpError: unless there are at least two places.
+
         """
     def quantiles(self, s: ArrayLike, share: float) -> NDArray[np.float64]:
         """Return the friction below which that at arc lengths (n,) lies with probability `share`.
@@ -90,15 +108,20 @@ class RoadBelief:
     def tile(self, index: int) -> bytes:
         """Return what this vehicle measured in 64 cells, without what was reported to it.
 
-        Raises `EgpError` unless `index` is below `tiles`.
+        Raises:
+            EgpError: unless `index` is below `tiles`.
+
         """
     def take_changed(self) -> list[int]:
         """Return the tiles whose evidence changed since the last call."""
     def report(self, index: int, tile: bytes) -> None:
         """Use what other vehicles reported about a tile, in place of earlier reports about it.
 
-        Reports are never part of `tile` or `to_bytes`. Raises `EgpError` if there is no such tile,
-        or if the bytes are not those of a tile.
+        Reports are never part of `tile` or `to_bytes`.
+
+        Raises:
+            EgpError: if there is no such tile, or if the bytes are not those of a tile.
+
         """
     @property
     def tiles(self) -> int:
@@ -121,15 +144,18 @@ def merge_tiles(
     Each contributes at most `capacity` nats (default 6) to a cell, and its information falls to 1/e
     in `lifetime` s (1800). Of n informative contributions to a cell, of at least 0.5 nats, the
     (n - 1) // 2 smallest likelihoods of a coefficient do not count (a trimmed sum; docs/map.md,
-    section 2). The result does not depend on the order. Raises `InvalidArgumentError`
-    for an age that is negative or not finite, and `EgpError` if bytes are not those of a tile, or a
-    setting is not positive.
+    section 2). The result does not depend on the order.
 
     >>> from egp_service import Path, RoadBelief
     >>> from egp_service._core import merge_tiles
     >>> empty = RoadBelief(Path.rounded_rectangle()).tile(0)
     >>> merge_tiles([(empty, 0.0), (empty, 60.0)]) == empty
     True
+
+    Raises:
+        InvalidArgumentError: for an age that is negative or not finite.
+        EgpError: if bytes are not those of a tile, or a setting is not positive.
+
     """
 
 @final
@@ -138,8 +164,7 @@ class SpeedPlanner:
 
     `grip`, `v_max`, `end_speed` (m/s) and `tyres` are those of `SpeedProfile`. The path's zones of
     friction are not used. Without `end_speed` a plan takes no account of the end of an open path,
-    behind which it goes straight on: for a vehicle that shall stop there, state 0. Raises
-    `EgpError` if a number is out of range.
+    behind which it goes straight on: for a vehicle that shall stop there, state 0.
 
     >>> import numpy as np
     >>> from egp_service import Path, SpeedPlanner, VehicleParameters
@@ -149,6 +174,10 @@ class SpeedPlanner:
     >>> friction = np.full(len(planner.places(0.0)), 0.8)
     >>> planner.plan(0.0, friction, 10.0).speed(np.array([0.0, 120.0])).round(3).tolist()
     [10.0, 0.0]
+
+    Raises:
+        EgpError: if a number is out of range.
+
     """
 
     def __new__(
@@ -164,12 +193,17 @@ class SpeedPlanner:
     def places(self, s: float) -> NDArray[np.float64]:
         """Return the arc lengths (n,), m, at which `plan` needs the friction for a vehicle at `s`.
 
-        Raises `InvalidArgumentError` unless `s` is finite.
+        Raises:
+            InvalidArgumentError: unless `s` is finite.
+
         """
     def plan(self, s: float, friction: ArrayLike, v: float | None = None) -> SpeedProfile:
         """Plan the fastest speed from `s` on for the friction coefficients (n,) at the `places`.
 
         The plan begins with the present speed `v` in m/s, or without one with the largest speed.
-        Where the vehicle is too fast for what lies ahead, the plan brakes with all grip. Raises
-        `EgpError` if a number is out of range.
+        Where the vehicle is too fast for what lies ahead, the plan brakes with all grip.
+
+        Raises:
+            EgpError: if a number is out of range.
+
         """

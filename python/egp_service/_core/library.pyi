@@ -17,7 +17,10 @@ class Library:
     def load(path: str | PathLike[str]) -> Library:
         """Read, verify and factor a library file.
 
-        Raises `LibraryError` for a file that fails a check, `OSError` for one that cannot be read.
+        Raises:
+            LibraryError: for a file that fails a check.
+            OSError: for a file that cannot be read.
+
         """
     @property
     def id(self) -> str:
@@ -62,9 +65,7 @@ class Library:
         Rows of `z` are `[v_x, v_y, omega, delta, F_x, delta_dot]` in m/s, m/s, rad/s, rad, N and
         rad/s. Returns the mean (n, 3), its Jacobian (n, 3, 6) and the variance of the latent
         function, which excludes measurement noise, (n, 3). The mean is the change of
-        `[v_x, v_y, omega]` over `dt`, in m/s, m/s and rad/s. Raises `IndexError` if there is no
-        such member, and `InvalidArgumentError` for inputs that have another shape, are not finite,
-        or are so large that a prediction is not.
+        `[v_x, v_y, omega]` over `dt`, in m/s, m/s and rad/s.
 
         >>> import numpy as np
         >>> from egp_service import Library
@@ -76,13 +77,18 @@ class Library:
         >>> slope = (library.predict_mean(z + step) - library.predict_mean(z - step)) / 2e-5
         >>> bool(np.allclose(jacobian[:, :, 3], slope)), bool((variance > 0.0).all())
         (True, True)
+
+        Raises:
+            IndexError: if there is no such member.
+            InvalidArgumentError: for inputs that have another shape, are not finite, or are so
+                large that a prediction is not finite.
+
         """
     def predict_mean(self, z: ArrayLike, member: int = 0) -> NDArray[np.float64]:
         """Mean (n, 3) of one member at GP inputs `z` (n, 6), with the units of `predict`.
 
         It is that of `predict` up to rounding, and takes a fraction of the time, because the
-        variance needs M² operations a point and the mean M, for M points of the member. Raises
-        `IndexError` and `InvalidArgumentError` as `predict` does.
+        variance needs M² operations a point and the mean M, for M points of the member.
 
         >>> import numpy as np
         >>> from egp_service import Library
@@ -91,6 +97,11 @@ class Library:
         >>> z = np.array([[15.0, 0.1, 0.2, 0.03, 500.0, 0.0]])
         >>> bool(np.allclose(library.predict_mean(z), library.predict(z)[0], rtol=1e-10))
         True
+
+        Raises:
+            IndexError: as for `predict`.
+            InvalidArgumentError: as for `predict`.
+
         """
 
 @final

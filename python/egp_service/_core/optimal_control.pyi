@@ -99,8 +99,7 @@ def solve_ocp(
     `solver` is called first; if its answer fails the check of the residual, "clarabel" is called
     after it. `guess` (T, 2) holds inputs to start from, such as those of the last plan,
     shifted. The problem is solved `repeat` times to measure `seconds`; each solve starts from the
-    arguments only. Raises `EgpError` for a wrong shape, numbers that are not finite, or bounds that
-    cross.
+    arguments only.
 
     Drive 1 m/s faster within a second, on a straight:
 
@@ -122,6 +121,10 @@ def solve_ocp(
     ([1.0, 2.0, 2.0, 2.0], (21, 7))
     >>> bool(np.abs(result.u - solve_ocp(*problem, solver="clarabel").u).max() < 1e-6)
     True
+
+    Raises:
+        EgpError: for a wrong shape, numbers that are not finite, or bounds that cross.
+
     """
 
 def solve_weights(
@@ -140,8 +143,7 @@ def solve_weights(
     simplex. noise_std (3,) is the standard deviation of the predictions' own noise. With
     measurement_std (3,), that of the measured states, the k transitions have to be consecutive: an
     output's errors then have the covariance noise_std² + 2 measurement_std², and neighbours
-    -measurement_std². Raises `EgpError` for shapes that differ, for numbers outside their domain
-    and unless `strength` is from 0 to 1e300.
+    -measurement_std².
 
     The measurement is halfway between the predictions of two members:
 
@@ -153,6 +155,11 @@ def solve_weights(
     ...     predictions, measured, np.full(3, 0.01), np.array([0.9, 0.1]), "quadratic", 1e-6
     ... ).round(4).tolist()
     [0.5, 0.5]
+
+    Raises:
+        EgpError: for shapes that differ, for numbers outside their domain and unless `strength` is
+            from 0 to 1e300.
+
     """
 
 def predict_residual(
@@ -173,7 +180,6 @@ def predict_residual(
     with `measurement`, each (3,), as in the control step with the settings of `[residual]`.
     Returns the predictions (n, 3) and the variances (n, 3) of the disturbance; zero if `std` and
     `measurement` are.
-    Raises `EgpError` for other shapes and for numbers outside their domain.
 
     A constant disturbance is found from the errors before, and limited to three times `std`:
 
@@ -190,4 +196,8 @@ def predict_residual(
     ... )
     >>> mean[-1].round(4).tolist()
     [0.0196, 0.015, 0.0]
+
+    Raises:
+        EgpError: for other shapes and for numbers outside their domain.
+
     """

@@ -24,10 +24,13 @@ class Path:
     def from_points(points: ArrayLike, closed: bool, widths: ArrayLike | None = None) -> Path:
         """Make a smooth path through points (n, 2), m, n >= 4.
 
-        `widths` (n, 2) are the distances `[left, right]`, m, to the edges at the points. Raises
-        `EgpError` for fewer points, repeated ones, turns that are too sharp, a path that is too
-        long, coordinates that are not finite or beyond 1e8 m, and widths that are not finite,
-        negative, or of another number.
+        `widths` (n, 2) are the distances `[left, right]`, m, to the edges at the points.
+
+        Raises:
+            EgpError: for fewer than 4 points, repeated ones, turns that are too sharp, a path that
+                is too long, coordinates that are not finite or beyond 1e8 m, and widths that are
+                not finite, negative, or of another number.
+
         """
     @staticmethod
     def rounded_rectangle(
@@ -39,8 +42,11 @@ class Path:
     ) -> Path:
         """Make a counter-clockwise lap that starts along +x in the middle of the lower side.
 
-        Corners are arcs between clothoids of length `transition`. All dimensions are in m. Raises
-        `EgpError` if one is out of range or a side is too short for its corners.
+        Corners are arcs between clothoids of length `transition`. All dimensions are in m.
+
+        Raises:
+            EgpError: if a dimension is out of range or a side is too short for its corners.
+
         """
     @staticmethod
     def l_shape(
@@ -53,7 +59,11 @@ class Path:
     ) -> Path:
         """Make a closed L with arms of width `arm`: five left turns and a right one.
 
-        All dimensions are in m. Raises `EgpError` as `rounded_rectangle` does.
+        All dimensions are in m.
+
+        Raises:
+            EgpError: as for `rounded_rectangle`.
+
         """
     @staticmethod
     def iso_3888_2(
@@ -65,8 +75,11 @@ class Path:
         """Make the severe double lane change of ISO 3888-2, with a drivable path between the cones.
 
         Widths reach to the cones, which start after `lead_in`; `margin` is the distance between the
-        cones and the sides of a vehicle on the path. All dimensions are in m. Raises `EgpError` if
-        one is out of range or the margin leaves no room in the first lane.
+        cones and the sides of a vehicle on the path. All dimensions are in m.
+
+        Raises:
+            EgpError: if a dimension is out of range or the margin leaves no room in the first lane.
+
         """
     @staticmethod
     def lane_changes(
@@ -78,8 +91,12 @@ class Path:
     ) -> Path:
         """Make a straight road on which the path repeatedly changes to the left lane and back.
 
-        All dimensions are in m. Raises `EgpError` if one is out of range or the road is too short
-        for a lane change and back.
+        All dimensions are in m.
+
+        Raises:
+            EgpError: if a dimension is out of range or the road is too short for a lane change and
+                back.
+
         """
     @staticmethod
     def random(
@@ -87,8 +104,12 @@ class Path:
     ) -> Path:
         """Make a closed track from a seed: no crossing, no turn tighter than `min_radius`.
 
-        All dimensions are in m. Raises `EgpError` if one is out of range, the lap is too short for
-        the radius, or the radius is at most half the track's width.
+        All dimensions are in m.
+
+        Raises:
+            EgpError: if a dimension is out of range, the lap is too short for the radius, or the
+                radius is at most half the track's width.
+
         """
     @staticmethod
     def from_csv(file: str | PathLike[str], scale: float = 1.0) -> Path:
@@ -96,9 +117,12 @@ class Path:
 
         `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2` has no widths, and its psi must fit
         the positions, measured from +x or from +y; `x_m,y_m,w_tr_right_m,w_tr_left_m` has widths.
-        Lengths are in m and multiplied by `scale`, which is 10 for a track of 1:10 cars. Raises
-        `EgpError` if the file cannot be read or has another format, `scale` is out of range, or
-        `from_points` raises it for the points.
+        Lengths are in m and multiplied by `scale`, which is 10 for a track of 1:10 cars.
+
+        Raises:
+            EgpError: if the file cannot be read or has another format, `scale` is out of range, or
+                `from_points` raises it for the points.
+
         """
     def with_friction(
         self, zones: Sequence[tuple[float, _Surface] | tuple[float, _Surface, _Surface]]
@@ -107,8 +131,11 @@ class Path:
 
         A zone is its start as a fraction of the length, and its surface, which `surface_friction`
         describes; the first starts at 0. A third member is the surface to the right of the path,
-        and the second is then that to the left. Raises `EgpError` if the starts do not increase
-        from 0 to below 1 or a surface is out of range.
+        and the second is then that to the left.
+
+        Raises:
+            EgpError: if the starts do not increase from 0 to below 1 or a surface is out of range.
+
         """
     @property
     def length(self) -> float:
@@ -121,7 +148,11 @@ class Path:
 
         With the last `s`, m, as `hint`, the search starts there and goes downhill, so that it stays
         on its branch where the path comes close to itself. Without a hint the whole path is
-        searched. Raises `EgpError` if a number is not finite.
+        searched.
+
+        Raises:
+            EgpError: if a number is not finite.
+
         """
     def sample(
         self, s: ArrayLike
@@ -136,8 +167,11 @@ class Path:
     ]:
         """Return x, y, yaw, curvature, left, right, friction at arc lengths (n,), each (n,).
 
-        Yaw lies in (-pi, pi]; left and right are infinite on a path without widths. Raises
-        `InvalidArgumentError` for an arc length that is not finite.
+        Yaw lies in (-pi, pi]; left and right are infinite on a path without widths.
+
+        Raises:
+            InvalidArgumentError: for an arc length that is not finite.
+
         """
 
 @final
@@ -181,8 +215,11 @@ class SpeedProfile:
     fastest. `tyres` has rows of a friction coefficient and the `lateral_grip` of its member (n, 2),
     with increasing friction: in bends the profile then asks for at most 95 % of what the tyres
     transmit, `min(grip * vehicle.lateral_grip, 0.95 * lateral_grip(mu)) * mu * g`. Between rows
-    `mu * lateral_grip` is interpolated linearly, and continued below them. Raises `EgpError` if a
-    number is out of range or the frictions do not increase.
+    `mu * lateral_grip` is interpolated linearly, and continued below them.
+
+    Raises:
+        EgpError: if a number is out of range or the frictions do not increase.
+
     """
 
     def __new__(
@@ -205,7 +242,9 @@ class SpeedProfile:
     def speed(self, s: ArrayLike) -> NDArray[np.float64]:
         """Return the speed in m/s at arc lengths (n,) in m, of any lap of a closed path.
 
-        Raises `InvalidArgumentError` for an arc length that is not finite.
+        Raises:
+            InvalidArgumentError: for an arc length that is not finite.
+
         """
 
 def horizon_reference(
@@ -227,6 +266,10 @@ def horizon_reference(
 
     If the profile is more than 2 m/s above the vehicle's `v_x`, as at a start, the rows catch up
     with it: after `t` seconds their speed is at most `v_x + 2 m/s + 1 m/s² t`. Without `catch_up`
-    they follow the profile however far the vehicle is behind. Raises `EgpError` if position, yaw or
-    hint is not finite, `dt` is not positive, or the profile is not one of `path`.
+    they follow the profile however far the vehicle is behind.
+
+    Raises:
+        EgpError: if position, yaw or hint is not finite, `dt` is not positive, or the profile is
+            not one of `path`.
+
     """

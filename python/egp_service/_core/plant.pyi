@@ -15,7 +15,11 @@ class Plant:
 
     `vehicle` is its number as for `VehicleParameters.commonroad`. It starts at rest in the origin.
     `disturbances` are those of `egp_service.simulation.scenario.Disturbances` by name,
-    0 unless stated. Raises `EgpError` if a name is unknown or a value out of its range.
+    0 unless stated.
+
+    Raises:
+        EgpError: if a name is unknown or a value out of its range.
+
     """
 
     def __new__(
@@ -34,8 +38,11 @@ class Plant:
         """Put the vehicle at `x`, `y` (m) and `yaw` (rad) with rolling wheels.
 
         It gets the forward speed `v >= 0` and the lateral speed `v_y` (m/s), the yaw rate
-        `yaw_rate` (rad/s) and the steering angle `delta` (rad); its suspension is at rest. Raises
-        `EgpError` if a number is not finite or `v` is negative.
+        `yaw_rate` (rad/s) and the steering angle `delta` (rad); its suspension is at rest.
+
+        Raises:
+            EgpError: if a number is not finite or `v` is negative.
+
         """
     def step(
         self,
@@ -52,15 +59,18 @@ class Plant:
         located on a path as by `Path.project`: pass the last projection's `s` as `hint`, or each
         call searches the whole path.
 
-        Raises `EgpError` for invalid input, and if the vehicle has spun; the state is then
-        unchanged.
+        Raises:
+            EgpError: for invalid input, and if the vehicle has spun; the state is then unchanged.
+
         """
     @property
     def state(self) -> NDArray[np.float64]:
         """All states (29,) in the order and the SI units of CommonRoad's multi-body vehicle.
 
-        Setting them raises `InvalidArgumentError` for another shape, and `EgpError` if a number is
-        not finite or the forward speed is negative.
+        Raises:
+            InvalidArgumentError: if they are set with another shape.
+            EgpError: if they are set with a number that is not finite or a negative forward speed.
+
         """
     @state.setter
     def state(self, value: ArrayLike) -> None: ...
@@ -86,5 +96,7 @@ def surface_friction(surface: _Surface) -> float:
     `lateral_peak`, `lateral_stiffness`, `lateral_shape` or `lateral_curvature` state others.
     `shift` is a factor on the lateral force of camber alone.
 
-    Raises `EgpError` if a name is unknown or a value out of its range.
+    Raises:
+        EgpError: if a name is unknown or a value out of its range.
+
     """

@@ -9,8 +9,11 @@ STANDARD_GRAVITY: float  # of speed profiles, and the unit "g" of logs, m/s²
 class VehicleParameters:
     """The body of one vehicle, the limits of its actuators, and its tyres.
 
-    All fields are required keywords and positive, except `a_min`, which is negative. Raises
-    `EgpError` naming the field that is missing, unknown or out of range.
+    All fields are required keywords and positive, except `a_min`, which is negative.
+
+    Raises:
+        EgpError: naming the field that is missing, unknown or out of range.
+
     """
 
     def __new__(
@@ -37,8 +40,10 @@ class VehicleParameters:
     def commonroad(number: int) -> VehicleParameters:
         """Return the vehicle of this CommonRoad number: 1 is a Ford Escort, 2 is a BMW 320i.
 
-        Raises `EgpError` for any other number, and `OverflowError` for a negative one or one above
-        2³² - 1.
+        Raises:
+            EgpError: for any other number.
+            OverflowError: for a negative number or one above 2³² - 1.
+
         """
     def fields(self) -> dict[str, float]:
         """Return all values by their names."""

@@ -68,7 +68,9 @@ def check_hosts(hosts: Sequence[str]) -> None:
 def listening_hosts(certificate: bytes) -> list[str]:
     """Return the hosts at which the owner of a certificate (PEM) may listen.
 
-    Raises `ValueError` if it is no certificate, or names no hosts.
+    Raises:
+        ValueError: if it is no certificate, or names no hosts.
+
     """
     from cryptography import x509
 
@@ -85,7 +87,12 @@ def listening_hosts(certificate: bytes) -> list[str]:
 
 
 def _read(certificate: bytes) -> x509.Certificate:
-    """Read a certificate (PEM); raises `ValueError` if it cannot be read."""
+    """Read a certificate (PEM).
+
+    Raises:
+        ValueError: if it cannot be read.
+
+    """
     from cryptography import x509
 
     try:
@@ -100,7 +107,10 @@ class Authority:
     def __init__(self, identity: Identity) -> None:
         """Use the authority's own certificate and private key.
 
-        Raises `ValueError` or `TypeError` if they cannot be read.
+        Raises:
+            ValueError: if the certificate or the private key cannot be read.
+            TypeError: if the certificate or the private key cannot be read.
+
         """
         from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
         from cryptography.hazmat.primitives.serialization import load_pem_private_key

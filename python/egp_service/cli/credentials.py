@@ -83,9 +83,11 @@ def write_credentials(
     service listens on `port` if it is given, which `report` is told if it changes; a new one
     listens on 7447 without it. `report` is also told if certificates cannot be valid for `days`.
 
-    Raises `EgpError` before anything is written for a name or host that cannot be used, for a file
-    that is not as an earlier call wrote it or is missing, and if the folder's authority has expired
-    or lacks its certificate or key.
+    Raises:
+        EgpError: before anything is written, for a name or host that cannot be used, for a file
+            that is not as an earlier call wrote it or is missing, and if the folder's authority has
+            expired or lacks its certificate or key.
+
     """
     names = list(dict.fromkeys(_vehicle(fleet, vehicle) for vehicle in vehicles))
     check_hosts(hosts)

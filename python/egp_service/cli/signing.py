@@ -33,7 +33,9 @@ def new_signing_key() -> str:
 def public_line(key_file: Path) -> str:
     """Return the public key of a file with a private key, as the line of a service's file.
 
-    Raises `EgpError` if the file holds no Ed25519 private key.
+    Raises:
+        EgpError: if the file holds no Ed25519 private key.
+
     """
     return f"{_read_key(key_file).public_key().public_bytes_raw().hex()}\n"
 
@@ -41,8 +43,10 @@ def public_line(key_file: Path) -> str:
 def sign_library(library: Path, key_file: Path) -> Path:
     """Write the signature of a library beside it, with `.sig` behind its name.
 
-    Raises `EgpError` if the file of the key holds no Ed25519 private key, and `OSError` if a file
-    cannot be read or written.
+    Raises:
+        EgpError: if the file of the key holds no Ed25519 private key.
+        OSError: if a file cannot be read or written.
+
     """
     signature = _read_key(key_file).sign(_PURPOSE + hashlib.sha256(library.read_bytes()).digest())
     path = library.with_name(f"{library.name}.sig")

@@ -107,11 +107,15 @@ class VehicleClient(StepController):
         `{"transport/link/tls/root_ca_certificate": "ca.pem"}`.
         `traces` is a file to which the spans of all steps are appended as JSON lines of
         OpenTelemetry, or those of the share `traces_share` of the steps (docs/deploying.md).
-        Raises `InvalidArgumentError` for names, gate settings, a timeout, a configuration, or a
-        file of keys or traces that cannot be used, and `ServiceUnreachableError` when no replica
-        gives a usable answer within `timeout` seconds. A replica is passed over if its description
-        is not valid, or if the gate allows more than the vehicle that this replica plans for can
-        do; the error names each replica with the reason.
+        A replica is passed over if its description is not valid, or if the gate allows more than
+        the vehicle that this replica plans for can do.
+
+        Raises:
+            InvalidArgumentError: for names, gate settings, a timeout, a configuration, or a file of
+                keys or traces that cannot be used.
+            ServiceUnreachableError: naming each replica with the reason, when no replica gives a
+                usable answer within `timeout` seconds.
+
         """
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         if not (names or zenoh_file or zenoh_config):

@@ -37,8 +37,10 @@ class Controller(StepController):
         `gate` holds the limits of the driven vehicle, as `VehicleParameters.gate_limits` gives
         them, and may hold `max_tail_ticks` and `stop_deceleration`.
 
-        Raises `EgpError` for a library, settings or gate settings that cannot be used, and for a
-        gate that allows more than the vehicle that the library was trained for can do.
+        Raises:
+            EgpError: for a library, settings or gate settings that cannot be used, and for a gate
+                that allows more than the vehicle that the library was trained for can do.
+
         """
         super().__init__()
         text = _text(settings)

@@ -82,8 +82,12 @@ class FleetMap:
 
         All vehicles of a fleet name a road alike; `vehicle` must be unique in the fleet. `lifetime`
         is that of the service: reports age while it is silent. `zenoh_file` and `zenoh_config` are
-        as for `VehicleClient.connect`. Raises `InvalidArgumentError` for names, a configuration or
-        times that cannot be used, and `EgpError` if zenoh opens no session.
+        as for `VehicleClient.connect`.
+
+        Raises:
+            InvalidArgumentError: for names, a configuration or times that cannot be used.
+            EgpError: if zenoh opens no session.
+
         """
         self._keys = RoadKey(fleet, vehicle, road)
         if not 0.0 < lifetime < math.inf:

@@ -79,9 +79,13 @@ class Recorder:
 
         Where `path` is a symbolic link, the file to which it leads is replaced.
 
-        `notes` are further metadata records, each a name with a mapping of texts. Raises `OSError`
-        if the file cannot be written, and `InvalidArgumentError` for notes that are no texts or
-        have the name of a record of the recorder; a file that is there then stays as it is.
+        `notes` are further metadata records, each a name with a mapping of texts.
+
+        Raises:
+            OSError: if the file cannot be written; a file that is there then stays as it is.
+            InvalidArgumentError: for notes that are no texts or have the name of a record of the
+                recorder; a file that is there then stays as it is.
+
         """
         about = _about(controller) | _checked_notes(notes or {})
         self._channels: dict[str, int] = {}
@@ -103,10 +107,14 @@ class Recorder:
         """Record one control period.
 
         `x` is the measured state (7,), `[p_x, p_y, v_x, psi, v_y, omega, delta]` in SI units and
-        rad, `time` the time since the start of the recording in s. Raises `InvalidArgumentError`,
-        and records nothing, for a time that is negative, below that of the step before, above 292
-        years or not finite, for a state of another shape, and after the end of the recording.
-        Raises `OSError` if the file cannot be written to, which ends it.
+        rad, `time` the time since the start of the recording in s.
+
+        Raises:
+            InvalidArgumentError: for a time that is negative, below that of the step before, above
+                292 years or not finite, for a state of another shape, and after the end of the
+                recording; nothing is then recorded.
+            OSError: if the file cannot be written to, which ends the recording.
+
         """
         state = self._checked(x, time)
         request, reply = message_class("StepRequest"), message_class("StepReply")

@@ -32,8 +32,13 @@ class Router:
         """Listen on endpoints such as `tcp/0.0.0.0:7449`, and connect to other routers.
 
         Without endpoints those of `zenoh_file` are used, a configuration of zenoh in JSON5 with TLS
-        and access control. Raises `EgpError` if zenoh opens no session, and `InvalidArgumentError`
-        for endpoints or a configuration that cannot be used, or that is meant for another program.
+        and access control.
+
+        Raises:
+            EgpError: if zenoh opens no session.
+            InvalidArgumentError: for endpoints or a configuration that cannot be used, or that is
+                meant for another program.
+
         """
         more: dict[str, object] = {"mode": "router"}
         if listen:

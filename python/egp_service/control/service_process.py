@@ -50,8 +50,11 @@ class ServiceProcess:
     def start(self) -> None:
         """Start the service and wait until it listens.
 
-        Raises `ServiceStartError` if it does not, or if another program listens at the endpoint.
-        Raises `EgpError` if it runs already, and outside a `with` block.
+        Raises:
+            ServiceStartError: if the service does not listen, or if another program listens at the
+                endpoint.
+            EgpError: if the service runs already, and outside a `with` block.
+
         """
         if self._folder is None:
             raise EgpError(

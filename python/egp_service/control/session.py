@@ -60,8 +60,11 @@ def session_config(
 
     A session in zenoh's client mode has one link, and while the replica at its end is frozen, the
     others cannot be reached. Shared memory delays the first queries and can lose one silently.
-    Raises `InvalidArgumentError` for a timeout that is negative or longer than a day, and for
-    endpoints, a file or a setting that zenoh cannot use.
+
+    Raises:
+        InvalidArgumentError: for a timeout that is negative or longer than a day, and for
+            endpoints, a file or a setting that zenoh cannot use.
+
     """
     if not 0.0 <= timeout <= _LONGEST_TIMEOUT:
         raise InvalidArgumentError(
@@ -101,7 +104,11 @@ def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:
     In zenoh's client mode, in which there is no session without a link, each endpoint is tried, and
     all of them again until `patience` seconds have passed. With more time zenoh itself would try
     the first endpoint alone. A peer that accepts a connection and then says nothing costs at most
-    that time, too. Raises `zenoh.ZError` if no session opens.
+    that time, too.
+
+    Raises:
+        zenoh.ZError: if no session opens.
+
     """
     stated = json.loads(config.get_json(_OPEN_TIMEOUT))
     open_ms = min(stated, max(_LEAST_OPEN_MS, round(1e3 * patience)))

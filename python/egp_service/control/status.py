@@ -66,8 +66,12 @@ class StatusPublisher:
 
         `road` is a message `VehicleRoad`, which is given to displays that ask for it. `zenoh_file`
         and `zenoh_config` are as for `VehicleClient.connect`. An endpoint that cannot be reached is
-        tried again and again meanwhile. Raises `InvalidArgumentError` for names, endpoints or a
-        configuration that cannot be used, and `EgpError` if zenoh opens no session.
+        tried again and again meanwhile.
+
+        Raises:
+            InvalidArgumentError: for names, endpoints or a configuration that cannot be used.
+            EgpError: if zenoh opens no session.
+
         """
         key, road_key = vehicle_key(fleet, vehicle), vehicle_road_key(fleet, vehicle)
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)

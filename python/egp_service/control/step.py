@@ -205,10 +205,13 @@ class StepController(ABC):
         is returned, too; values above 10 s count as 10 s. A measured state that is not finite, or
         is outside its domain, is not an error: its command is a stop.
 
-        Raises `InvalidArgumentError` if an argument has the wrong shape, `deadline` is not finite,
-        or the reference is not one to drive, for instance with a yaw in degrees or speeds in km/h.
-        Raises `EgpError` after `close`, and in a handler of a signal that interrupts another step
-        of this controller.
+        Raises:
+            InvalidArgumentError: if an argument has the wrong shape, `deadline` is not finite, or
+                the reference is not one to drive, for instance with a yaw in degrees or speeds in
+                km/h.
+            EgpError: after `close`, and in a handler of a signal that interrupts another step of
+                this controller.
+
         """
         start = time.monotonic()
         if deadline is not None and not math.isfinite(deadline):

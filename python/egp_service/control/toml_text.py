@@ -22,8 +22,10 @@ def dumps(table: Mapping[str, object]) -> str:
 
     Numbers and arrays of numpy are written as numbers and arrays of Python.
 
-    Raises `EgpError` for a number that is not finite, a name that is no text, and a value without a
-    form here.
+    Raises:
+        EgpError: for a number that is not finite, a name that is no text, and a value without a
+            form here.
+
     """
     return "\n".join(_lines(table, ())).strip() + "\n"
 

@@ -173,7 +173,12 @@ class Dataset:
         return sha.hexdigest()
 
     def write(self, path: str | Path) -> None:
-        """Write the file atomically; raises `OSError` that names `path` if it cannot be written."""
+        """Write the file atomically.
+
+        Raises:
+            OSError: naming `path`, if the file cannot be written.
+
+        """
         units = GP_INPUT | GP_OUTPUT
         numbers = np.hstack([self.z, self.y])
         if self.tilt is not None:

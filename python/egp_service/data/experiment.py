@@ -103,7 +103,9 @@ class Experiment:
     def plant(self) -> Plant:
         """Return the simulated vehicle, at rest.
 
-        Raises `EgpError` if there is no such vehicle or disturbance, or a value is out of range.
+        Raises:
+            EgpError: if there is no such vehicle or disturbance, or a value is out of range.
+
         """
         return Plant(self.vehicle, self.disturbances)
 
@@ -111,7 +113,9 @@ class Experiment:
     def mu(self) -> float:
         """Friction coefficient by which the surface is labelled: the peak of a preset.
 
-        Raises `EgpError` if there is no such preset, or if the coefficient is not positive.
+        Raises:
+            EgpError: if there is no such preset, or if the coefficient is not positive.
+
         """
         return surface_friction(self.friction)
 

@@ -56,7 +56,9 @@ def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: 
     `fitted` contains the vehicle of each of these members. `single-track` and `kinematic` contain
     one CommonRoad vehicle with the number `vehicle`, with the range of all their training data.
 
-    Raises `EgpError` if the kind is unknown, or if a member has no vehicle.
+    Raises:
+        EgpError: if the kind is unknown, or if a member has no vehicle.
+
     """
     library = Library.load(source)
     chosen = [library.members[index] for index in members]

@@ -96,7 +96,9 @@ class Campaign:
     def __init__(self, folder: Path, library: Path) -> None:
         """Resume the campaign in `folder`, or start one with the members of `library`.
 
-        Raises `EgpError` if the folder belongs to another library.
+        Raises:
+            EgpError: if the folder belongs to another library.
+
         """
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
@@ -160,7 +162,9 @@ class Campaign:
     def _source_of(self, trial: Trial) -> Path:
         """Return the library that the members of the trial's contender are taken from.
 
-        Raises `EgpError` if it is that of a disturbance and has not been trained.
+        Raises:
+            EgpError: if the library is that of a disturbance and has not been trained.
+
         """
         if not trial.contender.disturbed:
             return self._source

@@ -134,7 +134,9 @@ class Contender:
 def make(contender: Contender, scenario: Scenario) -> Controller:
     """Create the contender's controller; `scenario.library` is the contender's library.
 
-    Raises `EgpError` if the kind is unknown.
+    Raises:
+        EgpError: if the kind is unknown.
+
     """
     makers: dict[str, Callable[[Scenario], Controller]] = {
         "ensemble": in_process_controller,

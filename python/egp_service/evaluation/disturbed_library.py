@@ -26,7 +26,9 @@ def train(
 ) -> None:
     """Write the library of the recipe's two surfaces for a vehicle with `disturbances`.
 
-    Raises `EgpError` if the recipe cannot be read.
+    Raises:
+        EgpError: if the recipe cannot be read.
+
     """
     values = {name: value for name, value in asdict(disturbances).items() if value != 0.0}
     read = Recipe.read(recipe)

@@ -294,7 +294,9 @@ def on_plant(experiment: ClosedLoopExperiment, plant: str) -> ClosedLoopExperime
 def on_track(experiment: ClosedLoopExperiment, file: Path, scale: float) -> ClosedLoopExperiment:
     """Return the experiment on a track from a CSV file with lengths multiplied by `scale`.
 
-    Raises `EgpError` if the file is not a track.
+    Raises:
+        EgpError: if the file is not a track.
+
     """
     track = Track("csv", str(file.resolve()), {"scale": scale})
     conditions = tuple(

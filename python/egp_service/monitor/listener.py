@@ -48,8 +48,12 @@ class Listener:
 
         Endpoints that cannot be reached are tried again and again; in zenoh's mode `client` one of
         them must be reached within a second. `zenoh_file` is a configuration of zenoh in JSON5,
-        whose endpoints are replaced by those that are given. Raises `InvalidArgumentError` for a
-        configuration that cannot be used, and `EgpError` if zenoh opens no session.
+        whose endpoints are replaced by those that are given.
+
+        Raises:
+            InvalidArgumentError: for a configuration that cannot be used.
+            EgpError: if zenoh opens no session.
+
         """
         more = {"listen/endpoints": list(listen)} if listen else {}
         self._lock = threading.Lock()

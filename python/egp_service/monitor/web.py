@@ -130,7 +130,12 @@ class _Headers:
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """Listen on `host` and `port`, 0 being any free port; raises `EgpError` if that fails."""
+    """Listen on `host` and `port`, 0 being any free port.
+
+    Raises:
+        EgpError: if listening fails.
+
+    """
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family)
@@ -156,8 +161,11 @@ def serve(listener: Listener, bound: socket.socket, host: str, started: Callable
     """Serve the page until SIGTERM, SIGINT or SIGHUP; call `started` once these end it in order.
 
     On a loopback address only requests that name it as their host are answered, so that a foreign
-    page cannot read the data by a name that resolves to this machine. Raises what the listener and
-    the fleet raise, which ends the server.
+    page cannot read the data by a name that resolves to this machine.
+
+    Raises:
+        Exception: what the listener and the fleet raise, which ends the server.
+
     """
     refresh: _Refresh
     failures: list[Exception] = []

@@ -57,7 +57,9 @@ _MOST: Final = {"friction": 2.0, "grip": 1.0, "v_max": 100.0, "silence": 2.0}
 class Drive:
     """What is driven, how fast, and on which topics.
 
-    Raises `InvalidArgumentError` for a number out of its range, and without a topic for commands.
+    Raises:
+        InvalidArgumentError: for a number out of its range, and without a topic for commands.
+
     """
 
     vehicle: VehicleParameters
@@ -154,7 +156,11 @@ class Vehicle:
         the measured steering angle were never received, in which case nothing is published. A
         period begins when odometry arrives; if none does, after 1.25 periods with the extrapolated
         state, and from `silence` seconds on with a stop, which lasts until the program is started
-        again. Raises `InvalidArgumentError` for `seconds` that are not positive.
+        again.
+
+        Raises:
+            InvalidArgumentError: for `seconds` that are not positive.
+
         """
         if seconds is not None and not seconds > 0.0:
             raise InvalidArgumentError(f"expected a positive number of seconds, got {seconds}")

@@ -41,7 +41,9 @@ class Newest:
     def take(self) -> tuple[Any, float] | None:
         """Return the message and its time of arrival (monotonic, s), once.
 
-        Raises `MessageError` if it cannot be decoded.
+        Raises:
+            MessageError: if the message cannot be decoded.
+
         """
         newest, self._newest = self._newest, None
         if newest is None:
@@ -62,7 +64,11 @@ class Node:
         """Connect to the router `ros2 run rmw_zenoh_cpp rmw_zenohd` at `endpoint`.
 
         `file` is a configuration of zenoh (JSON5) in place of the defaults.
-        Raises `EgpError` if no session opens, and `InvalidArgumentError` for a wrong name.
+
+        Raises:
+            EgpError: if no session opens.
+            InvalidArgumentError: for a wrong name.
+
         """
         check_node(name)
         more: dict[str, object] = {"connect/exit_on_failure": True}

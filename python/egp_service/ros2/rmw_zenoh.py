@@ -63,7 +63,12 @@ class Topic:
 
 
 def check_node(name: str) -> None:
-    """Check the name of a node. Raises `InvalidArgumentError` for one that ROS 2 does not allow."""
+    """Check the name of a node.
+
+    Raises:
+        InvalidArgumentError: for a name that ROS 2 does not allow.
+
+    """
     if not _NODE.fullmatch(name):
         raise InvalidArgumentError(
             f"node {name!r}: expected letters, digits and underscores, such as egp_controller"

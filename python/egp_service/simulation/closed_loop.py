@@ -76,9 +76,12 @@ def drive(
     used if the scenario's reference speed knows nothing. From the period with the number
     `told_from` on, the reference speed is planned for the true friction of all zones.
 
-    Raises `EgpError` if a value of the scenario is out of its range, its track cannot be built, or
-    its reference speed knows the weights and the controller uses another library. A loss of control
-    is not an exception but the run's ending.
+    A loss of control is not an exception but the run's ending.
+
+    Raises:
+        EgpError: if a value of the scenario is out of its range, its track cannot be built, or its
+            reference speed knows the weights and the controller uses another library.
+
     """
     check_scenario(scenario, scenario.name)
     frictions = _frictions(scenario, controller)

@@ -25,7 +25,9 @@ _T = TypeVar("_T")
 def build(cls: type[_T], table: Mapping[str, object], where: str) -> _T:
     """Create a dataclass from a TOML table.
 
-    Raises `ConfigurationError` if a field is unknown, missing or of the wrong type.
+    Raises:
+        ConfigurationError: if a field is unknown, missing or of the wrong type.
+
     """
     if not isinstance(table, Mapping):
         raise ConfigurationError(f"{where} must be a table, got {table!r}")

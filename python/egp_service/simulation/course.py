@@ -50,8 +50,11 @@ TRACKS: dict[str, Callable[..., Path]] = {
 def build_path(scenario: Scenario) -> Path:
     """Path of the scenario's track, with widths and friction zones.
 
-    Raises `ScenarioError` if track or dimension are unknown, or a zone begins behind the end of the
-    path, `EgpError` if dimensions are invalid.
+    Raises:
+        ScenarioError: if track or dimension are unknown, or a zone begins behind the end of the
+            path.
+        EgpError: if dimensions are invalid.
+
     """
     track = scenario.track
     if track.kind not in TRACKS:
@@ -94,8 +97,12 @@ def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:
 def tyre_grips(scenario: Scenario) -> NDArray[np.float64] | None:
     """Return the members' frictions and lateral grips (n, 2), the least of each friction.
 
-    None if the scenario's speed does not depend on them. Raises `LibraryError` or `OSError` if the
-    scenario's library cannot be read.
+    None if the scenario's speed does not depend on them.
+
+    Raises:
+        LibraryError: if the scenario's library cannot be read.
+        OSError: if the scenario's library cannot be read.
+
     """
     if not scenario.speed.tyres:
         return None

@@ -53,8 +53,10 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
     def __init__(self, scenario: Scenario | str = "random", dt: float = 0.02) -> None:
         """Drive a scenario, given by itself or by its name or file, with actions every `dt` s.
 
-        Raises `InvalidArgumentError` unless `dt` is positive and finite, and `EgpError` if the
-        scenario or its track cannot be made.
+        Raises:
+            InvalidArgumentError: unless `dt` is positive and finite.
+            EgpError: if the scenario or its track cannot be made.
+
         """
         if not 0.0 < dt < np.inf:
             raise InvalidArgumentError(f"expected a positive number of seconds for dt, got {dt}")
@@ -89,8 +91,10 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
     def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive one period with the action, which is limited to [-1, 1]².
 
-        Raises `InvalidArgumentError`, and does not drive, unless it has the shape (2,) and is
-        finite.
+        Raises:
+            InvalidArgumentError: unless the action has the shape (2,) and is finite; the period is
+                then not driven.
+
         """
         shares = np.asarray(action, dtype=np.float64)
         if shares.shape != (NU,) or not np.isfinite(shares).all():

@@ -66,7 +66,9 @@ class CommonRoadPlant:
     def drive(self, u: NDArray[np.float64], dt: float, s: float) -> None:
         """Drive one period from the arc length `s` on.
 
-        Raises `VehicleLostError` if the vehicle spins.
+        Raises:
+            VehicleLostError: if the vehicle spins.
+
         """
         for _ in range(FRICTION_UPDATES):
             self._plant.step(u, dt / FRICTION_UPDATES, self._path, s)
@@ -87,7 +89,12 @@ class OwnPlant:
         self._path = path
 
     def reset(self, x: NDArray[np.float64]) -> None:
-        """Put the vehicle into the state (7,); raises `PlantError` if it is then not finite."""
+        """Put the vehicle into the state (7,).
+
+        Raises:
+            PlantError: if the state is then not finite.
+
+        """
         self._simulator.reset(x)
         if not np.isfinite(self.state).all():
             raise PlantError(f"{self._name}.state after reset is {self.state.tolist()}")
@@ -95,7 +102,9 @@ class OwnPlant:
     def drive(self, u: NDArray[np.float64], dt: float, s: float) -> None:
         """Drive one period on the friction at the arc length `s`.
 
-        Raises `VehicleLostError` if the state is no longer finite or more than 10 000 km away.
+        Raises:
+            VehicleLostError: if the state is no longer finite or more than 10 000 km away.
+
         """
         friction = float(self._path.sample(np.array([s]))[-1][0])
         self._simulator.step(u, dt, friction)
@@ -104,7 +113,12 @@ class OwnPlant:
 
     @property
     def state(self) -> NDArray[np.float64]:
-        """The state (7,). Raises `PlantError` unless it is an array of seven real numbers."""
+        """The state (7,).
+
+        Raises:
+            PlantError: unless the state is an array of seven real numbers.
+
+        """
         state = self._simulator.state
         if callable(state):
             raise PlantError(f"{self._name}.state is a method: make it a property")

@@ -218,8 +218,11 @@ def load_belief(scenario: Scenario, file: str | FilePath | None) -> RoadBelief:
     """Return what `file` says about the scenario's road; nothing is known without such a file.
 
     Its evidence has aged since the file was written.
-    Raises `ScenarioError` if the file cannot be read, or is about another road, or if the reference
-    speed of the scenario does not use what is known.
+
+    Raises:
+        ScenarioError: if the file cannot be read, or is about another road, or if the reference
+            speed of the scenario does not use what is known.
+
     """
     if file is not None and (reason := why_unused(scenario.speed)):
         raise ScenarioError(f"{scenario.name}: {file} has no effect while {reason}")

@@ -35,21 +35,16 @@ class ScenarioError(ConfigurationError):
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """A stretch of road with its own surface; zones are in increasing order of `start`.
-
-    A side is given by its friction coefficient or by its surface, which is the name of a preset or
-    a table of factors (see `_core.surface_friction`).
-    """
+    """A stretch of road with its own surface, up to the next zone, whose `start` is larger."""
 
     start: float
-    """Start as a fraction of the path's length, or in m with `zones_in_metres`; a zone ends at the
-    start of the next one."""
+    """Start as a fraction of the path's length, or in m with `zones_in_metres`."""
     friction: float | None = None
     """Friction coefficient mu."""
     right: float | None = None
     """Friction right of the path on a split road; `friction` is then that of the left side."""
     surface: str | dict[str, float] | None = None
-    """Surface, in place of `friction`."""
+    """Name of a preset or table of factors (`_core.surface_friction`), in place of `friction`."""
     surface_right: str | dict[str, float] | None = None
     """Surface right of the path, in place of `right`."""
 
@@ -61,7 +56,9 @@ class Zone:
     ):
         """Give the surface, or the left and the right one of a split road.
 
-        Raises `ScenarioError` if a side has no surface or two.
+        Raises:
+            ScenarioError: if a side has no surface or two.
+
         """
         left = _one_of(self.friction, self.surface, "friction", "surface")
         if left is None:
@@ -128,17 +125,14 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Disturbances:
-    """Constant disturbances of the simulated vehicle that its single-track model does not have.
-
-    All are zero by default. Positions are relative to the unloaded vehicle's centre of mass.
-    """
+    """Constant disturbances that the simulated vehicle's single-track model lacks; 0 by default."""
 
     load: float = 0.0
     """Mass of a load at the height of the body's centre of mass, kg."""
     load_x: float = 0.0
-    """Position of the load ahead of the centre of mass, m."""
+    """Position of the load ahead of the unloaded vehicle's centre of mass, m."""
     load_y: float = 0.0
-    """Position of the load to the left of the centre of mass, m."""
+    """Position of the load to the left of the unloaded vehicle's centre of mass, m."""
     wear_front: float = 0.0
     """Share of peak force and stiffness that the front tyres have lost."""
     wear_rear: float = 0.0
@@ -152,7 +146,7 @@ class Disturbances:
     wind_y: float = 0.0
     """Velocity of the air along the map's y axis, m/s."""
     wind_arm: float = 0.0
-    """Distance of the wind's lateral force ahead of the centre of mass, m."""
+    """Distance of the wind's lateral force ahead of the unloaded vehicle's centre of mass, m."""
     grade: float = 0.0
     """Inclination of the road along the vehicle, rad, positive uphill."""
     bank: float = 0.0
@@ -212,7 +206,9 @@ def built_in_names() -> list[str]:
 def load_scenario(name_or_file: str) -> Scenario:
     """Load a built-in scenario by name, or a scenario file by path.
 
-    Raises `ScenarioError` if it does not exist or is invalid.
+    Raises:
+        ScenarioError: if the scenario does not exist or is invalid.
+
     """
     if name_or_file in built_in_names():
         text = (BUILT_IN / f"{name_or_file}.toml").read_text(encoding="utf-8")
@@ -281,7 +277,9 @@ def gate_settings(scenario: Scenario) -> dict[str, float]:
 def vehicle_parameters(scenario: Scenario) -> VehicleParameters:
     """Return the parameters of the vehicle for gate and speeds.
 
-    Raises `EgpError` if the scenario's file of a vehicle cannot be used.
+    Raises:
+        EgpError: if the scenario's file of a vehicle cannot be used.
+
     """
     if scenario.vehicle_file is not None:
         return read_vehicle(Path(scenario.vehicle_file))
@@ -300,7 +298,9 @@ def _one_of(
 def check_scenario(scenario: Scenario, origin: str) -> None:
     """Check the ranges of the values, which `dataclasses.replace` may have changed.
 
-    Raises `ScenarioError`, whose message begins with `origin`.
+    Raises:
+        ScenarioError: with a message that begins with `origin`.
+
     """
     _check_starts([zone.start for zone in scenario.zones], scenario.zones_in_metres, origin)
     _check_name(scenario.name, origin)

@@ -184,8 +184,10 @@ def training_provenance(settings: TrainingSettings) -> dict[str, str]:
 def _settings(kind: type[Settings], table: Mapping[str, Any]) -> Settings:
     """Make frozen settings of a table of TOML, whose lists become tuples.
 
-    Raises `EgpError` if a value does not have the type of the setting's default, or is no text
-    where there is none.
+    Raises:
+        EgpError: if a value does not have the type of the setting's default, or is no text where
+            there is none.
+
     """
     values = {
         name: tuple(value) if isinstance(value, list) else value for name, value in table.items()

@@ -54,8 +54,11 @@ def save(run: RecordedRun, name: str, path: Path) -> None:
 def show(path: Path) -> None:
     """Show a file of Rerun in a viewer of its own until the window is closed.
 
-    Only this machine reaches the viewer's port. Raises `EgpError` if the viewer fails, for instance
-    because there is no display.
+    Only this machine reaches the viewer's port.
+
+    Raises:
+        EgpError: if the viewer fails, for instance because there is no display.
+
     """
     if sys.platform == "linux" and not any(map(os.environ.get, _DISPLAYS)):
         raise EgpError(

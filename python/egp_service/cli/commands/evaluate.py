@@ -214,7 +214,12 @@ def _on_logs(
     output: Path,
     of_drives: "Mapping[str, object]",
 ) -> None:
-    """Evaluate on logs; raises `EgpError` if an option of drives has a value."""
+    """Evaluate on logs.
+
+    Raises:
+        EgpError: if an option of drives has a value.
+
+    """
     from egp_service.cli.logs import evaluate_on
 
     check_unused(of_drives, "cannot be used with --log, which drives nothing: leave out either")
@@ -242,7 +247,12 @@ def _check_options(
 
 
 def _on_plant(selection: "Selection", plant: str, named: list[str] | None) -> "Selection":
-    """Let a simulator drive the experiments; raises `EgpError` if one of those named needs ours."""
+    """Let a simulator drive the experiments.
+
+    Raises:
+        EgpError: if one of the experiments named needs our simulator.
+
+    """
     from dataclasses import replace
 
     from egp_service._core import EgpError
