@@ -200,8 +200,9 @@ class SpeedPlanner:
     def plan(self, s: float, friction: ArrayLike, v: float | None = None) -> SpeedProfile:
         """Plan the fastest speed from `s` on for the friction coefficients (n,) at the `places`.
 
-        The plan begins with the present speed `v` in m/s, or without one with the largest speed.
-        Where the vehicle is too fast for what lies ahead, the plan brakes with all grip.
+        The plan has the present speed `v`, m/s, half a distance of its places behind `s`. Without
+        a speed it begins with the largest one. Where the vehicle is too fast for what lies ahead,
+        the plan brakes with all grip.
 
         Raises:
             EgpError: if a number is out of range.

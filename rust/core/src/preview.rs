@@ -78,6 +78,13 @@ impl StageWeights {
         &self.rows[n * row..n * (row + 1)]
     }
 
+    /// The smallest friction coefficient of a member.
+    pub fn least_friction(&self) -> f64 {
+        self.frictions
+            .first()
+            .map_or(0.0, |(friction, _)| *friction)
+    }
+
     /// The change of the members' mean at `z` by the friction coefficient, from the nearest frictions below and above, or
     /// the two nearest; zero unless two members have different frictions. Members of the same friction count equally.
     pub fn slope(&self, members: &[Member], friction: f64, z: &GpInput) -> GpOutput {

@@ -10,6 +10,10 @@ use crate::speed::SpeedProfile;
 const DISTANCE: f64 = 250.0;
 /// Distance between knots in m, at most.
 const SPACING: f64 = 1.0;
+/// Distance behind the vehicle, in knots, at which a plan has the vehicle's present speed. With it the reference at the vehicle
+/// is above the measured speed while it drives and below it while it brakes; a controller that weighs its inputs would
+/// otherwise reach less than the planned acceleration, because the reference begins at the measured speed in each period.
+const LEAD: f64 = 0.5;
 
 /// Plans the speed over the next 250 m of a path, once in each control period. Allocates nothing while planning.
 #[derive(Debug, Clone)]
@@ -76,9 +80,9 @@ impl SpeedPlanner {
     }
 
     /// The fastest speed from `s` on, by a backward pass for braking and a forward pass for driving from the present speed
-    /// `v`. Where the vehicle is too fast for what lies ahead, the plan brakes with all grip. At the last place the vehicle
-    /// can still brake for the bends behind it, as far as it brakes from the highest speed on a straight, and for the end of
-    /// an open path, on the friction of this place.
+    /// `v`, which the plan has half a step behind the vehicle. Where the vehicle is too fast for what lies ahead, the plan
+    /// brakes with all grip. At the last place the vehicle can still brake for the bends behind it, as far as it brakes from
+    /// the highest speed on a straight, and for the end of an open path, on the friction of this place.
     ///
     /// `friction` has the friction coefficient to plan for at each place, [`Self::step`] m apart from [`Self::start`]
     /// on. Without a present speed the plan begins with the largest one.
@@ -150,12 +154,27 @@ impl SpeedPlanner {
                 let most = squares[i - 1];
                 squares[i - 1] = knots[i - 1].before(&knots[i], squares[i], limits, *step, most);
             }
-            squares[0] = v.map_or(squares[0], |v| v.max(0.0).powi(2));
-            for i in 1..squares.len() {
-                let fastest =
-                    knots[i].after(&knots[i - 1], squares[i - 1], limits, *step, squares[i]);
-                let slowest = knots[i - 1].full_braking(squares[i - 1], limits, *step);
-                squares[i] = fastest.max(slowest);
+            // The square at a knot within what drive and full braking reach over a distance from the knot before.
+            let reach = |knot: &Knot, last: &Knot, square: f64, distance: f64, most: f64| {
+                let fastest = knot.after(last, square, limits, distance, most);
+                fastest.max(last.full_braking(square, limits, distance))
+            };
+            let mut next = 1;
+            if let Some(v) = v {
+                let present = v.max(0.0).powi(2);
+                let passed = (s / *step - first - LEAD) * *step;
+                if passed < 0.0 {
+                    squares[0] = reach(&knots[0], &knots[0], present, -passed, squares[0]);
+                } else {
+                    let left = *step - passed;
+                    squares[1] = reach(&knots[1], &knots[0], present, left, squares[1]);
+                    // The piece from the first knot continues the acceleration backwards.
+                    squares[0] = (present - (squares[1] - present) * passed / left).max(0.0);
+                    next = 2;
+                }
+            }
+            for i in next..squares.len() {
+                squares[i] = reach(&knots[i], &knots[i - 1], squares[i - 1], *step, squares[i]);
             }
         });
         Ok(&self.profile)

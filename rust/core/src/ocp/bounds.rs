@@ -4,7 +4,7 @@ use egp_parameters::VehicleParameters;
 
 use crate::qp::{MAX_SOFT, OcpQp, SoftRow};
 use crate::settings::{Penalty, Soft};
-use crate::vehicle::{DELTA, MIN_SLIP_SPEED, OMEGA, P_X, P_Y, PSI, TyreLimits, V_X, V_Y};
+use crate::vehicle::{DELTA, MIN_SLIP_SPEED, OMEGA, P_X, P_Y, PSI, ROLLING, TyreLimits, V_X, V_Y};
 use crate::{Input, NU, State};
 
 /// Share of a slew step by which a bound that cannot be met yet is opened beyond the reachable input, because
@@ -14,11 +14,7 @@ const INTERIOR: f64 = 0.01;
 /// Smallest share of the drive that is left in a bend, so that a vehicle at the end of its grip can hold its speed.
 const LEAST_DRIVE: f64 = 0.1;
 
-/// Share of the bound on the drive for a vehicle far below its reference speed. The bound falls from 1.5 to 0.7 `g D_x`, with
-/// which the vehicle has 66 % of its largest acceleration and spinning wheels stop spinning. With 0.8 they go on spinning.
-const CATCHING_UP: f64 = 0.7 / 1.5;
-
-/// Differences to the reference speed, m/s, between which the share falls from 1 to [`CATCHING_UP`].
+/// Differences to the reference speed, m/s, between which the share of the drive falls from 1 to [`ROLLING`].
 const BEHIND: [f64; 2] = [1.0, 1.5];
 
 /// Number of soft rows for these settings; the rows of the envelope are the last ones.
@@ -73,7 +69,7 @@ pub(super) fn hard(
         let inside = 1.0 - tyres.transfer * (x[V_X] * x[OMEGA]).abs();
         let [little, much] = BEHIND;
         let behind = ((wanted[V_X] - x[V_X] - little) / (much - little)).clamp(0.0, 1.0);
-        let catching_up = 1.0 - (1.0 - CATCHING_UP) * behind;
+        let catching_up = 1.0 - (1.0 - ROLLING) * behind;
         let drive = vehicle
             .a_max
             .min(vehicle.power / x[V_X].max(f64::MIN_POSITIVE))

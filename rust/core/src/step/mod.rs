@@ -31,6 +31,8 @@ use crate::{Ensemble, GpInput, GpOutput, Input, Library, Member, NY, NZ, Setting
 const STANDING: f64 = 0.5;
 /// Force of the drive per mass, m/s², that the most slippery surface transmits.
 const DRIVE: f64 = 1.0;
+/// Standard deviations between the mean and the 95 % quantile of a normal distribution.
+const UPPER_QUANTILE: f64 = 1.645;
 /// Slip angle, rad, up to which tyres transmit nearly the same force on all surfaces.
 const FALSE_SLIP: f64 = 0.02;
 
@@ -125,7 +127,12 @@ fn assemble(
     x0: &State,
     ws: &mut Workspace,
 ) -> Result<(), StepError> {
-    blend_tyre_limits(&ws.tyres, &ws.stages, &mut ws.stage_tyres);
+    blend_tyre_limits(
+        &ws.tyres,
+        &ws.stages,
+        rows.road_friction,
+        &mut ws.stage_tyres,
+    );
     let road = Road {
         x: &ws.reference,
         widths: rows.widths,
@@ -176,12 +183,22 @@ fn solve(settings: &Settings, ws: &mut Workspace, reply: &mut StepReply) {
     reply.kkt_residual = ws.solution.kkt.worst();
 }
 
-/// The tyre limits of each stage: those of the members, blended with the weights of the stage.
-fn blend_tyre_limits(members: &[TyreLimits], stages: &StageWeights, blends: &mut [TyreLimits]) {
+/// The tyre limits of each stage: those of the members, blended with the weights of the stage. Where the road is expected
+/// to have less friction than all members, the largest forces are smaller.
+fn blend_tyre_limits(
+    members: &[TyreLimits],
+    stages: &StageWeights,
+    road: &[[f64; 2]],
+    blends: &mut [TyreLimits],
+) {
     for (t, blend) in blends.iter_mut().enumerate() {
         *blend = TyreLimits::default();
         for (limits, weight) in members.iter().zip(stages.stage(t)) {
             *blend += *limits * *weight;
+        }
+        if let Some([friction, std]) = road.get(t + 1) {
+            let most = friction + UPPER_QUANTILE * std;
+            *blend = blend.on_less_friction(most / stages.least_friction());
         }
     }
 }

@@ -23,6 +23,7 @@ pub use model::{ModelParameters, VehicleModel};
 pub use resistance::Resistance;
 pub(crate) use single_track::MIN_SLIP_SPEED;
 pub use single_track::{SINGLE_TRACK_PARAMETERS, SingleTrack};
+pub(crate) use tyre_limits::ROLLING;
 pub use tyre_limits::TyreLimits;
 
 /// Index of `p_x` in the state, m.

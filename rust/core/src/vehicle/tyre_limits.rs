@@ -20,6 +20,31 @@ pub struct TyreLimits {
     pub transfer: f64,
 }
 
+/// Share of [`TyreLimits::drive`] or [`TyreLimits::brake`] for wheels that have to steer. The limits are 1.5 `g D_x`; with
+/// 0.7 `g D_x` the vehicle has 66 % of its largest acceleration, and wheels that spin stop spinning. With 0.8 they go on spinning.
+pub(crate) const ROLLING: f64 = 0.7 / 1.5;
+
+/// Ratio of frictions at which the share of the braking has fallen to [`ROLLING`].
+const FAR_BELOW: f64 = 0.7;
+
+impl TyreLimits {
+    /// The limits on a road with at most `ratio` times the friction coefficient of these tyres; for ratios from 1 on they are
+    /// the same.
+    ///
+    /// Models of more grip promise a vehicle that is too fast for a bend more lateral force while it brakes than there is. The
+    /// plan then brakes until the wheels lock, and locked wheels do not steer. Braking is therefore bounded by what leaves
+    /// them rolling.
+    pub(crate) fn on_less_friction(self, ratio: f64) -> Self {
+        let ratio = ratio.min(1.0);
+        let far = ((1.0 - ratio) / (1.0 - FAR_BELOW)).min(1.0);
+        Self {
+            drive: self.drive * ratio,
+            brake: self.brake * ratio * (1.0 - (1.0 - ROLLING) * far),
+            ..self
+        }
+    }
+}
+
 impl Mul<f64> for TyreLimits {
     type Output = Self;
 
@@ -45,5 +70,50 @@ impl AddAssign for TyreLimits {
             *value += added;
         }
         self.transfer += other.transfer;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn forces_fall_with_the_friction_and_braking_leaves_the_wheels_rolling() {
+        let tyres = TyreLimits {
+            friction: 0.5,
+            slip: 0.1,
+            drive: 3.0,
+            brake: 6.0,
+            coupling: [0.2, 0.3],
+            transfer: 0.08,
+        };
+        let forces = |ratio: f64| {
+            let limits = tyres.on_less_friction(ratio);
+            let (drive, brake) = (tyres.drive, tyres.brake);
+            assert_eq!(
+                TyreLimits {
+                    drive,
+                    brake,
+                    ..limits
+                },
+                tyres,
+                "only forces change"
+            );
+            [limits.drive, limits.brake]
+        };
+        for ratio in [1.0, 2.0, f64::INFINITY] {
+            assert_eq!(forces(ratio), [3.0, 6.0]);
+        }
+        for (ratio, expected) in [
+            (0.5, [1.5, 0.5 * 2.8]),
+            (FAR_BELOW, [2.1, FAR_BELOW * 2.8]),
+            (0.85, [2.55, 0.85 * 4.4]),
+        ] {
+            let difference = [0, 1].map(|i| (forces(ratio)[i] - expected[i]).abs());
+            assert!(
+                difference.iter().all(|value| *value < 1e-12),
+                "{ratio} {difference:?}"
+            );
+        }
     }
 }

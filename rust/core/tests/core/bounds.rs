@@ -49,6 +49,31 @@ fn the_smaller_bound_of_a_vehicle_that_catches_up_is_also_that_of_members_withou
 }
 
 #[test]
+fn on_a_road_with_less_friction_than_all_members_the_plan_brakes_less() {
+    let mut request = Request::circle();
+    request.x[2] = 20.0;
+    let stages = request.reference.len() / 4;
+    let mut braking = |friction: f64, std: f64| {
+        request.road_friction = [friction, std].repeat(stages + 1);
+        let reply = solve(&request, &settings());
+        assert_eq!(reply.status, Status::Solved);
+        let inputs = reply.plan_u.as_chunks::<2>().0;
+        largest(&inputs.iter().map(|u| -u[0] / CAR.mass).collect::<Vec<_>>())
+    };
+    let most = braking(0.5, 0.0);
+    assert!(most > 0.9 * -CAR.a_min, "{most}");
+    assert_eq!(
+        braking(0.25, 0.2),
+        most,
+        "the friction may be that of a member"
+    );
+    assert_eq!(braking(3.0, 0.1), most);
+    let less = braking(0.25, 0.0);
+    assert!((less - 0.5 * 0.7 / 1.5 * -CAR.a_min).abs() < 1e-6, "{less}");
+    assert!(braking(0.25, 0.05) > less);
+}
+
+#[test]
 fn on_a_track_without_room_for_both_margins_there_is_a_plan() {
     let mut settings = settings();
     settings.horizon = Some(40);
