@@ -13,7 +13,7 @@ const SPACING: f64 = 1.0;
 /// Distance behind the vehicle, in knots, at which a plan has the vehicle's present speed. With it the reference at the vehicle
 /// is above the measured speed while it drives and below it while it brakes; a controller that weighs its inputs would
 /// otherwise reach less than the planned acceleration, because the reference begins at the measured speed in each period.
-const LEAD: f64 = 0.5;
+const OFFSET: f64 = 0.5;
 
 /// Plans the speed over the next 250 m of a path, once in each control period. Allocates nothing while planning.
 #[derive(Debug, Clone)]
@@ -162,7 +162,7 @@ impl SpeedPlanner {
             let mut next = 1;
             if let Some(v) = v {
                 let present = v.max(0.0).powi(2);
-                let passed = (s / *step - first - LEAD) * *step;
+                let passed = (s / *step - first - OFFSET) * *step;
                 if passed < 0.0 {
                     squares[0] = reach(&knots[0], &knots[0], present, -passed, squares[0]);
                 } else {
