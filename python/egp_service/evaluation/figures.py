@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from egp_service.evaluation import unknown_roads
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
-from egp_service.evaluation.unknown_roads import HERE
+from egp_service.evaluation.unknown_roads import BELIEF, HERE
 from egp_service.files import replacing
 from egp_service.quantities import MOTION_LABELS
 from egp_service.simulation.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE
@@ -64,8 +64,11 @@ def draw_risk(groups: Sequence[Group], path: Path) -> Path:
             lost = [100.0 * (1.0 - g.share.value) for g in own]
             time = [g.time_regret.value for g in own]
             ax.plot(time, lost, "o-", color=colour, label=name)
-            # The sources' curves are close: labels of one are below it.
-            below = any(g.contender.startswith(HERE) for g in own)
+            # The sources' curves are close: labels are above on the right, below on the right, or
+            # below on the left.
+            contenders = [g.contender for g in own]
+            left = any(contender.startswith(BELIEF) for contender in contenders)
+            below = left or any(contender.startswith(HERE) for contender in contenders)
             labels: dict[tuple[float, float], list[str]] = {}
             for g, x, y in zip(own, time, lost, strict=True):
                 if g.contender != ORACLE:
@@ -76,12 +79,13 @@ def draw_risk(groups: Sequence[Group], path: Path) -> Path:
                     )
             for (x, y), names in labels.items():
                 ax.annotate(
-                    "; ".join(names),
+                    ";\n".join(names),
                     (x, y),
-                    (3, -3) if below else (3, 3),
+                    (-3 if left else 3, -3 if below else 3),
                     textcoords="offset points",
-                    rotation=-40 if below else 40,
+                    rotation=-40 if below and not left else 40,
                     rotation_mode="anchor",
+                    horizontalalignment="right" if left else "left",
                     verticalalignment="top" if below else "bottom",
                     fontsize=7,
                     color=colour,
@@ -90,7 +94,7 @@ def draw_risk(groups: Sequence[Group], path: Path) -> Path:
         ax.set(ylabel="departures [%]", title="First lap on roads of unknown friction")
         # A scale that also fits few runs, with space for the labels.
         highest = max(10.0, ax.get_ylim()[1])
-        ax.set_ylim(-0.35 * highest, 1.1 * highest)
+        ax.set_ylim(-0.35 * highest, 1.2 * highest)
         ax.set_yticks([tick for tick in ax.get_yticks() if 0.0 <= tick <= highest])
         _legend_beside(ax)
         return _save(figure, path)
