@@ -52,7 +52,8 @@ def first_lap_with_a_map() -> ClosedLoopExperiment:
         FLEET,
         "Roads of unknown friction, first lap with a fleet's map (beyond the paper)",
         "Other cars have driven the same road before: how fast is a first lap with what they "
-        "found, and what does a map cost that is wrong? The oracle is told all zones.",
+        "found, and what does a map cost that is wrong? The oracle is told all zones. Plans of all "
+        "controllers stay within a lateral speed of 3 m/s.",
         (("first lap", replace(base, leave_distance=3.5, control=ENVELOPE)),),
         (
             Contender(ORACLE, "ensemble", TWO),

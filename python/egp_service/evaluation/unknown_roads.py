@@ -40,7 +40,8 @@ def first_lap() -> ClosedLoopExperiment:
         FIRST,
         "Roads of unknown friction, first lap (beyond the paper)",
         "The reference speed is not told the friction: what does each source of it cost in time, "
-        "and how many laps end beside the road? The oracle is told all zones.",
+        "and how many laps end beside the road? The oracle is told all zones. Plans of all "
+        "controllers stay within a lateral speed of 3 m/s.",
         (("first lap", replace(base, leave_distance=3.5, control=ENVELOPE)),),
         (
             Contender(ORACLE, "ensemble", TWO),
@@ -88,7 +89,8 @@ def five_laps() -> ClosedLoopExperiment:
     return ClosedLoopExperiment(
         LATER,
         "Roads of unknown friction, five laps (beyond the paper)",
-        "What the first lap found is remembered by place: how fast do the next laps become?",
+        "What the first lap found is remembered by place: how fast do the next laps become? Plans "
+        "of all controllers stay within a lateral speed of 3 m/s.",
         (("five laps", replace(base, leave_distance=3.5, laps=5.0, control=ENVELOPE)),),
         (
             Contender(ORACLE, "ensemble", TWO),

@@ -54,9 +54,16 @@ impl Links {
         }
     }
 
-    /// Whether no vehicle can reach the service.
-    pub(crate) fn are_lost(&self) -> bool {
-        self.needed && self.count.get() == 0
+    /// Why no vehicle can reach a service, in one word for its page; none if vehicles can. `serving` tells whether the service
+    /// has begun to serve.
+    pub(crate) fn not_ready(&self, serving: bool) -> Option<&'static str> {
+        if !serving {
+            Some("starting")
+        } else if self.needed && self.count.get() == 0 {
+            Some("disconnected")
+        } else {
+            None
+        }
     }
 }
 
@@ -82,15 +89,17 @@ mod tests {
 
     #[test]
     fn a_service_that_listens_is_never_cut_off() {
-        for (needed, links, lost) in [
-            (true, 0, true),
-            (true, 2, false),
-            (false, 0, false),
-            (false, 2, false),
+        for (needed, links, expected) in [
+            (true, 0, Some("disconnected")),
+            (true, 2, None),
+            (false, 0, None),
+            (false, 2, None),
         ] {
             let found = Links::new(needed, &mut Registry::default());
             found.note(links);
-            assert_eq!(found.are_lost(), lost, "needed {needed}, {links} links");
+            let state = found.not_ready(true);
+            assert_eq!(state, expected, "needed {needed}, {links} links");
+            assert_eq!(found.not_ready(false), Some("starting"));
         }
     }
 }

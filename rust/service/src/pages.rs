@@ -18,15 +18,9 @@ pub(crate) struct ServicePages<Q> {
 
 impl<Q: Query + Send + 'static> Pages for ServicePages<Q> {
     fn not_ready(&self) -> Option<&'static str> {
-        if self.shared.draining.load(Ordering::Relaxed) {
-            Some("draining")
-        } else if !self.serving.load(Ordering::Relaxed) {
-            Some("starting")
-        } else if self.links.are_lost() {
-            Some("disconnected")
-        } else {
-            None
-        }
+        let draining = self.shared.draining.load(Ordering::Relaxed);
+        let serving = self.serving.load(Ordering::Relaxed);
+        (draining.then_some("draining")).or_else(|| self.links.not_ready(serving))
     }
 
     fn metrics(&self) -> String {

@@ -18,13 +18,7 @@ pub(super) struct MapPages {
 
 impl Pages for MapPages {
     fn not_ready(&self) -> Option<&'static str> {
-        if !self.serving.load(Ordering::Relaxed) {
-            Some("starting")
-        } else if self.links.are_lost() {
-            Some("disconnected")
-        } else {
-            None
-        }
+        self.links.not_ready(self.serving.load(Ordering::Relaxed))
     }
 
     fn metrics(&self) -> String {
