@@ -32,7 +32,7 @@ from egp_service.training.open_loop import (
     student_loss,
     student_scale,
 )
-from egp_service.training.sparse import average_targets, posterior_mean
+from egp_service.training.sparse import PosteriorMean, average_targets
 from egp_service.training.train import TrainingSettings, split, train, train_parts
 from egp_service.training.validation import member_skill
 
@@ -73,7 +73,7 @@ def test_with_all_points_the_sparse_process_is_the_exact_one() -> None:
     with torch.no_grad(), exact():
         mean = process(z[:30]).mean
     # The jitter on the inducing points; measured 2e-7.
-    np.testing.assert_allclose(posterior_mean(process, z, y)[:30], mean, atol=1e-5)
+    np.testing.assert_allclose(PosteriorMean(process, z).given(y)[:30], mean, atol=1e-5)
     (targets,) = average_targets([process], z, [y])
     np.testing.assert_allclose(targets, y, atol=1e-5)
 

@@ -21,7 +21,7 @@ from egp_service.quantities import GP_OUTPUT, NORMAL_95, NY, NZ
 from egp_service.training.exact_member import START
 from egp_service.training.gaussian_process import Bounds, Hyperparameters, OutputProcess
 from egp_service.training.prior_mean import change, kinematic_change
-from egp_service.training.sparse import average_targets, fit_sparse, posterior_mean
+from egp_service.training.sparse import PosteriorMean, average_targets, fit_sparse
 from egp_service.training.subset import select
 from egp_service.training.trained import TrainedMember
 
@@ -209,13 +209,13 @@ def _final(
         return process
 
     process = process_of(y.new_zeros(len(inducing)))
-    kept = y
+    mean, kept = PosteriorMean(process, z), y
     for _ in range(_ROUNDS):
-        predicted = posterior_mean(process, z, kept)
+        predicted = mean.given(kept)
         errors = y - predicted
         limit = _OUTLIER * MAD * errors[moving].abs().median()
         kept = predicted + errors.clamp(-limit, limit)
-    errors = (y - posterior_mean(process, z, kept))[moving].abs()
+    errors = (y - mean.given(kept))[moving].abs()
     spread = torch.quantile(errors, 0.95) / NORMAL_95
     values = dataclasses.replace(values, noise=float(widen * spread) ** 2)
     process = process_of(y.new_zeros(len(inducing)))

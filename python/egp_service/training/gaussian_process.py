@@ -15,7 +15,6 @@ import numpy as np
 import torch
 
 from egp_service._core import EgpError
-from egp_service.training.kernel import gpytorch_kernel
 
 with warnings.catch_warnings():  # linear_operator uses torch.jit.script when it is imported
     warnings.filterwarnings("ignore", ".torch.jit.script. is ", FutureWarning)
@@ -26,6 +25,8 @@ with warnings.catch_warnings():  # linear_operator uses torch.jit.script when it
     from botorch.optim.fit import fit_gpytorch_mll_scipy
     from botorch.optim.utils import get_parameters_and_bounds
     from gpytorch import settings as gpytorch_settings
+
+    from egp_service.training.radial_kernel import RadialKernel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -114,9 +115,7 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
         )
         super().__init__(z, y, likelihood)
         lengthscales = gpytorch.constraints.Interval(bounds.lengthscale, MAX_LENGTHSCALE)
-        base = gpytorch_kernel(
-            kernel, ard_num_dims=z.shape[-1], lengthscale_constraint=lengthscales
-        )
+        base = RadialKernel(kernel, ard_num_dims=z.shape[-1], lengthscale_constraint=lengthscales)
         self.mean_module = gpytorch.means.ConstantMean()
         outputscale = (
             gpytorch.constraints.Positive()

@@ -73,13 +73,26 @@ def fit_sparse(
                 )
 
 
-def posterior_mean(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-    """Mean (n,) of the approximation at z (n, 6) given z and the z-scored targets y (n,)."""
-    with torch.no_grad(), exact():
-        (alpha,) = _weights([process], z, [y])
-        K = process.covar_module(z, process.inputs).to_dense()
-        mean: torch.Tensor = process.mean_module(z) + K @ alpha
-    return mean
+class PosteriorMean:
+    """The mean of the approximation at transitions, for any targets of theirs."""
+
+    def __init__(self, process: OutputProcess, z: torch.Tensor) -> None:
+        """Prepare the mean at z (n, 6) with M inducing points; holds M n numbers."""
+        with torch.no_grad(), exact():
+            self._prior: torch.Tensor = process.mean_module(z)
+            self._noise = process.likelihood.noise[0]
+            self._A = _whitened(process, _factor(process), z)
+            square = self._A @ self._A.T / self._noise
+            eye = torch.eye(len(square), dtype=z.dtype, device=z.device)
+            self._LB = torch.linalg.cholesky(eye + square)
+
+    def given(self, y: torch.Tensor) -> torch.Tensor:
+        """Return the mean (n,) given z-scored targets y (n,), `m + Aᵀ B⁻¹ A (y - m) / s²`."""
+        with torch.no_grad():
+            rest = (self._A @ (y - self._prior))[:, None] / self._noise
+            inner = torch.cholesky_solve(rest, self._LB)[:, 0]
+            mean: torch.Tensor = self._prior + self._A.T @ inner
+        return mean
 
 
 def average_targets(
@@ -111,40 +124,30 @@ def _factor(process: OutputProcess) -> torch.Tensor:
     return factor
 
 
-def _scaled(process: OutputProcess, L: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
-    """Return `A = L⁻¹ K_mn / s` (M, n), with K_mn between the inducing points and z."""
-    across = process.covar_module(process.inputs, z).to_dense() / _std(process)
+def _whitened(process: OutputProcess, L: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
+    """Return `A = L⁻¹ K_mn` (M, n), with K_mn between the inducing points and z."""
+    across = process.covar_module(process.inputs, z).to_dense()
     A: torch.Tensor = torch.linalg.solve_triangular(L, across, upper=False)
     return A
-
-
-def _rest(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-    """Return `(y - m) / s` (n,)."""
-    rest: torch.Tensor = (y - process.mean_module(z)) / _std(process)
-    return rest
-
-
-def _std(process: OutputProcess) -> torch.Tensor:
-    std: torch.Tensor = process.likelihood.noise[0].sqrt()
-    return std
 
 
 def _bound(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
     """Titsias' lower bound on the log marginal likelihood (eq. 9).
 
-    The matrix to invert is `B = I + A Aᵀ`, with A as `_scaled` returns it.
+    The matrix to invert is `B = I + A Aᵀ / s²`, with A as `_whitened` returns it.
     """
     noise, prior = process.likelihood.noise[0], process.covar_module.outputscale
-    A, rest = _scaled(process, _factor(process), z), _rest(process, z, y)
-    LB = torch.linalg.cholesky(torch.eye(len(A), dtype=A.dtype, device=A.device) + A @ A.T)
-    c = torch.linalg.solve_triangular(LB, (A @ rest)[:, None], upper=False)
+    A, rest = _whitened(process, _factor(process), z), y - process.mean_module(z)
+    square = A @ A.T / noise
+    LB = torch.linalg.cholesky(torch.eye(len(A), dtype=A.dtype, device=A.device) + square)
+    c = torch.linalg.solve_triangular(LB, (A @ rest)[:, None] / noise, upper=False)
     bound: torch.Tensor = 0.5 * (
         (c * c).sum()
-        - rest @ rest
+        - rest @ rest / noise
         - len(y) * torch.log(2.0 * torch.pi * noise)
         - 2.0 * LB.diagonal().log().sum()
         - len(y) * prior / noise
-        + (A * A).sum()
+        + square.trace()
     )
     return bound
 
@@ -154,18 +157,19 @@ def _weights(
 ) -> list[torch.Tensor]:
     """Weights alpha (M,) of the mean of each approximation, `constant + k(z, Z) alpha`.
 
-    They are `L⁻ᵀ B⁻¹ A (y - m) / s`. The sums over the transitions are computed block by block, so
+    They are `L⁻ᵀ B⁻¹ A (y - m) / s²`. The sums over the transitions are computed block by block, so
     that the memory does not grow with a log.
     """
-    L = _factor(processes[0])
+    L, noise = _factor(processes[0]), processes[0].likelihood.noise[0]
     B = torch.eye(len(L), dtype=L.dtype, device=L.device)
     b = [L.new_zeros(len(L), 1) for _ in processes]
     for block in range(0, len(z), _BLOCK):
         rows = slice(block, block + _BLOCK)
-        A = _scaled(processes[0], L, z[rows])
-        B += A @ A.T
+        A = _whitened(processes[0], L, z[rows])
+        B += A @ A.T / noise
         for process, targets, total in zip(processes, y, b, strict=True):
-            total.add_(A @ _rest(process, z[rows], targets[rows])[:, None])
+            rest = targets[rows] - process.mean_module(z[rows])
+            total.add_((A @ rest)[:, None] / noise)
     LB = torch.linalg.cholesky(B)
     inner = [torch.cholesky_solve(total, LB) for total in b]
     return [torch.linalg.solve_triangular(L.T, each, upper=True)[:, 0] for each in inner]

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 import torch
+from threadpoolctl import threadpool_limits
 
 from egp_service._core import EgpError
 from egp_service.data.alignment import align
@@ -209,12 +210,18 @@ def train_parts(
 
 @contextlib.contextmanager
 def one_thread(points: int) -> Iterator[None]:
-    """Use one thread for small matrices, for which further threads would only busy-wait."""
-    before = torch.get_num_threads()
-    if points <= _ONE_THREAD:
-        torch.set_num_threads(1)
-    try:
+    """Use one thread of torch and of numpy's BLAS for small matrices.
+
+    Further threads would only busy-wait, and beside other programs wait for processors.
+    """
+    if points > _ONE_THREAD:
         yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with threadpool_limits(1, user_api="blas"):
+            yield
     finally:
         torch.set_num_threads(before)
 

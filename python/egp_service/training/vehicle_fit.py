@@ -55,6 +55,10 @@ _DETERMINED: Final = 0.5
 # measurement of its own.
 _NO_SENSOR: Final = 0.5
 _AT_BOUND: Final = 1e-3  # of the logarithm
+# Relative changes of the sum of squares at which the two fits end. Of the first one only weights
+# are used, and noise without a vehicle in it needs hundreds of iterations for the last digits.
+_FIRST_TOLERANCE: Final = 1e-5
+_TOLERANCE: Final = 1e-8
 _LONGEST_LAG: Final = 50  # periods
 _LEAST_CORRELATION: Final = 0.05
 
@@ -154,13 +158,13 @@ def fit_vehicle(
     slowed = simulated_vehicle(about[0].vehicle) is None
     slowed = slowed and not any(own.force_from_a_x for own in about)
     problem = _Problem(parts, priors(vehicle), slowed=slowed)
-    found = problem.solve(np.zeros(problem.size))
+    found = problem.solve(np.zeros(problem.size), _FIRST_TOLERANCE)
     for surface, unknowns in zip(problem.surfaces, problem.parts(found), strict=True):
         surface.weigh(*problem.physical(surface, torch.from_numpy(unknowns)))
     if slowed and any(surface.circular for surface in parts):
         problem = _Problem(parts, priors(vehicle), slowed=False)
         found = np.zeros(problem.size)
-    return problem.vehicles(problem.solve(found))
+    return problem.vehicles(problem.solve(found, _TOLERANCE))
 
 
 @dataclasses.dataclass(eq=False)
@@ -308,13 +312,21 @@ class _Problem:
             total += float(errors @ errors)
         return square, gradient, total
 
-    def solve(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the unknowns of largest posterior density."""
+    def solve(self, start: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
+        """Return the unknowns of largest posterior density.
+
+        The search ends where an iteration changes the sum of squares by less than `tolerance` of
+        it.
+        """
         problem = Compressed(self._normal_equations)
         message = "their sum of squares is not finite"
         if np.isfinite(problem.residuals(start)).all():
             found = least_squares(
-                problem.residuals, start, jac=problem.jacobian, bounds=(self._low, self._high)
+                problem.residuals,
+                start,
+                jac=problem.jacobian,
+                bounds=(self._low, self._high),
+                ftol=tolerance,
             )
             if found.success and np.isfinite(found.cost):
                 return np.asarray(found.x)
