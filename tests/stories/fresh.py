@@ -18,6 +18,8 @@ from pathlib import Path
 
 EXTRAS = "data,viz,monitor,ros2,security"
 STORIES = Path(__file__).with_name("stories.py")
+# Variables of the environment that the stories keep; the last one is the number of BLAS's threads.
+KEPT = ("PATH", "HOME", "OMP_NUM_THREADS")
 
 
 def install(wheel: Path, folder: Path, *, dependencies: Path | None = None) -> Path:
@@ -44,7 +46,7 @@ def run_stories(python: Path, folder: Path) -> None:
     """Run the stories in an empty folder; raises `CalledProcessError` if one fails."""
     folder.mkdir()
     shutil.copy(STORIES, folder)
-    environment = {name: os.environ[name] for name in ("PATH", "HOME") if name in os.environ}
+    environment = {name: os.environ[name] for name in KEPT if name in os.environ}
     command = [str(python), "-m", "pytest", "-q", "--durations=0", "-p", "no:cacheprovider"]
     subprocess.run([*command, STORIES.name], cwd=folder, env=environment, check=True)
 

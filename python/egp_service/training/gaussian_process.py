@@ -26,6 +26,7 @@ with warnings.catch_warnings():  # linear_operator uses torch.jit.script when it
     from botorch.optim.utils import get_parameters_and_bounds
     from gpytorch import settings as gpytorch_settings
 
+    from egp_service.training.kernel import gpytorch_kernel
     from egp_service.training.radial_kernel import RadialKernel
 
 if TYPE_CHECKING:
@@ -107,7 +108,13 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
     num_outputs = 1
 
     def __init__(
-        self, z: torch.Tensor, y: torch.Tensor, kernel: KernelName, bounds: Bounds
+        self,
+        z: torch.Tensor,
+        y: torch.Tensor,
+        kernel: KernelName,
+        bounds: Bounds,
+        *,
+        make_kernel: Callable[..., gpytorch.kernels.Kernel] = RadialKernel,
     ) -> None:
         """Hold z-scored inputs (M, 6) and targets (M,) under default hyperparameters."""
         likelihood = gpytorch.likelihoods.GaussianLikelihood(
@@ -115,7 +122,7 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
         )
         super().__init__(z, y, likelihood)
         lengthscales = gpytorch.constraints.Interval(bounds.lengthscale, MAX_LENGTHSCALE)
-        base = RadialKernel(kernel, ard_num_dims=z.shape[-1], lengthscale_constraint=lengthscales)
+        base = make_kernel(kernel, ard_num_dims=z.shape[-1], lengthscale_constraint=lengthscales)
         self.mean_module = gpytorch.means.ConstantMean()
         outputscale = (
             gpytorch.constraints.Positive()
@@ -123,12 +130,26 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
             else gpytorch.constraints.Interval(0.0, bounds.outputscale)
         )
         self.covar_module = gpytorch.kernels.ScaleKernel(base, outputscale_constraint=outputscale)
+        self._kernel: KernelName = kernel
         self._bounds = bounds
         self.to(z)
 
     def forward(self, z: torch.Tensor) -> gpytorch.distributions.MultivariateNormal:
         """Return the prior over f at z."""
         return gpytorch.distributions.MultivariateNormal(self.mean_module(z), self.covar_module(z))
+
+    def with_gpytorch_kernel(self) -> OutputProcess:
+        """Return the same process to predict with, by GPyTorch's kernel in place of ours."""
+        same = OutputProcess(
+            self.inputs,
+            cast("torch.Tensor", self.train_targets),
+            self._kernel,
+            self._bounds,
+            make_kernel=gpytorch_kernel,
+        )
+        same.load_state_dict(self.state_dict())
+        same.eval()
+        return same
 
     def replace_targets(self, y: torch.Tensor) -> None:
         """Predict from other z-scored targets (M,), under the same hyperparameters."""

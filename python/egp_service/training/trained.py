@@ -110,7 +110,10 @@ class TrainedMember:
     def predict(
         self, z: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Mean (n, 3), autograd Jacobian (n, 3, 6) and latent variance (n, 3), physical units."""
+        """Mean (n, 3), autograd Jacobian (n, 3, 6) and latent variance (n, 3), physical units.
+
+        They are GPyTorch's own, by its own kernel: what a library's predictions are compared with.
+        """
         device = self.processes[0].inputs.device
         query = torch.tensor(z, dtype=torch.float64, device=device, requires_grad=True)
         scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
@@ -119,7 +122,7 @@ class TrainedMember:
         known = self._vehicle_change(query)
         with exact():
             for j, process in enumerate(self.processes):
-                posterior = process(scaled)
+                posterior = process.with_gpytorch_kernel()(scaled)
                 f = posterior.mean * self.target_std[j] + self.target_mean[j] + known[:, j]
                 # Row i of the mean depends on row i of the query only, so one backward pass of
                 # the sum gives the gradients of all rows.
