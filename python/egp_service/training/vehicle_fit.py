@@ -56,7 +56,8 @@ _DETERMINED: Final = 0.5
 _NO_SENSOR: Final = 0.5
 _AT_BOUND: Final = 1e-3  # of the logarithm
 # Relative changes of the sum of squares at which the two fits end. Of the first one only weights
-# are used, and noise without a vehicle in it needs hundreds of iterations for the last digits.
+# are used, and noise without a vehicle in it needs hundreds of iterations for the last digits. The
+# vehicles of the shipped recipes differ by at most 0.2 standard deviations from those with 1e-8.
 _FIRST_TOLERANCE: Final = 1e-5
 _TOLERANCE: Final = 1e-8
 _LONGEST_LAG: Final = 50  # periods
