@@ -18,14 +18,10 @@ from egp_service._core import VehicleParameters
 from egp_service.cli import app
 from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
+from egp_service.training.autocorrelation import autocorrelation
 from egp_service.training.normal_equations import Compressed
 from egp_service.training.vehicle_file import Line, vehicle_lines
-from egp_service.training.vehicle_fit import (
-    FittedParameter,
-    autocorrelation,
-    fit_vehicle,
-    priors,
-)
+from egp_service.training.vehicle_fit import FittedParameter, fit_vehicle, priors
 from egp_service.vehicle import read_vehicle
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ from scipy.optimize import least_squares
 from egp_service._core import EgpError
 from egp_service.data.channels import MAD, channels
 from egp_service.quantities import NORMAL_95, NY
+from egp_service.training.autocorrelation import autocorrelation
 from egp_service.training.normal_equations import Compressed
 from egp_service.training.prior_mean import BODY, DRAG, PARAMETERS, ROLLING, TYRES, change
 from egp_service.vehicle import simulated_vehicle
@@ -60,8 +61,6 @@ _AT_BOUND: Final = 1e-3  # of the logarithm
 # vehicles of the shipped recipes differ by at most 0.2 standard deviations from those with 1e-8.
 _FIRST_TOLERANCE: Final = 1e-5
 _TOLERANCE: Final = 1e-8
-_LONGEST_LAG: Final = 50  # periods
-_LEAST_CORRELATION: Final = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -388,25 +387,3 @@ class _Problem:
             determined=mass.determined and gyration.determined,
             at_bound=mass.at_bound or gyration.at_bound,
         )
-
-
-def autocorrelation(errors: NDArray[np.float64], data: Dataset) -> NDArray[np.float64]:
-    """Return the sum of the autocorrelations (3,) of errors (n, 3) over positive lags.
-
-    Pairs are those within a trajectory, and the sum ends where the correlation falls below 0.05.
-    """
-    centred = errors - np.median(errors, axis=0)
-    # Outliers have no neighbours like them, and would hide the correlation of the others.
-    centred = np.clip(centred, *np.quantile(centred, [0.025, 0.975], axis=0))
-    total, rising = np.zeros(NY), np.ones(NY, dtype=bool)
-    for lag in range(1, min(_LONGEST_LAG, len(errors))):
-        together = (data.trajectory[lag:] == data.trajectory[:-lag]) & (
-            data.step[lag:].astype(np.int64) - data.step[:-lag] == lag
-        )
-        if not together.any():
-            break
-        product = (centred[lag:] * centred[:-lag])[together].mean(axis=0)
-        correlation = product / np.maximum(centred.var(axis=0), np.finfo(float).tiny)
-        rising &= correlation > _LEAST_CORRELATION
-        total += np.where(rising, correlation, 0.0)
-    return total
