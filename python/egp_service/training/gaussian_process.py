@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from egp_service._core import EgpError
+from egp_service.training.kernel import gpytorch_kernel
 
 with warnings.catch_warnings():  # linear_operator uses torch.jit.script when it is imported
     warnings.filterwarnings("ignore", ".torch.jit.script. is ", FutureWarning)
@@ -26,7 +27,6 @@ with warnings.catch_warnings():  # linear_operator uses torch.jit.script when it
     from botorch.optim.utils import get_parameters_and_bounds
     from gpytorch import settings as gpytorch_settings
 
-    from egp_service.training.kernel import gpytorch_kernel
     from egp_service.training.radial_kernel import RadialKernel
 
 if TYPE_CHECKING:

@@ -82,9 +82,7 @@ class PosteriorMean:
             self._prior: torch.Tensor = process.mean_module(z)
             self._noise = process.likelihood.noise[0]
             self._A = _whitened(process, _factor(process), z)
-            square = self._A @ self._A.T / self._noise
-            eye = torch.eye(len(square), dtype=z.dtype, device=z.device)
-            self._LB = torch.linalg.cholesky(eye + square)
+            self._LB = _factor_of_one_and(self._A @ self._A.T / self._noise)
 
     def given(self, y: torch.Tensor) -> torch.Tensor:
         """Return the mean (n,) given z-scored targets y (n,), `m + Aᵀ B⁻¹ A (y - m) / s²`."""
@@ -131,6 +129,13 @@ def _whitened(process: OutputProcess, L: torch.Tensor, z: torch.Tensor) -> torch
     return A
 
 
+def _factor_of_one_and(square: torch.Tensor) -> torch.Tensor:
+    """Cholesky factor of `B = I + A Aᵀ / s²`, given the second term (M, M)."""
+    eye = torch.eye(len(square), dtype=square.dtype, device=square.device)
+    factor: torch.Tensor = torch.linalg.cholesky(eye + square)
+    return factor
+
+
 def _bound(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
     """Titsias' lower bound on the log marginal likelihood (eq. 9).
 
@@ -139,7 +144,7 @@ def _bound(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Te
     noise, prior = process.likelihood.noise[0], process.covar_module.outputscale
     A, rest = _whitened(process, _factor(process), z), y - process.mean_module(z)
     square = A @ A.T / noise
-    LB = torch.linalg.cholesky(torch.eye(len(A), dtype=A.dtype, device=A.device) + square)
+    LB = _factor_of_one_and(square)
     c = torch.linalg.solve_triangular(LB, (A @ rest)[:, None] / noise, upper=False)
     bound: torch.Tensor = 0.5 * (
         (c * c).sum()
@@ -161,15 +166,15 @@ def _weights(
     that the memory does not grow with a log.
     """
     L, noise = _factor(processes[0]), processes[0].likelihood.noise[0]
-    B = torch.eye(len(L), dtype=L.dtype, device=L.device)
+    square = torch.zeros_like(L)
     b = [L.new_zeros(len(L), 1) for _ in processes]
     for block in range(0, len(z), _BLOCK):
         rows = slice(block, block + _BLOCK)
         A = _whitened(processes[0], L, z[rows])
-        B += A @ A.T / noise
+        square += A @ A.T / noise
         for process, targets, total in zip(processes, y, b, strict=True):
             rest = targets[rows] - process.mean_module(z[rows])
             total.add_((A @ rest)[:, None] / noise)
-    LB = torch.linalg.cholesky(B)
+    LB = _factor_of_one_and(square)
     inner = [torch.cholesky_solve(total, LB) for total in b]
     return [torch.linalg.solve_triangular(L.T, each, upper=True)[:, 0] for each in inner]
