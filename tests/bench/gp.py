@@ -86,7 +86,7 @@ def errors(book: Textbook, truth: Answer, answer: Answer, outputs: Sequence[int]
 def rivals(path: Path) -> dict[str, Callable[[Array, Sequence[int]], Answer]]:
     """Return the programs that take queries (n, 6) and outputs."""
     library, book = Library.load(path), Textbook(path)
-    torch_member = Member("rbf", library.dt, read_tensors(path), 0)
+    torch_member = Member(library, read_tensors(path), 0)
 
     def ours(z: Array, _: Sequence[int]) -> Answer:
         mean, jacobian, _variance = library.predict(z)

@@ -39,7 +39,7 @@ def test_fitted_vehicles_keep_all_but_the_gps(tmp_path: Path) -> None:
         np.testing.assert_array_equal(member.noise_std, origin.noise_std)
         np.testing.assert_array_equal(member.envelope, origin.envelope)
         mean, _, variance = library.predict(Z, index)
-        expected = prior_mean.predict(Z, origin.single_track, library.dt)
+        expected = prior_mean.predict(Z, origin.single_track, library.dt, 1)
         np.testing.assert_allclose(mean, expected, atol=1e-13)
         assert not variance.any()
 

@@ -19,6 +19,7 @@ from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
 from egp_service.training.average_member import PriorMean, average_member
 from egp_service.training.choice import KINDS, MARGIN, hold_out, preferred
+from egp_service.training.euler import euler_steps
 from egp_service.training.exact_member import START
 from egp_service.training.export import export
 from egp_service.training.gaussian_process import WHOLE_CHANGES, OutputProcess, exact
@@ -144,7 +145,9 @@ def test_a_vehicle_is_chosen_for_its_own_drive(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     z = wandering(0.0).z.copy()
     z[:, :3] += [3.0, 0.5, 0.3] * rng.standard_normal((len(z), 3))
-    y = prior_mean.predict(z, car, DT) + 0.001 * rng.standard_normal((len(z), 3))
+    y = prior_mean.predict(z, car, DT, euler_steps(car, DT)) + 0.001 * rng.standard_normal(
+        (len(z), 3)
+    )
     data = dataclasses.replace(wandering(0.0), z=z, y=y, step=np.zeros(len(z), dtype=np.uint32))
     (member,) = train([data], FEW_POINTS, vehicle=TOY)
     assert member.kind.startswith("single-track")

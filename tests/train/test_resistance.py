@@ -80,7 +80,9 @@ def _fitted(data: Dataset) -> FittedVehicle:
 
 def _after_a_second(vehicle: FittedVehicle, data: Dataset) -> NDArray[np.float64]:
     """Return the RMS errors (3,) of a fitted vehicle after 1 s."""
-    compared = skill({"fitted": lambda z: prior_mean.predict(z, vehicle.values, DT)}, data)
+    compared = skill(
+        {"fitted": lambda z: prior_mean.predict(z, vehicle.values, DT, vehicle.steps)}, data
+    )
     return np.asarray(compared.rms["fitted"][compared.durations.index(1.0)])
 
 

@@ -15,6 +15,7 @@ from egp_service._core import Library
 from egp_service.data.alignment import Delays
 from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
+from egp_service.training.euler import euler_steps
 from egp_service.training.export import export
 from egp_service.training.kernel import KernelName
 from egp_service.training.train import FitProgress, TrainingSettings, split, train
@@ -109,7 +110,7 @@ def test_the_vehicle_is_found_again(known: NDArray[np.float64], *, simulated: bo
     rng = np.random.default_rng(0)
     bounds = np.array([8.0, 0.6, 0.5, 0.1, 6000.0, 0.3])
     z = np.array([15.0, *np.zeros(5)]) + bounds * rng.uniform(-1.0, 1.0, (2000, 6))
-    y = prior_mean.predict(z, known, 0.05)
+    y = prior_mean.predict(z, known, 0.05, euler_steps(known, 0.05))
     data = dataclasses.replace(
         surface(),
         z=z,
@@ -120,7 +121,7 @@ def test_the_vehicle_is_found_again(known: NDArray[np.float64], *, simulated: bo
     )
     (found,) = fit_vehicle([data], None, [rng])
     assert len(found.values) == len(known)
-    error = prior_mean.predict(z, found.values, 0.05) - y
+    error = prior_mean.predict(z, found.values, 0.05, found.steps) - y
     if not simulated:
         assert found.parameters[-1].value == pytest.approx(known[-1], rel=0.02)
         # Rolling resistance and a slope slow alike: their sum is found, and the slope is no result.
@@ -141,14 +142,14 @@ def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) ->
     assert member.single_track is not None
     # Another vehicle whose drive and braking differ everywhere, which the fit may not show.
     known, vehicle = (
-        prior_mean.predict(member.inputs, parameters, 0.05)
+        prior_mean.predict(member.inputs, parameters, 0.05, member.steps)
         for parameters in (member.single_track, VEHICLE)
     )
     other = dataclasses.replace(
         member, single_track=VEHICLE, targets=member.targets - known + vehicle
     )
     export(tmp_path / "other", [other], settings, {}, TOY)
-    free = prior_mean.predict(member.inputs, VEHICLE[:17], 0.05)
+    free = prior_mean.predict(member.inputs, VEHICLE[:17], 0.05, member.steps)
     without = dataclasses.replace(
         member, single_track=VEHICLE[:17], targets=member.targets - known + free
     )
@@ -158,7 +159,7 @@ def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) ->
     assert (z[:, 4] < 0.0).any()
     for name, trained in (("vehicle", member), ("other", other), ("free", without)):
         library = Library.load(tmp_path / name)
-        assert library.members[0].euler_steps == 3
+        assert library.members[0].euler_steps == member.steps > 1
         read = library.members[0]
         assert read.single_track is not None
         assert read.resistance is not None

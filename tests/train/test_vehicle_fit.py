@@ -19,9 +19,11 @@ from egp_service.cli import app
 from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
 from egp_service.training.autocorrelation import autocorrelation
+from egp_service.training.euler import euler_steps
 from egp_service.training.normal_equations import Compressed
 from egp_service.training.vehicle_file import Line, vehicle_lines
-from egp_service.training.vehicle_fit import FittedParameter, fit_vehicle, priors
+from egp_service.training.vehicle_fit import FittedParameter, fit_vehicle
+from egp_service.training.vehicle_priors import priors
 from egp_service.vehicle import read_vehicle
 
 if TYPE_CHECKING:
@@ -38,13 +40,17 @@ WHOLE = np.array([8.0, 0.6, 0.5, 0.1, 6000.0, 0.3])
 STRAIGHT = np.array([8.0, 0.0, 0.0, 0.0, 3000.0, 0.0])
 
 
+def predict(z: NDArray[np.float64], vehicle: NDArray[np.float64]) -> NDArray[np.float64]:
+    return prior_mean.predict(z, vehicle, DT, euler_steps(vehicle, DT))
+
+
 def drive(
     vehicle: NDArray[np.float64], spread: NDArray[np.float64], noise: float, seed: int
 ) -> Dataset:
     """Transitions of a vehicle (19,) from independent states."""
     rng = np.random.default_rng(seed)
     z = np.array([15.0, *np.zeros(5)]) + spread * rng.uniform(-1.0, 1.0, (1500, 6))
-    y = prior_mean.predict(z, vehicle, DT) + noise * rng.standard_normal((1500, 3))
+    y = predict(z, vehicle) + noise * rng.standard_normal((1500, 3))
     return Dataset(
         z=z,
         y=y,
@@ -164,7 +170,7 @@ def test_a_grip_is_doubted_if_its_own_parameters_are() -> None:
     turning = drive(DRY, WHOLE, 0.003, 0)
     z = turning.z.copy()
     z[:, 4] = np.abs(z[:, 4])
-    never_braking = dataclasses.replace(turning, z=z, y=prior_mean.predict(z, DRY, DT))
+    never_braking = dataclasses.replace(turning, z=z, y=predict(z, DRY))
     lines = file_lines(never_braking, known=TOY)
     assert [name for name in grips if lines[name].warning] == ["braking_grip"]
     assert "do not reach the tyres' limits" in lines["braking_grip"].warning

@@ -6,12 +6,13 @@ Equations: `SingleTrack` and `Kinematic` in `rust/core/src/vehicle`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from egp_service._core import EgpError, Library, MemberData, VehicleParameters, write_library
 from egp_service.quantities import NY, NZ
+from egp_service.training.euler import euler_steps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -67,9 +68,10 @@ def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: 
         alone = [_fitted(member) for member in chosen]
     elif kind in KINDS:
         name, parameters = f"commonroad-{vehicle}", VehicleParameters.commonroad(vehicle)
-        model = {"kinematic": kinematic(vehicle)}
+        model: dict[str, Any] = {"kinematic": kinematic(vehicle)}
         if kind == "single-track":
-            model = {"single_track": single_track(vehicle)}
+            tyred = single_track(vehicle)
+            model = {"single_track": tyred, "euler_steps": euler_steps(tyred, library.dt)}
         envelope = np.array(
             [
                 np.min([member.envelope[0] for member in chosen], axis=0),
@@ -93,7 +95,10 @@ def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: 
 def _fitted(member: Member) -> MemberData:
     if member.single_track is None:
         raise EgpError(f"{member.label} has no vehicle: train with mean = 'single-track'")
-    vehicle = {"single_track": member.single_track}
+    vehicle: dict[str, Any] = {
+        "single_track": member.single_track,
+        "euler_steps": member.euler_steps,
+    }
     if member.resistance is not None and member.resistance.any():
         vehicle["resistance"] = member.resistance
     return _vehicle_alone(member.label, member.friction, member, member.envelope, vehicle)
@@ -104,7 +109,7 @@ def _vehicle_alone(
     friction: float,
     like: Member,
     envelope: NDArray[np.float64],
-    vehicle: Mapping[str, NDArray[np.float64]],
+    vehicle: Mapping[str, Any],
 ) -> MemberData:
     """Return a member without training points; its noise and its data are those of `like`.
 
@@ -130,6 +135,5 @@ def _vehicle_alone(
         golden_mean=np.empty((0, NY)),
         golden_jacobian=np.empty((0, NY, NZ)),
         golden_variance=np.empty((0, NY)),
-        euler_steps=like.euler_steps if "single_track" in vehicle else 1,
         **vehicle,
     )

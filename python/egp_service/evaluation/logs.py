@@ -131,11 +131,11 @@ def _outcome(
     predictors: dict[str, Predictor] = {OURS: member.predict_mean, PAPER: paper.predict_mean}
     axles = (1.0, 1.0)
     if member.vehicle is not None:
-        body = member.vehicle.values
+        body, steps = member.vehicle.values, member.vehicle.steps
         axles = (float(body[1]), float(body[2]))
         part = (member.dataset, held)
         rng = np.random.default_rng(settings.seed)
-        alone = average_member(part, PriorMean(single_track=body), settings, rng, None)
+        alone = average_member(part, PriorMean(single_track=body, steps=steps), settings, rng, None)
         predictors[VEHICLE] = alone.predict_mean
     predictors[LINEAR] = linear(member.dataset, axles)
     predictors |= {OTHER.format(m.dataset.provenance.surface): m.predict_mean for m in others}

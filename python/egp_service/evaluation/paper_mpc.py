@@ -13,7 +13,7 @@ import numpy as np
 
 from egp_service._core import EgpError
 from egp_service.quantities import DELTA, NU, NX, OMEGA, PSI, V_X, V_Y
-from egp_service.training.prior_mean import MIN_SLIP_SPEED
+from egp_service.training.euler import MIN_SLIP_SPEED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -88,8 +88,8 @@ class ExactGP(gpytorch.models.ExactGP):  # type: ignore[misc]
 class Member:
     """One surface's three GPs with their prior mean; mean and Jacobian by autograd."""
 
-    def __init__(self, kernel: str, dt: float, tensors: dict[str, Array], index: int) -> None:
-        """Take member `index` from a library file's tensors."""
+    def __init__(self, library: Library, tensors: dict[str, Array], index: int) -> None:
+        """Take member `index` of a library, with the tensors of its file."""
 
         def tensor(name: str) -> torch.Tensor:
             return torch.from_numpy(tensors[f"members.{index}.{name}"].copy())
@@ -99,7 +99,7 @@ class Member:
         vehicle = [f"members.{index}.{name}" for name in ("single_track", "resistance")]
         known = [found for name in vehicle if (found := tensors.get(name)) is not None]
         self._vehicle = torch.from_numpy(np.concatenate(known)) if known else None
-        self._dt = dt
+        self._dt, self._steps = library.dt, library.members[index].euler_steps
         inputs = tensor("inputs")
         x = (inputs - self.input_mean) / self.input_std
         y = (tensor("targets") - self._known(inputs) - self.target_mean) / self.target_std
@@ -114,7 +114,7 @@ class Member:
                 noise_constraint=gpytorch.constraints.Positive()
             ).double()
             likelihood.noise = noise[outputs[0]]
-            gp = ExactGP(kernel, x, y[:, outputs].T.contiguous(), likelihood).double()
+            gp = ExactGP(library.kernel, x, y[:, outputs].T.contiguous(), likelihood).double()
             gp.covar_module.base_kernel.lengthscale = lengthscales[outputs[0]]
             gp.covar_module.outputscale = outputscale[outputs[0]]
             gp.mean_module.constant.data = constant[outputs]
@@ -127,7 +127,7 @@ class Member:
         """Return the prior mean (n, 3)."""
         if self._vehicle is None:
             return torch.zeros(len(z), NY, dtype=z.dtype)
-        return prior_mean.change(z, self._vehicle, self._dt)
+        return prior_mean.change(z, self._vehicle, self._dt, self._steps)
 
     def _means(self, query: torch.Tensor, outputs: Sequence[int]) -> torch.Tensor:
         """Differentiable mean of some outputs at (n, 6): (outputs, n)."""
@@ -220,7 +220,7 @@ class PaperStack:
         """Build the stack for the library at `path`."""
         tensors, dt = read_tensors(path), library.dt
         count = len(library.members)
-        self.members = [Member(library.kernel, dt, tensors, n) for n in range(count)]
+        self.members = [Member(library, tensors, n) for n in range(count)]
         self.dt, self.mass = dt, settings["mass"]
         self.window, self.horizon = settings["weights"]["window"], settings["horizon"]
         self.noise = WindowNoise(library.members, settings)

@@ -55,6 +55,8 @@ class PriorMean(NamedTuple):
     """What a member's processes are added to: one vehicle, or zero."""
 
     single_track: NDArray[np.float64] | None = None
+    steps: int = 1
+    """Number of Euler steps in a period of the single-track vehicle."""
     kinematic: NDArray[np.float64] | None = None
     constant: bool = True
     """Whether a constant is added, which is fitted to the data."""
@@ -63,7 +65,7 @@ class PriorMean(NamedTuple):
         """Change (n, 3) at inputs (n, 6), without the constant."""
         query = torch.from_numpy(z)
         if self.single_track is not None:
-            return change(query, torch.from_numpy(self.single_track), dt).numpy()
+            return change(query, torch.from_numpy(self.single_track), dt, self.steps).numpy()
         if self.kinematic is not None:
             return kinematic_change(query, torch.from_numpy(self.kinematic), dt).numpy()
         return np.zeros((len(z), NY))
@@ -126,6 +128,7 @@ def average_member(
         target_std=target_std,
         processes=tuple(process for process, _ in final),
         single_track=mean.single_track,
+        steps=mean.steps,
         kinematic=mean.kinematic,
         vehicle=None,
     )

@@ -87,7 +87,7 @@ def best_member(
         NO_CHANGE: PriorMean(constant=False),
         "constant": PriorMean(),
         "kinematic": PriorMean(kinematic=fitted.values[:3]),
-        "single-track": PriorMean(single_track=fitted.values),
+        "single-track": PriorMean(single_track=fitted.values, steps=fitted.steps),
     }
 
     def trained(

@@ -198,7 +198,7 @@ def _vehicle_errors(
     for (_, held), fitted in zip(split, vehicles, strict=True):
         moving = held.z[:, 0] > MOVING
         errors: NDArray[np.float64] = held.y[moving] - predict(
-            held.z[moving], fitted.values, held.provenance.dt
+            held.z[moving], fitted.values, held.provenance.dt, fitted.steps
         )
         found.append(float(student_loss(errors)[_OMEGA]))
     return found

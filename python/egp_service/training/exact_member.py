@@ -62,10 +62,10 @@ def exact_member(
     data, validation = part
     label = data.provenance.surface
     input_mean, input_std = data.z.mean(axis=0), data.z.std(axis=0)
-    vehicle, rest, bounds = None, data.y, WHOLE_CHANGES
+    vehicle, steps, rest, bounds = None, 1, data.y, WHOLE_CHANGES
     if fitted is not None:
-        vehicle = fitted.values
-        rest = data.y - prior_mean.predict(data.z, vehicle, data.provenance.dt)
+        vehicle, steps = fitted.values, fitted.steps
+        rest = data.y - prior_mean.predict(data.z, vehicle, data.provenance.dt, steps)
         bounds = CORRECTIONS
     target_mean, target_std = rest.mean(axis=0), spread(rest, GP_OUTPUT, label)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -118,6 +118,7 @@ def exact_member(
         target_std=target_std,
         processes=tuple(processes),
         single_track=vehicle,
+        steps=steps,
         kinematic=None,
         vehicle=fitted,
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from egp_service._core import MemberData, write_library
 from egp_service.data.channels import channels
-from egp_service.training.prior_mean import SINGLE_TRACK, euler_steps
+from egp_service.training.prior_mean import SINGLE_TRACK
 from egp_service.vehicle import known_vehicle, simulated_vehicle
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def _member(member: TrainedMember) -> MemberData:
         single_track=None if fitted is None else fitted[:SINGLE_TRACK],
         resistance=None if fitted is None or len(fitted) == SINGLE_TRACK else fitted[SINGLE_TRACK:],
         kinematic=member.kinematic,
-        euler_steps=1 if fitted is None else euler_steps(member.dataset.provenance.dt),
+        euler_steps=member.steps,
     )
 
 

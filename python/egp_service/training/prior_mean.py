@@ -8,20 +8,16 @@ Jacobians include them. `vehicle_fit` determines the parameters.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import torch
 
 from egp_service._core import GRAVITY
+from egp_service.training.euler import MIN_SLIP_SPEED
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-MIN_SLIP_SPEED: Final = 3.0  # m/s; slip angles are computed with at least this speed
-_LONGEST_PERIOD: Final = 0.04  # s; longer ones have several Euler steps
-_STEP: Final = 0.02  # s; the Euler method is stable with it down to `MIN_SLIP_SPEED`
 
 
 class Parameter(NamedTuple):
@@ -76,25 +72,15 @@ PARAMETERS: Final = BODY | TYRES | ROLLING | DRAG
 """All parameters, in the order of `change`."""
 
 
-def euler_steps(dt: float) -> int:
-    """Return the number of steps of the Euler method for a period of `dt` s.
-
-    It is one up to 40 ms, the period of many logs: with two steps the vehicle that is fitted to the
-    log of an oval has a parameter at its bound. Longer periods have steps of at most 20 ms.
-    """
-    return 1 if dt <= _LONGEST_PERIOD + 1e-9 else math.ceil(dt / _STEP - 1e-9)
-
-
-def change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
+def change(z: torch.Tensor, parameters: torch.Tensor, dt: float, steps: int) -> torch.Tensor:
     """Change of `[v_x, v_y, omega]` (n, 3) over `dt` at inputs z (n, 6).
 
     The parameters (17,) or, with a resistance, (19,) are common to all inputs, or each input has
     its own (n, 17) or (n, 19).
 
-    These are `euler_steps(dt)` explicit Euler steps with the steering angle in the middle of each,
-    by the equations of `SingleTrack` in Rust.
+    These are `steps` explicit Euler steps with the steering angle in the middle of each, by the
+    equations of `SingleTrack` in Rust.
     """
-    steps = euler_steps(dt)
     step = dt / steps
     total = _euler_step(z, parameters, step)
     for done in range(1, steps):
@@ -141,10 +127,10 @@ def _euler_step(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.T
 
 
 def predict(
-    z: NDArray[np.float64], parameters: NDArray[np.float64], dt: float
+    z: NDArray[np.float64], parameters: NDArray[np.float64], dt: float, steps: int
 ) -> NDArray[np.float64]:
     """Return `change` for arrays."""
-    return change(torch.from_numpy(z), torch.from_numpy(parameters), dt).numpy()
+    return change(torch.from_numpy(z), torch.from_numpy(parameters), dt, steps).numpy()
 
 
 def kinematic_change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:

@@ -50,6 +50,8 @@ class TrainedMember:
     single_track: NDArray[np.float64] | None
     """Parameters (17,), or (19,) with a resistance, of the single-track vehicle that is the prior
     mean, if any."""
+    steps: int
+    """Number of Euler steps in a period of the single-track vehicle."""
     kinematic: NDArray[np.float64] | None
     """Parameters (3,) of the kinematic vehicle that is the prior mean, if any."""
     vehicle: FittedVehicle | None
@@ -102,7 +104,7 @@ class TrainedMember:
         """Change (n, 3) that the prior mean's vehicle predicts at z (n, 6); zero without one."""
         dt = self.dataset.provenance.dt
         if self.single_track is not None:
-            return prior_mean.change(z, z.new_tensor(self.single_track), dt)
+            return prior_mean.change(z, z.new_tensor(self.single_track), dt, self.steps)
         if self.kinematic is not None:
             return prior_mean.kinematic_change(z, z.new_tensor(self.kinematic), dt)
         return z.new_zeros((len(z), NY))

@@ -24,8 +24,10 @@ from egp_service._core import EgpError
 from egp_service.data.channels import MAD, channels
 from egp_service.quantities import NORMAL_95, NY
 from egp_service.training.autocorrelation import autocorrelation
+from egp_service.training.euler import euler_steps
 from egp_service.training.normal_equations import Compressed
 from egp_service.training.prior_mean import BODY, DRAG, PARAMETERS, ROLLING, TYRES, change
+from egp_service.training.vehicle_priors import KNOWN_WIDTHS, Prior, priors
 from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
@@ -47,8 +49,6 @@ _LEAST_SPREAD: Final = 0.1
 _DISTURBANCE: Final = np.array([0.3, 1.0, 0.1])
 # Share of these standard deviations that is left where grade and bank of the road were measured.
 _LEFT: Final = 0.1
-# Widths of the priors that a vehicle's parameters give.
-_KNOWN_WIDTHS: Final = {"m": 0.03, "l_f": 0.02, "l_r": 0.02, "k²": 0.15}
 # The data determine a parameter if they narrow its prior to at most this share and, for one that a
 # vehicle's parameters give, tell it at least as well as these do.
 _DETERMINED: Final = 0.5
@@ -61,14 +61,6 @@ _AT_BOUND: Final = 1e-3  # of the logarithm
 # vehicles of the shipped recipes differ by at most 0.2 standard deviations from those with 1e-8.
 _FIRST_TOLERANCE: Final = 1e-5
 _TOLERANCE: Final = 1e-8
-
-
-@dataclasses.dataclass(frozen=True)
-class Prior:
-    """Log-normal prior of a parameter; `width` is the standard deviation of the logarithm."""
-
-    centre: float
-    width: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,6 +90,8 @@ class FittedVehicle:
     """
 
     parameters: tuple[FittedParameter, ...]
+    steps: int = 1
+    """Number of Euler steps in a period, with which the vehicle was fitted."""
     derived: tuple[FittedParameter, ...] = ()
     """What a vehicle's file states in place of parameters: the yaw inertia `I_z`, m k²."""
 
@@ -118,20 +112,6 @@ class FittedVehicle:
         }
 
 
-def priors(vehicle: VehicleParameters | None) -> dict[str, Prior]:
-    """Return the prior of each parameter, given the parameters of the vehicle or none."""
-    general = {name: Prior(p.start, p.width) for name, p in PARAMETERS.items()}
-    if vehicle is None:
-        return general
-    known = {
-        "m": vehicle.mass,
-        "l_f": vehicle.l_f,
-        "l_r": vehicle.l_r,
-        "k²": vehicle.yaw_inertia / vehicle.mass,
-    }
-    return general | {name: Prior(value, _KNOWN_WIDTHS[name]) for name, value in known.items()}
-
-
 def fit_vehicle(
     surfaces: Sequence[Dataset],
     vehicle: VehicleParameters | None,
@@ -144,6 +124,8 @@ def fit_vehicle(
     small and independent ones. A constant disturbance of each output and surface is estimated
     along, so that a slope or a bank does not change the tyres; it is not part of the result. Each
     surface has a generator of random numbers, which chooses its transitions.
+
+    The Euler method has one step in a period, or as many as the fitted vehicles need to be stable.
 
     Drag and rolling resistance are fitted unless the car is a simulated one, which has none, or the
     force of a surface follows from the changes of the speed, which contain both. Rolling resistance
@@ -164,7 +146,12 @@ def fit_vehicle(
     if slowed and any(surface.circular for surface in parts):
         problem = _Problem(parts, priors(vehicle), slowed=False)
         found = np.zeros(problem.size)
-    return problem.vehicles(problem.solve(found, _TOLERANCE))
+    while True:
+        found = problem.solve(found, _TOLERANCE)
+        steps = problem.stable_steps(found)
+        if steps <= problem.steps:
+            return problem.vehicles(found)
+        problem.steps = steps
 
 
 @dataclasses.dataclass(eq=False)
@@ -202,10 +189,13 @@ class _Surface:
         return _Surface(dataset, z, y, scale, torch.from_numpy(left * _DISTURBANCE), noise)
 
     def weigh(self, parameters: torch.Tensor, disturbance: torch.Tensor) -> None:
-        """Set scale and weight by the errors of a vehicle under a disturbance (3,)."""
+        """Set scale and weight by the errors of a vehicle under a disturbance (3,).
+
+        The vehicle was fitted with one Euler step.
+        """
         data = self.dataset
         dt = data.provenance.dt
-        predicted = change(torch.from_numpy(data.z), parameters, dt) + dt * disturbance
+        predicted = change(torch.from_numpy(data.z), parameters, dt, 1) + dt * disturbance
         errors = ((predicted - torch.from_numpy(data.y)) / self.scale).numpy()
         spread = MAD * np.median(np.abs(errors), axis=0)
         noise = self.noise / self.scale.numpy()
@@ -229,6 +219,7 @@ class _Problem:
         self, surfaces: Sequence[_Surface], prior: dict[str, Prior], *, slowed: bool
     ) -> None:
         self.surfaces = surfaces
+        self.steps = 1
         self._dt = surfaces[0].dataset.provenance.dt
         self._body = [*BODY, *(DRAG if slowed else ())]
         road = [*TYRES, *(ROLLING if slowed else ())]
@@ -274,10 +265,18 @@ class _Problem:
         parameters = torch.from_numpy(self._centre) * unknowns[..., :count].exp()
         return parameters[..., self._order], surface.disturbance * unknowns[..., count:]
 
+    def stable_steps(self, x: NDArray[np.float64]) -> int:
+        """Return the number of Euler steps with which the vehicles of all surfaces are stable."""
+        of_surfaces = zip(self.surfaces, self.parts(x), strict=True)
+        vehicles = [
+            self.physical(surface, torch.from_numpy(own))[0] for surface, own in of_surfaces
+        ]
+        return max(euler_steps(vehicle.numpy(), self._dt) for vehicle in vehicles)
+
     def _errors(self, surface: _Surface, unknowns: torch.Tensor) -> torch.Tensor:
         """Errors of a surface (3n,), whose squares are the robust loss `soft_l1`."""
         parameters, disturbance = self.physical(surface, unknowns)
-        predicted = change(surface.z, parameters, self._dt) + self._dt * disturbance
+        predicted = change(surface.z, parameters, self._dt, self.steps) + self._dt * disturbance
         error = (predicted - surface.y) / surface.scale
         # 2 (sqrt(1 + e²) - 1) = (e sqrt(2 / (1 + sqrt(1 + e²))))²
         robust = error * (2.0 / (1.0 + (1.0 + error**2).sqrt())).sqrt()
@@ -356,7 +355,7 @@ class _Problem:
                     distance=float(x[i] / self._width[i]),
                     determined=bool(
                         spread[i] <= _DETERMINED * self._width[i]
-                        and spread[i] <= _KNOWN_WIDTHS.get(name, np.inf)
+                        and spread[i] <= KNOWN_WIDTHS.get(name, np.inf)
                         and not (circular and name == "m")
                     ),
                     at_bound=bool(at_bound[i]),
@@ -364,7 +363,7 @@ class _Problem:
                 for name, centre, i in rows
             )
             yaw_inertia = self._yaw_inertia(parameters, x, covariance)
-            found.append(FittedVehicle(parameters, (yaw_inertia,)))
+            found.append(FittedVehicle(parameters, self.steps, (yaw_inertia,)))
         return found
 
     def _yaw_inertia(
