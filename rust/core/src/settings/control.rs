@@ -106,7 +106,7 @@ pub struct Soft {
     pub slip: Option<f64>,
     /// Distance from the centre of mass to the front axle in m. Default: the library's `l_f`.
     pub front: Option<f64>,
-    /// `[|v_y|, |omega|]` the plan should stay within, in m/s and rad/s. Default 3 and 3.
+    /// `[|v_y|, |omega|]` the plan should stay within, in m/s and rad/s. Default 4 and 4.
     pub envelope: [f64; 2],
     /// Distance kept between centre of mass and track edge, in m, at most 1000. Default: half the width of the library's
     /// vehicle and 0.263 m, which is 1.1 m for a width of 1.674 m.
@@ -198,7 +198,7 @@ impl Default for Soft {
             delta: None,
             slip: None,
             front: None,
-            envelope: [3.0, 3.0],
+            envelope: [4.0, 4.0],
             edge_margin: None,
             caution: 0.0,
             speed: Penalty::default(),
