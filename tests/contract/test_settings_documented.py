@@ -27,6 +27,7 @@ ROOT = Path(__file__).parents[2]
 DOCUMENT = (ROOT / "docs/settings.md").read_text(encoding="utf-8")
 # Settings that the control step does not write while they are not set, with a use of each.
 UNSET = {
+    "soft.envelope": "[soft]\nenvelope = [8.0, 2.0]",
     "soft.slip": "[soft]\nslip = 0.12",
     "weights.prior.alpha": '[weights.prior]\nkind = "l1"\nalpha = 1e-5',
 }

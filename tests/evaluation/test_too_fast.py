@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
     from egp_service.simulation.summary import Summary
 
-# An envelope that no plan leaves.
-WIDE: dict[str, object] = {"soft": {"envelope": [100.0, 100.0]}}
-
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -51,11 +48,11 @@ def test_on_less_friction_than_all_members_a_vehicle_that_is_too_fast_still_turn
 ) -> None:
     # In a bend the friction falls from 0.92 to 0.27; the members have 0.5 and 1.1. With the bounds
     # of the members alone the front wheels lock, and the vehicle leaves the road.
-    assert driven(library, 3, "5%", control=WIDE).ending.completed
+    assert driven(library, 3, "5%", control={}).ending.completed
 
 
 def test_an_envelope_of_the_lateral_speed_prevents_a_spin(library: Path) -> None:
-    spun = driven(library, 8, "20%", control=WIDE)
+    spun = driven(library, 8, "20%", control={})
     assert "the vehicle has spun" in spun.ending.reason
     kept = driven(library, 8, "20%")
     assert kept.ending.completed

@@ -11,6 +11,7 @@ import numpy as np
 from egp_service._core import RoadBelief, merge_tiles
 from egp_service.evaluation.contenders import ORACLE, Contender, make
 from egp_service.evaluation.experiment import TWO, ClosedLoopExperiment, jittered, on_surfaces
+from egp_service.evaluation.unknown_roads import ENVELOPE
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import Track
@@ -51,8 +52,9 @@ def first_lap_with_a_map() -> ClosedLoopExperiment:
         FLEET,
         "Roads of unknown friction, first lap with a fleet's map (beyond the paper)",
         "Other cars have driven the same road before: how fast is a first lap with what they "
-        "found, and what does a map cost that is wrong? The oracle is told all zones.",
-        (("first lap", replace(base, leave_distance=3.5)),),
+        "found, and what does a map cost that is wrong? The oracle is told all zones. Plans of all "
+        "controllers stay within a lateral speed of 3 m/s.",
+        (("first lap", replace(base, leave_distance=3.5, control=ENVELOPE)),),
         (
             Contender(ORACLE, "ensemble", TWO),
             *(Contender(name, "ensemble", TWO, speed=speed) for name in (ALONE, *_REPORTS)),

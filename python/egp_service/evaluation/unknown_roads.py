@@ -28,6 +28,9 @@ ASSUMED: Final = "assumed "
 HERE: Final = "told here, "
 WEIGHTED: Final = "weights, "
 RISKS: Final = (0.03, 0.05, 0.1, 0.2)
+# Lateral speed, m/s, and yaw rate, rad/s, within which plans should stay, so that vehicles that are
+# too fast for a bend do not spin. The yaw rate is never reached.
+ENVELOPE: Final[dict[str, object]] = {"soft": {"envelope": [3.0, 3.0]}}
 
 
 def first_lap() -> ClosedLoopExperiment:
@@ -37,8 +40,9 @@ def first_lap() -> ClosedLoopExperiment:
         FIRST,
         "Roads of unknown friction, first lap (beyond the paper)",
         "The reference speed is not told the friction: what does each source of it cost in time, "
-        "and how many laps end beside the road? The oracle is told all zones.",
-        (("first lap", replace(base, leave_distance=3.5)),),
+        "and how many laps end beside the road? The oracle is told all zones. Plans of all "
+        "controllers stay within a lateral speed of 3 m/s.",
+        (("first lap", replace(base, leave_distance=3.5, control=ENVELOPE)),),
         (
             Contender(ORACLE, "ensemble", TWO),
             *(
@@ -85,8 +89,9 @@ def five_laps() -> ClosedLoopExperiment:
     return ClosedLoopExperiment(
         LATER,
         "Roads of unknown friction, five laps (beyond the paper)",
-        "What the first lap found is remembered by place: how fast do the next laps become?",
-        (("five laps", replace(base, leave_distance=3.5, laps=5.0)),),
+        "What the first lap found is remembered by place: how fast do the next laps become? Plans "
+        "of all controllers stay within a lateral speed of 3 m/s.",
+        (("five laps", replace(base, leave_distance=3.5, laps=5.0, control=ENVELOPE)),),
         (
             Contender(ORACLE, "ensemble", TWO),
             *(

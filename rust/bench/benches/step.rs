@@ -11,8 +11,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use egp_core::linearisation::Linearisation;
-use egp_core::ocp::{self, Road, Setup};
-use egp_core::qp::MAX_SOFT;
+use egp_core::ocp::{self, Road, Setup, soft_rows};
 use egp_core::settings::SolverKind;
 use egp_core::solver::{ClarabelSolver, RiccatiSolver, solve_checked};
 use egp_core::trajectory::Guess;
@@ -202,7 +201,7 @@ fn phases(c: &mut Criterion, library: &Library) {
         vehicle: &vehicle,
         dt: 0.05,
     };
-    let mut qp = OcpQp::new(20, MAX_SOFT);
+    let mut qp = OcpQp::new(20, soft_rows(&settings.soft));
     c.bench_function("phase/assemble", |b| {
         b.iter(|| ocp::assemble(&setup, &x0, &u_prev, &dynamics, &guess, &road, &mut qp));
     });

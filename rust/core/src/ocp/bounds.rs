@@ -17,6 +17,15 @@ const LEAST_DRIVE: f64 = 0.1;
 /// Differences to the reference speed, m/s, between which the share of the drive falls from 1 to [`ROLLING`].
 const BEHIND: [f64; 2] = [1.0, 1.5];
 
+/// Number of soft rows for these settings; the rows of the envelope are the last ones.
+pub fn soft_rows(soft: &Soft) -> usize {
+    if soft.envelope.is_some() {
+        MAX_SOFT
+    } else {
+        MAX_SOFT - 2
+    }
+}
+
 /// Penalties in the order of the soft rows.
 pub(super) fn penalties(soft: &Soft) -> [Penalty; MAX_SOFT] {
     [
@@ -91,7 +100,7 @@ pub(super) fn soft(
     widths: Option<&[f64; 2]>,
     rows: &mut [SoftRow; MAX_SOFT],
 ) {
-    let [v_y, omega] = soft.envelope;
+    let [v_y, omega] = soft.envelope.unwrap_or([1.0; 2]);
     *rows = [
         interval(V_X, 0.0, soft.v_x_max),
         steering(vehicle, slip, operating),

@@ -16,6 +16,7 @@ use crate::trajectory::Guess;
 use crate::vehicle::{FORCE, TyreLimits};
 use crate::{Input, Settings, State};
 
+pub use bounds::soft_rows;
 pub use caution::{Caution, Disturbance};
 
 /// Reference, track edges and what the tyres transmit along the horizon, in the vehicle's frame, rows `0..=T`.

@@ -106,8 +106,9 @@ pub struct Soft {
     pub slip: Option<f64>,
     /// Distance from the centre of mass to the front axle in m. Default: the library's `l_f`.
     pub front: Option<f64>,
-    /// `[|v_y|, |omega|]` the plan should stay within, in m/s and rad/s. Default 4 and 4.
-    pub envelope: [f64; 2],
+    /// `[|v_y|, |omega|]` the plan should stay within, in m/s and rad/s; none by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub envelope: Option<[f64; 2]>,
     /// Distance kept between centre of mass and track edge, in m, at most 1000. Default: half the width of the library's
     /// vehicle and 0.263 m, which is 1.1 m for a width of 1.674 m.
     pub edge_margin: Option<f64>,
@@ -198,7 +199,7 @@ impl Default for Soft {
             delta: None,
             slip: None,
             front: None,
-            envelope: [4.0, 4.0],
+            envelope: None,
             edge_margin: None,
             caution: 0.0,
             speed: Penalty::default(),
@@ -293,8 +294,8 @@ impl Soft {
         positive_if_stated("soft.delta", self.delta)?;
         positive_if_stated("soft.slip", self.slip)?;
         positive_if_stated("soft.front", self.front)?;
-        for bound in self.envelope {
-            positive("soft.envelope", bound)?;
+        for bound in self.envelope.iter().flatten() {
+            positive("soft.envelope", *bound)?;
         }
         if let Some(margin) = self.edge_margin {
             check(

@@ -142,10 +142,7 @@ fn a_change_ahead_changes_the_deviations_after_it() {
     request.history_z.clear();
     request.history_y.clear();
     request.history_f.clear();
-    // The plans slide. With the default envelope they would differ by its bound, too.
-    let mut settings = settings();
-    settings.soft.envelope = [100.0; 2];
-    let mut ws = Workspace::new(library(), &settings).unwrap();
+    let mut ws = Workspace::new(library(), &settings()).unwrap();
     let mut sigma = |road: &[f64]| {
         let mut reply = StepReply::default();
         request.road_friction = road.to_vec();
@@ -153,7 +150,7 @@ fn a_change_ahead_changes_the_deviations_after_it() {
             want_sigma: true,
             ..request.borrow()
         };
-        step(library(), &settings, &borrowed, &mut ws, &mut reply).unwrap();
+        step(library(), &settings(), &borrowed, &mut ws, &mut reply).unwrap();
         reply.sigma
     };
     let row = |t: usize| if t < 11 { [0.5, 0.1] } else { [0.8, 0.1] };
