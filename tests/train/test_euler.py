@@ -42,6 +42,13 @@ def test_the_simulated_car_needs_one_step_at_20_ms() -> None:
     assert [euler_steps(CAR, dt) for dt in (0.02, 0.021, 0.023, 0.043)] == [1, 1, 2, 2]
 
 
+def test_the_steps_of_a_vehicle_that_is_none_are_bounded() -> None:
+    noise = CAR.copy()
+    noise[[3, 10, 15]] = 0.2, 100.0, 100.0
+    # A library states at most 100, and each one costs time.
+    assert [euler_steps(noise, dt) for dt in (0.04, 1.0)] == [12, 100]
+
+
 @pytest.mark.parametrize("dt", [0.02, 0.05])
 def test_a_vehicle_is_fitted_with_the_steps_that_it_needs(dt: float) -> None:
     rng = np.random.default_rng(0)

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 MIN_SLIP_SPEED: Final = 3.0  # m/s; slip angles are computed with at least this speed
 _LARGEST_STEP: Final = 1.8  # times the fastest rate
+# Larger rates, 1/s, are those of no car: they come from fits to noise. The simulated car has 82/s.
+_FASTEST: Final = 500.0
+_MOST_STEPS: Final = 100  # that a library may state
 
 
 def euler_steps(parameters: NDArray[np.float64], dt: float) -> int:
@@ -27,7 +30,8 @@ def euler_steps(parameters: NDArray[np.float64], dt: float) -> int:
     on, with the cornering stiffnesses `c_f` and `c_r` over the mass, it is
     `d[v_y, omega]/dt = A [v_y, omega]` (Rajamani, *Vehicle Dynamics and Control*, section 2.3).
     A step times the largest eigenvalue of `A` is at most 1.8. The simulated car needs a second step
-    from 22 ms on.
+    from 22 ms on. Eigenvalues above 500/s, which no car has, count as 500/s, and there are at most
+    100 steps, so that a vehicle fitted to noise may be unstable.
     """
     _, l_f, l_r, gyration, *rest = parameters
     tyres, v = rest[3:], MIN_SLIP_SPEED
@@ -40,5 +44,5 @@ def euler_steps(parameters: NDArray[np.float64], dt: float) -> int:
             [-turning / gyration, -(l_f**2 * c_f + l_r**2 * c_r) / (v * gyration)],
         ]
     )
-    fastest = np.abs(np.linalg.eigvals(A)).max()
-    return math.ceil(dt * float(fastest) / _LARGEST_STEP)
+    fastest = min(float(np.abs(np.linalg.eigvals(A)).max()), _FASTEST)
+    return min(math.ceil(dt * fastest / _LARGEST_STEP), _MOST_STEPS)
