@@ -11,7 +11,6 @@ import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,20 +27,18 @@ from egp_service._core import (
     encode_tile_evidence,
 )
 from egp_service._core.testing import MAP_HEALTH_KEY, MAP_METRICS_KEY, MapServer
-from egp_service.control import fleet_map
 from egp_service.control.endpoints import free_endpoint, why_unreachable
 from egp_service.control.fleet_map import FleetMap
 from egp_service.control.session import session_config
-from egp_service.simulation.course import build_path, road_name
+from egp_service.simulation.course import road_name
 from egp_service.simulation.scenario import load_scenario
 from patience import PATIENCE, shortest, wait_until
+from road_evidence import PATH, measure, measured
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 SCENARIO = load_scenario("random")
-PATH = build_path(SCENARIO)
-FRICTIONS = 0.1 * 13.0 ** np.linspace(0.0, 1.0, 17)
 
 
 @contextmanager
@@ -78,18 +75,6 @@ def ask(
 
 def ignore(_: zenoh.Reply) -> None:
     """Take no note of an answer."""
-
-
-def measured(friction: float, metres: float = 150.0) -> RoadBelief:
-    belief = RoadBelief(PATH)
-    measure(belief, friction, metres)
-    return belief
-
-
-def measure(belief: RoadBelief, friction: float, metres: float) -> None:
-    row = -0.5 * (np.log(FRICTIONS / friction) / 0.05) ** 2
-    for s in np.arange(0.0, metres, 0.2):
-        belief.update(s, row - row.max())
 
 
 def lap_time(
@@ -163,44 +148,6 @@ def test_evidence_that_was_not_sent_is_counted(caplog: pytest.LogCaptureFixture)
     assert "the evidence about 2 tiles of the road was not sent" in caplog.text
 
 
-def test_evidence_that_is_too_old_for_a_message_is_dropped(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    belief, now = RoadBelief(PATH), 100.0
-    clock = SimpleNamespace(monotonic=lambda: now, sleep=time.sleep)
-    monkeypatch.setattr(fleet_map, "time", clock)
-    with FleetMap(free_endpoint(), belief, road="r", vehicle="v", timeout=0.1) as fleet:
-        measure(belief, 0.4, 150.0)
-        assert fleet.unsent == 2
-        now += 50 * 86_400.0
-        fleet.exchange()
-        assert fleet.unsent == 0
-
-
-def test_a_lost_answer_is_asked_for_again_while_the_vehicle_waits() -> None:
-    endpoint = free_endpoint()
-    lost: list[zenoh.Query] = []
-    answered = 0
-
-    def answer(query: zenoh.Query) -> None:
-        nonlocal answered
-        if lost:
-            query.reply(query.key_expr, b"")
-            answered += 1
-        else:
-            lost.append(query)  # a query that is kept has no end
-
-    with zenoh.open(session_config([], 5.0, {"listen/endpoints": [endpoint]})) as session:
-        queryable = session.declare_queryable("egp/**", answer)
-        with FleetMap(endpoint, RoadBelief(PATH), road="r", vehicle="v", timeout=6.0) as fleet:
-            assert not fleet.answered
-            assert fleet.fetch()
-            assert fleet.answered
-        assert answered == 1
-        lost.clear()
-        queryable.undeclare()
-
-
 def test_hostile_input_is_refused_and_the_service_goes_on() -> None:
     endpoint = free_endpoint()
     key = RoadKey("default", "liar", "ring")
@@ -246,66 +193,6 @@ def test_hostile_input_is_refused_and_the_service_goes_on() -> None:
         found = re.findall(r'egp_map_queries_total\{outcome="malformed"\} (\d+)', text.decode())
         assert int(found[0]) >= 6
         assert service.poll() is None
-
-
-def test_evidence_that_an_overloaded_service_refused_is_sent_again() -> None:
-    endpoint = free_endpoint()
-    config = zenoh.Config()
-    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    asked: list[str] = []
-
-    def answer(query: zenoh.Query) -> None:
-        key = str(query.key_expr)
-        asked.append(key)
-        if asked.count(key) == 1:
-            query.reply_err(bytes([0x08, 5, 0x10, 1]))  # code OVERLOADED, retryable
-        else:
-            query.reply(key, b"")
-
-    with zenoh.open(config) as session:
-        queryable = session.declare_queryable("egp/**", answer)
-        belief = RoadBelief(PATH)
-        with FleetMap(endpoint, belief, road="ring", vehicle="car") as fleet:
-            assert fleet.fetch()
-            measure(belief, 0.4, 150.0)
-            (question,) = set(asked)
-            assert len(asked) == 2
-
-            def sent_again() -> bool:
-                fleet.exchange()
-                return sorted(map(asked.count, set(asked) - {question})) == [2, 2]
-
-            wait_until(sent_again)
-        queryable.undeclare()  # type: ignore[no-untyped-call]
-
-
-@pytest.mark.parametrize("of_evidence", [False, True])
-def test_a_warning_says_what_the_service_does_not_accept(
-    caplog: pytest.LogCaptureFixture,
-    of_evidence: bool,  # noqa: FBT001 - a parameter
-) -> None:
-    endpoint = free_endpoint()
-    config = zenoh.Config()
-    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
-    config.insert_json5("scouting/multicast/enabled", "false")
-
-    def answer(query: zenoh.Query) -> None:
-        if ("/tile/" in str(query.key_expr)) == of_evidence:
-            query.reply_err(bytes([0x08, 2]))
-        else:
-            query.reply(str(query.key_expr), b"")
-
-    with zenoh.open(config) as session:
-        queryable = session.declare_queryable("egp/**", answer)
-        belief = RoadBelief(PATH)
-        with FleetMap(endpoint, belief, road="ring", vehicle="car") as fleet:
-            fleet.fetch()
-            measure(belief, 0.4, 150.0)
-        queryable.undeclare()  # type: ignore[no-untyped-call]
-    told = " ".join(caplog.messages)
-    assert ("does not accept evidence" in told) == of_evidence
-    assert ("does not answer questions" in told) != of_evidence
 
 
 def test_fleets_share_nothing_and_a_vehicle_does_not_hear_itself() -> None:

@@ -133,7 +133,7 @@ class FleetMap:
                 self._patience = self._timeout
                 while self._asking and time.monotonic() < deadline:
                     self._handle(deadline)
-                if not self._asking and not self._silent:
+                if not self._asking and not self._silent and self._stale_from is None:
                     return True
                 time.sleep(0.05)  # the link may not be there yet
         finally:
@@ -163,6 +163,11 @@ class FleetMap:
         return self._answered
 
     @property
+    def silent(self) -> bool:
+        """Whether no map service replied to the last query, not even with an error."""
+        return self._silent
+
+    @property
     def unsent(self) -> int:
         """Number of tiles whose newest evidence no map service has acknowledged."""
         self._note_changed(time.monotonic())
@@ -188,7 +193,9 @@ class FleetMap:
             if left := self.unsent:
                 _log.warning("the evidence about %d tiles of the road was not sent", left)
         finally:
-            self._session.close()  # type: ignore[no-untyped-call]
+            # A session whose link is cut reports that it cannot say so.
+            with suppress(zenoh.ZError):
+                self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:
         """Return the map."""
@@ -274,14 +281,15 @@ class FleetMap:
     ) -> None:
         """Send a query; `use` gets an answer, and `end` whether one came within `patience` s.
 
-        `patience` is `timeout` by default. An error that another attempt may not have is an answer.
-        Both are called by `exchange`.
+        `patience` is `timeout` by default. An error that another attempt will have, too, is an
+        answer. Both are called by `exchange`.
         """
-        heard = []
+        replied, heard = [], []
         lost = "answer questions" if payload is None else "accept evidence"
 
         def deliver(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
+                replied.append(True)
                 heard.append(True)
                 content = reply.ok.payload.to_bytes()
                 self._inbox.put(lambda: use(content))
@@ -289,13 +297,14 @@ class FleetMap:
                 content = reply.err.payload.to_bytes()
                 with suppress(EgpError):  # such as the text with which zenoh reports a timeout
                     refusal = decode_error(content)
+                    replied.append(True)
                     if not refusal.retryable:
                         heard.append(True)
                     self._inbox.put(lambda: self._refused(lost, refusal))
 
         def ended() -> None:
-            answered = bool(heard)
-            self._inbox.put(lambda: self._ended(end, answered=answered))
+            there, answered = bool(replied), bool(heard)
+            self._inbox.put(lambda: self._ended(end, there=there, answered=answered))
 
         try:
             self._session.get(
@@ -308,10 +317,10 @@ class FleetMap:
         except zenoh.ZError:
             ended()
 
-    def _ended(self, end: Callable[[bool], None], *, answered: bool) -> None:
-        if not (answered or self._silent or self._fetching):
+    def _ended(self, end: Callable[[bool], None], *, there: bool, answered: bool) -> None:
+        if not (there or self._silent or self._fetching):
             _log.info(_NO_ANSWER)
-        self._silent = not answered
+        self._silent = not there
         end(answered)
 
     def _refused(self, lost: str, refusal: Refusal) -> None:

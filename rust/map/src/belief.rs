@@ -5,7 +5,7 @@ use std::mem::take;
 
 use egp_parameters::FRICTION_HYPOTHESES;
 
-use crate::belief_error::{BeliefError, at_most, place, positive, probability, stretch};
+use crate::belief_error::{BeliefError, at_most, place, positive};
 use crate::grid::{Grid, Row, pass_backward, pass_forward, told_apart};
 use crate::layer::Layer;
 use crate::recent::Recent;
@@ -78,6 +78,8 @@ pub struct RoadBelief {
     pub(crate) track: VecDeque<f64>,
     /// Logarithm of the likelihood in each cell, at most 0.
     evidence: Vec<Row>,
+    /// The part of it that was measured since the belief was made; `None` as long as this is all of it.
+    measured: Option<Vec<Row>>,
     /// Its exponential.
     pub(crate) likelihood: Vec<Row>,
     /// What the newest window found, where most of it is not stored yet.
@@ -125,6 +127,7 @@ impl RoadBelief {
             cell: length / cells,
             track: VecDeque::with_capacity(settings.window + 1),
             evidence: vec![[0.0; _]; cells as usize],
+            measured: None,
             likelihood: vec![[1.0; _]; cells as usize],
             recent: None,
             reported: None,
@@ -165,6 +168,11 @@ impl RoadBelief {
 
     pub(crate) fn evidence(&self) -> &[Row] {
         &self.evidence
+    }
+
+    /// The evidence that was measured since the belief was made, without what was recalled.
+    pub(crate) fn measured(&self) -> &[Row] {
+        self.measured.as_ref().unwrap_or(&self.evidence)
     }
 
     /// Opens a control period of a vehicle at `s`, and adds what the last control step found.
@@ -243,10 +251,10 @@ impl RoadBelief {
         self.track.clear();
     }
 
-    /// The stretch from `from` to `to`, counted without a jump at the end of a lap. `None` if the vehicle drove backwards or
-    /// was moved.
-    fn between(&self, from: f64, to: f64) -> Option<(f64, f64)> {
-        let from = self.before(from, to);
+    /// The stretch from `from` to `to`, counted without a jump at the end of a lap. `None` if the vehicle drove backwards, was
+    /// moved, or drove more than half of a lap.
+    pub(crate) fn between(&self, from: f64, to: f64) -> Option<(f64, f64)> {
+        let from = self.near(from, to);
         let cells = self.index(to) - self.index(from);
         (to >= from && cells < self.evidence.len() as i64).then_some((from, to))
     }
@@ -271,71 +279,46 @@ impl RoadBelief {
         }
     }
 
-    /// Adds `weight` times a logarithm of a likelihood to a cell.
-    pub(crate) fn add_to_cell(&mut self, cell: usize, weight: f64, log_likelihood: &Row) {
-        let evidence = &mut self.evidence[cell];
-        for (sum, value) in evidence.iter_mut().zip(log_likelihood) {
-            *sum += weight * value;
+    /// Adds `weight` times a logarithm of a likelihood, which was measured now, to a cell.
+    fn add_to_cell(&mut self, cell: usize, weight: f64, log_likelihood: &Row) {
+        if log_likelihood.iter().all(|value| *value == 0.0) {
+            return; // The evidence stays as it is, and as old as it is.
         }
-        let most = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let least = -self.settings.capacity;
-        for value in evidence.iter_mut() {
-            *value = (*value - most).max(least) + 0.0; // no negative zero, which is not kept by a sum
+        let capacity = self.settings.capacity;
+        if let Some(measured) = &mut self.measured {
+            accumulate(&mut measured[cell], weight, log_likelihood, capacity);
         }
-        self.likelihood[cell] = evidence.map(f64::exp);
+        accumulate(&mut self.evidence[cell], weight, log_likelihood, capacity);
+        self.likelihood[cell] = self.evidence[cell].map(f64::exp);
         self.changed.insert(cell / TILE_CELLS);
     }
 
-    /// Writes the friction to plan for at places `step` m apart from `start` on: the coefficient below which the
-    /// friction lies with the probability `risk`.
-    ///
-    /// # Errors
-    /// [`BeliefError`] unless `start` is an arc length, the places cover at most 10 km, and `risk` is in (0, 1).
-    pub fn ahead(
-        &mut self,
-        start: f64,
-        step: f64,
-        risk: f64,
-        friction: &mut [f64],
-    ) -> Result<(), BeliefError> {
-        place("start", start)?;
-        positive("step", step)?;
-        stretch(
-            "step times the number of places",
-            step * friction.len() as f64,
-        )?;
-        probability("risk", risk)?;
-        let blur = (BLUR / self.cell).round() as i64;
-        let first = self.index(start) - blur;
-        let last = self.index(start + step * friction.len().saturating_sub(1) as f64) + blur;
-        let committed = 1.0 - (-self.settings.commitment / self.settings.change_distance).exp();
-        let cells: Vec<f64> = (self.masses(first, last, REACH, committed).iter())
-            .map(|masses| self.grid.quantile(masses, risk))
-            .collect();
-        for (i, out) in friction.iter_mut().enumerate() {
-            let centre = (self.index(start + step * i as f64) - first - blur) as usize;
-            let near = &cells[centre..=centre + 2 * blur as usize];
-            *out = near.iter().copied().fold(f64::INFINITY, f64::min);
+    /// Adds `weight` times the logarithms of likelihoods of all cells that were measured before the belief was made.
+    pub(crate) fn add_recalled(&mut self, weight: f64, rows: &[Row]) {
+        if self.measured.is_none() {
+            self.measured = Some(self.evidence.clone());
         }
-        Ok(())
+        let cells = self.evidence.iter_mut().zip(&mut self.likelihood);
+        for ((evidence, likelihood), row) in cells.zip(rows) {
+            accumulate(evidence, weight, row, self.settings.capacity);
+            *likelihood = evidence.map(f64::exp);
+        }
     }
 
-    /// The friction below which that at `s` lies with the probability `share`, without regard to the commitment.
-    ///
-    /// # Errors
-    /// [`BeliefError`] unless `s` is finite and `share` in (0, 1).
-    pub fn quantile(&mut self, s: f64, share: f64) -> Result<f64, BeliefError> {
-        probability("share", share)?;
-        place("s", s)?;
-        let index = self.index(s);
-        let reach = 3.0 * self.settings.change_distance;
-        let masses = self.masses(index, index, reach, 0.0);
-        Ok(self.grid.quantile(&masses[0], share))
+    /// The number of cells within `reach` m on either side of a cell, and the largest number of cells whose messages may be
+    /// computed at once from evidence up to `reach` m beyond them: on a lap no evidence may count twice.
+    pub(crate) fn reach(&self, reach: f64) -> (i64, i64) {
+        let count = self.evidence.len() as i64;
+        let reach = (reach / self.cell).ceil().min(count as f64) as i64;
+        if !self.closed {
+            return (reach, i64::MAX);
+        }
+        let reach = reach.min((count - 1) / 2);
+        (reach, count - 2 * reach)
     }
 
-    /// Computes the messages of the cells `first..=last` from a layer's evidence up to `reach` m beyond them.
-    pub(crate) fn smooth(&mut self, layer: Layer, first: i64, last: i64, reach: f64) {
-        let reach = (reach / self.cell).ceil().min(self.evidence.len() as f64) as i64;
+    /// Computes the messages of the cells `first..=last` from a layer's evidence up to `reach` cells beyond them.
+    pub(crate) fn smooth(&mut self, layer: Layer, first: i64, last: i64, reach: i64) {
         let change = 1.0 - (-self.cell / self.settings.change_distance).exp();
         let (mut forward, mut backward) = (take(&mut self.forward), take(&mut self.backward));
         let cells = (last - first + 1) as usize;
@@ -371,6 +354,18 @@ impl RoadBelief {
             return Some(index.rem_euclid(count) as usize);
         }
         (0..count).contains(&index).then_some(index as usize)
+    }
+}
+
+/// Adds `weight` times a logarithm of a likelihood to a cell's evidence, whose largest number stays 0 and whose smallest one is
+/// at least `-capacity`.
+fn accumulate(evidence: &mut Row, weight: f64, log_likelihood: &Row, capacity: f64) {
+    for (sum, value) in evidence.iter_mut().zip(log_likelihood) {
+        *sum += weight * value;
+    }
+    let most = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    for value in evidence.iter_mut() {
+        *value = (*value - most).max(-capacity) + 0.0; // no negative zero, which is not kept by a sum
     }
 }
 

@@ -25,17 +25,19 @@ impl RoadBelief {
         self.evidence().len().div_ceil(TILE_CELLS)
     }
 
-    /// What the vehicle itself measured in a tile, without anything that was reported to it.
+    /// What the vehicle itself measured in a tile since the belief was made, without anything that was reported to it or
+    /// recalled from a file.
     ///
     /// # Errors
     /// [`TileIndexError`] unless the road has such a tile.
     pub fn tile(&self, index: usize) -> Result<Tile, TileIndexError> {
         self.check(index)?;
-        let cells = self.evidence().iter().skip(index * TILE_CELLS).copied();
+        let cells = self.measured().iter().skip(index * TILE_CELLS).copied();
         Ok(Tile::from_rows(cells))
     }
 
-    /// The tiles whose evidence changed since the last call, in order.
+    /// The tiles in which the vehicle measured something since the last call, in order. Windows that do not tell coefficients
+    /// apart are no measurements.
     pub fn take_changed(&mut self) -> Vec<usize> {
         take(&mut self.changed).into_iter().collect()
     }
@@ -63,12 +65,11 @@ impl RoadBelief {
         let (Some(from), Some(to)) = (self.track.front(), self.track.back()) else {
             return;
         };
-        let (from, mut to) = (*from, *to);
-        if self.closed() && to < from - 0.5 * self.length() {
-            to += self.length();
-        }
-        if self.reported.is_none() || to < from || to - from > REACH {
-            return; // backwards, or moved
+        let Some((from, to)) = self.between(*from, *to) else {
+            return;
+        };
+        if self.reported.is_none() || to - from > REACH {
+            return;
         }
         let (first, last) = (self.index(from - BLUR), self.index(to + BLUR));
         let mut stated = self.masses_of(Layer::Reported, first, last, REACH, 0.0);

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView, serialize};
 use sha2::{Digest as _, Sha256};
 
-use crate::grid::{LEVELS, Row};
+use crate::grid::LEVELS;
 use crate::{MergeSettings, RoadBelief};
 
 const TENSOR: &str = "evidence";
@@ -138,10 +138,7 @@ impl RoadBelief {
         if checksum(described, tensor.data()) != stated {
             return Err(content("its checksum does not fit, so that it is damaged"));
         }
-        let rows: &[Row] = values.as_chunks().0;
-        for (cell, row) in rows.iter().enumerate() {
-            self.add_to_cell(cell, remaining, row);
-        }
+        self.add_recalled(remaining, values.as_chunks().0);
         Ok(())
     }
 

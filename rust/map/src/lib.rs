@@ -17,6 +17,7 @@ mod grid;
 mod layer;
 mod merge;
 mod preview;
+mod quantile;
 mod recent;
 mod reported;
 mod tile;

@@ -40,7 +40,7 @@ impl RoadBelief {
                 value: pair[1],
             });
         }
-        let oldest = self.before(self.track.front().copied().unwrap_or(start), start);
+        let oldest = self.near(self.track.front().copied().unwrap_or(start), start);
         stretch("the stretch of places", end - oldest.min(start))?;
         let first = self.index(oldest.min(start));
         let masses = self.masses(first, self.index(end), REACH, 0.0);
@@ -52,7 +52,7 @@ impl RoadBelief {
             *row = at(*s);
         }
         let (mut sum, mut count) = (at(start), 1.0);
-        for s in self.track.iter().map(|s| self.before(*s, start)) {
+        for s in self.track.iter().map(|s| self.near(*s, start)) {
             if (oldest..=start).contains(&s) {
                 let here = at(s);
                 sum = [sum[0] + here[0], sum[1] + here[1]];
@@ -63,13 +63,13 @@ impl RoadBelief {
         Ok(())
     }
 
-    /// The arc length of a place that the vehicle passed before it came to `here`, counted without a jump at the end of
-    /// a lap.
-    pub(crate) fn before(&self, s: f64, here: f64) -> f64 {
-        if self.closed() && s > here + 0.5 * self.length() {
-            s - self.length()
-        } else {
-            s
+    /// The arc length of a place near `here`, counted without a jump at the end of a lap: on a lap it differs from `here` by at
+    /// most half of the length.
+    pub(crate) fn near(&self, s: f64, here: f64) -> f64 {
+        if !self.closed() {
+            return s;
         }
+        let length = self.length();
+        s - length * ((s - here) / length).round()
     }
 }

@@ -36,7 +36,8 @@ pub struct MapConfig {
     /// Address for `/health`, `/ready` and `/metrics` over HTTP, such as `127.0.0.1:9465`. Default: none.
     #[serde(deserialize_with = "address")]
     pub http: Option<SocketAddr>,
-    /// What to log, as for `egp serve`. Default `info,zenoh=warn,zenoh_link_tls=error`.
+    /// What to log, as for `egp serve`. Default
+    /// `info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error`.
     pub log: String,
     /// Whether each log line is a JSON object instead of text. Default false.
     pub log_json: bool,
@@ -60,7 +61,7 @@ impl Default for MapConfig {
             publish_ms: 500,
             save_ms: 10_000,
             http: None,
-            log: "info,zenoh=warn,zenoh_link_tls=error".to_owned(),
+            log: "info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error".to_owned(),
             log_json: false,
             zenoh_file: None,
             zenoh: BTreeMap::new(),

@@ -281,7 +281,7 @@ mod tests {
             vehicle: name("a"),
             road: road.1.clone(),
         };
-        let tile = Tile::from_bytes(&[7; TILE_BYTES]).unwrap();
+        let tile = Tile::from_bytes(&[7, 0].repeat(TILE_BYTES / 2)).unwrap();
         store.add(&key, 3, tile, 0.0, 0.0).unwrap();
         save(&folder, &store, CLOCKS);
         let file = folder.join("depot@ring.road");

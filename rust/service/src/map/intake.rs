@@ -5,7 +5,7 @@ use egp_wire::{Code, ROAD_TILES, WireError};
 
 use super::metrics::Metrics;
 use super::turns::{Refused, Turns};
-use crate::query::Query;
+use crate::query::{Query, check_attachment};
 
 /// Queries of one vehicle that may wait. Vehicles are answered in turn, so that another vehicle's query waits for one of them.
 const EACH: usize = 64;
@@ -49,6 +49,9 @@ impl<Q: Query> Intake<Q> {
 
     /// Answers a query, lets it wait for the keeper, or answers it with an error.
     pub(crate) fn take(&self, query: Q) {
+        if let Err(error) = check_attachment(&query) {
+            return self.refuse(&query, &error);
+        }
         let (kind, key, index) = match road_keys::parse(query.key()) {
             Some(RoadTarget::Health) => {
                 return query.answer(road_keys::HEALTH, b"ok".to_vec(), "text/plain", None);
@@ -144,5 +147,14 @@ mod tests {
         assert!(full.detail.contains("1024 queries of all"), "{full}");
         intake.waiting.close();
         assert_eq!(take("later").unwrap().code, Code::Draining);
+    }
+
+    #[test]
+    fn a_query_with_a_large_attachment_does_not_wait() {
+        let intake = Intake::new();
+        let mut query = Recorded::new("egp/v1/map/depot/a/ring/tiles/0", Vec::new());
+        query.attachment = vec![7; 513];
+        intake.take(query.clone());
+        assert_eq!(query.code(), Some(Code::Malformed));
     }
 }

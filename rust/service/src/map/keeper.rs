@@ -243,7 +243,8 @@ mod tests {
     }
 
     fn evidence() -> Vec<u8> {
-        let rows = vec![0; TILE_BYTES];
+        let mut rows = vec![0; TILE_BYTES];
+        rows[0] = 7;
         TileEvidence { age_ms: 0, rows }.encode()
     }
 

@@ -127,8 +127,8 @@ impl Store {
 
     /// Keeps what a vehicle measured at the time `at` at the latest, in place of its earlier contribution to the tile.
     ///
-    /// A contribution older than the kept one of the same vehicle changes nothing. Of more vehicles than a tile may have, the
-    /// oldest contribution is not kept, whether it comes last or was there before.
+    /// A contribution older than the kept one of the same vehicle changes nothing, and neither does one without evidence. Of
+    /// more vehicles than a tile may have, the oldest contribution is not kept, whether it comes last or was there before.
     ///
     /// # Errors
     /// [`StoreError`]; the store is then unchanged, but for what it forgot because of its age.
@@ -146,7 +146,7 @@ impl Store {
         }
         let road = (key.fleet.clone(), key.road.clone());
         let kept = (self.roads.get(&road)).and_then(|tiles| tiles.get(&index)?.get(&key.vehicle));
-        if kept.is_some_and(|kept| kept.at > at) {
+        if tile.is_empty() || kept.is_some_and(|kept| kept.at > at) {
             return Ok(());
         }
         if kept.is_none() {
@@ -342,30 +342,37 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn tiles_whose_evidence_expires_have_changed() {
+    fn store(vehicles: usize) -> Store {
         let limits = MapLimits {
             contributions: 10,
-            vehicles: 10,
+            vehicles,
             tiles: 10,
             roads: 10,
         };
-        let mut store = Store::new(MergeSettings::default(), limits);
-        let name = |text: &str| text.parse::<Name>().unwrap();
-        let mut add = |vehicle: &str, index, at| {
-            let key = RoadKey {
-                fleet: name("depot"),
-                vehicle: name(vehicle),
-                road: name("ring"),
-            };
-            let tile = Tile::from_bytes(&[0; TILE_BYTES]).unwrap();
-            store.add(&key, index, tile, at, at).unwrap();
-        };
-        add("a", 3, 0.0);
-        add("b", 3, 1e4);
-        add("a", 7, 1e4);
+        Store::new(MergeSettings::default(), limits)
+    }
+
+    fn key(vehicle: &str) -> RoadKey {
+        RoadKey {
+            fleet: "depot".parse().unwrap(),
+            vehicle: vehicle.parse().unwrap(),
+            road: "ring".parse().unwrap(),
+        }
+    }
+
+    /// A tile with this ratio of likelihoods.
+    fn tile(ratio: u8) -> Tile {
+        Tile::from_bytes(&[ratio, 0].repeat(TILE_BYTES / 2)).unwrap()
+    }
+
+    #[test]
+    fn tiles_whose_evidence_expires_have_changed() {
+        let mut store = store(10);
+        for (vehicle, index, at) in [("a", 3, 0.0), ("b", 3, 1e4), ("a", 7, 1e4)] {
+            store.add(&key(vehicle), index, tile(7), at, at).unwrap();
+        }
         store.take_changed();
-        let road = (name("depot"), name("ring"));
+        let road = (key("a").fleet, key("a").road);
         for (index, kept, now) in [(3, true, 1.2e4), (7, false, 1e6)] {
             store.unsaved.clear();
             store.expire(now);
@@ -375,5 +382,19 @@ mod tests {
         }
         store.expire(2e6);
         assert!(store.take_changed().is_empty());
+    }
+
+    #[test]
+    fn a_tile_without_evidence_takes_no_place_and_changes_nothing() {
+        let mut store = store(1);
+        store.add(&key("a"), 3, tile(64), 0.0, 0.0).unwrap();
+        store.take_changed();
+        // From another vehicle, and from the same one after a restart.
+        for (vehicle, index) in [("b", 3), ("a", 3), ("b", 4)] {
+            store.add(&key(vehicle), index, tile(0), 1.0, 1.0).unwrap();
+        }
+        assert!(store.take_changed().is_empty());
+        assert_eq!(store.contributions(), 1);
+        assert_eq!(store.tiles(&key("b"), 0, 1.0).tiles.len(), 1);
     }
 }

@@ -1,45 +1,9 @@
-//! Beliefs about roads of known friction.
-#![allow(
-    clippy::unwrap_used,
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss
-)]
+//! What a belief knows, and how it is stored.
 
 use egp_map::{BeliefSettings, RoadBelief};
 use egp_parameters::{FRICTION_HYPOTHESES, friction_hypotheses};
 
-const LENGTH: f64 = 500.0;
-
-fn belief() -> RoadBelief {
-    RoadBelief::new(LENGTH, true, &BeliefSettings::default()).unwrap()
-}
-
-/// Evidence for a friction coefficient that is known to 5 %.
-fn evidence(mu: f64) -> [f64; FRICTION_HYPOTHESES] {
-    friction_hypotheses().map(|hypothesis| -0.5 * ((hypothesis / mu).ln() / 0.05).powi(2))
-}
-
-/// Drives from `from` to `to` at 10 m/s; `found` gives the evidence at a place.
-fn drive(
-    belief: &mut RoadBelief,
-    from: f64,
-    to: f64,
-    found: impl Fn(f64) -> Option<[f64; FRICTION_HYPOTHESES]>,
-) {
-    let periods = ((to - from) / 0.2) as usize;
-    for period in 0..periods {
-        let s = from + 0.2 * period as f64;
-        // The window covers the last 5 m.
-        let evidence = found((s - 2.5).rem_euclid(LENGTH));
-        belief
-            .update(s.rem_euclid(LENGTH), evidence.as_ref())
-            .unwrap();
-    }
-}
-
-fn quantiles(belief: &mut RoadBelief, s: f64) -> [f64; 3] {
-    [0.05, 0.5, 0.95].map(|share| belief.quantile(s, share).unwrap())
-}
+use super::{LENGTH, belief, drive, evidence, quantiles};
 
 #[test]
 fn nothing_is_known_at_first() {
@@ -84,7 +48,8 @@ fn a_lap_is_remembered_with_its_borders() {
 
 #[test]
 fn what_is_known_fades_with_the_distance() {
-    let mut belief = belief();
+    // On a lap, what is known would lie ahead, too.
+    let mut belief = RoadBelief::new(LENGTH, false, &BeliefSettings::default()).unwrap();
     drive(&mut belief, 0.0, 100.0, |_| Some(evidence(0.9)));
     let lower = [90.0, 130.0, 200.0, 300.0].map(|s| belief.quantile(s, 0.1).unwrap());
     assert!(lower.windows(2).all(|pair| pair[0] > pair[1]), "{lower:?}");
@@ -108,7 +73,9 @@ fn differences_that_errors_of_the_models_explain_do_not_add_up() {
     drive(&mut belief, 0.0, 10.0 * LENGTH, |_| Some(straight));
     belief.leave();
     assert_eq!(belief.to_bytes().unwrap(), empty);
+    assert!(belief.take_changed().is_empty());
     drive(&mut belief, 0.0, 60.0, |_| Some(bend));
+    assert_eq!(belief.take_changed(), [0]);
     let [low, ..] = quantiles(&mut belief, 40.0);
     assert!(low > 0.38, "{low}");
 }
@@ -163,16 +130,6 @@ fn periods_without_evidence_and_jumps_add_nothing() {
         belief.update(s, Some(&evidence(0.5))).unwrap();
     }
     assert_eq!(belief.to_bytes().unwrap(), empty);
-}
-
-#[test]
-fn a_vehicle_that_was_moved_has_a_preview_at_once() {
-    let mut belief = RoadBelief::new(50_000.0, false, &BeliefSettings::default()).unwrap();
-    drive(&mut belief, 0.0, 10.0, |_| Some(evidence(0.5)));
-    belief.update(20_000.0, Some(&evidence(0.5))).unwrap();
-    let mut rows = [[0.0; 2]; 3];
-    belief.preview(&[20_000.0, 20_002.0], &mut rows).unwrap();
-    assert!((rows[1][0] - 0.675).abs() < 0.1, "not measured: {rows:?}");
 }
 
 #[test]
@@ -300,58 +257,6 @@ fn numbers_out_of_range_are_errors() {
         };
         assert!(RoadBelief::new(LENGTH, true, &settings).is_err());
     }
-}
-
-#[test]
-fn a_preview_shows_a_known_border() {
-    let mut belief = belief();
-    let truth = |s: f64| if s < 200.0 { 0.9 } else { 0.4 };
-    drive(&mut belief, 0.0, 400.0, |s| Some(evidence(truth(s))));
-    belief.leave();
-    drive(&mut belief, 180.0, 190.0, |s| Some(evidence(truth(s))));
-    let places: Vec<f64> = (0..20).map(|i| 190.0 + f64::from(i)).collect();
-    let mut rows = vec![[0.0; 2]; 21];
-    belief.preview(&places, &mut rows).unwrap();
-    assert!((rows[0][0] - 0.9).abs() < 0.05, "{:?}", rows[0]);
-    for ([friction, std], s) in rows[1..].iter().zip(&places) {
-        if (s - 200.0).abs() > 4.0 {
-            assert!((friction - truth(*s)).abs() < 0.05, "{s} {friction}");
-            assert!(*std < 0.1, "{s} {std}");
-        }
-    }
-}
-
-#[test]
-fn without_evidence_a_preview_shows_no_change() {
-    let mut rows = [[0.0; 2]; 4];
-    belief().preview(&[495.0, 499.0, 505.0], &mut rows).unwrap();
-    for [friction, std] in rows {
-        assert!((friction - 0.7).abs() < 0.01);
-        assert!((std - 1.2 / 12.0_f64.sqrt()).abs() < 0.01);
-    }
-}
-
-#[test]
-fn a_preview_continues_across_the_end_of_a_lap() {
-    let mut belief = belief();
-    drive(&mut belief, 480.0, 504.0, |_| Some(evidence(0.5)));
-    let mut rows = [[0.0; 2]; 3];
-    belief.preview(&[4.0, 6.0], &mut rows).unwrap();
-    assert!(
-        (rows[0][0] - 0.5).abs() < 0.1 && (rows[1][0] - 0.5).abs() < 0.1,
-        "{rows:?}"
-    );
-}
-
-#[test]
-fn places_of_a_preview_are_checked() {
-    let mut belief = belief();
-    let mut check =
-        |places: &[f64], rows: usize| belief.preview(places, &mut vec![[0.0; 2]; rows]).is_err();
-    assert!(!check(&[1.0, 2.0], 3));
-    assert!(check(&[1.0, 2.0], 2) && check(&[1.0], 2) && check(&[], 1));
-    assert!(check(&[2.0, 1.0], 3) && check(&[f64::NAN, 1.0], 3) && check(&[1.0, f64::NAN], 3));
-    assert!(check(&[0.0, 2e4], 3));
 }
 
 #[test]
