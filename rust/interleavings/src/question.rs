@@ -95,6 +95,10 @@ impl Query for Question {
         Cow::Borrowed(&self.payload)
     }
 
+    fn attachment_length(&self) -> usize {
+        self.attachment.len()
+    }
+
     fn attachment(&self) -> Cow<'_, [u8]> {
         Cow::Borrowed(&self.attachment)
     }

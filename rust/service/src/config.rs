@@ -68,7 +68,7 @@ pub struct ServiceConfig {
     #[serde(default, deserialize_with = "address")]
     pub http: Option<SocketAddr>,
     /// What to log: a level, or directives such as `egp_service=debug,zenoh=warn`. Default
-    /// `info,zenoh=warn,zenoh_link_tls=error`.
+    /// `info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error`.
     #[serde(default = "default_log")]
     pub log: String,
     /// Whether each log line is a JSON object instead of text. Default false.
@@ -120,7 +120,7 @@ fn default_load() -> u64 {
 }
 
 fn default_log() -> String {
-    "info,zenoh=warn,zenoh_link_tls=error".to_owned()
+    "info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error".to_owned()
 }
 
 fn default_traces_share() -> f64 {

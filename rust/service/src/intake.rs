@@ -9,7 +9,7 @@ use crate::events;
 use crate::guard::{Guard, Sealed};
 use crate::metrics::{Metrics, micros};
 use crate::offer::Offer;
-use crate::query::Query;
+use crate::query::{Query, check_attachment};
 use crate::queue::{Queue, Refused};
 use crate::standing::Standing;
 use crate::sync::atomic::{AtomicBool, Ordering};
@@ -64,6 +64,9 @@ pub(crate) struct Shared<Q> {
 impl<Q: Query> Shared<Q> {
     /// Answers a query that arrived at `arrived`, queues it, or answers it with an error.
     pub(crate) fn take(&self, query: Q, arrived: Instant) {
+        if let Err(error) = check_attachment(&query) {
+            return self.refuse(&query, None, &error);
+        }
         match keys::parse(query.key()) {
             Some(Target::Health) => {
                 let key = keys::health(&self.replica);
@@ -151,7 +154,7 @@ impl<Q: Query> Shared<Q> {
             }
             arrived + self.time_to_answer(ahead) <= latest
         };
-        let pushed = self.queue.push(vehicle, deadline, job, in_time);
+        let pushed = self.queue.push(vehicle, arrived, deadline, job, in_time);
         if let Some(old) = pushed.superseded {
             let detail = "a newer request of this vehicle took the place of this one";
             self.refuse_job(&old, &WireError::permanent(Code::Superseded, detail));

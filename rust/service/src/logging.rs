@@ -149,6 +149,10 @@ mod tests {
             tracing::subscriber::with_default(subscriber, || {
                 assert!(!tracing::enabled!(target: "zenoh_link_tls::unicast", Level::WARN));
                 assert!(tracing::enabled!(target: "zenoh_link_tls::unicast", Level::ERROR));
+                // A query whose sender chose a short timeout.
+                assert!(
+                    !tracing::enabled!(target: "zenoh::net::routing::dispatcher::queries", Level::WARN)
+                );
                 assert!(tracing::enabled!(target: "zenoh_transport::manager", Level::WARN));
                 assert!(tracing::enabled!(target: "egp_service::server", Level::INFO));
             });

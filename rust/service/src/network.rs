@@ -142,6 +142,10 @@ impl Query for Received {
             .map_or(Cow::Borrowed(&[]), |payload| payload.to_bytes())
     }
 
+    fn attachment_length(&self) -> usize {
+        self.0.attachment().map_or(0, ZBytes::len)
+    }
+
     fn attachment(&self) -> Cow<'_, [u8]> {
         self.0
             .attachment()

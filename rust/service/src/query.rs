@@ -2,7 +2,10 @@
 
 use std::borrow::Cow;
 
-use egp_wire::{Invalid, MessageLimits, WireError};
+use egp_wire::{Code, Invalid, MessageLimits, WireError};
+
+/// Largest attachment of a query in bytes. The seal of a vehicle, the only one there is, has at most about 200.
+const ATTACHMENT: usize = 512;
 
 /// A query that is answered exactly once, by a reply or by an error.
 pub trait Query {
@@ -14,6 +17,9 @@ pub trait Query {
 
     /// The bytes that were sent, which are copied if they came in several parts.
     fn payload(&self) -> Cow<'_, [u8]>;
+
+    /// Length of the attachment in bytes.
+    fn attachment_length(&self) -> usize;
 
     /// The attachment; empty if there is none.
     fn attachment(&self) -> Cow<'_, [u8]>;
@@ -29,6 +35,17 @@ pub trait Query {
 
     /// Replies with an error.
     fn refuse(&self, error: &WireError);
+}
+
+/// Errors if a query has a larger attachment than any seal: it would be copied several times on the network's receive thread
+/// before it is known who sent it.
+pub(crate) fn check_attachment(query: &impl Query) -> Result<(), WireError> {
+    let actual = query.attachment_length();
+    if actual <= ATTACHMENT {
+        return Ok(());
+    }
+    let detail = format!("expected an attachment of at most {ATTACHMENT} bytes, got {actual}");
+    Err(WireError::permanent(Code::Malformed, detail))
 }
 
 /// An answer to a question of this side.
@@ -165,7 +182,15 @@ pub(crate) mod recorded {
             Cow::Borrowed(&self.payload)
         }
 
+        fn attachment_length(&self) -> usize {
+            self.attachment.len()
+        }
+
         fn attachment(&self) -> Cow<'_, [u8]> {
+            assert!(
+                self.attachment.len() <= super::ATTACHMENT,
+                "it is too large to be read"
+            );
             Cow::Borrowed(&self.attachment)
         }
 
@@ -219,5 +244,35 @@ pub(crate) mod recorded {
             *reply = format!("{workspace}:{sequence}").into_bytes();
             Ok(Status::IterationLimit)
         }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use std::time::Instant;
+
+    use super::*;
+    use crate::intake::tests::shared;
+    use crate::query::recorded::Recorded;
+
+    #[test]
+    fn an_attachment_that_is_larger_than_a_seal_is_not_read() {
+        let shared = shared(1);
+        let ready = Recorded::new("egp/v1/r/main/ready", Vec::new());
+        for mut query in [ready, Recorded::request("a", 1, 16_000)] {
+            query.attachment = vec![7; ATTACHMENT + 1];
+            shared.take(query.clone(), Instant::now());
+            let error = query.error().unwrap();
+            assert_eq!(error.code, Code::Malformed);
+            assert!(
+                error.detail.contains("at most 512 bytes, got 513"),
+                "{error}"
+            );
+        }
+        let mut query = Recorded::request("b", 1, 16_000);
+        query.attachment = vec![7; ATTACHMENT];
+        shared.take(query.clone(), Instant::now());
+        assert_eq!(query.sent(), None);
     }
 }

@@ -94,6 +94,10 @@ impl Query for Exchange {
         Cow::Borrowed(&self.payload)
     }
 
+    fn attachment_length(&self) -> usize {
+        self.attachment.len()
+    }
+
     fn attachment(&self) -> Cow<'_, [u8]> {
         Cow::Borrowed(&self.attachment)
     }
