@@ -5,6 +5,10 @@
 /// Largest magnitude of any number; no quantity of a road vehicle in SI units is larger.
 pub const MAGNITUDE: f64 = 1e7;
 
+/// Largest magnitudes of the states `[p_x, p_y, v_x, psi, v_y, omega, delta]` in messages, in m, m/s, rad and rad/s. The yaw
+/// is unwrapped, and positions may be UTM coordinates.
+pub const STATE_IN_MESSAGES: [f64; 7] = [MAGNITUDE, MAGNITUDE, 150.0, 1e5, 150.0, 50.0, 1.6];
+
 /// Largest longitudinal force in messages, N. An engine is not made for a vehicle that needs more; the control step checks
 /// the acceleration.
 pub const MOST_FORCE: f64 = 1e6;

@@ -1,7 +1,7 @@
 //! The declared domain of every quantity, and checks that name the field and the component at fault.
 
 use egp_parameters::{
-    MAGNITUDE, MOST_FORCE as FORCE, ROAD_FRICTION as FRICTION, SIMPLEX_TOLERANCE,
+    MAGNITUDE, MOST_FORCE as FORCE, ROAD_FRICTION as FRICTION, SIMPLEX_TOLERANCE, STATE_IN_MESSAGES,
 };
 
 use crate::{Invalid, LibraryId, Predictions, VERSION};
@@ -10,13 +10,13 @@ use crate::{Invalid, LibraryId, Predictions, VERSION};
 type Domain<const W: usize> = [(&'static str, f64); W];
 
 // The limits are far beyond what a road vehicle reaches, and small enough that products of them stay exact to many
-// digits. The control step accepts no number above MAGNITUDE, so no message may contain one, because a later request
+// digits. The control step accepts no number above `MAGNITUDE`, so no message may contain one, because a later request
 // would carry it.
-const POSITION: f64 = MAGNITUDE; // m: about the largest UTM coordinate
-const SPEED: f64 = 150.0; // m/s
-const YAW: f64 = 1e5; // rad, unwrapped
-const YAW_RATE: f64 = 50.0; // rad/s
-const STEERING: f64 = 1.6; // rad
+const POSITION: f64 = STATE_IN_MESSAGES[0];
+const SPEED: f64 = STATE_IN_MESSAGES[2];
+const YAW: f64 = STATE_IN_MESSAGES[3];
+const YAW_RATE: f64 = STATE_IN_MESSAGES[5];
+const STEERING: f64 = STATE_IN_MESSAGES[6];
 const STEERING_RATE: f64 = 20.0; // rad/s
 const WIDTH: f64 = 1e4; // m
 

@@ -68,10 +68,15 @@ impl Hypothesis {
     }
 }
 
-/// The member with the friction nearest to `mu`, by ratio, among those on one side.
+/// The member with the friction nearest to `mu`, by ratio, among those on one side. Of several members of this friction it is
+/// the first one with a single-track vehicle, or the first one if none has.
 fn nearest(mu: f64, members: &[Member], side: impl Fn(f64) -> bool) -> Option<usize> {
     let distance = |i: usize| (members[i].friction() / mu).ln().abs();
+    let slides = |i: usize| matches!(members[i].vehicle(), Some(VehicleModel::SingleTrack(_)));
     (0..members.len())
         .filter(|i| side(members[*i].friction()))
-        .min_by(|i, j| distance(*i).total_cmp(&distance(*j)))
+        .min_by(|i, j| {
+            let nearer = distance(*i).total_cmp(&distance(*j));
+            nearer.then(slides(*j).cmp(&slides(*i)))
+        })
 }

@@ -152,6 +152,19 @@ pub enum LibraryError {
         /// Largest number.
         limit: u32,
     },
+    /// Two single-track vehicles have different numbers of Euler steps, so that none lies between them.
+    #[error(
+        "euler_steps of member \"{label}\" is {found}, and {first} of another member: all single-track vehicles of a library \
+         have the same number"
+    )]
+    DifferentEulerSteps {
+        /// Member.
+        label: String,
+        /// Value in the file.
+        found: u32,
+        /// Value of an earlier member.
+        first: u32,
+    },
     /// A tensor that must be there is not.
     #[error("tensor \"{tensor}\" is missing; export the library again")]
     MissingTensor {
@@ -294,7 +307,7 @@ impl LibraryError {
             Self::Count { .. } => "count",
             Self::Label { .. } => "label",
             Self::Friction { .. } => "friction",
-            Self::EulerSteps { .. } => "euler_steps",
+            Self::EulerSteps { .. } | Self::DifferentEulerSteps { .. } => "euler_steps",
             Self::MissingTensor { .. } => "missing_tensor",
             Self::UnexpectedTensor { .. } => "unexpected_tensor",
             Self::DataType { .. } => "data_type",

@@ -169,6 +169,7 @@ impl Metadata {
             return Err(LibraryError::MeasurementDelay { found });
         }
         check_count("members", self.members.len(), MAX_MEMBERS)?;
+        let mut common_steps = None;
         for (i, member) in self.members.iter().enumerate() {
             let label = member.label.clone();
             if label.is_empty() || self.members[..i].iter().any(|other| other.label == label) {
@@ -191,6 +192,16 @@ impl Metadata {
                     found: member.euler_steps,
                     limit: *steps.end(),
                 });
+            }
+            if member.mean == PriorMean::SingleTrack {
+                let first = *common_steps.get_or_insert(member.euler_steps);
+                if member.euler_steps != first {
+                    return Err(LibraryError::DifferentEulerSteps {
+                        label,
+                        found: member.euler_steps,
+                        first,
+                    });
+                }
             }
             if member.n > 0 || member.mean == PriorMean::Constant {
                 let what = format!("points of member \"{label}\"");

@@ -223,8 +223,10 @@ impl Default for SolverSettings {
 
 /// Largest accepted value of the lowest speed to linearise at, m/s: that of the fastest reference.
 const MOST_SLOWEST: f64 = REFERENCE_SPEED.1;
-/// Largest accepted weight of a state, and factor of such weights.
+/// Largest accepted weight of a state, and penalty of a soft bound. With larger ones some steps end without a plan.
 const MOST_WEIGHT: f64 = 1e5;
+/// Largest accepted factor of the states' weights at the last stage, which low friction raises up to 20 times.
+const MOST_TERMINAL: f64 = 1e3;
 
 impl OperatingSettings {
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
@@ -248,7 +250,12 @@ impl Cost {
         weight("cost.lateral", self.lateral)?;
         weight("cost.v_x", self.v_x)?;
         weight("cost.psi", self.psi)?;
-        weight("cost.terminal", self.terminal)?;
+        check(
+            "cost.terminal",
+            self.terminal,
+            "not negative, at most 1e3",
+            |v| (0.0..=MOST_TERMINAL).contains(&v),
+        )?;
         weight("cost.proximal", self.proximal)?;
         for i in 0..NU {
             positive("cost.input", self.input[i])?; // keeps the QP strictly convex: one solution
@@ -308,18 +315,32 @@ impl Soft {
         check("soft.caution", self.caution, "in [0, 10]", |v| {
             (0.0..=10.0).contains(&v)
         })?;
-        positive("soft.speed.linear", self.speed.linear)?;
-        positive("soft.speed.quadratic", self.speed.quadratic)?;
-        positive("soft.steering.linear", self.steering.linear)?;
-        positive("soft.steering.quadratic", self.steering.quadratic)?;
-        positive("soft.track.linear", self.track.linear)?;
-        positive("soft.track.quadratic", self.track.quadratic)?;
-        positive("soft.lateral_motion.linear", self.lateral_motion.linear)?;
-        positive(
-            "soft.lateral_motion.quadratic",
-            self.lateral_motion.quadratic,
-        )
+        for (linear, quadratic, bound) in [
+            ("soft.speed.linear", "soft.speed.quadratic", self.speed),
+            (
+                "soft.steering.linear",
+                "soft.steering.quadratic",
+                self.steering,
+            ),
+            ("soft.track.linear", "soft.track.quadratic", self.track),
+            (
+                "soft.lateral_motion.linear",
+                "soft.lateral_motion.quadratic",
+                self.lateral_motion,
+            ),
+        ] {
+            penalty(linear, bound.linear)?;
+            penalty(quadratic, bound.quadratic)?;
+        }
+        Ok(())
     }
+}
+
+/// Errors unless `got` may be the penalty of a soft bound.
+fn penalty(field: &'static str, got: f64) -> Result<(), SettingsError> {
+    check(field, got, "from 1e-9 to 1e5", |v| {
+        (1e-9..=MOST_WEIGHT).contains(&v)
+    })
 }
 
 impl SolverSettings {

@@ -76,7 +76,7 @@ const MAX_DELAY: f64 = 0.5;
 #[derive(Debug, thiserror::Error)]
 pub enum SettingsError {
     /// Not TOML, a field of the wrong type, or a field that does not exist.
-    #[error("settings are not valid TOML for this version: {0}")]
+    #[error("settings cannot be used: {0}")]
     Toml(#[from] toml::de::Error),
     /// Settings that cannot be written as TOML.
     #[error("settings cannot be written as TOML: {0}")]
@@ -368,7 +368,7 @@ mod tests {
             ("[cost]\nlateral = 1.1e5", "cost.lateral"),
             ("[cost]\nv_x = 1.1e5", "cost.v_x"),
             ("[cost]\npsi = 1.1e5", "cost.psi"),
-            ("[cost]\nterminal = 1.1e5", "cost.terminal"),
+            ("[cost]\nterminal = 1.1e3", "cost.terminal"),
             ("[cost]\nproximal = 1.1e5", "cost.proximal"),
             ("[operating]\nv_x_min = 100.1", "operating.v_x_min"),
             ("[soft]\nedge_margin = 1000.1", "soft.edge_margin"),
@@ -387,7 +387,7 @@ mod tests {
             ),
             ("[residual]\ntime = [0.0, 1.0, 1.0]", "residual.time"),
             ("[residual]\nnoise = [1.0, 1.0, nan]", "residual.noise"),
-            ("[soft.track]\nlinear = 0.0", "soft.track.linear"),
+            ("[soft.track]\nlinear = 1.1e5", "soft.track.linear"),
         ] {
             let error = Settings::from_toml(text).unwrap_err();
             assert!(

@@ -127,9 +127,7 @@ impl QpSolver for ClarabelSolver {
         match self.solver.solution.status {
             SolverStatus::Solved | SolverStatus::AlmostSolved => Status::Solved,
             SolverStatus::MaxIterations => Status::IterationLimit,
-            SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => {
-                Status::Infeasible
-            }
+            SolverStatus::PrimalInfeasible => Status::Infeasible,
             _ => Status::NumericalError,
         }
     }

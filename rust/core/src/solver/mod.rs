@@ -17,11 +17,13 @@ pub enum Status {
     Solved,
     /// The iteration limit was reached before convergence.
     IterationLimit,
-    /// No point satisfies the hard bounds; cannot happen for problems built by [`crate::ocp`].
+    /// The solver found that no point satisfies the hard bounds. Problems built by [`crate::ocp`] have such a point; there this
+    /// is an error of rounding in a badly scaled problem.
     Infeasible,
     /// The solver broke down, or the problem contains a number that is not finite.
     NumericalError,
-    /// The solver reported success, but the KKT residual exceeds the tolerance.
+    /// The solver reported success, but the KKT residual exceeds the tolerance, or the plan has states that no message may
+    /// contain.
     CheckFailed,
 }
 

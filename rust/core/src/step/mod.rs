@@ -16,6 +16,8 @@ pub use workspace::{SetupError, Workspace};
 use delay::Delay;
 use validate::Rows;
 
+use egp_parameters::STATE_IN_MESSAGES;
+
 use crate::executor::for_each;
 use crate::ocp::{self, Road, Setup};
 use crate::preview::StageWeights;
@@ -68,6 +70,9 @@ pub fn step(
     let x0 = linearise(library, settings, &rows, &disturbance, ws)?;
     assemble(library, settings, &rows, &x0, ws)?;
     solve(settings, ws, reply);
+    if reply.status == Status::Solved && !fits_into_messages(&frame, &ws.solution.x) {
+        reply.status = Status::CheckFailed;
+    }
     if reply.status == Status::Solved {
         write_plan(&frame, &rows, ws, reply);
         if request.want_sigma {
@@ -323,6 +328,16 @@ fn estimate_residual(rows: &Rows, used: usize, ws: &mut Workspace, reply: &StepR
         ws.deviations.residual.push(variance);
     }
     residual.disturbance()
+}
+
+/// Whether messages may contain the states of a plan. A plan of a vehicle that spins far outside the members' data can have
+/// speeds that no vehicle reaches.
+fn fits_into_messages(frame: &Frame, plan: &[State]) -> bool {
+    let within = |(value, most): (&f64, &f64)| value.abs() <= *most;
+    plan.iter().all(|x| {
+        let x = frame.to_map(x);
+        x.iter().zip(&STATE_IN_MESSAGES).all(within)
+    })
 }
 
 /// Writes the plan in map coordinates and newtons.

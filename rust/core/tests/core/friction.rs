@@ -4,7 +4,7 @@
 use egp_core::friction::{FrictionEstimate, FrictionEstimator};
 use egp_core::library::{LibrarySpec, MemberData, encode};
 use egp_core::settings::WeightSettings;
-use egp_core::vehicle::ModelParameters;
+use egp_core::vehicle::{ModelParameters, VehicleModel};
 use egp_core::{GpInput, Kernel, Library, Member, NY};
 use egp_parameters::friction_hypotheses;
 use egp_testing::libraries;
@@ -201,4 +201,32 @@ fn estimate_silently(ensemble: &Library) {
                 .all(|value| (-1e6..=0.0).contains(value))
         );
     }
+}
+
+#[test]
+fn of_members_of_one_friction_that_with_a_vehicle_counts_in_any_order() {
+    let spec = |first: usize| {
+        let mut spec = libraries::spec(Kernel::Rbf, &[0.5, 0.5, 1.1], 8, 1);
+        let vehicles = library(&[0.5, 1.1]);
+        for (at, member) in [(first, 0), (2, 1)] {
+            let found = vehicles.members()[member].vehicle();
+            let Some(VehicleModel::SingleTrack(found)) = found else {
+                unreachable!("{found:?}");
+            };
+            let vehicle = ModelParameters::SingleTrack(*found.parameters());
+            libraries::leave_vehicle(&mut spec.members[at], vehicle);
+            spec.members[at].target_std = [0.01; NY];
+        }
+        for (member, label) in spec.members.iter_mut().zip(["a", "b", "c"]) {
+            member.label = label.to_owned();
+        }
+        Library::from_bytes(&encode(&LibrarySpec { dt: 0.02, ..spec }).unwrap()).unwrap()
+    };
+    let truth = library(&[0.7]);
+    let [first, second] = [0, 1].map(|at| estimate(&spec(at), &truth, &window(0.3)));
+    assert!((first.mean - 0.7).abs() < 0.1, "{first:?}");
+    assert!(
+        (first.mean - second.mean).abs() < 1e-12,
+        "{first:?} {second:?}"
+    );
 }

@@ -273,6 +273,24 @@ fn invalid_content_is_not_written() {
     assert!(matches!(encode(&spec), Err(LibraryError::Count { .. })));
 }
 
+#[test]
+fn vehicles_of_one_library_have_the_same_number_of_steps() {
+    let mut spec = libraries::spec(Kernel::Rbf, &[0.5, 0.7, 1.1], 20, 0);
+    for (member, steps) in spec.members.iter_mut().step_by(2).zip([2, 3]) {
+        libraries::leave_vehicle(member, SINGLE_TRACK);
+        member.euler_steps = steps;
+    }
+    let error = encode(&spec).unwrap_err();
+    assert_eq!(error.code(), "euler_steps");
+    let told = error.to_string();
+    assert!(
+        told.contains("\"friction 1.1\" is 3, and 2 of another member"),
+        "{told}"
+    );
+    spec.members[2].euler_steps = 2; // The member without a vehicle has one step.
+    assert!(encode(&spec).is_ok());
+}
+
 proptest! {
     #[test]
     fn any_flipped_bit_is_an_error(position in 0..bytes().len(), bit in 0..8_u8) {
