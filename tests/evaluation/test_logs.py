@@ -221,6 +221,9 @@ def test_errors_for_logs_that_cannot_be_compared(exact: Dataset) -> None:
     )
     with pytest.raises(EgpError, match=r"vehicle own car, .*vehicle commonroad-1: one comparison"):
         evaluate_logs([exact, other], None, SETTINGS)
+    blind = dataclasses.replace(exact, z=exact.z * [1, 0, 1, 1, 1, 1], y=exact.y * [1, 0, 1])
+    with pytest.raises(EgpError, match="v_y never changes"):
+        evaluate_logs([blind], None, SETTINGS)
 
 
 def test_the_command_prints_tables_and_draws(

@@ -90,6 +90,30 @@ def test_few_points_with_average_targets_predict_what_all_transitions_say() -> N
     np.testing.assert_allclose(member.predict(truth.z)[0], member.predict_mean(truth.z), atol=1e-9)
 
 
+def test_predictions_at_many_inputs_need_memory_for_blocks_of_them_only(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    data, rng = surface(), np.random.default_rng(0)
+    member = average_member((data, data), PriorMean(), FEW_POINTS, rng, lambda *_: None)
+    sizes: list[int] = []
+    predict = OutputProcess.__call__
+
+    def counted(process: OutputProcess, z: torch.Tensor) -> object:
+        sizes.append(len(z))
+        return predict(process, z)
+
+    monkeypatch.setattr(OutputProcess, "__call__", counted)
+    z = surface(seed=9, trajectories=110).z  # 2200 inputs
+    together = member.predict(z)
+    # GPyTorch keeps the square of this number of values for each output.
+    assert max(sizes) == 1000
+    parts = zip(*(member.predict(z[k : k + 550]) for k in range(0, 2200, 550)), strict=True)
+    for ours, theirs in zip(together, parts, strict=True):
+        apart = np.concatenate(theirs)
+        # Rounding in GPyTorch's distances, relative to the largest value; measured 1e-12.
+        np.testing.assert_allclose(ours, apart, rtol=0.0, atol=1e-9 * np.abs(apart).max())
+
+
 def test_outliers_have_a_bounded_influence() -> None:
     rng = np.random.default_rng(0)
     spoiled = surface()

@@ -85,15 +85,6 @@ def test_converts_units_and_thins_to_the_period(tmp_path: Path) -> None:
     np.testing.assert_allclose((dataset.z[:-1, :3] + dataset.y[:-1])[same], dataset.z[1:, :3][same])
 
 
-def test_a_gap_starts_a_trajectory(tmp_path: Path) -> None:
-    si = _log(seconds=8.0)
-    si["t"][300:] += 2.0
-    _write(tmp_path / "drive.csv", si)
-    dataset = _import(tmp_path / "drive.csv")
-    assert np.unique(dataset.trajectory).tolist() == [0, 1]
-    assert np.abs(dataset.y[:, 0]).max() < 0.1  # nothing across the gap
-
-
 def test_doubts_units(tmp_path: Path) -> None:
     _write(tmp_path / "drive.csv", _log())
     with pytest.raises(EgpError, match=r"delta reaches 5\.73 rad .* check the unit"):

@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 from egp_service import Controller, EgpError, Plant, Recorder, shipped
 from egp_service.cli import app
+from egp_service.data.alignment import consecutive
 from egp_service.data.dataset import Dataset
 from egp_service.data.log_import import Column, import_log
 from egp_service.data.recording import read_recording
@@ -183,12 +184,13 @@ def test_without_stamps_the_times_are_those_of_the_recording(tmp_path: Path) -> 
     assert 0.0005 < np.std(late) < 0.002
 
 
-def test_a_topic_that_pauses_starts_a_trajectory(tmp_path: Path) -> None:
+def test_a_topic_that_pauses_breaks_the_log(tmp_path: Path) -> None:
     t = np.arange(1500) * 0.02
     data = load(write(tmp_path, "mcap", Drive(steer=t[(t < 5.0) | (t > 7.0)])))
-    assert np.count_nonzero(data.step == 0) == 4
-    first = data.trajectory == 0
-    assert np.count_nonzero(first) == pytest.approx(5.0 / 0.05, abs=2)
+    first, *others = consecutive(data)
+    assert len(others) == 3
+    assert len(first) == pytest.approx(5.0 / 0.05, abs=2)
+    assert len(np.unique(data.trajectory)) == 3
     lost = (t[-1] - 0.05 * len(data)) - 2.0
     assert abs(lost) < 0.3
 

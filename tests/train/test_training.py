@@ -211,20 +211,27 @@ def test_a_library_states_the_noise_of_the_logs_it_was_trained_on(
         about = provenance(vehicle=vehicle)
         return Dataset(z, np.diff(states, axis=0), np.zeros_like(index), index, about)
 
-    def stated(vehicle: str) -> NDArray[np.float64] | None:
-        path = tmp_path / f"{vehicle}.safetensors"
-        logged = dataclasses.replace(members[0], dataset=log(vehicle))
-        export(path, [logged], SETTINGS, {}, TOY)
+    def stated(*logs: Dataset) -> NDArray[np.float64] | None:
+        path = tmp_path / "logged.safetensors"
+        pairs = zip(members, logs, strict=False)
+        logged = [dataclasses.replace(member, dataset=data) for member, data in pairs]
+        export(path, logged, SETTINGS, {}, TOY)
         return Library.load(path).measurement_noise
 
-    found = stated("toy")
+    quick = log("toy")
+    found = stated(quick)
     assert found is not None
     np.testing.assert_allclose(found, noise, rtol=0.2)
+    # A log of slow driving does not tell its noise.
+    about = provenance(1.1, vehicle="toy")
+    slow = dataclasses.replace(quick, z=quick.z * [0.1, 1, 1, 1, 1, 1], provenance=about)
+    np.testing.assert_array_equal(stated(quick, slow), found)
+    assert stated(slow) is None
     for delays, told in ((None, None), (Delays(0.0, -1.0), None), (Delays(0.05, 0.05), 0.05)):
         path = tmp_path / "late.safetensors"
         export(path, [dataclasses.replace(members[0], delays=delays)], SETTINGS, {}, TOY)
         assert Library.load(path).measurement_delay == told
-    assert stated("commonroad-2") is None
+    assert stated(log("commonroad-2")) is None
 
 
 def test_matrix_is_best_on_the_diagonal(
@@ -338,6 +345,21 @@ def test_refuses_data_that_teach_nothing(mean: Literal["constant", "single-track
     y[:, 1] = 0.0
     with pytest.raises(EgpError, match="d_v_y never changes"):
         train([dataclasses.replace(surface(), y=y)], settings)
+
+
+@pytest.mark.parametrize("mean", ["constant", "single-track", "best"])
+def test_a_log_without_a_measured_sideslip_is_an_error_before_the_delays_are_searched(
+    mean: Literal["constant", "single-track", "best"], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def find(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr("egp_service.training.train.find_delays", find)
+    blind = dataclasses.replace(
+        surface(), z=surface().z * [1, 0, 1, 1, 1, 1], y=surface().y * [1, 0, 1]
+    )
+    with pytest.raises(EgpError, match=r"surface mu 0\.5: v_y never changes"):
+        train([surface(1.1), blind], dataclasses.replace(SETTINGS, mean=mean))
 
 
 @pytest.mark.parametrize(

@@ -174,6 +174,10 @@ def test_a_grip_is_doubted_if_its_own_parameters_are() -> None:
     lines = file_lines(never_braking, known=TOY)
     assert [name for name in grips if lines[name].warning] == ["braking_grip"]
     assert "do not reach the tyres' limits" in lines["braking_grip"].warning
+    assert "a_x" not in lines["braking_grip"].warning
+    of_a_x = dataclasses.replace(never_braking.provenance, force_from_a_x=True)
+    lines = file_lines(dataclasses.replace(never_braking, provenance=of_a_x), known=TOY)
+    assert "or do not show them, as a measured a_x does not" in lines["braking_grip"].warning
     never_turning = drive(DRY, STRAIGHT * [1, 1, 1, 1, 4, 1], 0.003, 0)
     lines = file_lines(never_turning, known=TOY)
     assert [name for name in grips if lines[name].warning] == ["peak_slip", "lateral_grip"]
@@ -223,6 +227,12 @@ def test_errors_for_logs_that_give_no_vehicle() -> None:
         vehicle_lines([data, other])
     with pytest.raises(EgpError, match="seed is -1"):
         vehicle_lines([data], seed=-1)
+    # Such as a log without a sensor of the sideslip, whose column of v_y is zero.
+    blind = dataclasses.replace(data, z=data.z * [1, 0, 1, 1, 1, 1], y=data.y * [1, 0, 1])
+    with pytest.raises(EgpError, match=f"{data.provenance.surface}: d_v_y never changes"):
+        vehicle_lines([data, blind])
+    with pytest.raises(EgpError, match=r"d_v_x is [-\d.e+]+ in a row of the training data"):
+        vehicle_lines([dataclasses.replace(data, y=1e6 * data.y)])
 
 
 def test_the_file_of_a_vehicle_from_logs(tmp_path: Path) -> None:

@@ -47,12 +47,12 @@ def channels(dataset: Dataset) -> Channels:
     The noise is what fourth differences of the states leave, which remove cubic motion (Hall, Kay
     and Titterington 1990); noise with a longer correlation than a few periods counts as motion. It
     is NaN unless five consecutive states are those to which the transitions before them lead.
-    Delays are the lags of largest correlation, up to 1 s; they are NaN without trajectories of
-    twice that length.
+    Delays are the lags of largest correlation, up to 1 s; they are NaN without consecutive
+    transitions over twice that time.
     """
     dt = dataset.provenance.dt
     z, y = dataset.z, dataset.y
-    pairs = (dataset.trajectory[1:] == dataset.trajectory[:-1]) & (z[1:, V_X] > MOVING)
+    pairs = dataset.follows & (z[1:, V_X] > MOVING)
     before, after = y[:-1][pairs], y[1:][pairs]
     correlation = np.array([_correlation(before[:, o], after[:, o]) for o in range(NY)])
     return Channels(
@@ -69,9 +69,7 @@ def _noise(dataset: Dataset) -> NDArray[np.float64]:
     if len(dataset) <= _ORDER:
         return unknown
     states, y = dataset.z[:, :NY], dataset.y + dataset.by_gravity
-    apart = dataset.step[_ORDER:].astype(np.int64) - dataset.step[:-_ORDER]
-    whole = (dataset.trajectory[_ORDER:] == dataset.trajectory[:-_ORDER]) & (apart == _ORDER)
-    whole &= states[_ORDER:, V_X] > MOVING
+    whole = dataset.unbroken(_ORDER) & (states[_ORDER:, V_X] > MOVING)
     chained = np.all(np.isclose(states[1:], states[:-1] + y[:-1], rtol=0.0, atol=_SAME), axis=1)
     whole &= np.lib.stride_tricks.sliding_window_view(chained, _ORDER).all(axis=1)
     fourth = np.diff(states, n=_ORDER, axis=0)[whole]
@@ -93,10 +91,8 @@ def _lag(dataset: Dataset, cause: NDArray[np.float64], effect: NDArray[np.float6
     """Periods by which `effect` follows `cause`: the lag of their largest correlation."""
     longest = round(_LONGEST / dataset.provenance.dt)
     rows = np.arange(longest, len(cause) - longest)
-    inside = (dataset.trajectory[rows - longest] == dataset.trajectory[rows + longest]) & (
-        dataset.z[rows, V_X] > MOVING
-    )
-    rows = rows[inside]
+    unbroken = dataset.unbroken(2 * longest)
+    rows = rows[unbroken & (dataset.z[rows, V_X] > MOVING)]
     if len(rows) == 0:
         return float("nan")
     lags = np.arange(-longest, longest + 1)

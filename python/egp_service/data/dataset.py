@@ -84,8 +84,8 @@ class Dataset:
 
     `tilt` (n, 2) is the grade and bank of the road in rad, as `quantities.TILT` defines them, or
     None if they were not measured. With them `y` is the change on a level road, so that members
-    describe the vehicle and not the place. `gaps` has the lengths in s of the gaps between
-    trajectories of an imported log; the file does not state them.
+    describe the vehicle and not the place. `gaps` has the lengths in s of the gaps of an imported
+    log; the file does not state them.
     """
 
     z: NDArray[np.float64]
@@ -132,8 +132,14 @@ class Dataset:
     @property
     def follows(self) -> NDArray[np.bool_]:
         """Whether each transition but the first (n - 1,) continues the one before it."""
-        following = np.diff(self.step.astype(np.int64)) == 1
-        return np.asarray((np.diff(self.trajectory) == 0) & following)
+        return self.unbroken(1)
+
+    def unbroken(self, periods: int) -> NDArray[np.bool_]:
+        """Whether the row `periods` rows after each row is as many periods later (n - periods,)."""
+        last = np.arange(periods, len(self))
+        first = last - periods
+        same = self.trajectory[first] == self.trajectory[last]
+        return np.asarray(same & (self.step[last].astype(np.int64) - self.step[first] == periods))
 
     @property
     def by_gravity(self) -> NDArray[np.float64]:

@@ -46,8 +46,16 @@ _SI_UNITS: Final = {"time": "s", "a_x": "m/s2"} | GP_INPUT | TILT
 _STEERING: Final = {"delta", "delta_dot"}
 # Share of the rows from which larger values are a wrong unit, and not single wrong rows.
 _OFTEN: Final = 0.01
-# Logs without gaps are split into trajectories of this length for the validation split.
+# Logs are split into trajectories of this length for the validation split, whatever breaks them:
+# between short pieces it would hold out what lies next to the training data.
 _TRAJECTORY_SECONDS: Final = 10.0
+# Share of dt by which so many periods of the log may differ from it.
+_PERIOD_ERROR: Final = 5e-3
+# Share of the usual step by which a step may differ from it without breaking the log.
+_UNEVEN: Final = 0.2
+# Stamps may be rounded to multiples of one of these, s, and the computer rounds them once more.
+_RESOLUTIONS: Final = (1e-3, 1e-2, 1e-1)
+_ROUNDING: Final = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,16 +96,20 @@ def import_log(
     """Convert a log into transitions of `provenance.dt` seconds.
 
     A log is a CSV or Parquet file, an MCAP file, or a bag of ROS 1 or 2. `columns` maps `time, v_x,
-    v_y, omega, delta` and `F_x`, or `a_x` (commanded acceleration, multiplied by `mass` in kg), to
-    the log's columns. Those of MCAP files and bags are fields of messages as `read_recording` names
-    them, with the times of the messages of `v_x`; `report` receives the number of messages that
-    were read, and of all.
+    v_y, omega, delta` and `F_x`, or `a_x` (acceleration, multiplied by `mass` in kg), to the log's
+    columns. Those of MCAP files and bags are fields of messages as `read_recording` names them,
+    with the times of the messages of `v_x`; `report` receives the number of messages that were
+    read, and of all.
+
+    The force is taken for the one that acts at the wheels. A measured acceleration has already lost
+    what the front tyres take of it in bends, and a fitted vehicle subtracts it again.
 
     Faster logs are thinned: states are those at the ends of a period, the force is its mean over
     the period, and the steering rate is the change of `delta`, so that it is consistent with the
     steering angle. A `delta_dot` column is only compared with this rate. With columns for `grade`
     or `bank` of the road (`quantities.TILT`), the changes are those without gravity's part, which
-    follows from the means of these angles over the period. A gap in time starts a new trajectory.
+    follows from the means of these angles over the period. Trajectories are 10 s long, and gaps in
+    time or stamps that are late break them: the steps of a trajectory are not consecutive there.
     Steering angles are divided by `steering_ratio`, that of the steering wheel's angle to the road
     wheels'. A known `wheelbase` in m sharpens the checks of steering and speed.
 
@@ -137,8 +149,10 @@ def _transitions(
     log: Mapping[str, NDArray[np.float64]], columns: Mapping[str, Column], provenance: Provenance
 ) -> Dataset:
     pieces, every, gaps = _pieces(log["time"], provenance.dt)
+    block_periods = round(_TRAJECTORY_SECONDS / provenance.dt)
     z, y, trajectory, step, tilt = [], [], [], [], []
-    for number, (first, last) in enumerate(pieces):
+    used = 0
+    for first, last in pieces:
         ends = np.arange(first, last, every)
         state = np.column_stack([log[q][ends] for q in GP_STATE_NAMES])
         force, *angles = (
@@ -153,13 +167,17 @@ def _transitions(
         z.append(np.column_stack([state[:-1], force, delta_dot]))
         tilt.append(np.column_stack(angles))
         y.append(np.diff(state[:, :NY], axis=0))
-        trajectory.append(np.full(len(force), number, dtype=np.uint32))
-        step.append(np.arange(len(force), dtype=np.uint32))
+        periods = (log["time"][first] - log["time"][0]) / provenance.dt + np.arange(len(force))
+        trajectory.append((periods // block_periods).astype(np.uint32))
+        step.append(np.arange(used, used + len(force), dtype=np.uint32))
+        used += len(force) + 1  # a number is left out where the log is broken
+    numbers, steps = np.concatenate(trajectory), np.concatenate(step)
+    _, start, own = np.unique(numbers, return_index=True, return_inverse=True)
     found = Dataset(
         z=np.concatenate(z),
         y=np.concatenate(y),
-        trajectory=np.concatenate(trajectory),
-        step=np.concatenate(step),
+        trajectory=numbers,
+        step=steps - steps[start][own],
         provenance=provenance,
         gaps=gaps,
     )
@@ -284,34 +302,47 @@ def _check_time(time: NDArray[np.float64]) -> None:
 def _pieces(
     time: NDArray[np.float64], dt: float
 ) -> tuple[list[tuple[int, int]], int, tuple[float, ...]]:
-    """Split at gaps and by length.
+    """Split where a step in time is not the usual one.
 
     Returns row ranges [first, last), the rows per dt, and the lengths of the gaps in s.
     """
     steps = np.diff(time)
     period = float(np.median(steps))
+    # Steps between rounded stamps differ by their resolution, and only their mean is the period.
+    rounding = 1.01 * _resolution(steps, period)
+    for _ in range(2):
+        steady = np.abs(steps - period) < max(_UNEVEN * period, rounding)
+        if steady.mean() < 0.9:  # noqa: PLR2004
+            raise EgpError(
+                f"only {100 * steady.mean():.0f} % of the time steps are within {_UNEVEN:.0%} of "
+                f"the usual one, {period:.6g} s: resample the log evenly"
+            )
+        period = float(steps[steady].mean())
     every = max(1, round(dt / period))
-    if abs(every * period - dt) > 0.02 * dt:
+    if abs(every * period - dt) > _PERIOD_ERROR * dt:
         raise EgpError(
             f"the log's period is {period:.6g} s: dt {dt:g} s is no multiple of it; "
-            "choose another dt or resample the log"
-        )
-    steady = np.abs(steps - period) < 0.2 * period
-    if steady.mean() < 0.9:  # noqa: PLR2004
-        raise EgpError(
-            f"only {100 * steady.mean():.0f} % of the time steps are within 20 % of the median "
-            f"{period:.6g} s: resample the log evenly"
+            f"choose --dt {every * period:.6g} or resample the log"
         )
     breaks = [0, *(np.flatnonzero(~steady) + 1), len(time)]
-    longest = round(_TRAJECTORY_SECONDS / dt) * every
-    pieces = [
-        (first, min(first + longest + 1, last))
-        for start, last in itertools.pairwise(breaks)
-        for first in range(start, last - every, longest)
-    ]
+    pieces = [piece for piece in itertools.pairwise(breaks) if piece[1] - piece[0] > every]
     if not pieces:
         raise EgpError(f"no unbroken stretch of the log is longer than dt {dt:g} s")
-    return pieces, every, tuple(steps[steps >= 1.2 * period].tolist())
+    return pieces, every, tuple(steps[~steady & (steps > period)].tolist())
+
+
+def _resolution(steps: NDArray[np.float64], median: float) -> float:
+    """Return the resolution in s to which the stamps are rounded; 0 if they are not.
+
+    It is at most half of the median step: otherwise a missing row would look like rounding.
+    """
+    rounded = [
+        resolution
+        for resolution in _RESOLUTIONS
+        if resolution <= 0.5 * median
+        and np.abs(steps - resolution * np.round(steps / resolution)).max() < _ROUNDING
+    ]
+    return max(rounded, default=0.0)
 
 
 def _check_rate(change: NDArray[np.float64], logged: NDArray[np.float64], column: Column) -> None:

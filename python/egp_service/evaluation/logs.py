@@ -21,7 +21,7 @@ from egp_service.training.average_member import PriorMean, average_member
 from egp_service.training.choice import hold_out
 from egp_service.training.delays import find_delays
 from egp_service.training.open_loop import LINEAR, Skill, linear, skill
-from egp_service.training.train import TrainingSettings, one_thread, train_parts
+from egp_service.training.train import TrainingSettings, check_data, one_thread, train_parts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -88,14 +88,16 @@ def evaluate_logs(
     All predictors get the log with its inputs moved by the delays found in the four blocks.
 
     Raises:
-        EgpError: if two logs have the same name of a surface, or differ in car or period, or if
-            training fails.
+        EgpError: if two logs have the same name of a surface, or differ in car or period, as
+            `check_data`, or if training fails.
 
     """
     names = [log.provenance.surface for log in logs]
     if len(set(names)) < len(names):
         raise EgpError("two logs have the same surface: import each with its own --surface")
     check_one_car([log.provenance for log in logs], "comparison")
+    for log in logs:
+        check_data(log)
     with one_thread(settings.max_points):
         delays = [find_delays([hold_out(log)[0]], vehicle) for log in logs]
     moved = [align(log, own) for log, own in zip(logs, delays, strict=True)]
@@ -214,9 +216,10 @@ def _weights(held: Dataset, members: Sequence[TrainedMember]) -> NDArray[np.floa
     found = np.full((len(held), len(members)), np.nan)
     uniform = np.full(len(members), 1.0 / len(members))
     last = uniform
+    unbroken = held.unbroken(window)
     for row in range(window, len(held)):
         before = slice(row - window, row)
-        if held.trajectory[row - window] != held.trajectory[row]:
+        if not unbroken[row - window]:
             last = uniform
             continue
         last = solve_weights(

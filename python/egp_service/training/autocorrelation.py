@@ -27,9 +27,7 @@ def autocorrelation(errors: NDArray[np.float64], data: Dataset) -> NDArray[np.fl
     centred = np.clip(centred, *np.quantile(centred, [0.025, 0.975], axis=0))
     total, rising = np.zeros(NY), np.ones(NY, dtype=bool)
     for lag in range(1, min(_LONGEST_LAG, len(errors))):
-        together = (data.trajectory[lag:] == data.trajectory[:-lag]) & (
-            data.step[lag:].astype(np.int64) - data.step[:-lag] == lag
-        )
+        together = data.unbroken(lag)
         if not together.any():
             break
         product = (centred[lag:] * centred[:-lag])[together].mean(axis=0)

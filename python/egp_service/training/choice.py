@@ -161,8 +161,8 @@ def hold_out(data: Dataset) -> tuple[Dataset, Dataset]:
         raise EgpError(
             f"surface {data.provenance.surface} has one trajectory of {len(data)} transitions left "
             "to train on: models are compared on another one, which is held out. A log starts a "
-            "new trajectory every 10 s and at gaps: record more than 20 s (`egp train --mean "
-            "single-track` needs less)"
+            "new trajectory every 10 s: record more than 20 s (`egp train --mean single-track` "
+            "needs less)"
         )
     held = numbers[_EVERY - 1 :: _EVERY] if len(numbers) >= _EVERY else numbers[-1:]
     out = np.isin(data.trajectory, held)

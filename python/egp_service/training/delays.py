@@ -2,7 +2,8 @@
 
 The force's delay is that with which a linear model predicts the changes of `v_x` best; the delay of
 the measured states is that with which a fitted single-track vehicle predicts the changes of `omega`
-best. Inputs are moved and changes are not, so that the errors of all delays have the same noise.
+best. Inputs are moved and changes are not, and two delays are compared on the transitions that have
+inputs with both, so that the errors of both have the same noise.
 
 A force that was made from a filtered acceleration is not only late: it is too small where it
 changes. The filter's time constant is that with which a linear model predicts the changes of `v_x`
@@ -12,13 +13,14 @@ over 1 s best.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from egp_service.data.alignment import Delays, align, consecutive
+from egp_service.data.alignment import Delays, align, available, consecutive
 from egp_service.data.channels import MOVING
 from egp_service.training.choice import hold_out
 from egp_service.training.open_loop import linear, student_loss
@@ -57,7 +59,8 @@ def find_delays(logs: Sequence[Dataset], vehicle: VehicleParameters | None) -> D
     force -1.5 to 0.32 s), and predicts better than no delay by 0.02 nats per error and 20 nats
     altogether. For the delay of the states the vehicle must also predict the yaw rate better than
     the linear model. If both delays agree within a period, both are their mean, since one sensor
-    measures all states. Only runs of at least 2 s count. `vehicle` is what is known about the car.
+    measures all states. Only runs of at least 2 s count, and delays that leave enough of them.
+    `vehicle` is what is known about the car.
 
     A first-order filter of the force (0.1 to 6.4 s, with a delay of at most two periods) is
     identified if it predicts the changes of `v_x` over 1 s better than any delay without a filter,
@@ -74,26 +77,60 @@ def find_delays(logs: Sequence[Dataset], vehicle: VehicleParameters | None) -> D
     dt = parts[0].provenance.dt
     axles = (1.0, 1.0) if vehicle is None else (vehicle.l_f, vehicle.l_r)
 
-    def of_force(delay: float) -> float:
-        return _mean([_linear_error(*_split(p, Delays(force=delay)), axles, _V_X) for p in parts])
+    def of_force(delays: Sequence[float]) -> _Losses | None:
+        splits = _splits(parts, [Delays(force=delay) for delay in delays])
+        return _Losses.of(splits, axles, _V_X)
 
-    errors = sum(int(np.sum(hold_out(part)[1].z[:, 0] > MOVING)) for part in parts)
-    gain = max(_GAIN, _EVIDENCE / errors)
     filtered = _filtered(parts, axles)
-    of_inputs = filtered or Delays(force=_optimum(of_force, _EARLIEST_FORCE, gain)[0])
+    of_inputs = filtered or Delays(force=_optimum(of_force, _EARLIEST_FORCE))
     force = of_inputs.force
+    latest = dataclasses.replace(of_inputs, measurement=_LATEST)
+    if not _splits(parts, [of_inputs, latest]):
+        return of_inputs
 
-    def of_states(delay: float) -> float:
-        split = [_split(part, dataclasses.replace(of_inputs, measurement=delay)) for part in parts]
-        return _mean(_vehicle_errors(split, vehicle))
+    @functools.cache
+    def split_of_states(delay: float) -> list[tuple[Dataset, Dataset]]:
+        moved = dataclasses.replace(of_inputs, measurement=delay)
+        return _splits(parts, [moved, of_inputs, latest])[0]
 
-    states, error = _optimum(of_states, 0.0, gain)
-    split = [_split(part, dataclasses.replace(of_inputs, measurement=states)) for part in parts]
-    if error > _mean([_linear_error(*s, axles, _OMEGA) for s in split]):
+    @functools.cache
+    def of_state(delay: float) -> float:
+        return _mean(_vehicle_errors(split_of_states(delay), vehicle))
+
+    def of_states(delays: Sequence[float]) -> _Losses:
+        return _Losses([of_state(delay) for delay in delays], _count(split_of_states(0.0)))
+
+    states = _optimum(of_states, 0.0)
+    linear_error = _mean([_linear_error(*pair, axles, _OMEGA) for pair in split_of_states(states)])
+    if of_state(states) > linear_error:
         states = 0.0
     if filtered is None and states > 0.0 and abs(force - states) < dt:
         states = force = 0.5 * (states + force)
     return Delays(round(states, 4), round(force, 4), round(of_inputs.force_filter, 4))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Losses:
+    """Losses of several delays on the same held-out errors, see `student_loss`."""
+
+    values: list[float]
+    errors: int
+    """Number of the errors."""
+
+    @staticmethod
+    def of(
+        splits: Sequence[Sequence[tuple[Dataset, Dataset]]], axles: Sequence[float], output: int
+    ) -> _Losses | None:
+        """Compare linear models on splits of the same transitions, if there are any."""
+        if not splits:
+            return None
+        values = [_mean([_linear_error(*pair, axles, output) for pair in own]) for own in splits]
+        return _Losses(values, _count(splits[0]))
+
+    def tell(self, worse: int, better: int) -> bool:
+        """Return whether one delay is better than another one by enough."""
+        gain = max(_GAIN, _EVIDENCE / max(self.errors, 1))
+        return self.values[worse] - self.values[better] >= gain
 
 
 def _filtered(parts: Sequence[Dataset], axles: Sequence[float]) -> Delays | None:
@@ -101,32 +138,37 @@ def _filtered(parts: Sequence[Dataset], axles: Sequence[float]) -> Delays | None
     dt = parts[0].provenance.dt
     steps = range(round(_EARLIEST_FORCE / _STEP), round(_LATEST / _STEP) + 1)
     grid = [Delays(0.0, 0.5 * k * dt, filter_) for k in _FILTER_DELAYS for filter_ in _FILTERS]
-    # Only runs that have a window for each delay count, so that all losses are those of the same
-    # runs. A filter's derivative takes half a period more.
-    lost = max(-steps[0] * _STEP / dt, 0.5 * _FILTER_DELAYS[-1] + 0.5)
-    least = math.ceil(lost) + round(_WINDOW / dt)
-    parts = [found for part in parts if (found := _long_runs(part, least)) is not None]
+    # Only runs that have a window for each delay count. A filter's derivative takes half a period
+    # more, and its delay is at most that of the grid.
+    of_filter = 0.5 * _FILTER_DELAYS[-1] + 0.5
+    lost = math.ceil(max(-steps[0] * _STEP / dt, of_filter)) + math.ceil(of_filter)
+    runs = (_long_runs(part, lost + round(_WINDOW / dt)) for part in parts)
+    parts = [part for part in runs if part is not None]
     if not parts:
         return None
 
-    def loss(delays: Delays) -> float:
-        split = [hold_out(_over_windows(align(part, delays))) for part in parts]
-        return _mean([_linear_error(*pair, axles, _V_X) for pair in split])
+    def losses(delays: Sequence[Delays]) -> _Losses | None:
+        return _Losses.of(_splits(parts, delays, _over_windows), axles, _V_X)
 
-    none = min(loss(Delays(force=k * _STEP)) for k in steps)
-    best = min(grid, key=loss)
+    def of_time(log: float) -> float:
+        found = losses([dataclasses.replace(best, force_filter=math.exp(log))])
+        return math.inf if found is None else found.values[0]
+
+    found = losses(grid)
+    if found is None:
+        return None
+    best = grid[found.values.index(min(found.values))]
     if best.force_filter in (_FILTERS[0], _FILTERS[-1]):
         return None
     refined = minimize_scalar(
-        lambda log: loss(dataclasses.replace(best, force_filter=float(np.exp(log)))),
-        bounds=np.log(best.force_filter) + 0.5 * np.log(2.0) * np.array([-1.0, 1.0]),
+        of_time,
+        bounds=math.log(best.force_filter) + 0.5 * math.log(2.0) * np.array([-1.0, 1.0]),
         method="bounded",
         options={"xatol": 1e-3},
     )
-    windows = sum(int(np.sum(hold_out(_over_windows(p))[1].z[:, 0] > MOVING)) for p in parts)
-    if none - refined.fun < max(_GAIN, _EVIDENCE / max(windows, 1)):
-        return None
-    return dataclasses.replace(best, force_filter=float(np.exp(refined.x)))
+    best = dataclasses.replace(best, force_filter=math.exp(refined.x))
+    pairs = (losses([Delays(force=k * _STEP), best]) for k in steps)
+    return best if all(pair is not None and pair.tell(0, 1) for pair in pairs) else None
 
 
 def _over_windows(part: Dataset) -> Dataset:
@@ -141,40 +183,73 @@ def _over_windows(part: Dataset) -> Dataset:
 
 def _long_runs(log: Dataset, least: float) -> Dataset | None:
     """Return the runs of at least `least` transitions, or None if there are too few of them."""
-    runs = [rows for rows in consecutive(log) if len(rows) >= least]
-    if len({log.trajectory[rows[0]] for rows in runs}) < 2:  # noqa: PLR2004 - one is held out
-        return None
-    kept = log.select(np.concatenate(runs))
-    train, held = hold_out(kept)
-    enough = all(np.sum(part.z[:, 0] > MOVING) > _FEWEST for part in (train, held))
-    return kept if enough else None
+    kept = np.zeros(len(log), dtype=bool)
+    for rows in consecutive(log):
+        kept[rows] = len(rows) >= least
+    return log.select(kept) if _enough(log, kept) else None
 
 
-def _split(part: Dataset, delays: Delays) -> tuple[Dataset, Dataset]:
-    return hold_out(align(part, delays))
+def _enough(part: Dataset, kept: NDArray[np.bool_]) -> bool:
+    """Return whether some of the transitions are enough to hold a part of them out."""
+    if len(np.unique(part.trajectory[kept])) < 2:  # noqa: PLR2004 - one is held out
+        return False
+    halves = hold_out(part.select(kept))
+    return all(np.sum(half.z[:, 0] > MOVING) > _FEWEST for half in halves)
 
 
-def _optimum(loss: Callable[[float], float], low: float, gain: float) -> tuple[float, float]:
-    """Return the delay of least loss and the loss near it; 0 if the loss is less by under `gain`.
+def _splits(
+    parts: Sequence[Dataset],
+    delays: Sequence[Delays],
+    change: Callable[[Dataset], Dataset] = lambda moved: moved,
+) -> list[list[tuple[Dataset, Dataset]]]:
+    """Move the inputs of the parts by each of the delays, and hold some trajectories out.
 
-    Delays are searched between `low` and `_LATEST` in steps of `_STEP`, upwards from 0 to the first
-    minimum if `low` is 0. Half a step about the best one a parabola through three points follows.
+    All delays have the same transitions, which are those that have inputs with all of them. Parts
+    with too few of these are left out; without any other one there are no splits. `change` is made
+    before trajectories are held out.
     """
-    losses: dict[int, float] = {}
-    for number in range(round(low / _STEP), round(_LATEST / _STEP) + 1):
-        losses[number] = loss(number * _STEP)
-        if low == 0.0 and number > 0 and losses[number] > losses[number - 1]:
-            break
-    best = min(losses, key=lambda number: losses[number])
-    if best in (0, min(losses), max(losses)):
-        return 0.0, losses[0]
+    found = []
+    for part in parts:
+        kept = np.logical_and.reduce([available(part, own) for own in delays])
+        if _enough(part, kept):
+            found.append([hold_out(change(align(part, own, kept))) for own in delays])
+    return [list(own) for own in zip(*found, strict=True)]
+
+
+def _count(split: Sequence[tuple[Dataset, Dataset]]) -> int:
+    return sum(int(np.sum(held.z[:, 0] > MOVING)) for _, held in split)
+
+
+def _optimum(losses: Callable[[Sequence[float]], _Losses | None], low: float) -> float:
+    """Return the delay of least loss; 0 if it is not better than none by enough.
+
+    Each delay from 0 up to `_LATEST`, and down to `low`, is compared with the best one so far, in
+    steps of `_STEP`; if `low` is 0, up to the first minimum. Half a step about the best one a
+    parabola through three points follows.
+    """
+    best, least, largest = 0, 0, 0
+    for direction, end in ((1, _LATEST), (-1, -low)):
+        for number in range(1, round(end / _STEP) + 1):
+            pair = losses([best * _STEP, direction * number * _STEP])
+            if pair is None:
+                break
+            least, largest = min(least, direction * number), max(largest, direction * number)
+            if pair.values[1] < pair.values[0]:
+                best = direction * number
+            elif low == 0.0:
+                break
+    if best in (0, least, largest):
+        return 0.0
     centre = best * _STEP
-    before, here, after = loss(centre - 0.5 * _STEP), losses[best], loss(centre + 0.5 * _STEP)
+    about = losses([0.0, centre - 0.5 * _STEP, centre, centre + 0.5 * _STEP])
+    if about is None or not about.tell(0, 2):
+        return 0.0
+    _, before, here, after = about.values
     curvature = before - 2.0 * here + after
-    if curvature <= 0.0 or losses[0] - here < gain:
-        return 0.0, losses[0]
+    if curvature <= 0.0:  # the least loss is at one of the ends
+        return centre + math.copysign(0.5 * _STEP, before - after)
     found = 0.25 * _STEP * (before - after) / curvature
-    return centre + float(np.clip(found, -0.5 * _STEP, 0.5 * _STEP)), min(before, here, after)
+    return centre + float(np.clip(found, -0.5 * _STEP, 0.5 * _STEP))
 
 
 def _linear_error(train: Dataset, held: Dataset, axles: Sequence[float], output: int) -> float:

@@ -61,12 +61,17 @@ def export(
 def _measurement_noise(members: Sequence[TrainedMember]) -> NDArray[np.float64] | None:
     """Return the noise (3,) of `[v_x, v_y, omega]` in the noisiest log of each channel.
 
-    None if the data were simulated, which has exact states, or if they do not tell the noise of a
-    channel: too few consecutive transitions above 5 m/s, or values that are held over periods.
+    A log that has too few consecutive transitions above 5 m/s does not tell its noise, and is left
+    out. None if this applies to all logs, if a channel's values are held over periods in all
+    others, or if the data were simulated, which have exact states.
     """
     if simulated_vehicle(members[0].dataset.provenance.vehicle) is not None:
         return None
-    noise = np.max([channels(member.dataset).noise for member in members], axis=0)
+    found = np.array([channels(member.dataset).noise for member in members])
+    told = found[~np.isnan(found).all(axis=1)]
+    if len(told) == 0:
+        return None
+    noise: NDArray[np.float64] = told.max(axis=0)
     return noise if np.all(noise > 0.0) else None
 
 

@@ -91,13 +91,7 @@ def starts(dataset: Dataset, periods: int, every: int) -> NDArray[np.int64]:
 
     These are every `every`-th of the rows with enough rows of their trajectory behind them.
     """
-    last = np.arange(periods - 1, len(dataset))
-    first = last - (periods - 1)
-    unbroken = (dataset.trajectory[first] == dataset.trajectory[last]) & (
-        dataset.step[last].astype(np.int64) - dataset.step[first] == periods - 1
-    )
-    found: NDArray[np.int64] = first[unbroken]
-    found = found[::every]
+    found = np.flatnonzero(dataset.unbroken(periods - 1))[::every]
     if len(found) <= MAX_STARTS:
         return found
     spread: NDArray[np.int64] = found[np.linspace(0, len(found) - 1, MAX_STARTS).astype(int)]

@@ -121,7 +121,7 @@ def split(dataset: Dataset, fraction: float, rng: np.random.Generator) -> tuple[
     if len(trajectories) < 2:  # noqa: PLR2004
         raise EgpError(
             f"surface {dataset.provenance.surface} has one trajectory: validation needs at least "
-            "two (collect more seeds, or split the log where it was interrupted)"
+            "two (collect more seeds, or record a log of more than 10 s)"
         )
     count = min(max(1, round(fraction * len(trajectories))), len(trajectories) - 1)
     held_out = np.isin(dataset.trajectory, rng.choice(trajectories, count, replace=False))
@@ -142,7 +142,8 @@ def train(
     Delays are found before the split, so that validation data contribute to them, too.
 
     Raises:
-        EgpError: if datasets differ in dt or vehicle, cannot be split or compared, or a fit fails.
+        EgpError: if datasets differ in dt or vehicle, cannot be split or compared, as `check_data`,
+            or if a fit fails.
 
     """
     surfaces: dict[tuple[float, str], list[Dataset]] = {}
@@ -156,6 +157,8 @@ def train(
     logs = [merge(surfaces[key]) for key in sorted(surfaces)]
     delays = None
     if simulated_vehicle(logs[0].provenance.vehicle) is None:
+        for log in logs:
+            check_data(log)  # errors of the fits that find the delays name no column
         with one_thread(settings.max_points):
             delays = find_delays(logs, vehicle)
         logs = [align(log, delays) for log in logs]
@@ -187,8 +190,7 @@ def train_parts(
     members: list[TrainedMember] = []
     with one_thread(settings.max_points):
         for data, _ in parts:
-            _check_magnitudes(data)
-            _check_varies(data)
+            check_data(data)
             if settings.mean == "best":
                 blocks_to_compare(data)  # an error here comes before the minutes of training
         vehicles: list[FittedVehicle | None] = [None for _ in parts]
@@ -244,7 +246,14 @@ def check_one_library(origins: Sequence[Provenance]) -> None:
     check_one_car(origins, "library")
 
 
-def _check_magnitudes(data: Dataset) -> None:
+def check_data(data: Dataset) -> None:
+    """Errors as `check_magnitudes`, or if an input or output of the data is constant."""
+    check_magnitudes(data)
+    spread(data.z, GP_INPUT, data.provenance.surface)
+    spread(data.y, GP_OUTPUT, data.provenance.surface)
+
+
+def check_magnitudes(data: Dataset) -> None:
     """Errors if a number is larger than that of any vehicle; one such row would spoil the fit."""
     # The force of a log may be its acceleration times the mass.
     limits = LARGEST | {"F_x": HEAVIEST * LARGEST["a_x"]}
@@ -256,9 +265,3 @@ def _check_magnitudes(data: Dataset) -> None:
                     f"surface {data.provenance.surface}: {name} is {value:.4g} in a row of the "
                     f"training data, more than {limit:g}: correct or remove such rows"
                 )
-
-
-def _check_varies(data: Dataset) -> None:
-    """Errors if an input or output of the data is constant."""
-    spread(data.z, GP_INPUT, data.provenance.surface)
-    spread(data.y, GP_OUTPUT, data.provenance.surface)

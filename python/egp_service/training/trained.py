@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import torch
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from egp_service.data.dataset import Dataset
     from egp_service.training.gaussian_process import OutputProcess
     from egp_service.training.vehicle_fit import FittedVehicle
+
+# Inputs that GPyTorch predicts at once: it keeps a covariance of all of them with each other.
+_BLOCK: Final = 1000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -116,6 +119,14 @@ class TrainedMember:
 
         They are GPyTorch's own, by its own kernel: what a library's predictions are compared with.
         """
+        firsts = range(0, max(len(z), 1), _BLOCK)
+        blocks = [self._predict_block(z[first : first + _BLOCK]) for first in firsts]
+        mean, jacobian, variance = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+        return mean, jacobian, variance
+
+    def _predict_block(
+        self, z: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         device = self.processes[0].inputs.device
         query = torch.tensor(z, dtype=torch.float64, device=device, requires_grad=True)
         scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)

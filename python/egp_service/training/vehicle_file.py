@@ -15,7 +15,9 @@ import numpy as np
 from egp_service._core import EgpError, VehicleParameters
 from egp_service.data.dataset import check_one_car
 from egp_service.data.experiment import check_seed
-from egp_service.quantities import DELTA, GP_INPUT, GP_STATE, V_X
+from egp_service.quantities import DELTA, GP_INPUT, GP_OUTPUT, GP_STATE, V_X
+from egp_service.training.exact_member import spread
+from egp_service.training.train import check_magnitudes
 from egp_service.training.vehicle_fit import fit_vehicle
 
 if TYPE_CHECKING:
@@ -36,6 +38,8 @@ _UNDETERMINED_TEXT: Final = "not determined by the logs, so mostly the prior"
 _ASSUMED_TEXT: Final = (
     "not determined: the logs have a_x, so the value follows the mass of the import"
 )
+_UNREACHED_TEXT: Final = "the logs do not reach the tyres' limits"
+_HIDDEN_TEXT: Final = ", or do not show them, as a measured a_x does not"
 # Share of the longitudinal grip that speed profiles use, so that grip is left for cornering, as
 # for the simulated car (docs/settings.md, section 7).
 _RESERVE: Final = 0.65
@@ -79,7 +83,8 @@ def vehicle_lines(
     """Fit a vehicle to one dataset of each surface, and give the lines of its file.
 
     `known` are parameters of a vehicle's file: its body is the prior of the fit, and what a fit
-    cannot tell is kept. Errors if the datasets have different periods or vehicles, the seed is
+    cannot tell is kept. Errors if the datasets have different periods or vehicles, a number is
+    larger than that of any vehicle, `v_x`, `v_y` or `omega` never changes in a dataset, the seed is
     negative, the width is not 0.1 to 5 m, or the fit fails.
     """
     if width is not None and not _WIDTHS[0] <= width <= _WIDTHS[1]:
@@ -89,6 +94,9 @@ def vehicle_lines(
         )
     check_one_car([data.provenance for data in surfaces], "fit")
     check_seed(seed)
+    for data in surfaces:
+        check_magnitudes(data)
+        spread(data.y, GP_OUTPUT, data.provenance.surface)
     rngs = [np.random.default_rng([seed, number]) for number in range(len(surfaces))]
     fitted = fit_vehicle(surfaces, known, rngs)
     frictions = [data.provenance.friction for data in surfaces]
@@ -101,7 +109,7 @@ def vehicle_lines(
         _fitted("l_f", body["l_f"]),
         _fitted("l_r", body["l_r"]),
         *_limits(surfaces, body["m"].value, known, width),
-        *_tyres(fitted, frictions),
+        *_tyres(fitted, frictions, _UNREACHED_TEXT + (_HIDDEN_TEXT if assumed else "")),
     ]
     return sorted(lines, key=lambda line: _ORDER.index(line.name)), fitted
 
@@ -190,8 +198,13 @@ def _rate(surfaces: Sequence[Dataset], column: int) -> float:
     return float(np.quantile(all_changes, _REACHED)) if len(all_changes) else 0.0
 
 
-def _tyres(fitted: Sequence[FittedVehicle], frictions: Sequence[float]) -> list[Line]:
-    """Give slip and grips on friction 1: the least of what the surfaces show."""
+def _tyres(
+    fitted: Sequence[FittedVehicle], frictions: Sequence[float], unreached: str
+) -> list[Line]:
+    """Give slip and grips on friction 1: the least of what the surfaces show.
+
+    `unreached` says why a grip along the vehicle may not be determined.
+    """
     slips, lateral, braking, driving = [], [], [], []
     for vehicle, friction in zip(fitted, frictions, strict=True):
         p = {parameter.name: parameter for parameter in vehicle.parameters}
@@ -202,22 +215,24 @@ def _tyres(fitted: Sequence[FittedVehicle], frictions: Sequence[float]) -> list[
         driving.append(_RESERVE * p["D_d"].value / friction)
     least = "fitted, the least of the surfaces"
     reserve = f"{_RESERVE:g} of the fitted grip, the least of the surfaces"
+    of_slip = _doubt(fitted, ("B_f", "C_f"), _UNREACHED_TEXT)
+    across = _doubt(fitted, ("D_f", "D_r"), _UNREACHED_TEXT)
     return [
-        Line("peak_slip", _rounded(min(slips)), least, _doubt(fitted, "B_f", "C_f")),
-        Line("lateral_grip", _rounded(min(lateral)), least, _doubt(fitted, "D_f", "D_r")),
-        Line("braking_grip", _rounded(min(braking)), reserve, _doubt(fitted, "D_b")),
-        Line("driving_grip", _rounded(min(driving)), reserve, _doubt(fitted, "D_d")),
+        Line("peak_slip", _rounded(min(slips)), least, of_slip),
+        Line("lateral_grip", _rounded(min(lateral)), least, across),
+        Line("braking_grip", _rounded(min(braking)), reserve, _doubt(fitted, ("D_b",), unreached)),
+        Line("driving_grip", _rounded(min(driving)), reserve, _doubt(fitted, ("D_d",), unreached)),
     ]
 
 
-def _doubt(fitted: Sequence[FittedVehicle], *names: str) -> str:
+def _doubt(fitted: Sequence[FittedVehicle], names: tuple[str, ...], unreached: str) -> str:
     """Say why to check what these parameters of the tyres give; empty if nothing tells to."""
     own = [p for vehicle in fitted for p in vehicle.parameters if p.name in names]
     warnings = []
     if any(parameter.at_bound for parameter in own):
         warnings.append(_AT_BOUND_TEXT)
     if not all(parameter.determined for parameter in own):
-        warnings.append("the logs do not reach the tyres' limits")
+        warnings.append(unreached)
     return ", ".join(warnings)
 
 
