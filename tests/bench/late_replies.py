@@ -42,6 +42,7 @@ class LateReplies(StepController):
             self._engine.ready, fleet="f", vehicle="v", gate=gate, budget=budget, hedge=1.0
         )
         self._driver.replica_appeared(0.0, "main")
+        self._driver.replica_fits("main")
         self._delays = delays
         self._period = 0
         self._under_way: list[tuple[float, int, bytes]] = []

@@ -95,18 +95,19 @@ class InProcess:
         """Make the replicas and the driver."""
         del patience  # every replica was asked after one round
         self._replicas = {name: ScriptedReplica(faults) for name, faults in scripts.items()}
-        ready = self._first_ready()
+        fitting, ready = self._first_ready()
         served = decode_ready(ready)
         self.dt, self.horizon = served.dt, served.horizon
         self._driver = Driver(ready, fleet=FLEET, vehicle=VEHICLE, gate=GATE)
         for name in scripts:
             self._driver.replica_appeared(0.0, name)
+        self._driver.replica_fits(fitting)
         self._frozen: dict[str, list[Callable[[], None]]] = {}
         self._open: list[tuple[float, int]] = []
         """Until when each query listens that was not answered."""
         self._now = 0.0
 
-    def _first_ready(self) -> bytes:
+    def _first_ready(self) -> tuple[str, bytes]:
         discovery = Discovery(fleet=FLEET, vehicle=VEHICLE, gate=GATE)
         for name in self._replicas:
             discovery.replica_appeared(name)
@@ -114,7 +115,7 @@ class InProcess:
             name, _, _ = question
             answer = self._replicas[name].ready()
             if discovery.is_usable(name, answer, b""):
-                return answer
+                return name, answer
         raise ConnectError(discovery.error)
 
     def step(

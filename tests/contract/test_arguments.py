@@ -23,7 +23,15 @@ from egp_service import (
     StatusPublisher,
     VehicleClient,
 )
-from egp_service._core import decode_request, merge_tiles, solve_weights
+from egp_service._core import (
+    Decision,
+    Driver,
+    Engine,
+    Query,
+    decode_request,
+    merge_tiles,
+    solve_weights,
+)
 from egp_service.control.fleet_map import FleetMap
 from egp_service.control.recorded import read_recording
 from egp_service.control.toml_text import dumps
@@ -32,6 +40,8 @@ from egp_service.shipped import DEMO_LIBRARY
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path as FilePath
+
+    from numpy.typing import ArrayLike
 
     from egp_service import Step
 
@@ -146,6 +156,72 @@ def test_lists_and_numbers_of_other_types_are_arrays() -> None:
     exact = PATH.sample(np.array([0.0, 30.0]))
     for s in ([0, 30], (0.0, 30.0), np.array([0, 30]), np.array([0.0, 30.0], np.float32)):
         np.testing.assert_array_equal(PATH.sample(s), exact)
+
+
+@pytest.mark.parametrize("reference", [[], NOTHING, np.zeros((41, 3)), np.zeros((0, 4)), "no"])
+def test_a_state_that_cannot_be_used_is_a_stop_whatever_its_reference_is(
+    controller: Controller, reference: ArrayLike
+) -> None:
+    step(controller)
+    stopped = controller.step([NAN] * 7, reference, reference, road_friction=reference)
+    assert (stopped.mode, stopped.status) == ("stop", "invalid_state")
+    driver = described_driver(controller)
+    driver.tick(0.02, 0.036, [NAN] * 7, reference, reference, reference)
+    decision = driver.next_action()
+    assert isinstance(decision, Decision)
+    assert (decision.mode, decision.status) == ("stop", "invalid_state")
+
+
+def described_driver(controller: Controller) -> Driver:
+    """Return the driver of a vehicle on the network."""
+    engine = Engine(str(controller.library_file))
+    driver = Driver(engine.ready, fleet="depot", vehicle="car-7", gate=GATE)
+    driver.replica_appeared(0.0, "garage-1")
+    driver.replica_fits("garage-1")
+    return driver
+
+
+@pytest.mark.parametrize("wrong", ["reference", "widths", "road_friction", "x"])
+def test_a_period_with_an_argument_of_the_wrong_shape_counts(
+    controller: Controller, wrong: str
+) -> None:
+    s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+    straight = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
+    good: dict[str, Any] = {"x": X, "reference": straight}
+    bad = good | {wrong: np.zeros((5, 5))}
+    for _ in range(3):
+        before = decode_request(controller.step(**good).request)
+    assert len(before.history_z) == 2
+    with pytest.raises(InvalidArgumentError, match=wrong) as caught:
+        controller.step(**bad)
+    if wrong == "x":
+        assert caught.value.__notes__ == ["while processing 'x'"]
+    after = decode_request(controller.step(**good).request)
+    assert after.sequence == before.sequence + 2
+    assert (after.plan_shift, len(after.history_z)) == (2, 0)
+    driver = described_driver(controller)
+    for tick in (1, 2):
+        driver.tick(0.02 * tick, 0.02 * tick + 0.016, **good)
+        driver.wake(0.02 * tick + 0.016)
+    with pytest.raises(InvalidArgumentError, match=wrong):
+        driver.tick(0.06, 0.076, **bad)
+    driver.tick(0.08, 0.096, **good)
+    query = driver.next_action()
+    assert isinstance(query, Query)
+    after = decode_request(query.payload)
+    assert (after.sequence, len(after.history_z)) == (4, 0)
+
+
+@pytest.mark.parametrize("name", ["widths", "road_friction"])
+def test_an_array_without_rows_is_not_the_same_as_none(controller: Controller, name: str) -> None:
+    s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+    straight = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
+    stated: dict[str, Any] = {name: np.zeros((0, 2))}
+    with pytest.raises(InvalidArgumentError, match=f"{name}: expected a row for each stage"):
+        controller.step(X, straight, **stated)
+    with pytest.raises(InvalidArgumentError, match=f"{name}: expected a row for each stage"):
+        described_driver(controller).tick(0.02, 0.036, X, straight, **stated)
+    assert controller.step(X, straight, **{name: None}).mode == "normal"
 
 
 def test_names_of_a_publication_are_checked(controller: Controller) -> None:

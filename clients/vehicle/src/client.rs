@@ -260,6 +260,8 @@ impl VehicleClient {
 
     fn tell(&mut self, event: Event) {
         let at = self.time(event.at);
+        // This program may have been held up since the event came.
+        self.driver.clock(self.time(Instant::now()));
         if let Some(traces) = &mut self.traces {
             match &event.kind {
                 EventKind::Replied(id, ..) => traces.replied(at, *id),
@@ -292,9 +294,9 @@ fn discover(
     own: &DriverConfig,
     epoch: Instant,
 ) -> Result<Driver, ClientError> {
-    let deadline = Instant::now() + config.patience;
+    let begun = Instant::now();
     loop {
-        let left = deadline.saturating_duration_since(Instant::now());
+        let left = config.patience.saturating_sub(begun.elapsed());
         if left.is_zero() {
             return Err(ClientError::NoReplica {
                 reason: discovery.error(),
@@ -326,6 +328,7 @@ fn discover(
         for replica in discovery.live() {
             driver.replica_appeared(epoch.elapsed(), replica.clone());
         }
+        driver.replica_fits(&question.replica);
         return Ok(driver);
     }
 }
@@ -338,45 +341,5 @@ const POLL: Duration = Duration::from_millis(100);
 const QUESTION: Duration = Duration::from_secs(1);
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use egp_driver::QueryId;
-    use egp_gate::Limits;
-    use egp_parameters::VehicleParameters;
-    use egp_wire::Ready;
-
-    use super::*;
-    use crate::network::report;
-
-    #[test]
-    fn events_beyond_the_deadline_wait_for_the_next_step() {
-        let limits = Limits::of(&VehicleParameters::FORD_ESCORT);
-        let config = VehicleConfig::new("test", "car", limits, &[]).unwrap();
-        let ready = Ready {
-            vehicle: None,
-            ..egp_testing::messages::ready()
-        };
-        let reference = vec![[0.0; 4]; ready.horizon as usize + 1];
-        let mut client = VehicleClient {
-            network: Network::open(&config).unwrap(),
-            driver: Driver::new(config.driver, ready).unwrap(),
-            epoch: Instant::now(),
-            status: None,
-            traces: None,
-        };
-        let now = Instant::now();
-        for (deadline, left) in [(now, 1000 - FEW), (now + Duration::from_secs(60), 0)] {
-            for id in 0..1000 {
-                report(&client.network.sender, EventKind::Ended(QueryId(id)));
-            }
-            let measurement = Measurement {
-                x: [0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0],
-                reference: reference.clone(),
-                ..Measurement::default()
-            };
-            client.step_by(deadline, measurement).unwrap();
-            let waiting = std::iter::from_fn(|| client.network.next(Duration::ZERO));
-            assert_eq!(waiting.count(), left);
-        }
-    }
-}
+#[path = "../tests/unit/client.rs"]
+mod tests;

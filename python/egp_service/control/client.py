@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -135,7 +136,7 @@ class VehicleClient(StepController):
         config = session_config(names, timeout, zenoh_config or {}, zenoh_file)
         network = Network(config, names, timeout)
         try:
-            ready = _first_ready(network, discovery, names, deadline)
+            fitting, ready = _first_ready(network, discovery, names, deadline)
             driver = Driver(
                 ready,
                 fleet=fleet,
@@ -150,6 +151,7 @@ class VehicleClient(StepController):
             )
             for replica in discovery.live:
                 driver.replica_appeared(time.monotonic(), replica)
+            driver.replica_fits(fitting)
             return cls(network, ready, driver)
         except BaseException:
             network.close()
@@ -161,7 +163,7 @@ class VehicleClient(StepController):
         while told < _FEW_EVENTS or time.monotonic() < due:
             if (happened := self._network.next(0.0)) is None:
                 break
-            happened(self._driver)
+            self._tell(happened)
             told += 1
         self._driver.tick(start, due, *measured)
         while True:
@@ -172,16 +174,24 @@ class VehicleClient(StepController):
             wake = self._driver.next_wake
             happened = self._network.next(wake - time.monotonic())
             if happened is not None:
-                happened(self._driver)
+                self._tell(happened)
             # The deadline ends the period although events keep coming.
             if (now := time.monotonic()) >= wake:
                 self._driver.wake(now)
 
+    def _tell(self, happened: Callable[[Driver], None]) -> None:
+        # This program may have been held up since the event came.
+        self._driver.clock(time.monotonic())
+        happened(self._driver)
+
     def close(self) -> None:
         """Close the zenoh session, and write the spans that wait; no step can follow."""
         super().close()
-        self._network.close()
-        if lost := self._driver.finish_traces():
+        try:
+            self._network.close()
+        finally:
+            lost = self._driver.finish_traces()
+        if lost:
             warnings.warn(f"{lost} spans of traces could not be written", stacklevel=2)
 
 
@@ -277,8 +287,9 @@ class Network:
         return bool(info.peers_zid() or info.routers_zid())
 
     def close(self) -> None:
-        """Close the session."""
-        self.session.close()  # type: ignore[no-untyped-call]
+        """Close the session; zenoh waits for up to 10 s if a link has been cut."""
+        with suppress(zenoh.ZError):  # the link was not closed in time, and ends with its lease
+            self.session.close()  # type: ignore[no-untyped-call]
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         replica = replica_of_live(str(sample.key_expr))
@@ -304,8 +315,8 @@ def _read_keys(file: str | Path) -> str:
 
 def _first_ready(
     network: Network, discovery: Discovery, endpoints: Sequence[str], deadline: float
-) -> bytes:
-    """Ask the live replicas in turn until one can be used."""
+) -> tuple[str, bytes]:
+    """Ask the live replicas in turn until one can be used; give its name and its answer."""
     while (left := deadline - time.monotonic()) > 0.0:
         question = discovery.next_question()
         if question is None:
@@ -321,7 +332,7 @@ def _first_ready(
         replica, key, seal = question
         for answer, attachment in network.ask_and_wait(key, seal, min(left, _QUESTION_SECONDS)):
             if discovery.is_usable(replica, answer, attachment):
-                return answer
+                return replica, answer
     known = discovery.unusable or network.has_link()
     error = _unreachable(endpoints, discovery.error if known else _NO_LINK)
     error.replicas = discovery.unusable

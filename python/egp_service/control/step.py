@@ -230,6 +230,10 @@ class StepController(ABC):
             try:
                 decision = self._decide(start, budget, (x, reference, widths, road_friction))
                 return Step.of(decision, self._driver.weights, time.monotonic() - start)
+            except BaseException:
+                # The command of this period is not that of a later one.
+                self._driver.abandon()
+                raise
             finally:
                 self._stepping = False
                 if self._to_reset:

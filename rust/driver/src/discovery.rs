@@ -109,16 +109,16 @@ impl Discovery {
         self.replicas.gone(replica);
     }
 
-    /// The replicas that announce themselves; a driver made after the discovery starts with them.
+    /// The replicas that announce themselves; a driver made after the discovery starts with them, and is told the one whose
+    /// answer was used by [`crate::Driver::replica_fits`].
     pub fn live(&self) -> impl Iterator<Item = &Name> {
         self.replicas.live().iter()
     }
 
     /// The next replica to ask; `None` if no replica is alive or all were asked, after which the next call starts over.
     pub fn next_question(&mut self) -> Option<Question> {
-        let order = self.replicas.order();
-        let next = order.into_iter().find(|name| !self.asked.contains(name));
-        let Some(replica) = next else {
+        let mut live = self.replicas.live().iter();
+        let Some(replica) = live.find(|name| !self.asked.contains(name)).cloned() else {
             self.asked.clear();
             return None;
         };

@@ -40,7 +40,8 @@ impl InProcessDriver {
             served,
         )?;
         if let Ok(replica) = "in-process".parse::<Name>() {
-            driver.replica_appeared(NOW, replica);
+            driver.replica_appeared(NOW, replica.clone());
+            driver.replica_fits(&replica);
         }
         Ok(Self { driver })
     }
@@ -53,6 +54,11 @@ impl InProcessDriver {
     /// Mutable access to the driver, for calls that concern neither time nor replicas.
     pub fn driver_mut(&mut self) -> &mut Driver {
         &mut self.driver
+    }
+
+    /// Counts a control period that cannot be opened; see [`Driver::skip_period`].
+    pub fn skip_period(&mut self) {
+        self.driver.skip_period(NOW);
     }
 
     /// One control period with the time `budget`, from 1 µs to 10 s, stated in the request; `answer` computes the reply's

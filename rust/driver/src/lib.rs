@@ -18,6 +18,7 @@
 //! # };
 //! let mut driver = Driver::new(DriverConfig::new("depot", "car-7", limits)?, served)?;
 //! driver.replica_appeared(Duration::ZERO, "garage-1".parse()?);
+//! driver.replica_fits(&"garage-1".parse()?); // it gave the description `served`
 //!
 //! let x = [0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0];
 //! let reference = (0..=4).map(|t| [0.24 * f64::from(t), 0.0, 12.0, 0.0]).collect();

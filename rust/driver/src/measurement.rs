@@ -84,8 +84,12 @@ pub enum InvalidArgument {
 }
 
 impl Measurement {
-    /// Errors if the control step does not plan for the measured state: each replica would answer its request with an error.
-    pub(crate) fn check_state(&self) -> Result<(), Invalid> {
+    /// Checks whether the control step plans for the measured state. If it does not, [`crate::Driver::tick`] decides on a
+    /// stop, whatever the other fields are.
+    ///
+    /// # Errors
+    /// [`Invalid`] naming the component that is not finite or outside its domain.
+    pub fn check_state(&self) -> Result<(), Invalid> {
         egp_wire::check_state(&self.x)?;
         let [_, _, v_x, _, v_y, omega, delta] = self.x;
         let symmetric = |most: f64| (-most, most);

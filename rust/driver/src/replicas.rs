@@ -16,7 +16,7 @@ const MIN_DEMOTION: Duration = Duration::from_secs(1);
 const MAX_DEMOTION: Duration = Duration::from_secs(30);
 /// A replica that has not failed for this long since the end of its demotion starts with the shortest demotion again.
 const PROBATION: Duration = Duration::from_secs(60);
-/// Time between two probes of a demoted replica.
+/// Time between two probes of a replica.
 const PROBE_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Most replicas that are known at a time. Further ones that announce themselves count as absent: whoever may announce replicas
@@ -46,6 +46,9 @@ struct Demotion {
 /// A replica fails by letting a deadline pass, by an answer that cannot be used, or by an error that other replicas may
 /// not have. Because a frozen replica may stay frozen, it is promoted again only once its demotion has passed and it
 /// has answered a probe in time, so that no control period is spent on finding out.
+///
+/// A replica is asked for steps only once it has described what the vehicle needs ([`Replicas::fits`]). Its plans could be
+/// made for another vehicle, which replies do not show.
 #[derive(Clone, Debug)]
 pub(crate) struct Replicas {
     fleet: Name,
@@ -53,6 +56,8 @@ pub(crate) struct Replicas {
     /// The live replicas in the order of the vehicle's hash.
     live: Vec<Name>,
     demoted: BTreeMap<Name, Demotion>,
+    /// The live replicas that are not known to fit the vehicle, each with the time of its last probe.
+    unchecked: BTreeMap<Name, Option<Time>>,
     /// When each replica last sent a usable reply.
     answered: BTreeMap<Name, Time>,
 }
@@ -64,6 +69,7 @@ impl Replicas {
             vehicle,
             live: Vec::new(),
             demoted: BTreeMap::new(),
+            unchecked: BTreeMap::new(),
             answered: BTreeMap::new(),
         }
     }
@@ -76,6 +82,7 @@ impl Replicas {
         if self.live.len() >= MOST {
             return false;
         }
+        self.unchecked.insert(replica.clone(), None);
         let mut live = std::mem::take(&mut self.live);
         live.push(replica);
         self.live = rank(&self.fleet, &self.vehicle, live);
@@ -84,7 +91,18 @@ impl Replicas {
 
     pub(crate) fn gone(&mut self, replica: &Name) {
         self.live.retain(|live| live != replica);
+        self.unchecked.remove(replica);
         self.answered.remove(replica);
+    }
+
+    /// Notes that a replica serves what the vehicle needs; returns whether that was not known before.
+    pub(crate) fn fits(&mut self, replica: &Name) -> bool {
+        self.unchecked.remove(replica).is_some()
+    }
+
+    /// Whether a live replica is not known to fit the vehicle.
+    pub(crate) fn is_unchecked(&self, replica: &Name) -> bool {
+        self.unchecked.contains_key(replica)
     }
 
     /// Notes that a replica sent a usable reply; one that has gone since then is not kept.
@@ -99,9 +117,10 @@ impl Replicas {
         &self.live
     }
 
-    /// The live replicas in the order to ask them.
+    /// The live replicas that fit the vehicle, in the order to ask them.
     pub(crate) fn order(&self) -> Vec<Name> {
         let mut order = self.live.clone();
+        order.retain(|replica| !self.is_unchecked(replica));
         // The sort is stable, so those that are not demoted keep their rank.
         order.sort_by_key(|replica| {
             let demotion = self.demoted.get(replica).filter(|demotion| !demotion.ended);
@@ -140,27 +159,30 @@ impl Replicas {
         self.demoted.insert(replica.clone(), demotion);
     }
 
-    /// A demoted replica whose time has passed and that is due to be probed.
+    /// A replica that is due to be probed: one that is not known to fit, or a demoted one whose time has passed.
     pub(crate) fn next_probe(&mut self, now: Time) -> Option<Name> {
-        let due = |demotion: &Demotion| {
-            let waited = demotion
-                .probed
-                .is_none_or(|sent| now.saturating_sub(sent) >= PROBE_INTERVAL);
-            !demotion.ended && now >= demotion.until && waited
+        let passed = |(replica, demotion): &(&Name, &mut Demotion)| {
+            self.live.contains(*replica) && !demotion.ended && now >= demotion.until
+        };
+        let demoted = (self.demoted.iter_mut().filter(passed))
+            .map(|(replica, demotion)| (replica, &mut demotion.probed));
+        let due = |(_, probed): &(&Name, &mut Option<Time>)| {
+            probed.is_none_or(|sent| now.saturating_sub(sent) >= PROBE_INTERVAL)
         };
         // The one that was probed longest ago comes first, so that a frozen one does not keep others from being probed.
-        let (replica, demotion) = self
-            .demoted
-            .iter_mut()
-            .filter(|(replica, demotion)| self.live.contains(*replica) && due(demotion))
-            .min_by_key(|(_, demotion)| demotion.probed)?;
-        demotion.probed = Some(now);
+        let (replica, probed) = (self.unchecked.iter_mut().chain(demoted))
+            .filter(due)
+            .min_by_key(|(_, probed)| **probed)?;
+        *probed = Some(now);
         Some(replica.clone())
     }
 
-    /// Notes that a replica answered a probe in time.
-    pub(crate) fn probe_answered(&mut self, replica: &Name) {
-        if let Some(demotion) = self.demoted.get_mut(replica) {
+    /// Notes that a replica answered in time a probe that was sent at that time. A probe from before the end of the
+    /// demotion only tells whether the replica fits.
+    pub(crate) fn probe_answered(&mut self, replica: &Name, sent: Time) {
+        if let Some(demotion) = self.demoted.get_mut(replica)
+            && sent >= demotion.until
+        {
             demotion.ended = true;
         }
     }
@@ -175,11 +197,18 @@ mod tests {
         Time::from_secs_f64(value)
     }
 
+    /// Lets a replica that fits the vehicle announce itself.
+    fn appear(replicas: &mut Replicas, replica: &Name) -> bool {
+        let known = replicas.appeared(replica.clone());
+        replicas.fits(replica);
+        known
+    }
+
     fn three() -> (Replicas, Vec<Name>) {
         let name = |text: &str| text.parse::<Name>().unwrap();
         let mut replicas = Replicas::new(name("fleet"), name("car"));
         for replica in ["a", "b", "c"] {
-            replicas.appeared(name(replica));
+            appear(&mut replicas, &name(replica));
         }
         let order = replicas.order();
         (replicas, order)
@@ -200,7 +229,7 @@ mod tests {
         );
         assert_eq!(replicas.next_probe(seconds(6.2)), Some(usual[0].clone()));
         assert_eq!(replicas.order(), demoted, "no probe was answered");
-        replicas.probe_answered(&usual[0]);
+        replicas.probe_answered(&usual[0], seconds(6.2));
         assert_eq!(replicas.order(), usual);
         assert_eq!(replicas.next_probe(seconds(9.0)), None);
     }
@@ -210,7 +239,7 @@ mod tests {
         let (mut replicas, usual) = three();
         let name = |i: usize| format!("r{i}").parse::<Name>().unwrap();
         for i in usual.len()..MOST {
-            assert!(replicas.appeared(name(i)));
+            assert!(appear(&mut replicas, &name(i)));
         }
         assert!(!replicas.appeared(name(MOST)));
         assert!(replicas.appeared(usual[0].clone()), "it is known already");
@@ -218,7 +247,26 @@ mod tests {
         let ranked = rank(&replicas.fleet, &replicas.vehicle, replicas.order());
         assert_eq!(replicas.order(), ranked);
         replicas.gone(&usual[0]);
-        assert!(replicas.appeared(name(MOST)));
+        assert!(appear(&mut replicas, &name(MOST)));
+    }
+
+    #[test]
+    fn a_replica_is_probed_at_once_and_asked_only_after_it_is_known_to_fit() {
+        let (mut replicas, usual) = three();
+        let new: Name = "d".parse().unwrap();
+        replicas.appeared(new.clone());
+        assert_eq!(replicas.order(), usual);
+        assert_eq!(replicas.next_probe(seconds(5.0)), Some(new.clone()));
+        assert!(replicas.fits(&new) && !replicas.fits(&new));
+        assert_eq!(replicas.order(), replicas.live());
+    }
+
+    #[test]
+    fn a_probe_from_before_the_end_of_a_demotion_does_not_end_it() {
+        let (mut replicas, usual) = three();
+        replicas.demote(&usual[0], seconds(0.0)); // until 1 s
+        replicas.probe_answered(&usual[0], seconds(0.9));
+        assert_eq!(replicas.order().last(), Some(&usual[0]));
     }
 
     #[test]
@@ -255,7 +303,7 @@ mod tests {
                 now += Duration::from_millis(500);
             }
             lengths.push(now.saturating_sub(start).as_secs());
-            replicas.probe_answered(&usual[0]);
+            replicas.probe_answered(&usual[0], now);
         }
         assert_eq!(lengths, [1, 2, 4, 8, 16, 30, 30]);
         now += Duration::from_secs(60);
@@ -269,7 +317,7 @@ mod tests {
         for (again, length) in [(almost, 2), (seconds(61.0), 1)] {
             let (mut replicas, usual) = three();
             replicas.demote(&usual[0], seconds(0.0)); // until 1 s
-            replicas.probe_answered(&usual[0]);
+            replicas.probe_answered(&usual[0], seconds(1.0));
             replicas.demote(&usual[0], again);
             let promoted = again + Duration::from_secs(length);
             let before = promoted.saturating_sub(Duration::from_nanos(1));
@@ -287,7 +335,7 @@ mod tests {
         // One that is gone is forgotten, so that names of the past do not fill the memory.
         replicas.gone(&usual[0]);
         replicas.demote(&usual[1], seconds(91.0));
-        replicas.appeared(usual[0].clone());
+        appear(&mut replicas, &usual[0]);
         assert_eq!(replicas.order()[0], usual[0]);
     }
 
@@ -310,7 +358,7 @@ mod tests {
         let by_answer = [usual[1].clone(), usual[2].clone(), usual[0].clone()];
         assert_eq!(replicas.order(), by_answer);
         replicas.gone(&usual[1]);
-        replicas.appeared(usual[1].clone());
+        appear(&mut replicas, &usual[1]);
         let unknown_last = [usual[2].clone(), usual[0].clone(), usual[1].clone()];
         assert_eq!(replicas.order(), unknown_last);
     }
@@ -342,7 +390,7 @@ mod tests {
         replicas.gone(&usual[0]);
         assert_eq!(replicas.order(), usual[1..]);
         assert_eq!(replicas.next_probe(seconds(2.0)), None);
-        replicas.appeared(usual[0].clone());
+        appear(&mut replicas, &usual[0]);
         assert_eq!(
             replicas.order().last(),
             Some(&usual[0]),

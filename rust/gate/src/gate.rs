@@ -25,8 +25,8 @@ pub enum Mode {
     Tail,
     /// Braking with the steering held, latched until [`Gate::reset`].
     Stop,
-    /// Braking with the steering held because no plan has come since the start or the last [`Gate::reset`]; the first
-    /// plan ends it.
+    /// Braking with the steering held because no plan has been driven since the start or the last [`Gate::reset`]; the
+    /// first plan that has an input for its period ends it.
     Waiting,
 }
 
@@ -186,8 +186,9 @@ impl Gate {
     }
 
     /// The command for period `tick` from the measured speed \[m/s\] and steering angle \[rad\]. The gate changes to
-    /// STOP if a measurement is not finite or the plan held has no input for this period. As long as the speed is not finite,
-    /// a stop brakes with its whole force: an earlier speed says nothing about the present one.
+    /// STOP if a measurement is not finite, or if the plan that was driven has no input for this period. A first plan that
+    /// comes too late to have one leaves the gate waiting. As long as the speed is not finite, a stop brakes with its whole
+    /// force: an earlier speed says nothing about the present one.
     pub fn command(&mut self, tick: u64, v_x: f64, delta: f64) -> Command {
         let measured = v_x.is_finite() && delta.is_finite();
         // An infinite speed allows braking but no driving force.
@@ -204,7 +205,8 @@ impl Gate {
             self.mode = mode;
             u
         } else {
-            let waiting = measured && self.length == 0 && self.mode != Mode::Stop;
+            // Without a plan that was driven there is nothing to stop: the vehicle is braked until the first one comes.
+            let waiting = measured && self.mode == Mode::Waiting;
             self.mode = if waiting { Mode::Waiting } else { Mode::Stop };
             // The steering angle is held, which keeps the curvature of the last plan. Straight wheels would leave the
             // road in a bend.

@@ -9,7 +9,7 @@ use egp_driver::{Action, DriverConfig, Measurement, QueryId, RunKey};
 use egp_wire::{KeyRing, Ready};
 use pyo3::prelude::*;
 
-use crate::array::{KeptMatrix, KeptVector, Matrix, NewVector, Vector, fixed, rows, vector};
+use crate::array::{KeptMatrix, KeptVector, NewVector, fixed, rows, vector};
 use crate::error::{InvalidArgumentError, raise};
 use crate::gate::configure;
 use crate::traces::Tracing;
@@ -158,21 +158,53 @@ fn run_key(text: &str, config: &DriverConfig) -> PyResult<RunKey> {
     })
 }
 
-/// Measured state, reference, widths and friction from Python.
+/// Measured state, reference, widths and friction from Python, of which the last two may be `None`. If the state cannot be
+/// used, the others are left out whatever they are, because the command is a stop.
 pub fn measurement(
-    x: &Vector<'_>,
-    reference: &Matrix<'_>,
-    widths: Option<&Matrix<'_>>,
-    road_friction: Option<&Matrix<'_>>,
+    x: &Bound<'_, PyAny>,
+    reference: &Bound<'_, PyAny>,
+    widths: Option<&Bound<'_, PyAny>>,
+    road_friction: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Measurement> {
+    let unmeasured = Measurement {
+        x: fixed("x", &argument("x", x)?)?,
+        ..Measurement::default()
+    };
+    if unmeasured.check_state().is_err() {
+        return Ok(unmeasured);
+    }
     Ok(Measurement {
-        x: fixed("x", x)?,
-        reference: rows("reference", reference)?,
-        widths: widths.map_or_else(|| Ok(Vec::new()), |widths| rows("widths", widths))?,
-        road_friction: road_friction.map_or_else(
-            || Ok(Vec::new()),
-            |friction| rows("road_friction", friction),
-        )?,
+        reference: rows("reference", &argument("reference", reference)?)?,
+        widths: stated_rows("widths", widths)?,
+        road_friction: stated_rows("road_friction", road_friction)?,
+        ..unmeasured
+    })
+}
+
+/// The rows of an argument that may be `None`. An array without rows is an error, because it would count as `None`.
+fn stated_rows<const N: usize>(
+    name: &str,
+    stated: Option<&Bound<'_, PyAny>>,
+) -> PyResult<Vec<[f64; N]>> {
+    let Some(stated) = stated else {
+        return Ok(Vec::new());
+    };
+    let found = rows(name, &argument(name, stated)?)?;
+    if found.is_empty() {
+        let reason = "expected a row for each stage, got none; leave it out if nothing is known";
+        return Err(InvalidArgumentError::raise(format!("{name}: {reason}")));
+    }
+    Ok(found)
+}
+
+/// An argument as a type, with the note about its name that `PyO3` adds to errors of arguments.
+fn argument<'a, 'py, T>(name: &str, value: &'a Bound<'py, PyAny>) -> PyResult<T>
+where
+    T: FromPyObject<'a, 'py, Error = PyErr>,
+{
+    value.extract().map_err(|error: PyErr| {
+        let noted = error.add_note(value.py(), format!("while processing '{name}'"));
+        noted.err().unwrap_or(error)
     })
 }
 
@@ -226,6 +258,13 @@ impl Driver {
         Ok(())
     }
 
+    /// Note that the replica that announces itself gave the description with which the driver was made. Any other replica
+    /// is asked for steps only after it has answered a query of its `ready` key, which is one of the driver's actions.
+    fn replica_fits(&mut self, replica: &str) -> PyResult<()> {
+        self.0.replica_fits(&replica.parse().map_err(raise)?);
+        Ok(())
+    }
+
     /// Note that a replica withdrew its announcement or was lost.
     fn replica_gone(&mut self, now: f64, replica: &str) -> PyResult<()> {
         self.0
@@ -236,23 +275,37 @@ impl Driver {
     /// Open a control period at the measured state (7,), with a command due by `deadline`.
     ///
     /// `reference` has rows [p_x, p_y, v_x, psi] (T+1, 4), `widths` rows [left, right] (T+1, 2), `road_friction` rows
-    /// [friction, standard deviation] (T+2, 2). Raises `InvalidArgumentError` if no request can be made of the arguments.
+    /// [friction, standard deviation] (T+2, 2). A state that cannot be used is a stop, whatever the others are. Raises
+    /// `InvalidArgumentError` if no request can be made of the arguments; the period then counts as one without a request.
     #[pyo3(signature = (now, deadline, x, reference, widths = None, road_friction = None))]
     fn tick(
         &mut self,
         now: f64,
         deadline: f64,
-        x: Vector<'_>,
-        reference: Matrix<'_>,
-        widths: Option<Matrix<'_>>,
-        road_friction: Option<Matrix<'_>>,
+        x: &Bound<'_, PyAny>,
+        reference: &Bound<'_, PyAny>,
+        widths: Option<&Bound<'_, PyAny>>,
+        road_friction: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
-        let measurement = measurement(&x, &reference, widths.as_ref(), road_friction.as_ref())?;
+        let (now, deadline) = (time(now)?, time(deadline)?);
+        let measurement = measurement(x, reference, widths, road_friction)
+            .inspect_err(|_| self.0.skip_period(now))?;
         if let Some(traces) = &mut self.1 {
-            traces.began(time(now)?);
+            traces.began(now);
         }
-        let ticked = self.0.tick(time(now)?, time(deadline)?, measurement);
+        let ticked = self.0.tick(now, deadline, measurement);
         ticked.map_err(InvalidArgumentError::raise)
+    }
+
+    /// State the present time before an event that came some time ago, so that a hold-up in between is counted.
+    fn clock(&mut self, now: f64) -> PyResult<()> {
+        self.0.clock(time(now)?);
+        Ok(())
+    }
+
+    /// Give an open period up because an exception ends the step. The next request has no history.
+    fn abandon(&mut self) {
+        self.0.abandon();
     }
 
     /// When `wake` is due, on the driver's clock; infinite while no period is open.

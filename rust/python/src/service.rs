@@ -15,7 +15,7 @@ use pyo3::exceptions::{PyKeyboardInterrupt, PySystemExit};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use crate::array::{Matrix, NewVector, Vector, vector};
+use crate::array::{NewVector, Vector, vector};
 use crate::driver::{Decision, driver_config, measurement};
 use crate::error::{InvalidArgumentError, RefusedError, raise};
 use crate::parameters::VehicleParameters;
@@ -166,13 +166,14 @@ impl InProcessDriver {
         &mut self,
         py: Python<'_>,
         budget: f64,
-        x: Vector<'_>,
-        reference: Matrix<'_>,
-        widths: Option<Matrix<'_>>,
-        road_friction: Option<Matrix<'_>>,
+        x: &Bound<'_, PyAny>,
+        reference: &Bound<'_, PyAny>,
+        widths: Option<&Bound<'_, PyAny>>,
+        road_friction: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Decision> {
-        let measurement = measurement(&x, &reference, widths.as_ref(), road_friction.as_ref())?;
         let budget = Duration::try_from_secs_f64(budget).map_err(InvalidArgumentError::raise)?;
+        let measurement = measurement(x, reference, widths, road_friction)
+            .inspect_err(|_| self.driver.skip_period())?;
         let (driver, engine) = (&mut self.driver, self.engine.get());
         let step = py.detach(|| {
             driver.step(measurement, budget, |request| {
@@ -190,6 +191,11 @@ impl InProcessDriver {
             })
         });
         Decision::new(py, step.map_err(InvalidArgumentError::raise)?)
+    }
+
+    /// Note that the last step's command was not given, because an exception ended the step.
+    fn abandon(&mut self) {
+        self.driver.driver_mut().abandon();
     }
 
     /// Budget in s that requests state if the period has none of its own.

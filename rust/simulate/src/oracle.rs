@@ -16,8 +16,8 @@ pub enum Oracle {
     Command,
     /// Commands are finite and within the limits of value and slew, of the motor's power and of the steering angle.
     Limits,
-    /// A command is the planned input of the newest plan for this period. It is braking before the first plan, and from the
-    /// end of the plan's tail or a lost vehicle until the reset. Periods in which the vehicle's program was held up count if
+    /// A command is the planned input of the newest plan for this period. It is braking until a plan is driven, and from the
+    /// end of that plan's tail or a lost vehicle until the reset. Periods in which the vehicle's program was held up count if
     /// they are more than the tail.
     Tail,
     /// A reply that is used was made by an engine for a request of this vehicle; one that decides a period answers the
@@ -76,6 +76,8 @@ pub(crate) struct VehicleOracles {
     newest: u64,
     /// Period and inputs of the newest plan.
     plan: Option<(u64, Vec<[f64; 2]>)>,
+    /// Whether a plan was driven since the start or a reset.
+    driven: bool,
     /// Whether the vehicle must stop, until it is reset.
     stopped: bool,
     /// Commands of the present period.
@@ -97,6 +99,7 @@ impl VehicleOracles {
             requests: BTreeMap::new(),
             newest: 0,
             plan: None,
+            driven: false,
             stopped: false,
             commands: 0,
             replied: Duration::ZERO,
@@ -133,6 +136,7 @@ impl VehicleOracles {
         self.plan = None;
         self.due = None;
         self.newest = self.period;
+        self.driven = false;
         self.stopped = false;
     }
 
@@ -286,11 +290,12 @@ impl VehicleOracles {
         let planned = self.planned();
         let due = match (age, planned) {
             _ if self.stopped => Mode::Stop,
-            (None, _) => Mode::Waiting,
             (Some(0), Some(_)) => Mode::Normal,
             (Some(_), Some(_)) => Mode::Tail,
-            (Some(_), None) => Mode::Stop,
+            (Some(_), None) if self.driven => Mode::Stop,
+            (Some(_), None) | (None, _) => Mode::Waiting,
         };
+        self.driven |= matches!(due, Mode::Normal | Mode::Tail);
         self.stopped = due == Mode::Stop;
         if command.mode != due {
             let text = format!(

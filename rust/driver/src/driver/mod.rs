@@ -43,6 +43,8 @@ pub struct Driver {
     running: Option<Running>,
     /// When the next tick is expected at the latest; none before the first one and after a reset.
     due: Option<Time>,
+    /// The present time that the transport stated last.
+    clock: Time,
     /// Control periods in which the caller was held up, until a step reports them.
     held_up: u64,
     pending: BTreeMap<QueryId, Pending>,
@@ -72,6 +74,7 @@ impl Driver {
             lost: LostDetector::default(),
             running: None,
             due: None,
+            clock: Time::ZERO,
             held_up: 0,
             pending: BTreeMap::new(),
             probes: BTreeMap::new(),
@@ -126,7 +129,7 @@ impl Driver {
         self.held_up = 0;
         self.pending.clear();
         self.late.clear();
-        self.actions.clear();
+        self.discard_actions();
     }
 
     /// The replicas that announce themselves, in the order of the vehicle's hash.
@@ -134,21 +137,31 @@ impl Driver {
         self.replicas.live()
     }
 
-    /// A replica announces itself.
+    /// A replica announces itself. It is probed, and is asked for steps once it has answered that it serves the vehicle's
+    /// library for a vehicle that the gate's limits fit: replies do not show for which vehicle their plans are made.
     pub fn replica_appeared(&mut self, _now: Time, replica: Name) {
         self.replicas.appeared(replica);
+    }
+
+    /// The replica that announced itself gave the description with which this driver was made, so that it needs no probe.
+    pub fn replica_fits(&mut self, replica: &Name) {
+        self.replicas.fits(replica);
     }
 
     /// A replica withdrew its announcement or was lost. A request that waits for it goes to the next one.
     pub fn replica_gone(&mut self, now: Time, replica: &Name) {
         self.replicas.gone(replica);
-        if let Some(run) = &mut self.running
-            && run.end(|_, name| name == replica)
-        {
-            run.outcome = Outcome::Unreachable;
-            run.replica = Some(replica.clone());
-            self.ask_next(now);
+        // An answer of the process that has gone says nothing about a later one of the same name.
+        self.probes.retain(|_, probe| probe.replica != *replica);
+        if let Some(run) = &mut self.running {
+            run.remaining.retain(|name| name != replica);
+            if run.end(|_, name| name == replica) {
+                run.outcome = Outcome::Unreachable;
+                run.replica = Some(replica.clone());
+                return self.ask_next(now);
+            }
         }
+        self.after_probe(now);
     }
 
     /// Opens a control period: the vehicle's state was measured, and a command is due by `deadline`.
@@ -172,9 +185,7 @@ impl Driver {
         deadline: Time,
         measurement: Measurement,
     ) -> Result<(), InvalidArgument> {
-        self.give_up(now);
-        self.count_held_up(now);
-        self.due = Some(now.saturating_add(self.period()));
+        self.begin(now);
         // The state comes first: a reference that was computed from an unusable state is wrong, too, and must not keep the
         // vehicle from being stopped.
         if let Err(invalid) = measurement.check_state() {
@@ -322,8 +333,7 @@ impl Driver {
     /// so has no effect before the end of the query, and none if a reply comes before.
     pub fn refused(&mut self, now: Time, id: QueryId, error: &[u8]) {
         let Some(mut pending) = self.pending.remove(&id) else {
-            self.probes.remove(&id);
-            return;
+            return self.probe_ended(now, id);
         };
         let error = WireError::decode(error);
         let sealed = pending.tag.is_some();
@@ -351,7 +361,7 @@ impl Driver {
 
     /// A query ended without an answer: the replica is not there, or the network does not let the query through.
     pub fn ended(&mut self, now: Time, id: QueryId) {
-        self.probes.remove(&id);
+        self.probe_ended(now, id);
         if let Some(mut pending) = self.pending.remove(&id) {
             match pending.refusal.take() {
                 Some(error) => self.reject(now, id, &pending, error),

@@ -23,8 +23,36 @@ pub(super) struct Answer {
 }
 
 impl Driver {
+    /// The present time is `now`. A transport says so before it reports an event that came some time ago: if the program
+    /// was held up in between, the periods that have passed count before the gate gives the command.
+    pub fn clock(&mut self, now: Time) {
+        self.clock = now;
+    }
+
+    /// Counts a control period that cannot be opened, because the transport has no measurement with a usable form: plans are
+    /// a period older, and the history starts anew, as after an error of [`Driver::tick`].
+    pub fn skip_period(&mut self, now: Time) {
+        self.begin(now);
+        self.carry.skip(1);
+    }
+
+    /// Gives an open period up, because the transport's step has ended without its command. What was to be done for it is
+    /// not done, and the history starts anew, because it is not known how long the last input was applied.
+    pub fn abandon(&mut self) {
+        self.running = None;
+        self.discard_actions();
+        self.carry.skip(0);
+    }
+
+    /// Ends the period before, if it is still open, and counts the periods in which the caller was held up.
+    pub(super) fn begin(&mut self, now: Time) {
+        self.give_up(now);
+        self.count_held_up(now);
+        self.due = Some(now.saturating_add(self.period()));
+    }
+
     /// Asks the next replica for the open period's step. Decides the period when no time is left, or when there is neither
-    /// a further replica nor an answer to wait for.
+    /// a further replica nor an answer to wait for, not even that of a replica that may turn out to fit.
     pub(super) fn ask_next(&mut self, now: Time) {
         let listen = self.period() * LISTEN_PERIODS;
         let Some(run) = self.running.as_mut() else {
@@ -38,7 +66,7 @@ impl Driver {
         let Some(replica) = next else {
             if now >= run.deadline {
                 self.expire(now);
-            } else if run.awaited.is_empty() {
+            } else if run.awaited.is_empty() && !self.awaits_description() {
                 self.decide(now, None);
             }
             return;
@@ -89,9 +117,12 @@ impl Driver {
 
     /// Decides the open period, whose deadline has passed.
     pub(super) fn expire(&mut self, now: Time) {
+        let undescribed = self.awaits_description();
         // There may have been no time left to ask anyone.
         if let Some(run) = &mut self.running
-            && (!run.awaited.is_empty() || (run.asked == 0 && !run.remaining.is_empty()))
+            && (undescribed
+                || !run.awaited.is_empty()
+                || (run.asked == 0 && !run.remaining.is_empty()))
         {
             run.outcome = Outcome::Late;
             for (id, replica) in &run.awaited {
@@ -158,9 +189,14 @@ impl Driver {
         let Some(run) = self.running.take() else {
             return;
         };
-        let counted = self.count_held_up(now);
+        let present = now.max(self.clock);
+        let counted = self.count_held_up(present);
         // A delay that is not counted yet goes on after the command.
-        let end = if counted { now } else { now.min(run.deadline) };
+        let end = if counted {
+            present
+        } else {
+            now.min(run.deadline)
+        };
         self.due = Some(end.max(run.begun.saturating_add(self.period())));
         if answer.is_some() {
             for (id, _) in &run.awaited {
@@ -249,10 +285,17 @@ impl Driver {
         counts
     }
 
+    /// Discards the actions of a period that is over. Probes belong to no period.
+    pub(super) fn discard_actions(&mut self) {
+        self.actions
+            .retain(|action| matches!(action, Action::Probe(_)));
+    }
+
     /// Gives an open period up without a command, demotes the replicas that have let a deadline pass, and removes
     /// requests and probes whose answers are no longer listened for.
     pub(super) fn give_up(&mut self, now: Time) {
         self.running = None;
+        self.discard_actions();
         self.count_overdue(now);
         let listen = self.period() * LISTEN_PERIODS;
         self.pending
@@ -261,7 +304,7 @@ impl Driver {
             .retain(|_, probe| now.saturating_sub(probe.sent) <= listen);
     }
 
-    /// Probes a demoted replica when one is due.
+    /// Probes a replica when one is due.
     pub(super) fn probe(&mut self, now: Time) {
         let Some(replica) = self.replicas.next_probe(now) else {
             return;
@@ -286,18 +329,54 @@ impl Driver {
         }));
     }
 
-    /// A probe was answered: a replica that did so within a period, is ready and serves the vehicle's library is
-    /// promoted.
+    /// A probe was answered: a replica that is ready and serves the vehicle's library for a vehicle that the gate's limits
+    /// fit may be asked, at the end of the open period, too. If it answered within a period, it is promoted.
     pub(super) fn probed(&mut self, now: Time, id: QueryId, answer: &[u8]) {
         let Some(Probe { replica, sent, .. }) = self.probes.remove(&id) else {
             return;
         };
-        let took = now.saturating_sub(sent);
-        let sound = |ready: &Ready| ready.ready && ready.serves(&self.served.library);
         let ready = Ready::decode(answer, &MessageLimits::default()).ok();
-        if took <= self.period() && ready.as_ref().is_some_and(sound) {
-            self.replicas.probe_answered(&replica);
+        if ready.is_some_and(|ready| self.suits(&ready)) {
+            if now.saturating_sub(sent) <= self.period() {
+                self.replicas.probe_answered(&replica, sent);
+            }
+            if self.replicas.fits(&replica)
+                && let Some(run) = &mut self.running
+            {
+                run.remaining.insert(0, replica);
+            }
         }
+        self.after_probe(now);
+    }
+
+    /// A probe ended without an answer.
+    pub(super) fn probe_ended(&mut self, now: Time, id: QueryId) {
+        if self.probes.remove(&id).is_some() {
+            self.after_probe(now);
+        }
+    }
+
+    /// Goes on with an open period that may have waited for a replica's description only.
+    pub(super) fn after_probe(&mut self, now: Time) {
+        if (self.running.as_ref()).is_some_and(|run| run.awaited.is_empty()) {
+            self.ask_next(now);
+        }
+    }
+
+    /// Whether a replica with this description can be asked for steps. Only the library named first is that of the
+    /// description's vehicle.
+    fn suits(&self, ready: &Ready) -> bool {
+        let planned = (ready.vehicle.as_ref()).filter(|_| ready.library == self.served.library);
+        let limits = &self.config.limits;
+        ready.ready
+            && ready.serves(&self.served.library)
+            && planned.is_none_or(|planned| limits.check_within(planned).is_ok())
+    }
+
+    /// Whether a live replica that is not known to fit may still answer its probe.
+    fn awaits_description(&self) -> bool {
+        let mut probes = self.probes.values();
+        probes.any(|probe| self.replicas.is_unchecked(&probe.replica))
     }
 
     pub(super) fn period(&self) -> Duration {

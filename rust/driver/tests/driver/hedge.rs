@@ -8,8 +8,8 @@ use egp_wire::Code;
 use egp_wire::keys::Name;
 
 use crate::world::{
-    BUDGET, PERIOD, answered_period, asked, config, decided, driver, error, ms, served, solved,
-    tick, without_hedge,
+    BUDGET, PERIOD, answered_period, appear, asked, config, decided, driver, error, ms, served,
+    solved, tick, without_hedge,
 };
 
 /// Half of the time that an answer may take.
@@ -114,7 +114,7 @@ fn a_period_reports_the_replica_that_failed_last() {
     assert_eq!(step.outcome, Outcome::Unreachable);
     assert_eq!(step.replica, Some(last.replica.clone()));
 
-    driver.replica_appeared(ms(70), last.replica);
+    appear(&mut driver, ms(70), &last.replica);
     tick(&mut driver, ms(80));
     let silent = asked(&mut driver);
     driver.wake(ms(88));

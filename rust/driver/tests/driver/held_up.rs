@@ -89,6 +89,28 @@ fn a_caller_that_is_held_up_while_it_waits_does_not_drive_the_plan_either() {
 }
 
 #[test]
+fn a_caller_that_is_held_up_between_an_answers_arrival_and_its_use_does_not_drive_the_plan() {
+    for (resumed, held_up, mode) in [
+        (ms(80) + JUST_BRIDGED, 0, Mode::Normal),
+        (ms(80) + 3 * PERIOD, 3, Mode::Stop),
+    ] {
+        let mut driver = driving();
+        tick(&mut driver, ms(60));
+        let query = asked(&mut driver);
+        // The answer came in time, and the program looks at it when it goes on.
+        driver.clock(resumed);
+        driver.replied(ms(61), query.id, &solved(&query).encode(), b"");
+        let step = decided(&mut driver);
+        assert!(step.outcome.is_solved());
+        assert_eq!(step.latency, Some(ms(1)));
+        assert_eq!((step.command.mode, step.held_up), (mode, held_up));
+        // A gap is counted once, and a delay that is not counted yet goes on after the command.
+        tick(&mut driver, resumed + PERIOD);
+        assert_eq!(request(&asked(&mut driver)).sequence, 7);
+    }
+}
+
+#[test]
 fn a_delay_that_goes_on_after_the_command_is_one_delay() {
     let mut driver = driving();
     tick(&mut driver, ms(60));
@@ -166,7 +188,7 @@ fn by_default_the_tail_lasts_half_a_second_at_any_period() {
             ..crate::world::served()
         };
         let mut driver = Driver::new(crate::world::config(), served).unwrap();
-        driver.replica_appeared(Duration::ZERO, crate::world::name("a"));
+        crate::world::appear(&mut driver, Duration::ZERO, &crate::world::name("a"));
         let period = Duration::from_secs_f64(dt);
         let mut held_up = |now: Duration| {
             let measurement = Measurement {

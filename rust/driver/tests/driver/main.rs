@@ -2,10 +2,12 @@
 #![allow(clippy::unwrap_used, clippy::panic, clippy::float_cmp)]
 
 mod carry;
+mod descriptions;
 mod gate;
 mod hedge;
 mod held_up;
 mod in_process;
+mod interrupted;
 mod measurements;
 mod periods;
 mod probes;

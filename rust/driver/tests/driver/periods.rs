@@ -8,7 +8,7 @@ use egp_wire::{Code, Status, Timing};
 use prost::Message as _;
 
 use crate::world::{
-    BUDGET, HORIZON, LISTEN, answered_period, asked, decided, driver, error, infeasible,
+    BUDGET, HORIZON, LISTEN, answered_period, appear, asked, decided, driver, error, infeasible,
     measurement, ms, name, request, served, solved, tick, without_hedge,
 };
 
@@ -206,7 +206,7 @@ fn the_next_replica_is_asked_after_any_answer_that_brings_no_plan() {
         let step = decided(&mut driver);
         assert_eq!((step.asked, step.latency), (2, Some(ms(2))), "{way}");
         if way == "gone" {
-            driver.replica_appeared(ms(23), query.replica.clone());
+            appear(&mut driver, ms(23), &query.replica);
         }
         let first = answered_period(&mut driver, ms(40));
         assert_eq!(first != query.replica, demoted, "{way}");

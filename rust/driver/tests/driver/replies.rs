@@ -1,9 +1,13 @@
 //! Replies that do not answer the request or do not fit the library are not used.
 
-use egp_driver::Outcome;
+use egp_driver::{DriverConfig, Outcome};
+use egp_gate::Mode;
 use egp_wire::{Code, Invalid, Predictions, Reply};
 
-use crate::world::{answered_period, asked, decided, driver, error, infeasible, ms, solved, tick};
+use crate::world::{
+    answered_period, asked, config, configured, decided, driver, error, infeasible, ms, solved,
+    tick,
+};
 
 /// Lets a replica answer the third period, whose request has two transitions, with a changed reply. Gives the field that
 /// is named when the reply is not used.
@@ -91,6 +95,27 @@ fn a_reply_without_a_plan_needs_none() {
     let step = decided(&mut driver);
     assert_eq!(step.outcome.name(), "infeasible");
     assert!(step.reply.is_some());
+}
+
+#[test]
+fn a_first_plan_that_is_older_than_a_tail_leaves_the_vehicle_waiting() {
+    let config = DriverConfig {
+        max_tail_ticks: Some(0),
+        ..config()
+    };
+    let mut driver = configured(&["a"], config);
+    tick(&mut driver, ms(20));
+    let late = asked(&mut driver);
+    driver.wake(ms(36));
+    assert_eq!(decided(&mut driver).command.mode, Mode::Waiting);
+    driver.replied(ms(39), late.id, &solved(&late).encode(), b"");
+    tick(&mut driver, ms(40));
+    asked(&mut driver);
+    driver.wake(ms(56));
+    let step = decided(&mut driver);
+    assert_eq!((step.command.mode, step.late.len()), (Mode::Waiting, 1));
+    answered_period(&mut driver, ms(60));
+    assert_eq!(driver.mode(), Mode::Normal);
 }
 
 /// Two routers deliver a question twice; the service answers the copy that comes first with `SUPERSEDED`.

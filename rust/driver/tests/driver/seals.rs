@@ -5,7 +5,9 @@ use egp_gate::Mode;
 use egp_wire::{Code, Invalid, KeyRing, Seal, Timing, VehicleKey};
 use prost::Message as _;
 
-use crate::world::{PERIOD, asked, config, decided, error, ms, name, probed, served, solved, tick};
+use crate::world::{
+    PERIOD, appear, asked, config, decided, error, ms, name, probed, served, solved, tick,
+};
 
 fn key(digits: &str) -> VehicleKey {
     let text = format!("depot/car-7 {}", digits.repeat(32));
@@ -21,7 +23,7 @@ fn driver(replicas: &[&str]) -> Driver {
     let config = DriverConfig { key, ..config() };
     let mut driver = Driver::new(config, served()).unwrap();
     for replica in replicas {
-        driver.replica_appeared(ms(0), name(replica));
+        appear(&mut driver, ms(0), &name(replica));
     }
     driver
 }

@@ -60,9 +60,15 @@ pub(crate) fn without_hedge(replicas: &[&str]) -> Driver {
 pub(crate) fn configured(replicas: &[&str], config: DriverConfig) -> Driver {
     let mut driver = Driver::new(config, served()).unwrap();
     for replica in replicas {
-        driver.replica_appeared(Duration::ZERO, name(replica));
+        appear(&mut driver, Duration::ZERO, &name(replica));
     }
     driver
+}
+
+/// A replica announces itself that is known to fit the vehicle.
+pub(crate) fn appear(driver: &mut Driver, now: Duration, replica: &Name) {
+    driver.replica_appeared(now, replica.clone());
+    driver.replica_fits(replica);
 }
 
 /// A vehicle at 12 m/s on a straight road that begins at its position.

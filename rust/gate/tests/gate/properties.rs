@@ -4,10 +4,10 @@
 use egp_gate::{Gate, GateError, Limits, MAX_HORIZON, Mode};
 use proptest::prelude::*;
 
-const DT: f64 = 0.05;
+pub(crate) const DT: f64 = 0.05;
 
 /// A car of 1200 kg.
-const LIMITS: Limits = Limits {
+pub(crate) const LIMITS: Limits = Limits {
     mass: 1200.0,
     force_min: -9600.0,
     force_max: 7200.0,
@@ -327,21 +327,6 @@ fn after_a_reset_periods_may_be_counted_anew() {
     gate.reset();
     gate.accept(0, &[[20.0, 0.0]]).unwrap();
     assert_eq!(gate.command(0, 10.0, 0.0).u, [20.0, 0.0]);
-}
-
-#[test]
-fn before_the_first_plan_the_vehicle_waits_braked_and_the_plan_ends_the_wait() {
-    let mut gate = Gate::new(LIMITS, DT, 5, 3.0).unwrap();
-    assert_eq!(gate.mode(), Mode::Waiting);
-    for tick in 0..10 {
-        let command = gate.command(tick, 10.0, 0.0);
-        assert_eq!((command.mode, command.u[1]), (Mode::Waiting, 0.0));
-        assert!(command.u[0] < 0.0);
-    }
-    gate.accept(10, &[[10.0, 0.0]]).unwrap();
-    assert_eq!(gate.command(10, 10.0, 0.0).mode, Mode::Normal);
-    gate.reset();
-    assert_eq!(gate.command(11, 10.0, 0.0).mode, Mode::Waiting);
 }
 
 #[test]

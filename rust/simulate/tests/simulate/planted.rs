@@ -10,6 +10,11 @@ const NONE: &[&str] = &["kill:r0@60+1"];
 
 /// Runs with the planted faults that show in them: short ones with the fault that they need, and those of seeds.
 fn runs() -> Vec<(Config, &'static [Mutant])> {
+    // At all parts of a control period, also between a question and its answer.
+    let jumps: Vec<String> = (0..40)
+        .map(|k| format!("vehicle-clock:car-0@{:.4}+0", 1.0 + 0.1013 * f64::from(k)))
+        .collect();
+    let jumps: Vec<&str> = jumps.iter().map(String::as_str).collect();
     let killed = &["kill:r0@1+2"];
     let router = Config {
         routers: 1,
@@ -80,7 +85,7 @@ fn runs() -> Vec<(Config, &'static [Mutant])> {
             Config::new(0),
             &[ForgottenLibrary, ExchangedLibrary, BlockingReload],
         ),
-        (Config::new(3), &[StandingClock]),
+        (config(5.5, &jumps), &[StandingClock]),
         (Config::new(36), &[DroppingDrain]),
     ]
 }

@@ -1,0 +1,159 @@
+"""Steps that an exception ends, programs that are held up within a step, and links that are cut."""
+
+from __future__ import annotations
+
+import signal
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import zenoh
+
+from egp_service import Controller, VehicleClient
+from egp_service._core import VehicleParameters, decode_request
+from egp_service.control.service_process import ServiceProcess
+from egp_service.shipped import DEMO_LIBRARY
+from frozen import freeze
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from egp_service._core import Decision, Driver
+    from egp_service.control.step import Measured, Step, StepController
+
+GATE = VehicleParameters.commonroad(1).gate_limits()
+
+
+@pytest.fixture
+def service() -> Iterator[ServiceProcess]:
+    with ServiceProcess(DEMO_LIBRARY, {}) as running:
+        yield running
+
+
+@pytest.fixture
+def client(service: ServiceProcess) -> Iterator[VehicleClient]:
+    with VehicleClient.connect(service.endpoint, gate=GATE) as connected:
+        yield connected
+
+
+def step(controller: StepController, p_y: float = 0.3, deadline: float = 5.0) -> Step:
+    """Take a step on a straight road, `p_y` m beside its middle."""
+    s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+    reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
+    return controller.step([0.0, p_y, 15.0, 0.0, 0.0, 0.0, 0.0], reference, deadline=deadline)
+
+
+class InterruptionError(Exception):
+    """Raised within a step."""
+
+
+def interrupt(*_: object) -> None:
+    raise InterruptionError
+
+
+def test_after_an_exception_in_a_step_the_next_one_decides_its_own_period(
+    service: ServiceProcess, client: VehicleClient
+) -> None:
+    for _ in range(3):
+        assert step(client).mode == "normal"
+    process = service._process  # noqa: SLF001
+    assert process is not None
+    freeze(process)
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.2)
+        with pytest.raises(InterruptionError):
+            step(client)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    process.send_signal(signal.SIGCONT)
+    time.sleep(0.5)  # the answer to the interrupted step comes
+    after = step(client, p_y=-2.0)
+    request = decode_request(after.request)
+    assert request.x[1] == -2.0
+    assert len(request.history_z) == 0, "it is not known how long the last input was applied"
+    assert (after.status, len(after.late)) == ("solved", 1)
+
+
+def test_a_controller_leaves_no_command_of_an_interrupted_step_behind() -> None:
+    class Interrupted(Controller):
+        """A controller whose third step is interrupted after its decision."""
+
+        count = 0
+
+        def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
+            decision = super()._decide(start, budget, measured)
+            self.count += 1
+            if self.count == 3:
+                raise InterruptionError
+            return decision
+
+    with Interrupted(DEMO_LIBRARY, gate=GATE) as controller:
+        step(controller)
+        assert len(decode_request(step(controller).request).history_z) == 1
+        with pytest.raises(InterruptionError):
+            step(controller)
+        assert len(decode_request(step(controller).request).history_z) == 0
+        assert len(decode_request(step(controller).request).history_z) == 1
+
+
+def test_a_program_that_is_held_up_after_an_answer_has_come_does_not_drive_its_plan(
+    client: VehicleClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert step(client).mode == "normal"
+    time.sleep(0.5)  # the end of the first question comes, which the next step sees before its own
+    network = client._network  # noqa: SLF001
+    come = network.next
+    slept: list[float] = []
+
+    def held_up(patience: float) -> Callable[[Driver], None] | None:
+        """Be held up for longer than a tail once the answer has come."""
+        event = come(patience)
+        if event is not None and patience > 0.0 and not slept:
+            slept.append(1.5)
+            time.sleep(1.5)
+        return event
+
+    monkeypatch.setattr(network, "next", held_up)
+    late = step(client, deadline=0.5)
+    assert slept
+    assert (late.mode, late.status) == ("stop", "solved")
+    assert late.held_up > 25
+
+
+class CutSession:
+    """A session whose link was cut: zenoh cannot close it in time."""
+
+    def close(self) -> None:
+        """Fail as zenoh does after ten seconds."""
+        raise zenoh.ZError("close operation timed out")
+
+
+def test_closing_a_cut_link_does_not_replace_an_exception(
+    service: ServiceProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finished: list[str] = []
+
+    class Finishing:
+        """The driver, which notes that its traces were finished."""
+
+        def __init__(self, driver: Any) -> None:  # noqa: ANN401
+            self._driver = driver
+
+        def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+            return getattr(self._driver, name)
+
+        def finish_traces(self) -> int:
+            finished.append("traces")
+            return int(self._driver.finish_traces())
+
+    client = VehicleClient.connect(service.endpoint, gate=GATE)
+    session = client._network.session  # noqa: SLF001
+    monkeypatch.setattr(client, "_driver", Finishing(client._driver))  # noqa: SLF001
+    monkeypatch.setattr(client._network, "session", CutSession())  # noqa: SLF001
+    with pytest.raises(InterruptionError), client:
+        interrupt()
+    assert finished == ["traces"]
+    session.close()  # type: ignore[no-untyped-call]
