@@ -48,12 +48,14 @@ else:
 
     def __getattr__(name: str) -> object:
         """Import a public name from its module when it is first used (PEP 562)."""
+        if name == "shipped":
+            return import_module("egp_service.shipped")
         if name not in _MODULES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         return getattr(import_module(_MODULES[name]), name)
 
     def __dir__() -> list[str]:
-        return sorted({*globals(), *_MODULES})
+        return sorted({*globals(), *_MODULES, "shipped"})
 
 
 __all__ = [

@@ -18,7 +18,8 @@ from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.plant import PlantError, load_simulator
 from egp_service.simulation.report import draw_comparison, draw_run
-from egp_service.simulation.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
+from egp_service.simulation.scenario import Scenario, load_scenario, parse_scenario
+from egp_service.simulation.scenario_checks import ScenarioError
 from fewer_contenders import with_contenders
 
 DOCUMENT = Path(__file__).parents[2] / "docs/simulator.md"

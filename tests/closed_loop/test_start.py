@@ -21,7 +21,8 @@ from egp_service import (
 from egp_service.control.step import Step
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
-from egp_service.simulation.scenario import ScenarioError, Zone, load_scenario, told_zones
+from egp_service.simulation.scenario import Zone, load_scenario, told_zones
+from egp_service.simulation.scenario_checks import ScenarioError
 from library_example import write_example
 
 if TYPE_CHECKING:

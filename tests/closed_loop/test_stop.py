@@ -9,7 +9,12 @@ import numpy as np
 
 from egp_service import Controller
 from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.scenario import (
+    Scenario,
+    Speed,
+    Track,
+    Zone,
     gate_settings,
     library_path,
     load_scenario,
@@ -45,3 +50,15 @@ def test_the_reason_is_that_for_which_the_stop_began() -> None:
     assert run.trace.status[-1] == "solved"
     assert run.summary.ending.reason == f"stopped by the gate: {run.trace.detail[OUT - 1]}"
     assert "NaN" in run.summary.ending.reason
+
+
+def test_a_car_that_leaves_is_told_what_was_judged() -> None:
+    speed = Speed(constant=True, v_max=20.0)
+    wide = Track("circle", parameters={"radius": 40.0, "track_width": 100.0})
+    scenario = Scenario("wide", wide, (Zone(0.0, 0.1),), leave_distance=2.0, speed=speed)
+    with in_process_controller(scenario) as controller:
+        run = drive(scenario, controller, lambda _: None)
+    assert not run.summary.ending.completed
+    last = run.trace.lateral_error[-1]
+    assert 2.0 < abs(last) < 2.5
+    assert run.summary.ending.reason == f"more than 2 m beside the path: {last:+.2f} m"

@@ -105,10 +105,11 @@ def test_crates_depend_on_what_the_design_says() -> None:
 )
 def test_a_library_is_named_in_one_file(folder: str, library: str) -> None:
     named = re.compile(rf"(?<!self::)\b{library}::")
+    text = re.compile(r'"(?:[^"\\]|\\.)*"|//.*')  # such as the filter of a log
     files = sorted(
         str(path.relative_to(ROOT))
         for path in (ROOT / folder).rglob("*.rs")
-        if named.search(path.read_text())
+        if named.search(text.sub("", path.read_text()))
     )
     assert len(files) == 1, f"{library} is named in {files}"
 

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from egp_service._core import EgpError, Path, SpeedProfile, VehicleParameters, horizon_reference
+from egp_service._core import (
+    EgpError,
+    InvalidArgumentError,
+    Path,
+    SpeedProfile,
+    VehicleParameters,
+    horizon_reference,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path as FilePath
 
 
 CAR = VehicleParameters.commonroad(1)
+Zones: TypeAlias = Any  # also what is no zones
 
 
 def state(x: float, y: float, psi: float) -> np.ndarray:
@@ -168,3 +176,36 @@ def test_refusals_say_what_was_expected() -> None:
 def test_a_margin_that_is_negative_is_an_error_with_the_range() -> None:
     with pytest.raises(EgpError, match=r"expected 0 to less than 0\.05 .* for margin, got -1"):
         Path.iso_3888_2(1.6, margin=-1.0)
+
+
+@pytest.mark.parametrize(
+    "zones",
+    [
+        [[0.0, 0.5], [0.3, 1.0]],
+        ([0.0, 0.5], [0.3, 1.0]),
+        np.array([[0.0, 0.5], [0.3, 1.0]]),
+        zip([0.0, 0.3], np.array([0.5, 1.0]), strict=True),
+    ],
+)
+def test_zones_may_be_rows_of_any_form(zones: Zones) -> None:
+    path = Path.rounded_rectangle()
+    s = np.linspace(0.0, path.length, 50)
+    told = path.with_friction([(0.0, 0.5), (0.3, 1.0)]).sample(s)[-1]
+    np.testing.assert_array_equal(path.with_friction(zones).sample(s)[-1], told)
+    split = path.with_friction([[0.0, 0.5, "ice"]])
+    assert split.sample(np.zeros(1))[-1] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("zones", "found"),
+    [
+        (0.5, "got 0.5"),
+        ([0.0, 0.5], "got 0.0"),
+        ([(0.0,)], r"got \(0.0,\)"),
+        ([("start", 0.5)], "got .'start', 0.5"),
+        ([(0.0, None)], "got .0.0, None"),
+    ],
+)
+def test_zones_of_another_form_are_named(zones: Zones, found: str) -> None:
+    with pytest.raises(InvalidArgumentError, match=rf"zones: expected rows .*{found}"):
+        Path.rounded_rectangle().with_friction(zones)

@@ -59,8 +59,9 @@ def test_a_full_disk_ends_a_recording_that_stays_readable(
         recorder.add(step, X, 0.02 * k)
     for k in range(FLUSH_STEPS - 1):
         recorder.add(step, X, 2.0 + 0.02 * k)
-    with limited(file.stat().st_size + 100), pytest.raises(OSError, match="large"):
+    with limited(file.stat().st_size + 100), pytest.raises(OSError, match="large") as caught:
         recorder.add(step, X, 2.98)
+    assert caught.value.filename == str(file)
     # There is room again, but the file may lack steps in between.
     with pytest.raises(InvalidArgumentError, match=r"has ended, because .* OSError"):
         recorder.add(step, X, 4.0)
@@ -71,8 +72,9 @@ def test_a_full_disk_ends_a_recording_that_stays_readable(
     assert (len(read.steps), read.complete) == (2 * FLUSH_STEPS, False)
     assert "interrupted" in read.missing
     other = tmp_path / "other.mcap"
-    with limited(100), pytest.raises(OSError, match="large"):
+    with limited(100), pytest.raises(OSError, match="large") as caught:
         Recorder(other, controller)
+    assert caught.value.filename == str(other)
     assert not other.exists()
     other.write_bytes(b"what was recorded before")
     with limited(100), pytest.raises(OSError, match="large"):

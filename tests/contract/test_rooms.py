@@ -175,3 +175,9 @@ def test_every_public_name_is_there(name: str) -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="nonsense"):
         getattr(egp_service, "nonsense")  # noqa: B009 - mypy would see a missing attribute
+
+
+def test_the_shipped_files_need_no_import_of_their_own() -> None:
+    told = "import egp_service; print(egp_service.shipped.DEMO_LIBRARY.is_file())"
+    output = subprocess.check_output([sys.executable, "-c", told], text=True)
+    assert output == "True\n"

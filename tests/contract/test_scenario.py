@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 import tomllib
 from dataclasses import fields
 from datetime import date
@@ -15,17 +17,18 @@ from egp_service._core import Plant
 from egp_service.cli.settings_file import read_settings
 from egp_service.control.toml_text import dumps
 from egp_service.simulation.configuration import ConfigurationError
-from egp_service.simulation.course import build_path, build_profile
+from egp_service.simulation.course import TRACKS, build_path, build_profile, narrow_place
 from egp_service.simulation.scenario import (
     Disturbances,
     Scenario,
-    ScenarioError,
     built_in_names,
     gate_settings,
     load_scenario,
     parse_scenario,
 )
+from egp_service.simulation.scenario_checks import ScenarioError
 
+DOCUMENT = Path(__file__).parents[2] / "docs/settings.md"
 MINIMAL = """
 name = "mine"
 [track]
@@ -200,10 +203,41 @@ def test_an_unknown_scenario_names_the_known_ones() -> None:
         load_scenario("figure-of-nine")
 
 
-def test_an_unknown_measure_of_a_track_is_refused() -> None:
+@pytest.mark.parametrize(
+    ("kind", "known"),
+    [
+        ("circle", "radius, track_width"),
+        ("circuit", "length, min_radius, track_width"),
+        ("rounded-rectangle", "length, width, radius, transition, track_width"),
+        ("csv", "scale"),
+    ],
+)
+def test_an_unknown_measure_of_a_track_is_refused(kind: str, known: str) -> None:
     text = MINIMAL.replace("[[zones]]", "[track.parameters]\nradus = 3.0\n[[zones]]")
-    with pytest.raises(ScenarioError, match="radus"):
+    text = text.replace("rounded-rectangle", kind)
+    told = f"mine: track.parameters.radus: unknown for kind '{kind}'; known: {known}"
+    with pytest.raises(ScenarioError) as caught:
         build_path(parse_scenario(text, Path(), "mine.toml"))
+    assert str(caught.value) == told
+
+
+@pytest.mark.parametrize("kind", TRACKS)
+def test_the_measures_of_a_track_are_documented(kind: str) -> None:
+    (line,) = re.findall(rf"(?m)^- `{kind}`: (.+)$", DOCUMENT.read_text(encoding="utf-8"))
+    known = inspect.signature(TRACKS[kind]).parameters.values()
+    stated = dict(re.findall(r"`(\w+)`(?: \(([^\s)]+))?", line))
+    assert stated.keys() == {each.name for each in known} - {"file"}
+    for each in known:
+        if each.default is not each.empty:
+            assert float(stated[each.name]) == each.default
+
+
+def test_a_road_that_is_narrower_than_the_car_is_told() -> None:
+    text = MINIMAL.replace("[[zones]]", "parameters = {track_width = 1.5}\n[[zones]]")
+    told = narrow_place(parse(text))
+    assert told is not None
+    assert told.startswith("The road is 1.50 m wide at 0 m of the path, less than the")
+    assert narrow_place(parse(MINIMAL)) is None
 
 
 @pytest.mark.parametrize("seed", ["-3.0", "0.5", "1e300"])

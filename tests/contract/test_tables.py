@@ -70,10 +70,12 @@ def check_table(table: Table) -> None:
     assert not [word for word in words if not word.startswith("─")], "\n".join(lines)
 
 
-def summary(reason: str = "completed", p99: float = 65.4, refused: int = 0) -> Summary:
+def summary(
+    reason: str = "completed", p99: float = 65.4, refused: int = 0, p50: float = 12.3
+) -> Summary:
     """Return a summary of a long and slow run."""
     ending = Ending(reason == "completed", reason, 987.6, 23456.7, (0.0, 0.0))
-    times = {"p50": 12.3, "p90": 25.6, "p99": p99, "max": 200.0}
+    times = {"p50": p50, "p90": 25.6, "p99": p99, "max": 200.0}
     return Summary(
         scenario="rounded-rectangle",
         library="",
@@ -101,6 +103,11 @@ def test_summaries_of_runs_fit() -> None:
     lines = printed(summary_table([("rounded-rectangle", summary(p99=1234.5))]))
     check(lines)
     assert re.search(r"12\.3/1234\.5 +123\b", "".join(lines))
+
+
+def test_times_of_fast_steps_are_told_apart() -> None:
+    lines = printed(summary_table([("lap", summary(p50=0.2136, p99=1.2345))]))
+    assert "0.214/1.2 " in "".join(lines)
 
 
 def test_a_run_whose_most_periods_had_no_plan_says_why() -> None:

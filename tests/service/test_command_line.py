@@ -18,16 +18,16 @@ import zenoh
 from mcap.reader import make_reader
 from typer.testing import CliRunner
 
-from egp_service._core import EgpError, RoadBelief, RoadKey, encode_tile_evidence
+from egp_service._core import EgpError, RoadKey, encode_tile_evidence
 from egp_service.cli import app, signals
 from egp_service.cli.commands.drive import NOT_COMPLETED
 from egp_service.cli.status_line import MODE_STYLES
 from egp_service.control.endpoints import free_endpoint, free_port, why_unreachable
 from egp_service.control.service_process import ServiceProcess
 from egp_service.control.session import session_config
-from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import library_path, load_scenario
 from patience import ATTEMPTS, PATIENCE, wait_until
+from road_evidence import measured
 
 LIBRARY = library_path(load_scenario("rounded-rectangle"))
 LONG = """
@@ -78,6 +78,8 @@ def test_a_signal_ends_a_drive_with_its_service_and_its_files(
         output, _ = process.communicate(timeout=PATIENCE)
         assert process.returncode == 128 + sent, output
         assert "Traceback" not in output
+        told = "Interrupted. What was recorded until then is in"
+        assert (told in output) == (sent == signal.SIGINT)
         wait_until(lambda: not group_lives(process.pid))
         assert not list((tmp_path / "temporary").iterdir())
         (run,) = runs.iterdir()
@@ -148,10 +150,9 @@ def test_a_map_that_could_not_write_a_road_has_status_1(tmp_path: Path) -> None:
     try:
         wait_until(lambda: why_unreachable(endpoint) is None)
         config = session_config([endpoint], PATIENCE, {})
-        belief = RoadBelief(build_path(load_scenario("random")))
         key = RoadKey("depot", "car", "ring")
         with zenoh.open(config) as session:
-            payload = encode_tile_evidence(belief.tile(0), 0.0)
+            payload = encode_tile_evidence(measured(0.5).tile(0), 0.0)
             (answer,) = session.get(key.tile(0), payload=payload, timeout=PATIENCE)
             assert answer.ok is not None
         process.send_signal(signal.SIGTERM)

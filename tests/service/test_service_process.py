@@ -67,7 +67,9 @@ def test_a_service_that_cannot_start_says_why(tmp_path: Path) -> None:
     broken = tmp_path / "broken.safetensors"
     broken.write_bytes(b"no library")
     with (
-        pytest.raises(ServiceStartError, match=r"broken\.safetensors"),
+        pytest.raises(ServiceStartError, match=r"broken\.safetensors") as caught,
         ServiceProcess(broken, {}),
     ):
         pass
+    # The interpreter of its process ends as usual.
+    assert len(str(caught.value).splitlines()) == 1

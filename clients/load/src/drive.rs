@@ -5,13 +5,17 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use egp_simulator::{CAR, Course, Period, SimulatedVehicle, SimulationError};
-use egp_vehicle::{GateLimits, Mode, VehicleConfig};
+use egp_vehicle::{ClientError, GateLimits, Mode, VehicleConfig};
 
 use crate::tally::Tally;
 use crate::{Arguments, Failure};
 
 /// Distance from its path, m, beyond which a vehicle counts as lost.
 const LOST: f64 = 10.0;
+
+/// What to do about a service that plans for another vehicle than the plant.
+const OTHER_VEHICLE: &str = "\nThe simulated vehicles are the built-in car. If the library is that of another vehicle, send \
+     a recording of its steps, which needs no simulated vehicle: `egp load --replay run.mcap`";
 
 /// The times between which a vehicle is driven and counted.
 pub(crate) struct Assignment {
@@ -37,7 +41,13 @@ pub(crate) fn connect(
         config = config.with_key(file)?;
     }
     let s = part * course.path.length();
-    Ok(SimulatedVehicle::connect(&config, course, s)?)
+    SimulatedVehicle::connect(&config, course, s).map_err(|error| match error {
+        // A service is there, but its answers cannot be used.
+        SimulationError::Client(ClientError::NoReplica { reason, .. }) if !reason.0.is_empty() => {
+            format!("{reason}{OTHER_VEHICLE}").into()
+        }
+        error => error.into(),
+    })
 }
 
 /// Drives to the end of the schedule and counts from `measure` on.

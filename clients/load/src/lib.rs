@@ -39,7 +39,8 @@ Without Python the programs are egp-server and egp-load, and --requests takes
 the place of --replay.
 
 Each vehicle has its own zenoh session, the 29-state plant on a track of
-changing friction, and the gate. Requests are sent on a fixed schedule (every
+changing friction, and the gate. The plant is the built-in car: a service
+that plans for another vehicle is loaded with --requests. Requests are sent on a fixed schedule (every
 control period of the library), whether or not the last one was answered, and
 latency is measured from when a request was due, so that a slow service cannot
 slow down its own test. The vehicles' schedules are spread evenly over the

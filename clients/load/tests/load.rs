@@ -73,6 +73,26 @@ fn every_due_request_is_accounted_for() {
 }
 
 #[test]
+fn a_service_for_another_vehicle_is_told_from_one_that_is_not_there() {
+    let endpoint = free_endpoint();
+    let mut config = ServiceConfig::new(LIBRARY);
+    config.settings.mass = Some(1284.0);
+    config
+        .zenoh
+        .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
+    let server = Server::start(&config).unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
+        .args(["--connect", &endpoint, "--vehicles", "1"])
+        .output()
+        .unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(told.contains("has 1284 kg"), "{told}");
+    assert!(told.contains("egp load --replay run.mcap"), "{told}");
+    assert!(!told.contains("is the service running there"), "{told}");
+    server.drain();
+}
+
+#[test]
 fn a_measurement_takes_time() {
     for seconds in ["0", "-1", "NaN"] {
         let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))

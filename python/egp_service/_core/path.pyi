@@ -1,6 +1,6 @@
 """Paths, the vehicle's projection on them, speed profiles, and the reference of a step."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from typing import TypeAlias, final
 
@@ -125,15 +125,19 @@ class Path:
 
         """
     def with_friction(
-        self, zones: Sequence[tuple[float, _Surface] | tuple[float, _Surface, _Surface]]
+        self,
+        zones: Iterable[tuple[float, _Surface] | tuple[float, _Surface, _Surface]]
+        | Iterable[Sequence[_Surface]]
+        | NDArray[np.floating],
     ) -> Path:
         """Return the same path with zones of other surfaces.
 
         A zone is its start as a fraction of the length, and its surface, which `surface_friction`
         describes; the first starts at 0. A third member is the surface to the right of the path,
-        and the second is then that to the left.
+        and the second is then that to the left. Zones may be rows of an array.
 
         Raises:
+            InvalidArgumentError: for zones of another form.
             EgpError: if the starts do not increase from 0 to below 1 or a surface is out of range.
 
         """

@@ -49,6 +49,7 @@ class VehicleParameters:
         """Return all values by their names."""
     def gate_limits(self) -> dict[str, float]:
         """Return the limits of a gate that allows exactly what this vehicle can do."""
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, float]]: ...
     @property
     def mass(self) -> float:
         """Mass, kg."""

@@ -48,6 +48,19 @@ class Friction:
     information: Final[float]
     informed: Final[bool]
     log_likelihood: Final[NDArray[np.float64]]
+    def __new__(
+        cls,
+        mean: float,
+        std: float,
+        lower: float,
+        upper: float,
+        information: float,
+        informed: bool,
+        log_likelihood: NDArray[np.float64],
+    ) -> Friction: ...
+    def __getnewargs__(
+        self,
+    ) -> tuple[float, float, float, float, float, bool, NDArray[np.float64]]: ...
 
 @final
 class Reply:

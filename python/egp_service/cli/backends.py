@@ -55,11 +55,12 @@ def remote_controller(
 def service_controller(scenario: Scenario) -> Iterator[StepController]:
     """Ask a service that is started for this purpose in its own process."""
     library = library_path(scenario)
+    # Errors of library and settings are told here, before a process gets both in a temporary file.
+    engine = Engine(str(library), dumps(scenario.control))
     with (
         ServiceProcess(library, scenario.control) as service,
         VehicleClient.connect([service.endpoint], gate=gate_settings(scenario)) as client,
     ):
-        engine = Engine(str(library), dumps(scenario.control))
         client.settings = tomllib.loads(engine.settings_toml)
         client.stated_settings = scenario.control
         client.library_file = library.absolute()

@@ -69,10 +69,15 @@ def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
             f"{ending.time:.1f}",
             f"{summary.lateral_error.max:.2f}/{summary.lateral_error.rms:.2f}",
             f"{summary.mean_speed:.1f}/{summary.speed_error.rms:.2f}",
-            f"{summary.step_time_ms['p50']:.1f}/{summary.step_time_ms['p99']:.1f}",
+            "/".join(_milliseconds(summary.step_time_ms[name]) for name in ("p50", "p99")),
             f"{summary.deadline_misses}",
         )
     return table
+
+
+def _milliseconds(time: float) -> str:
+    """Return a time of less than 1 ms to the microsecond, and a longer one to 0.1 ms."""
+    return f"{time:.3f}" if time < 1.0 else f"{time:.1f}"
 
 
 def no_plan(summary: Summary) -> str | None:

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from egp_service._core import Engine, InProcessDriver, InvalidArgumentError
+from egp_service._core import (
+    EgpError,
+    Engine,
+    InProcessDriver,
+    InvalidArgumentError,
+    check_settings,
+)
 from egp_service.control.step import StepController
 from egp_service.control.toml_text import dumps
 
@@ -16,8 +24,13 @@ if TYPE_CHECKING:
     from egp_service.control.step import Measured
 
 
+# How an error of TOML begins, before the lines that show the place, and what is wrong in the last.
+_PLACE: Final = re.compile(r"TOML parse error at line (\d+), .*\n(.+)", re.DOTALL)
+_UNKNOWN: Final = re.compile(r"unknown field `.*`, expected (?:one of )?")
+
+
 class Controller(StepController):
-    """Compute the steps in this process with a library file; `docs/python.md` shows a lap."""
+    """Compute the steps in this process with a library file; `docs/python.md` shows a drive."""
 
     settings: Mapping[str, object]
     _driver: InProcessDriver
@@ -38,11 +51,18 @@ class Controller(StepController):
         them, and may hold `max_tail_ticks` and `stop_deceleration`.
 
         Raises:
+            InvalidArgumentError: for a library that is no path, and for settings of which a name or
+                a type is wrong.
             EgpError: for a library, settings or gate settings that cannot be used, and for a gate
                 that allows more than the vehicle that the library was trained for can do.
 
         """
         super().__init__()
+        if not isinstance(library, str | os.PathLike):
+            raise InvalidArgumentError(
+                "library: expected the path of a library file, as text or as pathlib.Path, got an "
+                f"object of the type {type(library).__name__}"
+            )
         text = _text(settings)
         engine = Engine(str(library), text)
         self.library, self.members = engine.library_id, engine.members
@@ -61,7 +81,7 @@ class Controller(StepController):
 def _text(settings: str | Mapping[str, object] | Path) -> str:
     """Return the settings as TOML."""
     if isinstance(settings, Mapping):
-        return dumps(settings)
+        return settings_text(settings, "settings")
     if isinstance(settings, Path) or _is_path(str(settings)):
         raise InvalidArgumentError(
             f"settings: expected TOML text or a mapping, got the path {str(settings)!r}; "
@@ -73,6 +93,42 @@ def _text(settings: str | Mapping[str, object] | Path) -> str:
             "defaults"
         )
     return settings
+
+
+def settings_text(settings: Mapping[str, object], where: str) -> str:
+    """Return a mapping of settings as TOML.
+
+    Raises:
+        InvalidArgumentError: if a name or a type is wrong; `where` is the name of the mapping.
+        EgpError: for a value outside its range, and for one without a form in TOML.
+
+    """
+    text = dumps(settings)
+    if dotted := [key for key in settings if "." in key]:
+        *tables, name = dotted[0].split(".")
+        nested: object = {name: settings[dotted[0]]}
+        for table in reversed(tables):
+            nested = {table: nested}
+        raise InvalidArgumentError(
+            f"{where}: unknown name {dotted[0]!r}; nest it, as in {nested!r}"
+        )
+    try:
+        check_settings(text)
+    except EgpError as error:
+        if (found := _PLACE.search(str(error).strip())) is None:
+            raise
+        name = ".".join((where, *_name(text, int(found[1]))))
+        told = _UNKNOWN.sub("unknown; known: ", found[2].splitlines()[-1])
+        raise InvalidArgumentError(f"{name}: {told}") from error
+    return text
+
+
+def _name(text: str, number: int) -> list[str]:
+    """Return the keys that lead to what stands in a line of a text that `dumps` wrote."""
+    lines = text.splitlines()[:number]
+    key = [] if lines[-1].startswith("[") else [lines[-1].partition(" = ")[0]]
+    headers = [line.strip("[]") for line in lines if line.startswith("[")]
+    return [*headers[-1:], *key]
 
 
 def _is_path(text: str) -> bool:

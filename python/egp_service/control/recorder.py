@@ -94,7 +94,7 @@ class Recorder:
         self._ended = "it is closed"
         with ExitStack() as failed:
             with replacing(Path(path).resolve()) as beside:
-                self._file = _File(beside)
+                self._file = _File(beside, path)
                 failed.callback(self._file.close)
                 self._writer = Writer(cast("IO[bytes]", self._file))
                 self._writer.start(profile="egp.v1", library="egp-service")
@@ -203,8 +203,10 @@ class Recorder:
 class _File:
     """An unbuffered file of which the part up to `good` can be kept."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, name: str | Path) -> None:
+        """Open the file `path`, which errors call `name`, because it is renamed."""
         self._raw = path.open("wb", buffering=0)
+        self._name = str(name)
         self.good = 0
         self.tell, self.close = self._raw.tell, self._raw.close
 
@@ -217,7 +219,11 @@ class _File:
         """Write all of the data."""
         rest = memoryview(data)
         while rest:
-            rest = rest[self._raw.write(rest) :]
+            try:
+                rest = rest[self._raw.write(rest) :]
+            except OSError as error:
+                error.filename = self._name
+                raise
         return len(data)
 
     def flush(self) -> None:

@@ -25,7 +25,9 @@ def main() -> None:
     alone = threading.Event()
 
     def wait() -> None:
-        sys.stdin.buffer.read()
+        # A thread within a read of `sys.stdin` would hold a lock that the end of the process needs.
+        while os.read(0, 1):
+            pass
         alone.set()
         os.kill(os.getpid(), signal.SIGTERM)
 

@@ -221,8 +221,9 @@ class _Loop:
         self._ticks += 1
         if self._distance >= self._goal:
             return self._ending("completed")
-        if abs(period.truth.lateral_error) > self._scenario.leave_distance:
-            return self._ending(f"left the road: {period.truth.lateral_error:+.1f} m off the path")
+        leave, lateral = self._scenario.leave_distance, period.truth.lateral_error
+        if abs(lateral) > leave:
+            return self._ending(f"more than {leave:g} m beside the path: {lateral:+.2f} m")
         if period.step.mode == "stop":
             self._stopped = self._stopped or period.step.detail or period.step.status
             if self._plant.state[V_X] < STANDSTILL:

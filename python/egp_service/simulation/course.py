@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 from functools import partial
 from pathlib import Path as FilePath
@@ -11,13 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egp_service._core import Library, Path, SpeedProfile
-from egp_service.simulation.scenario import (
-    Scenario,
-    ScenarioError,
-    check_seed,
-    library_path,
-    vehicle_parameters,
-)
+from egp_service.simulation.scenario import Scenario, library_path, vehicle_parameters
+from egp_service.simulation.scenario_checks import ScenarioError, check_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,7 +47,7 @@ def build_path(scenario: Scenario) -> Path:
     """Path of the scenario's track, with widths and friction zones.
 
     Raises:
-        ScenarioError: if track or dimension are unknown, or a zone begins behind the end of the
+        ScenarioError: if track or parameters are unknown, or a zone begins behind the end of the
             path.
         EgpError: if dimensions are invalid.
 
@@ -60,6 +56,13 @@ def build_path(scenario: Scenario) -> Path:
     if track.kind not in TRACKS:
         raise ScenarioError(f"no track {track.kind!r}; known: {', '.join(TRACKS)}")
     parameters: dict[str, object] = dict(track.parameters)
+    make = TRACKS[track.kind]
+    known = [name for name in inspect.signature(make).parameters if name != "file"]
+    if unknown := sorted(set(parameters) - set(known)):
+        raise ScenarioError(
+            f"{scenario.name}: track.parameters.{unknown[0]}: unknown for kind {track.kind!r}; "
+            f"known: {', '.join(known)}"
+        )
     if track.kind == "csv":
         if track.file is None:
             raise ScenarioError("track kind csv needs the field `file`")
@@ -71,10 +74,7 @@ def build_path(scenario: Scenario) -> Path:
         seed = track.parameters.get("seed", scenario.seed)
         check_seed(seed, "track.parameters.seed")
         parameters["seed"] = int(seed)
-    try:
-        path = TRACKS[track.kind](**parameters)
-    except TypeError as error:
-        raise ScenarioError(f"track {track.kind}: {error}") from error
+    path = make(**parameters)
     scale = path.length if scenario.zones_in_metres else 1.0
     for number, zone in enumerate(scenario.zones):
         if scenario.zones_in_metres and zone.start >= path.length:
@@ -83,6 +83,22 @@ def build_path(scenario: Scenario) -> Path:
                 f"{path.length:g} m long: expected less"
             )
     return path.with_friction([(zone.start / scale, *zone.sides()) for zone in scenario.zones])
+
+
+def narrow_place(scenario: Scenario) -> str | None:
+    """Say where the scenario's road is narrower than its vehicle; None if it is not."""
+    path, width = build_path(scenario), vehicle_parameters(scenario).width
+    s = np.arange(0.0, path.length, 0.5)
+    _, _, _, _, left, right, _ = path.sample(s)
+    narrowest = int((left + right).argmin())
+    road = left[narrowest] + right[narrowest]
+    if road >= width:
+        return None
+    return (
+        f"The road is {road:.2f} m wide at {s[narrowest]:.0f} m of the path, less than the "
+        f"vehicle's {width:.2f} m: check the track's widths. The drive goes on as long as the car "
+        f"is within leave_distance, {scenario.leave_distance:g} m, of the path"
+    )
 
 
 def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:

@@ -12,14 +12,15 @@ import numpy as np
 from egp_service._core import EgpError, RoadBelief, SpeedPlanner
 from egp_service.files import replacing
 from egp_service.simulation.course import build_path, build_profile, tyre_grips
-from egp_service.simulation.scenario import ScenarioError, vehicle_parameters
+from egp_service.simulation.scenario import vehicle_parameters
+from egp_service.simulation.scenario_checks import ScenarioError, why_unused
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from egp_service._core import Friction, Path, SpeedProfile
     from egp_service.control.step import Step
-    from egp_service.simulation.scenario import Scenario, Speed
+    from egp_service.simulation.scenario import Scenario
 
 
 class SpeedReference(ABC):
@@ -202,16 +203,6 @@ def speed_reference(
     if speed.friction is not None:
         return _Assumed(scenario, path, speed.friction)
     return _Believed(scenario, path, belief)
-
-
-def why_unused(speed: Speed) -> str | None:
-    """Say why the reference speed does not use what is known about the road; None if it does."""
-    if speed.knows != "nothing":
-        return f"speed.knows is {speed.knows!r}; set it to 'nothing' in the scenario"
-    for name in ("constant", "friction"):
-        if getattr(speed, name):
-            return f"speed.{name} is {getattr(speed, name)}; leave it out in the scenario"
-    return None
 
 
 def load_belief(scenario: Scenario, file: str | FilePath | None) -> RoadBelief:

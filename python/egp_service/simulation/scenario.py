@@ -6,31 +6,30 @@ are errors. The built-in scenarios are in `scenarios/` next to this module.
 
 from __future__ import annotations
 
-import re
 import tomllib
 from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
-from itertools import pairwise
 from pathlib import Path
 
 from egp_service import shipped
 from egp_service._core import EgpError, Plant, VehicleParameters, surface_friction
 from egp_service.control.toml_text import dumps
-from egp_service.simulation.configuration import ConfigurationError, build, without_none
+from egp_service.simulation.configuration import build, without_none
+from egp_service.simulation.scenario_checks import (
+    ScenarioError,
+    check_control,
+    check_measurement,
+    check_name,
+    check_seed,
+    check_speed,
+    check_starts,
+)
 from egp_service.simulation.zones import read_zone_rows
 from egp_service.vehicle import read_vehicle
 
 BUILT_IN = resources.files("egp_service.simulation") / "scenarios"
 DEMO_LIBRARY = "demo"
 MAX_DELAY = 100
-MAX_NAME = 50
-# A run's folder has the name, so a name holds nothing that would lead to another folder.
-_NAME = re.compile(rf"\w[\w .-]{{0,{MAX_NAME - 1}}}")
-KNOWLEDGE = ("zones", "here", "weights", "nothing")
-
-
-class ScenarioError(ConfigurationError):
-    """A scenario that does not exist or is invalid."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,7 +258,11 @@ def parse_scenario(text: str, folder: Path, origin: str) -> Scenario:
 
 def told_zones(scenario: Scenario) -> Scenario:
     """Return the scenario with a reference speed that is told the friction of all zones."""
-    return replace(scenario, speed=replace(scenario.speed, knows="zones", friction=None))
+    plain = Speed()
+    told = replace(
+        scenario.speed, knows="zones", friction=None, risk=plain.risk, preview=plain.preview
+    )
+    return replace(scenario, speed=told)
 
 
 def library_path(scenario: Scenario) -> Path:
@@ -302,14 +305,14 @@ def check_scenario(scenario: Scenario, origin: str) -> None:
         ScenarioError: with a message that begins with `origin`.
 
     """
-    _check_starts([zone.start for zone in scenario.zones], scenario.zones_in_metres, origin)
-    _check_name(scenario.name, origin)
+    check_starts([zone.start for zone in scenario.zones], scenario.zones_in_metres, origin)
+    check_name(scenario.name, origin)
     check_seed(scenario.seed, f"{origin}: seed")
     if not 0 <= scenario.actuator_delay <= MAX_DELAY:
         raise ScenarioError(
             f"{origin}: actuator_delay must be in 0..={MAX_DELAY}, got {scenario.actuator_delay}"
         )
-    _check_speed(scenario.speed, origin)
+    check_speed(scenario.speed, origin)
     if scenario.track.file is not None and scenario.track.kind != "csv":
         raise ScenarioError(
             f"{origin}: track.file is for track kind 'csv', got kind {scenario.track.kind!r}: set "
@@ -330,7 +333,8 @@ def check_scenario(scenario: Scenario, origin: str) -> None:
     for name, value in positive.items():
         if not 0.0 < value < float("inf"):
             raise ScenarioError(f"{origin}: {name} must be positive and finite, got {value}")
-    _check_measurement(scenario.measurement, origin)
+    check_measurement(scenario.measurement, origin)
+    check_control(scenario.control, origin)
     for i, zone in enumerate(scenario.zones):
         try:
             for side in zone.sides():
@@ -338,17 +342,6 @@ def check_scenario(scenario: Scenario, origin: str) -> None:
         except EgpError as error:
             raise ScenarioError(f"{origin}: zones[{i}]: {error}") from error
     _check_plant(scenario, origin)
-
-
-def _check_starts(starts: list[float], in_metres: bool, origin: str) -> None:  # noqa: FBT001
-    if not starts or starts[0] != 0.0:
-        raise ScenarioError(f"{origin}: zones must begin with one at start = 0.0")
-    if any(later <= earlier for earlier, later in pairwise(starts)):
-        raise ScenarioError(f"{origin}: zones must be in order of start")
-    if starts[-1] >= 1.0 and not in_metres:
-        reason = f"must be below 1, a fraction of the path's length, got {starts[-1]}"
-        last = f"{origin}: zones[{len(starts) - 1}].start {reason}"
-        raise ScenarioError(f"{last}; for a start in m state zones_in_metres = true")
 
 
 def _check_plant(scenario: Scenario, origin: str) -> None:
@@ -362,39 +355,3 @@ def _check_plant(scenario: Scenario, origin: str) -> None:
         raise ScenarioError(
             f"{origin}: vehicle is {scenario.vehicle}: expected a number of CommonRoad, 1 or 2"
         ) from error
-
-
-def _check_name(name: str, origin: str) -> None:
-    if not _NAME.fullmatch(name):
-        raise ScenarioError(
-            f"{origin}: name must be 1 to {MAX_NAME} letters, digits, spaces and . _ -, with a "
-            f"letter, digit or _ first, got {name!r}"
-        )
-
-
-def _check_measurement(measurement: Measurement, origin: str) -> None:
-    for name, deviation in asdict(measurement).items():
-        if deviation < 0.0:
-            raise ScenarioError(f"{origin}: measurement.{name} must be at least 0, got {deviation}")
-
-
-def check_seed(seed: float, where: str) -> None:
-    """Raise `ScenarioError` unless `seed` is a whole number from 0 to 2⁶³ - 1."""
-    if not (0 <= seed < 1 << 63 and seed == int(seed)):
-        raise ScenarioError(f"{where} must be a whole number from 0 to 2^63 - 1, got {seed}")
-
-
-def _check_speed(speed: Speed, origin: str) -> None:
-    if not 0.0 < speed.grip <= 1.0:
-        raise ScenarioError(f"{origin}: speed.grip must be above 0, at most 1, got {speed.grip}")
-    if speed.knows not in KNOWLEDGE:
-        raise ScenarioError(
-            f"{origin}: speed.knows must be one of {', '.join(KNOWLEDGE)}, got {speed.knows!r}"
-        )
-    if not 0.0 < speed.risk < 1.0:
-        raise ScenarioError(f"{origin}: speed.risk must be between 0 and 1, got {speed.risk}")
-    if speed.knows == "zones" and speed.friction is not None:
-        raise ScenarioError(
-            f"{origin}: speed.friction has no effect while speed.knows is 'zones'; set it to "
-            "'nothing', 'here' or 'weights', or leave out `friction`"
-        )

@@ -58,6 +58,11 @@ macro_rules! methods {
                 limits.map(|(name, _, value)| (name, value)).collect()
             }
 
+            /// The keywords of `new`, from which pickle makes the same vehicle again.
+            fn __getnewargs_ex__(&self) -> ((), BTreeMap<&'static str, f64>) {
+                ((), self.fields())
+            }
+
             fn __repr__(&self) -> String {
                 let field = |(name, _, value)| format!("{name}={value:?}");
                 let fields: Vec<String> = self.0.fields().into_iter().map(field).collect();

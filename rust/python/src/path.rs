@@ -26,11 +26,16 @@ type Samples<'py> = (
     NewVector<'py>,
     NewVector<'py>,
 );
-/// Start and surface of a zone; a split zone has a surface to the left and one to the right.
-#[derive(FromPyObject)]
-enum ZoneTuple {
-    Even(f64, SurfaceValue),
-    Split(f64, SurfaceValue, SurfaceValue),
+
+/// The zone of a row `(start, surface)`, or of `(start, left, right)` on a split road; `None` for anything else.
+fn zone(row: &Bound<'_, PyAny>) -> Option<(f64, SurfaceValue, Option<SurfaceValue>)> {
+    let row: Vec<Bound<'_, PyAny>> = row.try_iter().ok()?.collect::<PyResult<_>>().ok()?;
+    let (start, surface, right) = match row.as_slice() {
+        [start, surface] => (start, surface, None),
+        [start, left, right] => (start, left, Some(right.extract().ok()?)),
+        _ => return None,
+    };
+    Some((start.extract().ok()?, surface.extract().ok()?, right))
 }
 
 #[doc = doc!(Path)]
@@ -173,21 +178,25 @@ impl Path {
     }
 
     #[doc = doc!(Path.with_friction)]
-    fn with_friction(&self, zones: Vec<ZoneTuple>) -> PyResult<Self> {
-        let zones: Vec<_> = zones
-            .into_iter()
-            .map(|zone| match zone {
-                ZoneTuple::Even(start, surface) => Ok(Zone::new(start, surface.surface()?)),
-                ZoneTuple::Split(start, surface, right) => Ok(Zone {
-                    start,
-                    surface: surface.surface()?,
-                    right: Some(right.surface()?),
-                }),
-            })
-            .collect::<PyResult<_>>()?;
+    fn with_friction(&self, zones: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let wrong = |found: &Bound<'_, PyAny>| {
+            InvalidArgumentError::new_err(format!(
+                "zones: expected rows (start, friction), or (start, left, right) on a split road, got {found:?}"
+            ))
+        };
+        let mut checked = Vec::new();
+        for row in zones.try_iter().map_err(|_| wrong(zones))? {
+            let row = row?;
+            let (start, surface, right) = zone(&row).ok_or_else(|| wrong(&row))?;
+            checked.push(Zone {
+                start,
+                surface: surface.surface()?,
+                right: right.map(|right| right.surface()).transpose()?,
+            });
+        }
         self.0
             .clone()
-            .with_friction(&zones)
+            .with_friction(&checked)
             .map(Self)
             .map_err(raise)
     }
@@ -230,6 +239,12 @@ impl Path {
             column(|at| at.right),
             column(|at| at.friction),
         ))
+    }
+
+    fn __repr__(&self) -> String {
+        let (length, closed) = (self.0.length(), self.0.closed());
+        let closed = if closed { "True" } else { "False" };
+        format!("Path(length={length:.3}, closed={closed})")
     }
 }
 

@@ -58,6 +58,60 @@ pub struct Friction {
     log_likelihood: KeptVector,
 }
 
+#[pymethods]
+impl Friction {
+    #[new]
+    fn new(
+        mean: f64,
+        std: f64,
+        lower: f64,
+        upper: f64,
+        information: f64,
+        informed: bool,
+        log_likelihood: KeptVector,
+    ) -> Self {
+        Self {
+            mean,
+            std,
+            lower,
+            upper,
+            information,
+            informed,
+            log_likelihood,
+        }
+    }
+
+    /// The arguments of `new`, from which pickle makes the same friction again.
+    fn __getnewargs__(&self, py: Python<'_>) -> (f64, f64, f64, f64, f64, bool, KeptVector) {
+        let log_likelihood = self.log_likelihood.clone_ref(py);
+        (
+            self.mean,
+            self.std,
+            self.lower,
+            self.upper,
+            self.information,
+            self.informed,
+            log_likelihood,
+        )
+    }
+
+    fn __repr__(&self) -> String {
+        let Self {
+            mean,
+            std,
+            lower,
+            upper,
+            information,
+            ..
+        } = self;
+        let informed = if self.informed { "True" } else { "False" };
+        format!(
+            "Friction(mean={mean:.3}, std={std:.3}, lower={lower:.3}, upper={upper:.3}, \
+             information={information:.3}, informed={informed})"
+        )
+    }
+}
+
 impl Friction {
     /// The friction of a reply, if it has one.
     pub fn of(py: Python<'_>, reply: &egp_wire::Reply) -> PyResult<Option<Py<Self>>> {

@@ -118,23 +118,13 @@ def drive(
     """
     from egp_service.cli.publication import publication
     from egp_service.cli.status_line import StatusLine
-    from egp_service.simulation.plant import load_simulator
     from egp_service.simulation.reference import load_belief, store_belief
     from egp_service.simulation.runs import new_folder, record_run
-    from egp_service.simulation.scenario import check_seed, load_scenario
 
     console = Console()
-    chosen = load_scenario(scenario)
-    if library is not None:
-        chosen = replace(chosen, library=str(library.absolute()))
-    if plant is not None:
-        chosen = replace(chosen, plant=plant)
-    if seed is not None:
-        check_seed(seed, "--seed")
-        chosen = replace(chosen, seed=seed)
-    if chosen.plant is not None:
-        load_simulator(chosen.plant)  # reports a class that cannot be made before a folder is
+    chosen = _chosen(scenario, library, plant, seed)
     _check_use(vehicle, connect, zenoh, fleet, monitor, in_process=in_process)
+    _warn(console, chosen)
     belief = load_belief(chosen, road)
     fleet_name, name = fleet_and_name(vehicle)
     with (
@@ -161,14 +151,18 @@ def drive(
         if connect or (zenoh and not in_process):
             _show_differences(console, chosen, controller)
         folder = new_folder(output, chosen.name)
-        with StatusLine(console) as line:
+        try:
+            with StatusLine(console) as line:
 
-            def observe(period: "Period") -> None:
-                line.show(chosen.name, period)
-                exchange()
-                publish(period)
+                def observe(period: "Period") -> None:
+                    line.show(chosen.name, period)
+                    exchange()
+                    publish(period)
 
-            run = record_run(chosen, controller, folder, observe, belief)
+                run = record_run(chosen, controller, folder, observe, belief)
+        except KeyboardInterrupt:
+            console.print(f"Interrupted. What was recorded until then is in {folder}", markup=False)
+            raise
     if road is not None:
         store_belief(belief, road)
     _show(console, run.summary)
@@ -179,6 +173,33 @@ def drive(
     console.print(f"Results in {folder}", markup=False)
     if not run.summary.ending.completed:
         raise typer.Exit(NOT_COMPLETED)
+
+
+def _chosen(name: str, library: Path | None, plant: str | None, seed: int | None) -> "Scenario":
+    """Return the scenario of a name or file with what the options state in place of its own."""
+    from egp_service.simulation.plant import load_simulator
+    from egp_service.simulation.scenario import load_scenario
+    from egp_service.simulation.scenario_checks import check_seed
+
+    chosen = load_scenario(name)
+    if library is not None:
+        chosen = replace(chosen, library=str(library.absolute()))
+    if plant is not None:
+        chosen = replace(chosen, plant=plant)
+    if seed is not None:
+        check_seed(seed, "--seed")
+        chosen = replace(chosen, seed=seed)
+    if chosen.plant is not None:
+        load_simulator(chosen.plant)  # reports a class that cannot be made before a folder is
+    return chosen
+
+
+def _warn(console: Console, scenario: "Scenario") -> None:
+    """Say what of a scenario is probably a mistake."""
+    from egp_service.simulation.course import narrow_place
+
+    if warning := narrow_place(scenario):
+        console.print(warning, markup=False, highlight=False)
 
 
 def _controller(
@@ -266,8 +287,7 @@ def _fleet_map(
 ) -> "Iterator[Callable[[], None]]":
     """Give what to call in each period, and say at the end what the map contributed."""
     from egp_service.simulation.course import road_name
-    from egp_service.simulation.reference import why_unused
-    from egp_service.simulation.scenario import ScenarioError
+    from egp_service.simulation.scenario_checks import ScenarioError, why_unused
 
     if endpoint is None:
         yield lambda: None

@@ -32,6 +32,9 @@ def load(
     All other options are --connect ENDPOINT (by default tcp/127.0.0.1:7447),
     --vehicles 4, --seconds 20 and more; `egp load -- --help` lists them.
 
+    The vehicles are the built-in car. A service with a library of your own car
+    is loaded with --replay and a recording of that car.
+
     Look at `generator lag` first: if it is far above a millisecond, the other
     times describe this machine instead of the service.
 

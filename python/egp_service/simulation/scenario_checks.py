@@ -1,0 +1,102 @@
+"""Checks of the values of a scenario, whose errors name the field."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from egp_service._core import EgpError
+from egp_service.control.controller import settings_text
+from egp_service.simulation.configuration import ConfigurationError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from egp_service.simulation.scenario import Measurement, Speed
+
+MAX_NAME = 50
+# A run's folder has the name, so a name holds nothing that would lead to another folder.
+_NAME = re.compile(rf"\w[\w .-]{{0,{MAX_NAME - 1}}}")
+KNOWLEDGE = ("zones", "here", "weights", "nothing")
+
+
+class ScenarioError(ConfigurationError):
+    """A scenario that does not exist or is invalid."""
+
+
+def check_starts(starts: list[float], in_metres: bool, origin: str) -> None:  # noqa: FBT001
+    """Raise `ScenarioError` unless zones that begin there cover the path from its start."""
+    if not starts or starts[0] != 0.0:
+        raise ScenarioError(f"{origin}: zones must begin with one at start = 0.0")
+    if any(later <= earlier for earlier, later in pairwise(starts)):
+        raise ScenarioError(f"{origin}: zones must be in order of start")
+    if starts[-1] >= 1.0 and not in_metres:
+        reason = f"must be below 1, a fraction of the path's length, got {starts[-1]}"
+        last = f"{origin}: zones[{len(starts) - 1}].start {reason}"
+        raise ScenarioError(f"{last}; for a start in m state zones_in_metres = true")
+
+
+def check_name(name: str, origin: str) -> None:
+    """Raise `ScenarioError` unless a folder can have the name."""
+    if not _NAME.fullmatch(name):
+        raise ScenarioError(
+            f"{origin}: name must be 1 to {MAX_NAME} letters, digits, spaces and . _ -, with a "
+            f"letter, digit or _ first, got {name!r}"
+        )
+
+
+def check_measurement(measurement: Measurement, origin: str) -> None:
+    """Raise `ScenarioError` for a negative standard deviation."""
+    for name, deviation in asdict(measurement).items():
+        if deviation < 0.0:
+            raise ScenarioError(f"{origin}: measurement.{name} must be at least 0, got {deviation}")
+
+
+def check_control(control: Mapping[str, object], origin: str) -> None:
+    """Raise `ScenarioError` unless these are settings of the control step."""
+    try:
+        settings_text(control, "control")
+    except EgpError as error:
+        raise ScenarioError(f"{origin}: {error}") from error
+
+
+def check_seed(seed: float, where: str) -> None:
+    """Raise `ScenarioError` unless `seed` is a whole number from 0 to 2⁶³ - 1."""
+    if not (0 <= seed < 1 << 63 and seed == int(seed)):
+        raise ScenarioError(f"{where} must be a whole number from 0 to 2^63 - 1, got {seed}")
+
+
+def check_speed(speed: Speed, origin: str) -> None:
+    """Raise `ScenarioError` for a value outside its range, and for one without effect."""
+    if not 0.0 < speed.grip <= 1.0:
+        raise ScenarioError(f"{origin}: speed.grip must be above 0, at most 1, got {speed.grip}")
+    if speed.knows not in KNOWLEDGE:
+        raise ScenarioError(
+            f"{origin}: speed.knows must be one of {', '.join(KNOWLEDGE)}, got {speed.knows!r}"
+        )
+    if not 0.0 < speed.risk < 1.0:
+        raise ScenarioError(f"{origin}: speed.risk must be between 0 and 1, got {speed.risk}")
+    if speed.knows == "zones" and speed.friction is not None:
+        raise ScenarioError(
+            f"{origin}: speed.friction has no effect while speed.knows is 'zones'; set it to "
+            "'nothing', 'here' or 'weights', or leave out `friction`"
+        )
+    if reason := why_unused(speed):
+        # The text of a resolved scenario states the defaults as well.
+        for name in ("risk", "preview"):
+            if getattr(speed, name) != getattr(type(speed)(), name):
+                raise ScenarioError(
+                    f"{origin}: speed.{name} has no effect while {reason}, or leave out `{name}`"
+                )
+
+
+def why_unused(speed: Speed) -> str | None:
+    """Say why the reference speed does not use what is known about the road; None if it does."""
+    if speed.knows != "nothing":
+        return f"speed.knows is {speed.knows!r}; set it to 'nothing' in the scenario"
+    for name in ("constant", "friction"):
+        if getattr(speed, name):
+            return f"speed.{name} is {getattr(speed, name)}; leave it out in the scenario"
+    return None
