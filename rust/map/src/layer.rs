@@ -45,29 +45,45 @@ impl RoadBelief {
         committed: f64,
     ) -> Vec<Row> {
         let (reach, at_once) = self.reach(reach);
-        let mut found = Vec::with_capacity((last - first + 1).max(0) as usize);
+        let mut found = Vec::new();
         let mut start = first;
         while start <= last {
             let end = last.min(start.saturating_add(at_once - 1));
-            self.smooth(layer, start, end, reach);
-            let prior = &self.grid.prior;
-            let messages = self.forward.iter().zip(&self.backward);
-            found.extend(
-                (start..=end)
-                    .zip(messages)
-                    .map(|(index, (forward, backward))| {
-                        let mut masses = *forward;
-                        combine(&mut masses, prior, |mass, prior| {
-                            mass + committed * (prior - mass)
-                        });
-                        self.weigh(layer, index, &mut masses);
-                        multiply(&mut masses, backward);
-                        masses
-                    }),
-            );
+            let part = self.masses_at_once(layer, start, end, reach, committed);
+            if found.is_empty() {
+                found = part;
+            } else {
+                found.extend(part);
+            }
             start = end + 1;
         }
         found
+    }
+
+    /// The same for cells whose messages may be computed at once, from evidence up to `reach` cells beyond them.
+    fn masses_at_once(
+        &mut self,
+        layer: Layer,
+        first: i64,
+        last: i64,
+        reach: i64,
+        committed: f64,
+    ) -> Vec<Row> {
+        self.smooth(layer, first, last, reach);
+        let prior = &self.grid.prior;
+        let messages = self.forward.iter().zip(&self.backward);
+        (first..=last)
+            .zip(messages)
+            .map(|(index, (forward, backward))| {
+                let mut masses = *forward;
+                combine(&mut masses, prior, |mass, prior| {
+                    mass + committed * (prior - mass)
+                });
+                self.weigh(layer, index, &mut masses);
+                multiply(&mut masses, backward);
+                masses
+            })
+            .collect()
     }
 
     /// Multiplies `row` by a layer's likelihoods in a cell. Cells beyond the ends of an open road have no evidence.
