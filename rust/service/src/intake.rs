@@ -154,7 +154,7 @@ impl<Q: Query> Shared<Q> {
             }
             arrived + self.time_to_answer(ahead) <= latest
         };
-        let pushed = self.queue.push(vehicle, arrived, deadline, job, in_time);
+        let pushed = self.queue.push(vehicle, deadline, job, in_time);
         if let Some(old) = pushed.superseded {
             let detail = "a newer request of this vehicle took the place of this one";
             self.refuse_job(&old, &WireError::permanent(Code::Superseded, detail));

@@ -36,7 +36,6 @@ mod reloader;
 mod replica;
 mod reporter;
 mod serve;
-mod served;
 mod server;
 mod signature;
 mod standing;

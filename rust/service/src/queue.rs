@@ -4,34 +4,49 @@
 //! slot; a vehicle that sends too many requests displaces only its own. Serving the earliest deadline first keeps late
 //! requests from delaying the others. If not all can be served, vehicles take turns: the request of a vehicle that was
 //! served longer ago takes the place of one whose vehicle was served last.
-//!
-//! A vehicle that asks again at once, with deadlines that are earlier than those of all others, would always be first. The
-//! deadlines by which the queue is ordered are therefore those of `Turn::in_order`.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
 
-use crate::served::Served;
 use crate::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Orders the queue; the ticket separates equal deadlines.
 type Place = (Instant, u64);
 
+/// Vehicles whose turns are remembered; beyond that number all turns are forgotten, so that senders that invent names fill
+/// a bounded part of the memory.
+const REMEMBERED: usize = 8192;
+
 struct Waiting<T> {
     by_place: BTreeMap<Place, (String, T)>,
     slots: HashMap<String, Place>,
     tickets: u64,
-    served: Served,
+    /// When each vehicle was served, counted in items that were taken out.
+    turns: HashMap<String, u64>,
+    /// Items that were taken out.
+    taken: u64,
     closed: bool,
 }
 
 impl<T> Waiting<T> {
+    /// When the vehicle was served. One that is new counts as served just now, so that a sender gains nothing by new names.
+    fn turn(&mut self, vehicle: &str) -> u64 {
+        if let Some(turn) = self.turns.get(vehicle) {
+            return *turn;
+        }
+        if self.turns.len() >= REMEMBERED {
+            self.turns.clear();
+        }
+        self.turns.insert(vehicle.to_owned(), self.taken);
+        self.taken
+    }
+
     /// Of the items before `place`, that of the vehicle which was served last, if that was after `turn`.
     fn served_after(&self, turn: u64, place: Place) -> Option<Place> {
-        let turns = self
-            .by_place
-            .range(..place)
-            .map(|(place, (vehicle, _))| (self.served.number(vehicle), *place));
+        let turns = self.by_place.range(..place).map(|(place, (vehicle, _))| {
+            let turn = self.turns.get(vehicle).copied();
+            (turn.unwrap_or(self.taken), *place)
+        });
         turns
             .max()
             .filter(|(last, _)| *last > turn)
@@ -80,7 +95,8 @@ impl<T> Queue<T> {
             by_place: BTreeMap::new(),
             slots: HashMap::new(),
             tickets: 0,
-            served: Served::default(),
+            turns: HashMap::new(),
+            taken: 0,
             closed: false,
         };
         Self {
@@ -90,12 +106,10 @@ impl<T> Queue<T> {
         }
     }
 
-    /// Offers an item that came at `arrived`. `in_time` gets the number of items that are served before it and decides on
-    /// admission.
+    /// Offers an item. `in_time` gets the number of items with an earlier deadline and decides on admission.
     pub(crate) fn push(
         &self,
         vehicle: String,
-        arrived: Instant,
         deadline: Instant,
         item: T,
         in_time: impl Fn(usize) -> bool,
@@ -103,8 +117,8 @@ impl<T> Queue<T> {
         let mut waiting = self.lock();
         let old = waiting.slots.get(&vehicle).copied();
         let superseded = old.and_then(|place| waiting.remove(place));
-        let turn = waiting.served.turn(&vehicle);
-        let place = (turn.in_order(arrived, deadline), waiting.tickets);
+        let place = (deadline, waiting.tickets);
+        let turn = waiting.turn(&vehicle);
         let ahead = waiting.by_place.range(..place).count();
         let mut displaced = None;
         let queued = if waiting.closed {
@@ -115,7 +129,7 @@ impl<T> Queue<T> {
             let late = !in_time(ahead);
             if late {
                 displaced = waiting
-                    .served_after(turn.number, place)
+                    .served_after(turn, place)
                     .filter(|_| in_time(ahead - 1))
                     .and_then(|other| waiting.remove(other));
             }
@@ -163,9 +177,11 @@ impl<T> Queue<T> {
     }
 
     fn take_first(waiting: &mut Waiting<T>) -> Option<T> {
-        let ((deadline, _), (vehicle, item)) = waiting.by_place.pop_first()?;
+        let (_, (vehicle, item)) = waiting.by_place.pop_first()?;
         waiting.slots.remove(&vehicle);
-        waiting.served.note(vehicle, deadline);
+        waiting.taken += 1;
+        let taken = waiting.taken;
+        waiting.turns.insert(vehicle, taken);
         Some(item)
     }
 
@@ -203,7 +219,7 @@ mod tests {
     fn the_earliest_deadline_is_served_first() {
         let (queue, start) = (Queue::new(8), Instant::now());
         for (vehicle, ms) in [("a", 30), ("b", 10), ("c", 20)] {
-            queue.push(vehicle.to_owned(), start, at(start, ms), vehicle, FITS);
+            queue.push(vehicle.to_owned(), at(start, ms), vehicle, FITS);
         }
         assert_eq!(
             [queue.pop(), queue.pop(), queue.pop()],
@@ -215,7 +231,7 @@ mod tests {
     fn equal_deadlines_are_served_in_the_order_of_arrival() {
         let (queue, start) = (Queue::new(8), Instant::now());
         for vehicle in ["c", "a", "b"] {
-            queue.push(vehicle.to_owned(), start, start, vehicle, FITS);
+            queue.push(vehicle.to_owned(), start, vehicle, FITS);
         }
         assert_eq!(queue.len(), 3);
         let order = std::iter::from_fn(|| queue.try_pop());
@@ -225,7 +241,7 @@ mod tests {
     #[test]
     fn the_newest_request_of_a_vehicle_takes_its_slot() {
         let (queue, start) = (Queue::new(1), Instant::now());
-        let push = |item| queue.push("a".to_owned(), start, at(start, item), item, FITS);
+        let push = |item| queue.push("a".to_owned(), at(start, item), item, FITS);
         push(1);
         assert_eq!(
             push(2),
@@ -242,27 +258,24 @@ mod tests {
     #[test]
     fn a_full_queue_refuses_other_vehicles_only() {
         let (queue, start) = (Queue::new(1), Instant::now());
-        queue.push("a".to_owned(), start, start, 1, FITS);
-        let other = queue.push("b".to_owned(), start, start, 2, FITS);
+        queue.push("a".to_owned(), start, 1, FITS);
+        let other = queue.push("b".to_owned(), start, 2, FITS);
         assert_eq!(other.queued, Err(Refused::Full(2)));
-        assert_eq!(
-            queue.push("a".to_owned(), start, start, 3, FITS).queued,
-            Ok(())
-        );
+        assert_eq!(queue.push("a".to_owned(), start, 3, FITS).queued, Ok(()));
     }
 
     #[test]
     fn admission_sees_those_with_earlier_deadlines() {
         let (queue, start) = (Queue::new(8), Instant::now());
         for (vehicle, ms) in [("a", 10), ("b", 20), ("c", 40)] {
-            queue.push(vehicle.to_owned(), start, at(start, ms), vehicle, FITS);
+            queue.push(vehicle.to_owned(), at(start, ms), vehicle, FITS);
         }
         let ahead = Cell::new(0);
         let refuse = |count| {
             ahead.set(count);
             false
         };
-        let pushed = queue.push("d".to_owned(), start, at(start, 30), "d", refuse);
+        let pushed = queue.push("d".to_owned(), at(start, 30), "d", refuse);
         assert_eq!((ahead.get(), pushed.queued), (2, Err(Refused::Late("d"))));
     }
 
@@ -270,7 +283,7 @@ mod tests {
     fn served(start: Instant) -> Queue<&'static str> {
         let queue = Queue::new(8);
         for vehicle in ["a", "b", "c"] {
-            queue.push(vehicle.to_owned(), start, start, vehicle, FITS);
+            queue.push(vehicle.to_owned(), start, vehicle, FITS);
             queue.pop();
         }
         queue
@@ -281,7 +294,7 @@ mod tests {
         let start = Instant::now();
         let queue = served(start);
         let push = |vehicle: &'static str, ms| {
-            queue.push(vehicle.to_owned(), start, at(start, ms), vehicle, |ahead| {
+            queue.push(vehicle.to_owned(), at(start, ms), vehicle, |ahead| {
                 ahead < 2
             })
         };
@@ -306,8 +319,8 @@ mod tests {
     fn nothing_gives_up_its_place_for_a_request_that_is_late_nevertheless() {
         let start = Instant::now();
         let queue = served(start);
-        queue.push("c".to_owned(), start, at(start, 10), "c", FITS);
-        let pushed = queue.push("a".to_owned(), start, at(start, 20), "a", |_| false);
+        queue.push("c".to_owned(), at(start, 10), "c", FITS);
+        let pushed = queue.push("a".to_owned(), at(start, 20), "a", |_| false);
         assert_eq!(
             (pushed.displaced, pushed.queued),
             (None, Err(Refused::Late("a")))
@@ -319,10 +332,10 @@ mod tests {
     fn a_new_name_has_no_turn_before_others() {
         let start = Instant::now();
         let queue = served(start);
-        queue.push("a".to_owned(), start, at(start, 10), "a", FITS);
+        queue.push("a".to_owned(), at(start, 10), "a", FITS);
         let alone = |ahead| ahead < 1;
         for vehicle in ["new", "other"] {
-            let pushed = queue.push(vehicle.to_owned(), start, at(start, 20), vehicle, alone);
+            let pushed = queue.push(vehicle.to_owned(), at(start, 20), vehicle, alone);
             assert_eq!(
                 (pushed.displaced, pushed.queued),
                 (None, Err(Refused::Late(vehicle)))
@@ -330,59 +343,30 @@ mod tests {
         }
         // It is remembered from its first request on, so its turn comes when others have been served.
         queue.pop();
-        queue.push("b".to_owned(), start, at(start, 20), "b", FITS);
+        queue.push("b".to_owned(), at(start, 20), "b", FITS);
         queue.pop();
-        queue.push("b".to_owned(), start, at(start, 20), "b", FITS);
-        let pushed = queue.push("new".to_owned(), start, at(start, 50), "new", alone);
+        queue.push("b".to_owned(), at(start, 20), "b", FITS);
+        let pushed = queue.push("new".to_owned(), at(start, 30), "new", alone);
         assert_eq!((pushed.displaced, pushed.queued), (Some("b"), Ok(())));
     }
 
     #[test]
-    fn a_vehicle_that_asks_at_once_again_with_short_budgets_does_not_come_before_all_others() {
-        let micros = Duration::from_micros;
-        let cars = ["a", "b", "c", "d", "e", "f", "g", "h"];
-        for budget in [micros(1), micros(300), micros(2_000), micros(8_000)] {
-            let (queue, start) = (Queue::new(16), Instant::now());
-            // One worker, whose steps take 250 µs. It is never idle, because the flood asks after each of them.
-            let (mut waited, mut flooded) = (Vec::new(), 0);
-            for step in 0..800 {
-                let now = start + step * micros(250);
-                // The cars ask once in 20 ms, all at once.
-                for car in cars.iter().filter(|_| step % 80 == 0) {
-                    let item = Some(now);
-                    queue.push((*car).to_owned(), now, now + micros(16_000), item, FITS);
-                }
-                queue.push("flood".to_owned(), now, now + budget, None, FITS);
-                match queue.try_pop() {
-                    Some(Some(arrived)) => waited.push(now - arrived),
-                    _ => flooded += 1,
-                }
-            }
-            assert_eq!((waited.len(), flooded), (80, 720), "{budget:?}");
-            let longest = waited.iter().max().copied();
-            assert!(longest < Some(micros(4_000)), "{budget:?}: {longest:?}");
+    fn the_names_that_are_remembered_are_bounded() {
+        let (queue, start) = (Queue::new(1), Instant::now());
+        for name in 0..=REMEMBERED {
+            queue.push(name.to_string(), start, name, |_| false);
+            assert!(queue.lock().turns.len() <= REMEMBERED);
         }
-    }
-
-    #[test]
-    fn a_request_counts_as_little_less_urgent_at_most() {
-        let (queue, start) = (Queue::new(8), Instant::now());
-        for _ in 0..1000 {
-            queue.push("a".to_owned(), start, at(start, 16), "a", FITS);
-            queue.pop();
-        }
-        queue.push("a".to_owned(), at(start, 20), at(start, 36), "a", FITS);
-        queue.push("b".to_owned(), at(start, 20), at(start, 137), "b", FITS);
-        assert_eq!(queue.pop(), Some("a"));
+        assert_eq!(queue.lock().turns.len(), 1);
     }
 
     #[test]
     fn a_closed_queue_empties_and_ends() {
         let (queue, start) = (Queue::new(8), Instant::now());
-        queue.push("a".to_owned(), start, start, 1, FITS);
+        queue.push("a".to_owned(), start, 1, FITS);
         queue.close();
         assert_eq!(
-            queue.push("b".to_owned(), start, start, 2, FITS).queued,
+            queue.push("b".to_owned(), start, 2, FITS).queued,
             Err(Refused::Closed(2))
         );
         assert_eq!((queue.pop(), queue.pop()), (Some(1), None));
