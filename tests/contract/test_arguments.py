@@ -224,6 +224,17 @@ def test_an_array_without_rows_is_not_the_same_as_none(controller: Controller, n
     assert controller.step(X, straight, **{name: None}).mode == "normal"
 
 
+def test_a_plan_that_no_message_may_contain_is_none(controller: Controller) -> None:
+    # A vehicle that spins far outside the members' data; the plan would slide at 160 m/s.
+    spinning = np.array([0.0, 0.0, 37.64, 0.0, 0.67, -3.92, 0.24])
+    s = 37.0 * controller.dt * np.arange(controller.horizon + 1)
+    reference = np.column_stack([s, 0 * s, 0 * s + 37.0, 0 * s])
+    found = controller.step(spinning, reference)
+    assert (found.status, found.reply is not None) == ("check_failed", True)
+    assert len(found.weights) == 2
+    assert "no vehicle reaches" in found.detail
+
+
 def test_names_of_a_publication_are_checked(controller: Controller) -> None:
     with pytest.raises(InvalidArgumentError, match='"a/b" is no name'):
         StatusPublisher(controller, vehicle="a/b")

@@ -145,6 +145,7 @@ def test_evidence_that_was_not_sent_is_counted(caplog: pytest.LogCaptureFixture)
     measure(belief, 0.4, 150.0)
     fleet.close()
     assert fleet.unsent == 2
+    assert fleet.silent
     assert "the evidence about 2 tiles of the road was not sent" in caplog.text
 
 

@@ -40,11 +40,11 @@ the place of --replay.
 
 Each vehicle has its own zenoh session, the 29-state plant on a track of
 changing friction, and the gate. The plant is the built-in car: a service
-that plans for another vehicle is loaded with --requests. Requests are sent on a fixed schedule (every
-control period of the library), whether or not the last one was answered, and
-latency is measured from when a request was due, so that a slow service cannot
-slow down its own test. The vehicles' schedules are spread evenly over the
-period.
+that plans for another vehicle is loaded with --requests. Requests are sent
+on a fixed schedule (every control period of the library), whether or not the
+last one was answered, and latency is measured from when a request was due,
+so that a slow service cannot slow down its own test. The vehicles' schedules
+are spread evenly over the period.
 
 A period is a miss if no solved plan came within the budget. The gate then
 continues with the last plan (tail) and finally stops the vehicle; stopped,

@@ -190,11 +190,12 @@ class FleetMap:
                 self._send()
                 while self._sending and time.monotonic() < deadline:
                     self._handle(deadline)
+                if self._sending:
+                    self._silent = True
             if left := self.unsent:
                 _log.warning("the evidence about %d tiles of the road was not sent", left)
         finally:
-            # A session whose link is cut reports that it cannot say so.
-            with suppress(zenoh.ZError):
+            with suppress(zenoh.ZError):  # a link that was cut cannot be closed, and ends by itself
                 self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:

@@ -315,8 +315,9 @@ def _fleet_map(
         markup=False,
     )
     if shared.answered and shared.unsent:
+        reason = "no longer answers" if shared.silent else "did not accept all evidence"
         console.print(
-            f"The map service at {endpoint} no longer answers: the evidence about {shared.unsent} "
-            "tiles of 128 m was not sent",
+            f"The map service at {endpoint} {reason}: the evidence about {shared.unsent} tiles of "
+            "128 m was not sent",
             markup=False,
         )
