@@ -39,6 +39,8 @@ mod query;
 mod queue;
 #[path = "../../service/src/reloader.rs"]
 mod reloader;
+#[path = "../../service/src/served.rs"]
+mod served;
 #[path = "../../service/src/signature.rs"]
 mod signature;
 #[path = "../../service/src/standing.rs"]

@@ -36,6 +36,7 @@ mod reloader;
 mod replica;
 mod reporter;
 mod serve;
+mod served;
 mod server;
 mod signature;
 mod standing;

@@ -4,49 +4,34 @@
 //! slot; a vehicle that sends too many requests displaces only its own. Serving the earliest deadline first keeps late
 //! requests from delaying the others. If not all can be served, vehicles take turns: the request of a vehicle that was
 //! served longer ago takes the place of one whose vehicle was served last.
+//!
+//! A vehicle that asks again at once, with deadlines that are earlier than those of all others, would always be first. The
+//! deadlines by which the queue is ordered are therefore those of `Turn::in_order`.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
 
+use crate::served::Served;
 use crate::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Orders the queue; the ticket separates equal deadlines.
 type Place = (Instant, u64);
 
-/// Vehicles whose turns are remembered; beyond that number all turns are forgotten, so that senders that invent names fill
-/// a bounded part of the memory.
-const REMEMBERED: usize = 8192;
-
 struct Waiting<T> {
     by_place: BTreeMap<Place, (String, T)>,
     slots: HashMap<String, Place>,
     tickets: u64,
-    /// When each vehicle was served, counted in items that were taken out.
-    turns: HashMap<String, u64>,
-    /// Items that were taken out.
-    taken: u64,
+    served: Served,
     closed: bool,
 }
 
 impl<T> Waiting<T> {
-    /// When the vehicle was served. One that is new counts as served just now, so that a sender gains nothing by new names.
-    fn turn(&mut self, vehicle: &str) -> u64 {
-        if let Some(turn) = self.turns.get(vehicle) {
-            return *turn;
-        }
-        if self.turns.len() >= REMEMBERED {
-            self.turns.clear();
-        }
-        self.turns.insert(vehicle.to_owned(), self.taken);
-        self.taken
-    }
-
     /// Of the items before `place`, that of the vehicle which was served last, if that was after `turn`.
     fn served_after(&self, turn: u64, place: Place) -> Option<Place> {
-        let turns = self.by_place.range(..place).map(|(place, (vehicle, _))| {
-            let turn = self.turns.get(vehicle).copied();
-            (turn.unwrap_or(self.taken), *place)
-        });
+        let turns = self
+            .by_place
+            .range(..place)
+            .map(|(place, (vehicle, _))| (self.served.number(vehicle), *place));
         turns
             .max()
             .filter(|(last, _)| *last > turn)
@@ -95,8 +80,7 @@ impl<T> Queue<T> {
             by_place: BTreeMap::new(),
             slots: HashMap::new(),
             tickets: 0,
-            turns: HashMap::new(),
-            taken: 0,
+            served: Served::default(),
             closed: false,
         };
         Self {
@@ -106,7 +90,7 @@ impl<T> Queue<T> {
         }
     }
 
-    /// Offers an item. `in_time` gets the number of items with an earlier deadline and decides on admission.
+    /// Offers an item. `in_time` gets the number of items that are served before it and decides on admission.
     pub(crate) fn push(
         &self,
         vehicle: String,
@@ -117,8 +101,8 @@ impl<T> Queue<T> {
         let mut waiting = self.lock();
         let old = waiting.slots.get(&vehicle).copied();
         let superseded = old.and_then(|place| waiting.remove(place));
-        let place = (deadline, waiting.tickets);
-        let turn = waiting.turn(&vehicle);
+        let turn = waiting.served.turn(&vehicle);
+        let place = (turn.in_order(deadline), waiting.tickets);
         let ahead = waiting.by_place.range(..place).count();
         let mut displaced = None;
         let queued = if waiting.closed {
@@ -129,7 +113,7 @@ impl<T> Queue<T> {
             let late = !in_time(ahead);
             if late {
                 displaced = waiting
-                    .served_after(turn, place)
+                    .served_after(turn.number, place)
                     .filter(|_| in_time(ahead - 1))
                     .and_then(|other| waiting.remove(other));
             }
@@ -177,11 +161,9 @@ impl<T> Queue<T> {
     }
 
     fn take_first(waiting: &mut Waiting<T>) -> Option<T> {
-        let (_, (vehicle, item)) = waiting.by_place.pop_first()?;
+        let ((deadline, _), (vehicle, item)) = waiting.by_place.pop_first()?;
         waiting.slots.remove(&vehicle);
-        waiting.taken += 1;
-        let taken = waiting.taken;
-        waiting.turns.insert(vehicle, taken);
+        waiting.served.note(vehicle, deadline);
         Some(item)
     }
 
@@ -351,13 +333,44 @@ mod tests {
     }
 
     #[test]
-    fn the_names_that_are_remembered_are_bounded() {
-        let (queue, start) = (Queue::new(1), Instant::now());
-        for name in 0..=REMEMBERED {
-            queue.push(name.to_string(), start, name, |_| false);
-            assert!(queue.lock().turns.len() <= REMEMBERED);
+    fn a_vehicle_that_asks_at_once_again_with_short_budgets_does_not_come_before_all_others() {
+        let micros = Duration::from_micros;
+        let cars = ["a", "b", "c", "d", "e", "f", "g", "h"];
+        for budget in [micros(1), micros(300), micros(2_000), micros(8_000)] {
+            let (queue, start) = (Queue::new(16), Instant::now());
+            // One worker, whose steps take 250 µs. It is never idle, because the flood asks after each of them.
+            let (mut waited, mut flooded) = (Vec::new(), 0);
+            for step in 0..800 {
+                let now = start + step * micros(250);
+                // The cars ask once in 20 ms, all at once.
+                for car in cars.iter().filter(|_| step % 80 == 0) {
+                    let item = Some(now);
+                    queue.push((*car).to_owned(), now + micros(16_000), item, FITS);
+                }
+                queue.push("flood".to_owned(), now + budget, None, FITS);
+                match queue.try_pop() {
+                    Some(Some(arrived)) => waited.push(now - arrived),
+                    _ => flooded += 1,
+                }
+            }
+            assert_eq!((waited.len(), flooded), (80, 720), "{budget:?}");
+            let longest = waited.iter().max().copied();
+            assert!(longest < Some(micros(4_000)), "{budget:?}: {longest:?}");
         }
-        assert_eq!(queue.lock().turns.len(), 1);
+    }
+
+    #[test]
+    fn a_request_is_deferred_by_a_tenth_of_a_second_at_most() {
+        let (queue, start) = (Queue::new(8), Instant::now());
+        for _ in 0..1000 {
+            queue.push("a".to_owned(), at(start, 16), "a", FITS);
+            queue.pop();
+        }
+        for (vehicle, ms) in [("a", 16), ("b", 115), ("c", 117)] {
+            queue.push(vehicle.to_owned(), at(start, ms), vehicle, FITS);
+        }
+        let order = std::iter::from_fn(|| queue.try_pop());
+        assert_eq!(order.collect::<Vec<_>>(), ["b", "a", "c"]);
     }
 
     #[test]

@@ -1,0 +1,103 @@
+//! When vehicles were served, and how urgent their next requests are.
+
+use std::collections::HashMap;
+use std::time::{Duration, Instant};
+
+/// Least time between two requests of a vehicle in the order of the queue, whatever deadlines they state.
+const SPACING: Duration = Duration::from_millis(4);
+/// Longest time by which the order of the queue defers a request behind its deadline.
+const LONGEST_DEFERRAL: Duration = Duration::from_millis(100);
+/// Vehicles whose turns are remembered; beyond that number all turns are forgotten, so that senders that invent names fill
+/// a bounded part of the memory.
+const REMEMBERED: usize = 8192;
+
+/// When a vehicle was served.
+#[derive(Clone, Copy)]
+pub(crate) struct Turn {
+    /// Counted in requests that were served.
+    pub(crate) number: u64,
+    /// The deadline by which the queue had ordered its request; none if it was not served yet.
+    deadline: Option<Instant>,
+}
+
+impl Turn {
+    /// The deadline by which the queue orders the vehicle's next request.
+    ///
+    /// It is that of a constant bandwidth server (Abeni and Buttazzo, "Integrating multimedia applications in hard real-time
+    /// systems", IEEE Real-Time Systems Symposium, 1998) with a period of `SPACING`: at least that much after the one by
+    /// which the vehicle's last served request was ordered. A vehicle that asks at most once in this time keeps its deadlines.
+    pub(crate) fn in_order(self, deadline: Instant) -> Instant {
+        let next = self.deadline.map_or(deadline, |last| last + SPACING);
+        next.clamp(deadline, deadline + LONGEST_DEFERRAL)
+    }
+}
+
+/// When each vehicle was served.
+#[derive(Default)]
+pub(crate) struct Served {
+    turns: HashMap<String, Turn>,
+    /// Requests that were served.
+    count: u64,
+}
+
+impl Served {
+    /// When the vehicle was served. One that is new counts as served just now, so that a sender gains nothing by new names.
+    pub(crate) fn turn(&mut self, vehicle: &str) -> Turn {
+        if let Some(turn) = self.turns.get(vehicle) {
+            return *turn;
+        }
+        if self.turns.len() >= REMEMBERED {
+            self.turns.clear();
+        }
+        let new = Turn {
+            number: self.count,
+            deadline: None,
+        };
+        self.turns.insert(vehicle.to_owned(), new);
+        new
+    }
+
+    /// The number of the vehicle's turn.
+    pub(crate) fn number(&self, vehicle: &str) -> u64 {
+        self.turns
+            .get(vehicle)
+            .map_or(self.count, |turn| turn.number)
+    }
+
+    /// A request of the vehicle is served, which the queue had ordered by this deadline.
+    pub(crate) fn note(&mut self, vehicle: String, deadline: Instant) {
+        self.count += 1;
+        let turn = Turn {
+            number: self.count,
+            deadline: Some(deadline),
+        };
+        self.turns.insert(vehicle, turn);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_vehicle_that_keeps_its_period_keeps_its_deadlines() {
+        let start = Instant::now();
+        let mut served = Served::default();
+        for period in 0..100 {
+            let deadline = start + SPACING * period;
+            let ordered = served.turn("a").in_order(deadline);
+            assert_eq!(ordered, deadline);
+            served.note("a".to_owned(), ordered);
+        }
+    }
+
+    #[test]
+    fn the_names_that_are_remembered_are_bounded() {
+        let mut served = Served::default();
+        for name in 0..=REMEMBERED {
+            served.turn(&name.to_string());
+            assert!(served.turns.len() <= REMEMBERED);
+        }
+        assert_eq!(served.turns.len(), 1);
+    }
+}
