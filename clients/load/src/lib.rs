@@ -43,8 +43,9 @@ changing friction, and the gate. The plant is the built-in car: a service
 that plans for another vehicle is loaded with --requests. Requests are sent
 on a fixed schedule (every control period of the library), whether or not the
 last one was answered, and latency is measured from when a request was due,
-so that a slow service cannot slow down its own test. The vehicles' schedules
-are spread evenly over the period.
+so that a slow service cannot slow down its own test. A request without an
+answer counts as slower than all others: a quantile that falls on one is inf,
+and null in JSON. The vehicles' schedules are spread evenly over the period.
 
 A period is a miss if no solved plan came within the budget. The gate then
 continues with the last plan (tail) and finally stops the vehicle; stopped,
@@ -92,12 +93,12 @@ struct Arguments {
     /// With --ramp: the largest number of vehicles.
     #[arg(long, requires = "ramp", default_value_t = LARGEST, value_parser = clap::value_parser!(u32).range(1..=LARGEST.into()))]
     most: u32,
-    /// How long to measure, s.
-    #[arg(long, default_value_t = 20.0, value_parser = positive)]
-    seconds: f64,
-    /// How long to drive before measuring, s.
-    #[arg(long, default_value_t = 2.0)]
-    warm_up: f64,
+    /// How long to measure, s, rounded up to whole control periods.
+    #[arg(long, default_value = "20", value_parser = some_seconds)]
+    seconds: Duration,
+    /// How long to drive before measuring, s, rounded up in the same way.
+    #[arg(long, default_value = "2", value_parser = seconds)]
+    warm_up: Duration,
     /// Part of the control period that an answer may take, in (0, 1].
     #[arg(long, default_value_t = 0.8, value_parser = fraction)]
     budget: f64,
@@ -128,21 +129,34 @@ fn fraction(text: &str) -> Result<f64, String> {
         .ok_or_else(|| "expected a number above 0 and up to 1".to_owned())
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+/// The longest time that can be asked for, s: one day.
+const LONGEST: f64 = 86_400.0;
+
+fn seconds(text: &str) -> Result<Duration, String> {
     let value = text.parse().ok();
     value
-        .filter(|value| *value > 0.0)
-        .ok_or_else(|| "expected a number above 0".to_owned())
+        .filter(|value| (0.0..=LONGEST).contains(value))
+        .map(Duration::from_secs_f64)
+        .ok_or_else(|| format!("expected a number of seconds from 0 to {LONGEST}"))
+}
+
+fn some_seconds(text: &str) -> Result<Duration, String> {
+    let time = seconds(text).ok();
+    time.filter(|time| !time.is_zero())
+        .ok_or_else(|| format!("expected a number of seconds above 0 and up to {LONGEST}"))
+}
+
+/// The shortest time of whole periods that is not less than `time`.
+fn whole_periods(time: Duration, period: Duration) -> Duration {
+    let count = time.as_nanos().div_ceil(period.as_nanos().max(1));
+    // At most a day of nanoseconds, each of which is a period.
+    #[allow(clippy::cast_precision_loss)]
+    period.mul_f64(count as f64)
 }
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let seconds = |value: f64| {
-        Duration::try_from_secs_f64(value)
-            .map_err(|_| format!("{value} is not a number of seconds"))
-    };
-    let (warm_up, measured) = (seconds(arguments.warm_up)?, seconds(arguments.seconds)?);
     // A measurement is not lost because its report cannot be written.
     if let Some(path) = &arguments.json
         && let Some(folder) = path.parent().filter(|folder| *folder != Path::new(""))
@@ -152,9 +166,9 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.requests {
         Some(file) => {
             let mut replay = Replay::new(arguments, recording::read(file)?)?;
-            report(arguments, &ramp(arguments, &mut replay, warm_up, measured)?)
+            report(arguments, &ramp(arguments, &mut replay)?)
         }
-        None => report(arguments, &drive_all(arguments, warm_up, measured)?),
+        None => report(arguments, &drive_all(arguments)?),
     }
 }
 
@@ -174,11 +188,7 @@ fn unwritten(path: &Path, error: &io::Error) -> String {
 }
 
 /// Drives simulated vehicles.
-fn drive_all(
-    arguments: &Arguments,
-    warm_up: Duration,
-    measured: Duration,
-) -> Result<Report, Failure> {
+fn drive_all(arguments: &Arguments) -> Result<Report, Failure> {
     let course = Arc::new(Course::new(
         arguments.track,
         &arguments.friction,
@@ -193,11 +203,15 @@ fn drive_all(
     // Schedules begin when all sessions are open, so that opening one does not disturb another.
     let begin = Instant::now() + Duration::from_millis(200);
     let count = vehicles.len();
+    let period = (vehicles.first()).map_or(Duration::ZERO, |vehicle| {
+        Duration::from_secs_f64(vehicle.dt())
+    });
+    let warm_up = whole_periods(arguments.warm_up, period);
+    let measured = whole_periods(arguments.seconds, period);
     let threads: Vec<_> = vehicles
         .into_iter()
         .enumerate()
         .map(|(index, vehicle)| {
-            let period = Duration::from_secs_f64(vehicle.dt());
             let offset = period.mul_f64(index as f64 / count as f64);
             let first = begin + offset;
             let assignment = Assignment {
@@ -215,8 +229,7 @@ fn drive_all(
     for thread in threads {
         total.add(&thread.join().map_err(|_| "a vehicle's thread panicked")??);
     }
-    let (vehicles, seconds) = (arguments.vehicles, arguments.seconds);
-    Ok(Report::new(&total, vehicles, seconds))
+    Ok(Report::new(&total, arguments.vehicles, measured))
 }
 
 /// Runs the load generator with these arguments, of which the first is the name that the help shows, and returns the exit
@@ -235,6 +248,25 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Err(error) => {
             eprintln!("egp-load: {error}");
             1
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_is_rounded_up_to_whole_periods() {
+        let millis = Duration::from_millis;
+        for (time, whole) in [
+            (0, 0),
+            (1, 20),
+            (20, 20),
+            (21, 40),
+            (86_400_000, 86_400_000),
+        ] {
+            assert_eq!(whole_periods(millis(time), millis(20)), millis(whole));
         }
     }
 }

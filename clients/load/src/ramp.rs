@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::counts::Counts;
 use crate::replay::Replay;
 use crate::report::Quantiles;
-use crate::{Arguments, Failure};
+use crate::{Arguments, Failure, whole_periods};
 
 /// Each step of a ramp has this many times the vehicles of the step before.
 const GROWTH: f64 = 1.25;
@@ -33,7 +33,8 @@ pub(crate) struct Rate {
 }
 
 impl Rate {
-    fn new(counts: &Counts, seconds: f64) -> Self {
+    fn new(counts: &Counts, measured: Duration) -> Self {
+        let seconds = measured.as_secs_f64();
         let fraction = |[all, in_time]: [u64; 2]| in_time as f64 / all.max(1) as f64;
         let sums = counts.vehicles.iter().fold([0, 0], |sum, vehicle| {
             [sum[0] + vehicle[0], sum[1] + vehicle[1]]
@@ -48,7 +49,7 @@ impl Rate {
             in_deadline_per_second: sums[1] as f64 / seconds,
             least_vehicle_fraction: least.fold(1.0, f64::min),
             outcomes: counts.outcomes.clone(),
-            latency_ms: Quantiles::of(&counts.latency),
+            latency_ms: Quantiles::of_requests(&counts.latency, sums[0]),
             service_queue_ms: Quantiles::of(&counts.queue),
             service_step_ms: Quantiles::of(&counts.step),
             generator_lag_ms: Quantiles::of(&counts.lag),
@@ -74,12 +75,9 @@ pub(crate) struct Ramp {
 ///
 /// # Errors
 /// A message of [`Replay::run`].
-pub(crate) fn ramp(
-    arguments: &Arguments,
-    replay: &mut Replay<'_>,
-    warm_up: Duration,
-    measured: Duration,
-) -> Result<Ramp, Failure> {
+pub(crate) fn ramp(arguments: &Arguments, replay: &mut Replay<'_>) -> Result<Ramp, Failure> {
+    let [warm_up, measured] =
+        [arguments.warm_up, arguments.seconds].map(|time| whole_periods(time, replay.period));
     if arguments.most < arguments.vehicles {
         let (most, vehicles) = (arguments.most, arguments.vehicles);
         return Err(format!(
@@ -89,7 +87,7 @@ pub(crate) fn ramp(
     }
     let mut result = Ramp {
         period_s: replay.period.as_secs_f64(),
-        seconds: arguments.seconds,
+        seconds: measured.as_secs_f64(),
         hold: arguments.ramp,
         knee_vehicles: None,
         rates: Vec::new(),
@@ -98,7 +96,7 @@ pub(crate) fn ramp(
     while vehicles <= f64::from(arguments.most) {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 1 to 2000
         let count = vehicles as usize;
-        let rate = Rate::new(&replay.run(count, warm_up, measured)?, arguments.seconds);
+        let rate = Rate::new(&replay.run(count, warm_up, measured)?, measured);
         let held = result
             .hold
             .is_some_and(|hold| rate.in_deadline_fraction >= hold);

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::time::Duration;
 
 use serde::Serialize;
 
 use crate::tally::{Micros, Tally};
 
-/// Quantiles in milliseconds.
+/// Quantiles in milliseconds; infinite, and `null` in JSON, where the request of that rank had no answer.
 #[derive(Serialize)]
 pub(crate) struct Quantiles {
     count: u64,
@@ -18,13 +19,29 @@ pub(crate) struct Quantiles {
 }
 
 impl Quantiles {
+    /// Quantiles of what was recorded.
     pub(crate) fn of(times: &Micros) -> Self {
+        Self::of_requests(times, times.len())
+    }
+
+    /// Quantiles over all `requests`. Those without a recorded time had no answer and count as slower than all others: they
+    /// would otherwise make a service that is silent look fast.
+    pub(crate) fn of_requests(times: &Micros, requests: u64) -> Self {
+        let count = times.len();
+        let quantile = |quantile: f64| {
+            let rank = quantile * requests.max(count) as f64;
+            if rank > count as f64 {
+                f64::INFINITY
+            } else {
+                times.quantile(rank / count.max(1) as f64)
+            }
+        };
         Self {
-            count: times.len(),
-            p50: times.quantile(0.5),
-            p99: times.quantile(0.99),
-            p999: times.quantile(0.999),
-            max: times.max(),
+            count,
+            p50: quantile(0.5),
+            p99: quantile(0.99),
+            p999: quantile(0.999),
+            max: quantile(1.0),
         }
     }
 }
@@ -52,7 +69,8 @@ pub(crate) struct Report {
 }
 
 impl Report {
-    pub(crate) fn new(tally: &Tally, vehicles: u32, seconds: f64) -> Self {
+    pub(crate) fn new(tally: &Tally, vehicles: u32, measured: Duration) -> Self {
+        let seconds = measured.as_secs_f64();
         let misses = tally.periods - tally.outcomes.get("solved").copied().unwrap_or(0);
         let [normal_periods, tail_periods, stop_periods, waiting_periods] = tally.modes;
         Self {
@@ -69,7 +87,7 @@ impl Report {
             waiting_periods,
             put_back: tally.put_back,
             max_lateral_error_m: tally.lateral,
-            latency_ms: Quantiles::of(&tally.latency),
+            latency_ms: Quantiles::of_requests(&tally.latency, tally.periods),
             service_queue_ms: Quantiles::of(&tally.queue),
             service_step_ms: Quantiles::of(&tally.step),
             generator_lag_ms: Quantiles::of(&tally.lag),
@@ -106,6 +124,12 @@ impl fmt::Display for Report {
                 times.p50, times.p99, times.p999, times.max, times.count
             )?;
         }
+        if self.latency_ms.max.is_infinite() {
+            writeln!(
+                f,
+                "inf: requests without an answer, which count as slower than all others"
+            )?;
+        }
         let outcomes: Vec<String> = self
             .outcomes
             .iter()
@@ -122,5 +146,35 @@ impl fmt::Display for Report {
             self.put_back,
             self.max_lateral_error_m
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn requests_without_an_answer_are_slower_than_all_others() {
+        let mut times = Micros::default();
+        for _ in 0..80 {
+            times.record(Duration::from_millis(2));
+        }
+        let answered = Quantiles::of(&times);
+        assert!(answered.p999 < 2.1 && answered.max < 2.1);
+        let all = Quantiles::of_requests(&times, 100);
+        assert!(all.p50 < 2.1);
+        assert!(
+            [all.p99, all.p999, all.max]
+                .iter()
+                .all(|time| time.is_infinite())
+        );
+        assert!(
+            Quantiles::of_requests(&Micros::default(), 100)
+                .p50
+                .is_infinite()
+        );
+        assert!(Quantiles::of(&Micros::default()).max == 0.0);
+        let json = serde_json::to_value(&all).unwrap_or_default();
+        assert!(json["p99"].is_null() && json["count"] == 80);
     }
 }

@@ -35,10 +35,6 @@ impl Micros {
         self.0.value_at_quantile(quantile) as f64 / 1e3
     }
 
-    pub(crate) fn max(&self) -> f64 {
-        self.0.max() as f64 / 1e3
-    }
-
     pub(crate) fn len(&self) -> u64 {
         self.0.len()
     }
@@ -53,7 +49,7 @@ pub(crate) struct Tally {
     pub(crate) outcomes: BTreeMap<String, u64>,
     /// Number of commands by their mode: normal, tail, stop, waiting.
     pub(crate) modes: [u64; 4],
-    /// Time from when a request was due to its answer, late answers included.
+    /// Time from when a request was due to its answer, late answers included; requests without an answer have none.
     pub(crate) latency: Micros,
     /// Time in the service's queue.
     pub(crate) queue: Micros,

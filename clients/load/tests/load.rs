@@ -94,14 +94,21 @@ fn a_service_for_another_vehicle_is_told_from_one_that_is_not_there() {
 
 #[test]
 fn a_measurement_takes_time() {
-    for seconds in ["0", "-1", "NaN"] {
+    for (option, value) in [
+        ("seconds", "0"),
+        ("seconds", "-1"),
+        ("seconds", "NaN"),
+        ("seconds", "1e19"),
+        ("warm-up", "-1"),
+        ("warm-up", "1e19"),
+    ] {
         let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
-            .arg(format!("--seconds={seconds}"))
+            .arg(format!("--{option}={value}"))
             .output()
             .unwrap();
         let message = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(2), "{message}");
-        assert!(message.contains("above 0"), "{message}");
+        assert!(message.contains("to 86400"), "{message}");
     }
 }
 

@@ -221,6 +221,8 @@ impl<Q: Query> Shared<Q> {
 }
 
 fn no_such_key(key: &str) -> WireError {
+    // The key is that of a stranger, and the text goes into logs and terminals.
+    let key = key.escape_debug();
     let detail = format!(
         "{key} is no key of this replica: expected egp/v1/r/REPLICA/FLEET/VEHICLE/step or \
          egp/v1/r/REPLICA/health, ready, metrics, library/SHA256 or library/SHA256/PART"
@@ -333,8 +335,12 @@ pub(crate) mod tests {
         let other = asked(&|query| query.key = query.key.replace("/main/", "/other/")).unwrap();
         assert_eq!(other.code, Code::Malformed);
         assert!(other.detail.contains("no key of this replica"), "{other}");
-        let none = asked(&|query| query.key = "egp/v1/r/main/speed".to_owned()).unwrap();
-        assert!(none.detail.contains("egp/v1/r/main/speed"), "{none}");
+        let none = asked(&|query| query.key = "egp/v1/r/main/a\n\u{1b}[31m".to_owned()).unwrap();
+        assert!(
+            none.detail
+                .starts_with("egp/v1/r/main/a\\n\\u{1b}[31m is no key"),
+            "{none}"
+        );
         let limit = MessageLimits::default().message_bytes;
         let large = asked(&|query| query.length = limit + 1).unwrap();
         assert!(large.detail.contains("at most"), "{large}");

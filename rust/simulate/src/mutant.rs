@@ -88,6 +88,8 @@ mutants! {
     HalfForce => Tail,
     /// Half of a planned steering rate is driven, as if the steering angle asked for it.
     HalfSteering => Tail,
+    /// The steering rate changes beyond the planned one by as much as its slew allows, as if it had not reached that one yet.
+    SteeringOvershoots => Tail,
     /// The weights of a reply change places on its way.
     ChangedWeights => Match,
     /// The forces of a plan are halved on its way.

@@ -339,20 +339,15 @@ impl VehicleOracles {
     }
 
     /// Whether limits explain that `u` is driven in place of the planned input. The force is the nearest one that they
-    /// allow. The steering rate is the planned one, an end of its range, the last one changed towards the planned one as
-    /// fast as its slew allows, or the largest one that keeps the end of the steering angle's range.
+    /// allow. So is the steering rate, or it is the largest one that keeps the end of the steering angle's range.
     fn towards(&self, planned: [f64; 2], u: [f64; 2]) -> bool {
         let end = self.limits.steering_rate;
         let near = |value: f64| (u[1] - value).abs() <= self.slack()[1];
-        let step = self.limits.steering_slew * self.dt * (planned[1] - self.previous[1]).signum();
         let smaller = u[1] * planned[1] >= 0.0 && u[1].abs() <= planned[1].abs();
         let side = planned[1].signum();
         let largest = || !self.steers_within(side * (u[1].abs() + MORE), side);
         self.forced(planned[0], u[0])
-            && (near(planned[1])
-                || near(planned[1].clamp(-end, end))
-                || near(self.previous[1] + step)
-                || (smaller && largest()))
+            && (near(self.approached(1, planned[1].clamp(-end, end))) || (smaller && largest()))
     }
 
     /// Whether `force` is the nearest one to `wanted` that the limits allow.

@@ -69,6 +69,10 @@ impl World<'_> {
                 command.u[1] *= 0.5;
                 command.limited = true;
             }
+            (Mutant::SteeringOvershoots, Mode::Normal | Mode::Tail) => {
+                command.u[1] = last[1] + rate_step.copysign(command.u[1] - last[1]);
+                command.limited = true;
+            }
             (Mutant::StopDrives, Mode::Stop) => {
                 command.u[0] = last[0].abs().max(1.0);
                 command.limited = true;

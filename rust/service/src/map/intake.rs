@@ -103,6 +103,7 @@ impl<Q: Query> Intake<Q> {
 }
 
 fn no_such_key(key: &str) -> WireError {
+    let key = key.escape_debug();
     let detail = format!(
         "{key} is no key of a map service: expected egp/v1/map/FLEET/VEHICLE/ROAD/tile/INDEX or tiles/FIRST with INDEX \
          and FIRST below {ROAD_TILES}, or egp/v1/map/health or metrics"

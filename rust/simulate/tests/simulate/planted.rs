@@ -37,6 +37,7 @@ fn runs() -> Vec<(Config, &'static [Mutant])> {
                 StopsEarly,
                 HalfForce,
                 HalfSteering,
+                SteeringOvershoots,
                 ChangedWeights,
                 ChangedPlan,
                 StaleReply,

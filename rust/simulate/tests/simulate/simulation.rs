@@ -50,6 +50,7 @@ fn faults_of_stops_and_of_braking_are_found_by_their_own_check() {
         ),
         (Mutant::HalfForce, 1.5, NONE, "in mode Normal"),
         (Mutant::HalfSteering, 1.5, NONE, "in mode Normal"),
+        (Mutant::SteeringOvershoots, 1.5, NONE, "in mode Normal"),
     ] {
         let config = Config {
             mutant: Some(mutant),
