@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -130,17 +131,24 @@ def test_badly_calibrated_members_and_parameters_far_from_the_prior_are_named() 
         own = np.array([0.95, coverage, 0.95])
         cells = [Cell("wet", surface, zeros, zeros, covered, zeros)
                  for surface, covered in (("wet", own), ("dry", other))]  # fmt: skip
-        warnings = calibration_warnings([cells])
+        warnings = calibration_warnings([cells], simulated=False)
         assert len(warnings) == expected
+    assert warnings[0].endswith("collect more data, or check the units of the log")
+    assert calibration_warnings([cells], simulated=True)[0].endswith("; collect more data")
     assert warnings[0].startswith("wet: the 95 % interval of d_v_y holds 79% of the held-out data")
     assert "too narrow; collect more data" in warnings[0]
     near, far = (
         FittedParameter(name, 1.0, 0.9, 1.1, distance, determined=True, at_bound=False)
         for name, distance in (("m", 2.9), ("l_f", -3.1))
     )
-    assert prior_warnings("wet", FittedVehicle((near,)).summary()) == []
-    (warning,) = prior_warnings("wet", FittedVehicle((near, far)).summary())
+    assert prior_warnings("wet", FittedVehicle((near,)).summary(), simulated=False) == []
+    both = FittedVehicle((near, far)).summary()
+    (warning,) = prior_warnings("wet", both, simulated=False)
     assert "from the prior: l_f (-3.1); check the units" in warning
+    assert "can be the error of the single-track equations" in warning
+    (warning,) = prior_warnings("wet", both, simulated=True)
+    assert "l_f (-3.1); the simulated car is no single-track vehicle" in warning
+    assert "units" not in warning
 
 
 @pytest.mark.parametrize("determined", [False, True])
@@ -149,8 +157,14 @@ def test_a_fitted_vehicle_fits(determined: bool) -> None:  # noqa: FBT001
         FittedParameter(name, 1234.5678, 1.234e-5, 4321.0, -12.3, determined, at_bound=True)
         for name in PARAMETERS
     ]
+    parameters[0] = replace(parameters[0], determined=False, assumed=determined)
     table = vehicle_table("friction 0.5", FittedVehicle(tuple(parameters)).summary())
     check_table(table)
+    # The terminal breaks the lines of the caption where the table ends.
+    assert "\n" not in str(table.caption)
+    shown = " ".join(" ".join(printed(table)).split())
+    assert ("scales with the mass" in shown) == determined
+    assert ("not determined" in shown) != determined
 
 
 def test_skill_on_a_log_fits() -> None:

@@ -23,13 +23,14 @@ if TYPE_CHECKING:
     from egp_service.training.open_loop import Skill
     from egp_service.training.validation import Cell
 
-_SYMBOLS: Final = """\
-m in kg; l_f, l_r, height h in m; k² = I_z / m in m²; D, B, C: peak, stiffness
-and shape of the front (f) and rear (r) tyres' lateral force; D_d, D_b: friction
-for drive and braking; e: how much these reduce the lateral force; c_0: rolling
-resistance in m/s², c_2: drag in 1/m. From prior: in standard deviations of the
-prior. The intervals tell how well the data determine these numbers; the error of
-the single-track equations is not in them (docs/your-car.md)."""
+_SYMBOLS: Final = (
+    "m in kg; l_f, l_r, height h in m; k² = I_z / m in m²; D, B, C: peak, stiffness and shape of "
+    "the front (f) and rear (r) tyres' lateral force; D_d, D_b: friction for drive and braking; e: "
+    "how much these reduce the lateral force; c_0: rolling resistance in m/s², c_2: drag in 1/m. "
+    "From prior: in standard deviations of the prior. The intervals tell how well the data "
+    "determine these numbers; the error of the single-track equations is not in them "
+    "(docs/your-car.md)."
+)
 _COVERED: Final = 0.8
 """Share of held-out data in the 95 % intervals below which a member is badly calibrated."""
 _FAR: Final = 3.0
@@ -147,7 +148,9 @@ def vehicle_table(label: str, parameters: Mapping[str, Mapping[str, float | bool
     table.caption_justify = "left"
     for name, found in parameters.items():
         remarks = []
-        if not found["determined"]:
+        if found.get("assumed"):
+            remarks.append("scales with the mass of the import")
+        elif not found["determined"]:
             remarks.append("not determined by the data")
         if found["at_bound"]:
             remarks.append("[yellow]at the end of the range[/]")
@@ -161,30 +164,34 @@ def vehicle_table(label: str, parameters: Mapping[str, Mapping[str, float | bool
     return table
 
 
-def calibration_warnings(matrix: list[list[Cell]]) -> list[str]:
+def calibration_warnings(matrix: list[list[Cell]], *, simulated: bool) -> list[str]:
     """Return a sentence for each member whose intervals hold too little of its own surface."""
+    units = "" if simulated else ", or check the units of the log"
     return [
         f"{cell.member}: the 95 % interval of {list(GP_OUTPUT)[int(cell.coverage.argmin())]} holds "
         f"{cell.coverage.min():.0%} of the held-out data: the intervals are too narrow; collect "
-        "more data, or check the units of the log"
+        f"more data{units}"
         for row in matrix
         for cell in row
         if cell.member == cell.surface and cell.coverage.min() < _COVERED
     ]
 
 
-def prior_warnings(label: str, parameters: Mapping[str, Mapping[str, float | bool]]) -> list[str]:
+def prior_warnings(
+    label: str, parameters: Mapping[str, Mapping[str, float | bool]], *, simulated: bool
+) -> list[str]:
     """Return a sentence if parameters of `FittedVehicle.summary` are far from their priors."""
     far = {name: p["distance"] for name, p in parameters.items() if abs(p["distance"]) > _FAR}
     if not far:
         return []
     listed = ", ".join(f"{name} ({distance:+.1f})" for name, distance in far.items())
-    return [
-        (
-            f"{label}: more than {_FAR:g} standard deviations from the prior: {listed}; "
-            "check the units of the log, and the vehicle's file"
-        )
-    ]
+    reason = (
+        "the simulated car is no single-track vehicle (docs/your-car.md)"
+        if simulated
+        else "check the units of the log, and the vehicle's file; part of it can be the error of "
+        "the single-track equations (docs/your-car.md)"
+    )
+    return [f"{label}: more than {_FAR:g} standard deviations from the prior: {listed}; {reason}"]
 
 
 def skill_table(label: str, skill: Skill) -> Table:

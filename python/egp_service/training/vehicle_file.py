@@ -36,8 +36,10 @@ _REACHED_TEXT: Final = f"reached in the logs, outliers of {1.0 - _REACHED:.1%} l
 _AT_BOUND_TEXT: Final = "at the end of the range that is searched"
 _UNDETERMINED_TEXT: Final = "not determined by the logs, so mostly the prior"
 _ASSUMED_TEXT: Final = (
-    "not determined: the logs have a_x, so the value follows the mass of the import"
+    "not determined: the force was computed from an acceleration, so the value scales with the "
+    "mass of the import"
 )
+_WEIGHED_TEXT: Final = "; import with the weighed mass and write it here"
 _UNREACHED_TEXT: Final = "the logs do not reach the tyres' limits"
 _HIDDEN_TEXT: Final = ", or do not show them, as a measured a_x does not"
 # Share of the longitudinal grip that speed profiles use, so that grip is left for cornering, as
@@ -101,10 +103,10 @@ def vehicle_lines(
     fitted = fit_vehicle(surfaces, known, rngs)
     frictions = [data.provenance.friction for data in surfaces]
     body = {p.name: p for p in (*fitted[0].parameters, *fitted[0].derived)}
-    assumed = any(data.provenance.force_from_a_x for data in surfaces)
+    assumed = body["m"].assumed
     of_mass = _ASSUMED_TEXT if assumed else _UNDETERMINED_TEXT
     lines = [
-        _fitted("mass", body["m"], of_mass),
+        _fitted("mass", body["m"], of_mass + (_WEIGHED_TEXT if assumed else "")),
         _fitted("yaw_inertia", body["I_z"], of_mass),
         _fitted("l_f", body["l_f"]),
         _fitted("l_r", body["l_r"]),

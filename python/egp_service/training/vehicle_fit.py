@@ -80,6 +80,8 @@ class FittedParameter:
     determined by a force that was computed with an assumed mass."""
     at_bound: bool
     """Whether the value is an end of the range that is searched."""
+    assumed: bool = False
+    """Whether the value scales with the mass with which the force was computed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,12 +103,12 @@ class FittedVehicle:
         return np.array([parameter.value for parameter in self.parameters])
 
     def summary(self) -> dict[str, dict[str, float | bool]]:
-        """Return the fields of each parameter by its name, with six digits."""
+        """Return each parameter's fields by its name, with six digits; `assumed` only if true."""
         return {
             parameter.name: {
                 name: float(f"{value:.6g}") if isinstance(value, float) else value
                 for name, value in dataclasses.asdict(parameter).items()
-                if name != "name"
+                if name != "name" and (parameter.assumed or name != "assumed")
             }
             for parameter in self.parameters
         }
@@ -359,6 +361,7 @@ class _Problem:
                         and not (circular and name == "m")
                     ),
                     at_bound=bool(at_bound[i]),
+                    assumed=circular and name == "m",
                 )
                 for name, centre, i in rows
             )
@@ -385,4 +388,5 @@ class _Problem:
             distance=float(x[both].sum() / math.hypot(*self._width[both])),
             determined=mass.determined and gyration.determined,
             at_bound=mass.at_bound or gyration.at_bound,
+            assumed=mass.assumed,
         )

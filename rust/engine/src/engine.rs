@@ -359,9 +359,7 @@ fn refusal(error: &StepError) -> WireError {
         | StepError::NotFinite { field, .. }
         | StepError::Domain { field, .. } => field,
         StepError::Weights { .. } => "weights",
-        StepError::Workspace | StepError::Ensemble(_) => {
-            return WireError::permanent(Code::Internal, error.to_string());
-        }
+        StepError::Workspace => return WireError::permanent(Code::Internal, error.to_string()),
     };
     WireError {
         field: field.to_owned(),

@@ -9,7 +9,9 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum EngineError {
     /// The library file cannot be read.
-    #[error("cannot read the library {path}: {source}")]
+    #[error(
+        "cannot read the library {path}: {source}; give the path of a library, which `egp train` makes"
+    )]
     Read {
         /// The file.
         path: String,

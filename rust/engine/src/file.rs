@@ -78,19 +78,25 @@ impl Replacement {
     }
 }
 
+/// Largest number of files beside a file that are looked at for a free name. They are left over by processes that were killed
+/// while they wrote.
+const MOST_BESIDE: u32 = 10_000;
+
 /// Makes `NAME.PID.NUMBER.part` with the first number that no other file has: a process with the same id may write the same
 /// file from another container.
 fn create_beside(path: &Path) -> io::Result<(File, PathBuf)> {
-    let mut number = 0_u64;
-    loop {
+    for number in 0..MOST_BESIDE {
         let mut name = path.file_name().unwrap_or_default().to_owned();
         name.push(format!(".{}.{number}.part", std::process::id()));
         let beside = path.with_file_name(name);
         match File::create_new(&beside) {
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => number += 1,
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
             made => return made.map(|file| (file, beside)),
         }
     }
+    let reason =
+        "all names of the file to write first are in use; delete the old `.part` files beside it";
+    Err(io::Error::new(io::ErrorKind::AlreadyExists, reason))
 }
 
 impl Drop for Replacement {

@@ -74,7 +74,9 @@ fn errors_name_the_file_of_the_library() {
         assert!(text.contains(reason), "{text}");
     }
     let missing = Engine::load(path, Settings::default()).unwrap_err();
-    assert!(missing.to_string().contains("folder/some.safetensors"));
+    let text = missing.to_string();
+    assert!(text.contains("folder/some.safetensors: "), "{text}");
+    assert!(text.ends_with("which `egp train` makes"), "{text}");
 }
 
 #[test]

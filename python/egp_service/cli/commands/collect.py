@@ -78,7 +78,10 @@ def collect(
     mass: Annotated[
         float | None, typer.Option(help="Mass in kg, for a log with a_x instead of F_x.")
     ] = None,
-    separator: Annotated[str, typer.Option(help="Separator of the columns of CSV.")] = ",",
+    separator: Annotated[
+        str,
+        typer.Option(help="Separator of CSV columns; semicolons and tabs are found without it."),
+    ] = ",",
     steering_ratio: Annotated[
         float,
         typer.Option(

@@ -185,12 +185,13 @@ def _show(
     from egp_service.training.validation import member_skill
 
     console.print(delay_sentence(members[0].delays), highlight=False)
-    warnings = calibration_warnings(matrix)
+    simulated = members[0].delays is None
+    warnings = calibration_warnings(matrix, simulated=simulated)
     for member in members:
         if member.vehicle is not None:
             label, found = member.dataset.provenance.surface, member.vehicle.summary()
             console.print(vehicle_table(label, found))
-            warnings += prior_warnings(label, found)
+            warnings += prior_warnings(label, found, simulated=simulated)
     console.print(validation_table(matrix))
     for warning in warnings:
         console.print(warning, style="yellow", markup=False, highlight=False)

@@ -33,7 +33,7 @@ def fit(
     *,
     known: Annotated[
         Path | None,
-        typer.Option(help="What is known already: a vehicle's file, prior of the fit."),
+        typer.Option(help="Complete file of a vehicle: expectation of the fit, and limits."),
     ] = None,
     width: Annotated[float | None, typer.Option(help="Width without mirrors, m.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the choice of transitions.")] = 0,
@@ -43,13 +43,18 @@ def fit(
     Mass, axles, yaw inertia and tyres are fitted to the datasets of all
     surfaces, with 95 % intervals. These tell how well the data determine a
     value; the error of the single-track equations and delays of the sensors are
-    not in them, and can be larger (docs/your-car.md): state in --known what you
-    can measure or look up, such as mass and axles. Logs do not tell the limits
-    of the actuators: the file has the largest values in the logs. Every line of
-    the file says where its value comes from, and CHECK where to look at it.
+    not in them, and can be larger (docs/your-car.md): write mass, inertia and
+    axles that you weighed or measured over the fitted values. Logs do not tell
+    the limits of the actuators: the file has the largest values in the logs.
+    Every line of the file says where its value comes from, and CHECK where to
+    look at it.
+
+    Mass, inertia and axles of --known are the expectation of the fit (standard
+    deviations 3 %, 15 % and 2 %): the logs can move them. The limits of the
+    actuators are taken from it as they are.
 
     With a_x and --mass instead of a measured force, the logs say nothing new
-    about the mass: the fitted mass then follows the one that was given, and the
+    about the mass: the fitted mass scales with the one that was given, and the
     lines of mass and yaw inertia have CHECK.
 
     The file is used by `egp collect --from-log --vehicle FILE` (mass and
