@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree as ET
@@ -22,7 +23,12 @@ from egp_service.cli import app
 from egp_service.cli.replay_text import outcome
 from egp_service.control.recorded import RecordingError, read_recording
 from egp_service.control.replay import Answer, Replay, replay
-from egp_service.simulation.report import _step_times_figure, draw_comparison, draw_run
+from egp_service.simulation.report import (
+    _step_times_figure,
+    _weights_figure,
+    draw_comparison,
+    draw_run,
+)
 from egp_service.simulation.runs import record_run
 from egp_service.simulation.scenario import (
     gate_settings,
@@ -332,3 +338,36 @@ def test_pictures_are_drawn(lap: Lap, tmp_path: Path) -> None:
     for picture in pictures:
         assert picture.read_bytes().startswith(b"\x89PNG")
         assert picture.stat().st_size > 10_000
+
+
+def test_each_change_of_a_replay_has_its_own_picture(lap: Lap, tmp_path: Path) -> None:
+    recording = tmp_path / "run.mcap"
+    recording.write_bytes((lap.folder / "run.mcap").read_bytes())
+    command = ["replay", str(recording), "--settings"]
+    for name, lateral in (("soft", 20.0), ("softer", 5.0)):
+        settings = tmp_path / f"{name}.toml"
+        settings.write_text(f"cost.lateral = {lateral}\n")
+        result = CliRunner().invoke(app, [*command, str(settings)])
+        assert result.exit_code == 0, result.output
+    drawn = sorted(path.name for path in tmp_path.glob("*.png"))
+    assert drawn == ["run-replay-soft.png", "run-replay-softer.png"]
+    # Nor does a replay replace a picture of the run itself.
+    own = [*command, str(settings), "-o", str(tmp_path / "track.png")]
+    with pytest.raises(EgpError, match=r"track\.png is a picture of the recorded run"):
+        CliRunner().invoke(app, own, catch_exceptions=False)
+    assert not (tmp_path / "track.png").exists()
+
+
+def test_the_picture_of_weights_shows_all_of_its_curves(lap: Lap) -> None:
+    limits = []
+    for factor in (1.0, 2.5):
+        trace = replace(lap.run.trace, friction=factor * lap.run.trace.friction)
+        slow = replace(trace, x=trace.x * np.where(np.arange(7) == 5, 3.0 * factor, 1.0))
+        figure = _weights_figure(replace(lap.run, trace=slow))
+        _, middle, bottom = figure.axes
+        limits.append((middle.get_ylim()[1], bottom.get_ylim()[1]))
+        assert middle.get_ylim()[1] > trace.friction.max()
+        grip = np.abs(slow.x[:, 3 - 1] * slow.x[:, 5]) / (9.81 * slow.friction)
+        assert bottom.get_ylim()[1] > grip.max()
+        plt.close(figure)
+    assert limits[0][0] == 1.4

@@ -3,24 +3,40 @@
 from __future__ import annotations
 
 import csv
+import io
+import json
 import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
-from egp_service.cli import app
+from egp_service.cli import app, evaluation_parts
+from egp_service.cli.commands.evaluate import _on_plant
+from egp_service.cli.evaluation_parts import Selection
 from egp_service.evaluation import experiments
-from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
+from egp_service.evaluation.batch import finish
+from egp_service.evaluation.campaign import Campaign, Outcome
+from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender
+from egp_service.evaluation.experiment import Trial
+from egp_service.shipped import DEMO_LIBRARY
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.plant import PlantError, load_simulator
 from egp_service.simulation.report import draw_comparison, draw_run
+from egp_service.simulation.runs import record_run
 from egp_service.simulation.scenario import Scenario, load_scenario, parse_scenario
 from egp_service.simulation.scenario_checks import ScenarioError
 from fewer_contenders import with_contenders
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 DOCUMENT = Path(__file__).parents[2] / "docs/simulator.md"
 BROKEN = """
@@ -55,6 +71,20 @@ class Compiled(Short):
         if name == "__dict__":
             raise AttributeError(name)
         return object.__getattribute__(self, name)
+
+class Licensed:
+    def __init__(self): raise ValueError("no licence")
+
+class Failing(Slots):
+    __slots__ = ()
+    def step(self, u, dt, friction): raise ZeroDivisionError("solver diverged")
+
+class Writing(Slots):
+    __slots__ = ()
+    def step(self, u, dt, friction):
+        u[:] = 0.123
+        p_x, p_y, *rest = self.state
+        self.state = [p_x + rest[0] * dt, p_y, *rest]
 
 class Backwards(Slots):
     __slots__ = ()
@@ -115,15 +145,21 @@ def test_the_documents_simulator_is_driven(folder: Path) -> None:
 
 
 def test_what_is_wrong_with_a_simulator_is_named(folder: Path) -> None:
-    del folder
+    (folder / "half_car.py").write_text("class Car\n")
     for name, message in {
         "broken_car": "expected MODULE:CLASS",
         "no_such_module:Car": "No module named",
         "broken_car:Car": "no attribute 'Car'",
         "broken_car:Empty": "has no reset, step, state",
+        "broken_car:Licensed": "cannot be made: ValueError: no licence .*broken_car.py, line",
+        "half_car:Car": "SyntaxError: expected ':' .half_car.py, line 1.$",
     }.items():
         with pytest.raises(PlantError, match=message):
             load_simulator(name)
+    own = replace(scenario(), plant="broken_car:Failing")
+    failed = "broken_car:Failing.step: ZeroDivisionError: solver diverged .*broken_car.py, line"
+    with in_process_controller(own) as controller, pytest.raises(PlantError, match=failed):
+        drive(own, controller, lambda _: None)
     own = replace(scenario(), plant="broken_car:Short")
     with in_process_controller(own) as controller:
         with pytest.raises(PlantError, match=r"shape \(2,\): expected \(7,\)"):
@@ -195,3 +231,71 @@ def test_the_evaluation_drives_a_simulator_of_ones_own(
     assert isinstance(missing.exception, PlantError)
     disturbed = CliRunner().invoke(app, [*command, "-e", "disturbances"])
     assert "without --plant" in str(disturbed.exception)
+
+
+def test_a_simulator_that_writes_into_its_input_changes_no_record(folder: Path) -> None:
+    del folder
+    own = replace(scenario(), plant="broken_car:Writing", laps=0.01)
+    commands: list[NDArray[np.float64]] = []
+    with in_process_controller(own) as controller:
+        run = drive(own, controller, lambda period: commands.append(period.step.u.copy()))
+    assert np.array_equal(run.trace.u, commands)
+    assert not (run.trace.u == 0.123).any()
+
+
+def test_the_summary_of_a_state_that_is_no_number_is_json(folder: Path) -> None:
+    own = replace(scenario(), plant="broken_car:Slots")
+    with in_process_controller(own) as controller:
+        run = record_run(own, controller, folder, lambda _: None)
+    assert "nan" in run.summary.ending.reason
+
+    def refuse(number: str) -> None:
+        raise AssertionError(number)
+
+    summary = json.loads((folder / "summary.json").read_text(), parse_constant=refuse)
+    assert summary["ending"]["position"] == run.trace.x[-1, :2].tolist()
+
+
+def test_conditions_that_a_simulator_does_not_see_are_left_out(folder: Path) -> None:
+    del folder
+    (hard,) = (e for e in experiments.EXPERIMENTS if e.name == "hard-roads")
+    left = {"vehicle 2", "split 1.1 | 0.5 for a third", "split 1.1 | 0.5, 75% of grip"}
+    own = experiments.on_plant(hard, "a:B")
+    names = [name for name, _ in hard.conditions]
+    assert [name for name, _ in own.conditions] == [name for name in names if name not in left]
+    assert all(one.plant == "a:B" for _, one in own.conditions)
+    console = Console(file=io.StringIO(), width=1000)
+    chosen = Selection(full=False, chosen=["hard-roads"], driven=[hard], apart=[])
+    selected = _on_plant(console, chosen, "broken_car:Slots", None)
+    assert selected.driven[0].conditions[0][1].plant is not None
+    assert isinstance(console.file, io.StringIO)
+    told = console.file.getvalue()
+    assert told.startswith("hard-roads without the conditions that")
+    assert all(name in told for name in left)
+    text = CliRunner().invoke(app, ["evaluate", "--help"], env={"COLUMNS": "80"}).output
+    assert "prediction and step-times use the built-in vehicle" in " ".join(text.split())
+
+
+def test_an_evaluation_that_a_simulator_ends_keeps_what_is_done(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "rails_car.py").write_text(ON_RAILS)
+    short = replace(scenario(), laps=0.01, library=str(DEMO_LIBRARY))
+    trials = [
+        Trial("short", plant, Contender(ENSEMBLE, "ensemble", (0, 1)), replace(short, plant=plant))
+        for plant in ("rails_car:Car", "broken_car:Failing")
+    ]
+    campaign = Campaign(folder / "out", DEMO_LIBRARY)
+    done: list[Outcome] = []
+    with pytest.raises(PlantError, match="solver diverged") as caught:
+        finish([campaign.runs(trials, done.append)], 1)
+    assert caught.value.__notes__ == ["in short, broken_car:Failing, ensemble, seed 0"]
+    assert [outcome.condition for outcome in done] == ["rails_car:Car"]
+    # The command says that it can be continued.
+    monkeypatch.setattr(evaluation_parts, "finish", Mock(side_effect=caught.value))
+    console = Console(file=io.StringIO())
+    nothing = Selection(full=False, chosen=[], driven=[], apart=[])
+    with pytest.raises(PlantError):
+        evaluation_parts.run(console, Mock(), nothing, folder, jobs=None, cluster=None)
+    assert isinstance(console.file, io.StringIO)
+    assert "The same command continues" in console.file.getvalue()

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import gc
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from egp_service import (
     Controller,
@@ -18,6 +21,7 @@ from egp_service import (
     VehicleParameters,
     shipped,
 )
+from egp_service.cli import app
 from egp_service.control.step import Step
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
@@ -26,8 +30,6 @@ from egp_service.simulation.scenario_checks import ScenarioError
 from library_example import write_example
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from egp_service.simulation.trace import Period
 
 BASE = told_zones(load_scenario("rounded-rectangle"))
@@ -143,3 +145,35 @@ def test_a_deadline_of_a_minute_is_one_of_ten_seconds() -> None:
         for deadline in (9.9, 60.0, 1e30):
             step = controller.step([0, 0.2, 15, 0, 0, 0, 0], reference, deadline=deadline)
             assert (step.mode, step.status) == ("normal", "solved"), step.detail
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[speed]\nv_start = -8.0", "own.toml: speed.v_start must be"),
+        ("[speed]\nv_max = 20000.0", "own.toml: speed.v_max must be"),
+        ("[gate]\nnope = 1.0", 'unknown gate setting "nope"'),
+        ("[gate]\nforce_max = -1.0", "gate limit force_max must be"),
+    ],
+)
+def test_a_scenario_that_cannot_be_driven_is_named_before_its_run_has_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, told: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    head = 'name = "own"\ntrack = {kind = "circle"}\nzones = [{start = 0.0, friction = 1.0}]\n'
+    Path("own.toml").write_text(head + text)
+    result = CliRunner().invoke(app, ["drive", "-s", "own.toml", "--in-process", "--no-pictures"])
+    assert isinstance(result.exception, EgpError)
+    assert told in str(result.exception)
+    notes = getattr(result.exception, "__notes__", [])
+    assert notes == (["in [gate] of own.toml"] if "gate" in told else [])
+    assert [path.name for path in tmp_path.iterdir()] == ["own.toml"]
+
+
+def test_pictures_that_cannot_be_drawn_are_an_error_before_the_drive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "egp_service.simulation.report", None)
+    result = CliRunner().invoke(app, ["drive", "--in-process", "-o", str(tmp_path / "runs")])
+    assert isinstance(result.exception, ModuleNotFoundError)
+    assert not (tmp_path / "runs").exists()

@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from egp_service import EgpError
 from egp_service._core import RoadBelief, decode_reply, write_library_subset
+from egp_service.cli import app
+from egp_service.cli.status_line import StatusLine
 from egp_service.evaluation.experiment import NOISE
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path, build_profile
@@ -208,3 +212,27 @@ def test_the_weights_friction_as_a_baseline() -> None:
     assert planned[0] == pytest.approx(run.frictions.mean())
     assert planned[1:] == pytest.approx(blended[:-1])
     assert np.ptp(planned) > 0.2
+
+
+def test_a_drive_that_is_interrupted_keeps_what_it_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "roads" / "random.road"
+    runs = tmp_path / "runs"
+    command = ["drive", "-s", "random", "--in-process", "--no-pictures", "-o", str(runs)]
+    (tmp_path / "blocked").touch()
+    blocked = CliRunner().invoke(app, [*command, "--road", str(tmp_path / "blocked" / "a.road")])
+    assert isinstance(blocked.exception, EgpError | OSError)
+    assert not runs.exists()
+
+    def interrupt(_: StatusLine, __: str, period: Period) -> None:
+        if period.truth.time > 3.0:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(StatusLine, "show", interrupt)
+    result = CliRunner().invoke(app, [*command, "--road", str(file)])
+    assert "Interrupted" in result.output
+    random = load_scenario("random")
+    known, nothing = load_belief(random, file), RoadBelief(build_path(random))
+    # The car has driven some 20 m.
+    assert known.quantiles(np.array([5.0]), 0.05) > nothing.quantiles(np.array([5.0]), 0.05)

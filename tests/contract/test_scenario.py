@@ -118,6 +118,58 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         (("[track]", f"laps = {'9' * 400}\n[track]"), "laps must be a number below .* 400 digits"),
         (("[track]", f"laps = {'9' * 5000}\n[track]"), "not TOML: Exceeds the limit"),
         (("[[zones]]", "parameters = {radius = nan}\n[[zones]]"), "radius must be a finite number"),
+        (("[track]", "[speed]\nv_max = 20000\n[track]"), "v_max must be 0.001 to 10000 m/s, got 2"),
+        (("[track]", "[speed]\nv_max = 1e-200\n[track]"), "speed.v_max must be 0.001 to 10000"),
+        (
+            ("[track]", "[speed]\nv_start = -8\n[track]"),
+            "speed.v_start must be 0 to 150 m/s, got -8",
+        ),
+        (("[track]", "[speed]\nv_start = 500\n[track]"), "speed.v_start must be 0 to 150 m/s"),
+        *(
+            (
+                ("[track]", f"[speed]\nconstant = true\n{name} = {value}\n[track]"),
+                f"mine.toml: speed.{name} has no effect while speed.constant is True; .*`{name}`",
+            )
+            for name, value in (
+                ("knows", "'nothing'"),
+                ("friction", "0.3"),
+                ("grip", "0.2"),
+                ("tyres", "true"),
+                ("risk", "0.2"),
+            )
+        ),
+        (
+            ('"rounded-rectangle"', '"oval"'),
+            "mine.toml: track.kind: no track 'oval'; known: circle",
+        ),
+        (('"rounded-rectangle"', '"csv"'), "mine.toml: track.file is missing, .*kind 'csv' needs"),
+        (
+            ('"rounded-rectangle"', '"csv"\nfile = "nope.csv"'),
+            "mine.toml: track.file: nope.csv: No such file or directory",
+        ),
+        (
+            ("[[zones]]", "parameters = {length = 1}\n[[zones]]"),
+            "mine.toml: track.parameters: a side of 1 m is too short",
+        ),
+        (
+            ("[[zones]]", "parameters = {track_width = -4}\n[[zones]]"),
+            r"mine.toml: track.parameters: expected a length .* for track_width, got -4",
+        ),
+        *(
+            (
+                ('"rounded-rectangle"', f'"circle"\nparameters = {{radius = {radius}}}'),
+                f"mine.toml: track.parameters: expected a radius above 0 m, got {radius}",
+            )
+            for radius in (-50, 0)
+        ),
+        (
+            ('"rounded-rectangle"', '"circle"\nparameters = {radius = 0.1}'),
+            "mine.toml: track.parameters: the path is 0.628.* m long: expected 1 to 1e.06 m",
+        ),
+        (
+            ("[track]", 'vehicle_file = "nope.toml"\n[track]'),
+            "mine.toml: vehicle_file: nope.toml: .*No such file",
+        ),
     ],
 )
 def test_what_is_wrong_is_named(change: tuple[str, str], complaint: str) -> None:
@@ -215,9 +267,9 @@ def test_an_unknown_scenario_names_the_known_ones() -> None:
 def test_an_unknown_measure_of_a_track_is_refused(kind: str, known: str) -> None:
     text = MINIMAL.replace("[[zones]]", "[track.parameters]\nradus = 3.0\n[[zones]]")
     text = text.replace("rounded-rectangle", kind)
-    told = f"mine: track.parameters.radus: unknown for kind '{kind}'; known: {known}"
+    told = f"mine.toml: track.parameters.radus: unknown for kind '{kind}'; known: {known}"
     with pytest.raises(ScenarioError) as caught:
-        build_path(parse_scenario(text, Path(), "mine.toml"))
+        parse_scenario(text, Path(), "mine.toml")
     assert str(caught.value) == told
 
 
@@ -262,11 +314,10 @@ def test_zones_in_metres_and_from_a_file_are_those_in_fractions(tmp_path: Path) 
     np.testing.assert_array_equal(
         build_path(metres).sample(s)[-1], build_path(fractions).sample(s)[-1]
     )
-    beyond = parse(f"zones_in_metres = true\n{MINIMAL}[[zones]]\nstart = 9000\nfriction = 0.5\n")
     with pytest.raises(
-        ScenarioError, match=r"zones\[1\].start is 9000 m, but the path is .* m long"
+        ScenarioError, match=r"mine.toml: zones\[1\].start is 9000 m, but the path is .* m long"
     ):
-        build_path(beyond)
+        parse(f"zones_in_metres = true\n{MINIMAL}[[zones]]\nstart = 9000\nfriction = 0.5\n")
     # The file is no longer needed by the resolved scenario.
     assert parse(metres.toml()) == metres
     (tmp_path / "zones.csv").write_text("start,friction\n0.0,0.8\n10.0,slippery\n")

@@ -9,19 +9,23 @@ import numpy as np
 import pytest
 
 from egp_service._core import write_library_subset
+from egp_service.evaluation import departures, figures
 from egp_service.evaluation.campaign import Outcome, run_trial
 from egp_service.evaluation.claims import check
-from egp_service.evaluation.contenders import Contender, make
+from egp_service.evaluation.contenders import ORACLE, Contender, make
 from egp_service.evaluation.departures import avoidable, departed, last_border, replay
 from egp_service.evaluation.experiment import CUSTOM_TRACK, NOISE, Trial
 from egp_service.evaluation.statistics import grouped
-from egp_service.evaluation.unknown_roads import BELIEF, FIRST, departure_rows
+from egp_service.evaluation.unknown_roads import ASSUMED, BELIEF, FIRST, WEIGHTED, departure_rows
 from egp_service.shipped import EVALUATION_LIBRARY
 from egp_service.simulation.closed_loop import TOO_LONG, Run, drive
 from egp_service.simulation.scenario import Scenario, Speed, Zone
+from outcome_example import OUTCOME
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from matplotlib.figure import Figure
 
 # From a border on a straight there is time to brake before the bend; in the bend there is none.
 EARLY, LATE = 0.40, 0.64
@@ -104,10 +108,20 @@ def test_a_border_that_is_crossed_beside_the_path_is_not_the_last_one(late: Run)
     assert last_border(same) == 0
 
 
-def test_a_run_that_took_too_long_is_no_departure(careful: Run) -> None:
-    run = careful
-    ending = replace(run.summary.ending, completed=False, reason=TOO_LONG)
-    assert not departed(replace(run, summary=replace(run.summary, ending=ending)))
+def ended(run: Run, reason: str) -> Run:
+    ending = replace(run.summary.ending, completed=False, reason=reason)
+    return replace(run, summary=replace(run.summary, ending=ending))
+
+
+@pytest.mark.parametrize("reason", [TOO_LONG, "stopped by the gate: invalid_state: v_x"])
+def test_a_run_that_ended_on_the_road_is_no_departure(
+    early: Run, careful: Run, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert not departed(ended(careful, reason))
+    assert departed(ended(careful, "lost control: spin"))
+    # Such a replay does not say that the vehicle came too fast.
+    monkeypatch.setattr(departures, "replay", lambda *_: ended(careful, reason))
+    assert avoidable(DRIVER, early) is None
 
 
 def test_departures_of_unknown_roads_are_counted_and_break_the_claim(library: Path) -> None:
@@ -132,3 +146,40 @@ def test_departures_of_unknown_roads_are_counted_and_break_the_claim(library: Pa
         (risky, "2 of 2", "1", "1"),
     ]
     assert claims(outcomes) == [(False, f"1 of 2 departures in 3 runs: {risky}, seed 7")]
+
+
+def test_the_picture_of_risks_shows_departures_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def runs(name: str, avoidable: list[bool | None]) -> list[Outcome]:
+        """Give four runs, of which the last ones are not completed."""
+        return [
+            replace(
+                OUTCOME,
+                experiment=FIRST,
+                contender=name,
+                seed=seed,
+                completed=seed < 4 - len(avoidable),
+                avoidable=avoidable[seed - 4] if seed >= 4 - len(avoidable) else None,
+            )
+            for seed in range(4)
+        ]
+
+    slow, lost, risky = f"{ASSUMED}0.3", f"{WEIGHTED}100% of it", f"{BELIEF}20%"
+    outcomes = [
+        *runs(ORACLE, []),
+        *runs(slow, [None, None]),  # which took too long
+        *runs(risky, [True, False]),
+        *runs(lost, [False] * 4),
+    ]
+    drawn: list[Figure] = []
+    monkeypatch.setattr(figures, "_save", lambda figure, _: drawn.append(figure))
+    figures.draw_risk(grouped(outcomes), tmp_path / "risk.png")
+    (ax,) = drawn[0].axes
+    shown = {str(line.get_label()): np.asarray(line.get_ydata()).tolist() for line in ax.lines}
+    assert shown == {
+        "told all zones": [0.0],
+        "one friction assumed everywhere": [0.0],
+        "found by the control steps": [50.0],
+        "friction of the weights, no interval\n(no time: 100% of it)": [],
+    }

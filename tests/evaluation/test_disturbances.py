@@ -6,9 +6,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
+from typer.testing import CliRunner
 
 from egp_service import EgpError
 from egp_service._core import Library, write_library_subset
+from egp_service.cli import app
 from egp_service.evaluation import disturbances
 from egp_service.evaluation.batch import finish
 from egp_service.evaluation.campaign import Campaign, Outcome, require_members
@@ -165,6 +167,14 @@ def test_differences_are_paired_by_seed() -> None:
     none = [replace(o, completed=False) if o.contender == FITTED else o for o in found]
     ((_, text, *_),) = rows(none)
     assert text == "no seed that both completed, completed 20 and 0 of 20"
+
+
+def test_an_evaluation_of_nothing_is_an_error(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    result = CliRunner().invoke(app, ["evaluate", "-e", "disturbances", "-o", str(folder)])
+    assert isinstance(result.exception, EgpError)
+    assert "add --full" in str(result.exception)
+    assert not folder.exists()
 
 
 def test_the_claim_needs_half_of_the_disturbances() -> None:

@@ -109,3 +109,9 @@ def test_only_laps_after_the_patch_was_found_count() -> None:
     (row,) = rows([late, never, first])
     assert len(row) == len(HEADS)
     assert row[2:] == ("3/3", "0", "0.10", "1", "2 of 3", "0.31")
+
+
+def test_the_first_lap_of_a_told_vehicle_is_no_later_lap() -> None:
+    told = replace(outcome((0.9, 0.1, 0.2), ()), contender="oracle")
+    (row,) = rows([told])
+    assert row[4:] == ("0.90", "-", "2 of 2", "0.20")

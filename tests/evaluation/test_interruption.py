@@ -9,8 +9,9 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from concurrent.futures import CancelledError, Future
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 from unittest.mock import Mock
@@ -21,12 +22,13 @@ from loky.process_executor import ShutdownExecutorError
 from rich.console import Console
 
 from egp_service.cli import evaluation_parts
+from egp_service.evaluation import batch
 from egp_service.workers import WorkerError, workers
 from patience import PATIENCE, wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from concurrent.futures import Executor, Future
+    from collections.abc import Callable, Iterator
+    from concurrent.futures import Executor
     from pathlib import Path
 
 LONG = 3600.0  # s
@@ -150,3 +152,44 @@ def test_an_evaluation_ends_with_its_processes_and_goes_on(tmp_path: Path) -> No
     marks = [line.partition(",")[0] for line in results.splitlines() if line]
     assert len(marks) == len(set(marks)) == 12
     assert len(finished.splitlines()) < 12
+
+
+@dataclass(frozen=True)
+class Number:
+    """A result."""
+
+    value: int
+
+
+def fail_at_two(part: int) -> Number:
+    if part == 2:
+        raise ValueError(f"part {part}")
+    return Number(part)
+
+
+class _Finished:
+    """A pool whose work is done when it is submitted."""
+
+    def submit(self, work: Callable[[int], Number], part: int) -> Future[Number]:
+        future: Future[Number] = Future()
+        try:
+            future.set_result(work(part))
+        except ValueError as error:
+            future.set_exception(error)
+        return future
+
+
+def test_what_was_finished_while_a_part_failed_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batch, "workers", lambda *_: nullcontext(_Finished()))
+    kept: list[Number] = []
+    parts = {str(part): part for part in range(6)}
+    work = batch.Batch(
+        tmp_path / "a.jsonl", parts, fail_at_two, lambda found: Number(**found), kept.append
+    )
+    with pytest.raises(ValueError, match="part 2") as caught:
+        batch.finish([work])
+    assert caught.value.__notes__ == ["in 2"]
+    assert sorted(number.value for number in kept) == [0, 1, 3, 4, 5]
+    assert work.resume() == ["2"]

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ORACLE
-from egp_service.evaluation.unknown_roads import ASSUMED, BELIEF, FIRST, LATER
+from egp_service.evaluation.fleet_roads import ALONE, FLEET, OUTVOTED
+from egp_service.evaluation.statistics import grouped
+from egp_service.evaluation.unknown_roads import ASSUMED, BELIEF, FIRST, LATER, lap_rows
 from outcome_example import OUTCOME
 
 if TYPE_CHECKING:
@@ -70,3 +72,56 @@ def test_a_risk_that_completes_no_first_lap_is_compared_with_the_best_assumption
     assert claimed(4) == (True, f"at worst +1.0 of 4 ({BELIEF}20%)")
     assert claimed(2) == (False, f"at worst -1.0 of 4 ({BELIEF}20%)")
     assert claimed(0) == (False, f"at worst -3.0 of 4 ({BELIEF}20%)")
+
+
+def test_a_lying_map_costs_the_laps_that_are_completed_without_it() -> None:
+    def claimed(outvoted: list[bool], alone: list[bool]) -> tuple[bool | None, str]:
+        found = [
+            replace(OUTCOME, experiment=FLEET, contender=name, seed=seed, completed=completed)
+            for name, runs in ((OUTVOTED, outvoted), (ALONE, alone))
+            for seed, completed in enumerate(runs)
+        ]
+        (claim,) = (claim for claim in check(found, []) if "lying map" in claim.text)
+        return claim.holds, claim.evidence
+
+    assert claimed([True, True, False], [True, False, False]) == (
+        True,
+        "2 of 3, without a map 1",
+    )
+    # As many are completed, but not the same.
+    assert claimed([True, False, False], [False, True, False]) == (
+        False,
+        "1 of 3, without a map 1; completed only without a map: seed 1",
+    )
+
+
+def test_all_laps_of_a_row_are_of_the_same_runs() -> None:
+    told = [
+        replace(
+            OUTCOME, experiment=LATER, contender=ORACLE, seed=s, time=50.0, lap_times=(10.0,) * 5
+        )
+        for s in range(3)
+    ]
+    laps = ((12.0, 11.0, 10.0, 10.0, 10.0), (30.0,), (30.0, 20.0))
+
+    def run(name: str, seed: int, times: tuple[float, ...]) -> Outcome:
+        return replace(
+            OUTCOME,
+            experiment=LATER,
+            contender=name,
+            seed=seed,
+            completed=len(times) == 5,
+            time=sum(times),
+            lap_times=times,
+        )
+
+    careful, risky = f"{BELIEF}3%", f"{BELIEF}10%"
+    own = [run(careful, seed, times) for seed, times in enumerate(laps)]
+    own += [run(risky, seed, (9.0,)) for seed in range(3)]
+    found = [*told, *own]
+    assert lap_rows(grouped(found), found) == [
+        (careful, "1/3", "1.060", "1.200", "1.100", "1.000", "1.000", "1.000"),
+        (risky, "0/3", *["-"] * 6),
+    ]
+    (claim,) = (claim for claim in check(found, []) if "Five laps" in claim.text)
+    assert claim.evidence == "1 of 3, 1.060; laps 1.200, 1.100, 1.000, 1.000, 1.000"

@@ -10,7 +10,6 @@ from egp_service.evaluation import hidden_ice, prediction
 from egp_service.evaluation.batch import finish
 from egp_service.evaluation.entry_speed import EntrySpeed, find
 from egp_service.evaluation.experiments import HIDDEN_ICE
-from egp_service.workers import WorkerError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,7 +58,7 @@ def run(
             parts[e.name] = _apart(progress, campaign, e, full=full)
         try:
             finish(list(parts.values()), jobs, cluster)
-        except (KeyboardInterrupt, WorkerError):
+        except BaseException:
             progress.console.print("Interrupted. The same command continues with the missing runs.")
             raise
     return {name: part.results() for name, part in parts.items()}

@@ -74,7 +74,15 @@ class Batch(Generic[Part, Result]):
 def finish(
     batches: Iterable[Batch[Any, Any]], jobs: int | None = None, cluster: str | None = None
 ) -> None:
-    """Compute the missing parts of all batches in one pool, so that all processes stay busy."""
+    """Compute the missing parts of all batches in one pool, so that all processes stay busy.
+
+    An exception of a part ends the computation and gets a note that names the part. Results of
+    parts that were finished before are kept.
+
+    Raises:
+        EgpError: as for `workers`, and what a part raises.
+
+    """
     missing = [(batch, mark) for batch in batches for mark in batch.resume()]
     if not missing:
         return
@@ -82,6 +90,15 @@ def finish(
         pending = {
             pool.submit(batch.work, batch.parts[mark]): (batch, mark) for batch, mark in missing
         }
-        for future in as_completed(pending):
-            batch, mark = pending[future]
-            batch.keep(mark, future.result())
+        try:
+            for future in as_completed(pending):
+                batch, mark = pending.pop(future)
+                if failure := future.exception():
+                    failure.add_note(f"in {batch.parts[mark]}")
+                    raise failure
+                batch.keep(mark, future.result())
+        finally:
+            # What was finished while another part failed.
+            for future, (batch, mark) in pending.items():
+                if future.done() and not future.cancelled() and not future.exception():
+                    batch.keep(mark, future.result())

@@ -71,8 +71,8 @@ class Outcome:
     """Smallest standard deviation that a friction coefficient from one window can have, for the
     ensemble's friction steps."""
     avoidable: bool | None
-    """Whether a replay that is told everything avoids the departure; None without a departure, and
-    in experiments whose departures are not replayed."""
+    """Whether a replay that is told everything avoids the departure; None without a departure, if
+    the replay does not tell, and in experiments whose departures are not replayed."""
     misses: int
     """Number of periods without a usable plan."""
     late: int

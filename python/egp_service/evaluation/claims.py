@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -10,7 +11,7 @@ from egp_service.evaluation import disturbances, road_claims
 from egp_service.evaluation.claim import Claim
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.experiments import EXACT, NARROW
-from egp_service.evaluation.statistics import grouped, mean
+from egp_service.evaluation.statistics import mean, paired
 from egp_service.quantities import MOTION_LABELS
 
 if TYPE_CHECKING:
@@ -175,29 +176,30 @@ def _regret(outcomes: Sequence[Outcome]) -> list[Claim]:
 
 
 def _best(outcomes: Sequence[Outcome]) -> list[Claim]:
-    """Compare completions first, then errors; errors of incomplete runs are not comparable."""
-    groups = [g for g in grouped(outcomes) if g.experiment in MIXED and g.contender != ORACLE]
-    lost = []
-    for own in (g for g in groups if g.contender == ENSEMBLE):
-        for other in groups:
-            same = (other.experiment, other.condition) == (own.experiment, own.condition)
-            if not same or other is own:
-                continue
-            more = other.completed > own.completed
-            # Significantly better: the intervals of the medians do not overlap. One run has no
-            # interval, and the errors of lost runs are not comparable.
-            complete = own.completed == own.runs and other.completed == other.runs
-            closer = complete and other.lateral_rms.high < own.lateral_rms.low
-            if more or closer:
-                lost.append(f"{own.experiment}, {own.condition}: {other.contender}")
-    if not groups:
+    """Compare completions first, then errors of the same seeds; road and noise are a seed's own."""
+    groups: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
+    for o in outcomes:
+        if o.experiment in MIXED and o.contender != ORACLE:
+            here = groups.setdefault((o.experiment, o.condition), {})
+            here.setdefault(o.contender, []).append(o)
+    compared, lost = [], []
+    for (experiment, condition), found in groups.items():
+        own = found.pop(ENSEMBLE, [])
+        for name, other in found.items():
+            if comparison := paired(condition, other, own):
+                compared.append(comparison)
+                if comparison.completed[0] > comparison.completed[1] or comparison.closer:
+                    lost.append(f"{experiment}, {condition}: {name}")
+    if not compared:
         return []
+    # Without an interval nobody could have been closer.
+    decided = bool(lost) or any(not math.isnan(comparison.gain.low) for comparison in compared)
     return [
         Claim(
-            "No other controller but the oracle completes more runs or drives closer on mixed "
-            "friction",
-            not lost,
-            "; ".join(lost) or "in none",
+            "No other controller but the oracle completes more runs, or drives closer beyond a "
+            "95 % interval of the mean difference, on mixed friction",
+            not lost if decided else None,
+            "; ".join(lost) or ("in none" if decided else "no two seeds that both completed"),
         )
     ]
 

@@ -4,7 +4,8 @@ A replay drives the same run again, which gives the same states bit for bit, up 
 between surfaces before the departure. From there on the weights are those of the oracle, and the
 reference speed is planned for the true friction of all zones from the present place and speed on.
 If the replay stays on the road, the departure was avoidable: the vehicle was not too fast for a
-controller. Otherwise it came too fast, and only a more careful reference speed avoids this.
+controller. If the replay leaves the road, too, or spins, the vehicle came too fast, and only a more
+careful reference speed avoids this. A replay that ends otherwise decides nothing.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service.evaluation.contenders import Oracle
-from egp_service.simulation.closed_loop import TOO_LONG, drive
+from egp_service.simulation.closed_loop import STOPPED, TOO_LONG, drive
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,9 +32,9 @@ _BEYOND: Final = 100.0
 
 
 def departed(run: Run) -> bool:
-    """Whether the vehicle left the road or was lost."""
+    """Whether the vehicle left the road or spun."""
     ending = run.summary.ending
-    return not ending.completed and ending.reason != TOO_LONG
+    return not ending.completed and not ending.reason.startswith((TOO_LONG, STOPPED))
 
 
 def last_border(run: Run) -> int:
@@ -66,6 +67,12 @@ def avoidable(
 ) -> bool | None:
     """Whether a replay avoids the departure of `run`; None if the run has no departure.
 
-    `known` gives what the vehicle knew about the road before the run.
+    It is also None if the replay neither completes nor departs, which tells nothing. `known` gives
+    what the vehicle knew about the road before the run.
     """
-    return replay(contender, run, known()).summary.ending.completed if departed(run) else None
+    if not departed(run):
+        return None
+    told = replay(contender, run, known())
+    if departed(told):
+        return False
+    return True if told.summary.ending.completed else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from egp_service.evaluation.contenders import ENSEMBLE, Contender
@@ -14,7 +14,7 @@ from egp_service.evaluation.experiment import (
     ClosedLoopExperiment,
     on_surfaces,
 )
-from egp_service.evaluation.statistics import Interval, mean
+from egp_service.evaluation.statistics import Comparison, Interval, paired
 from egp_service.simulation.scenario import Disturbances
 
 if TYPE_CHECKING:
@@ -84,24 +84,6 @@ def experiment() -> ClosedLoopExperiment:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """Two contenders under one disturbance, seed by seed."""
-
-    condition: str
-    completed: tuple[int, int]
-    """Completed runs of both."""
-    runs: int
-    gain: Interval
-    """Mean difference of the lateral RMS errors, the second less the first, m, over the seeds that
-    both completed; NaN without one. One seed has no interval."""
-
-    @property
-    def closer(self) -> bool:
-        """Whether the first is closer beyond the interval, and completes as many runs."""
-        return self.completed[0] >= self.completed[1] and self.gain.low > 0.0
-
-
 def compare(
     outcomes: Sequence[Outcome], first: str, second: str, where: str = ""
 ) -> list[Comparison]:
@@ -112,26 +94,15 @@ def compare(
     found = []
     for condition in (name + where for name in DISTURBED):
         one, other = (
-            {
-                o.seed: o
+            [
+                o
                 for o in outcomes
                 if (o.experiment, o.condition, o.contender) == (NAME, condition, contender)
-            }
+            ]
             for contender in (first, second)
         )
-        seeds = sorted(one.keys() & other.keys())
-        if not seeds:
-            continue
-        pairs = [(one[seed], other[seed]) for seed in seeds]
-        both = [(a, b) for a, b in pairs if a.completed and b.completed]
-        found.append(
-            Comparison(
-                condition,
-                (sum(a.completed for a, _ in pairs), sum(b.completed for _, b in pairs)),
-                len(pairs),
-                mean([b.lateral_rms - a.lateral_rms for a, b in both]),
-            )
-        )
+        if comparison := paired(condition, one, other):
+            found.append(comparison)
     return found
 
 

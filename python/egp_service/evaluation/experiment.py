@@ -58,6 +58,11 @@ class Trial:
         """Unique key of the trial."""
         return self.experiment, self.condition, self.contender.name, self.scenario.seed
 
+    def __str__(self) -> str:
+        """Name the trial for messages."""
+        *names, seed = self.key
+        return f"{', '.join(map(str, names))}, seed {seed}"
+
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoopExperiment:

@@ -26,7 +26,7 @@ from egp_service.evaluation.experiment import (
     ClosedLoopExperiment,
     on_surfaces,
 )
-from egp_service.simulation.course import build_path
+from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track, Zone
 
 if TYPE_CHECKING:
@@ -284,9 +284,15 @@ def _narrow_track() -> ClosedLoopExperiment:
 
 
 def on_plant(experiment: ClosedLoopExperiment, plant: str) -> ClosedLoopExperiment:
-    """Return the experiment with one's own simulator `module:Class` in place of the vehicle."""
+    """Return the experiment with one's own simulator `module:Class` in place of the vehicle.
+
+    Conditions that such a simulator does not see are left out: those with another of the built-in
+    vehicles, and those with roads whose sides differ.
+    """
     conditions = tuple(
-        (condition, replace(scenario, plant=plant)) for condition, scenario in experiment.conditions
+        (condition, replace(scenario, plant=plant))
+        for condition, scenario in experiment.conditions
+        if scenario.vehicle == 1 and all(len(z.sides()) == 1 for z in scenario.zones)
     )
     return replace(experiment, conditions=conditions)
 
@@ -295,7 +301,7 @@ def on_track(experiment: ClosedLoopExperiment, file: Path, scale: float) -> Clos
     """Return the experiment on a track from a CSV file with lengths multiplied by `scale`.
 
     Raises:
-        EgpError: if the file is not a track.
+        EgpError: if the file is not a track, or no speed can be planned for it.
 
     """
     track = Track("csv", str(file.resolve()), {"scale": scale})
@@ -303,8 +309,8 @@ def on_track(experiment: ClosedLoopExperiment, file: Path, scale: float) -> Clos
         (f"{condition} on {file.stem}", replace(scenario, track=track))
         for condition, scenario in experiment.conditions
     )
-    for _, scenario in conditions:
-        build_path(scenario)  # reports an invalid file before the runs start
+    for _, scenario in conditions:  # reports an invalid file before the runs start
+        build_profile(scenario, build_path(scenario, f"--track with --scale {scale:g}"))
     return replace(experiment, conditions=conditions)
 
 

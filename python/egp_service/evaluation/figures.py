@@ -61,9 +61,9 @@ def draw_risk(groups: Sequence[Group], path: Path) -> Path:
                 if unknown_roads.kind(g.contender) == name and np.isfinite(g.time_regret.value)
             ]
             own.sort(key=lambda g: g.time_regret.value)
-            lost = [100.0 * (1.0 - g.share.value) for g in own]
+            lost = [100.0 * (g.avoidable + g.too_fast) / g.runs for g in own]
             time = [g.time_regret.value for g in own]
-            ax.plot(time, lost, "o-", color=colour, label=name)
+            ax.plot(time, lost, "o-", color=colour, label=_with_missing(name, groups))
             # The sources' curves are close: labels are above on the right, below on the right, or
             # below on the left.
             contenders = [g.contender for g in own]
@@ -98,6 +98,16 @@ def draw_risk(groups: Sequence[Group], path: Path) -> Path:
         ax.set_yticks([tick for tick in ax.get_yticks() if 0.0 <= tick <= highest])
         _legend_beside(ax)
         return _save(figure, path)
+
+
+def _with_missing(source: str, groups: Sequence[Group]) -> str:
+    """Name a source for the legend, with its contenders that have no time and so no point."""
+    missing = [
+        unknown_roads.label(g.contender)
+        for g in groups
+        if unknown_roads.kind(g.contender) == source and not np.isfinite(g.time_regret.value)
+    ]
+    return f"{source}\n(no time: {', '.join(missing)})" if missing else source
 
 
 def draw_prediction(outcomes: Sequence[PredictionOutcome], path: Path) -> Path:

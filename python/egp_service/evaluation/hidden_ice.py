@@ -62,7 +62,8 @@ class IceOutcome:
     """Median of the belief about the friction in the middle of the patch, before each lap and after
     the last one; empty for a reference speed that is told all zones."""
     avoidable: bool | None
-    """Whether a replay that is told everything avoids the departure; None without a departure."""
+    """Whether a replay that is told everything avoids the departure; None without a departure, or
+    if the replay does not tell."""
 
     @property
     def found(self) -> tuple[bool, ...]:
@@ -165,7 +166,7 @@ def rows(outcomes: Sequence[IceOutcome]) -> list[tuple[str, ...]]:
 
 def _row(contender: str, condition: str, own: Sequence[IceOutcome]) -> tuple[str, ...]:
     told = not any(o.believed for o in own)
-    after = [e for o in own for e in (o.lap_errors if told else o.errors_after)]
+    after = [e for o in own for e in (o.lap_errors[1:] if told else o.errors_after)]
     within = sum(error <= LARGEST_ERROR for error in after)
     return (
         contender,

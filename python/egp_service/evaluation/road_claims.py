@@ -101,7 +101,8 @@ def _within(group: Group, most: float) -> bool | None:
 def _five_laps(outcomes: Sequence[Outcome]) -> list[Claim]:
     """Claim what the most careful risk costs over five laps."""
     careful = f"{BELIEF}{RISKS[0]:.0%}"
-    laps = ", ".join(f"{lap.value:.3f}" for lap in unknown_roads.lap_ratios(outcomes, careful))
+    through = [o for o in outcomes if o.completed]
+    laps = ", ".join(f"{lap.value:.3f}" for lap in unknown_roads.lap_ratios(through, careful))
     return [
         Claim(
             f"Five laps from a cold start at a risk of {RISKS[0]:.0%} are completed, in at most "
@@ -129,13 +130,19 @@ def _fleet(outcomes: Sequence[Outcome]) -> list[Claim]:
                 f"{second.completed} of {second.runs}, {time.text('.3f', ' to ')}",
             )
         )
-    outvoted, alone = groups.get(fleet_roads.OUTVOTED), groups.get(fleet_roads.ALONE)
-    if outvoted and alone:
+    outvoted, alone = (
+        {o.seed: o.completed for o in own if o.contender == name}
+        for name in (fleet_roads.OUTVOTED, fleet_roads.ALONE)
+    )
+    if seeds := sorted(outvoted.keys() & alone.keys()):
+        lost = [seed for seed in seeds if alone[seed] and not outvoted[seed]]
+        with_it, without = (sum(found[seed] for seed in seeds) for found in (outvoted, alone))
+        where = f"; completed only without a map: seed {', '.join(map(str, lost))}" if lost else ""
         claims.append(
             Claim(
                 "A lying map that two honest cars outvote costs no completed lap",
-                outvoted.completed >= alone.completed,
-                f"{outvoted.completed} of {outvoted.runs}, without a map {alone.completed}",
+                not lost,
+                f"{with_it} of {len(seeds)}, without a map {without}{where}",
             )
         )
     return claims

@@ -76,6 +76,40 @@ class Group:
     step_ms: float
 
 
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two contenders under one condition, seed by seed."""
+
+    condition: str
+    completed: tuple[int, int]
+    """Completed runs of both."""
+    runs: int
+    gain: Interval
+    """Mean difference of the lateral RMS errors, the second less the first, m, over the seeds that
+    both completed; NaN without one. One seed has no interval."""
+
+    @property
+    def closer(self) -> bool:
+        """Whether the first is closer beyond the interval, and completes as many runs."""
+        return self.completed[0] >= self.completed[1] and self.gain.low > 0.0
+
+
+def paired(
+    condition: str, first: Iterable[Outcome], second: Iterable[Outcome]
+) -> Comparison | None:
+    """Compare two contenders' outcomes under a condition; None if they have no seed in common."""
+    one, other = ({o.seed: o for o in outcomes} for outcomes in (first, second))
+    pairs = [(one[seed], other[seed]) for seed in sorted(one.keys() & other.keys())]
+    if not pairs:
+        return None
+    return Comparison(
+        condition,
+        (sum(a.completed for a, _ in pairs), sum(b.completed for _, b in pairs)),
+        len(pairs),
+        mean([b.lateral_rms - a.lateral_rms for a, b in pairs if a.completed and b.completed]),
+    )
+
+
 def grouped(outcomes: Iterable[Outcome]) -> list[Group]:
     """Group outcomes in the order of the first occurrence of contenders and conditions."""
     groups: dict[tuple[str, str, str], list[Outcome]] = {}

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import csv
-import html
 import io
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.evaluation import disturbances, figures, hidden_ice, unknown_roads
+from egp_service.evaluation import (
+    disturbances,
+    figures,
+    hidden_ice,
+    report_texts,
+    unknown_roads,
+)
 from egp_service.evaluation.claims import POOLED, check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.entry_speed import SLOWEST
@@ -47,60 +52,6 @@ if TYPE_CHECKING:
     from egp_service.evaluation.scaling import StepTime
     from egp_service.evaluation.statistics import Group, Interval
 
-_ABOUT = """All runs use {vehicle}, with measurement noise
-unless a condition says otherwise. The controllers have the same optimal control problem, solver,
-tuning and gate and differ only in the model that predicts the vehicle; on roads of unknown friction
-they have the same model and differ only in what their reference speed knows. Errors are errors of
-the true state. The error of an incomplete run is the error up to its end, so errors and completions
-must be read together. Brackets are 95 % intervals over the seeds: Wilson's for shares, and
-expanded percentile intervals of the bootstrap for medians (off track: for the mean). With few seeds
-these are too narrow: with normal errors 75 % of them hold the true value with three seeds, 92 %
-with five. One run has brackets for its share only. <i>No plan</i> counts control periods without a
-usable plan, and <i>late</i> counts periods whose step took longer than the period while other runs
-shared the machine. <i>No data</i> means that no run gives the figure, and claims about experiments
-that were not run are left out.
-Command: <code>{command}</code>"""
-
-_CLAIMS = """Below the limit the errors of the best controllers differ by millimetres, while
-positions are measured to 2 cm. At 95 and 100 % of the grip the ensemble has a larger error than the
-oracle for two reasons. First, on straights surfaces are hardly distinguishable, and a car that
-accelerates below its limit appears to have more grip, so that the weights drift and must return at
-the next bend. Second, in a bend the blend that predicts best at the present slip overestimates the
-additional force at larger slip, because tyre forces saturate at smaller slip on lower friction. A
-bias to the inside of the bend, such as that of <i>forward Euler</i>, reduces this error. With
-noise, the weights cannot settle before a window of measurements determines the friction; the
-section after the friction steps gives the accuracy of this determination."""
-
-_DIFFERENCES = """The paper's controller runs at 30 Hz with OSQP and linearises about zero inputs;
-this system runs at 50 Hz and linearises about the last plan. The paper's weights add m/s to rad/s,
-assume independent errors in the window and have no memory, as <i>paper's weights</i> here; this
-system weights the window by the covariance of its errors due to model and measurement noise, at the
-levels of largest likelihood. The paper's GPs predict whole changes and return to constants without
-data, as <i>constant mean</i> here; the GPs of this system correct a single-track vehicle fitted to
-the same data, and <i>fitted single-track</i> is this vehicle without GPs. The training data of
-<i>constant mean</i> are the laps driven with the fitted vehicles. The paper's positions move along
-the yaw at the start of each period, as with <i>forward Euler</i> here, so that its predictions
-leave every bend to the outside and the vehicle drives on the inside; in this system positions move
-along the yaw in the middle of the period. All controllers here bound the slip of the front tyres
-near their peak, which depends on the estimated friction, and the drive by the load of the wheels
-inside a bend, and weigh the change of the force from the previous plan. The paper's reference
-moves at the present speed; here it follows a speed profile that contains the braking. Corrections
-of a vehicle are learned with one kernel for all three outputs, whole changes with one kernel per
-output, as in the paper. Tracks are computed from their definitions or drawn from a seed; frictions
-are those of the paper's text."""
-
-
-_DEPARTURES = """ Each departure was driven again, in the same states up to the last border of
-surfaces before it, and from there on by a controller that is told all zones: with the oracle's
-weights, and a reference speed that is planned for the true friction from the present speed on. The
-departure was <i>avoidable</i> if this one stays on the road until 100 m beyond the place. Otherwise
-the vehicle <i>came too fast</i>, and only a more careful reference speed avoids this."""
-
-
-_DISTURBANCES = """ The second table has the mean difference to the ensemble, paired by seed, with
-its bootstrap interval; it is positive where the ensemble is closer to the path. In the last column
-both have the members of the undisturbed vehicle, and it is positive where the residual helps."""
-
 
 def write_report(
     folder: Path,
@@ -115,7 +66,8 @@ def write_report(
 ) -> Path:
     """Write report, figures and tables into `folder`.
 
-    `drives` are runs to draw, by experiment.
+    `drives` are runs to draw, by experiment. Figures and tables without data here, which an earlier
+    report may have written, are left as they are.
     """
     _write_csv(folder / "runs.csv", [asdict(o) for o in outcomes])
     _write_csv(folder / "prediction.csv", [asdict(p) for p in predictions])
@@ -124,12 +76,14 @@ def write_report(
     _write_csv(folder / "step-times.csv", [asdict(t) for t in times])
     groups = grouped(outcomes)
     sections = [
-        Section("Claims", _CLAIMS, tables=(claim_table(check(outcomes, predictions, ice)),)),
-        Section("Where this differs from the paper", _DIFFERENCES),
+        Section(
+            "Claims", report_texts.CLAIMS, tables=(claim_table(check(outcomes, predictions, ice)),)
+        ),
+        Section("Where this differs from the paper", report_texts.DIFFERENCES),
     ]
     if best := headline(outcomes):
         table = plain_table(HEADLINE, best)
-        sections.append(Section("Best controllers", _BEST, tables=(table,)))
+        sections.append(Section("Best controllers", report_texts.BEST, tables=(table,)))
     if regret := _regret_section(groups):
         sections.append(regret)
     if predictions:
@@ -149,21 +103,12 @@ def write_report(
     if times:
         sections.append(_step_time_section(folder, times))
     report = folder / "report.html"
-    write_text(report, page("Ensemble GP-MPC: evaluation", _about(command), sections))
+    write_text(report, page("Ensemble GP-MPC: evaluation", report_texts.about(command), sections))
     return report
-
-
-def _about(command: str) -> str:
-    own = "--plant" in command
-    vehicle = "the simulator of --plant" if own else "CommonRoad's multi-body vehicle of 29 states"
-    return _ABOUT.format(vehicle=vehicle, command=html.escape(command))
 
 
 HEADLINE: Final = ("experiment", "condition", ENSEMBLE, "best baseline", ORACLE)
 """Heads of the rows of `headline`."""
-_BEST = """Completed runs and the median lateral RMS error. The best baseline is the one that
-completes most runs and among these has the smallest median error; variants of the ensemble are not
-among them. <code>egp evaluate</code> prints the same table."""
 
 
 def headline(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
@@ -212,10 +157,11 @@ def _section(
         laps = tuple(f"lap {lap + 1}" for lap in range(max(map(len, rows)) - 3))
         heads = ("lap time / oracle's", "completed", "all laps", *laps)
         tables.append(plain_table(heads, rows))
+        text += report_texts.LAPS
     if name in REPLAYED:
         heads = ("reference speed", "departures", "avoidable", "came too fast")
         tables.append(plain_table(heads, unknown_roads.departure_rows(groups, name)))
-        text += _DEPARTURES
+        text += report_texts.DEPARTURES
     if name == disturbances.NAME:
         heads = (
             "lateral RMS, mm farther off",
@@ -224,7 +170,7 @@ def _section(
             "the latter, without a residual",
         )
         tables.append(plain_table(heads, disturbances.rows(outcomes)))
-        text += _DISTURBANCES
+        text += report_texts.DISTURBANCES
     if name == "friction-step":
         pictures.append(figures.draw_settling(outcomes, folder / "settling.png"))
     if compared := [
@@ -386,8 +332,7 @@ def _prediction_section(folder: Path, predictions: Sequence[PredictionOutcome]) 
 
 def _write_csv(path: Path, rows: Sequence[dict[str, object]]) -> None:
     if not rows:
-        path.unlink(missing_ok=True)  # of an earlier report
-        return
+        return  # An earlier report may have written the file, and no other file may hold its rows.
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()

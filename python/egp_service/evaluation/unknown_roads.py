@@ -141,7 +141,10 @@ def frontier_gap(groups: Sequence[Group], source: str) -> tuple[float, str] | No
 
 
 def lap_ratios(outcomes: Sequence[Outcome], contender: str) -> list[Interval]:
-    """Return each lap's median ratio of the lap time to the oracle's, over the seeds."""
+    """Return each lap's median ratio of the lap time to the oracle's, over the seeds.
+
+    A seed counts for the laps that both completed.
+    """
     told = {o.seed: o for o in outcomes if (o.experiment, o.contender) == (LATER, ORACLE)}
     own = [o for o in outcomes if (o.experiment, o.contender) == (LATER, contender)]
     laps = max((len(o.lap_times) for o in own), default=0)
@@ -158,20 +161,19 @@ def lap_ratios(outcomes: Sequence[Outcome], contender: str) -> list[Interval]:
 
 
 def lap_rows(groups: Sequence[Group], outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
-    """Return rows `source, completed, total, ratio of each lap` of the runs over several laps."""
-    rows = []
-    for group in groups:
-        if group.experiment == LATER and group.contender != ORACLE:
-            ratios = [f"{ratio.value:.3f}" for ratio in lap_ratios(outcomes, group.contender)]
-            rows.append(
-                (
-                    group.contender,
-                    f"{group.completed}/{group.runs}",
-                    f"{group.time_regret.value:.3f}",
-                    *ratios,
-                )
-            )
-    return rows
+    """Return rows `source, completed, total, ratio of each lap` of the runs over several laps.
+
+    All ratios are of the seeds that both completed; a source without one has dashes.
+    """
+    through = [o for o in outcomes if o.completed]
+    own = [g for g in groups if g.experiment == LATER and g.contender != ORACLE]
+    found = {
+        g.contender: [f"{r.value:.3f}" for r in (g.time_regret, *lap_ratios(through, g.contender))]
+        for g in own
+        if np.isfinite(g.time_regret.value)
+    }
+    none = ["-"] * max(map(len, found.values()), default=1)
+    return [(g.contender, f"{g.completed}/{g.runs}", *found.get(g.contender, none)) for g in own]
 
 
 def departure_rows(groups: Sequence[Group], experiment: str) -> list[tuple[str, ...]]:

@@ -39,6 +39,7 @@ FIRST_DEADLINE = 2.0
 PATIENCE = {"zones": 2.0, "here": 4.0, "weights": 4.0, "nothing": 4.0}
 STANDSTILL = 0.3
 TOO_LONG = "took too long"
+STOPPED = "stopped by the gate"
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +165,7 @@ class _Loop:
             profile, _ = self._speed.plan(0.0, None)
             v_start = float(profile.speed(np.zeros(1))[0])
         self._plant.reset(np.array([x, y, v_start, yaw, 0.0, 0.0, 0.0]))
+        self._x = self._plant.state
 
     @property
     def _time(self) -> float:
@@ -171,7 +173,7 @@ class _Loop:
 
     def period(self) -> Period:
         """Compute the step of this period."""
-        x = self._plant.state
+        x = self._x = self._plant.state
         projection = self._project(x)
         if self._ticks == self._told_from:
             self._speed = told_reference(self._scenario, self.path)
@@ -227,7 +229,7 @@ class _Loop:
         if period.step.mode == "stop":
             self._stopped = self._stopped or period.step.detail or period.step.status
             if self._plant.state[V_X] < STANDSTILL:
-                return self._ending(f"stopped by the gate: {self._stopped}")
+                return self._ending(f"{STOPPED}: {self._stopped}")
         if self._time > self._time_limit:
             return self._ending(TOO_LONG)
         return None
@@ -243,7 +245,8 @@ class _Loop:
         return projection
 
     def _ending(self, reason: str) -> Ending:
-        p_x, p_y = self._plant.state[POSITION]
+        last, lost = self._x[POSITION], self._plant.state[POSITION]
+        p_x, p_y = lost if np.isfinite(lost).all() else last
         return Ending(
             completed=reason == "completed",
             reason=reason,

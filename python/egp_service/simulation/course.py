@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import Library, Path, SpeedProfile
+from egp_service._core import EgpError, InvalidArgumentError, Library, Path, SpeedProfile
 from egp_service.simulation.scenario import Scenario, library_path, vehicle_parameters
 from egp_service.simulation.scenario_checks import ScenarioError, check_seed
 
@@ -22,10 +22,20 @@ if TYPE_CHECKING:
 
 # A long lap with fast and slow corners of both directions.
 _CIRCUIT_SEED = 11
+# m; roads of other lengths have no belief about their friction.
+_LENGTHS = (1.0, 1e6)
 
 
 def _circle(radius: float = 50.0, track_width: float = 7.0) -> Path:
-    """Return a counter-clockwise circle that starts in the direction +x."""
+    """Return a counter-clockwise circle that starts in the direction +x.
+
+    Raises:
+        InvalidArgumentError: unless the radius is positive.
+        EgpError: if the width is negative.
+
+    """
+    if not radius > 0.0:
+        raise InvalidArgumentError(f"expected a radius above 0 m, got {radius:g}")
     angle = np.linspace(-0.5 * np.pi, 1.5 * np.pi, 72, endpoint=False)
     points = radius * np.column_stack([np.cos(angle), np.sin(angle)])
     return Path.from_points(points, closed=True, widths=np.full((72, 2), 0.5 * track_width))
@@ -43,46 +53,67 @@ TRACKS: dict[str, Callable[..., Path]] = {
 }
 
 
-def build_path(scenario: Scenario) -> Path:
+def build_path(scenario: Scenario, origin: str | None = None) -> Path:
     """Path of the scenario's track, with widths and friction zones.
 
     Raises:
-        ScenarioError: if track or parameters are unknown, or a zone begins behind the end of the
-            path.
-        EgpError: if dimensions are invalid.
+        ScenarioError: with a message that begins with `origin`, or else the scenario's name, if
+            track or parameters are unknown, dimensions or the file are invalid, or a zone begins
+            behind the end of the path.
+        EgpError: if the scenario's file of a vehicle cannot be used.
 
     """
+    where = scenario.name if origin is None else origin
+    path = _path(scenario, where)
+    scale = path.length if scenario.zones_in_metres else 1.0
+    for number, zone in enumerate(scenario.zones):
+        if scenario.zones_in_metres and zone.start >= path.length:
+            raise ScenarioError(
+                f"{where}: zones[{number}].start is {zone.start:g} m, but the path is "
+                f"{path.length:g} m long: expected less"
+            )
+    return path.with_friction([(zone.start / scale, *zone.sides()) for zone in scenario.zones])
+
+
+def _path(scenario: Scenario, where: str) -> Path:
+    """Path of the scenario's track without friction zones."""
     track = scenario.track
     if track.kind not in TRACKS:
-        raise ScenarioError(f"no track {track.kind!r}; known: {', '.join(TRACKS)}")
+        raise ScenarioError(
+            f"{where}: track.kind: no track {track.kind!r}; known: {', '.join(TRACKS)}"
+        )
     parameters: dict[str, object] = dict(track.parameters)
     make = TRACKS[track.kind]
     known = [name for name in inspect.signature(make).parameters if name != "file"]
     if unknown := sorted(set(parameters) - set(known)):
         raise ScenarioError(
-            f"{scenario.name}: track.parameters.{unknown[0]}: unknown for kind {track.kind!r}; "
+            f"{where}: track.parameters.{unknown[0]}: unknown for kind {track.kind!r}; "
             f"known: {', '.join(known)}"
         )
     if track.kind == "csv":
         if track.file is None:
-            raise ScenarioError("track kind csv needs the field `file`")
+            raise ScenarioError(f"{where}: track.file is missing, which track kind 'csv' needs")
         parameters["file"] = track.file
     if track.kind == "iso-3888-2":
         car = vehicle_parameters(scenario)
         parameters.setdefault("vehicle_width", car.width)
     if track.kind == "random":
         seed = track.parameters.get("seed", scenario.seed)
-        check_seed(seed, "track.parameters.seed")
+        check_seed(seed, f"{where}: track.parameters.seed")
         parameters["seed"] = int(seed)
-    path = make(**parameters)
-    scale = path.length if scenario.zones_in_metres else 1.0
-    for number, zone in enumerate(scenario.zones):
-        if scenario.zones_in_metres and zone.start >= path.length:
-            raise ScenarioError(
-                f"{scenario.name}: zones[{number}].start is {zone.start:g} m, but the path is "
-                f"{path.length:g} m long: expected less"
-            )
-    return path.with_friction([(zone.start / scale, *zone.sides()) for zone in scenario.zones])
+    key = "track.file" if track.kind == "csv" else "track.parameters"
+    try:
+        path = make(**parameters)
+    except (EgpError, OSError) as error:
+        raise ScenarioError(f"{where}: {key}: {error}") from error
+    least, most = _LENGTHS
+    if not least <= path.length <= most:
+        made = f" of {track.file}" if track.file else ""
+        raise ScenarioError(
+            f"{where}: {key}: the path{made} is {path.length:g} m long: expected {least:g} to "
+            f"{most:g} m"
+        )
+    return path
 
 
 def narrow_place(scenario: Scenario) -> str | None:

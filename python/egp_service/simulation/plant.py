@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+import traceback
+from contextlib import contextmanager
 from dataclasses import asdict, astuple
 from importlib import import_module
 from pathlib import Path as FilePath
@@ -14,6 +16,8 @@ from egp_service._core import EgpError, Plant, VehicleLostError
 from egp_service.quantities import DELTA, NX, OMEGA, P_X, P_Y, PSI, V_X, V_Y
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from egp_service._core import Path
@@ -92,10 +96,11 @@ class OwnPlant:
         """Put the vehicle into the state (7,).
 
         Raises:
-            PlantError: if the state is then not finite.
+            PlantError: if the simulator raises an exception, or the state is then not finite.
 
         """
-        self._simulator.reset(x)
+        with _calling(f"{self._name}.reset"):
+            self._simulator.reset(x)
         if not np.isfinite(self.state).all():
             raise PlantError(f"{self._name}.state after reset is {self.state.tolist()}")
 
@@ -103,11 +108,13 @@ class OwnPlant:
         """Drive one period on the friction at the arc length `s`.
 
         Raises:
+            PlantError: if the simulator raises an exception.
             VehicleLostError: if the state is no longer finite or more than 10 000 km away.
 
         """
         friction = float(self._path.sample(np.array([s]))[-1][0])
-        self._simulator.step(u, dt, friction)
+        with _calling(f"{self._name}.step"):
+            self._simulator.step(u.copy(), dt, friction)  # a step may write into its argument
         if not (np.abs(self.state) <= FARTHEST).all():
             raise VehicleLostError(f"{self._name}: the state is {self.state.tolist()}")
 
@@ -119,7 +126,8 @@ class OwnPlant:
             PlantError: unless the state is an array of seven real numbers.
 
         """
-        state = self._simulator.state
+        with _calling(f"{self._name}.state"):
+            state = self._simulator.state
         if callable(state):
             raise PlantError(f"{self._name}.state is a method: make it a property")
         try:
@@ -152,7 +160,8 @@ def load_simulator(name: str) -> Simulator:
     """Make a simulator from `module:Class`; modules of the working folder are found.
 
     Raises:
-        PlantError: if there is no such class, or it lacks `reset`, `step` or `state`.
+        PlantError: if there is no such class, it cannot be made, or it lacks `reset`, `step` or
+            `state`.
 
     """
     module, colon, attribute = name.partition(":")
@@ -160,19 +169,21 @@ def load_simulator(name: str) -> Simulator:
         raise PlantError(f"plant {name!r}: expected MODULE:CLASS, such as my_simulator:Car")
     if str(FilePath.cwd()) not in sys.path:
         sys.path.insert(0, str(FilePath.cwd()))
-    try:
-        simulator: Simulator = getattr(import_module(module), attribute)()
-    except (ImportError, AttributeError, TypeError) as error:
-        raise PlantError(
-            f"plant {name!r} cannot be made: {error}; expected a class without arguments in a "
-            "module of this folder or of an installed package"
-        ) from error
+    with _calling(f"plant {name!r} cannot be made"):
+        try:
+            simulator: Simulator = getattr(import_module(module), attribute)()
+        except (ImportError, AttributeError, TypeError) as error:
+            raise PlantError(
+                f"plant {name!r} cannot be made: {error}; expected a class without arguments in a "
+                "module of this folder or of an installed package"
+            ) from error
     # A property may need `reset` first, so it is looked for and not read.
     own = getattr(simulator, "__dict__", {})  # some classes have none
     has = {*dir(type(simulator)), *own}
     lacking = [part for part in ("reset", "step", "state") if part not in has]
     if lacking == ["state"]:
-        simulator.reset(np.array([0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0]))
+        with _calling(f"{name}.reset"):
+            simulator.reset(np.array([0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0]))
         lacking = [] if "state" in own else lacking
     if lacking:
         raise PlantError(
@@ -180,3 +191,18 @@ def load_simulator(name: str) -> Simulator:
             "and state (docs/simulator.md)"
         )
     return simulator
+
+
+@contextmanager
+def _calling(what: str) -> Iterator[None]:
+    """Turn an exception of a user's code into a `PlantError` with the place where it was raised."""
+    try:
+        yield
+    except EgpError:  # such as `VehicleLostError`, which ends a run
+        raise
+    except Exception as error:
+        text = f"{what}: {type(error).__name__}: {error}"
+        if not isinstance(error, SyntaxError):  # whose own text has the place
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            text += f" ({place.filename}, line {place.lineno})"
+        raise PlantError(text) from error

@@ -72,14 +72,21 @@ def check_picture(path: FilePath) -> None:
         )
 
 
+PICTURES: Final = ("track.png", "weights.png", "errors.png", "commands.png", "step-times.png")
+"""Names of the pictures of a run."""
+
+
 def draw_run(run: Run, folder: FilePath) -> list[FilePath]:
     """Draw all pictures of a run into `folder`; return their paths."""
+    figures = (
+        _track_figure,
+        _weights_figure,
+        _errors_figure,
+        _commands_figure,
+        _step_times_figure,
+    )
     return [
-        _save(_track_figure, run, folder / "track.png"),
-        draw_weights(run, folder / "weights.png"),
-        draw_errors(run, folder / "errors.png"),
-        _save(_commands_figure, run, folder / "commands.png"),
-        _save(_step_times_figure, run, folder / "step-times.png"),
+        _save(figure, run, folder / name) for figure, name in zip(figures, PICTURES, strict=True)
     ]
 
 
@@ -257,11 +264,12 @@ def _weights_figure(run: Run) -> Figure:
         middle.plot(distance, weights @ run.frictions, color=ALARM, label="the members', weighted")
     if run.scenario.speed.knows != "zones":
         middle.plot(trace.distance, trace.friction_planned, color=PLANNED, label="planned for")
-    middle.set(ylabel="μ", ylim=(0.0, 1.4))
+    middle.set(ylabel="μ", ylim=(0.0, max(1.4, middle.get_ylim()[1])))
     _legend_above(middle, 4)
     grip = np.abs(trace.x[:, V_X] * trace.x[:, OMEGA]) / (GRAVITY * trace.friction)
     bottom.fill_between(trace.distance, grip, color=MUTED, linewidth=0)
-    bottom.set(xlabel="distance [m]", ylabel="grip used\nin corners", ylim=(0.0, 1.0))
+    bottom.set(xlabel="distance [m]", ylabel="grip used\nin corners")
+    bottom.set_ylim(0.0, max(1.0, bottom.get_ylim()[1]))
     bottom.set_title("Surfaces are distinguishable only where grip is used", weight="normal")
     return figure
 

@@ -55,5 +55,7 @@ def record_run(
             observe(period)
 
         run = drive(scenario, controller, both, belief)
-    write_text(folder / "summary.json", json.dumps(run.summary.as_json(), indent=2) + "\n")
+    write_text(
+        folder / "summary.json", json.dumps(run.summary.as_json(), indent=2, allow_nan=False) + "\n"
+    )
     return run

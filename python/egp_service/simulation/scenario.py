@@ -230,7 +230,16 @@ def load_scenario(name_or_file: str) -> Scenario:
 
 
 def parse_scenario(text: str, folder: Path, origin: str) -> Scenario:
-    """Parse a scenario file's text; paths in it are relative to `folder`."""
+    """Parse a scenario file's text; paths in it are relative to `folder`.
+
+    Raises:
+        ScenarioError: with a message that begins with `origin`, if a value is out of its range, or
+            if track or vehicle cannot be built.
+        ConfigurationError: if a field is unknown, missing or of the wrong type.
+
+    """
+    from egp_service.simulation.course import build_path  # noqa: PLC0415 - it builds on this file
+
     try:
         table = tomllib.loads(text)
     except ValueError as error:  # also of a number with thousands of digits
@@ -253,6 +262,11 @@ def parse_scenario(text: str, folder: Path, origin: str) -> Scenario:
         scenario = replace(scenario, track=track)
     if scenario.library != DEMO_LIBRARY:
         scenario = replace(scenario, library=str(folder / scenario.library))
+    try:
+        vehicle_parameters(scenario)
+    except EgpError as error:
+        raise ScenarioError(f"{origin}: vehicle_file: {error}") from error
+    build_path(scenario, origin)
     return scenario
 
 
@@ -319,7 +333,6 @@ def check_scenario(scenario: Scenario, origin: str) -> None:
             "kind = 'csv', or leave out `file`"
         )
     positive = {
-        "speed.v_max": scenario.speed.v_max,
         "speed.friction": 1.0 if scenario.speed.friction is None else scenario.speed.friction,
         "laps": scenario.laps,
         "leave_distance": scenario.leave_distance,

@@ -20,6 +20,10 @@ MAX_NAME = 50
 # A run's folder has the name, so a name holds nothing that would lead to another folder.
 _NAME = re.compile(rf"\w[\w .-]{{0,{MAX_NAME - 1}}}")
 KNOWLEDGE = ("zones", "here", "weights", "nothing")
+SPEEDS = (1e-3, 1e4)
+"""The range of `speed.v_max`, m/s; no profile has another largest speed."""
+MAX_START = 150.0
+"""The largest `speed.v_start`, m/s; the control step accepts no larger speed."""
 
 
 class ScenarioError(ConfigurationError):
@@ -78,25 +82,43 @@ def check_speed(speed: Speed, origin: str) -> None:
         )
     if not 0.0 < speed.risk < 1.0:
         raise ScenarioError(f"{origin}: speed.risk must be between 0 and 1, got {speed.risk}")
+    least, most = SPEEDS
+    if not least <= speed.v_max <= most:
+        raise ScenarioError(
+            f"{origin}: speed.v_max must be {least:g} to {most:g} m/s, got {speed.v_max:g}"
+        )
+    if speed.v_start is not None and not 0.0 <= speed.v_start <= MAX_START:
+        raise ScenarioError(
+            f"{origin}: speed.v_start must be 0 to {MAX_START:g} m/s, got {speed.v_start:g}"
+        )
+    if reason := why_unused(speed):
+        _check_unused(speed, reason, origin)
     if speed.knows == "zones" and speed.friction is not None:
         raise ScenarioError(
             f"{origin}: speed.friction has no effect while speed.knows is 'zones'; set it to "
             "'nothing', 'here' or 'weights', or leave out `friction`"
         )
-    if reason := why_unused(speed):
-        # The text of a resolved scenario states the defaults as well.
-        for name in ("risk", "preview"):
-            if getattr(speed, name) != getattr(type(speed)(), name):
-                raise ScenarioError(
-                    f"{origin}: speed.{name} has no effect while {reason}, or leave out `{name}`"
-                )
+
+
+def _check_unused(speed: Speed, reason: str, origin: str) -> None:
+    """Raise `ScenarioError` for a value without effect that is not the default.
+
+    The text of a resolved scenario states the defaults as well.
+    """
+    of_constant = ("knows", "friction", "grip", "tyres") if speed.constant else ()
+    for name in ("risk", "preview", *of_constant):
+        if getattr(speed, name) != getattr(type(speed)(), name):
+            raise ScenarioError(
+                f"{origin}: speed.{name} has no effect while {reason}, or leave out `{name}`"
+            )
 
 
 def why_unused(speed: Speed) -> str | None:
     """Say why the reference speed does not use what is known about the road; None if it does."""
+    if speed.constant:
+        return "speed.constant is True; leave it out in the scenario"
     if speed.knows != "nothing":
         return f"speed.knows is {speed.knows!r}; set it to 'nothing' in the scenario"
-    for name in ("constant", "friction"):
-        if getattr(speed, name):
-            return f"speed.{name} is {getattr(speed, name)}; leave it out in the scenario"
+    if speed.friction is not None:
+        return f"speed.friction is {speed.friction}; leave it out in the scenario"
     return None

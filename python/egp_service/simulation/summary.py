@@ -32,6 +32,7 @@ class Ending:
     distance: float
     """Distance along the path from the start, m."""
     position: tuple[float, float]
+    """Position at the end, or the last finite one, m."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,15 @@
 """`egp drive`."""
 
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import fleet_and_name
+from egp_service.cli.options import check_writable, fleet_and_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -121,6 +122,8 @@ def drive(
     from egp_service.simulation.reference import load_belief, store_belief
     from egp_service.simulation.runs import new_folder, record_run
 
+    if pictures:  # a missing package is an error before the drive
+        from egp_service.simulation.report import draw_run
     console = Console()
     chosen = _chosen(scenario, library, plant, seed)
     _check_use(vehicle, connect, zenoh, fleet, monitor, in_process=in_process)
@@ -129,14 +132,19 @@ def drive(
     fleet_name, name = fleet_and_name(vehicle)
     with (
         _fleet_map(console, chosen, belief, fleet, vehicle, zenoh) as exchange,
-        _controller(
+        _started(
             chosen,
-            in_process=in_process,
-            connect=connect,
-            vehicle=vehicle,
-            zenoh=zenoh,
-            key=key,
-            traces=traces,
+            scenario,
+            partial(
+                _controller,
+                chosen,
+                in_process=in_process,
+                connect=connect,
+                vehicle=vehicle,
+                zenoh=zenoh,
+                key=key,
+                traces=traces,
+            ),
         ) as controller,
         publication(
             chosen,
@@ -150,6 +158,9 @@ def drive(
     ):
         if connect or (zenoh and not in_process):
             _show_differences(console, chosen, controller)
+        if road is not None:
+            road.absolute().parent.mkdir(parents=True, exist_ok=True)
+            check_writable(road)
         folder = new_folder(output, chosen.name)
         try:
             with StatusLine(console) as line:
@@ -163,12 +174,11 @@ def drive(
         except KeyboardInterrupt:
             console.print(f"Interrupted. What was recorded until then is in {folder}", markup=False)
             raise
-    if road is not None:
-        store_belief(belief, road)
+        finally:
+            if road is not None:
+                store_belief(belief, road)
     _show(console, run.summary)
     if pictures:
-        from egp_service.simulation.report import draw_run
-
         draw_run(run, folder)
     console.print(f"Results in {folder}", markup=False)
     if not run.summary.ending.completed:
@@ -176,7 +186,11 @@ def drive(
 
 
 def _chosen(name: str, library: Path | None, plant: str | None, seed: int | None) -> "Scenario":
-    """Return the scenario of a name or file with what the options state in place of its own."""
+    """Return the scenario of a name or file with what the options state in place of its own.
+
+    What would keep it from being driven is an error here, before the run has a folder.
+    """
+    from egp_service.simulation.course import build_path, build_profile
     from egp_service.simulation.plant import load_simulator
     from egp_service.simulation.scenario import load_scenario
     from egp_service.simulation.scenario_checks import check_seed
@@ -190,7 +204,8 @@ def _chosen(name: str, library: Path | None, plant: str | None, seed: int | None
         check_seed(seed, "--seed")
         chosen = replace(chosen, seed=seed)
     if chosen.plant is not None:
-        load_simulator(chosen.plant)  # reports a class that cannot be made before a folder is
+        load_simulator(chosen.plant)
+    build_profile(chosen, build_path(chosen, name))
     return chosen
 
 
@@ -200,6 +215,25 @@ def _warn(console: Console, scenario: "Scenario") -> None:
 
     if warning := narrow_place(scenario):
         console.print(warning, markup=False, highlight=False)
+
+
+@contextmanager
+def _started(
+    scenario: "Scenario",
+    origin: str,
+    start: "Callable[[], AbstractContextManager[StepController]]",
+) -> "Iterator[StepController]":
+    """Give the controller; an error of its gate names where the scenario comes from."""
+    from egp_service._core import EgpError
+
+    with ExitStack() as stack:
+        try:
+            controller = stack.enter_context(start())
+        except EgpError as error:
+            if scenario.gate and "gate" in str(error):
+                error.add_note(f"in [gate] of {origin}")
+            raise
+        yield controller
 
 
 def _controller(

@@ -79,10 +79,12 @@ def evaluate(
     linear models, the paper's GPs and a vehicle alone. The log is a dataset of
     `egp collect --from-log`; the pictures go to the output folder.
 
-    With --plant all runs but those of disturbances are driven by your simulator,
-    a class with reset(x), step(u, dt, friction) and state: `egp drive --help`
-    says what these are, and docs/simulator.md has an example. Runs are kept by
-    its name: choose another --output after changing it.
+    With --plant your simulator drives, a class with reset(x),
+    step(u, dt, friction) and state: `egp drive --help` says what these are, and
+    docs/simulator.md has an example. The experiments prediction and step-times
+    use the built-in vehicle all the same; disturbances, another vehicle and roads
+    whose sides differ are left out. Runs are kept by the simulator's name: choose
+    another --output after changing it.
 
     The same command resumes an interrupted evaluation. Requires the extras train
     and viz; with the extra paper, step-times includes the paper's stack.
@@ -113,7 +115,7 @@ def evaluate(
     })  # fmt: skip
     selection = _selection(console, chosen, track, scale, full=full)
     if plant is not None:
-        selection = _on_plant(selection, plant, experiment)
+        selection = _on_plant(console, selection, plant, experiment)
     source = _train(console, output, jobs, cluster) if train else library or EVALUATION_LIBRARY
     campaign = _campaign(console, selection, output, source, jobs, cluster)
     results = run(console, campaign, selection, output, jobs=jobs, cluster=cluster)
@@ -123,6 +125,13 @@ def evaluate(
 def _selection(
     console: Console, chosen: list[str], track: Path | None, scale: float, *, full: bool
 ) -> "Selection":
+    """Give what is evaluated.
+
+    Raises:
+        EgpError: if nothing of what was chosen is run without --full.
+
+    """
+    from egp_service._core import EgpError
     from egp_service.cli.evaluation_parts import Selection
     from egp_service.evaluation import disturbances
     from egp_service.evaluation.experiments import (
@@ -138,7 +147,10 @@ def _selection(
         if e.name in chosen and (full or e.quick_seeds)
     ]
     if disturbances.NAME in chosen and not full:
-        console.print("disturbances trains six libraries and is driven with --full only.")
+        told = "disturbances trains six libraries and is driven with --full only"
+        if set(chosen) == {disturbances.NAME}:
+            raise EgpError(f"{told}: add --full")
+        console.print(f"{told}.")
     apart = [e for e in (OBSTACLE_AVOIDANCE, HIDDEN_ICE) if e.name in chosen]
     return Selection(full, chosen, driven, apart)
 
@@ -246,8 +258,10 @@ def _check_options(
         raise EgpError("--scale requires --track: give both")
 
 
-def _on_plant(selection: "Selection", plant: str, named: list[str] | None) -> "Selection":
-    """Let a simulator drive the experiments.
+def _on_plant(
+    console: Console, selection: "Selection", plant: str, named: list[str] | None
+) -> "Selection":
+    """Let a simulator drive the experiments, and say which conditions it cannot.
 
     Raises:
         EgpError: if one of the experiments named needs our simulator.
@@ -266,7 +280,18 @@ def _on_plant(selection: "Selection", plant: str, named: list[str] | None) -> "S
             "without --plant"
         )
     load_simulator(plant)  # reports a class that cannot be made before the runs start
-    driven = [on_plant(e, plant) for e in selection.driven if e.name != disturbances.NAME]
+    driven = []
+    for experiment in (e for e in selection.driven if e.name != disturbances.NAME):
+        own = on_plant(experiment, plant)
+        kept = {name for name, _ in own.conditions}
+        if left := [name for name, _ in experiment.conditions if name not in kept]:
+            console.print(
+                f"{experiment.name} without the conditions that {plant} does not see: "
+                f"{', '.join(left)}",
+                markup=False,
+                highlight=False,
+            )
+        driven.append(own)
     return replace(selection, driven=driven, apart=[on_plant(e, plant) for e in selection.apart])
 
 

@@ -30,7 +30,7 @@ def replay(
     *,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Picture; by default RECORDING-replay.png."),
+        typer.Option("--output", "-o", help="Picture; by default RECORDING-replay-CHANGE.png."),
     ] = None,
     pictures: Annotated[bool, typer.Option(help="Draw a picture of differences.")] = True,
 ) -> None:
@@ -59,14 +59,9 @@ def replay(
     if not pictures:
         reason = "names a picture, which --no-pictures leaves out: give one of them"
         check_unused({"--output": output}, reason)
+    target = output or _default_picture(recording, library, settings)
     if output is not None:
-        from egp_service.simulation.report import check_picture
-
-        # The check comes before the time that the replay takes, and makes no folder.
-        folder = output.parent
-        while not folder.exists():
-            folder = folder.parent
-        check_picture(folder / output.name)
+        _check_output(output, recording)
     console = Console(soft_wrap=True, markup=False)
     recorded = read_recording(recording)
     console.print(replay_text.heading(recording, recorded))
@@ -84,7 +79,6 @@ def replay(
     if pictures:
         from egp_service.simulation.replay_report import draw_replay
 
-        target = output or recording.with_name(f"{recording.stem}-replay.png")
         target.parent.mkdir(parents=True, exist_ok=True)
         given = {"library": library, "settings": settings}
         words = [f"{name} {file.name}" for name, file in given.items() if file is not None]
@@ -92,6 +86,30 @@ def replay(
         console.print(f"Picture: {target}")
     if not changed:
         raise typer.Exit(DIFFERENT)
+
+
+def _default_picture(recording: Path, library: Path | None, settings: Path | None) -> Path:
+    """Name the picture by what is changed, so that another change has another picture."""
+    changes = [file.stem for file in (library, settings) if file is not None]
+    return recording.with_name("-".join([recording.stem, "replay", *changes]) + ".png")
+
+
+def _check_output(output: Path, recording: Path) -> None:
+    """Check the picture's name before the time that the replay takes; this makes no folder.
+
+    Raises:
+        EgpError: unless a picture can have this name, or if it is one of the recorded run.
+
+    """
+    from egp_service._core import EgpError
+    from egp_service.simulation.report import PICTURES, check_picture
+
+    folder = output.parent
+    while not folder.exists():
+        folder = folder.parent
+    check_picture(folder / output.name)
+    if output.name in PICTURES and output.resolve().parent == recording.resolve().parent:
+        raise EgpError(f"{output} is a picture of the recorded run: choose another --output")
 
 
 def _library(recorded: "Recorded", given: Path | None) -> Path:
