@@ -9,10 +9,13 @@ import threading
 import time
 from concurrent.futures import Future
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    # Times of arrival, topics and messages.
+    Timetable: TypeAlias = list[tuple[float, str, Any]]
 
 
 class Clock:
@@ -56,32 +59,47 @@ class Reader:
 
 
 class Arrived(threading.Event):
-    """Whether messages have arrived, which none does while the vehicle waits for them."""
+    """Whether messages have arrived; while the vehicle waits only those of a timetable do."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, timetable: Timetable) -> None:
         super().__init__()
-        self._clock = clock
+        self._clock, self._timetable = clock, timetable
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Let the time pass."""
-        self._clock.sleep(timeout or 0.0)
+        """Let the time pass, at most until the next message of the timetable."""
+        end = self._clock.now + (timeout or 0.0)
+        if not self.is_set() and self._timetable and self._timetable[0][0] <= end:
+            self._clock.now = max(self._clock.now, self._timetable[0][0])
+            self.set()
+        elif not self.is_set():
+            self._clock.now = end
         return self.is_set()
 
 
 class Topics:
-    """The topics of a vehicle: `messages` are read, and commands are kept."""
+    """The topics of a vehicle: `messages` are read, and commands are kept.
 
-    def __init__(self, clock: Clock) -> None:
+    `timetable` has further messages in the order of their times of arrival.
+    """
+
+    def __init__(self, clock: Clock, timetable: Timetable | None = None) -> None:
         self.messages: dict[str, Any] = {}
         self.commands: list[Any] = []
-        self.arrived = Arrived(clock)
+        self._timetable: Timetable = [] if timetable is None else timetable
+        self.arrived = Arrived(clock, self._timetable)
         self._clock = clock
+        self._due: dict[str, tuple[Any, float]] = {}
 
     def subscribe(self, topic: str, kind: str) -> Any:  # noqa: ANN401
         """Return what reads a topic; a message that is an exception is raised."""
         del kind
 
         def take() -> tuple[Any, float] | None:
+            while self._timetable and self._timetable[0][0] <= self._clock.now:
+                arrival, name, due = self._timetable.pop(0)
+                self._due[name] = (due, arrival)
+            if topic in self._due:
+                return self._due.pop(topic)
             message = self.messages.pop(topic, None)
             if isinstance(message, Exception):
                 raise message

@@ -119,3 +119,9 @@ def secrets(folder: Path, endpoint: str) -> Path:
     port = int(endpoint.rpartition(":")[2])
     write_credentials(folder, "f", ["a", "b"], hosts=["127.0.0.1"], port=port, days=1)
     return folder
+
+
+def written(folder: Path) -> dict[str, bytes]:
+    """Return the contents of all files in a folder."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}

@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
 import pytest
-from security_programs import secrets
+from security_programs import secrets, written
 from typer.testing import CliRunner
 
 from egp_service import EgpError
@@ -22,12 +22,6 @@ from egp_service.shipped import DEMO_LIBRARY
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-def written(folder: Path) -> dict[str, bytes]:
-    """Return the contents of all files in a folder."""
-    files = (path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def lifetime(file: Path, end: str = "connect") -> timedelta:
@@ -209,6 +203,12 @@ def test_a_private_key_is_never_replaced(tmp_path: Path) -> None:
         ("f", "", "expected an IPv4 address"),
         ("f", "http://x", "expected an IPv4 address"),
         ("f", "fd00::2", "a host name that resolves to it"),
+        ("f", "a" * 64, "parts between dots have 1 to 63 letters"),
+        ("f", "control." + "a" * 300, "parts between dots have 1 to 63 letters"),
+        ("f", "-x", "without a hyphen at either end"),
+        ("f", "control-.example", "without a hyphen at either end"),
+        ("f", "control..example", "parts between dots have 1 to 63 letters"),
+        ("f", ".".join(["a" * 63] * 4), "at most 253 characters"),
         ("library", "control.example", "choose another --fleet"),
     ],
 )
@@ -221,7 +221,8 @@ def test_what_no_certificate_can_name_is_an_error_before_anything_is_written(
     with pytest.raises(EgpError, match=complaint):
         write_credentials(tmp_path / "own", fleet, ["a"], hosts=["h", host], port=1, days=1)
     assert not (tmp_path / "own").exists()
-    for good in ("10.0.0.5", "control-1.example"):
+    longest = ".".join([*["a" * 63] * 3, "a" * 61])
+    for good in ("10.0.0.5", "control-1.example", "a" * 63, "x", longest):
         write_credentials(tmp_path / "own", "f", ["library"], hosts=[good], port=1, days=1)
 
 

@@ -21,13 +21,16 @@ from typing import TYPE_CHECKING, Self
 from egp_service._core import EgpError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
 _CLOCK_DIFFERENCE = timedelta(hours=1)
-_HOST_NAME = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
+_LABEL = r"(?!-)[A-Za-z0-9_-]{1,63}(?<!-)"
+_HOST_NAME = re.compile(rf"{_LABEL}(\.{_LABEL})*")
+_LONGEST_HOST = 253
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +54,13 @@ def check_hosts(hosts: Sequence[str]) -> None:
         try:
             address = ipaddress.ip_address(host)
         except ValueError:
-            if not _HOST_NAME.fullmatch(host):
+            if len(host) > _LONGEST_HOST or not _HOST_NAME.fullmatch(host):
                 raise EgpError(
-                    f"host {host!r}: expected an IPv4 address, or a name of letters (A-Z a-z), "
-                    "digits, hyphens, underscores and dots; --port gives the port, and a name with "
-                    "other letters is written in its form that begins with xn--"
+                    f"host {host!r}: expected an IPv4 address, or a name of at most "
+                    f"{_LONGEST_HOST} characters whose parts between dots have 1 to 63 letters "
+                    "(A-Z a-z), digits, hyphens and underscores, without a hyphen at either end; "
+                    "--port gives the port, and a name with other letters is written in its form "
+                    "that begins with xn--"
                 ) from None
         else:
             if isinstance(address, ipaddress.IPv6Address):
@@ -163,6 +168,51 @@ class Authority:
             builder = builder.add_extension(names, critical=False)
         builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
         return _signed(builder, key, self._key)
+
+
+def read_authority(
+    certificate: Path, private: Path, days: int, report: Callable[[str], None]
+) -> Authority | None:
+    """Read the authority of two files, or return None if neither is there.
+
+    `report` is told if certificates cannot be valid for `days`.
+
+    Raises:
+        EgpError: if one file is missing or cannot be read, and if the authority has expired.
+
+    """
+    if not certificate.exists():
+        if private.exists():
+            raise EgpError(
+                f"{certificate} is missing: copy the authority's certificate there, which each "
+                ".json5 file of the fleet has as root_ca_certificate_base64, or move ca.key away "
+                "to begin with a new authority"
+            )
+        return None
+    if not private.exists():
+        raise EgpError(
+            f"{private} is missing: copy the authority's private key there to make more keys"
+        )
+    try:
+        authority = Authority(Identity(certificate.read_bytes(), private.read_bytes()))
+    except (ValueError, TypeError) as error:
+        raise EgpError(
+            f"{certificate} or {private} is not as `egp keys` wrote it ({error}): restore both "
+            "from a copy"
+        ) from error
+    now = datetime.now(UTC)
+    remedy = "move ca.pem and ca.key away, leave the other files there, and name every vehicle"
+    if authority.end <= now:
+        raise EgpError(
+            f"{certificate}: the authority expired on {authority.end:%Y-%m-%d}; for a new one "
+            f"{remedy}; then replace all .json5 files where they are used"
+        )
+    if authority.end < now + timedelta(days=days):
+        report(
+            f"The new certificates expire with the authority on {authority.end:%Y-%m-%d}, before "
+            f"the end of {days} days. For a new authority {remedy}."
+        )
+    return authority
 
 
 def _after(days: int) -> datetime:

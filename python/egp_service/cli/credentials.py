@@ -13,7 +13,6 @@ import secrets
 from base64 import b64decode, b64encode
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
 from egp_service._core import EgpError
@@ -26,7 +25,13 @@ from egp_service.cli.access import (
     listener_access,
     size_limits,
 )
-from egp_service.cli.certificates import Authority, Identity, check_hosts, listening_hosts
+from egp_service.cli.certificates import (
+    Authority,
+    Identity,
+    check_hosts,
+    listening_hosts,
+    read_authority,
+)
 from egp_service.cli.signing import new_signing_key, public_line
 from egp_service.control.endpoints import MAP_PORT, ROUTER_PORT, SERVICE_PORT
 from egp_service.files import locked, replacing
@@ -81,7 +86,8 @@ def write_credentials(
     operator and monitor. The files of new ones connect to `hosts`. The certificates of service, map
     and router are also valid for the hosts of earlier calls, and they listen where they did. The
     service listens on `port` if it is given, which `report` is told if it changes; a new one
-    listens on 7447 without it. `report` is also told if certificates cannot be valid for `days`.
+    listens on 7447 without it. `report` is also told if certificates cannot be valid for `days`,
+    and if a fleet that has files gets a new key to sign libraries with.
 
     Raises:
         EgpError: before anything is written, for a name or host that cannot be used, for a file
@@ -93,7 +99,8 @@ def write_credentials(
     check_hosts(hosts)
     with locked(folder):
         found = _collect(folder, names, hosts=hosts, port=port, report=report)
-        _write_all(folder, found, _authority(folder, days, report), days)
+        authority = read_authority(folder / "ca.pem", folder / "ca.key", days, report)
+        _write_all(folder, found, authority, days)
     return found.new
 
 
@@ -124,16 +131,7 @@ def _collect(
     report: Callable[[str], None],
 ) -> _Fleet:
     """Join what earlier calls wrote with what is to be added."""
-    ring = folder / "vehicles.keys"
-    own = list((folder / "vehicles").glob("*.keys"))
-    if own and not ring.exists() and (folder / "ca.pem").exists():
-        raise EgpError(
-            f"{ring} is missing, and without it the secret keys of {len(own)} vehicles would be "
-            f"lost: restore it from a copy, or from the vehicles' own files by `cat "
-            f"{folder / 'vehicles'}/*.keys > {ring}`, without the lines of vehicles that were "
-            "removed"
-        )
-    keys = _read_keys(ring)
+    keys = _read_keys(_ring(folder))
     new = [name for name in names if name not in keys]
     keys |= {name: secrets.token_hex(32) for name in new}
     listening = {
@@ -164,13 +162,46 @@ def _collect(
     hosts_of = {
         end: list(dict.fromkeys([*_hosts(folder / f"{end}.json5"), *hosts])) for end in _PORTS
     }
-    if (folder / "library.key").exists():
-        public_line(folder / "library.key")  # raises if it is damaged
+    private, public = folder / "library.key", folder / "library.pub"
+    if private.exists():
+        public_line(private)  # raises if it is damaged
+    elif not public.exists() and (folder / "ca.pem").exists():
+        report(
+            f"{public} and {private} are not there: the new ones are another pair, with which no "
+            "library was signed. A service that gets the new library.pub rejects all libraries "
+            "until they are signed again. If there is a copy of the old library.pub, put it back."
+        )
     return _Fleet(keys, new, connected, watching, listening, hosts_of)
 
 
-def _write_all(folder: Path, fleet: _Fleet, authority: Authority, days: int) -> None:
+def _ring(folder: Path) -> Path:
+    """Return the list of the vehicles, which must be there if other files of the fleet are."""
+    ring, own = folder / "vehicles.keys", sorted((folder / "vehicles").glob("*.keys"))
+    others = (folder / "ca.pem", folder / f"{SERVICE}.json5", *own)
+    found = [file for file in others if file.exists()]
+    if found and not ring.exists():
+        remedy = "restore it from the copy that the service has"
+        if own:
+            remedy += (
+                f", or from the vehicles' own files by `cat {own[0].parent}/*.keys > "
+                f"{ring}`, without the lines of vehicles that were removed"
+            )
+        raise EgpError(
+            f"{ring} is missing, but {found[0]} is there: without this list vehicles would get "
+            f"other secret keys, and those that are not named no access; {remedy}"
+        )
+    return ring
+
+
+def _write_all(folder: Path, fleet: _Fleet, authority: Authority | None, days: int) -> None:
+    # The list of the vehicles and the keys come before the authority: whoever finds an authority
+    # finds them, too, and a call that was interrupted can be repeated.
+    _write(folder / "vehicles.keys", _key_lines(fleet.keys))
     _signing_key(folder)
+    if authority is None:
+        authority = Authority.new(10 * days)
+        _write(folder / "ca.key", authority.identity.private_key.decode())
+        _write(folder / "ca.pem", authority.identity.certificate.decode())
     (folder / "vehicles").mkdir(mode=0o700, exist_ok=True)
     for name, endpoints in fleet.connected.items():
         file = _vehicle_file(folder, name)
@@ -187,9 +218,6 @@ def _write_all(folder: Path, fleet: _Fleet, authority: Authority, days: int) -> 
         identity = authority.issue(end, days, fleet.hosts[end])
         config = _listener(authority, identity, end, at, fleet.keys)
         _write(folder / f"{end}.json5", _text(config))
-    # The list of the vehicles comes last: a call that was interrupted after it had made the
-    # authority can be repeated, once the list is restored if files of vehicles are there.
-    _write(folder / "vehicles.keys", _key_lines(fleet.keys))
 
 
 def _vehicle_file(folder: Path, name: str) -> Path:
@@ -208,44 +236,6 @@ def _vehicle(fleet: str, vehicle: str) -> str:
     if len(name) > _LONGEST:
         raise EgpError(f"{name}: a certificate names at most {_LONGEST} characters; shorten a name")
     return name
-
-
-def _authority(folder: Path, days: int, report: Callable[[str], None]) -> Authority:
-    certificate, private = folder / "ca.pem", folder / "ca.key"
-    if not certificate.exists():
-        if private.exists():
-            raise EgpError(
-                f"{certificate} is missing: copy the authority's certificate there, which each "
-                ".json5 file of the fleet has as root_ca_certificate_base64, or move ca.key away "
-                "to begin with a new authority"
-            )
-        authority = Authority.new(10 * days)
-        _write(private, authority.identity.private_key.decode())
-        _write(certificate, authority.identity.certificate.decode())
-        return authority
-    if not private.exists():
-        raise EgpError(
-            f"{private} is missing: copy the authority's private key there to make more keys"
-        )
-    try:
-        authority = Authority(Identity(certificate.read_bytes(), private.read_bytes()))
-    except (ValueError, TypeError) as error:
-        raise EgpError(
-            f"{certificate} or {private} is not as `egp keys` wrote it ({error}): restore both "
-            "from a copy"
-        ) from error
-    now, remedy = datetime.now(UTC), "move ca.pem and ca.key away and name every vehicle"
-    if authority.end <= now:
-        raise EgpError(
-            f"{certificate}: the authority expired on {authority.end:%Y-%m-%d}; for a new one "
-            f"{remedy}, and replace all .json5 files where they are used"
-        )
-    if authority.end < now + timedelta(days=days):
-        report(
-            f"The new certificates expire with the authority on {authority.end:%Y-%m-%d}, before "
-            f"the end of {days} days. For a new authority {remedy}."
-        )
-    return authority
 
 
 def _signing_key(folder: Path) -> None:

@@ -46,7 +46,10 @@ _ROAD: Final = ("left_x", "left_y", "right_x", "right_y", "friction")
 _MOST_POINTS: Final = 25_000
 """Most points of a road; `egp drive` tells one for each metre."""
 _MOST_REPLICAS: Final = 1000
-"""Messages of further replicas are ignored, too."""
+"""A further replica with a token takes the place of one without, and otherwise its messages are
+ignored, too."""
+_MOST_TOKENS: Final = 10_000
+"""Tokens that are remembered."""
 
 
 @dataclass(slots=True)
@@ -61,8 +64,6 @@ class Replica:
     """When the last load came, if one came since the token appeared."""
     interval: float = 0.0
     """Time between the last two loads, s; 0 before there were two."""
-    announced: bool = False
-    """Whether its liveliness token is there."""
 
     def state(self, now: float) -> str:
         """Give `serving`, `silent` or `gone`."""
@@ -87,7 +88,9 @@ class Fleet:
         self.events: deque[Json] = deque(maxlen=_EVENTS)
         self.happened = 0
         self._states: dict[tuple[str, str], str] = {}
-        self._looked = -math.inf
+        self._looked = self._full = -math.inf
+        # Replicas whose liveliness tokens are there, each of which is told once.
+        self._tokens: set[str] = set()
 
     def status(self, name: str, payload: bytes, now: float) -> None:
         """Keep a vehicle's message `VehicleStatus`.
@@ -170,16 +173,27 @@ class Fleet:
 
     def token(self, name: str, now: float, *, appeared: bool) -> None:
         """Note that a replica's liveliness token appeared or disappeared."""
+        if not appeared:
+            self._tokens.discard(name)
+        elif len(self._tokens) < _MOST_TOKENS:
+            self._tokens.add(name)
         replica = self._replica(name, now)
         if replica is not None:
-            replica.alive = replica.announced = appeared
+            replica.alive = appeared
             replica.last_seen = now
             replica.loaded, replica.interval = None, 0.0
 
     def _replica(self, name: str, now: float) -> Replica | None:
-        """Return the replica of this name, or None for one beyond the largest number."""
+        """Return the replica of this name, or None if there is no place for it."""
         if name not in self.replicas and len(self.replicas) >= _MOST_REPLICAS:
-            return None
+            if name not in self._tokens or now - self._full < _ROOM_SECONDS:
+                return None
+            others = [replica for n, replica in self.replicas.items() if n not in self._tokens]
+            if not others:
+                self._full = now
+                return None
+            # One that never had a token goes before one that is gone.
+            del self.replicas[min(others, key=lambda r: (not r.alive, r.last_seen)).name]
         return self.replicas.setdefault(name, Replica(name, alive=True, last_seen=now, load={}))
 
     def update(self, now: float) -> None:
@@ -189,7 +203,7 @@ class Fleet:
         """
         for name in _unseen(self.vehicles.items(), now):
             del self.vehicles[name]
-        unannounced = [(n, r) for n, r in self.replicas.items() if not r.announced]
+        unannounced = [(n, r) for n, r in self.replicas.items() if n not in self._tokens]
         for name in _unseen(unannounced, now):
             del self.replicas[name]
         changed: dict[tuple[str, str], list[str]] = {}

@@ -58,11 +58,13 @@ def state_of(odometry: Any, delta: float, to_centre: float) -> NDArray[np.float6
 
 
 def extrapolated(x: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
-    """Return the state after `dt` seconds with the same speeds and yaw rate."""
+    """Return the state after `dt` seconds with the same speeds and yaw rate, on an arc."""
     ahead = x.copy()
-    cos, sin = np.cos(x[PSI]), np.sin(x[PSI])
-    ahead[P_X] += dt * (x[V_X] * cos - x[V_Y] * sin)
-    ahead[P_Y] += dt * (x[V_X] * sin + x[V_Y] * cos)
+    half = 0.5 * dt * x[OMEGA]
+    cos, sin = np.cos(x[PSI] + half), np.sin(x[PSI] + half)
+    chord = dt * np.sinc(half / np.pi)
+    ahead[P_X] += chord * (x[V_X] * cos - x[V_Y] * sin)
+    ahead[P_Y] += chord * (x[V_X] * sin + x[V_Y] * cos)
     ahead[PSI] += dt * x[OMEGA]
     return ahead
 

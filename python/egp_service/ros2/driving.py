@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -38,8 +39,12 @@ if TYPE_CHECKING:
     from egp_service.control.step import Step, StepController
     from egp_service.ros2.node import Node
 
-# Part of the period by which an odometry message may be early.
-_EARLY: Final = 0.25
+# Parts of the control period by which odometry that comes once in each period may be early or late
+# to begin one. After a lost message a period begins late, and the next message is early by as much.
+_EARLY, _LATE = 0.3, 0.2
+# Largest part of the control period by which the mean time between messages of such odometry
+# differs from it, and the number of these times.
+_DIFFERENCE, _TIMES = 0.05, 8
 _FIRST_DEADLINE: Final = 2.0
 # rad; requests allow no larger steering angle.
 _LARGEST_ANGLE: Final = 1.6
@@ -135,6 +140,8 @@ class Vehicle:
         # The last state that was usable, from which the reference starts.
         self._known: NDArray[np.float64] | None = None
         self._seen = self._reported = -np.inf
+        # When the last messages of odometry came.
+        self._arrivals: deque[float] = deque(maxlen=_TIMES + 1)
         # The stamp of the newest odometry that was used, and that of one that was refused after it.
         self._stamp = (0, 0)
         self._refused: tuple[int, int] | None = None
@@ -154,9 +161,10 @@ class Vehicle:
 
         `observe` is called in every period with its step, and with `None` while odometry, path or
         the measured steering angle were never received, in which case nothing is published. A
-        period begins when odometry arrives; if none does, after 1.25 periods with the extrapolated
-        state, and from `silence` seconds on with a stop, which lasts until the program is started
-        again.
+        period begins one control period after the last one, with the state of the newest odometry
+        extrapolated to its time. If odometry comes about once in each control period, a period
+        begins with its arrival. `silence` seconds without odometry are a stop, which lasts until
+        the program is started again.
 
         Raises:
             InvalidArgumentError: for `seconds` that are not positive.
@@ -168,10 +176,11 @@ class Vehicle:
         begun = last = time.monotonic()
         with ThreadPoolExecutor(max_workers=1) as reader:
             while seconds is None or last - begun < seconds:
-                self._wait(reader, last + (1.0 - _EARLY) * dt, last + (1.0 + _EARLY) * dt)
+                due = self._wait(reader, last)
                 now = time.monotonic()
-                x = self._state(now, now - last)
-                last = now
+                # What is late by more is not made up for by shorter periods.
+                last = due if now - due < _LATE * dt else now
+                x = self._state(now)
                 if x is not None and _usable(x):
                     self._known = x
                 if x is None or self._known is None or self._course is None:
@@ -179,18 +188,31 @@ class Vehicle:
                     continue
                 observe(self._period(x, self._known, self._course))
 
-    def _wait(self, reader: ThreadPoolExecutor, earliest: float, latest: float) -> None:
-        """Return with the first message after `earliest`, or at `latest`."""
-        time.sleep(max(0.0, earliest - time.monotonic()))
-        self._node.arrived.clear()
-        before = self._seen
-        while (left := latest - time.monotonic()) > 0.0:
-            self._receive(reader)
-            if self._seen > before:
-                return
-            self._node.arrived.wait(left)
+    def _wait(self, reader: ThreadPoolExecutor, last: float) -> float:
+        """Wait for the period after the one of `last`, read messages, and return when it was due.
+
+        If odometry comes about once in each period, that is when the first message comes which is
+        not too early, but not too late either.
+        """
+        dt = self._controller.dt
+        earliest = latest = last + dt
+        if self._comes_once_in_a_period(last):
+            earliest, latest = last + (1.0 - _EARLY) * dt, last + (1.0 + _LATE) * dt
+        while True:
             self._node.arrived.clear()
-        self._receive(reader)
+            self._receive(reader)
+            if self._seen > earliest:
+                return min(self._seen, latest)
+            if (left := latest - time.monotonic()) <= 0.0:
+                return latest
+            self._node.arrived.wait(left)
+
+    def _comes_once_in_a_period(self, now: float) -> bool:
+        """Whether odometry comes about once in each control period, also now."""
+        dt, arrivals = self._controller.dt, self._arrivals
+        if len(arrivals) <= _TIMES or now - arrivals[-1] > 1.5 * dt:
+            return False
+        return abs((arrivals[-1] - arrivals[0]) / _TIMES - dt) <= _DIFFERENCE * dt
 
     def _receive(self, reader: ThreadPoolExecutor) -> None:
         """Read what has arrived; what cannot be used is named in `problem`."""
@@ -269,6 +291,7 @@ class Vehicle:
                 return
             self._stamp, self._refused = stamp, None
         self._seen = arrival
+        self._arrivals.append(arrival)
         self._frame, self._map_frame = message.child_frame_id, message.header.frame_id
         self._x = state_of(message, self._measured, self._drive.to_centre)
         q = message.pose.pose.orientation
@@ -280,18 +303,20 @@ class Vehicle:
         else:
             self._problems["odometry"] = "the measured state cannot be used"
 
-    def _state(self, now: float, elapsed: float) -> NDArray[np.float64] | None:
-        """Return the state of now; not a number after a silence, `None` before the first."""
+    def _state(self, now: float) -> NDArray[np.float64] | None:
+        """Return the state of now; not a number after a silence, `None` before the first.
+
+        The steering angle is the one that was measured last.
+        """
         reported = now if self._angles is None else self._reported
         if np.isinf(self._seen) or np.isinf(reported):
             return None
         age = now - self._seen
         if max(age, now - reported) > self._drive.silence:
             return np.full(NX, np.nan)
-        if age > self._controller.dt:
-            self._x = extrapolated(self._x, elapsed)
-            self._x[DELTA] = self._measured
-        return self._x
+        x = extrapolated(self._x, age) if _usable(self._x) else self._x.copy()
+        x[DELTA] = self._measured
+        return x
 
     def _period(
         self,

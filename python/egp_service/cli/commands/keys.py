@@ -40,13 +40,16 @@ def keys(
 ) -> None:
     """Make keys, certificates and configurations that close a service to strangers.
 
-    Called again for other vehicles, it keeps what is there and adds what is
-    missing; start the service again with its new file then. Called again for a
-    vehicle that there is, it renews the certificate: the .json5 file is written
-    anew, with the same endpoints if it is still there, and the secret key stays.
-    Another --host is for the new vehicles; operator and monitor keep their
-    endpoints, and the service its port. Keep ca.key and library.key where no
-    service and no vehicle is; all other files go where their name says.
+    Copy the files to where their names say, and keep the folder, with the list
+    vehicles.keys, library.pub and the folder vehicles, where no service and no
+    vehicle is; ca.key and library.key are nowhere else. Called again for other
+    vehicles, it keeps what is in the folder and adds what is missing; start the
+    service again with its new file then. Called again for a vehicle that there
+    is, it renews the certificate: the .json5 file is written anew, with the same
+    endpoints if it is still there, and the secret key stays. Another --host is
+    for the new vehicles; operator and monitor keep their endpoints, and the
+    service its port. It is an error if vehicles.keys was moved away from ca.pem
+    or from the vehicles' files.
 
     For example:
       egp keys secrets --vehicle car-1 --vehicle car-2 --host control.example
