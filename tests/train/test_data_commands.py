@@ -5,14 +5,16 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
-from plant_log import options, plant_log
+from plant_log import MASS, options, plant_log
 from surfaces import TOY, surface
 from typer.testing import CliRunner
 
 from egp_service import EgpError, VehicleParameters
 from egp_service.cli import app
 from egp_service.control.toml_text import dumps
+from egp_service.data.dataset import Dataset
 from egp_service.training.recipe import Recipe
 from egp_service.vehicle import check_limits, known_vehicle
 
@@ -56,7 +58,7 @@ def test_options_of_the_other_source_are_errors(tmp_path: Path) -> None:
     collect = ("collect", "--friction", "0.5", "-o", str(tmp_path / "data.parquet"))
     told = failure(*collect, "--mass", "1400", "--column", "time=t:s")
     assert told == "--column, --mass can be given for logs only: name the log with --from-log"
-    for option in (("--separator", ";"), ("--steering-ratio", "16")):
+    for option in (("--separator", ";"), ("--steering-ratio", "16"), ("--accelerometer",)):
         assert "--from-log" in failure(*collect, *option)
     log = options(tmp_path / "log.csv", plant_log())
     told = failure("collect", *log, "-o", str(tmp_path / "data.parquet"), "--mass", "1.2")
@@ -183,6 +185,31 @@ def test_a_picture_has_an_ending_that_can_be_drawn(tmp_path: Path) -> None:
         for command in (collect, ("train", str(data), "-o", library, "--picture", picture)):
             assert "does not name a picture" in failure(*command)
     assert not (tmp_path / "new.parquet").exists()
+
+
+def test_an_accelerometer_does_not_feel_what_the_front_tyres_take(tmp_path: Path) -> None:
+    log = plant_log()
+    commanded = log["a_x"].copy()
+    v_x, v_y, omega = log["v_x"], log["v_y"], log["omega"]
+    between = 0.5 * (v_y * omega + np.roll(v_y * omega, -1))
+    log["a_x"] = (np.roll(v_x, -1) - v_x) / 0.02 - between
+    log = {name: column[:-1] for name, column in log.items()}
+    car = tmp_path / "car.toml"
+    car.write_text(dumps(known_vehicle("commonroad-1").fields()), encoding="utf-8")
+    collect = ("collect", *options(tmp_path / "log.csv", log), "-o", str(tmp_path / "d.parquet"))
+    assert "--vehicle FILE.toml" in failure(*collect, "--accelerometer")
+    bends = np.abs(log["delta"][:-1]) > 0.03
+    errors = []
+    for more in ((), ("--accelerometer",)):
+        result = CliRunner().invoke(app, [*collect, "--vehicle", str(car), *more])
+        assert result.exit_code == 0, result.output
+        data = Dataset.read(tmp_path / "d.parquet")
+        error = (data.z[:, 4] / MASS - commanded[: len(data)])[bends]
+        errors.append((abs(error.mean()), np.sqrt(np.mean(error**2))))
+    measured, corrected = errors
+    assert measured[0] > 0.08
+    assert corrected[0] < 0.25 * measured[0]
+    assert corrected[1] < 0.6 * measured[1]
 
 
 def test_a_file_is_named_once(tmp_path: Path) -> None:

@@ -89,6 +89,7 @@ def import_log(
     *,
     mass: float | None = None,
     wheelbase: float | None = None,
+    front_share: float | None = None,
     separator: str = ",",
     steering_ratio: float = 1.0,
     report: Callable[[int, int], None] | None = None,
@@ -102,7 +103,11 @@ def import_log(
     read, and of all.
 
     The force is taken for the one that acts at the wheels. A measured acceleration has already lost
-    what the front tyres take of it in bends, and a fitted vehicle subtracts it again.
+    what the front tyres take of it in bends, `f_f sin(delta)` per mass, and a fitted vehicle
+    subtracts it again. If `a_x` is that of an accelerometer, state as `front_share` the front
+    axle's share of the load, `l_r / (l_f + l_r)`: `front_share v_x omega tan(delta)` is then added,
+    which is this part in a steady bend (Rajamani, Vehicle Dynamics and Control, 2nd edition,
+    section 3.3).
 
     Faster logs are thinned: states are those at the ends of a period, the force is its mean over
     the period, and the steering rate is the change of `delta`, so that it is consistent with the
@@ -126,6 +131,10 @@ def import_log(
         raise EgpError(f"expected a --mass of 1 to {plausibility.HEAVIEST:g} kg, got {mass:g}")
     if wheelbase is not None and not 0.0 < wheelbase < np.inf:
         raise EgpError(f"expected a positive wheelbase in m, got {wheelbase:g}")
+    if front_share is not None and not 0.0 < front_share < 1.0:
+        raise EgpError(f"expected a share of the load between 0 and 1, got {front_share:g}")
+    if front_share is not None and "a_x" not in columns:
+        raise EgpError("no column is named for the accelerometer: add --column a_x=NAME:UNIT")
     if is_recording(path):
         columns = _with_time(path, columns)
         base = columns["v_x"].name
@@ -140,7 +149,10 @@ def import_log(
     _check_time(log["time"])
     plausibility.check(log, columns, mass, wheelbase)
     if mass is not None and "a_x" in log:
-        log["F_x"] = mass * log["a_x"]
+        a_x = log["a_x"]
+        if front_share is not None:
+            a_x = a_x + front_share * log["v_x"] * log["omega"] * np.tan(log["delta"])
+        log["F_x"] = mass * a_x
         provenance = dataclasses.replace(provenance, force_from_a_x=True)
     return _transitions(log, columns, provenance)
 

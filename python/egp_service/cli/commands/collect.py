@@ -78,6 +78,15 @@ def collect(
     mass: Annotated[
         float | None, typer.Option(help="Mass in kg, for a log with a_x instead of F_x.")
     ] = None,
+    *,
+    accelerometer: Annotated[
+        bool,
+        typer.Option(
+            "--accelerometer",
+            help="a_x was measured and not commanded: add what the front tyres took of it in "
+            "bends, which follows from the axle distances of --vehicle FILE.",
+        ),
+    ] = False,
     separator: Annotated[
         str,
         typer.Option(help="Separator of CSV columns; semicolons and tabs are found without it."),
@@ -152,6 +161,7 @@ def collect(
     of_log = {
         "--column": column,
         "--mass": mass is not None,
+        "--accelerometer": accelerometer,
         "--separator": separator != ",",
         "--steering-ratio": steering_ratio != 1.0,
     }
@@ -167,7 +177,16 @@ def collect(
         provenance = Provenance(dt, vehicle, label, mu, seed, "", tool())
         columns = _once("--column", map(_column, column or []))
         _make_writable(output, picture)
-        dataset = _import(console, from_log, columns, provenance, mass, separator, steering_ratio)
+        dataset = _import(
+            console,
+            from_log,
+            columns,
+            provenance,
+            mass,
+            separator,
+            steering_ratio,
+            accelerometer=accelerometer,
+        )
     else:
         if not vehicle.isdecimal():
             raise EgpError(f"vehicle {vehicle}: expected a CommonRoad number such as 1")
@@ -212,6 +231,8 @@ def _import(
     mass: float | None,
     separator: str,
     steering_ratio: float,
+    *,
+    accelerometer: bool,
 ) -> "Dataset":
     """Import logs of one drive or more, and join them."""
     from egp_service._core import EgpError
@@ -220,12 +241,19 @@ def _import(
     from egp_service.data.log_import import import_log
     from egp_service.vehicle import read_vehicle
 
-    wheelbase = None
+    wheelbase = front_share = None
     if provenance.vehicle.endswith(".toml"):
         file = Path(provenance.vehicle)
         car = read_vehicle(file)
         mass, wheelbase = car.mass if mass is None else mass, car.l_f + car.l_r
+        if accelerometer:
+            front_share = car.l_r / wheelbase
         provenance = dataclasses.replace(provenance, vehicle=file.stem)
+    elif accelerometer:
+        raise EgpError(
+            "--accelerometer needs the distances of the axles: name the vehicle's file with "
+            "--vehicle FILE.toml"
+        )
     parts = []
     for log in logs:
         try:
@@ -236,6 +264,7 @@ def _import(
                     dataclasses.replace(provenance, method=f"log {log.name}"),
                     mass=mass,
                     wheelbase=wheelbase,
+                    front_share=front_share,
                     separator=separator,
                     steering_ratio=steering_ratio,
                     report=report,
