@@ -149,7 +149,7 @@ impl VehicleClient {
     /// has rows `[p_x, p_y, v_x, psi]` for the stages 0..=T, `widths` as many rows `[left, right]` or none.
     ///
     /// # Errors
-    /// [`ClientError::Argument`] if no request can be made of `reference`, `widths` or the road's friction. A measured state
+    /// [`ClientError::Argument`] if no request can be made from `reference`, `widths` or the road's friction. A measured state
     /// that is not finite, or is outside its domain, is not an error: its command is a stop.
     pub fn step(
         &mut self,

@@ -266,7 +266,15 @@ pub(crate) fn sum_of_products(a: &[f64], b: &[f64]) -> f64 {
     lanes.iter().sum::<f64>() + rest
 }
 
-/// `a += scale · b`.
+/// `y += a · x`, inlined into its caller.
+#[inline(always)]
+pub(crate) fn axpy(y: &mut [f64], a: f64, x: &[f64]) {
+    for (y, x) in y.iter_mut().zip(x) {
+        *y = a.mul_add(*x, *y);
+    }
+}
+
+/// `a += scale · b` with the widest instructions of the machine.
 pub(crate) fn add_scaled(a: &mut [f64], scale: f64, b: &[f64]) {
     struct AddScaled<'a>(&'a mut [f64], f64, &'a [f64]);
     impl Vectorised for AddScaled<'_> {
@@ -274,9 +282,7 @@ pub(crate) fn add_scaled(a: &mut [f64], scale: f64, b: &[f64]) {
 
         #[inline(always)]
         fn compute(self) {
-            for (a, b) in self.0.iter_mut().zip(self.2) {
-                *a = self.1.mul_add(*b, *a);
-            }
+            axpy(self.0, self.1, self.2);
         }
     }
     vectorised_loops(AddScaled(a, scale, b));

@@ -1,7 +1,7 @@
 //! The ensemble: weighted mean, Jacobian and variance of the members.
 
 use crate::executor::{Executor, for_each};
-use crate::gp::Horizon;
+use crate::gp::HorizonScratch;
 use crate::library::{Library, Member};
 use crate::vehicle::Batch;
 use crate::{GpInput, GpJacobian, GpOutput};
@@ -17,7 +17,7 @@ pub enum EnsembleError {
         /// Number of weights.
         found: usize,
     },
-    /// The weights are not numbers, or none of them is positive.
+    /// The sum of the weights is NaN or not positive.
     #[error("the weights have no positive sum, so that no member is active")]
     NoActiveMember,
 }
@@ -47,16 +47,16 @@ impl<'a> Ensemble<'a> {
         if sum.is_nan() || sum <= 0.0 {
             return Err(EnsembleError::NoActiveMember);
         }
-        Ok(Self {
-            members,
-            vehicles: library.vehicles(),
-            weights,
-        })
+        Ok(Self::of(library, weights))
     }
 
-    /// The ensemble of the same members with other weights on the simplex, one for each member.
-    pub(crate) fn with_weights(self, weights: &'a [f64]) -> Self {
-        Self { weights, ..self }
+    /// As [`Ensemble::new`], for weights that are known to lie on the simplex and to be one for each member.
+    pub(crate) fn of(library: &'a Library, weights: &'a [f64]) -> Self {
+        Self {
+            members: library.members(),
+            vehicles: library.vehicles(),
+            weights,
+        }
     }
 
     /// The active members with their weights.
@@ -171,7 +171,7 @@ pub struct MixtureScratch {
 /// Memory of one member, so that members can be evaluated in parallel.
 #[derive(Clone, Debug, Default)]
 struct MemberScratch {
-    horizon: Horizon,
+    horizon: HorizonScratch,
     floor: Vec<GpOutput>,
     bounds: Vec<GpOutput>,
 }

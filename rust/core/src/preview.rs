@@ -4,6 +4,10 @@ use crate::settings::WeightSettings;
 use crate::weights::select_active;
 use crate::{GpInput, GpOutput, Member};
 
+/// Largest difference of two frictions that count as the same one, relative to the larger. Interpolation between frictions
+/// divides by their difference.
+const SAME_FRICTION: f64 = 1e-6;
+
 /// Weights of the active members at each stage of the horizon.
 ///
 /// With `w` the weights of the window, `mu_t` the friction expected at stage `t` and `mu_b` that of the road on which the
@@ -18,7 +22,7 @@ use crate::{GpInput, GpOutput, Member};
 /// expected to be as it was, the weights are those of the window, whatever their relation to the friction.
 #[derive(Debug, Clone)]
 pub struct StageWeights {
-    /// The different frictions in increasing order, each with the indices of its members.
+    /// The frictions that differ by more than [`SAME_FRICTION`] in increasing order, each with the indices of its members.
     frictions: Vec<(f64, Vec<usize>)>,
     /// One row `[N]` for each stage, or one row for all of them.
     rows: Vec<f64>,
@@ -31,9 +35,10 @@ impl StageWeights {
         let n = members.len();
         let mut order: Vec<usize> = (0..n).collect();
         order.sort_by(|&a, &b| members[a].friction().total_cmp(&members[b].friction()));
+        let friction = |member: usize| members[member].friction();
         let frictions = order
-            .chunk_by(|&a, &b| members[a].friction() == members[b].friction())
-            .map(|same| (members[same[0]].friction(), same.to_vec()))
+            .chunk_by(|&a, &b| friction(b) - friction(a) <= SAME_FRICTION * friction(b))
+            .map(|same| (friction(same[0]), same.to_vec()))
             .collect();
         Self {
             frictions,

@@ -143,6 +143,11 @@ impl Carry {
     /// held up. The history starts anew with the next request.
     pub fn skip(&mut self, periods: u64) {
         self.sequence += periods;
+        self.forget_running();
+    }
+
+    /// Forgets the running period, whose transition is not known: the history starts anew with the next request.
+    pub(crate) fn forget_running(&mut self) {
         self.running = None;
         self.x = None;
     }

@@ -36,7 +36,7 @@ pub struct DriverConfig {
     pub budget: f64,
     /// Part of the time until the deadline, in (0, 1], after which the next replica is asked as well if none has
     /// answered; the first answer counts. At most one period in twenty does this in the long run, so that replicas that
-    /// are slow because they are busy do not get twice the load. With 1 replicas are asked only one after the other.
+    /// are slow because they are busy do not get twice the load. With the value 1, replicas are asked only one after the other.
     /// Default 0.5.
     pub hedge: f64,
     /// Limits of the actuators.

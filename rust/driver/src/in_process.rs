@@ -65,7 +65,7 @@ impl InProcessDriver {
     /// bytes from the request's.
     ///
     /// # Errors
-    /// [`InvalidArgument`] when no request can be made of reference, widths or `road_friction`.
+    /// [`InvalidArgument`] if no request can be made from reference, widths or `road_friction`.
     pub fn step(
         &mut self,
         measurement: Measurement,
@@ -85,7 +85,8 @@ impl InProcessDriver {
                     Err(error) => self.driver.refused(NOW, query.id, &error.encode()),
                 },
                 Some(Action::Probe(query)) => self.driver.ended(NOW, query.id),
-                // Every query above is answered at once, so the period is decided before there is nothing to do.
+                // The period that `tick` opened is still open, because only a command ends it, and its deadline decides it
+                // at the latest: the next action is the command.
                 None => self.driver.wake(deadline),
             }
         }

@@ -53,6 +53,5 @@ pub use discovery::{Discovery, DiscoveryError, Question, Unusable};
 pub use driver::{Driver, Time};
 pub use in_process::{Answer, InProcessDriver};
 pub use measurement::{InvalidArgument, Measurement};
-pub use rank::rank;
 pub use situation::{Lost, Situation};
 pub use step::{Late, Outcome, Step};

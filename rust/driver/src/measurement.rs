@@ -35,7 +35,7 @@ pub struct Measurement {
     pub road_friction: Vec<FrictionRow>,
 }
 
-/// Reference, widths or friction that no request can be made of. The control period was not opened.
+/// Reference, widths or friction from which no request can be made. The control period was not opened.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum InvalidArgument {
     /// A number of rows that does not fit the horizon.

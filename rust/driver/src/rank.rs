@@ -7,7 +7,7 @@ use egp_wire::keys::Name;
 /// Every client computes the same order without communication; vehicles spread evenly, and when a
 /// replica leaves, only its own vehicles move. The hash of `fleet/vehicle@replica` is 64-bit FNV-1a with
 /// the finaliser of MurmurHash3, highest first; ties, of which there are practically none, by name.
-pub fn rank(fleet: &Name, vehicle: &Name, mut replicas: Vec<Name>) -> Vec<Name> {
+pub(crate) fn rank(fleet: &Name, vehicle: &Name, mut replicas: Vec<Name>) -> Vec<Name> {
     replicas.sort_by_cached_key(|replica| {
         let score = hash(format!("{fleet}/{vehicle}@{replica}").as_bytes());
         (std::cmp::Reverse(score), replica.clone())

@@ -7,7 +7,7 @@ use std::time::Duration;
 use egp_wire::keys::Name;
 
 use crate::driver::Time;
-use crate::rank;
+use crate::rank::rank;
 
 /// Duration of the first demotion, for which a replica that failed is asked last. A failure after a demotion has ended doubles
 /// the duration; a failure during a demotion starts the same duration again.
@@ -150,7 +150,7 @@ impl Replicas {
             }
         });
         let demotion = Demotion {
-            until: now + length,
+            until: now.saturating_add(length),
             length,
             failed: now,
             probed: None,

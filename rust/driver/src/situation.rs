@@ -30,11 +30,11 @@ pub struct Situation {
 /// Why a vehicle counts as lost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Lost {
-    /// Its state is far outside the training data of the library.
+    /// Its state is this many half widths of the envelope outside the training data of the library.
     Envelope(f64),
-    /// It is far from the reference, m.
+    /// Its distance from the reference, m, which is too large.
     Distance(f64),
-    /// It points away from the reference, rad.
+    /// The angle between its yaw and the reference's, rad, which is too large.
     Heading(f64),
 }
 

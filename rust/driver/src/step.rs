@@ -91,10 +91,9 @@ impl Outcome {
     pub fn detail(&self) -> String {
         match self {
             Self::Replied(Status::Solved) => String::new(),
-            Self::Replied(Status::CheckFailed) => "the solver found no plan: check_failed (its solution is too inaccurate, \
-                 for which a setting of the control step that differs from its default by orders of magnitude is a likely \
-                 cause, above all a weight or a penalty; or the plan of a vehicle that spins has speeds that no vehicle \
-                 reaches)"
+            Self::Replied(Status::CheckFailed) => "the solver found no plan that passes its check (check_failed); likely \
+                 causes are a setting that differs from its default by orders of magnitude, usually a weight or a penalty, \
+                 and a vehicle that spins"
                 .to_owned(),
             Self::Replied(status) => {
                 format!("the solver found no plan: {}", status_name(*status))

@@ -365,7 +365,7 @@ fn accumulate(evidence: &mut Row, weight: f64, log_likelihood: &Row, capacity: f
     }
     let most = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     for value in evidence.iter_mut() {
-        *value = (*value - most).max(-capacity) + 0.0; // no negative zero, which is not kept by a sum
+        *value = (*value - most).max(-capacity) + 0.0; // turns -0.0 into 0.0, so that equal evidence has equal bytes
     }
 }
 

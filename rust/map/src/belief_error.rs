@@ -17,28 +17,34 @@ pub struct BeliefError {
     pub value: f64,
 }
 
+/// Errors unless `accept` returns true.
+fn check(
+    name: &'static str,
+    value: f64,
+    expected: &'static str,
+    accept: impl Fn(f64) -> bool,
+) -> Result<(), BeliefError> {
+    if accept(value) {
+        Ok(())
+    } else {
+        Err(BeliefError {
+            name,
+            expected,
+            value,
+        })
+    }
+}
+
 /// Errors unless `value` is an arc length whose cell can be counted.
 pub(crate) fn place(name: &'static str, value: f64) -> Result<(), BeliefError> {
-    if value.abs() <= FARTHEST {
-        return Ok(());
-    }
-    Err(BeliefError {
-        name,
-        expected: "an arc length within ±1e9 m",
-        value,
+    check(name, value, "an arc length within ±1e9 m", |v| {
+        v.abs() <= FARTHEST
     })
 }
 
 /// Errors unless a stretch of road can be planned for.
 pub(crate) fn stretch(name: &'static str, length: f64) -> Result<(), BeliefError> {
-    if length <= AHEAD {
-        return Ok(());
-    }
-    Err(BeliefError {
-        name,
-        expected: "at most 1e4 m",
-        value: length,
-    })
+    check(name, length, "at most 1e4 m", |v| v <= AHEAD)
 }
 
 /// Errors unless `value` is positive and at most `limit`.
@@ -49,36 +55,19 @@ pub(crate) fn at_most(
     expected: &'static str,
 ) -> Result<(), BeliefError> {
     positive(name, value)?;
-    if value <= limit {
-        return Ok(());
-    }
-    Err(BeliefError {
-        name,
-        expected,
-        value,
-    })
+    check(name, value, expected, |v| v <= limit)
 }
 
 /// Errors unless `value` is positive and finite.
 pub(crate) fn positive(name: &'static str, value: f64) -> Result<(), BeliefError> {
-    if value > 0.0 && value.is_finite() {
-        return Ok(());
-    }
-    Err(BeliefError {
-        name,
-        expected: "a positive number",
-        value,
+    check(name, value, "a positive number", |v| {
+        v > 0.0 && v.is_finite()
     })
 }
 
 /// Errors unless `value` is between 0 and 1.
 pub(crate) fn probability(name: &'static str, value: f64) -> Result<(), BeliefError> {
-    if value > 0.0 && value < 1.0 {
-        return Ok(());
-    }
-    Err(BeliefError {
-        name,
-        expected: "a probability in (0, 1)",
-        value,
+    check(name, value, "a probability in (0, 1)", |v| {
+        v > 0.0 && v < 1.0
     })
 }

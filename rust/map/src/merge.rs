@@ -40,7 +40,7 @@ impl MergeSettings {
     /// The share of its information that a contribution keeps at an age in s. Clocks that differ a little may give a
     /// negative age, which counts as 0, as does one that is not a number.
     pub fn remaining(&self, age: f64) -> f64 {
-        (-age.max(0.0) / self.lifetime).exp().min(1.0)
+        (-age.max(0.0) / self.lifetime).exp()
     }
 }
 
@@ -58,10 +58,10 @@ pub fn merge<'a>(
     let aged: Vec<(&[[u8; LEVELS]], f64)> = (contributions.into_iter())
         .map(|(tile, age)| (tile.bytes().as_chunks().0, settings.remaining(age) * FINER))
         .collect();
-    let mut said: Vec<[u64; LEVELS]> = Vec::with_capacity(aged.len());
-    let mut against = Vec::with_capacity(aged.len());
+    let mut informative: Vec<[u64; LEVELS]> = Vec::with_capacity(aged.len());
+    let mut column = Vec::with_capacity(aged.len());
     Tile::from_rows((0..TILE_CELLS).map(|cell| {
-        said.clear();
+        informative.clear();
         for (tile, remaining) in &aged {
             let row =
                 tile[cell].map(|byte| (f64::from(byte).min(limit) * remaining).round() as u64);
@@ -69,15 +69,15 @@ pub fn merge<'a>(
                 .iter()
                 .any(|value| *value as f64 >= INFORMATIVE * UNITS * FINER)
             {
-                said.push(row);
+                informative.push(row);
             }
         }
-        let counted = said.len() - said.len().saturating_sub(1) / 2;
+        let counted = informative.len() - informative.len().saturating_sub(1) / 2;
         let sums: [u64; LEVELS] = std::array::from_fn(|level| {
-            against.clear();
-            against.extend(said.iter().map(|row| row[level]));
-            against.sort_unstable();
-            against.iter().take(counted).sum()
+            column.clear();
+            column.extend(informative.iter().map(|row| row[level]));
+            column.sort_unstable();
+            column.iter().take(counted).sum()
         });
         let least = sums.iter().copied().min().unwrap_or(0);
         sums.map(|sum| (least as f64 - sum as f64) / (FINER * UNITS))

@@ -9,6 +9,10 @@ pub const FRICTION_INFORMED: f64 = 0.1;
 /// Number of hypotheses about the friction coefficient.
 pub const FRICTION_HYPOTHESES: usize = 17;
 
+/// Smallest logarithm of the likelihood of a hypothesis, relative to the largest, in requests and replies. Without this limit
+/// the logarithms would go to minus infinity as the noise goes to zero.
+pub const LEAST_LOG_LIKELIHOOD: f64 = -1e6;
+
 /// Friction coefficient of each hypothesis: equidistant in `ln mu` over [`FRICTION_RANGE`], increasing.
 pub fn friction_hypotheses() -> [f64; FRICTION_HYPOTHESES] {
     let (low, high) = FRICTION_RANGE;
@@ -19,8 +23,7 @@ pub fn friction_hypotheses() -> [f64; FRICTION_HYPOTHESES] {
 /// Ratio of second differences up to which both come from one smooth curve; those of a parabola are equal.
 const SMOOTH: f64 = 4.0;
 
-/// Interpolates values at the hypotheses in `ln mu`; beyond the ends they are continued linearly. Used for logarithms of
-/// likelihoods.
+/// Interpolates values at the hypotheses in `ln mu`. Used for logarithms of likelihoods.
 ///
 /// With the second differences `D` at the neighbours `b` and `c`, this is the cubic of Catmull and Rom,
 ///
@@ -28,12 +31,13 @@ const SMOOTH: f64 = 4.0;
 /// (1 - t) b + t c - t (1 - t) ((1 - t) D_b + t D_c) / 2
 /// ```
 ///
-/// which continues parabolas exactly; it is linear in the first and the last interval. A likelihood that falls steeply beside a flat part, where one surface cannot transmit a
-/// force that all others can, is no parabola, and the cubic would rise above the flat part by 7 % of the fall. The larger second
-/// difference therefore counts as at most four times the smaller one, and both as zero if their signs differ (the limiter of
-/// Harten and Osher, *Uniformly High-Order Accurate Nonoscillatory Schemes*, SIAM Journal on Numerical Analysis 24(2), 1987).
+/// which reproduces parabolas exactly. Second differences at both ends are zero, so that the first and the last interval are
+/// linear. A likelihood that falls steeply beside a flat part, where one surface cannot transmit a force that all others can,
+/// is no parabola, and the cubic would rise above the flat part by 7 % of the fall. The larger second difference therefore
+/// counts as at most four times the smaller one, and both as zero if their signs differ (the limiter of Harten and Osher,
+/// *Uniformly High-Order Accurate Nonoscillatory Schemes*, SIAM Journal on Numerical Analysis 24(2), 1987).
 ///
-/// `position` counts hypotheses from the first and is at most that of the last.
+/// `position` counts hypotheses from the first, 0, and must lie in `[0, FRICTION_HYPOTHESES - 1]`.
 pub fn interpolate_hypotheses(values: &[f64; FRICTION_HYPOTHESES], position: f64) -> f64 {
     const LAST: usize = FRICTION_HYPOTHESES - 1;
     // The position is small and not negative.

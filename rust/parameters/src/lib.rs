@@ -3,8 +3,6 @@
 //! A library stores the [`VehicleParameters`] of the vehicle that its data come from. The control step, the speed
 //! profile, the gate and the simulator take their numbers from there, so that each number is written down once.
 
-#![forbid(unsafe_code)]
-
 mod commonroad;
 mod domain;
 mod friction;
@@ -16,8 +14,8 @@ pub use domain::{
     MOST_YAW_RATE, REFERENCE_SPEED, ROAD_FRICTION, SIMPLEX_TOLERANCE, STATE_IN_MESSAGES,
 };
 pub use friction::{
-    FRICTION_HYPOTHESES, FRICTION_INFORMED, FRICTION_RANGE, friction_hypotheses,
-    interpolate_hypotheses,
+    FRICTION_HYPOTHESES, FRICTION_INFORMED, FRICTION_RANGE, LEAST_LOG_LIKELIHOOD,
+    friction_hypotheses, interpolate_hypotheses,
 };
 pub use surface::{ForceCurve, Surface, SurfaceError};
 pub use vehicle::{ParameterError, VehicleParameters};

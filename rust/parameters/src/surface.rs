@@ -38,16 +38,6 @@ impl ForceCurve {
     /// largest one of the simulated tyre is 0.46.
     pub const CURVATURE: [f64; 2] = [0.0, 2.0];
 
-    /// The tyre's own curve with another peak. The stiffness does not depend on the peak.
-    pub const fn even(peak: f64) -> Self {
-        Self {
-            peak,
-            stiffness: 1.0,
-            shape: 1.0,
-            curvature: 1.0,
-        }
-    }
-
     /// Whether [`ForceCurve::validate`] gives no error. The plant calls this function for each wheel in each substep, so
     /// there is no branch for each value.
     #[inline]

@@ -33,8 +33,8 @@ pub struct VehicleParameters {
     pub steering_rate: f64,
     /// Largest change of the steering rate per second, rad/s².
     pub steering_slew: f64,
-    /// Slip angle at which the front tyres' lateral force peaks on friction 1, rad. Times the friction it bounds the slip
-    /// on surfaces whose member has no fitted tyres.
+    /// Slip angle at which the front tyres' lateral force peaks on friction 1, rad. Multiplied by the friction, it bounds the
+    /// slip on surfaces whose member has no fitted tyres.
     pub peak_slip: f64,
     /// Lateral acceleration that the vehicle reaches on friction `mu`, as a share of `mu g`.
     pub lateral_grip: f64,

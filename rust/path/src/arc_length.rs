@@ -25,9 +25,9 @@ pub(crate) fn parametrise(points: &[[f64; 2]], closed: bool) -> Result<ArcLength
     let chords = Chords::new(points, closed);
     let length = chords.length();
     if !length.is_finite() {
-        // Between points that are close for their distance from the others, rounding leaves no chord.
-        let (error, pieces) = (f64::INFINITY, 0);
-        return Err(PathError::TooSharp { error, pieces });
+        // Where a chord is so short relative to the sum of the chords before it that two knots coincide, the spline is not
+        // finite.
+        return Err(PathError::TooClose);
     }
     let mut count = (length / LONGEST_STEP)
         .ceil()

@@ -22,6 +22,11 @@ pub enum PathError {
     /// Two neighbouring waypoints are the same point.
     #[error("points {0} and {next} are the same; remove one of them", next = .0 + 1)]
     RepeatedPoint(usize),
+    /// Two neighbouring waypoints whose distance is lost by rounding in the length of the path before them.
+    #[error(
+        "two neighbouring points are too close for the length of the path; remove one of them or split the path"
+    )]
+    TooClose,
     /// The curve turns too sharply for an arc-length parametrisation within tolerance.
     #[error(
         "the path turns too sharply between its points (|p'(s)| deviates from 1 by {error:.1e} with \

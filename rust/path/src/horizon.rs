@@ -53,7 +53,8 @@ pub fn horizon_reference(
         });
     }
     let projection = path.project(position, hint);
-    // Behind a standing start no time is finite; the reference then begins at the start.
+    // If the profile starts at speed zero, points before its start have the time minus infinity; the reference then begins at
+    // the start.
     let from = profile.unwrapped(projection.s);
     let now = match profile.time(from) {
         f64::NEG_INFINITY => 0.0,

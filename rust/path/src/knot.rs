@@ -67,18 +67,18 @@ impl Knot {
         most.min(here).min(square + 2.0 * step * limits.a_brake)
     }
 
-    /// The largest `v²`, at most `most`, that drive reaches from `square` at the knot `last`, `step` m behind.
+    /// The largest `v²`, at most `most`, that drive reaches from `square` at the knot `previous`, `step` m behind.
     pub fn after(
         &self,
-        last: &Self,
+        previous: &Self,
         square: f64,
         limits: &SpeedLimits,
         step: f64,
         most: f64,
     ) -> f64 {
         let motor = |square: f64| limits.a_drive.min(limits.power / square.sqrt());
-        let there =
-            (limits.driving * last.grip * last.longitudinal_share(square)).min(motor(square));
+        let there = (limits.driving * previous.grip * previous.longitudinal_share(square))
+            .min(motor(square));
         let most = most.min(square + 2.0 * step * there);
         if most <= square {
             return most;

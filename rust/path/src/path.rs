@@ -241,6 +241,8 @@ impl Path {
                     .clamp(1, stations.len())
                     - 1;
                 let end = stations.get(i + 1).copied().unwrap_or(length);
+                // At the end of an open path this is 0 / 0; the width is then that of the last waypoint, because NaN is not
+                // greater than zero.
                 let ratio = ((s - stations[i]) / (end - stations[i])).clamp(0.0, 1.0);
                 let next = if self.closed {
                     (i + 1) % stations.len()

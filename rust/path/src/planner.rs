@@ -6,7 +6,7 @@ use crate::limits::SpeedLimits;
 use crate::path::Path;
 use crate::speed::SpeedProfile;
 
-/// Distance that is planned, m. What lies behind it bounds the speed at its end.
+/// Distance that is planned, m. The road beyond it bounds the speed at its end.
 const DISTANCE: f64 = 250.0;
 /// Distance between knots in m, at most.
 const SPACING: f64 = 1.0;
@@ -81,7 +81,7 @@ impl SpeedPlanner {
 
     /// The fastest speed from `s` on, by a backward pass for braking and a forward pass for driving from the present speed
     /// `v`, which the plan has half a step behind the vehicle. Where the vehicle is too fast for what lies ahead, the plan
-    /// brakes with all grip. At the last place the vehicle can still brake for the bends behind it, as far as it brakes from
+    /// brakes with all grip. At the last place the vehicle can still brake for the bends beyond it, as far as it brakes from
     /// the highest speed on a straight, and for the end of an open path, on the friction of this place.
     ///
     /// `friction` has the friction coefficient to plan for at each place, [`Self::step`] m apart from [`Self::start`]
@@ -130,14 +130,14 @@ impl SpeedPlanner {
             let end = curvature.len() as f64 - 1.0 - first;
             (end.max(0.0) as usize, speed * speed)
         });
-        let behind = Behind {
+        let beyond = Beyond {
             limits,
             closed: *closed,
             curvature: &*curvature,
             step: *step,
         };
         let last = first + (friction.len() - 1) as f64;
-        let at_last = behind.square(last, friction[friction.len() - 1]);
+        let at_last = beyond.square(last, friction[friction.len() - 1]);
         profile.refill(first * *step, |squares| {
             for (square, knot) in squares.iter_mut().zip(&*knots) {
                 *square = knot.cornering(limits);
@@ -155,9 +155,9 @@ impl SpeedPlanner {
                 squares[i - 1] = knots[i - 1].before(&knots[i], squares[i], limits, *step, most);
             }
             // The square at a knot within what drive and full braking reach over a distance from the knot before.
-            let reach = |knot: &Knot, last: &Knot, square: f64, distance: f64, most: f64| {
-                let fastest = knot.after(last, square, limits, distance, most);
-                fastest.max(last.full_braking(square, limits, distance))
+            let reach = |knot: &Knot, previous: &Knot, square: f64, distance: f64, most: f64| {
+                let fastest = knot.after(previous, square, limits, distance, most);
+                fastest.max(previous.full_braking(square, limits, distance))
             };
             let mut next = 1;
             if let Some(v) = v {
@@ -181,8 +181,8 @@ impl SpeedPlanner {
     }
 }
 
-/// The road behind the last place of a plan.
-struct Behind<'a> {
+/// The road beyond the last place of a plan.
+struct Beyond<'a> {
     limits: &'a SpeedLimits,
     closed: bool,
     /// Largest absolute curvature at each knot of the path, 1/m.
@@ -190,8 +190,8 @@ struct Behind<'a> {
     step: f64,
 }
 
-impl Behind<'_> {
-    /// The largest `v²` at the knot `last` that braking on friction `mu` allows for the bends behind it and the end speed of
+impl Beyond<'_> {
+    /// The largest `v²` at the knot `last` that braking on friction `mu` allows for the bends beyond it and the end speed of
     /// an open path, by the backward pass of a plan over the braking distance of the highest speed.
     fn square(&self, last: f64, mu: f64) -> f64 {
         let straight = Knot::new(0.0, mu, self.limits);

@@ -126,9 +126,8 @@ impl SpeedProfile {
         self.path
     }
 
-    /// The arc length of the same place as `s` that is inside the profile, or nearest to it. It differs from `s` by a lap
-    /// where the profile is a part of a lap and passes the lap's end. A profile that covers more than half of a lap counts
-    /// as if it ended there, since the vehicle is near its start.
+    /// `s` plus the number of whole laps that puts it inside the profile, or nearest to its interval. A profile longer than
+    /// half a lap counts as half a lap long here, because the vehicle is near its start.
     pub(crate) fn unwrapped(&self, s: f64) -> f64 {
         let Some(lap) = self.lap else {
             return s;

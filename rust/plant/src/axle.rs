@@ -134,6 +134,8 @@ impl AxleModel<'_> {
                 if speeds[i] <= 0.0 {
                     return Err((i, speeds[i]));
                 }
+                // As in CommonRoad's original. In a spin, `v_x` can be negative while the steered wheel still rolls forward;
+                // the slip angle then refers to the opposite direction of motion.
                 let v_x = body.v_x - offsets[i] * body.omega;
                 (
                     1.0 - wheel.radius * state.spin[i] / speeds[i],

@@ -8,12 +8,6 @@ pub trait Friction {
     fn surface(&self, position: [f64; 2]) -> Surface;
 }
 
-impl<F: Friction + ?Sized> Friction for &F {
-    fn surface(&self, position: [f64; 2]) -> Surface {
-        (**self).surface(position)
-    }
-}
-
 /// The same surface everywhere.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Uniform(Surface);
@@ -24,7 +18,9 @@ impl Uniform {
     /// # Errors
     /// [`PlantError::Surface`] if the surface is out of range.
     pub fn new(surface: impl Into<Surface>) -> Result<Self, PlantError> {
-        checked(surface.into()).map(Self)
+        let surface = surface.into();
+        surface.validate()?;
+        Ok(Self(surface))
     }
 }
 
@@ -32,12 +28,6 @@ impl Friction for Uniform {
     fn surface(&self, _position: [f64; 2]) -> Surface {
         self.0
     }
-}
-
-/// The surface if it is within range.
-pub(crate) fn checked(surface: Surface) -> Result<Surface, PlantError> {
-    surface.validate()?;
-    Ok(surface)
 }
 
 #[cfg(test)]

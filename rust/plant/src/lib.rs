@@ -22,8 +22,6 @@
 //! # Ok::<(), egp_plant::PlantError>(())
 //! ```
 
-#![forbid(unsafe_code)]
-
 mod axle;
 mod batch;
 mod disturbances;

@@ -276,7 +276,7 @@ impl Driver {
     ///
     /// `reference` has rows [p_x, p_y, v_x, psi] (T+1, 4), `widths` rows [left, right] (T+1, 2), `road_friction` rows
     /// [friction, standard deviation] (T+2, 2). A state that cannot be used is a stop, whatever the others are. Raises
-    /// `InvalidArgumentError` if no request can be made of the arguments; the period then counts as one without a request.
+    /// `InvalidArgumentError` if no request can be made from the arguments; the period then counts as one without a request.
     #[pyo3(signature = (now, deadline, x, reference, widths = None, road_friction = None))]
     fn tick(
         &mut self,

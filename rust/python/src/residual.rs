@@ -35,7 +35,7 @@ pub fn predict_residual<'py>(
         && (1..=1000).contains(&window);
     if !sensible {
         return Err(EgpError::new_err(
-            "errors must be finite, dt in [1e-6, 1000] s and window in 1..=1000: check their units",
+            "errors must be finite, dt in [1e-6, 1000] s and window from 1 to 1000: check their units",
         ));
     }
     let (mut mean, mut variance) = py.detach(|| {

@@ -258,7 +258,7 @@ impl ServiceConfig {
             return range("replica", "1 to 64 of A-Z a-z 0-9 . _ -", &self.replica);
         }
         if let Some(workers) = self.workers.filter(|workers| !(1..=1024).contains(workers)) {
-            return range("workers", "in 1..=1024", &workers);
+            return range("workers", "from 1 to 1024", &workers);
         }
         if let Some(digits) = &self.fetch
             && library_id(digits).is_none()
@@ -278,7 +278,7 @@ impl ServiceConfig {
             return range("watch_ms", "0 or in 10..=3600000", &self.watch_ms);
         }
         if !(1..=100_000).contains(&self.queue) {
-            return range("queue", "in 1..=100000", &self.queue);
+            return range("queue", "from 1 to 100000", &self.queue);
         }
         if self.drain_ms > 60_000 {
             return range("drain_ms", "at most 60000", &self.drain_ms);

@@ -18,6 +18,7 @@ mod fetch;
 mod fetch_error;
 mod guard;
 mod handler;
+mod heap;
 mod http;
 mod intake;
 mod libraries;

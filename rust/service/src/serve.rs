@@ -11,6 +11,7 @@ use crate::config::ServiceConfig;
 use crate::descriptors::allow_all;
 use crate::guard::Guard;
 use crate::handler::Handler as _;
+use crate::heap;
 use crate::http::HttpListener;
 use crate::libraries::Libraries;
 use crate::logging::{FlushAtEnd, init_logging, log_filter};
@@ -73,6 +74,7 @@ pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
 /// # Errors
 /// [`ServeError`] if the service does not start.
 pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
+    heap::share_one();
     let _flush = FlushAtEnd;
     init_logging(&config.log, config.log_json).map_err(ServeError::Logging)?;
     allow_all();

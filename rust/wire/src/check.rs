@@ -155,7 +155,7 @@ pub(crate) fn count(field: &'static str, actual: usize, limit: usize) -> Result<
     ))
 }
 
-/// Errors unless there are exactly `expected` rows, or none if that is allowed.
+/// Errors unless there are exactly `expected` rows; `because` says what determines the number.
 pub(crate) fn row_count(
     field: &'static str,
     actual: usize,
@@ -208,17 +208,17 @@ pub(crate) fn budget(budget_us: u32) -> Result<(), Invalid> {
     }
     Err(Invalid::field(
         "budget_us",
-        format!("expected microseconds in 1..={MAX_BUDGET_US}, got {budget_us}"),
+        format!("expected 1 to {MAX_BUDGET_US} µs, got {budget_us}"),
     ))
 }
 
 pub(crate) fn at_most(
     field: &'static str,
-    actual: u32,
+    actual: usize,
     limit: usize,
     because: &str,
 ) -> Result<(), Invalid> {
-    if actual as usize <= limit {
+    if actual <= limit {
         return Ok(());
     }
     Err(Invalid::field(
@@ -267,7 +267,7 @@ pub(crate) fn predictions(
     } else {
         Err(Invalid::field(
             FIELD,
-            format!("a prediction is not finite or larger than {MAGNITUDE}"),
+            format!("a prediction is NaN, infinite or larger than {MAGNITUDE} in magnitude"),
         ))
     }
 }

@@ -1,6 +1,6 @@
 //! The friction that a step found.
 
-use egp_parameters::{FRICTION_HYPOTHESES, FRICTION_INFORMED};
+use egp_parameters::{FRICTION_HYPOTHESES, FRICTION_INFORMED, LEAST_LOG_LIKELIHOOD};
 
 use crate::Invalid;
 use crate::fields::{Fields, once};
@@ -26,8 +26,6 @@ pub struct Friction {
 const LARGEST: f64 = 10.0;
 /// Largest information that is read, nats.
 const MOST_INFORMATION: f64 = 1e3;
-/// Smallest logarithm that is read.
-const LEAST: f64 = -1e6;
 const LOG_LIKELIHOOD: u32 = 6;
 const FIELD: &str = "friction";
 
@@ -86,10 +84,11 @@ impl Friction {
                 return Err(Invalid::field(FIELD, detail));
             }
         }
-        if let Some(value) =
-            (self.log_likelihood.iter()).find(|value| !(LEAST..=0.0).contains(*value))
+        if let Some(value) = (self.log_likelihood.iter())
+            .find(|value| !(LEAST_LOG_LIKELIHOOD..=0.0).contains(*value))
         {
-            let detail = format!("expected log_likelihood in [{LEAST}, 0], got {value}");
+            let detail =
+                format!("expected log_likelihood in [{LEAST_LOG_LIKELIHOOD}, 0], got {value}");
             return Err(Invalid::field(FIELD, detail));
         }
         if self.lower > self.upper {

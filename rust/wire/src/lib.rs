@@ -77,15 +77,15 @@ pub const FILE_DESCRIPTOR_SET: &[u8] =
 /// Version of the messages; a request with another one is an error.
 pub const VERSION: u32 = 1;
 
-/// State `[p_x, p_y, v_x, psi, v_y, omega, delta]`, SI.
+/// State `[p_x, p_y, v_x, psi, v_y, omega, delta]` in m, m, m/s, rad, m/s, rad/s, rad.
 pub type State = [f64; 7];
-/// Input `[F_x, delta_dot]`, N and rad/s.
+/// Input `[F_x, delta_dot]` in N, rad/s.
 pub type Input = [f64; 2];
-/// GP input `[v_x, v_y, omega, delta, F_x, delta_dot]`.
+/// GP input `[v_x, v_y, omega, delta, F_x, delta_dot]` in m/s, m/s, rad/s, rad, N, rad/s.
 pub type GpInput = [f64; 6];
-/// GP output: change of `[v_x, v_y, omega]` over one period.
+/// GP output: change of `[v_x, v_y, omega]` over one period, in m/s, m/s, rad/s.
 pub type GpOutput = [f64; 3];
-/// Reference row `[p_x, p_y, v_x, psi]`.
+/// Reference row `[p_x, p_y, v_x, psi]` in m, m, m/s, rad.
 pub type ReferenceRow = [f64; 4];
 /// Distances `[left, right]` from the reference point to the track edges, m.
 pub type WidthRow = [f64; 2];

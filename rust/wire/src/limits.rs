@@ -13,13 +13,18 @@ pub struct MessageLimits {
     pub history: usize,
 }
 
+impl MessageLimits {
+    /// The default limits.
+    pub const DEFAULT: Self = Self {
+        message_bytes: 256 * 1024,
+        members: 64,
+        horizon: 128,
+        history: 64,
+    };
+}
+
 impl Default for MessageLimits {
     fn default() -> Self {
-        Self {
-            message_bytes: 256 * 1024,
-            members: 64,
-            horizon: 128,
-            history: 64,
-        }
+        Self::DEFAULT
     }
 }

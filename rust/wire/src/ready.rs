@@ -83,15 +83,16 @@ impl Ready {
         check::count("members", raw.members.len(), limits.members)?;
         check::at_most(
             "history",
-            raw.history,
+            raw.history as usize,
             limits.history,
             "the limit of this side",
         )?;
-        if raw.others.len() > Self::MAX_OTHERS {
-            let (limit, actual) = (Self::MAX_OTHERS, raw.others.len());
-            let reason = format!("expected at most {limit} further libraries, got {actual}");
-            return Err(Invalid::field("others", reason));
-        }
+        check::at_most(
+            "others",
+            raw.others.len(),
+            Self::MAX_OTHERS,
+            "further libraries",
+        )?;
         let others = raw.others.iter().map(|id| check::library(id));
         Ok(Self {
             ready: raw.ready,

@@ -37,9 +37,10 @@ pub struct Reply {
     pub weights: Vec<f64>,
     /// Standard deviation of `[v_x, v_y, omega]`, `[T+1]` if requested.
     pub sigma: Vec<GpOutput>,
-    /// The members' predictions of the request's history, `[K, N]`, newest first.
+    /// The members' predictions of the request's history, `[k, N, 3]`, newest first.
     pub history_f: Predictions,
-    /// Sum of the weights of members that were not linearised because their weight is too small.
+    /// Sum of the weights of members that are not in the control model: weights up to `weights.threshold`, and those beyond
+    /// the `weights.max_active` largest.
     pub dropped_mass: f64,
     /// Iterations of the QP solver.
     pub iterations: u32,

@@ -33,7 +33,7 @@ pub struct Request {
     pub history_z: Vec<GpInput>,
     /// Changes of `[v_x, v_y, omega]` over each of those transitions, `[k, 3]`, in m/s, m/s and rad/s.
     pub history_y: Vec<GpOutput>,
-    /// The members' predictions of the oldest rows of the history, `[K', N]`, newest of them first.
+    /// The members' predictions of the oldest rows of the history, `[k', N, 3]`, newest of them first.
     pub history_f: Predictions,
     /// `[p_x, p_y, v_x, psi]` for the stages 0..=T, row 0 = now.
     pub reference: Vec<ReferenceRow>,
@@ -137,7 +137,7 @@ impl Request {
             return Err(Invalid::field(
                 "reference",
                 format!(
-                    "expected T+1 rows with T in 1..={}, got {}",
+                    "expected T+1 rows with T from 1 to {}, got {}",
                     limits.horizon,
                     self.reference.len()
                 ),
@@ -155,7 +155,7 @@ impl Request {
         if self.plan_x.is_empty() && self.plan_u.is_empty() {
             return check::at_most(
                 "plan_shift",
-                self.plan_shift,
+                self.plan_shift as usize,
                 0,
                 "there is no plan to shift",
             );
@@ -175,7 +175,7 @@ impl Request {
         )?;
         check::at_most(
             "plan_shift",
-            self.plan_shift,
+            self.plan_shift as usize,
             horizon,
             "the plan has no later row",
         )

@@ -111,7 +111,12 @@ impl RoadTiles {
         check::size(bytes, TILES_BYTES)?;
         let raw = proto::RoadTiles::decode(bytes)?;
         check::version(raw.version)?;
-        limited("tiles", raw.tiles.len(), TILES_AT_ONCE)?;
+        check::at_most(
+            "tiles",
+            raw.tiles.len(),
+            TILES_AT_ONCE,
+            "the tiles of one answer",
+        )?;
         let tiles: Result<Vec<RoadTile>, Invalid> = raw.tiles.into_iter().map(road_tile).collect();
         let tiles = tiles?;
         let mut pairs = tiles.iter().zip(tiles.iter().skip(1));
@@ -143,14 +148,24 @@ pub fn decode_tiles_changed(bytes: &[u8]) -> Result<Vec<u32>, Invalid> {
     check::size(bytes, TILES_BYTES)?;
     let raw = proto::TilesChanged::decode(bytes)?;
     check::version(raw.version)?;
-    limited("tiles", raw.tiles.len(), ROAD_TILES as usize)?;
+    check::at_most(
+        "tiles",
+        raw.tiles.len(),
+        ROAD_TILES as usize,
+        "the longest road",
+    )?;
     raw.tiles.iter().try_for_each(|index| tile_index(*index))?;
     Ok(raw.tiles)
 }
 
 fn road_tile(raw: proto::RoadTile) -> Result<RoadTile, Invalid> {
     tile_index(raw.index)?;
-    limited("origins", raw.origins.len(), TILE_ORIGINS)?;
+    check::at_most(
+        "origins",
+        raw.origins.len(),
+        TILE_ORIGINS,
+        "the origins of a tile",
+    )?;
     let origin = |raw: proto::TileOrigin| {
         let vehicle = raw.vehicle.parse();
         Ok(TileOrigin {
@@ -175,15 +190,6 @@ fn rows(bytes: Vec<u8>) -> Result<Vec<u8>, Invalid> {
 }
 
 fn tile_index(index: u32) -> Result<(), Invalid> {
-    check::at_most("index", index, ROAD_TILES as usize - 1, "the longest road")
-}
-
-fn limited(field: &'static str, actual: usize, limit: usize) -> Result<(), Invalid> {
-    if actual <= limit {
-        return Ok(());
-    }
-    Err(Invalid::field(
-        field,
-        format!("expected at most {limit}, got {actual}"),
-    ))
+    let last = ROAD_TILES as usize - 1;
+    check::at_most("index", index as usize, last, "the longest road")
 }

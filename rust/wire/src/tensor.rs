@@ -109,7 +109,7 @@ pub(crate) fn read_vector(
         let values = tensor.values(
             field,
             |shape| matches!(shape, [n] if (1..=max).contains(n)),
-            format_args!("[n] with n in 1..={max}"),
+            format_args!("[n] with n from 1 to {max}"),
         )?;
         out.extend(values.iter().map(|value| f64::from_le_bytes(*value)));
     }
@@ -128,7 +128,7 @@ pub(crate) fn read_rows<const W: usize>(
         let values = tensor.values(
             field,
             |shape| matches!(shape, [n, width] if (1..=max).contains(n) && *width == W),
-            format_args!("[n, {W}] with n in 1..={max}"),
+            format_args!("[n, {W}] with n from 1 to {max}"),
         )?;
         out.extend(values.as_chunks().0.iter().map(row));
     }
@@ -152,7 +152,7 @@ pub(crate) fn read_predictions(
                 matches!(shape, [n, members, 3]
                     if (1..=max_rows).contains(n) && (1..=max_members).contains(members))
             },
-            format_args!("[n, N, 3] with n in 1..={max_rows}, N in 1..={max_members}"),
+            format_args!("[n, N, 3] with n from 1 to {max_rows}, N from 1 to {max_members}"),
         )?;
         [_, out.members, ..] = tensor.shape;
         out.values.extend(values.as_chunks().0.iter().map(row));

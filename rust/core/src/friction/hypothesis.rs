@@ -72,11 +72,12 @@ impl Hypothesis {
 /// the first one with a single-track vehicle, or the first one if none has.
 fn nearest(mu: f64, members: &[Member], side: impl Fn(f64) -> bool) -> Option<usize> {
     let distance = |i: usize| (members[i].friction() / mu).ln().abs();
-    let slides = |i: usize| matches!(members[i].vehicle(), Some(VehicleModel::SingleTrack(_)));
+    let is_single_track =
+        |i: usize| matches!(members[i].vehicle(), Some(VehicleModel::SingleTrack(_)));
     (0..members.len())
         .filter(|i| side(members[*i].friction()))
         .min_by(|i, j| {
             let nearer = distance(*i).total_cmp(&distance(*j));
-            nearer.then(slides(*j).cmp(&slides(*i)))
+            nearer.then(is_single_track(*j).cmp(&is_single_track(*i)))
         })
 }

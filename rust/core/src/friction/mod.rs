@@ -1,7 +1,7 @@
-//! The posterior of the friction coefficient, given the last transitions.
+//! The posterior of the friction coefficient, given the window of eq. (6).
 //!
-//! The estimate is the posterior of the friction coefficient `mu` given the window of eq. (6). Each of
-//! [`friction_hypotheses`] has a model, whose whitened errors `e` over the window give a likelihood:
+//! Each of [`friction_hypotheses`] about the friction coefficient `mu` has a model, whose whitened errors `e` over the window
+//! give a likelihood:
 //!
 //! ```text
 //! J(mu) = sum over the window of ||S (y - f_mu)||²
@@ -18,7 +18,7 @@ mod hypothesis;
 
 use egp_parameters::{
     FRICTION_HYPOTHESES as HYPOTHESES, FRICTION_INFORMED as INFORMED, FRICTION_RANGE as RANGE,
-    friction_hypotheses, interpolate_hypotheses,
+    LEAST_LOG_LIKELIHOOD, friction_hypotheses, interpolate_hypotheses,
 };
 use hypothesis::Hypothesis;
 
@@ -30,9 +30,6 @@ use crate::{GpInput, GpOutput, Library, NY, NZ};
 /// Reciprocal of the power of the likelihood. With 1.6 the 90 % interval contains the true value in 90 % of the informed
 /// windows, with 2 in 93 %, with 3 in 97 % (`tests/bench/calibration.py`).
 const TEMPERATURE: f64 = 1.6;
-/// Lower limit of the logarithms of the likelihoods, so that a reply can hold them. Without it they would go to minus infinity
-/// as the noise goes to zero.
-const LEAST: f64 = -1e6;
 /// Magnitude of the largest logarithm from which the sum of densities may lose digits, become zero or overflow.
 const EXTREME: f64 = 600.0;
 /// Number of points at which the density is evaluated.
@@ -102,9 +99,9 @@ pub struct FrictionEstimator {
 }
 
 impl FrictionEstimator {
-    /// An estimator for the members of the library. The errors are weighed by their covariance even if the settings of
-    /// the weights say otherwise, and by that of the largest expected noise even if the sensors are better: the models of
-    /// the hypotheses differ by small errors of their own, which would otherwise count as information.
+    /// An estimator for the members of the library. Errors are always whitened, also with `whiten = false`, and always by the
+    /// covariance of the largest expected noise. With a smaller noise the small model errors of the hypotheses would count as
+    /// information.
     pub fn new(library: &Library, settings: &WeightSettings) -> Self {
         let (low, high) = RANGE;
         let gap = (high / low).ln() / (HYPOTHESES - 1) as f64;
@@ -178,7 +175,8 @@ impl FrictionEstimator {
             return FrictionEstimate::default();
         }
         let scale = -0.5 / (TEMPERATURE * (least / n).max(1.0));
-        let log_likelihood = (self.squares).map(|square| (scale * (square - least)).max(LEAST));
+        let log_likelihood =
+            (self.squares).map(|square| (scale * (square - least)).max(LEAST_LOG_LIKELIHOOD));
         let mut most = f64::NEG_INFINITY;
         for (density, position) in self.density.iter_mut().zip(&self.positions) {
             *density = interpolate_hypotheses(&log_likelihood, *position);

@@ -2,7 +2,7 @@
 
 use super::mean::CovarianceRow;
 use super::{Covariance, Gp};
-use crate::cholesky::{add_scaled, dots};
+use crate::cholesky::{add_scaled, axpy, dots};
 use crate::kernel::{LANES, Lanes, Points};
 use crate::simd::{Vectorised, vectorised_loops, wide};
 use crate::{GpInput, GpOutput};
@@ -16,7 +16,7 @@ const SMALLEST_PIVOT: f64 = 1e-12;
 
 /// Memory of [`Gp::variance_bounds`].
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Horizon {
+pub(crate) struct HorizonScratch {
     /// Z-scored queries, filled by the caller.
     pub z: Vec<GpInput>,
     queries: Points,
@@ -59,10 +59,13 @@ impl Gp {
     /// `TOLERANCE · (q + floor)` for every `q` if `ρ (1 + 1 / TOLERANCE) <= TOLERANCE · floor`. Nodes are added where `ρ`
     /// relative to the floor is largest until this holds at all stages. All of them are then multiplied by the inverse
     /// factor in one pass over it, which is by far the longest part. With all stages as nodes the result is exact.
+    ///
+    /// `q` is a difference, so that rounding may make it, and with it the bound, too small by about the machine precision times
+    /// the outputscale.
     pub(crate) fn variance_bounds(
         &self,
         floor: &[GpOutput],
-        scratch: &mut Horizon,
+        scratch: &mut HorizonScratch,
         out: &mut [GpOutput],
     ) {
         scratch.queries.assign(&scratch.z);
@@ -86,30 +89,28 @@ impl Gp {
     }
 
     /// Conditions the prior at the stages on a node and computes the node's covariances with the training points.
-    fn add_node(&self, covariance: &Covariance, node: usize, scratch: &mut Horizon) {
+    fn add_node(&self, covariance: &Covariance, node: usize, scratch: &mut HorizonScratch) {
         let blocks = self.points.blocks().len();
         let query = covariance.metric.query(&scratch.z[node]);
-        wide(CovarianceRow {
-            kernel: self.kernel,
+        wide(self.kernel.with(CovarianceRow {
             outputscale: covariance.outputscale,
             points: &scratch.queries,
             norms: &scratch.norms,
             query: &query,
             row: &mut scratch.row,
-        });
-        wide(CovarianceRow {
-            kernel: self.kernel,
+        }));
+        wide(self.kernel.with(CovarianceRow {
             outputscale: covariance.outputscale,
             points: &self.points,
             norms: covariance.metric.norms(),
             query: &query,
             row: &mut scratch.covariances[scratch.nodes.len() * blocks..][..blocks],
-        });
+        }));
         scratch.condition(node);
     }
 }
 
-impl Horizon {
+impl HorizonScratch {
     /// Sets the prior at the stages, without nodes.
     fn start(&mut self, covariance: &Covariance, blocks: usize) {
         let stages = self.z.len();
@@ -188,14 +189,14 @@ impl Horizon {
 }
 
 /// Computes `c` and `q` at all stages from `R`, `l` and `G`.
-struct Propagate<'a>(&'a mut Horizon);
+struct Propagate<'a>(&'a mut HorizonScratch);
 
 impl Vectorised for Propagate<'_> {
     type Output = ();
 
     #[inline(always)]
     fn compute(self) {
-        let Horizon {
+        let HorizonScratch {
             z,
             nodes,
             factor,
@@ -206,11 +207,6 @@ impl Vectorised for Propagate<'_> {
             ..
         } = self.0;
         let (stages, n) = (z.len(), nodes.len());
-        let accumulate = |sum: &mut [f64], scale: f64, row: &[f64]| {
-            for (sum, x) in sum.iter_mut().zip(row) {
-                *sum = scale.mul_add(*x, *sum);
-            }
-        };
         variance.fill(0.0);
         for (l, c) in (factor.chunks_exact(stages))
             .zip(coefficients.chunks_exact_mut(stages))
@@ -230,14 +226,14 @@ impl Vectorised for Propagate<'_> {
                 *c *= inverse;
             }
             for (j, earlier) in earlier.chunks_exact_mut(stages).enumerate() {
-                accumulate(earlier, -factor[j * stages + node], c);
+                axpy(earlier, -factor[j * stages + node], c);
             }
         }
         let rows = || coefficients.chunks_exact(stages).take(n);
         for (i, c) in rows().enumerate() {
             explained.fill(0.0);
             for (g, c) in gram[i * stages..].iter().zip(rows()) {
-                accumulate(explained, *g, c);
+                axpy(explained, *g, c);
             }
             for ((variance, c), explained) in variance.iter_mut().zip(c).zip(&*explained) {
                 *variance -= c * explained;

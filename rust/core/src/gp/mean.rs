@@ -1,8 +1,8 @@
 //! Loops over training points: mean, Jacobian and covariances.
 
 use super::{Covariance, Gp};
-use crate::kernel::{ForKernel, Kernel, Lanes, Metric, Points, Profile, Query};
-use crate::simd::{Simd, Wide, wide};
+use crate::kernel::{ForKernel, Lanes, Metric, Points, Profile, Query};
+use crate::simd::{Simd, wide};
 use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
 
 /// [`Gp::mean`].
@@ -47,15 +47,6 @@ impl ForKernel for Mean<'_> {
     }
 }
 
-impl Wide for Mean<'_> {
-    type Output = GpOutput;
-
-    #[inline(always)]
-    fn compute<S: Simd>(self, simd: S) -> GpOutput {
-        self.gp.kernel.run(self, simd)
-    }
-}
-
 /// [`Gp::mean_jacobian`].
 pub(super) fn mean_jacobian(gp: &Gp, z: &GpInput, jacobian: &mut GpJacobian) -> GpOutput {
     let weights = gp.outputs.each_ref().map(|output| &output.weights[..]);
@@ -91,18 +82,16 @@ fn weighted_sums<const N: usize>(
     weights: [&[Lanes]; N],
     z: &GpInput,
 ) -> [[f64; SUMS]; N] {
-    wide(WeightedSums {
-        kernel: gp.kernel,
+    wide(gp.kernel.with(WeightedSums {
         blocks: gp.points.blocks(),
         norms: metric.norms(),
         query: metric.query(z),
         weights,
-    })
+    }))
 }
 
 #[derive(Clone, Copy)]
 struct WeightedSums<'a, const N: usize> {
-    kernel: Kernel,
     blocks: &'a [[Lanes; NZ]],
     norms: &'a [Lanes],
     query: Query,
@@ -221,18 +210,8 @@ impl<const N: usize> WeightedSums<'_, N> {
     }
 }
 
-impl<const N: usize> Wide for WeightedSums<'_, N> {
-    type Output = [[f64; SUMS]; N];
-
-    #[inline(always)]
-    fn compute<S: Simd>(self, simd: S) -> Self::Output {
-        self.kernel.run(self, simd)
-    }
-}
-
 /// Writes `k(z, X)` to `row`, block by block.
 pub(super) struct CovarianceRow<'a> {
-    pub kernel: Kernel,
     pub outputscale: f64,
     pub points: &'a Points,
     /// Norms of the points.
@@ -254,18 +233,10 @@ impl ForKernel for CovarianceRow<'_> {
     }
 }
 
-impl Wide for CovarianceRow<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn compute<S: Simd>(self, simd: S) {
-        self.kernel.run(self, simd);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kernel::Kernel;
     use crate::simd::with_each;
 
     /// One or three outputs with 41 blocks of points, which are more than two chunks and a part.
@@ -279,13 +250,12 @@ mod tests {
         let metric = Metric::new(kernel.scale(), &[0.7, 1.1, 0.9, 1.3, 0.8, 1.0], &inputs);
         let weights: [Vec<Lanes>; N] =
             std::array::from_fn(|o| (0..41).map(|i| lanes(1000 * o + i)).collect());
-        with_each(WeightedSums {
-            kernel,
+        with_each(kernel.with(WeightedSums {
             blocks: points.blocks(),
             norms: metric.norms(),
             query: metric.query(&GpInput::from_element(0.2)),
             weights: weights.each_ref().map(|weights| &weights[..]),
-        })
+        }))
     }
 
     #[test]

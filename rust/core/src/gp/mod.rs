@@ -14,7 +14,7 @@
 mod horizon;
 mod mean;
 
-pub(crate) use horizon::Horizon;
+pub(crate) use horizon::HorizonScratch;
 use mean::{CovarianceRow, Mean, mean_jacobian};
 
 use std::ops::Range;
@@ -130,7 +130,7 @@ impl Gp {
 
     /// The predictive mean at a z-scored input.
     pub fn mean(&self, z: &GpInput) -> GpOutput {
-        wide(Mean { gp: self, z })
+        wide(self.kernel.with(Mean { gp: self, z }))
     }
 
     /// The predictive mean at a z-scored input, and its Jacobian in the z-scored space.
@@ -145,14 +145,13 @@ impl Gp {
         product.resize(covariances.len(), [0.0; LANES]);
         let mut variance = GpOutput::zeros();
         for (outputs, covariance) in self.by_covariance() {
-            wide(CovarianceRow {
-                kernel: self.kernel,
+            wide(self.kernel.with(CovarianceRow {
                 outputscale: covariance.outputscale,
                 points: &self.points,
                 norms: covariance.metric.norms(),
                 query: &covariance.metric.query(z),
                 row: covariances,
-            });
+            }));
             covariance.inverse.products(covariances, product);
             let mut explained = [0.0];
             dots(product, product, &mut explained);
@@ -190,14 +189,13 @@ impl Covariance {
         let mut lower = Vec::with_capacity(inputs.len() * (inputs.len() + 1) / 2);
         let mut row = vec![[0.0; LANES]; points.blocks().len()];
         for (i, input) in inputs.iter().enumerate() {
-            wide(CovarianceRow {
-                kernel,
+            wide(kernel.with(CovarianceRow {
                 outputscale: hyper.outputscale,
                 points,
                 norms: metric.norms(),
                 query: &metric.query(input),
                 row: &mut row,
-            });
+            }));
             lower.extend_from_slice(&row.as_flattened()[..i]);
             lower.push(hyper.outputscale + hyper.noise);
         }

@@ -8,7 +8,8 @@ use crate::simd::Simd;
 ///
 /// The range reduction `x = k/8 + f`, `|f| <= 1/16`, is exact, unlike that of `exp`; kernels therefore scale their
 /// exponents to base 2. `2^(k/8)` comes from a table of eight and integer arithmetic. `2^f` is a polynomial of degree 6
-/// through the Chebyshev nodes with relative error 9.3e-16. The function has no branch and no access to memory.
+/// through the Chebyshev nodes with relative error 9.3e-16. The function has no branch, and the instruction
+/// sets with vectors keep the table in registers.
 #[inline(always)]
 pub(super) fn exp2<S: Simd>(simd: S, x: S::V) -> S::V {
     /// Adding this number rounds `x` to eighths and leaves `k` in the low bits.

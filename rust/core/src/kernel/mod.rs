@@ -14,7 +14,7 @@ use matern52::Matern52;
 pub(crate) use points::{Metric, Points, Query, in_blocks};
 use rbf::Rbf;
 
-use crate::simd::Simd;
+use crate::simd::{Simd, Wide};
 
 /// Number of training points in a block, over which the arithmetic is vectorised.
 pub(crate) const LANES: usize = 8;
@@ -46,6 +46,22 @@ pub(crate) trait ForKernel {
     fn with<P: Profile, S: Simd>(self, simd: S) -> Self::Output;
 }
 
+/// A computation with one kernel, compiled for each instruction set.
+#[derive(Clone, Copy)]
+pub(crate) struct WithKernel<C>(Kernel, C);
+
+impl<C: ForKernel> Wide for WithKernel<C> {
+    type Output = C::Output;
+
+    #[inline(always)]
+    fn compute<S: Simd>(self, simd: S) -> C::Output {
+        match self.0 {
+            Kernel::Rbf => self.1.with::<Rbf, S>(simd),
+            Kernel::Matern52 => self.1.with::<Matern52, S>(simd),
+        }
+    }
+}
+
 /// The kernels a library may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kernel {
@@ -72,13 +88,9 @@ impl Kernel {
         Self::ALL.into_iter().find(|kernel| kernel.name() == name)
     }
 
-    /// Runs `computation` with this kernel.
-    #[inline(always)]
-    pub(crate) fn run<C: ForKernel, S: Simd>(self, computation: C, simd: S) -> C::Output {
-        match self {
-            Self::Rbf => computation.with::<Rbf, S>(simd),
-            Self::Matern52 => computation.with::<Matern52, S>(simd),
-        }
+    /// A computation with this kernel.
+    pub(crate) const fn with<C: ForKernel>(self, computation: C) -> WithKernel<C> {
+        WithKernel(self, computation)
     }
 
     /// [`Profile::SCALE`] of this kernel.

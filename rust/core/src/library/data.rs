@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use egp_parameters::VehicleParameters;
 
 use super::LibraryError;
+use super::format::Source;
 use super::limits::MAX_GOLDEN;
 use super::metadata::{MemberMetadata, PriorMean, check_count};
 use crate::vehicle::{KINEMATIC_PARAMETERS, ModelParameters, SINGLE_TRACK_PARAMETERS};
@@ -87,81 +88,65 @@ pub struct MemberData {
 /// A tensor to be written: name inside the member, shape, numbers in row-major order.
 pub(super) type Tensor = (&'static str, Vec<usize>, Vec<f64>);
 
-/// Where the tensors of one member come from.
-pub(super) trait TensorSource {
-    /// Whether there is such a tensor.
-    fn has(&self, name: &'static str) -> bool;
-    /// The first dimension of a tensor.
-    fn leading(&self, name: &'static str) -> Result<usize, LibraryError>;
-    /// The numbers of a tensor, which must have that shape.
-    fn take(&mut self, name: &'static str, shape: &[usize]) -> Result<Vec<f64>, LibraryError>;
-}
-
 impl MemberData {
     /// The tensors of this member, in the order of the format's description.
     pub(super) fn tensors(&self) -> Vec<Tensor> {
-        let (m, g) = (self.inputs.len(), self.golden_z.len());
-        let mut tensors = vec![
-            ("inputs", vec![m, NZ], self.inputs.as_flattened().to_vec()),
-            (
-                "targets",
-                vec![self.targets.len(), NY],
-                self.targets.as_flattened().to_vec(),
-            ),
-            ("input_mean", vec![NZ], self.input_mean.to_vec()),
-            ("input_std", vec![NZ], self.input_std.to_vec()),
-            ("target_mean", vec![NY], self.target_mean.to_vec()),
-            ("target_std", vec![NY], self.target_std.to_vec()),
-            (
-                "lengthscales",
-                vec![NY, NZ],
-                self.lengthscales.as_flattened().to_vec(),
-            ),
-            ("outputscale", vec![NY], self.outputscale.to_vec()),
-            ("noise", vec![NY], self.noise.to_vec()),
-            ("constant", vec![NY], self.constant.to_vec()),
-            (
-                "alpha",
-                vec![NY, self.alpha.concat().len() / NY],
-                self.alpha.concat(),
-            ),
-            (
-                "envelope",
-                vec![2, NZ],
-                self.envelope.as_flattened().to_vec(),
-            ),
-            (
-                "golden_z",
-                vec![g, NZ],
-                self.golden_z.as_flattened().to_vec(),
-            ),
-            (
-                "golden_mean",
-                vec![self.golden_mean.len(), NY],
-                self.golden_mean.as_flattened().to_vec(),
-            ),
-            (
-                "golden_jacobian",
-                vec![self.golden_jacobian.len(), NY, NZ],
-                self.golden_jacobian.as_flattened().as_flattened().to_vec(),
-            ),
-            (
-                "golden_variance",
-                vec![self.golden_variance.len(), NY],
-                self.golden_variance.as_flattened().to_vec(),
-            ),
-        ];
+        let alpha = self.alpha.concat();
+        let mut tensors = Vec::new();
+        let mut add = |name, shape: &[usize], values: &[f64]| {
+            tensors.push((name, shape.to_vec(), values.to_vec()));
+        };
+        add(
+            "inputs",
+            &[self.inputs.len(), NZ],
+            self.inputs.as_flattened(),
+        );
+        add(
+            "targets",
+            &[self.targets.len(), NY],
+            self.targets.as_flattened(),
+        );
+        add("input_mean", &[NZ], &self.input_mean);
+        add("input_std", &[NZ], &self.input_std);
+        add("target_mean", &[NY], &self.target_mean);
+        add("target_std", &[NY], &self.target_std);
+        add("lengthscales", &[NY, NZ], self.lengthscales.as_flattened());
+        add("outputscale", &[NY], &self.outputscale);
+        add("noise", &[NY], &self.noise);
+        add("constant", &[NY], &self.constant);
+        add("alpha", &[NY, alpha.len() / NY], &alpha);
+        add("envelope", &[2, NZ], self.envelope.as_flattened());
+        add(
+            "golden_z",
+            &[self.golden_z.len(), NZ],
+            self.golden_z.as_flattened(),
+        );
+        add(
+            "golden_mean",
+            &[self.golden_mean.len(), NY],
+            self.golden_mean.as_flattened(),
+        );
+        add(
+            "golden_jacobian",
+            &[self.golden_jacobian.len(), NY, NZ],
+            self.golden_jacobian.as_flattened().as_flattened(),
+        );
+        add(
+            "golden_variance",
+            &[self.golden_variance.len(), NY],
+            self.golden_variance.as_flattened(),
+        );
         match &self.vehicle {
             None => {}
             Some(ModelParameters::SingleTrack(p)) => {
-                tensors.push(("single_track", vec![p.len()], p.to_vec()));
+                add("single_track", &[p.len()], p);
             }
             Some(ModelParameters::Kinematic(p)) => {
-                tensors.push(("kinematic", vec![p.len()], p.to_vec()));
+                add("kinematic", &[p.len()], p);
             }
         }
         if let Some(resistance) = self.resistance {
-            tensors.push(("resistance", vec![2], resistance.to_vec()));
+            add("resistance", &[2], &resistance);
         }
         tensors
     }
@@ -169,7 +154,7 @@ impl MemberData {
     /// Reads one member; shapes are checked by the source, values by the verification.
     pub(super) fn read(
         metadata: &MemberMetadata,
-        source: &mut impl TensorSource,
+        source: &mut Source,
     ) -> Result<Self, LibraryError> {
         let m = metadata.n;
         let g = source.leading("golden_z")?;

@@ -36,7 +36,7 @@ pub enum LibraryError {
         /// Bytes present.
         found: usize,
     },
-    /// Not a safetensors file, or one without our metadata.
+    /// Not a safetensors file, or one without the metadata of this format.
     #[error("not a library file: {reason}; export one with `egp train`")]
     Malformed {
         /// What the parser found.
@@ -100,7 +100,7 @@ pub enum LibraryError {
     /// A vehicle parameter is out of range.
     #[error("{0}; correct the vehicle that the library is trained for")]
     Vehicle(ParameterError),
-    /// A standard deviation of the measurement noise is out of range.
+    /// A standard deviation of the measurement noise of `[v_x, v_y, omega]` (m/s, m/s, rad/s) is out of range.
     #[error(
         "measurement noise is {found:?}, each standard deviation must be within 0 and 100; leave it out or train again"
     )]
@@ -219,13 +219,15 @@ pub enum LibraryError {
         /// The number.
         value: f64,
     },
-    /// The envelope's lower bound lies above its upper bound.
-    #[error("tensor \"{tensor}\" has min {min} above max {max} in input {input}; export again")]
+    /// The envelope's lower bound is not below its upper bound.
+    #[error(
+        "tensor \"{tensor}\": `{input}` has min {min}, which is not below max {max}; export again"
+    )]
     Envelope {
         /// Name.
         tensor: String,
-        /// Index of the GP input.
-        input: usize,
+        /// Name of the GP input.
+        input: &'static str,
         /// Lower bound.
         min: f64,
         /// Upper bound.

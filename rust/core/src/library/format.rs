@@ -11,7 +11,7 @@ use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
 use super::LibraryError;
-use super::data::{LibrarySpec, MemberData, TensorSource};
+use super::data::{LibrarySpec, MemberData};
 use super::limits::{MAX_FILE_BYTES, MAX_HEADER_BYTES, SCHEMA_VERSION};
 use super::metadata::Metadata;
 use crate::Kernel;
@@ -21,7 +21,7 @@ const METADATA_KEY: &str = "egp";
 /// Bytes of the header's length field.
 const LENGTH_BYTES: usize = 8;
 /// Hexadecimal digits of the seal.
-const DIGITS: usize = 64;
+pub(super) const DIGITS: usize = 64;
 
 /// The metadata that are read first: the version of the format and the seal.
 #[derive(Deserialize)]
@@ -104,7 +104,7 @@ pub fn hex(bytes: &[u8]) -> String {
 }
 
 /// The tensors of one member inside a file.
-struct Source<'a, 'b> {
+pub(super) struct Source<'a, 'b> {
     tensors: &'a SafeTensors<'a>,
     unread: &'b mut BTreeSet<&'a str>,
     member: usize,
@@ -117,18 +117,19 @@ impl<'a> Source<'a, '_> {
             .tensor(&tensor)
             .map_err(|_| LibraryError::MissingTensor { tensor })
     }
-}
 
-impl TensorSource for Source<'_, '_> {
-    fn has(&self, name: &'static str) -> bool {
+    /// Whether there is such a tensor.
+    pub fn has(&self, name: &'static str) -> bool {
         self.view(name).is_ok()
     }
 
-    fn leading(&self, name: &'static str) -> Result<usize, LibraryError> {
+    /// The first dimension of a tensor.
+    pub fn leading(&self, name: &'static str) -> Result<usize, LibraryError> {
         Ok(self.view(name)?.shape().first().copied().unwrap_or(0))
     }
 
-    fn take(&mut self, name: &'static str, shape: &[usize]) -> Result<Vec<f64>, LibraryError> {
+    /// The numbers of a tensor, which must have that shape.
+    pub fn take(&mut self, name: &'static str, shape: &[usize]) -> Result<Vec<f64>, LibraryError> {
         let view = self.view(name)?;
         let tensor = tensor_name(self.member, name);
         self.unread.remove(tensor.as_str());

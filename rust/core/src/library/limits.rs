@@ -1,6 +1,6 @@
 //! Version of the library's format, and the limits of its size and period. Sizes are checked before memory is allocated.
 
-/// Version of the file format; a change that old programs cannot read counts it up.
+/// Version of the file format, incremented by each change that older programs cannot read.
 pub(super) const SCHEMA_VERSION: u32 = 4;
 /// Largest file in bytes.
 pub const MAX_FILE_BYTES: usize = 1 << 29;

@@ -3,7 +3,7 @@
 use egp_parameters::{GRAVITY, VehicleParameters};
 
 use super::data::MemberData;
-use crate::gp::{Gp, Horizon, Hyperparameters, SingularCovariance};
+use crate::gp::{Gp, HorizonScratch, Hyperparameters, SingularCovariance};
 use crate::scaler::Scaler;
 use crate::vehicle::{Resistance, TyreLimits, VehicleModel};
 use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
@@ -12,8 +12,9 @@ use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
 /// CommonRoad's Ford Escort, BMW 320i and VW Vanagon.
 const TRACK: f64 = 0.83;
 
-/// The vehicle and the GPs of one surface: physical units outside, the z-scored space inside. Without a vehicle the GPs
-/// learn the whole change; without training points the vehicle is the whole prediction.
+/// The vehicle and the GPs of one surface. All arguments and results are in physical units; the GPs are evaluated in the
+/// z-scored space. Without a vehicle the GPs learn the whole change; without training points the vehicle is the whole
+/// prediction.
 #[derive(Clone, Debug)]
 pub struct Member {
     label: String,
@@ -104,7 +105,7 @@ impl Member {
     /// What the tyres transmit on this surface, for the bounds of the OCP: those of the fitted vehicle. A member without a
     /// single-track vehicle has [`Self::peak_slip`] and the largest accelerations of `vehicle`. Its lateral force has no
     /// coupling with the longitudinal one if the wheels roll without slip; otherwise the coupling is that of a friction
-    /// circle, whose half is left of the squared lateral force where `F_x / m` reaches `sqrt(½) mu g`. The load that moves to
+    /// circle: at `|F_x| / m = sqrt(½) mu g` half of the squared lateral force remains. The load that moves to
     /// the outside of a bend is `2 h / (g b)` for each m/s², with the fitted height `h` and the track `b`, which is 0.83 of the
     /// width of `vehicle`; without a fitted height none moves.
     pub fn tyre_limits(&self, vehicle: &VehicleParameters) -> TyreLimits {
@@ -228,7 +229,7 @@ impl Member {
         &self,
         z: &[GpInput],
         floor: &[GpOutput],
-        scratch: &mut Horizon,
+        scratch: &mut HorizonScratch,
         scaled_floor: &mut Vec<GpOutput>,
         out: &mut [GpOutput],
     ) {

@@ -7,12 +7,14 @@ use serde::{Deserialize, Serialize};
 
 use super::LibraryError;
 use super::data::LibrarySpec;
+use super::format::DIGITS;
 use super::limits::{MAX_DT, MAX_EULER_STEPS, MAX_MEMBERS, MAX_POINTS, MIN_DT, SCHEMA_VERSION};
 use crate::settings::{Settings, WeightSettings};
 use crate::vehicle::ModelParameters;
 use crate::{Kernel, NY};
 
-const INPUTS: [(&str, &str); crate::NZ] = [
+/// Names and units of the inputs of the GPs.
+pub(super) const INPUTS: [(&str, &str); crate::NZ] = [
     ("v_x", "m/s"),
     ("v_y", "m/s"),
     ("omega", "rad/s"),
@@ -123,7 +125,7 @@ impl Metadata {
         };
         Self {
             schema: SCHEMA_VERSION,
-            sha256: "0".repeat(64),
+            sha256: "0".repeat(DIGITS),
             dt: spec.dt,
             kernel: spec.kernel.name().to_owned(),
             inputs: signals(&INPUTS),

@@ -1,7 +1,6 @@
 //! A library of some of another one's members.
 
-use super::{LibraryError, LibrarySpec, encode, format, hex};
-use sha2::{Digest, Sha256};
+use super::{LibraryError, LibrarySpec, encode, format, hash, hex};
 
 /// The bytes of a library file with the given members of the library in `bytes`, in the given order.
 ///
@@ -26,7 +25,7 @@ pub fn subset(bytes: &[u8], members: &[usize]) -> Result<Vec<u8>, LibraryError> 
         Ok(member)
     };
     let mut provenance = metadata.provenance.clone();
-    provenance.insert("subset_of".to_owned(), hex(&Sha256::digest(bytes)));
+    provenance.insert("subset_of".to_owned(), hex(&hash(bytes)));
     encode(&LibrarySpec {
         dt: metadata.dt,
         kernel,

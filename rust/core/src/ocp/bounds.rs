@@ -52,8 +52,8 @@ pub(super) fn penalties(soft: &Soft) -> [Penalty; MAX_SOFT] {
 /// longer than the bend and is no state of the model. The drive is therefore bounded by the share of the load that the wheels
 /// inside the bend keep, `1 - transfer |v_x omega|`.
 ///
-/// A vehicle far below its reference speed, as at a start, would drive with all that adds to its acceleration, and spin its
-/// wheels on a straight road. Its drive has a smaller bound.
+/// Far below the reference speed, as at a start, the optimum is the largest force, which spins the wheels even on a straight
+/// road. The bound on the drive is then reduced to the share [`ROLLING`].
 pub(super) fn hard(
     vehicle: &VehicleParameters,
     dt: f64,

@@ -21,7 +21,8 @@ pub fn state_weight(cost: &Cost, reference: &State) -> SMatrix<f64, NX, NX> {
     q
 }
 
-/// Factor of the state weights at the end of the horizon on a surface with this friction: `terminal / min(friction, 1)`.
+/// Factor of the state weights at the end of the horizon on a surface with this friction:
+/// `terminal / clamp(friction, 0.05, 1)`.
 ///
 /// The weights of the last stage stand for the cost of the time after it (Rawlings, Mayne and Diehl, *Model Predictive
 /// Control*, 2nd edition, section 2.5). The forces that remove an error are proportional to the friction, so on ice an

@@ -17,7 +17,7 @@ use crate::vehicle::{FORCE, TyreLimits};
 use crate::{Input, Settings, State};
 
 pub use bounds::soft_rows;
-pub use caution::{Caution, Disturbance};
+pub use caution::{Caution, TransitionUncertainty};
 
 /// Reference, track edges and what the tyres transmit along the horizon, in the vehicle's frame, rows `0..=T`.
 #[derive(Debug, Clone, Copy)]

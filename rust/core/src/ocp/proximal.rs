@@ -17,21 +17,22 @@ const LARGEST_WEIGHT: f64 = 100.0;
 /// Weighs the difference between the force of each stage and that of the previous plan, by `cost.proximal` times a bound on
 /// the curvature that the linearisation leaves out.
 ///
-/// Drive and braking cost lateral force, `f(a) = f(0) (1 + (e a/g)⁴)^(-1/2)` for each axle. Close to the end of the grip a
-/// tangent along a plan that brakes promises more lateral force for less braking, and more again for drive, where there is
-/// less. The next tangent, along a plan that drives, promises the opposite, and plans alternate between both limits. In the
-/// Lagrangian the missing term is `p_f f(a)` with the multiplier `p_f` of the axle's force; its curvature in `a` is at most
+/// Drive and braking reduce the lateral force, `f(a) = f(0) (1 + (e a/g)⁴)^(-1/2)` for each axle. Near the friction limit this
+/// is a concave function of `a`. Its tangent at a braking plan overestimates the force at less braking, its tangent at a
+/// driving plan that at less drive, so that consecutive plans alternate between both limits. In the Lagrangian the missing
+/// term is `p_f f(a)` with the multiplier `p_f` of the axle's force; its curvature in `a` is at most
 ///
 /// ```text
 /// d_t = Σ_axles max(0, -p_f f(0)) c (e/g)²,        c = max |d²/du² (1 + u⁴)^(-1/2)|
 /// ```
 ///
-/// for an axle whose force is wanted, so that `½ d_t (a_t - ā_t)²` about the previous plan's `ā_t` outweighs it, as in
-/// majorisation (Hunter and Lange, *A tutorial on MM algorithms*, The American Statistician 58(1), 2004) and with convex Hessians
-/// in sequential programming (Verschueren, van Duijkeren, Quirynen and Diehl, *Exploiting convexity in direct optimal control: a
-/// sequential convex quadratic programming method*, CDC 2016). A descent is not guaranteed: `p_f` and `f(0)` are those of the
-/// operating trajectory, `d_t` is limited, and axles whose force increases the cost are left out. The term vanishes where the
-/// plan does not change, and where lateral force is not scarce: there the multipliers are small.
+/// for an axle whose force is wanted ([`TyreLimits::coupling`](crate::vehicle::TyreLimits) is `(e/g)²`, with `e` of
+/// [`SingleTrack`](crate::vehicle::SingleTrack)), so that `½ d_t (a_t - ā_t)²` about the previous plan's `ā_t` outweighs it,
+/// as in majorisation (Hunter and Lange, *A tutorial on MM algorithms*, The American Statistician 58(1), 2004) and with convex
+/// Hessians in sequential programming (Verschueren, van Duijkeren, Quirynen and Diehl, *Exploiting convexity in direct optimal
+/// control: a sequential convex quadratic programming method*, CDC 2016). A descent is not guaranteed: `p_f` and `f(0)` are
+/// those of the operating trajectory, `d_t` is limited, and axles whose force increases the cost are left out. The term
+/// vanishes where the plan does not change, and where lateral force is not scarce: there the multipliers are small.
 ///
 /// Multipliers are those of the cost and of the soft bounds along the operating trajectory, `p_t = ∇_x + A_tᵀ p_{t+1}`, but not
 /// of the track's edges, whose penalty would hold the plan of a vehicle that has to come back from beyond one. The
@@ -48,7 +49,7 @@ pub(super) fn proximal(
     let factor = setup.settings.cost.proximal;
     let known = factor > 0.0 && !guess.x.is_empty();
     let (l_f, l_r) = (vehicle.l_f, vehicle.l_r);
-    let gyration = vehicle.yaw_inertia / vehicle.mass;
+    let squared_gyration_radius = vehicle.yaw_inertia / vehicle.mass;
     let mut p = State::zeros();
     for t in (0..qp.horizon()).rev() {
         let (x, u) = (&operating[t], &guess.u[t]);
@@ -56,10 +57,11 @@ pub(super) fn proximal(
         if known {
             p = qp.state_gradient(t, &operating[t + 1], &p);
             let lateral = -setup.dt * x[V_X] * x[OMEGA] / (l_f + l_r);
-            let front = lateral * l_r * (p[V_Y] + p[OMEGA] * l_f / gyration);
-            let rear = lateral * l_f * (p[V_Y] - p[OMEGA] * l_r / gyration);
-            let [e_f, e_r] = road.tyres[t].coupling;
-            let curvature = LARGEST_CURVATURE * (front.max(0.0) * e_f + rear.max(0.0) * e_r);
+            let front = lateral * l_r * (p[V_Y] + p[OMEGA] * l_f / squared_gyration_radius);
+            let rear = lateral * l_f * (p[V_Y] - p[OMEGA] * l_r / squared_gyration_radius);
+            let [coupling_f, coupling_r] = road.tyres[t].coupling;
+            let curvature =
+                LARGEST_CURVATURE * (front.max(0.0) * coupling_f + rear.max(0.0) * coupling_r);
             weight = (factor * curvature).min(LARGEST_WEIGHT);
         }
         let stage = &mut qp.stages_mut()[t];

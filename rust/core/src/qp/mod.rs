@@ -229,28 +229,31 @@ impl OcpQp {
     /// True if every number of the stages and the start is finite and no lower bound exceeds its upper bound.
     pub fn is_well_posed(&self) -> bool {
         let finite = |m: &[f64]| m.iter().all(|v| v.is_finite());
+        let row = |row: &SoftRow| {
+            finite(row.normal.as_slice())
+                && finite(&[row.lower, row.upper])
+                && row.lower <= row.upper
+        };
+        let stage = |s: &Stage| {
+            let matrices = [s.a.as_slice(), s.b.as_slice(), s.q.as_slice()];
+            let states = [s.c.as_slice(), s.reference.as_slice()];
+            let inputs = [
+                &s.proximal,
+                &s.planned,
+                &s.u_min,
+                &s.u_max,
+                &s.du_min,
+                &s.du_max,
+            ];
+            matrices.into_iter().all(finite)
+                && states.into_iter().all(finite)
+                && inputs.into_iter().all(|u| finite(u.as_slice()))
+                && (0..NU).all(|i| s.u_min[i] <= s.u_max[i] && s.du_min[i] <= s.du_max[i])
+                && s.soft[..self.n_soft].iter().all(row)
+        };
         finite(self.x0.as_slice())
             && finite(self.u_prev.as_slice())
-            && self.stages.iter().all(|s| {
-                finite(s.a.as_slice())
-                    && finite(s.b.as_slice())
-                    && finite(s.c.as_slice())
-                    && finite(s.q.as_slice())
-                    && finite(s.reference.as_slice())
-                    && finite(s.proximal.as_slice())
-                    && finite(s.planned.as_slice())
-                    && (0..NU).all(|i| s.u_min[i] <= s.u_max[i] && s.du_min[i] <= s.du_max[i])
-                    && finite(s.u_min.as_slice())
-                    && finite(s.u_max.as_slice())
-                    && finite(s.du_min.as_slice())
-                    && finite(s.du_max.as_slice())
-                    && s.soft[..self.n_soft].iter().all(|row| {
-                        finite(row.normal.as_slice())
-                            && row.lower.is_finite()
-                            && row.upper.is_finite()
-                            && row.lower <= row.upper
-                    })
-            })
+            && self.stages.iter().all(stage)
     }
 
     /// True if no entry lies outside [`A_PATTERN`], [`B_PATTERN`], [`Q_PATTERN`] and [`SOFT_PATTERN`].

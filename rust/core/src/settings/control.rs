@@ -150,7 +150,9 @@ pub struct SolverSettings {
     /// Limit of the interior-point iterations; changes of the active set are counted in a reply as well, but are not limited by
     /// this. There is no time limit, which would make replies depend on the machine. Default 50.
     pub max_iterations: u32,
-    /// Relative tolerance handed to the solver. Default 1e-9.
+    /// Tolerance of the solver's stopping criteria. Of `riccati`: the largest violation of a bound, in the bound's unit (m/s²,
+    /// rad/s, m/s, rad, m), and the residual of stationarity relative to its largest term. Of Clarabel: `tol_feas`. Default
+    /// 1e-9.
     pub tolerance: f64,
     /// Largest KKT residual that a returned plan may have; it is computed independently of the solver. Default 1e-5.
     pub kkt_tolerance: f64,
@@ -221,8 +223,6 @@ impl Default for SolverSettings {
     }
 }
 
-/// Largest accepted value of the lowest speed to linearise at, m/s: that of the fastest reference.
-const MOST_SLOWEST: f64 = REFERENCE_SPEED.1;
 /// Largest accepted weight of a state, and penalty of a soft bound. With larger ones some steps end without a plan.
 const MOST_WEIGHT: f64 = 1e5;
 /// Largest accepted factor of the states' weights at the last stage, which low friction raises up to 20 times.
@@ -234,7 +234,7 @@ impl OperatingSettings {
             "operating.v_x_min",
             self.v_x_min,
             "from 1e-9 to 100 m/s",
-            |v| (1e-9..=MOST_SLOWEST).contains(&v),
+            |v| (1e-9..=REFERENCE_SPEED.1).contains(&v),
         )?;
         positive("operating.v_y", self.v_y)?;
         positive("operating.omega", self.omega)?;
@@ -348,7 +348,7 @@ impl SolverSettings {
         check(
             "solver.max_iterations",
             f64::from(self.max_iterations),
-            "in 1..=1000",
+            "from 1 to 1000",
             |n| (1.0..=1000.0).contains(&n),
         )?;
         check("solver.tolerance", self.tolerance, "in (0, 1e-3]", |v| {

@@ -103,7 +103,7 @@ impl WeightSettings {
 
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
         if let Some(window) = self.window {
-            check("weights.window", window as f64, "in 1..=1000", |k| {
+            check("weights.window", window as f64, "from 1 to 1000", |k| {
                 (1.0..=Self::MAX_WINDOW as f64).contains(&k)
             })?;
         }

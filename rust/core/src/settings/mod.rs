@@ -1,7 +1,7 @@
 //! Every number a user may choose, validated once.
 //!
-//! TOML form: one table per struct. Every field is optional, but a table [`Prior`] has its `kind`, and `alpha` if that is `l1`.
-//! Unknown fields are errors.
+//! TOML form: one table per struct. Every field is optional, except `kind` in `[weights.prior]` ([`Prior`]), and `alpha` there
+//! if the kind is `l1`. Unknown fields are errors.
 //!
 //! ```
 //! use egp_core::Settings;
@@ -36,9 +36,9 @@ pub struct Settings {
     /// Horizon `T`: number of inputs in a plan, 1 to 200; requests hold at most 128. Default: 0.8 s, which are 40 periods of
     /// 0.02 s, but at most 100 periods.
     ///
-    /// Chosen by experiment, near the limit and with measurement noise: a period of 0.02 s halved the lateral error
-    /// of 0.05 s with the same data; 30 inputs lost the car more often than 40, and 50 brought nothing more. At 0.05
-    /// s, 40 inputs lost cars at 80 % of the grip, 16 none up to 95 %.
+    /// Measured near the friction limit with measurement noise. With the same data, a period of 0.02 s halves the lateral error
+    /// of a period of 0.05 s. At 0.02 s, 30 inputs lose the car more often than 40, and 50 are not better. At 0.05 s, 40 inputs
+    /// lose cars at 80 % of the grip, and 16 lose none up to 95 %.
     pub horizon: Option<usize>,
     /// Vehicle mass in kg, which turns force into the scaled input `a = F_x/m`. Default: the library's `mass`.
     pub mass: Option<f64>,
@@ -186,7 +186,7 @@ impl Settings {
     /// [`SettingsError::Range`] naming the first field out of range.
     pub fn validate(&self) -> Result<(), SettingsError> {
         if let Some(horizon) = self.horizon {
-            check("horizon", horizon as f64, "in 1..=200", |h| {
+            check("horizon", horizon as f64, "from 1 to 200", |h| {
                 (1.0..=Self::MAX_HORIZON as f64).contains(&h)
             })?;
         }

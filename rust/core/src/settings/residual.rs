@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{SettingsError, check};
+use super::{SettingsError, WeightSettings, check};
 use crate::NY;
 
 /// What the control step adds to the members' prediction, from the errors of the last transitions.
@@ -19,8 +19,8 @@ pub struct ResidualSettings {
     /// Standard deviations of errors that are independent between periods, in m/s, m/s and rad/s. Default 0.02, 0.005,
     /// 0.002.
     pub noise: [f64; NY],
-    /// Standard deviations of the noise of the measured states, in m/s, m/s and rad/s: the newest state's part in the last
-    /// error is corrected in the first stage. Default 0: it is not.
+    /// Standard deviations of the noise of the measured states, in m/s, m/s and rad/s. The noise of the newest state is
+    /// estimated and subtracted in the first stage. With 0, the default, it is not estimated.
     pub measurement: [f64; NY],
 }
 
@@ -42,9 +42,7 @@ impl ResidualSettings {
     /// [`SettingsError::Range`] naming the first field out of range.
     pub fn validate(&self) -> Result<(), SettingsError> {
         for std in self.std {
-            check("residual.std", std, "in [0, 100]", |v| {
-                (0.0..=100.0).contains(&v)
-            })?;
+            check("residual.std", std, "in [0, 100]", WeightSettings::is_noise)?;
         }
         for time in self.time {
             check("residual.time", time, "in [0.001, 10000] s", |v| {
@@ -57,9 +55,12 @@ impl ResidualSettings {
             })?;
         }
         for std in self.measurement {
-            check("residual.measurement", std, "in [0, 100]", |v| {
-                (0.0..=100.0).contains(&v)
-            })?;
+            check(
+                "residual.measurement",
+                std,
+                "in [0, 100]",
+                WeightSettings::is_noise,
+            )?;
         }
         Ok(())
     }

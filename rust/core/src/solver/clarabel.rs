@@ -16,6 +16,7 @@ use crate::Input;
 use crate::qp::{Csc, OcpQp, OcpSolution, SparseQp};
 use crate::settings::SolverSettings;
 
+/// Name and version; a test compares the version with `Cargo.lock`.
 const NAME: &str = "clarabel 0.11";
 
 /// Tolerance of the duality gap relative to the tolerance of the other residuals. It is smaller because the error of a
@@ -213,5 +214,17 @@ fn options(settings: &SolverSettings) -> DefaultSettings<f64> {
         iterative_refinement_abstol: refined.min(defaults.iterative_refinement_abstol),
         iterative_refinement_max_iter: 30,
         ..defaults
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::NAME;
+
+    #[test]
+    fn the_name_has_the_version_that_the_program_is_built_with() {
+        let (name, version) = NAME.split_once(' ').unwrap_or_default();
+        let locked = format!("name = \"{name}\"\nversion = \"{version}.");
+        assert!(include_str!("../../../../Cargo.lock").contains(&locked));
     }
 }

@@ -57,9 +57,8 @@ pub fn solvers(
     settings: &SolverSettings,
 ) -> Result<Vec<Box<dyn QpSolver + Send>>, SolverSetupError> {
     let mut solvers: Vec<Box<dyn QpSolver + Send>> = Vec::new();
-    match settings.kind {
-        SolverKind::Riccati => solvers.push(Box::new(RiccatiSolver::new(qp.horizon(), settings))),
-        SolverKind::Clarabel => {}
+    if settings.kind == SolverKind::Riccati {
+        solvers.push(Box::new(RiccatiSolver::new(qp.horizon(), settings)));
     }
     solvers.push(Box::new(ClarabelSolver::new(qp, settings)?));
     Ok(solvers)

@@ -1,11 +1,8 @@
 //! Velocities that were measured late: the window with the inputs that caused them, and their present values.
 
-use super::validate::Rows;
-use crate::vehicle::{DELTA, OMEGA, V_X, V_Y};
+use super::validate::ValidRequest;
+use crate::vehicle::{DELTA, OMEGA, STEERING, V_X, V_Y, VELOCITIES};
 use crate::{Ensemble, GpInput, GpOutput, NZ, State};
-
-/// Index of the steering angle in `z`; the inputs follow.
-const STEERING: usize = 3;
 
 /// Part of a period by which a delay may differ from whole periods by rounding.
 const ROUNDING: f64 = 1e-9;
@@ -70,7 +67,12 @@ impl Delay {
     /// were applied since, `x(t) = x(t - d) + Σ f(z) h / dt` over parts `h` of at most one period. Without a history the
     /// last input counts as applied since then, and before the oldest row of a history that is shorter than the delay, as
     /// after a reset, the inputs of this row. `disturbance` is added to each change `f`.
-    pub fn present(&self, rows: &Rows, ensemble: &Ensemble, disturbance: &GpOutput) -> State {
+    pub fn present(
+        &self,
+        rows: &ValidRequest,
+        ensemble: &Ensemble,
+        disturbance: &GpOutput,
+    ) -> State {
         let [force, rate] = <[f64; 2]>::from(rows.u_prev);
         let alone = [[0.0, 0.0, 0.0, rows.x[DELTA], force, rate]];
         let history = if rows.history_z.is_empty() {
@@ -112,7 +114,7 @@ fn advance(
     let [.., force, rate] = *row;
     let z = GpInput::new(x[V_X], x[V_Y], x[OMEGA], steering, force, rate);
     let change = change(&z) * part;
-    for (state, change) in [V_X, V_Y, OMEGA].into_iter().zip(change.iter()) {
+    for (state, change) in VELOCITIES.into_iter().zip(change.iter()) {
         x[state] += change;
     }
 }

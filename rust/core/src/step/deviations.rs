@@ -1,6 +1,6 @@
 //! How uncertain the transitions of a trajectory are.
 
-use crate::ocp::Disturbance;
+use crate::ocp::TransitionUncertainty;
 use crate::preview::StageWeights;
 use crate::vehicle::gp_input;
 use crate::{
@@ -12,7 +12,7 @@ pub(super) struct Deviations {
     queries: Vec<GpInput>,
     variances: Vec<GpOutput>,
     scratch: MixtureScratch,
-    disturbances: Vec<Disturbance>,
+    uncertainties: Vec<TransitionUncertainty>,
     /// Variance of the residual at each stage; empty without one.
     pub residual: Vec<GpOutput>,
 }
@@ -23,7 +23,7 @@ impl Deviations {
             queries: Vec::with_capacity(horizon),
             variances: vec![GpOutput::zeros(); horizon],
             scratch: MixtureScratch::default(),
-            disturbances: Vec::with_capacity(horizon),
+            uncertainties: Vec::with_capacity(horizon),
             residual: Vec::with_capacity(horizon),
         }
     }
@@ -63,7 +63,7 @@ impl Deviations {
 
     /// What is uncertain about each transition of the operating trajectory: the ensemble's variance, and the effect of one
     /// standard deviation of the friction where `road` states it.
-    pub fn disturbances<'a>(
+    pub fn uncertainties<'a>(
         &mut self,
         members: &[Member],
         stages: &StageWeights,
@@ -71,18 +71,18 @@ impl Deviations {
         road: &[[f64; 2]],
         transitions: impl Iterator<Item = (State, Input)>,
         executor: &dyn Executor,
-    ) -> &[Disturbance] {
+    ) -> &[TransitionUncertainty] {
         self.compute(ensembles, transitions, executor);
-        self.disturbances.clear();
+        self.uncertainties.clear();
         let transitions = self.queries.iter().zip(&self.variances).enumerate();
-        let disturbances = transitions.map(|(t, (z, variance))| Disturbance {
+        let uncertainties = transitions.map(|(t, (z, variance))| TransitionUncertainty {
             variance: *variance,
             friction: match road.get(t + 1) {
                 Some([friction, std]) => stages.slope(members, *friction, z) * *std,
                 None => GpOutput::zeros(),
             },
         });
-        self.disturbances.extend(disturbances);
-        &self.disturbances
+        self.uncertainties.extend(uncertainties);
+        &self.uncertainties
     }
 }

@@ -14,7 +14,7 @@ pub use validate::StepError;
 pub use workspace::{SetupError, Workspace};
 
 use delay::Delay;
-use validate::Rows;
+use validate::ValidRequest;
 
 use egp_parameters::STATE_IN_MESSAGES;
 
@@ -67,8 +67,8 @@ pub fn step(
     reply.dropped_mass = ws
         .stages
         .fill(&reply.weights, rows.road_friction, &settings.weights);
-    let x0 = linearise(library, settings, &rows, &disturbance, ws)?;
-    assemble(library, settings, &rows, &x0, ws)?;
+    let x0 = linearise(library, settings, &rows, &disturbance, ws);
+    assemble(library, settings, &rows, &x0, ws);
     solve(settings, ws, reply);
     if reply.status == Status::Solved && !fits_into_messages(&frame, &ws.solution.x) {
         reply.status = Status::CheckFailed;
@@ -76,7 +76,7 @@ pub fn step(
     if reply.status == Status::Solved {
         write_plan(&frame, &rows, ws, reply);
         if request.want_sigma {
-            let ensembles = ensembles(library, &ws.stages)?;
+            let ensembles = ensembles(library, &ws.stages);
             let solution = ws.solution.x.iter().zip(&ws.solution.u);
             let transitions = solution.map(|(x, u)| (*x, unscaled(u, ws.vehicle.mass)));
             ws.deviations
@@ -87,29 +87,25 @@ pub fn step(
 }
 
 /// Number of the newest transitions of the window whose inputs are in the request; without a measurement delay all are.
-fn known_rows(delay: Option<Delay>, rows: &Rows) -> usize {
+fn known_rows(delay: Option<Delay>, rows: &ValidRequest) -> usize {
     let all = rows.history_z.len();
     delay.map_or(all, |delay| delay.known(all))
 }
 
 /// The ensemble of each stage.
-fn ensembles<'a>(
-    library: &'a Library,
-    stages: &'a StageWeights,
-) -> Result<impl Fn(usize) -> Ensemble<'a>, StepError> {
-    let now = Ensemble::new(library, stages.stage(0)).map_err(StepError::Ensemble)?;
-    Ok(move |t: usize| now.with_weights(stages.stage(t)))
+fn ensembles<'a>(library: &'a Library, stages: &'a StageWeights) -> impl Fn(usize) -> Ensemble<'a> {
+    |t: usize| Ensemble::of(library, stages.stage(t))
 }
 
 /// Linearises the ensemble along the operating trajectory, and returns the state at which it starts, in the vehicle's frame.
 fn linearise(
     library: &Library,
     settings: &Settings,
-    rows: &Rows,
+    rows: &ValidRequest,
     disturbance: &GpOutput,
     ws: &mut Workspace,
-) -> Result<State, StepError> {
-    let ensembles = ensembles(library, &ws.stages)?;
+) -> State {
+    let ensembles = ensembles(library, &ws.stages);
     let present = |delay: Delay| delay.present(rows, &ensembles(0), disturbance);
     let x0 = local_state(&ws.delay.map_or(rows.x, present));
     let edges = [settings.soft.v_x_max, ws.vehicle.steering_angle];
@@ -121,17 +117,17 @@ fn linearise(
         &settings.operating,
         edges,
     );
-    Ok(x0)
+    x0
 }
 
 /// Writes the QP of eq. (18), with bounds that are tightened by the uncertainty of the plan if the settings ask for it.
 fn assemble(
     library: &Library,
     settings: &Settings,
-    rows: &Rows,
+    rows: &ValidRequest,
     x0: &State,
     ws: &mut Workspace,
-) -> Result<(), StepError> {
+) {
     blend_tyre_limits(
         &ws.tyres,
         &ws.stages,
@@ -159,18 +155,17 @@ fn assemble(
     );
     if settings.soft.caution > 0.0 {
         let operating = ws.dynamics.x.iter().zip(&ws.guess.u);
-        let disturbances = ws.deviations.disturbances(
+        let uncertainties = ws.deviations.uncertainties(
             library.members(),
             &ws.stages,
-            ensembles(library, &ws.stages)?,
+            ensembles(library, &ws.stages),
             rows.road_friction,
             operating.map(|(x, u)| (*x, *u)),
             &*ws.executor,
         );
         ws.caution
-            .tighten(settings.soft.caution, disturbances, &mut ws.qp);
+            .tighten(settings.soft.caution, uncertainties, &mut ws.qp);
     }
-    Ok(())
 }
 
 /// Solves the QP, and writes how that ended.
@@ -199,7 +194,7 @@ fn blend_tyre_limits(
     for (t, blend) in blends.iter_mut().enumerate() {
         *blend = TyreLimits::default();
         for (limits, weight) in members.iter().zip(stages.stage(t)) {
-            *blend += *limits * *weight;
+            blend.add(*weight, limits);
         }
         if let Some([friction, std]) = road.get(t + 1) {
             let most = friction + UPPER_QUANTILE * std;
@@ -225,7 +220,7 @@ fn local_state(x: &State) -> State {
 }
 
 /// Writes the reference in the vehicle's frame. Its yaw starts within half a turn of the vehicle's and is continuous.
-fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
+fn localise_reference(frame: &Frame, rows: &ValidRequest, out: &mut [State]) {
     let mut psi = 0.0;
     for (t, (row, x)) in rows.reference.iter().zip(out).enumerate() {
         psi = match t.checked_sub(1) {
@@ -250,7 +245,7 @@ fn localise_reference(frame: &Frame, rows: &Rows, out: &mut [State]) {
 fn estimate_weights(
     library: &Library,
     settings: &Settings,
-    rows: &Rows,
+    rows: &ValidRequest,
     known: usize,
     ws: &mut Workspace,
     reply: &mut StepReply,
@@ -300,10 +295,9 @@ fn estimate_weights(
     moving
 }
 
-/// Whether the models say something wrong about a transition of a vehicle with this mass (kg) because it stood or was slow.
-/// Brakes hold a vehicle that stands, and the models let it drive backwards, or forwards with a small force; and below
-/// [`MIN_SLIP_SPEED`], with which slip angles are then computed, turned wheels seem to slip by the part
-/// `1 - v_x / MIN_SLIP_SPEED` of the steering angle. The smallest friction would explain both best.
+/// Whether a transition of a vehicle with this mass (kg) lies outside the range of the vehicle models. At standstill the brakes
+/// hold the vehicle, which the models do not contain. Below [`MIN_SLIP_SPEED`] the models compute a slip angle of
+/// `(1 - v_x / MIN_SLIP_SPEED) delta` that does not exist. Both look like very low friction to the estimator.
 fn is_outside_model(z: &[f64; NZ], mass: f64) -> bool {
     let [v_x, _, _, delta, force, _] = *z;
     let stands = v_x < STANDING && force < DRIVE * mass;
@@ -312,7 +306,12 @@ fn is_outside_model(z: &[f64; NZ], mass: f64) -> bool {
 
 /// Writes what the residual adds to the ensemble's prediction at each stage, with its variances, and returns its
 /// disturbance; zero without a residual. It is estimated from the `used` newest transitions.
-fn estimate_residual(rows: &Rows, used: usize, ws: &mut Workspace, reply: &StepReply) -> GpOutput {
+fn estimate_residual(
+    rows: &ValidRequest,
+    used: usize,
+    ws: &mut Workspace,
+    reply: &StepReply,
+) -> GpOutput {
     let Some(filter) = &ws.residual else {
         return GpOutput::zeros();
     };
@@ -341,7 +340,7 @@ fn fits_into_messages(frame: &Frame, plan: &[State]) -> bool {
 }
 
 /// Writes the plan in map coordinates and newtons.
-fn write_plan(frame: &Frame, rows: &Rows, ws: &Workspace, reply: &mut StepReply) {
+fn write_plan(frame: &Frame, rows: &ValidRequest, ws: &Workspace, reply: &mut StepReply) {
     reply.plan_x.extend_from_slice(rows.x.as_slice()); // row 0 equals the measurement to the bit
     for x in &ws.solution.x[1..] {
         reply.plan_x.extend_from_slice(frame.to_map(x).as_slice());

@@ -7,7 +7,7 @@ use egp_parameters::{
 
 use super::StepRequest;
 use crate::vehicle::{DELTA, DELTA_DOT, FORCE, OMEGA, P_X, P_Y, V_X, V_Y};
-use crate::{EnsembleError, Input, Library, NU, NX, NY, NZ, Settings, State};
+use crate::{Input, Library, NU, NX, NY, NZ, Settings, State};
 
 /// Largest magnitude of `F_x / mass` in a request, m/s².
 pub(super) const MOST_ACCELERATION: f64 = 50.0;
@@ -83,13 +83,10 @@ pub enum StepError {
         "the workspace belongs to another library or to other settings; create a new one with `Workspace::new`"
     )]
     Workspace,
-    /// The weights do not define an ensemble.
-    #[error(transparent)]
-    Ensemble(EnsembleError),
 }
 
 /// A validated request as rows.
-pub(super) struct Rows<'a> {
+pub(super) struct ValidRequest<'a> {
     pub x: State,
     pub u_prev: Input,
     pub weights: &'a [f64],
@@ -110,12 +107,12 @@ pub(super) fn validate<'a>(
     settings: &Settings,
     mass: f64,
     request: &StepRequest<'a>,
-) -> Result<Rows<'a>, StepError> {
+) -> Result<ValidRequest<'a>, StepError> {
     shapes(library, settings, request)?;
     let window = settings.weights.window(library.dt());
     history_shapes(library.members().len(), window, request)?;
     finite(request)?;
-    let rows = Rows {
+    let rows = ValidRequest {
         x: State::from_column_slice(request.x),
         u_prev: Input::from_column_slice(request.u_prev),
         weights: request.weights,
@@ -246,7 +243,7 @@ fn magnitude(names: [&'static str; 2], value: f64, most: f64) -> Result<(), Step
     within(names, value, -most, most)
 }
 
-fn domains(mass: f64, rows: &Rows) -> Result<(), StepError> {
+fn domains(mass: f64, rows: &ValidRequest) -> Result<(), StepError> {
     let x = &rows.x;
     let (least, most) = MEASURED_SPEED;
     within(["x", "x.v_x (m/s)"], x[V_X], least, most)?;

@@ -12,7 +12,7 @@ use super::axles::Axle;
 pub const LARGEST_PEAK_SLIP: f64 = 0.4;
 
 /// `F_x / m` in units of `g D_x` with which a vehicle reaches 96 % of its largest acceleration.
-const SATURATED: f64 = 1.5;
+pub(super) const SATURATED: f64 = 1.5;
 
 impl SingleTrack {
     /// Slip angle in rad at which the lateral force of the front axle is largest, `tan(pi / (2 C)) / B`, or

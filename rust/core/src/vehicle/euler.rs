@@ -2,12 +2,11 @@
 
 use nalgebra::SMatrix;
 
+use super::STEERING;
 use crate::{GpInput, GpJacobian, GpOutput, NY, NZ};
 
 /// Number of inputs that are not among the outputs: steering angle, force and steering rate.
 const REST: usize = NZ - NY;
-/// Index of the steering angle in a GP input.
-const STEERING: usize = NY;
 /// Index of the steering rate in a GP input.
 const STEERING_RATE: usize = NZ - 1;
 

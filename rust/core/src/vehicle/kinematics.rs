@@ -2,11 +2,9 @@
 
 use nalgebra::SMatrix;
 
-use super::{DELTA, DELTA_DOT, OMEGA, P_X, P_Y, PSI, V_X, V_Y};
+use super::{DELTA, DELTA_DOT, OMEGA, P_X, P_Y, PSI, V_X, V_Y, VELOCITIES};
 use crate::{GpInput, GpJacobian, GpOutput, Input, NU, NX, State};
 
-/// States a GP output changes, in its order.
-const OUTPUTS: [usize; 3] = [V_X, V_Y, OMEGA];
 /// States a GP input holds, in its order; the inputs follow.
 const STATES: [usize; 4] = [V_X, V_Y, OMEGA, DELTA];
 
@@ -17,10 +15,11 @@ pub fn gp_input(x: &State, u: &Input) -> GpInput {
 
 /// The next state, eq. (11), where `change` is the GP output at [`gp_input`] and `dt` the period in s.
 ///
-/// Positions move along the yaw at the share `yaw_at` of the period: 0 is the paper's forward Euler method, 1/2 is right
-/// to second order in a steady bend. At speed `v` the former's path leaves a bend at `v omega dt / 2`, 6 cm over 0.8 s
-/// at 15 m/s, 0.5 rad/s and 20 ms; a controller that uses it drives on the inside of the bend. `v_x` and `v_y` are those
-/// at the start of the period, so that under braking at 8 m/s² the predicted path is also 6 cm too long after 0.8 s.
+/// Positions move along the yaw at the share `yaw_at` of the period: 0 is the paper's forward Euler method, 1/2 is right to
+/// second order in a steady bend. With the Euler method the position drifts outwards at `v omega dt / 2` m/s, where `v` is the
+/// speed: 6 cm over 0.8 s at 15 m/s, 0.5 rad/s and 20 ms; a controller that uses it drives on the inside of the bend. `v_x`
+/// and `v_y` are those at the start of the period, so that under braking at 8 m/s² the predicted path is also 6 cm too long
+/// after 0.8 s.
 pub fn successor(x: &State, u: &Input, change: &GpOutput, dt: f64, yaw_at: f64) -> State {
     let (sin, cos) = (x[PSI] + yaw_at * dt * x[OMEGA]).sin_cos();
     let mut next = *x;
@@ -28,7 +27,7 @@ pub fn successor(x: &State, u: &Input, change: &GpOutput, dt: f64, yaw_at: f64) 
     next[P_Y] += (x[V_X] * sin + x[V_Y] * cos) * dt;
     next[PSI] += x[OMEGA] * dt;
     next[DELTA] += u[DELTA_DOT] * dt;
-    for (row, &state) in OUTPUTS.iter().enumerate() {
+    for (row, &state) in VELOCITIES.iter().enumerate() {
         next[state] += change[row];
     }
     next
@@ -54,7 +53,7 @@ pub fn jacobians(
     a[(P_Y, OMEGA)] = yaw_at * dt * a[(P_Y, PSI)];
     a[(PSI, OMEGA)] = dt;
     b[(DELTA, DELTA_DOT)] = dt;
-    for (row, &output) in OUTPUTS.iter().enumerate() {
+    for (row, &output) in VELOCITIES.iter().enumerate() {
         for (column, &state) in STATES.iter().enumerate() {
             a[(output, state)] += gp[(row, column)];
         }

@@ -15,6 +15,8 @@ mod resistance;
 mod single_track;
 mod tyre_limits;
 
+use crate::NY;
+
 pub(crate) use batch::Batch;
 pub(crate) use frame::{Frame, wrap};
 pub use kinematic::{KINEMATIC_PARAMETERS, Kinematic};
@@ -40,6 +42,12 @@ pub(crate) const V_Y: usize = 4;
 pub(crate) const OMEGA: usize = 5;
 /// Index of `delta` in the state, rad.
 pub(crate) const DELTA: usize = 6;
+
+/// Indices of the states that the output of a GP changes, in its order.
+pub(crate) const VELOCITIES: [usize; NY] = [V_X, V_Y, OMEGA];
+
+/// Index of `delta` in the input of a GP, rad; the velocities stand before it.
+pub(crate) const STEERING: usize = NY;
 
 /// Index of `F_x` in the input (N), and of `a = F_x/m` (m/s²) in the scaled input.
 pub(crate) const FORCE: usize = 0;

@@ -38,7 +38,7 @@ const FRICTION_POWERS: [i32; SINGLE_TRACK_PARAMETERS] =
 /// The [`Resistance`] `r` is zero unless stated.
 ///
 /// `D_x`, and `e` of each axle, are one number for drive and another for braking: a vehicle that drives one axle and
-/// brakes two spins its wheels long before it locks them, and what spins does not steer.
+/// brakes two spins its wheels long before it locks them, and a driven axle with spinning wheels transmits no lateral force.
 ///
 /// Rajamani, *Vehicle Dynamics and Control*, 2nd ed., sections 2.3 and 13.9 (tyre curve after Pacejka); the saturation
 /// of `a_x` and the coupling `e` are smooth stand-ins for the friction circle.
@@ -50,7 +50,7 @@ pub struct SingleTrack {
     steps: u32,
     mass: f64,
     /// Radius of gyration squared, m².
-    gyration: f64,
+    squared_gyration_radius: f64,
     pub(super) grip: Sides,
     pub(super) axles: [Axle; 2],
     resistance: Resistance,
@@ -62,7 +62,16 @@ impl SingleTrack {
     /// front, then the rear axle `e` under drive and braking, `D`, `B` and `C`; all positive, over periods of `dt`
     /// seconds, by one step of the Euler method.
     pub fn new(parameters: &[f64; SINGLE_TRACK_PARAMETERS], dt: f64) -> Self {
-        let [mass, l_f, l_r, gyration, height, drive, brake, tyres @ ..] = *parameters;
+        let [
+            mass,
+            l_f,
+            l_r,
+            squared_gyration_radius,
+            height,
+            drive,
+            brake,
+            tyres @ ..,
+        ] = *parameters;
         let per_wheelbase = 1.0 / (l_f + l_r);
         let axle = |position: f64, [drive, brake, friction, stiffness, shape]: [f64; 5]| Axle {
             position,
@@ -79,7 +88,7 @@ impl SingleTrack {
             step: dt,
             steps: 1,
             mass,
-            gyration,
+            squared_gyration_radius,
             grip: Sides { drive, brake },
             axles: [
                 axle(l_f, [ef_d, ef_b, d_f, b_f, c_f]),
@@ -209,7 +218,7 @@ impl SingleTrack {
             by += self.across(axle, motion) * gradient.transpose();
             if axle.steers > 0.0 {
                 let (sin, cos) = motion.turned;
-                let lever = axle.position / self.gyration;
+                let lever = axle.position / self.squared_gyration_radius;
                 let turning = forces.lateral[lane] * GpOutput::new(-cos, -sin, -lever * sin);
                 by.column_mut(3).add_assign(&turning);
             }
@@ -230,7 +239,11 @@ impl SingleTrack {
         } else {
             (0.0, 1.0)
         };
-        GpOutput::new(-sin, cos, axle.position / self.gyration * cos)
+        GpOutput::new(
+            -sin,
+            cos,
+            axle.position / self.squared_gyration_radius * cos,
+        )
     }
 }
 

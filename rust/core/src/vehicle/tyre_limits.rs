@@ -1,6 +1,6 @@
 //! What the tyres transmit.
 
-use std::ops::{AddAssign, Mul};
+use super::capacity::SATURATED;
 
 /// Limits beyond which the tyres of one surface, or of a blend of surfaces, transmit no more.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -20,20 +20,31 @@ pub struct TyreLimits {
     pub transfer: f64,
 }
 
-/// Share of [`TyreLimits::drive`] or [`TyreLimits::brake`] for wheels that have to steer. The limits are 1.5 `g D_x`; with
-/// 0.7 `g D_x` the vehicle has 66 % of its largest acceleration, and wheels that spin stop spinning. With 0.8 they go on spinning.
-pub(crate) const ROLLING: f64 = 0.7 / 1.5;
+/// Share of [`TyreLimits::drive`] or [`TyreLimits::brake`] for wheels that have to transmit lateral force. At the limits, 1.5
+/// `g D_x`, the wheels spin or lock. At 0.7 `g D_x` the vehicle has 66 % of its largest acceleration and spinning wheels regain
+/// grip; at 0.8 they do not.
+pub(crate) const ROLLING: f64 = 0.7 / SATURATED;
 
 /// Ratio of frictions at which the share of the braking has fallen to [`ROLLING`].
 const FAR_BELOW: f64 = 0.7;
 
 impl TyreLimits {
+    /// Adds `weight` times other limits.
+    pub(crate) fn add(&mut self, weight: f64, other: &Self) {
+        self.friction += weight * other.friction;
+        self.slip += weight * other.slip;
+        self.drive += weight * other.drive;
+        self.brake += weight * other.brake;
+        self.coupling = [0, 1].map(|axle| self.coupling[axle] + weight * other.coupling[axle]);
+        self.transfer += weight * other.transfer;
+    }
+
     /// The limits on a road with at most `ratio` times the friction coefficient of these tyres; for ratios from 1 on they are
     /// the same.
     ///
-    /// Models of more grip promise a vehicle that is too fast for a bend more lateral force while it brakes than there is. The
-    /// plan then brakes until the wheels lock, and locked wheels do not steer. Braking is therefore bounded by what leaves
-    /// them rolling.
+    /// If the members assume more friction than the road has, the linearised model overestimates the lateral force under
+    /// braking. The plan would then brake until the wheels lock, which removes the lateral force. Braking is therefore limited
+    /// to what keeps the wheels rolling.
     pub(crate) fn on_less_friction(self, ratio: f64) -> Self {
         let ratio = ratio.min(1.0);
         let far = ((1.0 - ratio) / (1.0 - FAR_BELOW)).min(1.0);
@@ -42,34 +53,6 @@ impl TyreLimits {
             brake: self.brake * ratio * (1.0 - (1.0 - ROLLING) * far),
             ..self
         }
-    }
-}
-
-impl Mul<f64> for TyreLimits {
-    type Output = Self;
-
-    fn mul(self, factor: f64) -> Self {
-        Self {
-            friction: self.friction * factor,
-            slip: self.slip * factor,
-            drive: self.drive * factor,
-            brake: self.brake * factor,
-            coupling: self.coupling.map(|value| value * factor),
-            transfer: self.transfer * factor,
-        }
-    }
-}
-
-impl AddAssign for TyreLimits {
-    fn add_assign(&mut self, other: Self) {
-        self.friction += other.friction;
-        self.slip += other.slip;
-        self.drive += other.drive;
-        self.brake += other.brake;
-        for (value, added) in self.coupling.iter_mut().zip(other.coupling) {
-            *value += added;
-        }
-        self.transfer += other.transfer;
     }
 }
 

@@ -7,8 +7,9 @@
 //! A primal active-set method. Along each coordinate the cost is piecewise quadratic with kinks at 0 and, if alpha > 0,
 //! at `p_i`. Fixed coordinates are at a kink, free ones strictly between two kinks. Each iteration minimises over the
 //! free coordinates. It either stops at the first kink, where a coordinate becomes fixed, or reaches the minimum and
-//! then frees the fixed coordinate with the steepest one-sided descent. Every iteration lowers the cost, so no working
-//! set repeats and the method terminates; from the previous weights it usually takes two or three iterations.
+//! then frees the fixed coordinate with the steepest one-sided descent. An iteration does not raise the cost; the number of
+//! iterations is limited, because steps of length zero could repeat. From the previous weights the method usually takes two
+//! or three iterations.
 
 use crate::cholesky::{add_scaled, sum_of_products};
 use crate::simd::{Vectorised, vectorised_loops};
@@ -32,7 +33,7 @@ const SLOPE_TOLERANCE: f64 = 1e-12;
 
 /// Solver for `n` coordinates, with its memory.
 #[derive(Debug, Clone)]
-pub(super) struct ActiveSet {
+pub(super) struct SimplexSolver {
     place: Vec<Place>,
     free: Vec<usize>,
     gradient: Vec<f64>,
@@ -55,7 +56,7 @@ pub(super) struct SimplexQp<'a> {
     pub alpha: f64,
 }
 
-impl ActiveSet {
+impl SimplexSolver {
     /// Memory for `n` coordinates.
     pub fn new(n: usize) -> Self {
         Self {
@@ -69,7 +70,8 @@ impl ActiveSet {
     }
 
     /// Moves `w`, which must be on the simplex, to the minimum. Returns the number of iterations, or `None` if rounding
-    /// errors prevent termination within `50 + 20 n`; then `w` is on the simplex and its cost has not risen.
+    /// errors prevent termination within `50 + 20 n`, or if `H` is not positive definite up to rounding or `g` is not finite;
+    /// then `w` is on the simplex and its cost has not risen.
     pub fn solve(&mut self, qp: &SimplexQp, w: &mut [f64]) -> Option<usize> {
         let n = w.len();
         for ((place, &wi), &centre) in self.place.iter_mut().zip(w.iter()).zip(qp.centre) {
@@ -84,8 +86,12 @@ impl ActiveSet {
         let mut outcome = None;
         for iteration in 1..=50 + 20 * n {
             self.update(qp, w);
-            if self.free.len() > 1 && self.minimise_free(qp, w) == Stop::Kink {
-                continue;
+            if self.free.len() > 1 {
+                match self.minimise_free(qp, w) {
+                    Some(Stop::Kink) => continue,
+                    Some(Stop::Minimum) => {}
+                    None => break,
+                }
             }
             self.update(qp, w);
             if !self.release(qp, w, tolerance) {
@@ -115,47 +121,28 @@ impl ActiveSet {
         }
     }
 
-    /// Derivative of the cost along a free coordinate.
-    fn slope(&self, qp: &SimplexQp, i: usize) -> f64 {
-        self.gradient[i]
-            + if self.place[i] == Place::Above {
-                qp.alpha
-            } else {
-                -qp.alpha
-            }
+    /// One-sided derivative of the cost in `w_i`, above or below the kink `p_i`.
+    fn slope(&self, qp: &SimplexQp, i: usize, above: bool) -> f64 {
+        self.gradient[i] + if above { qp.alpha } else { -qp.alpha }
     }
 
-    /// Right derivative of the cost in `w_i`.
-    fn right_slope(&self, qp: &SimplexQp, w: &[f64], i: usize) -> f64 {
-        self.gradient[i]
-            + if w[i] >= qp.centre[i] {
-                qp.alpha
-            } else {
-                -qp.alpha
-            }
-    }
-
-    /// Left derivative of the cost in `w_i`; decreasing `w_i` lowers the cost if it is positive.
-    fn left_slope(&self, qp: &SimplexQp, w: &[f64], i: usize) -> f64 {
-        self.gradient[i]
-            + if w[i] > qp.centre[i] {
-                qp.alpha
-            } else {
-                -qp.alpha
-            }
-    }
-
-    /// Newton step over the free coordinates subject to `Σ d = 0`, truncated at the first kink.
-    fn minimise_free(&mut self, qp: &SimplexQp, w: &mut [f64]) -> Stop {
-        self.factorise(qp.hessian, w.len());
+    /// Newton step over the free coordinates subject to `Σ d = 0`, truncated at the first kink. None, without a step, if it
+    /// cannot be computed.
+    fn minimise_free(&mut self, qp: &SimplexQp, w: &mut [f64]) -> Option<Stop> {
+        if !self.factorise(qp.hessian, w.len()) {
+            return None;
+        }
         let m = self.free.len();
         for (k, &i) in self.free.iter().enumerate() {
-            self.newton[k] = self.slope(qp, i);
+            self.newton[k] = self.slope(qp, i, self.place[i] == Place::Above);
             self.ones[k] = 1.0;
         }
         cholesky_solve(&self.factor, m, &mut self.newton);
         cholesky_solve(&self.factor, m, &mut self.ones);
         let shift = self.newton[..m].iter().sum::<f64>() / self.ones[..m].iter().sum::<f64>();
+        if !shift.is_finite() {
+            return None;
+        }
         let kink = |place: Place, d: f64, i: usize| match place {
             Place::Above if qp.alpha > 0.0 && d < 0.0 => Some(qp.centre[i]),
             Place::Below if qp.alpha > 0.0 && d > 0.0 => Some(qp.centre[i]),
@@ -181,16 +168,16 @@ impl ActiveSet {
                 stop = Stop::Kink;
             }
         }
-        stop
+        Some(stop)
     }
 
     /// At a minimum over the free coordinates, frees the fixed coordinates with the steepest descent; false if none
     /// descends.
     fn release(&mut self, qp: &SimplexQp, w: &[f64], tolerance: f64) -> bool {
-        let growing = best((0..w.len()).map(|i| -self.right_slope(qp, w, i)));
+        let growing = best((0..w.len()).map(|i| -self.slope(qp, i, w[i] >= qp.centre[i])));
         let shrinking = best((0..w.len()).map(|i| {
             if w[i] > 0.0 {
-                self.left_slope(qp, w, i)
+                self.slope(qp, i, w[i] > qp.centre[i])
             } else {
                 f64::NEG_INFINITY
             }
@@ -205,8 +192,12 @@ impl ActiveSet {
             return true;
         }
         // Only one coordinate is freed, so that the next Newton step moves it in its descent direction.
-        let level =
-            self.free.iter().map(|&i| self.slope(qp, i)).sum::<f64>() / self.free.len() as f64;
+        let level = self
+            .free
+            .iter()
+            .map(|&i| self.slope(qp, i, self.place[i] == Place::Above))
+            .sum::<f64>()
+            / self.free.len() as f64;
         let up_first = up_descent + level >= down_descent - level;
         for grow in [up_first, !up_first] {
             let i = if grow { up } else { down };
@@ -222,18 +213,18 @@ impl ActiveSet {
         false
     }
 
-    /// Lower Cholesky factor of H on the free coordinates.
-    fn factorise(&mut self, hessian: &[f64], n: usize) {
+    /// Lower Cholesky factor of H on the free coordinates; false if a pivot is at most its rounding error, or NaN.
+    fn factorise(&mut self, hessian: &[f64], n: usize) -> bool {
         vectorised_loops(Factorise {
             hessian,
             n,
             free: &self.free,
             factor: &mut self.factor,
-        });
+        })
     }
 }
 
-/// Computation of [`ActiveSet::factorise`].
+/// Computation of [`SimplexSolver::factorise`].
 struct Factorise<'a> {
     hessian: &'a [f64],
     n: usize,
@@ -242,10 +233,10 @@ struct Factorise<'a> {
 }
 
 impl Vectorised for Factorise<'_> {
-    type Output = ();
+    type Output = bool;
 
     #[inline(always)]
-    fn compute(self) {
+    fn compute(self) -> bool {
         let m = self.free.len();
         for row in 0..m {
             for column in 0..=row {
@@ -256,14 +247,19 @@ impl Vectorised for Factorise<'_> {
                     &above[column * m..column * m + column]
                 };
                 let dot = sum_of_products(&below[..column], upper);
-                let value = self.hessian[self.free[row] * self.n + self.free[column]] - dot;
+                let entry = self.hessian[self.free[row] * self.n + self.free[column]];
+                let value = entry - dot;
                 below[column] = if column == row {
-                    value.max(f64::MIN_POSITIVE).sqrt()
+                    if value.is_nan() || value <= self.n as f64 * f64::EPSILON * entry {
+                        return false;
+                    }
+                    value.sqrt()
                 } else {
                     value / above[column * m + column]
                 };
             }
         }
+        true
     }
 }
 
@@ -306,5 +302,30 @@ fn cholesky_solve(factor: &[f64], m: usize, b: &mut [f64]) {
     for i in (0..m).rev() {
         let dot: f64 = (i + 1..m).map(|k| factor[k * m + i] * b[k]).sum();
         b[i] = (b[i] - dot) / factor[i * m + i];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_stay_on_the_simplex_if_the_hessian_has_lost_a_pivot_or_a_number_is_nan() {
+        let (nan, start) = (f64::NAN, [0.5, 0.5]);
+        for (hessian, linear) in [
+            ([1.0, 1.0, 1.0, 1.0], [0.1, -0.1]),
+            ([nan, 0.0, 0.0, 1.0], [0.1, -0.1]),
+            ([1.0, 0.0, 0.0, 1.0], [nan, -0.1]),
+        ] {
+            let qp = SimplexQp {
+                hessian: &hessian,
+                linear: &linear,
+                centre: &start,
+                alpha: 0.0,
+            };
+            let mut w = start;
+            assert_eq!(SimplexSolver::new(2).solve(&qp, &mut w), None);
+            assert_eq!(w, start);
+        }
     }
 }

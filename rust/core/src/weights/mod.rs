@@ -15,7 +15,7 @@ mod noise;
 pub use noise::WindowNoise;
 pub(crate) use noise::blend_error;
 
-use active_set::{ActiveSet, SimplexQp};
+use active_set::{SimplexQp, SimplexSolver};
 use gram::Gram;
 use noise::Row;
 
@@ -26,11 +26,13 @@ use crate::settings::Prior;
 /// prior it selects the minimiser nearest to the previous weights.
 const RIDGE: f64 = 1e-10;
 
-/// Reciprocal of the power of likelihoods, because a model's errors are similar from one period to the next.
+/// Reciprocal of the power of likelihoods, because a model's errors are similar from one period to the next. Only its product
+/// with [`INFORMED`] matters, and both were chosen together. The friction's posterior has a value of its own, which is
+/// calibrated by the coverage of its interval.
 const TEMPERATURE: f64 = 3.0;
 
-/// Difference of log-likelihoods, in nats, from which a window distinguishes the members. With 1 the weights settled
-/// later than 0.5 s after a step of the friction at 2 m/s² of lateral acceleration.
+/// Log-likelihood difference in nats above which a window distinguishes the members. With 1.0 the weights settle more than 0.5
+/// s after a step of the friction at 2 m/s² of lateral acceleration.
 const INFORMED: f64 = 0.25;
 
 /// Estimator of the weights of `N` members, with its memory.
@@ -40,7 +42,7 @@ pub struct WeightEstimator {
     whitened: Gram,
     hessian: Vec<f64>,
     linear: Vec<f64>,
-    solver: ActiveSet,
+    solver: SimplexSolver,
 }
 
 impl WeightEstimator {
@@ -50,7 +52,7 @@ impl WeightEstimator {
             whitened: Gram::new(n + 1, window * NY),
             hessian: vec![0.0; n * n],
             linear: vec![0.0; n],
-            solver: ActiveSet::new(n),
+            solver: SimplexSolver::new(n),
         }
     }
 

@@ -19,13 +19,14 @@ const LEVELS: usize = MODEL.len() * STATE.len();
 /// cov(e_k, e_k) = q + 2 r,    cov(e_k, e_{k+1}) = -r
 /// ```
 ///
-/// and generalised least squares applies (Aitken 1935). The noise of a state enters consecutive changes with opposite
-/// signs and cancels in their sum, so that a persistent difference between members competes with the noise of the
-/// window's two end states only. With noise of 0.03 m/s, changes of 0.01 m/s are not visible in one transition but are
-/// in a window of 25.
+/// and generalised least squares applies (Aitken, *On Least Squares and Linear Combination of Observations*, Proceedings of
+/// the Royal Society of Edinburgh 55, 1935). The noise of a state enters consecutive changes with opposite signs and cancels
+/// in their sum, so that a persistent difference between members competes with the noise of the window's two end states only.
+/// With noise of 0.03 m/s, changes of 0.01 m/s are not visible in one transition but are in a window of 25.
 ///
 /// `q` and `r` may have several candidate levels. Each window uses the level, for all outputs, with the largest
-/// Gaussian likelihood of the errors under the previous weights (multiple-model estimation, Magill 1965).
+/// Gaussian likelihood of the errors under the previous weights (multiple-model estimation; Magill, *Optimal Adaptive
+/// Estimation of Sampled Stochastic Processes*, IEEE Transactions on Automatic Control 10(4), 1965).
 #[derive(Debug, Clone)]
 pub struct WindowNoise {
     levels: usize,

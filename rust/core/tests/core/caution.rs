@@ -1,7 +1,7 @@
 //! Constraints tightened by the uncertainty of the plan.
 #![allow(clippy::unwrap_used)]
 
-use egp_core::ocp::{Caution, Disturbance};
+use egp_core::ocp::{Caution, TransitionUncertainty};
 use egp_core::qp::{OcpQp, SoftRow};
 use egp_core::{GpOutput, Input, State, Status};
 use egp_testing::requests::{Request, settings, solve};
@@ -36,8 +36,8 @@ fn corridor(horizon: usize) -> OcpQp {
     qp
 }
 
-fn disturbance(variance: [f64; 3], friction: [f64; 3]) -> Disturbance {
-    Disturbance {
+fn disturbance(variance: [f64; 3], friction: [f64; 3]) -> TransitionUncertainty {
+    TransitionUncertainty {
         variance: GpOutput::from(variance),
         friction: GpOutput::from(friction),
     }

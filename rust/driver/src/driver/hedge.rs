@@ -1,5 +1,7 @@
 //! When a second replica is asked although the first one may still answer.
 
+use std::time::Duration;
+
 use super::Time;
 
 /// Second questions per control period in the long run.
@@ -31,7 +33,11 @@ impl HedgeAllowance {
     /// left. With a part of 1 that time is the deadline, which decides the period first.
     pub(super) fn open(&mut self, now: Time, deadline: Time) -> Option<Time> {
         self.tokens = (self.tokens + SHARE).min(BURST);
-        (self.tokens >= 1.0).then(|| now + deadline.saturating_sub(now).mul_f64(self.part))
+        let wait = || {
+            let left = deadline.saturating_sub(now).as_secs_f64();
+            Duration::try_from_secs_f64(left * self.part).unwrap_or(Time::MAX)
+        };
+        (self.tokens >= 1.0).then(|| now.saturating_add(wait()))
     }
 
     /// A second question is asked.

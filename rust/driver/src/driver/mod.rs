@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use egp_gate::{Gate, Mode};
 use egp_wire::keys::Name;
-use egp_wire::{Code, MAX_BUDGET_US, Ready, Timing, WireError};
+use egp_wire::{Code, MAX_BUDGET_US, MessageLimits, Ready, Timing, WireError};
 use prost::Message as _;
 
 use crate::action::{Action, QueryId};
@@ -25,6 +25,9 @@ use crate::step::{Late, Outcome};
 use hedge::HedgeAllowance;
 use open::{Pending, Probe, Running};
 use period::Answer;
+
+// The gate takes every plan that a message can contain.
+const _: () = assert!(egp_gate::MAX_HORIZON == MessageLimits::DEFAULT.horizon);
 
 /// Time since a moment that the transport chooses and then keeps; it must not run backwards.
 pub type Time = Duration;
@@ -170,13 +173,12 @@ impl Driver {
     /// open is given up.
     ///
     /// One tick counts as one control period, whatever the time between two ticks is, so that simulators may be slower or
-    /// faster than a vehicle. Only a caller that was held up for more whole periods after a period's end than a plan may
-    /// bridge (the smaller one of `max_tail_ticks` and the horizon less 1) is taken for a vehicle that has driven on alone:
-    /// these periods count ([`Step::held_up`]), so that a plan from before is not driven any more, and the history starts
-    /// anew. Shorter delays are not counted and do not add up.
+    /// faster than a vehicle. If more whole periods than a plan may bridge (the smaller one of `max_tail_ticks` and the horizon
+    /// less 1) pass after the end of a period, they count as driven without commands ([`Step::held_up`]): a plan from before is
+    /// not driven any more, and the history starts anew. Shorter delays do not count and do not add up.
     ///
     /// # Errors
-    /// [`InvalidArgument`] when no request can be made of the measurement; the period is then not opened, but counts: plans
+    /// [`InvalidArgument`] if no request can be made from the measurement; the period is then not opened, but counts: plans
     /// are a period older, and the history starts anew. A measured state that cannot be used is no error: its command is a
     /// stop, whatever the reference is.
     pub fn tick(
@@ -203,7 +205,7 @@ impl Driver {
             widths,
             road_friction,
         } = measurement;
-        let here = reference.first().copied().unwrap_or_default(); // `check` has seen that there is one
+        let here = reference.first().copied().unwrap_or_default(); // `check` guarantees a row
         let situation = Situation::new(&x, &here, &self.served.envelope);
         let lost = self.lost.observe(&situation);
         if lost.is_some() {
@@ -329,8 +331,8 @@ impl Driver {
     /// A replica answered with an error, given as the bytes of an `egp.v1.Error`. Bytes that are no such
     /// message count as [`Driver::ended`]. With a key, a reply to the same query is still used, because errors have no tag.
     ///
-    /// Two routers deliver a question twice, and the service answers one of the copies with an error. An error that says
-    /// so has no effect before the end of the query, and none if a reply comes before.
+    /// With two routers a replica may receive a question twice and reject the second copy. Errors of this kind
+    /// ([`Code::Superseded`]; with a key also [`Code::Unauthenticated`]) take effect only when the query ends without a reply.
     pub fn refused(&mut self, now: Time, id: QueryId, error: &[u8]) {
         let Some(mut pending) = self.pending.remove(&id) else {
             return self.probe_ended(now, id);

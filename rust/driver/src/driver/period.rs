@@ -2,11 +2,13 @@
 
 use std::time::Duration;
 
+use egp_gate::Command;
 use egp_wire::keys::{self, Name};
 use egp_wire::{Code, Invalid, MessageLimits, Ready, Reply, State, Timing, WireError};
 
 use super::{Driver, Pending, Probe, Time};
 use crate::action::{Action, Query, QueryId};
+use crate::situation::Lost;
 use crate::step::{Outcome, Step};
 
 /// How long a transport listens for an answer after its deadline, in control periods. The plan of a later answer has
@@ -41,7 +43,7 @@ impl Driver {
     pub fn abandon(&mut self) {
         self.running = None;
         self.discard_actions();
-        self.carry.skip(0);
+        self.carry.forget_running();
     }
 
     /// Ends the period before, if it is still open, and counts the periods in which the caller was held up.
@@ -81,7 +83,7 @@ impl Driver {
             key,
             payload: run.bytes.clone(),
             attachment,
-            listen: run.deadline.saturating_sub(now) + listen,
+            listen: run.deadline.saturating_sub(now).saturating_add(listen),
             replica: replica.clone(),
         };
         let pending = Pending {
@@ -191,7 +193,7 @@ impl Driver {
         };
         let present = now.max(self.clock);
         let counted = self.count_held_up(present);
-        // A delay that is not counted yet goes on after the command.
+        // If the delay is not counted, the next period is due after this one's deadline.
         let end = if counted {
             present
         } else {
@@ -214,25 +216,22 @@ impl Driver {
             None => (None, Vec::new(), None),
         };
         let step = Step {
-            command,
-            outcome: run.outcome,
             replica: run.replica,
             request: run.bytes,
             reply,
             reply_bytes,
             latency,
             timing,
-            late: std::mem::take(&mut self.late),
             asked: run.asked,
             situation: Some(run.situation),
-            lost: run.lost,
-            held_up: std::mem::take(&mut self.held_up),
+            ..self.step_without_request(command, run.outcome, run.lost)
         };
         self.actions.push_back(Action::Command(Box::new(step)));
     }
 
     /// The command of a period whose measured state cannot be used: a stop. The gate gets the speed and the steering angle if
-    /// they themselves are inside the domain of the messages, so that its force opposes the motion of a vehicle that rolls back.
+    /// they themselves are inside the domain of the messages, so that its force opposes the motion of a vehicle that rolls
+    /// back.
     pub(super) fn stop_unmeasured(&mut self, x: &State, invalid: Invalid) {
         self.carry.skip(1);
         self.gate.stop();
@@ -243,9 +242,21 @@ impl Driver {
         let delta = usable([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, delta], delta);
         let command = self.gate.command(self.carry.sequence(), v_x, delta);
         self.carry.applied(command.u);
-        let step = Step {
+        let outcome = Outcome::InvalidState(invalid);
+        let step = self.step_without_request(command, outcome, self.lost.lost());
+        self.actions.push_back(Action::Command(Box::new(step)));
+    }
+
+    /// A step without a request, which reports the late replies and the held-up periods since the last step.
+    fn step_without_request(
+        &mut self,
+        command: Command,
+        outcome: Outcome,
+        lost: Option<Lost>,
+    ) -> Step {
+        Step {
             command,
-            outcome: Outcome::InvalidState(invalid),
+            outcome,
             replica: None,
             request: Vec::new(),
             reply: None,
@@ -255,10 +266,9 @@ impl Driver {
             late: std::mem::take(&mut self.late),
             asked: 0,
             situation: None,
-            lost: self.lost.lost(),
+            lost,
             held_up: std::mem::take(&mut self.held_up),
-        };
-        self.actions.push_back(Action::Command(Box::new(step)));
+        }
     }
 
     /// Hands a usable reply to carry and gate, which ignore what is older than what they hold.

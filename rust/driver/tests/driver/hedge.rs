@@ -8,8 +8,8 @@ use egp_wire::Code;
 use egp_wire::keys::Name;
 
 use crate::world::{
-    BUDGET, PERIOD, answered_period, appear, asked, config, decided, driver, error, ms, served,
-    solved, tick, without_hedge,
+    BUDGET, PERIOD, answered_period, appear, asked, config, decided, driver, error, measurement,
+    ms, served, solved, tick, without_hedge,
 };
 
 /// Half of the time that an answer may take.
@@ -216,5 +216,18 @@ fn a_second_question_can_be_switched_off_and_is_not_asked_without_a_second_repli
         let config = DriverConfig { hedge, ..config() };
         let error = Driver::new(config, served()).unwrap_err();
         assert_eq!(error, DriverError::Hedge(hedge));
+    }
+}
+
+#[test]
+fn times_that_a_duration_cannot_hold_do_not_end_the_program() {
+    let end = Duration::MAX;
+    for now in [Duration::ZERO, end.saturating_sub(ms(1)), end] {
+        for mut driver in [driver(&["a", "b"]), without_hedge(&["a", "b"])] {
+            driver.tick(now, end, measurement()).unwrap();
+            driver.wake(end);
+            let mut actions = std::iter::from_fn(|| driver.next_action());
+            assert!(actions.any(|action| matches!(action, egp_driver::Action::Command(_))));
+        }
     }
 }

@@ -262,8 +262,8 @@ fn the_last_answer_is_the_outcome_when_nobody_is_left() {
     assert!(!inaccurate.is_solved());
     let detail = inaccurate.detail();
     assert!(
-        detail.starts_with("the solver found no plan: check_failed (")
-            && detail.contains("above all a weight or a penalty"),
+        detail.starts_with("the solver found no plan that passes its check (check_failed)")
+            && detail.contains("usually a weight or a penalty"),
         "{detail}"
     );
 }

@@ -63,6 +63,8 @@ impl RandomTrack {
             )));
         }
         let mut shape = Shape::draw(self.seed);
+        // This ends: with less and less contrast the shape becomes a circle, which is accepted. Its radius is at least 1.5
+        // times `min_radius`, and points on it that are compared are at least two of the smallest distances apart.
         while !self.accepts(&shape) {
             shape.contrast *= 0.95;
         }

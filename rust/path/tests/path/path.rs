@@ -322,6 +322,7 @@ fn points_that_rounding_does_not_tell_apart_are_an_error() {
     let close = [[0.0, 0.0], [1.5e-6, 0.0]];
     let points: Vec<_> = far.chain(close).collect();
     for closed in [false, true] {
-        assert!(Path::from_points(&points, closed, None).is_err());
+        let error = Path::from_points(&points, closed, None).unwrap_err();
+        assert_eq!(error, PathError::TooClose);
     }
 }

@@ -99,16 +99,16 @@ impl MapConfig {
             return range("capacity", "0.1 to 8 nats", &self.capacity);
         }
         if !(1..=TILE_ORIGINS).contains(&self.vehicles) {
-            return range("vehicles", "in 1..=64", &self.vehicles);
+            return range("vehicles", "from 1 to 64", &self.vehicles);
         }
         if !(1..=1_000_000).contains(&self.tiles) {
-            return range("tiles", "in 1..=1000000", &self.tiles);
+            return range("tiles", "from 1 to 1000000", &self.tiles);
         }
         if !(1..=1_000_000).contains(&self.roads) {
-            return range("roads", "in 1..=1000000", &self.roads);
+            return range("roads", "from 1 to 1000000", &self.roads);
         }
         if !(1..=10_000_000).contains(&self.contributions) {
-            return range("contributions", "in 1..=10000000", &self.contributions);
+            return range("contributions", "from 1 to 10000000", &self.contributions);
         }
         if !(10..=3_600_000).contains(&self.publish_ms) {
             return range("publish_ms", "in 10..=3600000", &self.publish_ms);

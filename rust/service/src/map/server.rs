@@ -26,6 +26,7 @@ use super::writer::{Content, Writer, remove_unfinished, write};
 use crate::certificates;
 use crate::config::ConfigError;
 use crate::descriptors::allow_all;
+use crate::heap;
 use crate::http::{HttpEndpoint, HttpListener};
 use crate::links::{Links, Watch, watch};
 use crate::logging::{FlushAtEnd, init_logging, log_filter, show_lost};
@@ -225,6 +226,7 @@ pub fn check_map(config: &MapConfig) -> Result<Option<String>, MapError> {
 /// # Errors
 /// [`MapError`] if the service does not start, or if something is not written at the end.
 pub fn serve_map(config: &MapConfig) -> Result<(), MapError> {
+    heap::share_one();
     let _flush = FlushAtEnd;
     init_logging(&config.log, config.log_json).map_err(MapError::Logging)?;
     allow_all();

@@ -53,8 +53,8 @@ fn fields_that_do_not_fit_together_are_refused() {
     assert!(refused(|r| r.widths.truncate(2)).starts_with("widths: expected 5 rows"));
     assert!(refused(|r| _ = r.road_friction.pop()).starts_with("road_friction: expected 6 rows"));
     assert!(refused(|r| r.reference.clear()).starts_with("reference"));
-    assert!(refused(|r| r.reference = vec![[0.0; 4]; 200]).contains("n in 1..=129"));
-    assert!(refused(|r| r.weights = vec![0.01; 100]).contains("n in 1..=64"));
+    assert!(refused(|r| r.reference = vec![[0.0; 4]; 200]).contains("n from 1 to 129"));
+    assert!(refused(|r| r.weights = vec![0.01; 100]).contains("n from 1 to 64"));
 }
 
 #[test]

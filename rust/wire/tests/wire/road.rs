@@ -81,12 +81,14 @@ fn tiles_are_in_order_on_the_road_and_not_too_many() {
     assert!(reason(&tiles([1, 2, 2])).contains("tile 2 stands before tile 2"));
     assert!(reason(&tiles([ROAD_TILES])).contains("the longest road"));
     let many = u32::try_from(TILES_AT_ONCE).unwrap() + 1;
-    assert!(reason(&tiles(0..many)).contains("expected at most 32, got 33"));
+    assert!(
+        reason(&tiles(0..many)).contains("expected at most 32 (the tiles of one answer), got 33")
+    );
     let crowded = RoadTiles {
         tiles: vec![tile(0, TILE_ORIGINS + 1)],
         more: false,
     };
-    assert!(reason(&crowded).contains("expected at most 64, got 65"));
+    assert!(reason(&crowded).contains("expected at most 64 (the origins of a tile), got 65"));
 }
 
 #[test]

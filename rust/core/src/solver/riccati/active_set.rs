@@ -2,8 +2,8 @@
 //!
 //! A subproblem fixes the working set: the rows at a bound and the soft rows that are violated. One recursion solves it.
 //! Rows whose multiplier has the wrong sign leave the working set, all at once; rows that violate their bound enter it
-//! one by one ([`super::exchange`]). Once the working set contradicts neither, further steps refine the multipliers and
-//! need only a new right-hand side.
+//! one by one ([`super::exchange`]). Once no multiplier has the wrong sign and no free row violates its bound, further steps
+//! refine the multipliers and need only a new right-hand side.
 //!
 //! The work is bounded: beyond a number of contradicting rows, changes or refinements the method gives up, and the
 //! interior-point method solves the problem.
@@ -18,7 +18,9 @@ use crate::{Input, NU};
 /// Penalty parameter `ρ` of the augmented Lagrangian as a multiple of the largest weight of the cost.
 const RELATIVE_PENALTY: f64 = 1e6;
 
-/// A bound is in the initial working set if the guessed input or state is nearer to it than this.
+/// A bound is in the initial working set if the guessed input or state is nearer to it than this, in the bound's unit (m/s²,
+/// rad/s, m/s, rad or m). In all of these units it is far below the intervals between the bounds, and far above the
+/// tolerance of the solver.
 const ACTIVATION_DISTANCE: f64 = 1e-3;
 
 /// Largest number of steps that refine the multipliers.
@@ -135,14 +137,11 @@ impl ActiveSet {
                     if violations > 0 {
                         break;
                     }
-                    if gap <= tolerance {
-                        for work in &mut self.work {
-                            work.lambda = work.estimate.lambda;
-                        }
-                        return true;
-                    }
                     for work in &mut self.work {
                         work.lambda = work.estimate.lambda;
+                    }
+                    if gap <= tolerance {
+                        return true;
                     }
                 }
                 refinements += 1;

@@ -4,8 +4,8 @@
 //! row contributes its bound, a soft row also the conjugate of its penalty. The pieces meet where a multiplier is zero
 //! or `ρ₁`. From a point whose multipliers have the right signs the method adds the free row that violates its bound
 //! most, moves towards the solution on the new working set, and stops where a multiplier reaches the end of its piece:
-//! the row then leaves the working set, or changes between satisfied and violated. The dual increases with every step,
-//! so that no working set comes back.
+//! the row then leaves the working set, or changes between satisfied and violated. The dual does not decrease. In a
+//! degenerate problem steps of length zero may repeat; the budget of changes bounds them.
 
 use super::active_set::ActiveSet;
 use super::low_rank::Place;
@@ -17,6 +17,10 @@ use crate::NU;
 /// Changes after which the rest of the budget must cover the violated rows. The first changes often correct several rows
 /// at once; after them the number of violated rows decreases by one or less with each change.
 const PROBE: usize = 8;
+
+/// Added to the interval between a row's bounds, in the row's unit (m/s², rad/s, m/s, rad or m), so that a violation of equal
+/// bounds is a finite share of it.
+const LEAST_INTERVAL: f64 = 1e-3;
 
 impl ActiveSet {
     /// Number of free rows that violate their bound.
@@ -48,7 +52,7 @@ impl ActiveSet {
                 let free = work.set.side[k] == 0.0 && excess > tolerance;
                 count[k] += usize::from(free);
                 shares[k] = if free {
-                    excess / (upper - lower + 1e-3)
+                    excess / (upper - lower + LEAST_INTERVAL)
                 } else {
                     0.0
                 };
@@ -129,8 +133,9 @@ impl ActiveSet {
         };
         let (work, rows) = (&self.work[t], &stages[t].rows);
         let case = (work.set.side[k], work.set.violated[k]);
-        let (force, derivative) = rows.force(k, case, work.base.0[k], work.lambda[k], self.rho);
-        let (delta, excess) = (derivative - work.factored[k], force - work.base.1[k]);
+        let (estimate, derivative) =
+            rows.multiplier_estimate(k, case, work.base.0[k], work.lambda[k], self.rho);
+        let (delta, excess) = (derivative - work.factored[k], estimate - work.base.1[k]);
         self.low_rank.set(column, delta, excess)
     }
 
@@ -146,8 +151,8 @@ impl ActiveSet {
                 work.target.1[k] = work.factored[k].mul_add(shift[k], work.base.1[k]);
             }
         }
-        for ((t, k), force) in self.low_rank.forces() {
-            self.work[t].target.1[k] += force;
+        for ((t, k), difference) in self.low_rank.differences() {
+            self.work[t].target.1[k] += difference;
         }
         let (mut length, mut first, mut leaves) = (1.0, None, false);
         for (t, (stage, work)) in stages.iter().zip(&mut self.work).enumerate() {

@@ -2,7 +2,7 @@
 //! ed., algorithm 16.4; Rao, Wright & Rawlings, JOTA 99, 1998).
 //!
 //! States are rolled out from the controls, so the dynamics hold at every iterate and stationarity is required of the
-//! controls only. Its residual is computed with the adjoint states.
+//! controls only. The residual of stationarity is computed with the adjoint states.
 
 use super::active_set::ActiveSet;
 use super::crossover::crossover;
@@ -15,7 +15,7 @@ use super::stage::Stage;
 use crate::NU;
 
 /// Intermediate results of an iteration for one stage.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct StageWork {
     rows: OneSided,
     residual: Residual,
@@ -92,29 +92,8 @@ const CROSSOVER_PRIMAL: f64 = 1e-2;
 
 impl InteriorPoint {
     pub fn new(horizon: usize) -> Self {
-        let rows = [0.0; ROWS];
-        let work = StageWork {
-            rows: OneSided::default(),
-            residual: Residual {
-                primal: rows,
-                epsilon: rows,
-            },
-            scaling: Scaling::default(),
-            factor: Factor::default(),
-            feedforward: [0.0; NU],
-            targets: Targets {
-                first: rows,
-                second: rows,
-            },
-            rhs: RightHandSide {
-                lambda: rows,
-                epsilon: rows,
-            },
-            dv: [0.0; NU],
-            direction: Iterate::ZERO,
-        };
         Self {
-            work: vec![work; horizon],
+            work: vec![StageWork::default(); horizon],
             n_pairs: 1.0,
         }
     }

@@ -1,10 +1,10 @@
-//! Low-rank changes of the working set on a Riccati factorisation that stays (Axehill & Hansson,
+//! Low-rank changes of the working set on a Riccati factorisation that is kept (Axehill & Hansson,
 //! *A dual gradient projection quadratic programming algorithm tailored for model predictive control*, CDC 2008;
 //! Arnström, Bemporad & Axehill, IEEE TAC 67, 2022).
 //!
 //! Let `H` be the Hessian in the controls with the curvature `d_k a_k a_kᵀ` of the working set that was factorised. If
-//! the force of row `k` changes from `f_k(y)` to `f_k'(y)`, both affine with the derivatives `d_k` and `d_k'`, and `τ_k`
-//! is the difference of both forces at the new solution, the new row values are
+//! the estimate of the multiplier of row `k` changes from `f_k(y)` to `f_k'(y)`, both affine with the derivatives `d_k` and
+//! `d_k'`, and `τ_k` is the difference of both estimates at the new solution, the new row values are
 //!
 //! ```text
 //! y' = y − Σ_j z_j τ_j,   z_j = A H⁻¹ a_jᵀ,
@@ -20,10 +20,14 @@ use super::two_sided::Pairs;
 /// Largest number of rows that differ from the factorised working set.
 pub(super) const MAX_RANK: usize = 32;
 
+/// A pivot vanishes if it is at most this share of the larger one of the two terms of which it is the sum, before the earlier
+/// rows are subtracted: what is left is then rounding.
+const VANISHING: f64 = 1e-14;
+
 /// A row of the horizon: its stage and its place in the stage.
 pub(super) type Place = (usize, usize);
 
-/// A row whose force differs from that of the factorised working set.
+/// A row whose multiplier estimate differs from that of the factorised working set.
 #[derive(Clone, Copy, Debug, Default)]
 struct Change {
     place: Place,
@@ -47,7 +51,7 @@ pub(super) struct LowRank {
     lower: Vec<[f64; MAX_RANK]>,
     diagonal: Vec<f64>,
     /// `τ`.
-    forces: Vec<f64>,
+    differences: Vec<f64>,
 }
 
 impl LowRank {
@@ -59,7 +63,7 @@ impl LowRank {
             changes: Vec::with_capacity(MAX_RANK),
             lower: vec![[0.0; MAX_RANK]; MAX_RANK],
             diagonal: vec![0.0; MAX_RANK],
-            forces: Vec::with_capacity(MAX_RANK),
+            differences: Vec::with_capacity(MAX_RANK),
         }
     }
 
@@ -67,7 +71,7 @@ impl LowRank {
     pub fn clear(&mut self) {
         self.places.clear();
         self.changes.clear();
-        self.forces.clear();
+        self.differences.clear();
     }
 
     /// The index of a row's column, if it was computed.
@@ -88,9 +92,10 @@ impl LowRank {
         Some((index, &mut self.columns[start..start + self.horizon]))
     }
 
-    /// Sets the change of a row, whose column exists; `δ = 0` takes a change back. False if a pivot vanishes.
+    /// Sets the change of a row, whose column exists: `δ` is the difference of the derivatives, and `excess` that of the
+    /// estimates at the row values of the factorisation. `δ = 0` takes a change back. False if a pivot vanishes.
     #[inline(always)]
-    pub fn set(&mut self, column: usize, delta: f64, force: f64) -> bool {
+    pub fn set(&mut self, column: usize, delta: f64, excess: f64) -> bool {
         let at = self.changes.iter().position(|c| c.column == column);
         let mut from = at.unwrap_or(self.changes.len());
         if delta == 0.0 {
@@ -102,7 +107,7 @@ impl LowRank {
                 place: self.places[column],
                 column,
                 inverse: 1.0 / delta,
-                rhs: force / delta,
+                rhs: excess / delta,
             };
             match at {
                 Some(at) => self.changes[at] = change,
@@ -144,47 +149,47 @@ impl LowRank {
             own -= self.lower[i][j] * value;
         }
         self.diagonal[i] = own;
-        own.abs() > 1e-14 * size
+        own.abs() > VANISHING * size
     }
 
     /// `τ` from the factorisation.
     #[inline(always)]
     fn solve(&mut self) {
         let n = self.changes.len();
-        self.forces.clear();
+        self.differences.clear();
         for i in 0..n {
             let mut value = self.changes[i].rhs;
             for j in 0..i {
-                value -= self.lower[i][j] * self.forces[j];
+                value -= self.lower[i][j] * self.differences[j];
             }
-            self.forces.push(value);
+            self.differences.push(value);
         }
         for i in 0..n {
-            self.forces[i] /= self.diagonal[i];
+            self.differences[i] /= self.diagonal[i];
         }
         for i in (0..n).rev() {
-            let value = self.forces[i];
+            let value = self.differences[i];
             for j in 0..i {
-                self.forces[j] -= self.lower[i][j] * value;
+                self.differences[j] -= self.lower[i][j] * value;
             }
         }
     }
 
     /// The places of the changed rows with their `τ`.
-    pub fn forces(&self) -> impl Iterator<Item = (Place, f64)> + '_ {
+    pub fn differences(&self) -> impl Iterator<Item = (Place, f64)> + '_ {
         self.changes
             .iter()
             .map(|c| c.place)
-            .zip(self.forces.iter().copied())
+            .zip(self.differences.iter().copied())
     }
 
     /// Adds `−Σ z_j τ_j` at stage `t`.
     #[inline(always)]
     pub fn shift(&self, t: usize, y: &mut Pairs) {
-        for (change, force) in self.changes.iter().zip(&self.forces) {
+        for (change, difference) in self.changes.iter().zip(&self.differences) {
             let column = &self.columns[change.column * self.horizon + t];
             for k in 0..PAIRS {
-                y[k] = column[k].mul_add(-force, y[k]);
+                y[k] = column[k].mul_add(-difference, y[k]);
             }
         }
     }

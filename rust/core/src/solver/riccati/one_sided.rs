@@ -51,7 +51,7 @@ pub(super) struct Iterate {
 }
 
 /// Coefficients of the elimination that depend on the iterate alone; both right-hand sides of an iteration use them.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Scaling {
     /// `W`.
     pub weight: Rows,
@@ -60,18 +60,6 @@ pub(super) struct Scaling {
     /// `1/D = 1/(ρ₂ + γ/ε)`, zero for hard rows.
     inverse_d: Rows,
     inverse_epsilon: Rows,
-}
-
-impl Default for Scaling {
-    fn default() -> Self {
-        let zero = [0.0; ROWS];
-        Self {
-            weight: zero,
-            inverse_pivot: zero,
-            inverse_d: zero,
-            inverse_epsilon: zero,
-        }
-    }
 }
 
 impl Scaling {
@@ -94,7 +82,7 @@ impl Scaling {
 }
 
 /// Terms of the elimination that depend on the targets.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct RightHandSide {
     /// `W q`.
     pub lambda: Rows,
@@ -103,14 +91,14 @@ pub(super) struct RightHandSide {
 }
 
 /// `r_p = b − σ a·w + ε − s` and `r_ε = ρ₁ + ρ₂ ε − λ − γ`.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Residual {
     pub primal: Rows,
     pub epsilon: Rows,
 }
 
 /// Right-hand sides of the linearised complementarity conditions, `s Δλ + λ Δs = first` and `ε Δγ + γ Δε = second`.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Targets {
     pub first: Rows,
     pub second: Rows,
@@ -354,10 +342,7 @@ impl Targets {
     /// Targets of the predictor: complementarity zero.
     #[inline(always)]
     pub fn affine(it: &Iterate) -> Self {
-        let mut t = Self {
-            first: [0.0; ROWS],
-            second: [0.0; ROWS],
-        };
+        let mut t = Self::default();
         for k in 0..ROWS {
             t.first[k] = -it.slack[k] * it.lambda[k];
             t.second[k] = -it.epsilon[k] * it.gamma[k];
@@ -368,10 +353,7 @@ impl Targets {
     /// Targets of the corrector: complementarity `mu` less the second-order term of the predictor.
     #[inline(always)]
     pub fn corrected(it: &Iterate, step: &Iterate, mu: f64) -> Self {
-        let mut t = Self {
-            first: [0.0; ROWS],
-            second: [0.0; ROWS],
-        };
+        let mut t = Self::default();
         for k in 0..ROWS {
             t.first[k] = mu - it.slack[k].mul_add(it.lambda[k], step.slack[k] * step.lambda[k]);
             t.second[k] = mu - it.epsilon[k].mul_add(it.gamma[k], step.epsilon[k] * step.gamma[k]);

@@ -14,6 +14,7 @@
 //!
 //! State rows are padded with zeros to `LANES`, so that a row fills whole vector registers.
 
+use crate::cholesky::axpy;
 use crate::{NU, NX};
 
 /// A state row padded to whole vector registers.
@@ -21,14 +22,6 @@ pub(super) const LANES: usize = 8;
 /// Rows of the augmented state `[x, u₋]`.
 pub(super) const NS: usize = NX + NU;
 pub(super) type Row = [f64; LANES];
-
-/// `y += a * x` on one padded row.
-#[inline(always)]
-pub(super) fn axpy(y: &mut Row, a: f64, x: &Row) {
-    for (y, x) in y.iter_mut().zip(x) {
-        *y = a.mul_add(*x, *y);
-    }
-}
 
 /// Inner product of two padded rows, in a fixed order of summation.
 #[inline(always)]

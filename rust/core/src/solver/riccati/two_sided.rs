@@ -63,10 +63,10 @@ pub(super) struct Estimate {
 }
 
 impl TwoSided {
-    /// The force of row `k` at the value `y` and its derivative, in the case that `side` and `violated` give; the
-    /// multiplier is `lambda`.
+    /// The estimate `f` of the multiplier of row `k` at the value `y` and its derivative, in the case that `side` and
+    /// `violated` give; the multiplier is `lambda`.
     #[inline(always)]
-    pub fn force(
+    pub fn multiplier_estimate(
         &self,
         k: usize,
         (side, violated): (f64, bool),
@@ -98,7 +98,8 @@ impl TwoSided {
         let mut out = Estimate::default();
         for k in 0..PAIRS {
             let case = (set.side[k], set.violated[k]);
-            (out.lambda[k], out.derivative[k]) = self.force(k, case, y[k], lambda[k], rho);
+            (out.lambda[k], out.derivative[k]) =
+                self.multiplier_estimate(k, case, y[k], lambda[k], rho);
         }
         out
     }
