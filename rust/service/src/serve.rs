@@ -74,7 +74,7 @@ pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
 /// # Errors
 /// [`ServeError`] if the service does not start.
 pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
-    heap::share_one();
+    heap::share();
     let _flush = FlushAtEnd;
     init_logging(&config.log, config.log_json).map_err(ServeError::Logging)?;
     allow_all();

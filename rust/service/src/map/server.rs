@@ -226,7 +226,7 @@ pub fn check_map(config: &MapConfig) -> Result<Option<String>, MapError> {
 /// # Errors
 /// [`MapError`] if the service does not start, or if something is not written at the end.
 pub fn serve_map(config: &MapConfig) -> Result<(), MapError> {
-    heap::share_one();
+    heap::share();
     let _flush = FlushAtEnd;
     init_logging(&config.log, config.log_json).map_err(MapError::Logging)?;
     allow_all();
