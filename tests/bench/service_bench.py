@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import signal
 import subprocess
@@ -121,7 +122,11 @@ class Bench:
         options += [f"--seconds={seconds}", f"--vehicles={vehicles}", f"--json={result}"]
         subprocess.run([*EGP, "load", *options], check=True, capture_output=True)
         report: dict[str, Any] = json.loads(result.read_text(encoding="utf-8"))
-        return report["rates"][0] if replay else report
+        rate: dict[str, Any] = report["rates"][0] if replay else report
+        # Quantiles that fall on requests without an answer are null.
+        quantiles = rate["latency_ms"]
+        rate["latency_ms"] = {k: math.inf if v is None else v for k, v in quantiles.items()}
+        return rate
 
 
 def listens_at(endpoint: str) -> bool:
