@@ -9,7 +9,7 @@ use crate::scene::{Scene, SimulationError};
 use crate::world::{repeat, simulate};
 
 /// Seeds that are tried for each planted fault.
-const TRIED: u64 = 100;
+const TRIED: u64 = 200;
 /// Columns of the terminal that the text of a planted fault takes.
 const TEXT: usize = 60;
 /// The same for the name of an oracle, which is followed by the seed.
