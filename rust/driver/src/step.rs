@@ -93,7 +93,7 @@ impl Outcome {
             Self::Replied(Status::Solved) => String::new(),
             Self::Replied(Status::CheckFailed) => "the solver found no plan that passes its check (check_failed); likely \
                  causes are a setting that differs from its default by orders of magnitude, usually a weight or a penalty, \
-                 and a vehicle that spins"
+                 and a vehicle that spins, whose plan has speeds that no vehicle reaches"
                 .to_owned(),
             Self::Replied(status) => {
                 format!("the solver found no plan: {}", status_name(*status))
