@@ -25,7 +25,7 @@ from egp_service.ros2 import driving, messages, node
 from egp_service.ros2.driving import Drive, Vehicle
 from egp_service.ros2.messages import ODOMETRY
 from ros2 import idl, vehicle
-from ros2.topics import Clock, Reader, Topics
+from ros2.topics import Topics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,15 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from egp_service.control.step import Step
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    """Replace the time of the adapter, and the thread in which it reads paths."""
-    replaced = Clock()
-    monkeypatch.setattr(driving, "time", replaced)
-    monkeypatch.setattr(driving, "ThreadPoolExecutor", Reader)
-    return replaced
+    from ros2.topics import Clock
 
 
 def test_measurements_that_cannot_be_used_stop_the_vehicle_with_its_wheels_held(

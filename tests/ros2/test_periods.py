@@ -16,29 +16,22 @@ for name in ("rosbags", "ruamel.yaml", "xxhash", "pycdr2"):
 
 from egp_service import Plant
 from egp_service.quantities import DELTA, P_X, P_Y, PSI
-from egp_service.ros2 import driving, messages
+from egp_service.ros2 import messages
 from egp_service.ros2.driving import Drive, Vehicle
 from ros2 import idl, vehicle
-from ros2.topics import Clock, Reader, Topics
+from ros2.topics import Topics
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
+    from ros2.topics import Clock
+
 DT, SPEED, RADIUS, SECONDS = 0.02, 10.0, 40.0, 4.0
 SETTINGS: dict[str, Any] = {"odometry": "odom", "path": "plan", "control": None}
 RATE = 0.01
 """Steering rate that the controller commands, rad/s."""
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    """Replace the time of the adapter, and the thread in which it reads paths."""
-    replaced = Clock()
-    monkeypatch.setattr(driving, "time", replaced)
-    monkeypatch.setattr(driving, "ThreadPoolExecutor", Reader)
-    return replaced
 
 
 def on_the_circle(time: float) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ use crate::events;
 use crate::guard::{Guard, Sealed};
 use crate::metrics::{Metrics, micros};
 use crate::offer::Offer;
-use crate::query::{Query, check_attachment};
+use crate::query::{Query, check_attachment, no_such_key};
 use crate::queue::{Queue, Refused};
 use crate::standing::Standing;
 use crate::sync::atomic::{AtomicBool, Ordering};
@@ -18,6 +18,10 @@ use crate::traces::Traces;
 /// An eighth of a budget is reserved for the transfer of request and answer, whose time the service cannot measure. Without
 /// this reserve an overloaded service would compute answers that arrive shortly after their deadline.
 const TRANSIT: u32 = 8;
+
+/// What the error about another key says.
+const OF_A_REPLICA: &str = "no key of this replica: expected egp/v1/r/REPLICA/FLEET/VEHICLE/step or egp/v1/r/REPLICA/health, \
+     ready, metrics, library/SHA256 or library/SHA256/PART";
 
 /// A request on its way to a worker.
 pub(crate) struct Job<Q> {
@@ -106,7 +110,7 @@ impl<Q: Query> Shared<Q> {
                     Err((sequence, error)) => self.refuse(&query, sequence, &error),
                 }
             }
-            None => self.refuse(&query, None, &no_such_key(query.key())),
+            None => self.refuse(&query, None, &no_such_key(query.key(), OF_A_REPLICA)),
         }
     }
 
@@ -119,7 +123,7 @@ impl<Q: Query> Shared<Q> {
         vehicle: &Name,
     ) -> Result<(Header, Option<Sealed>), (Option<u64>, WireError)> {
         if query.key() != keys::step(&self.replica, fleet, vehicle) {
-            return Err((None, no_such_key(query.key())));
+            return Err((None, no_such_key(query.key(), OF_A_REPLICA)));
         }
         let limits = MessageLimits::default();
         let (limit, actual) = (limits.message_bytes, query.length());
@@ -218,16 +222,6 @@ impl<Q: Query> Shared<Q> {
             step_us: micros(self.metrics.step_time()),
         }
     }
-}
-
-fn no_such_key(key: &str) -> WireError {
-    // The key is that of a stranger, and the text goes into logs and terminals.
-    let key = key.escape_debug();
-    let detail = format!(
-        "{key} is no key of this replica: expected egp/v1/r/REPLICA/FLEET/VEHICLE/step or \
-         egp/v1/r/REPLICA/health, ready, metrics, library/SHA256 or library/SHA256/PART"
-    );
-    WireError::permanent(Code::Malformed, detail)
 }
 
 #[cfg(test)]

@@ -48,6 +48,13 @@ pub(crate) fn check_attachment(query: &impl Query) -> Result<(), WireError> {
     Err(WireError::permanent(Code::Malformed, detail))
 }
 
+/// The error about a query of a key that is not served. `expected` completes the sentence that begins with the key and "is".
+/// Anybody can ask for any key, and the text goes into logs and terminals, so that control characters in the key are escaped.
+pub(crate) fn no_such_key(key: &str, expected: &str) -> WireError {
+    let detail = format!("{} is {expected}", key.escape_debug());
+    WireError::permanent(Code::Malformed, detail)
+}
+
 /// An answer to a question of this side.
 pub(crate) struct Answer {
     /// The key of a reply; none if it is an error.

@@ -5,7 +5,7 @@ use egp_wire::{Code, ROAD_TILES, WireError};
 
 use super::metrics::Metrics;
 use super::turns::{Refused, Turns};
-use crate::query::{Query, check_attachment};
+use crate::query::{Query, check_attachment, no_such_key};
 
 /// Queries of one vehicle that may wait. Vehicles are answered in turn, so that another vehicle's query waits for one of them.
 const EACH: usize = 64;
@@ -63,7 +63,7 @@ impl<Q: Query> Intake<Q> {
             }
             Some(RoadTarget::Tile(key, index)) => (QueryKind::Evidence, key, index),
             Some(RoadTarget::Tiles(key, index)) => (QueryKind::Question, key, index),
-            None => return self.refuse(&query, &no_such_key(query.key())),
+            None => return self.refuse(&query, &no_such_key(query.key(), &of_a_map())),
         };
         if query.length() > PAYLOAD {
             let detail = format!("expected at most {PAYLOAD} bytes, got {}", query.length());
@@ -102,13 +102,12 @@ impl<Q: Query> Intake<Q> {
     }
 }
 
-fn no_such_key(key: &str) -> WireError {
-    let key = key.escape_debug();
-    let detail = format!(
-        "{key} is no key of a map service: expected egp/v1/map/FLEET/VEHICLE/ROAD/tile/INDEX or tiles/FIRST with INDEX \
-         and FIRST below {ROAD_TILES}, or egp/v1/map/health or metrics"
-    );
-    WireError::permanent(Code::Malformed, detail)
+/// What the error about another key says.
+fn of_a_map() -> String {
+    format!(
+        "no key of a map service: expected egp/v1/map/FLEET/VEHICLE/ROAD/tile/INDEX or tiles/FIRST with INDEX and FIRST below \
+         {ROAD_TILES}, or egp/v1/map/health or metrics"
+    )
 }
 
 #[cfg(test)]
@@ -119,7 +118,7 @@ mod tests {
 
     #[test]
     fn the_error_about_a_key_states_the_limit_of_the_index() {
-        let error = no_such_key("egp/v1/map/depot/car/ring/tile/7813");
+        let error = no_such_key("egp/v1/map/depot/car/ring/tile/7813", &of_a_map());
         assert!(error.detail.contains("below 7813"), "{error}");
     }
 
