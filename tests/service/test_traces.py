@@ -244,6 +244,20 @@ def test_both_sides_choose_the_same_share(tmp_path: Path) -> None:
     assert 0 < len(chosen) < 60
 
 
+def asked_alone(vehicle: Standstill, hedge: float, deadline: float = 5.0) -> str:
+    """Return the replica that answered a step before a second one was asked, and so is preferred.
+
+    On a busy machine the preferred replica's first answers may be late, and another one's is used.
+    """
+    end = time.monotonic() + PATIENCE
+    while True:
+        begun = time.monotonic()
+        replica = vehicle.step(deadline).replica
+        if time.monotonic() - begun < hedge * deadline and replica:
+            return replica
+        assert time.monotonic() < end
+
+
 def test_a_request_to_two_replicas_is_one_trace(tmp_path: Path) -> None:
     ours, replicas = tmp_path / "car.jsonl", ["a", "b"]
     endpoints = {name: free_endpoint() for name in replicas}
@@ -261,7 +275,7 @@ def test_a_request_to_two_replicas_is_one_trace(tmp_path: Path) -> None:
             vehicle = Standstill(client)
             wait_until(lambda: all(why_unreachable(each) is None for each in connect))
             wait_for_replicas(client, 2)
-            first = vehicle.step().replica
+            first = asked_alone(vehicle, 0.2)
             freeze(processes[first])
             step = vehicle.step()
             assert (step.status, step.replica) == ("solved", {"a": "b", "b": "a"}[first])
