@@ -3,6 +3,10 @@
 use crate::vehicle::{SingleTrack, VehicleModel};
 use crate::{GpOutput, Member, NY};
 
+/// Least and largest power of the friction in the forces of tyres beyond the members' range. Members with similar
+/// frictions tell it badly.
+const EXPONENTS: (f64, f64) = (0.8, 1.25);
+
 /// A model for one friction coefficient `mu`:
 ///
 /// ```text
@@ -13,8 +17,9 @@ use crate::{GpOutput, Member, NY};
 /// Members `a` and `b` have the nearest frictions below and above. Parameters of `vehicle_mu` are interpolated like
 /// `t`, geometrically, so that its tyres saturate at the right force; a blend of two predictions would be wrong for
 /// every force that only one of the surfaces can transmit. Beyond the members' range `a = b` is the nearest member, and
-/// the forces of its tyres are scaled. Where a neighbour has no single-track vehicle, the model is the blend of the
-/// members' predictions.
+/// the forces of its tyres are scaled by a power of the friction: that with which the lateral grip `sqrt(D_f D_r)` changes
+/// from it to the member with the most different friction. Where a neighbour has no single-track vehicle, the model is the blend of the members'
+/// predictions.
 #[derive(Debug, Clone)]
 pub(super) struct Hypothesis {
     vehicle: Option<SingleTrack>,
@@ -35,7 +40,9 @@ impl Hypothesis {
             _ => None,
         });
         let (vehicle, share) = if a == b {
-            let scaled = vehicles[0].map(|vehicle| vehicle.with_friction(mu / low));
+            let scaled = vehicles[0].map(|vehicle| {
+                vehicle.with_friction((mu / low).powf(exponent(vehicle, low, members)))
+            });
             (scaled, 0.0)
         } else {
             let share = (mu / low).ln() / (high / low).ln();
@@ -65,6 +72,24 @@ impl Hypothesis {
         } else {
             blend(f[a].into(), f[b].into())
         }
+    }
+}
+
+/// The power of the friction with which the lateral grip of the tyres changes from the vehicle of a member with the friction
+/// `mu` to the member with the most different friction; 1 if no other one has a single-track vehicle.
+fn exponent(vehicle: &SingleTrack, mu: f64, members: &[Member]) -> f64 {
+    let (low, high) = EXPONENTS;
+    let others = members.iter().filter_map(|member| match member.vehicle() {
+        Some(VehicleModel::SingleTrack(other)) => {
+            let grips = other.lateral_grip() / vehicle.lateral_grip();
+            Some(((member.friction() / mu).ln(), grips.ln()))
+        }
+        _ => None,
+    });
+    let farthest = others.max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
+    match farthest {
+        Some((friction, grip)) if friction != 0.0 => (grip / friction).clamp(low, high),
+        _ => 1.0,
     }
 }
 

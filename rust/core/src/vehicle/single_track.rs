@@ -138,6 +138,11 @@ impl SingleTrack {
             .with_resistance(self.resistance)
     }
 
+    /// Geometric mean of the axles' `D`.
+    pub(crate) fn lateral_grip(&self) -> f64 {
+        (self.axles[0].friction * self.axles[1].friction).sqrt()
+    }
+
     /// The vehicle whose parameters lie at `share` of the way to those of `other`, geometrically, and its resistance
     /// linearly.
     pub(crate) fn between(&self, other: &Self, share: f64) -> Self {

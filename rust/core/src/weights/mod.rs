@@ -13,7 +13,7 @@ mod gram;
 mod noise;
 
 pub use noise::WindowNoise;
-pub(crate) use noise::blend_error;
+pub(crate) use noise::{blend_error, model_std, state_std};
 
 use active_set::{SimplexQp, SimplexSolver};
 use gram::Gram;

@@ -71,13 +71,6 @@ impl WindowNoise {
         Self::with_levels(levels.as_flattened(), window)
     }
 
-    /// The single level of the members' root-mean-square noise and the setting `measurement`.
-    pub fn largest(library: &Library, settings: &WeightSettings) -> Self {
-        let state = state_std(library, settings);
-        let window = settings.window(library.dt());
-        Self::new(&model_std(library), &state, window)
-    }
-
     /// At most [`LEVELS`] levels, given as standard deviations of model and states.
     fn with_levels(levels: &[[GpOutput; 2]], window: usize) -> Self {
         let variances = levels
@@ -122,11 +115,6 @@ impl WindowNoise {
         self.likeliest(transitions.map(|(row, y)| blend_error(row, y, previous)))
     }
 
-    /// The whitening of consecutive transitions at the first level.
-    pub(crate) fn first_level(&self) -> impl Iterator<Item = &Row> {
-        self.rows.iter().step_by(self.levels)
-    }
-
     /// Rows of the level with the largest likelihood of `errors`, one error for each of consecutive transitions. Rows
     /// of the first level if there are no errors or if no likelihood is finite.
     fn likeliest(&self, errors: impl Iterator<Item = GpOutput>) -> impl Iterator<Item = &Row> {
@@ -157,7 +145,7 @@ impl WindowNoise {
 }
 
 /// Root mean square of the members' noise.
-fn model_std(library: &Library) -> GpOutput {
+pub(crate) fn model_std(library: &Library) -> GpOutput {
     let members = library.members();
     let squares = |member: &Member| member.noise_std().map(|std| std * std);
     let variance: GpOutput = members.iter().map(squares).sum();
@@ -165,7 +153,7 @@ fn model_std(library: &Library) -> GpOutput {
 }
 
 /// Noise of the measured states.
-fn state_std(library: &Library, settings: &WeightSettings) -> GpOutput {
+pub(crate) fn state_std(library: &Library, settings: &WeightSettings) -> GpOutput {
     GpOutput::from(settings.measurement(library.metadata().measurement_noise))
 }
 

@@ -124,6 +124,37 @@ fn the_friction_is_found_between_the_members_and_beyond_them() {
 }
 
 #[test]
+fn beyond_the_members_grip_follows_their_power_of_the_friction() {
+    let power = |exponent: f64| {
+        move |member: MemberData| {
+            let Some(ModelParameters::SingleTrack(mut parameters)) = member.vehicle else {
+                unreachable!();
+            };
+            let grip = member.friction.powf(exponent);
+            (parameters[5], parameters[6]) = (0.4 * grip, 0.7 * grip);
+            for axle in [7, 12] {
+                (parameters[axle + 2], parameters[axle + 3]) = (0.9 * grip, 16.0 / grip);
+            }
+            MemberData {
+                vehicle: Some(ModelParameters::SingleTrack(parameters)),
+                ..member
+            }
+        }
+    };
+    for exponent in [0.9, 1.0, 1.1] {
+        let ensemble = changed(&[0.5, 1.1], 0.1, power(exponent));
+        for mu in [0.2, 0.3] {
+            let truth = changed(&[mu], 0.1, power(exponent));
+            let found = estimate(&ensemble, &truth, &window(0.3));
+            assert!(
+                (found.mean - mu).abs() < 0.005,
+                "{exponent}, {mu}: {found:?}"
+            );
+        }
+    }
+}
+
+#[test]
 fn forces_that_all_surfaces_transmit_bound_the_friction_from_below_only() {
     let ensemble = library(&[0.5, 1.1]);
     let found = estimate(&ensemble, &library(&[0.9]), &window(0.02));
