@@ -47,8 +47,9 @@ def test_only_the_controller_of_the_friction_alone_has_no_limit_by_the_tyres() -
     }
     assert {name: speed["tyres"] for name, speed in limited.items()} == {
         "oracle": True,
+        f"{BELIEF}3%": True,
         f"{BELIEF}5%": True,
-        "friction alone, risk 5%": False,
+        "friction alone, risk 3%": False,
     }
 
 
@@ -63,7 +64,7 @@ def test_a_patch_in_a_bend_is_found_on_the_first_lap(tmp_path: Path) -> None:
     path = tmp_path / "two.safetensors"
     write_library_subset(EVALUATION_LIBRARY, path, [0, 3])
     trial = next(
-        t for t in TRIALS if t.condition == "20 m in a bend" and t.contender.name.startswith(BELIEF)
+        t for t in TRIALS if t.condition == "20 m in a bend" and t.contender.name == f"{BELIEF}3%"
     )
     outcome = run(with_library(trial, path))
     assert outcome.completed, outcome.reason
@@ -104,6 +105,8 @@ def test_only_laps_after_the_patch_was_found_count() -> None:
     assert claim.evidence.startswith("2 of 3 laps, at worst 0.31 m; found on the first lap in 1")
     (claim,) = check([], [], [never])
     assert claim.holds is None
+    careful = replace(late, contender=f"{BELIEF}3%")
+    assert [claim.holds for claim in check([], [], [first, careful, late])] == [False, True]
     forgotten = outcome((0.1, 0.1, 2.0), (0.7, 0.3, 0.9, 0.3))
     assert forgotten.errors_after == (0.1, 2.0)
     (row,) = rows([late, never, first])

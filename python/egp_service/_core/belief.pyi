@@ -14,11 +14,13 @@ class RoadBelief:
     """Belief about the friction along a path, from what control steps found in cells of 2 m.
 
     From cell to cell the friction stays or, on average every `change_distance` m (default 200), is
-    drawn anew from a uniform distribution over 0.1 to 1.3. Plans reckon with a change at every
-    place within the last `commitment` m (40), over which the vehicle cannot react. `capacity` is
-    the largest logarithm of a likelihood ratio that a cell keeps (6 nats), `window` the number of
-    transitions from which a step estimates the friction (25), and `indifference` the logarithm of a
-    likelihood ratio up to which a window does not tell coefficients apart (0.25 nats).
+    drawn anew from a uniform distribution over 0.1 to 1.3. The vehicle cannot react to what it
+    finds within the last `commitment` m (45): with the probability of a change within this distance
+    plans take each place for part of a patch, of which only what was measured within 8 m is known.
+    `capacity` is the largest logarithm of a likelihood ratio that a cell keeps (6 nats), `window`
+    the number of transitions from which a step estimates the friction (25), and `indifference` the
+    logarithm of a likelihood ratio up to which a window does not tell coefficients apart (0.25
+    nats).
 
     Raises:
         EgpError: unless all these numbers are positive.
@@ -77,8 +79,8 @@ class RoadBelief:
     def ahead(self, places: ArrayLike, risk: float) -> NDArray[np.float64]:
         """Return the friction to plan for (n,) at equidistant arc lengths `places` (n,), m.
 
-        It is the friction below which that of each place lies with the probability `risk`, if the
-        surface may also change within the last `commitment` m.
+        It is the friction below which that of each place lies with the probability `risk`, if each
+        place may also be on a patch.
 
         Raises:
             InvalidArgumentError: unless the distances are equal.

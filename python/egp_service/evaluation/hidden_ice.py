@@ -40,7 +40,7 @@ LARGEST_ERROR: Final = 0.3
 _DRY: Final = 1.1
 _ICE: Final = 0.25
 _LENGTHS: Final = (5.0, 10.0, 20.0)
-_RISK: Final = 0.05
+_RISKS: Final = (0.03, 0.05)
 # A place is in a bend above this share of the largest curvature, and on a straight below the other.
 _BEND: Final = 0.5
 _STRAIGHT: Final = 0.02
@@ -97,14 +97,17 @@ def experiment() -> ClosedLoopExperiment:
         ),
         (
             Contender(ORACLE, "oracle", TWO),
-            Contender(
-                f"{BELIEF}{_RISK:.0%}", "ensemble", TWO, speed={"knows": "nothing", "risk": _RISK}
+            *(
+                Contender(
+                    f"{BELIEF}{risk:.0%}", "ensemble", TWO, speed={"knows": "nothing", "risk": risk}
+                )
+                for risk in _RISKS
             ),
             Contender(
-                f"friction alone, risk {_RISK:.0%}",
+                f"friction alone, risk {_RISKS[0]:.0%}",
                 "ensemble",
                 TWO,
-                speed={"knows": "nothing", "risk": _RISK, "tyres": False},
+                speed={"knows": "nothing", "risk": _RISKS[0], "tyres": False},
             ),
         ),
         seeds=20,

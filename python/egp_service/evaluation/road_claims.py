@@ -179,20 +179,20 @@ def _departures(outcomes: Sequence[Outcome]) -> list[Claim]:
 
 
 def _ice(outcomes: Sequence[IceOutcome]) -> list[Claim]:
-    own = [o for o in outcomes if o.contender.startswith(BELIEF)]
+    names = dict.fromkeys(o.contender for o in outcomes if o.contender.startswith(BELIEF))
+    return [_ice_of(name, [o for o in outcomes if o.contender == name]) for name in names]
+
+
+def _ice_of(name: str, own: Sequence[IceOutcome]) -> Claim:
     errors = [error for o in own for error in o.errors_after]
-    if not own:
-        return []
     within = sum(error <= LARGEST_ERROR for error in errors)
     worst = f", at worst {max(errors):.2f} m" if errors else ""
     on_first = sum(any(o.found[1:2]) for o in own)
-    return [
-        Claim(
-            "On the laps after a hidden patch of ice was found, the vehicle is never more than "
-            f"{LARGEST_ERROR:g} m from the path",
-            within == len(errors) if errors else None,
-            f"{within} of {len(errors)} laps{worst}; found on the first lap "
-            f"in {on_first} of {len(own)} runs; "
-            f"{sum(not o.completed for o in own)} runs were not completed",
-        )
-    ]
+    return Claim(
+        "On the laps after a hidden patch of ice was found, the vehicle is never more than "
+        f"{LARGEST_ERROR:g} m from the path ({name})",
+        within == len(errors) if errors else None,
+        f"{within} of {len(errors)} laps{worst}; found on the first lap "
+        f"in {on_first} of {len(own)} runs; "
+        f"{sum(not o.completed for o in own)} runs were not completed",
+    )

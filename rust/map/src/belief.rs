@@ -37,8 +37,8 @@ const WINDOW: f64 = 1000.0;
 pub struct BeliefSettings {
     /// Mean distance in m between changes of the surface.
     pub change_distance: f64,
-    /// Distance in m over which the vehicle cannot react to a change: plans reckon with a change within it at every
-    /// place.
+    /// Distance in m over which the vehicle cannot react to what it finds: with the probability that the surface changes
+    /// within it, plans take each place for part of a patch, of which only what was measured within 8 m is known.
     pub commitment: f64,
     /// Largest logarithm of a likelihood ratio that a cell keeps, in nats.
     pub capacity: f64,
@@ -52,7 +52,7 @@ impl Default for BeliefSettings {
     fn default() -> Self {
         Self {
             change_distance: 200.0,
-            commitment: 40.0,
+            commitment: 45.0,
             capacity: 6.0,
             window: 25,
             indifference: 0.25,

@@ -88,6 +88,30 @@ pub(crate) fn to_probabilities(row: &mut Row) {
     }
 }
 
+/// Divides by the sum and mixes the probabilities in proportion to `likelihood` times `prior` in with the probability `share`.
+pub(crate) fn mix(row: &mut Row, likelihood: &Row, prior: &Row, share: f64) {
+    let (rows, row_rest) = row.as_chunks_mut::<LANES>();
+    let (likelihoods, likelihood_rest) = likelihood.as_chunks::<LANES>();
+    let (priors, prior_rest) = prior.as_chunks::<LANES>();
+    let (mut sum, mut other) = ([0.0; LANES], [0.0; LANES]);
+    for ((row, likelihood), prior) in rows.iter().zip(likelihoods).zip(priors) {
+        sum = std::array::from_fn(|i| sum[i] + row[i]);
+        other = std::array::from_fn(|i| other[i] + likelihood[i] * prior[i]);
+    }
+    for (i, row) in row_rest.iter().enumerate() {
+        sum[i] += row;
+        other[i] += likelihood_rest[i] * prior_rest[i];
+    }
+    let one_over = |lanes: [f64; LANES]| lanes.iter().sum::<f64>().max(f64::MIN_POSITIVE).recip();
+    let (scale, by) = ((1.0 - share) * one_over(sum), share * one_over(other));
+    for ((row, likelihood), prior) in rows.iter_mut().zip(likelihoods).zip(priors) {
+        *row = std::array::from_fn(|i| scale * row[i] + by * likelihood[i] * prior[i]);
+    }
+    for (i, row) in row_rest.iter_mut().enumerate() {
+        *row = scale * *row + by * likelihood_rest[i] * prior_rest[i];
+    }
+}
+
 /// Multiplies each value by that of another row.
 pub(crate) fn multiply(row: &mut Row, by: &Row) {
     combine(row, by, |value, by| value * by);

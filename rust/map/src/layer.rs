@@ -1,7 +1,8 @@
 //! The posterior from the vehicle's own evidence and from what others reported.
 
 use crate::RoadBelief;
-use crate::grid::{Row, combine, multiply, to_probabilities};
+use crate::grid::{Row, combine, mix, multiply, to_probabilities};
+use crate::patch::{PATCH, products};
 use crate::reported::Reported;
 
 /// The evidence that a posterior uses.
@@ -16,17 +17,18 @@ pub(crate) enum Layer {
 }
 
 impl RoadBelief {
-    /// Rows proportional to the probabilities of the coefficients in the cells `first..=last`, after a further change of the
-    /// surface with the probability `committed`.
+    /// Rows proportional to the probabilities of the coefficients in the cells `first..=last`, where each cell belongs to a
+    /// patch with the probability `patch`. A patch's friction is drawn from the prior. What was measured within 8 m of the cell
+    /// is evidence about it, and what was measured farther away is not.
     ///
     /// With reports it is a mixture: with the probability that they describe the road they count like the vehicle's own
     /// evidence, otherwise only the latter counts.
-    pub(crate) fn masses(&mut self, first: i64, last: i64, reach: f64, committed: f64) -> Vec<Row> {
-        let mut own = self.masses_of(Layer::Own, first, last, reach, committed);
+    pub(crate) fn masses(&mut self, first: i64, last: i64, reach: f64, patch: f64) -> Vec<Row> {
+        let mut own = self.masses_of(Layer::Own, first, last, reach, patch);
         let Some(trust) = self.reported.as_ref().map(Reported::trust) else {
             return own;
         };
-        let both = self.masses_of(Layer::Both, first, last, reach, committed);
+        let both = self.masses_of(Layer::Both, first, last, reach, patch);
         for (own, mut both) in own.iter_mut().zip(both) {
             to_probabilities(own);
             to_probabilities(&mut both);
@@ -42,14 +44,14 @@ impl RoadBelief {
         first: i64,
         last: i64,
         reach: f64,
-        committed: f64,
+        patch: f64,
     ) -> Vec<Row> {
         let (reach, at_once) = self.reach(reach);
         let mut found = Vec::new();
         let mut start = first;
         while start <= last {
             let end = last.min(start.saturating_add(at_once - 1));
-            let part = self.masses_at_once(layer, start, end, reach, committed);
+            let part = self.masses_at_once(layer, start, end, reach, patch);
             if found.is_empty() {
                 found = part;
             } else {
@@ -67,23 +69,41 @@ impl RoadBelief {
         first: i64,
         last: i64,
         reach: i64,
-        committed: f64,
+        patch: f64,
     ) -> Vec<Row> {
         self.smooth(layer, first, last, reach);
-        let prior = &self.grid.prior;
-        let messages = self.forward.iter().zip(&self.backward);
-        (first..=last)
-            .zip(messages)
-            .map(|(index, (forward, backward))| {
-                let mut masses = *forward;
-                combine(&mut masses, prior, |mass, prior| {
-                    mass + committed * (prior - mass)
-                });
-                self.weigh(layer, index, &mut masses);
-                multiply(&mut masses, backward);
-                masses
-            })
-            .collect()
+        let cells = (last - first + 1) as usize;
+        let side = if patch > 0.0 {
+            // On a lap no evidence counts twice.
+            let most = (self.likelihood.len() as i64 - 1) / 2;
+            ((PATCH / self.cell).round() as i64).min(most)
+        } else {
+            0
+        };
+        let mut likelihoods = Vec::with_capacity(cells + 2 * side as usize);
+        for index in first - side..=last + side {
+            let mut likelihood = [1.0; _];
+            self.weigh(layer, index, &mut likelihood);
+            likelihoods.push(likelihood);
+        }
+        let own = likelihoods.iter().skip(side as usize);
+        let mut found = Vec::with_capacity(cells);
+        for ((forward, likelihood), backward) in
+            self.forward.iter().zip(own).zip(&self.backward).take(cells)
+        {
+            let mut masses = *forward;
+            multiply(&mut masses, likelihood);
+            multiply(&mut masses, backward);
+            found.push(masses);
+        }
+        if patch > 0.0 {
+            let window = 2 * side as usize + 1;
+            let nearby = products(&likelihoods, window);
+            for (masses, nearby) in found.iter_mut().zip(&nearby[window - 1..]) {
+                mix(masses, nearby, &self.grid.prior, patch);
+            }
+        }
+        found
     }
 
     /// Multiplies `row` by a layer's likelihoods in a cell. Cells beyond the ends of an open road have no evidence.

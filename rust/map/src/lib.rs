@@ -16,6 +16,7 @@ mod file;
 mod grid;
 mod layer;
 mod merge;
+mod patch;
 mod preview;
 mod quantile;
 mod recent;

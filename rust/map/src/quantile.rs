@@ -6,7 +6,7 @@ use crate::belief_error::{BeliefError, place, positive, probability, stretch};
 
 impl RoadBelief {
     /// Writes the friction to plan for at places `step` m apart from `start` on: the coefficient below which the
-    /// friction lies with the probability `risk`.
+    /// friction lies with the probability `risk`, where each place may be on a patch (see [`BeliefSettings::commitment`](crate::BeliefSettings::commitment)).
     ///
     /// # Errors
     /// [`BeliefError`] unless `start` is an arc length, the places cover at most 10 km, and `risk` is in (0, 1).
@@ -27,8 +27,8 @@ impl RoadBelief {
         let blur = (BLUR / self.cell).round() as i64;
         let first = self.index(start) - blur;
         let last = self.index(start + step * friction.len().saturating_sub(1) as f64) + blur;
-        let committed = 1.0 - (-self.settings.commitment / self.settings.change_distance).exp();
-        let cells: Vec<f64> = (self.masses(first, last, REACH, committed).iter())
+        let patch = 1.0 - (-self.settings.commitment / self.settings.change_distance).exp();
+        let cells: Vec<f64> = (self.masses(first, last, REACH, patch).iter())
             .map(|masses| self.grid.quantile(masses, risk))
             .collect();
         for (i, out) in friction.iter_mut().enumerate() {
@@ -39,7 +39,7 @@ impl RoadBelief {
         Ok(())
     }
 
-    /// The friction below which that at `s` lies with the probability `share`, without regard to the commitment.
+    /// The friction below which that at `s` lies with the probability `share`, without regard to patches.
     ///
     /// # Errors
     /// [`BeliefError`] unless `s` is finite and `share` in (0, 1).

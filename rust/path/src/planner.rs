@@ -115,10 +115,11 @@ impl SpeedPlanner {
             knots,
             profile,
         } = self;
+        let on_lap = first.rem_euclid(curvature.len() as f64) as usize;
         for (i, (knot, mu)) in knots.iter_mut().zip(friction).enumerate() {
             let index = first + i as f64;
             let curvature = if *closed {
-                curvature[index.rem_euclid(curvature.len() as f64) as usize]
+                curvature[(on_lap + i) % curvature.len()]
             } else if index < 0.0 {
                 0.0
             } else {
@@ -201,14 +202,14 @@ impl Beyond<'_> {
         // No place of a closed path is more than a lap ahead, and none of an open one beyond its end.
         let longest = if self.closed { knots } else { end.max(0.0) };
         let ahead = (fastest / gained).ceil().min(longest) as usize;
+        let on_lap = last.rem_euclid(knots) as usize;
         let knot = |ahead: usize| {
-            let index = last + ahead as f64;
             let index = if self.closed {
-                index.rem_euclid(knots)
+                (on_lap + ahead) % self.curvature.len()
             } else {
-                index
+                (last + ahead as f64) as usize
             };
-            straight.in_bend(self.curvature.get(index as usize).copied().unwrap_or(0.0))
+            straight.in_bend(self.curvature.get(index).copied().unwrap_or(0.0))
         };
         let mut next = knot(ahead);
         let mut square = next.cornering(self.limits);

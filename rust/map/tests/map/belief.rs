@@ -54,13 +54,33 @@ fn what_is_known_fades_with_the_distance() {
     let lower = [90.0, 130.0, 200.0, 300.0].map(|s| belief.quantile(s, 0.1).unwrap());
     assert!(lower.windows(2).all(|pair| pair[0] > pair[1]), "{lower:?}");
     let mut friction = [0.0; 2];
-    let mut planned = |risk| {
-        belief.ahead(101.0, 1.0, risk, &mut friction).unwrap();
+    let mut planned = |s: f64, risk| {
+        belief.ahead(s, 1.0, risk, &mut friction).unwrap();
         friction[0]
     };
-    // A change within the last 40 m is likelier than 5 %, and then all frictions are possible.
-    assert!(planned(0.05) < 0.5 && planned(0.05) > 0.3);
-    assert!(planned(0.3) > 0.8);
+    // A patch is likelier than 5 %, and where nothing was measured within 8 m it may have any friction.
+    assert!((0.3..0.5).contains(&planned(113.0, 0.05)));
+    assert!(planned(90.0, 0.05) > 0.7);
+    assert!(planned(113.0, 0.3) > 0.8);
+}
+
+#[test]
+fn a_stretch_between_two_that_are_known_may_be_a_patch() {
+    let mut belief = belief();
+    drive(&mut belief, 0.0, 100.0, |_| Some(evidence(0.9)));
+    belief.leave();
+    drive(&mut belief, 140.0, 240.0, |_| Some(evidence(0.9)));
+    let mut friction = [0.0; 91];
+    belief.ahead(80.0, 1.0, 0.05, &mut friction).unwrap();
+    let places = |from: usize, to: usize| &friction[from - 80..to - 80];
+    assert!(places(80, 85).iter().all(|mu| *mu > 0.75), "{friction:?}");
+    assert!(
+        places(115, 125).iter().all(|mu| (0.3..0.5).contains(mu)),
+        "{friction:?}"
+    );
+    assert!(places(160, 170).iter().all(|mu| *mu > 0.75), "{friction:?}");
+    // The road on both sides is nevertheless the likeliest indication.
+    assert!(belief.quantile(120.0, 0.5).unwrap() > 0.8);
 }
 
 #[test]
