@@ -46,9 +46,9 @@ def driven(
 def test_on_less_friction_than_all_members_a_vehicle_that_is_too_fast_still_turns(
     library: Path,
 ) -> None:
-    # In a bend the friction falls from 0.92 to 0.27; the members have 0.5 and 1.1. With the bounds
-    # of the members alone the front wheels lock, and the vehicle leaves the road.
-    assert driven(library, 3, "5%", control={}).ending.completed
+    # The road has a friction of 0.27 to 0.47; the members have 0.5 and 1.1. With the bounds of the
+    # members alone, which allow more force than there is, the vehicle leaves the road.
+    assert driven(library, 32, "20%", control={}).ending.completed
 
 
 def test_an_envelope_of_the_lateral_speed_prevents_a_spin(library: Path) -> None:

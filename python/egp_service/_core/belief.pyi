@@ -79,8 +79,8 @@ class RoadBelief:
     def ahead(self, places: ArrayLike, risk: float) -> NDArray[np.float64]:
         """Return the friction to plan for (n,) at equidistant arc lengths `places` (n,), m.
 
-        It is the friction below which that of each place lies with the probability `risk`, if each
-        place may also be on a patch.
+        It is the friction below which that of each place lies with the probability `risk`, where
+        each place may be on a patch.
 
         Raises:
             InvalidArgumentError: unless the distances are equal.

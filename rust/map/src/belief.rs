@@ -308,13 +308,22 @@ impl RoadBelief {
     /// The number of cells within `reach` m on either side of a cell, and the largest number of cells whose messages may be
     /// computed at once from evidence up to `reach` m beyond them: on a lap no evidence may count twice.
     pub(crate) fn reach(&self, reach: f64) -> (i64, i64) {
-        let count = self.evidence.len() as i64;
-        let reach = (reach / self.cell).ceil().min(count as f64) as i64;
+        let reach = self.within((reach / self.cell).ceil());
         if !self.closed {
             return (reach, i64::MAX);
         }
-        let reach = reach.min((count - 1) / 2);
-        (reach, count - 2 * reach)
+        (reach, self.evidence.len() as i64 - 2 * reach)
+    }
+
+    /// A number of cells on either side of a cell, or fewer, so that no evidence counts twice on a lap.
+    pub(crate) fn within(&self, cells: f64) -> i64 {
+        let count = self.evidence.len() as i64;
+        let cells = cells.min(count as f64) as i64;
+        if self.closed {
+            cells.min((count - 1) / 2)
+        } else {
+            cells
+        }
     }
 
     /// Computes the messages of the cells `first..=last` from a layer's evidence up to `reach` cells beyond them.

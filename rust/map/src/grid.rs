@@ -88,7 +88,8 @@ pub(crate) fn to_probabilities(row: &mut Row) {
     }
 }
 
-/// Divides by the sum and mixes the probabilities in proportion to `likelihood` times `prior` in with the probability `share`.
+/// Divides by the sum and mixes the probabilities in proportion to `likelihood` times `prior` in with the probability `share`;
+/// the prior, if that product vanishes.
 pub(crate) fn mix(row: &mut Row, likelihood: &Row, prior: &Row, share: f64) {
     let (rows, row_rest) = row.as_chunks_mut::<LANES>();
     let (likelihoods, likelihood_rest) = likelihood.as_chunks::<LANES>();
@@ -102,8 +103,12 @@ pub(crate) fn mix(row: &mut Row, likelihood: &Row, prior: &Row, share: f64) {
         sum[i] += row;
         other[i] += likelihood_rest[i] * prior_rest[i];
     }
-    let one_over = |lanes: [f64; LANES]| lanes.iter().sum::<f64>().max(f64::MIN_POSITIVE).recip();
-    let (scale, by) = ((1.0 - share) * one_over(sum), share * one_over(other));
+    let [sum, other] = [sum, other].map(|lanes| lanes.iter().sum::<f64>());
+    if other < f64::MIN_POSITIVE {
+        return mix(row, &[1.0; _], prior, share);
+    }
+    let scale = (1.0 - share) * sum.max(f64::MIN_POSITIVE).recip();
+    let by = share * other.recip();
     for ((row, likelihood), prior) in rows.iter_mut().zip(likelihoods).zip(priors) {
         *row = std::array::from_fn(|i| scale * row[i] + by * likelihood[i] * prior[i]);
     }
@@ -187,6 +192,28 @@ mod tests {
                 grid.median_and_std(&nothing).map(f64::to_bits),
                 grid.median_and_std(&prior).map(f64::to_bits)
             );
+        }
+    }
+
+    #[test]
+    fn mixtures_are_of_probabilities() {
+        let prior = Grid::new().prior;
+        let normalised = |mut row: Row| {
+            to_probabilities(&mut row);
+            row
+        };
+        for likelihood in [row(2), [0.0; _]] {
+            let mut found = row(1).map(|value| 1e-3 * value);
+            mix(&mut found, &likelihood, &prior, 0.3);
+            let mut other = prior;
+            if likelihood != [0.0; _] {
+                multiply(&mut other, &likelihood);
+            }
+            let (own, other) = (normalised(row(1)), normalised(other));
+            for i in 0..LEVELS {
+                let expected = 0.7 * own[i] + 0.3 * other[i];
+                assert!((found[i] / expected - 1.0).abs() < 1e-12);
+            }
         }
     }
 

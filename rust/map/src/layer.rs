@@ -74,9 +74,7 @@ impl RoadBelief {
         self.smooth(layer, first, last, reach);
         let cells = (last - first + 1) as usize;
         let side = if patch > 0.0 {
-            // On a lap no evidence counts twice.
-            let most = (self.likelihood.len() as i64 - 1) / 2;
-            ((PATCH / self.cell).round() as i64).min(most)
+            self.within((PATCH / self.cell).round())
         } else {
             0
         };

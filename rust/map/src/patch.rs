@@ -2,7 +2,8 @@
 
 use crate::grid::{Row, multiply};
 
-/// Distance in m on either side of a place that a patch reaches at least: evidence within it tells the patch's friction.
+/// Distance in m that a patch is assumed to extend at least on both sides of a place on it: evidence within it tells the
+/// patch's friction.
 pub(crate) const PATCH: f64 = 8.0;
 
 /// The product of each `window` successive rows, at the index of the last of them. What the first `window - 1` rows of the

@@ -9,7 +9,7 @@ impl RoadBelief {
     /// vehicle passed in the window, then one row for each of `places`, whose arc lengths do not decrease. These are the
     /// rows of the `road_friction` of a control step, and `out` has one more of them than there are places.
     ///
-    /// In contrast to [`Self::ahead`], no change is reckoned with that the evidence does not show.
+    /// In contrast to [`Self::ahead`], patches are not considered.
     ///
     /// # Errors
     /// [`BeliefError`] unless the places are arc lengths that do not decrease and cover at most 10 km, and `out` has the

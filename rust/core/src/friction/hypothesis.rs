@@ -86,7 +86,8 @@ fn exponent(vehicle: &SingleTrack, mu: f64, members: &[Member]) -> f64 {
         }
         _ => None,
     });
-    let farthest = others.max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
+    // Of several members with this friction it is the first one, as in `nearest`.
+    let farthest = others.rev().max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
     match farthest {
         Some((friction, grip)) if friction != 0.0 => (grip / friction).clamp(low, high),
         _ => 1.0,

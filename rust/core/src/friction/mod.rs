@@ -29,8 +29,8 @@ use crate::{GpInput, GpOutput, Library, NY, NZ};
 
 /// Magnitude of the largest logarithm from which the sum of densities may lose digits, become zero or overflow.
 const EXTREME: f64 = 600.0;
-/// Factor on the expected variances. It is below 1 because the members' errors over all their data are larger than those of most
-/// windows. With 0.88 the 90 % interval contains the true value in 89 to 92 % of the informed windows of four sets of roads, with 1
+/// Temperature of the likelihood. It is below 1 because the members' errors over all their data are larger than those of most
+/// windows. With 0.88 the 90 % interval contains the true value in 88 to 92 % of the informed windows of four sets of roads, with 1
 /// in 90 to 93 % (`tests/bench/calibration.py`).
 const TEMPERATURE: f64 = 0.88;
 /// Number of points at which the density is evaluated.
@@ -156,6 +156,7 @@ impl FrictionEstimator {
         for ((z, row), y) in window.rev() {
             let mut z = GpInput::from(*z);
             let f = row.as_chunks().0;
+            self.learned.fill(GpOutput::zeros());
             self.of_members.changes(&z, &mut self.learned);
             for (learned, f) in self.learned.iter_mut().zip(f) {
                 *learned = GpOutput::from(*f) - *learned;

@@ -23,6 +23,25 @@ fn a_vehicle_that_rolls_back_over_the_start_line_adds_nothing() {
 }
 
 #[test]
+fn evidence_about_a_patch_counts_once_on_a_lap_of_its_length() {
+    let planned = |length: f64, closed: bool| {
+        let mut belief = RoadBelief::new(length, closed, &BeliefSettings::default()).unwrap();
+        for period in 0..50 {
+            let found = evidence(0.8).map(|value| value / 60.0);
+            belief
+                .update(0.2 * f64::from(period), Some(&found))
+                .unwrap();
+        }
+        belief.leave();
+        let mut friction = [0.0];
+        belief.ahead(5.0, 1.0, 0.05, &mut friction).unwrap();
+        friction[0]
+    };
+    let (on_road, on_lap) = (planned(10.0, false), planned(10.0, true));
+    assert!((on_lap / on_road - 1.0).abs() < 0.02, "{on_road} {on_lap}");
+}
+
+#[test]
 fn no_evidence_counts_twice_on_a_short_lap() {
     // The same weak evidence about 18 m; what lies ahead of them is unknown.
     let planned = |length: f64, closed: bool, friction: &mut [f64]| {
