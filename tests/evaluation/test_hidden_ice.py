@@ -60,11 +60,26 @@ def with_library(trial: Trial, path: Path) -> Trial:
     )
 
 
-def test_a_patch_in_a_bend_is_found_on_the_first_lap(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "risk",
+    [
+        "3%",
+        pytest.param(
+            "5%",
+            marks=pytest.mark.xfail(
+                reason="plans at 5 % assume 0.40 at most, and 3 of 20 vehicles are lost on 0.25",
+                strict=True,
+            ),
+        ),
+    ],
+)
+def test_a_patch_in_a_bend_is_found_on_the_first_lap(tmp_path: Path, risk: str) -> None:
     path = tmp_path / "two.safetensors"
     write_library_subset(EVALUATION_LIBRARY, path, [0, 3])
     trial = next(
-        t for t in TRIALS if t.condition == "20 m in a bend" and t.contender.name == f"{BELIEF}3%"
+        t
+        for t in TRIALS
+        if t.condition == "20 m in a bend" and t.contender.name == f"{BELIEF}{risk}"
     )
     outcome = run(with_library(trial, path))
     assert outcome.completed, outcome.reason

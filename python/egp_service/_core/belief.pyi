@@ -14,8 +14,8 @@ class RoadBelief:
     """Belief about the friction along a path, from what control steps found in cells of 2 m.
 
     From cell to cell the friction stays or, on average every `change_distance` m (default 200), is
-    drawn anew from a uniform distribution over 0.1 to 1.3. The vehicle cannot react to what it
-    finds within the last `commitment` m (45): with the probability of a change within this distance
+    drawn anew from a uniform distribution over 0.1 to 1.3. The vehicle cannot react to what
+    lies less than `commitment` m (45) ahead: with the probability of a change within this distance
     plans take each place for part of a patch, of which only what was measured within 8 m is known.
     `capacity` is the largest logarithm of a likelihood ratio that a cell keeps (6 nats), `window`
     the number of transitions from which a step estimates the friction (25), and `indifference` the

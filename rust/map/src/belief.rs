@@ -37,7 +37,7 @@ const WINDOW: f64 = 1000.0;
 pub struct BeliefSettings {
     /// Mean distance in m between changes of the surface.
     pub change_distance: f64,
-    /// Distance in m over which the vehicle cannot react to what it finds: with the probability that the surface changes
+    /// The vehicle cannot react to what lies less than this distance ahead, m: with the probability that the surface changes
     /// within it, plans take each place for part of a patch, of which only what was measured within 8 m is known.
     pub commitment: f64,
     /// Largest logarithm of a likelihood ratio that a cell keeps, in nats.

@@ -6,8 +6,8 @@ use crate::grid::{Row, multiply};
 /// patch's friction.
 pub(crate) const PATCH: f64 = 8.0;
 
-/// The product of each `window` successive rows, at the index of the last of them. What the first `window - 1` rows of the
-/// result are is not stated.
+/// The product of each `window` successive rows, at the index of the last of them. The first `window - 1` rows of the
+/// result have no meaning.
 ///
 /// The rows are divided into blocks of `window`. Each product is that of the rows to the end of one block and of those from
 /// the start of the next one, so that it takes three multiplications whatever the window (van Herk, *A fast algorithm for

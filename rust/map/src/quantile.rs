@@ -6,7 +6,8 @@ use crate::belief_error::{BeliefError, place, positive, probability, stretch};
 
 impl RoadBelief {
     /// Writes the friction to plan for at places `step` m apart from `start` on: the coefficient below which the
-    /// friction lies with the probability `risk`, where each place may be on a patch (see [`BeliefSettings::commitment`](crate::BeliefSettings::commitment)).
+    /// friction lies with the probability `risk`, where each place may be on a patch
+    /// ([`crate::BeliefSettings::commitment`]).
     ///
     /// # Errors
     /// [`BeliefError`] unless `start` is an arc length, the places cover at most 10 km, and `risk` is in (0, 1).

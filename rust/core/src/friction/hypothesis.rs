@@ -4,7 +4,7 @@ use crate::vehicle::{SingleTrack, VehicleModel};
 use crate::{GpOutput, Member, NY};
 
 /// Least and largest power of the friction in the forces of tyres beyond the members' range. Members with similar
-/// frictions tell it badly.
+/// frictions determine the power so badly that it needs bounds.
 const EXPONENTS: (f64, f64) = (0.8, 1.25);
 
 /// A model for one friction coefficient `mu`:

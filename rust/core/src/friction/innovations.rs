@@ -29,8 +29,11 @@ pub(super) type Square = SMatrix<f64, NY, NY>;
 /// that damps noise faster would be the likelier one wherever sensors are better than stated.
 #[derive(Debug, Clone)]
 pub(super) struct Innovations {
+    /// `Q`.
     model: Square,
+    /// `R`.
     state: Square,
+    /// `P`.
     covariance: Square,
 }
 
@@ -61,7 +64,7 @@ impl Innovations {
     }
 
     /// The gain of the next transition with the models' mean Jacobian; `None` if the covariance is not positive definite,
-    /// which happens with numbers that are not finite, or so different that rounding decides.
+    /// which happens with numbers that are not finite, or whose magnitudes differ by more than the precision of `f64`.
     pub fn next(&mut self, jacobian: &Square) -> Option<Gain> {
         let transition = Square::identity() + jacobian;
         let prior = transition * self.covariance * transition.transpose() + self.model;
