@@ -1,11 +1,9 @@
 //! The course of a simulated vehicle.
 
-use std::cell::Cell;
 use std::str::FromStr;
 
 use egp_path::tracks::{LShape, RoundedRectangle};
 use egp_path::{Path, PathError, SpeedLimits, SpeedProfile, Zone};
-use egp_plant::{Friction, Surface};
 use thiserror::Error;
 
 use crate::vehicle::CAR;
@@ -72,28 +70,5 @@ impl Course {
             },
         )?;
         Ok(Self { path, profile })
-    }
-
-    /// The road's friction around the arc length `s`.
-    pub(crate) fn road(&self, s: f64) -> Road<'_> {
-        Road {
-            path: &self.path,
-            hint: Cell::new(s),
-        }
-    }
-}
-
-/// Surface at a position, by its projection onto the path.
-pub(crate) struct Road<'a> {
-    path: &'a Path,
-    /// The last wheel's arc length, near which the search for the next one starts.
-    hint: Cell<f64>,
-}
-
-impl Friction for Road<'_> {
-    fn surface(&self, position: [f64; 2]) -> Surface {
-        let (surface, s) = self.path.surface_at(position, Some(self.hint.get()));
-        self.hint.set(s);
-        surface
     }
 }

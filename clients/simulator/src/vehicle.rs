@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use egp_path::{PathError, Projection, horizon_reference};
+use egp_path::{HorizonRows, PathError, Projection, ReferenceStart, horizon_reference};
 use egp_plant::{Plant, PlantError, VehicleId, VehicleState};
 use egp_vehicle::{ClientError, Step, VehicleClient, VehicleConfig};
 use thiserror::Error;
@@ -47,8 +47,7 @@ pub struct SimulatedVehicle {
     course: Arc<Course>,
     s: f64,
     travelled: f64,
-    reference: Vec<[f64; 4]>,
-    widths: Vec<[f64; 2]>,
+    rows: HorizonRows,
 }
 
 impl SimulatedVehicle {
@@ -62,15 +61,13 @@ impl SimulatedVehicle {
         s: f64,
     ) -> Result<Self, SimulationError> {
         let client = VehicleClient::connect(config)?;
-        let stages = client.horizon() + 1;
         let mut vehicle = Self {
+            rows: HorizonRows::new(client.horizon()),
             client,
             plant: Plant::new(CAR.parameters()),
             course,
             s,
             travelled: 0.0,
-            reference: vec![[0.0; 4]; stages],
-            widths: vec![[0.0; 2]; stages],
         };
         vehicle.place(s)?;
         Ok(vehicle)
@@ -117,27 +114,25 @@ impl SimulatedVehicle {
     pub fn period(&mut self, start: Instant) -> Result<Period, SimulationError> {
         let dt = self.client.dt();
         let state = self.plant.vehicle_state();
-        let projection = horizon_reference(
-            &self.course.path,
-            &self.course.profile,
-            [state.p_x, state.p_y],
-            state.psi,
-            dt,
-            Some(self.s),
-            &mut self.reference,
-            &mut self.widths,
-        )?;
+        let from = ReferenceStart {
+            position: [state.p_x, state.p_y],
+            psi: state.psi,
+            catch_up_from: None,
+            hint: Some(self.s),
+        };
+        let Course { path, profile } = &*self.course;
+        let projection = horizon_reference(path, profile, &from, dt, &mut self.rows)?;
         self.advance(projection.s);
         let widths = if self.course.path.has_widths() {
-            self.widths.as_slice()
+            self.rows.widths()
         } else {
             &[]
         };
-        let step = self
-            .client
-            .step_since(start, state.to_array(), &self.reference, widths)?;
-        self.plant
-            .step(step.command.u, dt, &self.course.road(projection.s))?;
+        let step =
+            self.client
+                .step_since(start, state.to_array(), self.rows.reference(), widths)?;
+        let surfaces = self.course.path.surfaces_near(Some(projection.s));
+        self.plant.step(step.command.u, dt, &surfaces)?;
         let v_reference = self.course.profile.speed(projection.s);
         Ok(Period {
             step,

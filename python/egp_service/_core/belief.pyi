@@ -71,7 +71,7 @@ class RoadBelief:
         of likelihoods count.
 
         Raises:
-            EgpError: unless `s` is finite and the logarithms are finite and at most 0.
+            EgpError: unless `s` is finite and the logarithms are from -1e6 to 0.
 
         """
     def leave(self) -> None:

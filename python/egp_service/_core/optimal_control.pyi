@@ -123,7 +123,7 @@ def solve_ocp(
     True
 
     Raises:
-        EgpError: for a wrong shape, numbers that are not finite, or bounds that cross.
+        InvalidArgumentError: for a wrong shape, numbers that are not finite, or bounds that cross.
 
     """
 
@@ -157,8 +157,8 @@ def solve_weights(
     [0.5, 0.5]
 
     Raises:
-        EgpError: for shapes that differ, for numbers outside their domain and unless `strength` is
-            from 0 to 1e300.
+        InvalidArgumentError: for shapes that differ, for numbers outside their domain and unless
+            `strength` is from 0 to 1e300.
 
     """
 
@@ -198,6 +198,6 @@ def predict_residual(
     [0.0196, 0.015, 0.0]
 
     Raises:
-        EgpError: for other shapes and for numbers outside their domain.
+        InvalidArgumentError: for other shapes and for numbers outside their domain.
 
     """

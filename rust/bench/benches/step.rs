@@ -10,7 +10,7 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use egp_core::linearisation::Linearisation;
+use egp_core::linearisation::{Domain, Linearisation};
 use egp_core::ocp::{self, Road, Setup, soft_rows};
 use egp_core::settings::SolverKind;
 use egp_core::solver::{ClarabelSolver, RiccatiSolver, solve_checked};
@@ -171,7 +171,7 @@ fn phases(c: &mut Criterion, library: &Library) {
             &x0,
             &guess,
             &settings.operating,
-            [60.0, 0.91],
+            &Domain::new(&settings.operating, 60.0, 0.91),
         )
     };
     linearise();

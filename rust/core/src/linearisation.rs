@@ -32,7 +32,7 @@ const FAR: f64 = 0.5;
 
 /// Box to which operating states are clamped.
 #[derive(Debug, Clone, Copy)]
-struct Domain {
+pub struct Domain {
     v_x: (f64, f64),
     v_y: f64,
     omega: f64,
@@ -40,6 +40,16 @@ struct Domain {
 }
 
 impl Domain {
+    /// The box of the settings, with the largest speed `v_x_max` in m/s and the largest steering angle in rad.
+    pub fn new(settings: &OperatingSettings, v_x_max: f64, steering_angle: f64) -> Self {
+        Self {
+            v_x: (settings.v_x_min, v_x_max.max(settings.v_x_min)),
+            v_y: settings.v_y,
+            omega: settings.omega,
+            delta: steering_angle,
+        }
+    }
+
     /// Whether lateral speed and yaw rate of a shifted state are near those that the ensemble predicts from the stage before.
     fn is_near(&self, planned: &State, predicted: &State) -> bool {
         let within = |i: usize, most: f64| (planned[i] - predicted[i]).abs() <= FAR * most;
@@ -54,6 +64,13 @@ impl Domain {
         x[DELTA] = x[DELTA].clamp(-self.delta, self.delta);
         x
     }
+}
+
+/// How a state is carried to the next stage: period in s, and the part of the period at whose yaw the vehicle moves.
+#[derive(Debug, Clone, Copy)]
+struct Discretisation {
+    dt: f64,
+    yaw_at: f64,
 }
 
 impl Linearisation {
@@ -79,8 +96,8 @@ impl Linearisation {
     /// linearisation grow along an unstable vehicle; about the plan that they lead to, the next errors would be larger.
     ///
     /// Value and Jacobian of the active members are evaluated once for each stage, and twice if a guessed state is far.
-    /// Operating states are clamped to the box of the settings, in which the members have training data, and to `|delta|` and
-    /// `v_x_max`. The affine term is that of the clamped state, so the result is still a tangent of the ensemble.
+    /// Operating states are clamped to `domain`, in which the members have training data. The affine term is that of the clamped
+    /// state, so the result is still a tangent of the ensemble.
     pub fn along<'a>(
         &mut self,
         models: impl Fn(usize) -> (Ensemble<'a>, GpOutput),
@@ -88,22 +105,19 @@ impl Linearisation {
         x0: &State,
         guess: &Guess,
         settings: &OperatingSettings,
-        [v_x_max, delta]: [f64; 2],
+        domain: &Domain,
     ) {
-        let domain = Domain {
-            v_x: (settings.v_x_min, v_x_max.max(settings.v_x_min)),
-            v_y: settings.v_y,
-            omega: settings.omega,
-            delta,
-        };
         self.x[0] = domain.clamp(*x0);
         let planned: &[State] = match settings.kind {
             Operating::Shift => &guess.x,
             Operating::Rollout => &[],
         };
-        let yaw_at = settings.yaw_at;
-        if !self.about(&models, [dt, yaw_at], planned, &guess.u, &domain) {
-            self.about(&models, [dt, yaw_at], &[], &guess.u, &domain);
+        let step = Discretisation {
+            dt,
+            yaw_at: settings.yaw_at,
+        };
+        if !self.about(&models, step, planned, &guess.u, domain) {
+            self.about(&models, step, &[], &guess.u, domain);
         }
     }
 
@@ -112,13 +126,13 @@ impl Linearisation {
     fn about<'a>(
         &mut self,
         models: impl Fn(usize) -> (Ensemble<'a>, GpOutput),
-        [dt, yaw_at]: [f64; 2],
+        step: Discretisation,
         planned: &[State],
         u: &[Input],
         domain: &Domain,
     ) -> bool {
         for (t, (stage, u)) in self.stages.iter_mut().zip(u).enumerate() {
-            let (dynamics, next) = tangent(&models(t), dt, yaw_at, (&self.x[t], u));
+            let (dynamics, next) = tangent(&models(t), step, (&self.x[t], u));
             *stage = dynamics;
             let shifted = planned.get(t + 1);
             if shifted.is_some_and(|shifted| !domain.is_near(shifted, &next)) {
@@ -133,8 +147,7 @@ impl Linearisation {
 /// The dynamics at one point, eq. (15), and its successor.
 fn tangent(
     (ensemble, offset): &(Ensemble, GpOutput),
-    dt: f64,
-    yaw_at: f64,
+    Discretisation { dt, yaw_at }: Discretisation,
     (x, u): (&State, &Input),
 ) -> (AffineDynamics, State) {
     let mut gp = GpJacobian::zeros();

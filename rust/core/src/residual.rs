@@ -55,14 +55,14 @@ impl ResidualFilter {
     /// The filter at a period of `dt` s for windows of at most `window` transitions; none if all standard deviations of
     /// the disturbance and of the measured states' noise are zero.
     pub fn new(settings: &ResidualSettings, dt: f64, window: usize) -> Option<Self> {
-        let square = |std: [f64; NY]| GpOutput::from(std).map(|std| std * std);
+        let variance = |std: [f64; NY]| GpOutput::from(std).map(|std| std * std);
         let (b, v, n) = (
-            square(settings.std),
-            square(settings.noise),
-            square(settings.measurement),
+            variance(settings.std),
+            variance(settings.noise),
+            variance(settings.measurement),
         );
         let decay = GpOutput::from(settings.time).map(|time| (-dt / time).exp());
-        // Covariance of disturbance and newest noise.
+        // Variances and covariance of the disturbance `b` and the newest noise `n`.
         let mut bb = b;
         let (mut bn, mut nn) = (GpOutput::zeros(), n);
         let mut steps = Vec::with_capacity(window + 1);
@@ -77,8 +77,8 @@ impl ResidualFilter {
             steps.push(gains);
             let reduction =
                 |a: &GpOutput, b: &GpOutput| a.component_mul(b).component_mul(&innovation);
-            let square = decay.component_mul(&decay);
-            bb = b + square.component_mul(&(bb - b))
+            let decay_squared = decay.component_mul(&decay);
+            bb = b + decay_squared.component_mul(&(bb - b))
                 - reduction(&gains.disturbance, &gains.disturbance);
             bn = -reduction(&gains.disturbance, &gains.noise);
             nn = n - reduction(&gains.noise, &gains.noise);

@@ -1,4 +1,4 @@
-//! What one control period brought.
+//! The result of one control period.
 
 use std::time::Duration;
 

@@ -5,7 +5,8 @@ use egp_core::Settings;
 use egp_driver::{DriverConfig, InProcessDriver, Measurement};
 use egp_engine::Engine;
 use egp_gate::Limits;
-use egp_path::{SpeedLimits, SpeedProfile, horizon_reference, tracks::RoundedRectangle};
+use egp_path::tracks::RoundedRectangle;
+use egp_path::{HorizonRows, ReferenceStart, SpeedLimits, SpeedProfile, horizon_reference};
 use egp_plant::{Plant, Uniform, VehicleId, VehicleState};
 use egp_wire::Timing;
 
@@ -29,26 +30,22 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ..VehicleState::default()
     })?;
 
-    let stages = engine.describe().horizon as usize + 1;
-    let (mut reference, mut widths) = (vec![[0.0; 4]; stages], vec![[0.0; 2]; stages]);
+    let mut rows = HorizonRows::new(engine.describe().horizon as usize);
     let (mut s, mut worst) = (0.0, 0.0_f64);
     while s < path.length() - 1.0 {
         let x = car.vehicle_state();
-        let projection = horizon_reference(
-            &path,
-            &profile,
-            [x.p_x, x.p_y],
-            x.psi,
-            dt,
-            Some(s),
-            &mut reference,
-            &mut widths,
-        )?;
+        let start = ReferenceStart {
+            position: [x.p_x, x.p_y],
+            psi: x.psi,
+            catch_up_from: None,
+            hint: Some(s),
+        };
+        let projection = horizon_reference(&path, &profile, &start, dt, &mut rows)?;
         (s, worst) = (projection.s.max(s), worst.max(projection.lateral.abs()));
         let measurement = Measurement {
             x: x.to_array(),
-            reference: reference.clone(),
-            widths: widths.clone(),
+            reference: rows.reference().to_vec(),
+            widths: rows.widths().to_vec(),
             ..Measurement::default()
         };
         let step = driver.step(measurement, driver.driver().budget(), |request| {

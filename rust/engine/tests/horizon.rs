@@ -7,7 +7,8 @@ use egp_core::Settings;
 use egp_driver::{DriverConfig, InProcessDriver, Measurement};
 use egp_engine::Engine;
 use egp_gate::{Limits, Mode};
-use egp_path::{SpeedLimits, SpeedProfile, horizon_reference, tracks::RoundedRectangle};
+use egp_path::tracks::RoundedRectangle;
+use egp_path::{HorizonRows, ReferenceStart, SpeedLimits, SpeedProfile, horizon_reference};
 use egp_plant::{Plant, Uniform, VehicleId, VehicleState};
 use egp_wire::Timing;
 
@@ -56,20 +57,22 @@ fn drive(horizon: usize, s: f64, v_x: f64) -> Drive {
         ..VehicleState::default()
     })
     .unwrap();
-    let (mut reference, mut widths) = (vec![[0.0; 4]; horizon + 1], vec![[0.0; 2]; horizon + 1]);
+    let mut rows = HorizonRows::new(horizon);
     let mut outcome = Drive::default();
     for _ in 0..PERIODS {
         let x = car.vehicle_state();
-        let (rows, edges) = (&mut reference, &mut widths);
-        let place = [x.p_x, x.p_y];
-        let here = horizon_reference(&path, &profile, place, x.psi, dt, None, rows, edges).unwrap();
+        let start = ReferenceStart {
+            position: [x.p_x, x.p_y],
+            psi: x.psi,
+            catch_up_from: Some(x.v_x),
+            hint: None,
+        };
+        let here = horizon_reference(&path, &profile, &start, dt, &mut rows).unwrap();
         outcome.lateral = outcome.lateral.max(here.lateral.abs());
-        let (rows, edges) = (&mut reference, &mut widths);
-        egp_path::catch_up(&path, &profile, here.s, x.v_x, dt, rows, edges);
         let measurement = Measurement {
             x: x.to_array(),
-            reference: reference.clone(),
-            widths: widths.clone(),
+            reference: rows.reference().to_vec(),
+            widths: rows.widths().to_vec(),
             ..Measurement::default()
         };
         let budget = driver.driver().budget();

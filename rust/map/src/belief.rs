@@ -5,8 +5,8 @@ use std::mem::take;
 
 use egp_parameters::FRICTION_HYPOTHESES;
 
-use crate::belief_error::{BeliefError, at_most, place, positive};
-use crate::grid::{Grid, Row, pass_backward, pass_forward, told_apart};
+use crate::belief_error::{BeliefError, at_most, log_likelihood_of_step, place, positive};
+use crate::grid::{Grid, Row, interpolate_with_dead_zone, pass_backward, pass_forward};
 use crate::layer::Layer;
 use crate::recent::Recent;
 use crate::reported::Reported;
@@ -14,7 +14,7 @@ use crate::tile::TILE_CELLS;
 
 /// Length of a cell in m, at most.
 const CELL: f64 = 2.0;
-/// Stretch in m behind the first and ahead of the last planned place whose evidence counts; it limits the time of a plan.
+/// Stretch in m behind the first and ahead of the last planned place whose evidence counts. It limits the computing time.
 pub(crate) const REACH: f64 = 60.0;
 
 /// Distance in m by which a border of surfaces may be found too late or too early, since a window covers several
@@ -25,7 +25,7 @@ pub(crate) const BLUR: f64 = 4.0;
 const LONGEST: f64 = 1e6;
 /// Least length of a road, m.
 const SHORTEST: f64 = 1.0;
-/// What is expected of a length.
+/// The accepted lengths, for errors.
 const LENGTH: &str = "a length from 1 to 1e6 m";
 /// Distance, m, that no vehicle drives in a control period.
 const JUMP: f64 = 100.0;
@@ -37,8 +37,8 @@ const WINDOW: f64 = 1000.0;
 pub struct BeliefSettings {
     /// Mean distance in m between changes of the surface.
     pub change_distance: f64,
-    /// The vehicle cannot react to what lies less than this distance ahead, m: with the probability that the surface changes
-    /// within it, plans take each place for part of a patch, of which only what was measured within 8 m is known.
+    /// Distance in m within which the vehicle cannot react to what lies ahead. With the probability that the surface changes
+    /// within this distance, plans assume that a place is on a patch, about which only evidence measured within 8 m counts.
     pub commitment: f64,
     /// Largest logarithm of a likelihood ratio that a cell keeps, in nats.
     pub capacity: f64,
@@ -78,15 +78,15 @@ pub struct RoadBelief {
     pub(crate) track: VecDeque<f64>,
     /// Logarithm of the likelihood in each cell, at most 0.
     evidence: Vec<Row>,
-    /// The part of it that was measured since the belief was made; `None` as long as this is all of it.
+    /// Evidence measured since the belief was made. `None` while nothing was recalled; `evidence` is then the same.
     measured: Option<Vec<Row>>,
-    /// Its exponential.
+    /// Exponential of `evidence`.
     pub(crate) likelihood: Vec<Row>,
-    /// What the newest window found, where most of it is not stored yet.
+    /// The evidence of the newest window, most of which is not stored yet.
     pub(crate) recent: Option<Recent>,
     /// What other vehicles reported.
     pub(crate) reported: Option<Reported>,
-    /// Tiles whose evidence changed since they were last given away.
+    /// Tiles whose evidence changed since the last call of [`Self::take_changed`].
     pub(crate) changed: BTreeSet<usize>,
     /// Messages of the forward recursion: probabilities before the cell's own evidence.
     pub(crate) forward: Vec<Row>,
@@ -189,7 +189,8 @@ impl RoadBelief {
     /// windows, and would add up. Only ratios count: what is added to all logarithms changes nothing.
     ///
     /// # Errors
-    /// [`BeliefError`] unless `s` is finite and the likelihoods' logarithms are finite and at most 0.
+    /// [`BeliefError`] unless `s` is an arc length within ±1e9 m and the likelihoods' logarithms are from
+    /// [`egp_parameters::LEAST_LOG_LIKELIHOOD`] to 0, as those of a control step are.
     pub fn update(
         &mut self,
         s: f64,
@@ -197,13 +198,7 @@ impl RoadBelief {
     ) -> Result<(), BeliefError> {
         place("s", s)?;
         for value in log_likelihood.into_iter().flatten() {
-            if !(f64::MIN..=0.0).contains(value) {
-                return Err(BeliefError {
-                    name: "log_likelihood",
-                    expected: "finite numbers of at most 0",
-                    value: *value,
-                });
-            }
+            log_likelihood_of_step("log_likelihood", *value)?;
         }
         if self.jumped(s) {
             self.leave();
@@ -217,7 +212,8 @@ impl RoadBelief {
             let log_likelihood = &log_likelihood.map(|value| value - most);
             let (from, to) = (self.track[window / 3], self.track[2 * window / 3]);
             self.compare_with_reports(log_likelihood);
-            let log_likelihood = told_apart(log_likelihood, self.settings.indifference);
+            let log_likelihood =
+                interpolate_with_dead_zone(log_likelihood, self.settings.indifference);
             self.add(from, to, &log_likelihood);
             let lap = self.closed.then_some(self.evidence.len() as i64);
             self.recent = self.between(from, s).map(|(from, to)| {

@@ -1,11 +1,13 @@
-//! What a number must be for a belief to use it.
+//! The error about an argument of a belief that is out of range, and the checks that return it.
+
+use egp_parameters::LEAST_LOG_LIKELIHOOD;
 
 /// Largest arc length, m.
 const FARTHEST: f64 = 1e9;
 /// Longest stretch to plan for, m.
 const AHEAD: f64 = 1e4;
 
-/// A number that a belief cannot use.
+/// An argument of a belief that is out of range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("expected {expected} for {name}, got {value}")]
 pub struct BeliefError {
@@ -62,6 +64,13 @@ pub(crate) fn at_most(
 pub(crate) fn positive(name: &'static str, value: f64) -> Result<(), BeliefError> {
     check(name, value, "a positive number", |v| {
         v > 0.0 && v.is_finite()
+    })
+}
+
+/// Errors unless `value` is a logarithm of a likelihood as control steps state them. Smaller ones could overflow.
+pub(crate) fn log_likelihood_of_step(name: &'static str, value: f64) -> Result<(), BeliefError> {
+    check(name, value, "numbers from -1e6 to 0", |v| {
+        (LEAST_LOG_LIKELIHOOD..=0.0).contains(&v)
     })
 }
 

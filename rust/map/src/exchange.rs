@@ -11,7 +11,7 @@ use crate::layer::Layer;
 use crate::reported::Reported;
 use crate::tile::{TILE_CELLS, Tile};
 
-/// A tile beyond the end of a road.
+/// The error about the index of a tile beyond the end of a road.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("expected a tile in 0..{tiles} of this road, got {index}")]
 pub struct TileIndexError {

@@ -15,7 +15,7 @@ const SAME: f64 = 1e-3;
 /// Largest distance in m between the points of a road and those of a file: more than rounding, less than a lane.
 const SAME_PLACE: f64 = 0.5;
 
-/// Bytes that are no belief about a road, or one about another.
+/// Why bytes cannot be recalled as a belief about a road.
 #[derive(Debug, thiserror::Error)]
 pub enum StoredBeliefError {
     /// No safetensors container, or one that is damaged.
@@ -90,7 +90,8 @@ impl RoadBelief {
         self.recall_aged(bytes, 0.0)
     }
 
-    /// The same for evidence that is `age` s old and lost information with [`crate::MergeSettings::remaining`].
+    /// Adds evidence like [`Self::recall`], with its logarithms multiplied by what [`MergeSettings::remaining`] gives with the
+    /// default settings for the age `age` in s.
     ///
     /// # Errors
     /// Those of [`Self::recall`].

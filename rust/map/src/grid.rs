@@ -75,12 +75,15 @@ pub(crate) fn interpolate(hypotheses: &[f64; FRICTION_HYPOTHESES]) -> Row {
     std::array::from_fn(|i| interpolate_hypotheses(hypotheses, i as f64 / FINER as f64))
 }
 
-/// As [`interpolate`], with `min(ln L + indifference, 0)` in place of each logarithm `ln L`, of which the largest is 0.
-pub(crate) fn told_apart(hypotheses: &[f64; FRICTION_HYPOTHESES], indifference: f64) -> Row {
+/// Interpolates log likelihoods. Values within `indifference` of the largest, 0, become 0; the others are raised by it.
+pub(crate) fn interpolate_with_dead_zone(
+    hypotheses: &[f64; FRICTION_HYPOTHESES],
+    indifference: f64,
+) -> Row {
     interpolate(hypotheses).map(|value| (value + indifference).min(0.0))
 }
 
-/// Divides by the sum.
+/// Divides a row by its sum.
 pub(crate) fn to_probabilities(row: &mut Row) {
     let scale = one_over_sum(row);
     for value in row {
@@ -88,8 +91,8 @@ pub(crate) fn to_probabilities(row: &mut Row) {
     }
 }
 
-/// Divides by the sum and mixes the probabilities in proportion to `likelihood` times `prior` in with the probability `share`;
-/// the prior, if that product vanishes.
+/// Divides a row by its sum, and mixes in, with the probability `share`, probabilities that are proportional to `likelihood`
+/// times `prior`. If this product is zero everywhere, the prior is mixed in.
 pub(crate) fn mix(row: &mut Row, likelihood: &Row, prior: &Row, share: f64) {
     let (rows, row_rest) = row.as_chunks_mut::<LANES>();
     let (likelihoods, likelihood_rest) = likelihood.as_chunks::<LANES>();

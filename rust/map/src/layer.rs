@@ -37,7 +37,7 @@ impl RoadBelief {
         own
     }
 
-    /// The same from one layer's evidence.
+    /// The rows of [`Self::masses`] from one layer's evidence alone.
     pub(crate) fn masses_of(
         &mut self,
         layer: Layer,
@@ -62,7 +62,8 @@ impl RoadBelief {
         found
     }
 
-    /// The same for cells whose messages may be computed at once, from evidence up to `reach` cells beyond them.
+    /// The rows of [`Self::masses_of`] for cells whose messages may be computed at once, from evidence up to `reach` cells
+    /// beyond them.
     fn masses_at_once(
         &mut self,
         layer: Layer,

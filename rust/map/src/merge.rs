@@ -1,4 +1,4 @@
-//! The tile that several vehicles together found.
+//! Merging of the tiles of several vehicles.
 
 use crate::belief_error::{BeliefError, positive};
 use crate::grid::LEVELS;

@@ -1,9 +1,9 @@
-//! What is known about a patch, whose friction has nothing to do with that of the road around it.
+//! Evidence about a patch, whose friction is independent of that of the road around it.
 
 use crate::grid::{Row, multiply};
 
-/// Distance in m that a patch is assumed to extend at least on both sides of a place on it: evidence within it tells the
-/// patch's friction.
+/// Distance in m that a patch is assumed to extend at least on both sides of a place on it. Evidence within this distance is
+/// evidence about the patch.
 pub(crate) const PATCH: f64 = 8.0;
 
 /// The product of each `window` successive rows, at the index of the last of them. The first `window - 1` rows of the

@@ -1,4 +1,4 @@
-//! Quantiles of the friction: what a speed plan reckons with, and what is known at a place.
+//! Quantiles of the friction: those for a speed plan, and those at one place.
 
 use crate::RoadBelief;
 use crate::belief::{BLUR, REACH};

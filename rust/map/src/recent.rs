@@ -1,11 +1,11 @@
-//! What the newest window found, before it is stored.
+//! The evidence of the newest window before it is stored.
 
 use crate::grid::Row;
 
 /// The likelihood of one window, spread over the cells from `first` on: each of them has an equal share of its logarithm.
 ///
-/// Evidence is stored where the middle third of a window was, and with the weight of one transition. This one is replaced
-/// in each period, so that the belief at the vehicle contains all transitions up to now.
+/// Evidence is stored where the middle third of a window was, and with the weight of one transition. The likelihood here is
+/// replaced in each period, so that the belief at the vehicle contains all transitions up to now.
 #[derive(Debug, Clone)]
 pub(crate) struct Recent {
     /// A stored cell of a lap; on an open road the cell may lie before the start or beyond the end.

@@ -5,15 +5,16 @@ use std::collections::VecDeque;
 use crate::grid::{Grid, Row};
 use crate::tile::{TILE_CELLS, Tile};
 
-/// Logarithm of the odds that reports describe the road before anything was measured, 4 to 1. With larger odds more vehicles
-/// leave the road at the start on a map that is wrong; with smaller ones they start more slowly on one that is right.
-const INITIAL: f64 = 1.386_294_361_119_890_6;
-/// Largest magnitude of the logarithm of the odds that earlier windows leave, 99 to 1, so that one informed window can
-/// contradict the reports; with the newest window the odds for them are at most the same.
-const MOST: f64 = 4.595_119_850_134_59;
+/// Logarithm of the odds that reports describe the road before anything was measured: ln 4, a probability of 0.8. With larger
+/// odds more vehicles leave the road at the start on a map that is wrong; with smaller ones they start more slowly on one that
+/// is right.
+const INITIAL_LOG_ODDS: f64 = 1.386_294_361_119_890_6;
+/// Largest magnitude of the logarithm of the odds that earlier windows leave: ln 99, a probability of 0.99. With it one
+/// informed window can contradict the reports. The odds for them with the newest window have the same upper bound.
+const MOST_LOG_ODDS: f64 = 4.595_119_850_134_59;
 /// Share of windows whose estimate may be far off although the reports describe the road.
 const OUTLIERS: f64 = 0.01;
-/// Share of reports that are lower bounds: a vehicle that drove carefully only found that a road has at least some friction.
+/// Share of reports that are lower bounds: a vehicle that used little of the grip measured no upper bound.
 const BOUNDS: f64 = 0.5;
 
 /// Likelihoods that were reported for the cells of a road, and the odds that they describe the road.
@@ -36,8 +37,8 @@ impl Reported {
     pub fn new(cells: usize) -> Self {
         Self {
             likelihood: vec![[1.0; _]; cells],
-            past: INITIAL,
-            present: INITIAL,
+            past: INITIAL_LOG_ODDS,
+            present: INITIAL_LOG_ODDS,
             windows: VecDeque::new(),
         }
     }
@@ -92,8 +93,8 @@ impl Reported {
         if self.windows.len() > window
             && let Some(ended) = self.windows.pop_front()
         {
-            self.past = (self.past + ended / window as f64).clamp(-MOST, MOST);
+            self.past = (self.past + ended / window as f64).clamp(-MOST_LOG_ODDS, MOST_LOG_ODDS);
         }
-        self.present = (self.past + ratio).min(MOST);
+        self.present = (self.past + ratio).min(MOST_LOG_ODDS);
     }
 }

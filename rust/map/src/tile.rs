@@ -6,10 +6,10 @@ use crate::grid::{LEVELS, Row};
 pub const TILE_CELLS: usize = 64;
 /// Number of bytes of a tile: one for each friction coefficient of each cell.
 pub const TILE_BYTES: usize = TILE_CELLS * LEVELS;
-/// Units of a byte in one nat.
+/// Number of units of a byte in one nat.
 pub(crate) const UNITS: f64 = 32.0;
 
-/// Bytes that are no tile.
+/// The error about bytes whose number is not that of a tile.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "expected a tile of {TILE_BYTES} bytes ({TILE_CELLS} cells of {LEVELS} friction coefficients), got {0} bytes"

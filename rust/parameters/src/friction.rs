@@ -9,8 +9,8 @@ pub const FRICTION_INFORMED: f64 = 0.1;
 /// Number of hypotheses about the friction coefficient.
 pub const FRICTION_HYPOTHESES: usize = 17;
 
-/// Smallest logarithm of the likelihood of a hypothesis, relative to the largest, in requests and replies. Without this limit
-/// the logarithms would go to minus infinity as the noise goes to zero.
+/// Smallest logarithm of the likelihood of a hypothesis, relative to the largest, in replies and as evidence of a belief.
+/// Without this limit the logarithms would go to minus infinity as the noise goes to zero.
 pub const LEAST_LOG_LIKELIHOOD: f64 = -1e6;
 
 /// Friction coefficient of each hypothesis: equidistant in `ln mu` over [`FRICTION_RANGE`], increasing.

@@ -95,16 +95,6 @@ pub enum PathError {
         /// Length of this path.
         path: f64,
     },
-    /// Slices of different lengths.
-    #[error(
-        "expected as many rows of widths as of the reference ({reference}, at least 1), got {widths}"
-    )]
-    HorizonRows {
-        /// Rows of the reference.
-        reference: usize,
-        /// Rows of the widths.
-        widths: usize,
-    },
     /// A built-in track with contradictory dimensions.
     #[error("{0}")]
     Track(String),

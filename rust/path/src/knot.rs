@@ -16,6 +16,16 @@ pub(crate) struct Knot {
     lateral: f64,
 }
 
+/// A place behind or ahead of a knot whose speed is known.
+pub(crate) struct Neighbour<'a> {
+    /// Bounds of the speed at the place.
+    pub knot: &'a Knot,
+    /// `v²` at the place.
+    pub square: f64,
+    /// Distance in m between the place and the knot.
+    pub distance: f64,
+}
+
 impl Knot {
     pub fn new(curvature: f64, friction: f64, limits: &SpeedLimits) -> Self {
         let grip = limits.grip * friction * STANDARD_GRAVITY;
@@ -51,46 +61,50 @@ impl Knot {
         (limits.v_max * limits.v_max).min(self.lateral / self.curvature)
     }
 
-    /// The largest `v²`, at most `most`, from which braking reaches `square` at the `next` knot, `step` m ahead.
-    pub fn before(
-        &self,
-        next: &Self,
-        square: f64,
-        limits: &SpeedLimits,
-        step: f64,
-        most: f64,
-    ) -> f64 {
+    /// The largest `v²`, at most `most`, from which braking reaches the speed of the `next` place.
+    pub fn before(&self, next: &Neighbour<'_>, limits: &SpeedLimits, most: f64) -> f64 {
+        let &Neighbour {
+            knot,
+            square,
+            distance,
+        } = next;
         let there =
-            (limits.braking * next.grip * next.longitudinal_share(square)).min(limits.a_brake);
-        let most = most.min(square + 2.0 * step * there);
-        let here = self.reach(square, 2.0 * step * limits.braking * self.grip);
-        most.min(here).min(square + 2.0 * step * limits.a_brake)
+            (limits.braking * knot.grip * knot.longitudinal_share(square)).min(limits.a_brake);
+        let most = most.min(square + 2.0 * distance * there);
+        let here = self.reach(square, 2.0 * distance * limits.braking * self.grip);
+        most.min(here).min(square + 2.0 * distance * limits.a_brake)
     }
 
-    /// The largest `v²`, at most `most`, that drive reaches from `square` at the knot `previous`, `step` m behind.
-    pub fn after(
-        &self,
-        previous: &Self,
-        square: f64,
-        limits: &SpeedLimits,
-        step: f64,
-        most: f64,
-    ) -> f64 {
+    /// The largest `v²`, at most `most`, that drive reaches from the speed of the `previous` place.
+    pub fn after(&self, previous: &Neighbour<'_>, limits: &SpeedLimits, most: f64) -> f64 {
+        let &Neighbour {
+            knot,
+            square,
+            distance,
+        } = previous;
         let motor = |square: f64| limits.a_drive.min(limits.power / square.sqrt());
-        let there = (limits.driving * previous.grip * previous.longitudinal_share(square))
-            .min(motor(square));
-        let most = most.min(square + 2.0 * step * there);
+        let there =
+            (limits.driving * knot.grip * knot.longitudinal_share(square)).min(motor(square));
+        let most = most.min(square + 2.0 * distance * there);
         if most <= square {
             return most;
         }
-        let here = self.reach(square, 2.0 * step * limits.driving * self.grip);
-        // The power limit at the faster end.
-        most.min(here).min(square + 2.0 * step * motor(most))
+        let here = self.reach(square, 2.0 * distance * limits.driving * self.grip);
+        // The power limits the acceleration most at the faster end.
+        most.min(here).min(square + 2.0 * distance * motor(most))
     }
 
-    /// The smallest `v²` that full braking, without regard to the bend, reaches from `square` within `step` m.
-    pub fn full_braking(&self, square: f64, limits: &SpeedLimits, step: f64) -> f64 {
-        (square - 2.0 * step * self.deceleration(limits)).max(0.0)
+    /// The `v²` nearest to `wanted` that the vehicle reaches from the speed of the `previous` place. Drive bounds it from
+    /// above, and full braking, without regard to the bend, bounds it from below.
+    pub fn within_drive_and_brakes(
+        &self,
+        previous: &Neighbour<'_>,
+        limits: &SpeedLimits,
+        wanted: f64,
+    ) -> f64 {
+        let slowed = 2.0 * previous.distance * previous.knot.deceleration(limits);
+        let slowest = (previous.square - slowed).max(0.0);
+        self.after(previous, limits, wanted).max(slowest)
     }
 
     /// The largest deceleration in m/s² on a straight.

@@ -26,7 +26,7 @@ pub mod tracks;
 
 pub use error::PathError;
 pub use friction::Zone;
-pub use horizon::{catch_up, horizon_reference};
+pub use horizon::{HorizonRows, ReferenceStart, horizon_reference};
 pub use limits::SpeedLimits;
 pub use path::{Path, Sample};
 pub use planner::SpeedPlanner;

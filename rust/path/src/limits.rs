@@ -39,7 +39,8 @@ pub struct SpeedLimits {
     pub a_drive: f64,
     /// The vehicle's power per mass in W/kg, which limits the acceleration to `power / v`.
     pub power: f64,
-    /// Speed limit in m/s at the start of an open path, if any.
+    /// Speed limit in m/s at the start of an open path, if any. A [`crate::SpeedPlanner`] accepts none, because its plans
+    /// begin at the vehicle.
     pub start_speed: Option<f64>,
     /// Speed limit in m/s at the end of an open path, if any.
     pub end_speed: Option<f64>,

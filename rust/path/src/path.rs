@@ -1,5 +1,8 @@
 //! The reference path: a curve by arc length, with widths and friction.
 
+use std::cell::Cell;
+use std::f64::consts::TAU;
+
 use egp_parameters::Surface;
 
 use crate::arc_length::{ArcLengthSpline, parametrise};
@@ -161,12 +164,16 @@ impl Path {
         self.sides(s)[usize::from(lateral < 0.0)]
     }
 
-    /// The surface at a finite position `[x, y]`, m, by its projection, and the arc length of this, which is the hint for a
-    /// position nearby ([`Self::project`]).
-    pub fn surface_at(&self, position: [f64; 2], hint: Option<f64>) -> (Surface, f64) {
-        let projection = self.project(position, hint);
-        let surface = self.surface_beside(projection.s, projection.lateral);
-        (surface, projection.s)
+    /// A function that gives the surface at a finite position `[x, y]`, m, by its projection. Its successive positions must be
+    /// near each other, such as those of wheels: the arc length of each is the hint for the next one ([`Self::project`]), and
+    /// `hint` is that for the first one.
+    pub fn surfaces_near(&self, hint: Option<f64>) -> impl Fn([f64; 2]) -> Surface {
+        let last = Cell::new(hint);
+        move |position| {
+            let projection = self.project(position, last.get());
+            last.set(Some(projection.s));
+            self.surface_beside(projection.s, projection.lateral)
+        }
     }
 
     /// Surfaces `[left, right]` of the path.
@@ -260,6 +267,11 @@ impl Path {
             })
             .collect()
     }
+}
+
+/// The angle in [-pi, pi] that differs from `angle` (rad) by whole turns.
+pub(crate) fn wrap_angle(angle: f64) -> f64 {
+    angle - TAU * (angle / TAU).round()
 }
 
 /// `a x b`, positive when `b` points to the left of `a`.

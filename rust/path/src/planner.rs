@@ -1,8 +1,8 @@
 //! Reference speed ahead of the vehicle, for estimated friction.
 
 use crate::error::{PathError, check};
-use crate::knot::Knot;
-use crate::limits::SpeedLimits;
+use crate::knot::{Knot, Neighbour};
+use crate::limits::{SPEEDS, SpeedLimits};
 use crate::path::Path;
 use crate::speed::SpeedProfile;
 
@@ -31,10 +31,18 @@ impl SpeedPlanner {
     /// A planner for a path. The path's zones of friction are not used.
     ///
     /// # Errors
-    /// [`PathError`] if a limit is out of range, a closed path has a start or end speed, or the path is shorter than 1 m.
+    /// [`PathError`] if a limit is out of range, there is a start speed, a closed path has an end speed, or the path is
+    /// shorter than 1 m.
     pub fn new(path: &Path, limits: &SpeedLimits) -> Result<Self, PathError> {
         const BETWEEN: usize = 4;
         limits.check(path.closed())?;
+        if let Some(value) = limits.start_speed {
+            return Err(PathError::Parameter {
+                name: "start_speed",
+                expected: "nothing for plans, which begin at the vehicle",
+                value,
+            });
+        }
         check(
             "the path's length",
             path.length(),
@@ -88,7 +96,7 @@ impl SpeedPlanner {
     /// on. Without a present speed the plan begins with the largest one.
     ///
     /// # Errors
-    /// [`PathError`] if a number is out of range or `friction` has another length than [`Self::places`].
+    /// [`PathError`] unless `s` is finite, `v` is within ±10000 m/s, and `friction` has [`Self::places`] positive numbers.
     pub fn plan(
         &mut self,
         s: f64,
@@ -96,7 +104,12 @@ impl SpeedPlanner {
         friction: &[f64],
     ) -> Result<&SpeedProfile, PathError> {
         check("s", s, "a finite arc length", |_| true)?;
-        check("v", v.unwrap_or_default(), "a finite speed", |_| true)?;
+        check(
+            "v",
+            v.unwrap_or_default(),
+            "a speed within ±10000 m/s",
+            |v| v.abs() <= *SPEEDS.end(),
+        )?;
         if friction.len() != self.knots.len() {
             return Err(PathError::Places {
                 expected: self.knots.len(),
@@ -151,31 +164,37 @@ impl SpeedPlanner {
             if let Some(last) = squares.last_mut() {
                 *last = last.min(at_last);
             }
-            for i in (1..squares.len()).rev() {
-                let most = squares[i - 1];
-                squares[i - 1] = knots[i - 1].before(&knots[i], squares[i], limits, *step, most);
-            }
-            // The square at a knot within what drive and full braking reach over a distance from the knot before.
-            let reach = |knot: &Knot, previous: &Knot, square: f64, distance: f64, most: f64| {
-                let fastest = knot.after(previous, square, limits, distance, most);
-                fastest.max(previous.full_braking(square, limits, distance))
+            let at = |knot: usize, squares: &[f64]| Neighbour {
+                knot: &knots[knot],
+                square: squares[knot],
+                distance: *step,
             };
+            for i in (1..squares.len()).rev() {
+                squares[i - 1] = knots[i - 1].before(&at(i, squares), limits, squares[i - 1]);
+            }
             let mut next = 1;
             if let Some(v) = v {
                 let present = v.max(0.0).powi(2);
                 let passed = (s / *step - first - OFFSET) * *step;
+                let place = |distance: f64| Neighbour {
+                    knot: &knots[0],
+                    square: present,
+                    distance,
+                };
                 if passed < 0.0 {
-                    squares[0] = reach(&knots[0], &knots[0], present, -passed, squares[0]);
+                    squares[0] =
+                        knots[0].within_drive_and_brakes(&place(-passed), limits, squares[0]);
                 } else {
                     let left = *step - passed;
-                    squares[1] = reach(&knots[1], &knots[0], present, left, squares[1]);
+                    squares[1] = knots[1].within_drive_and_brakes(&place(left), limits, squares[1]);
                     // The piece from the first knot continues the acceleration backwards.
                     squares[0] = (present - (squares[1] - present) * passed / left).max(0.0);
                     next = 2;
                 }
             }
             for i in next..squares.len() {
-                squares[i] = reach(&knots[i], &knots[i - 1], squares[i - 1], *step, squares[i]);
+                let previous = at(i - 1, squares);
+                squares[i] = knots[i].within_drive_and_brakes(&previous, limits, squares[i]);
             }
         });
         Ok(&self.profile)
@@ -220,8 +239,12 @@ impl Beyond<'_> {
         }
         for ahead in (0..ahead).rev() {
             let here = knot(ahead);
-            let most = here.cornering(self.limits);
-            square = here.before(&next, square, self.limits, self.step, most);
+            let there = Neighbour {
+                knot: &next,
+                square,
+                distance: self.step,
+            };
+            square = here.before(&there, self.limits, here.cornering(self.limits));
             next = here;
         }
         square

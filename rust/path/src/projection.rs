@@ -166,6 +166,7 @@ impl Path {
     }
 }
 
+/// A place of the path where the distance in m to a position has a local minimum.
 struct Stationary {
     s: f64,
     distance: f64,

@@ -1,7 +1,7 @@
 //! Speed profiles of paths.
 
 use crate::error::{PathError, check};
-use crate::knot::Knot;
+use crate::knot::{Knot, Neighbour};
 use crate::limits::{SPEED, SPEEDS, SpeedLimits};
 use crate::path::Path;
 
@@ -11,11 +11,11 @@ use crate::path::Path;
 pub struct SpeedProfile {
     /// Length in m of the path.
     path: f64,
-    /// Whether it repeats, which a profile of a whole closed path does.
+    /// Whether the profile repeats, as that of a whole closed path does.
     closed: bool,
     /// Arc length in m of the first knot.
     start: f64,
-    /// Length in m of the lap that the profile is a part of.
+    /// Length in m of a lap, if the profile is that of a part of a closed path.
     lap: Option<f64>,
     step: f64,
     /// `v²` at each knot, the end included.
@@ -53,14 +53,16 @@ impl SpeedProfile {
             }
         }
         let pairs = (0..path.piece_count()).map(|k| ((first + k) % count, (first + k + 1) % count));
-        let step = path.step();
+        let at = |knot: usize, squares: &[f64]| Neighbour {
+            knot: &knots[knot],
+            square: squares[knot],
+            distance: path.step(),
+        };
         for (knot, next) in pairs.clone().rev() {
-            squares[knot] =
-                knots[knot].before(&knots[next], squares[next], limits, step, squares[knot]);
+            squares[knot] = knots[knot].before(&at(next, &squares), limits, squares[knot]);
         }
         for (knot, next) in pairs {
-            squares[next] =
-                knots[next].after(&knots[knot], squares[knot], limits, step, squares[next]);
+            squares[next] = knots[next].after(&at(knot, &squares), limits, squares[next]);
         }
         if path.closed() {
             squares.push(squares[0]);
@@ -126,8 +128,8 @@ impl SpeedProfile {
         self.path
     }
 
-    /// `s` plus the number of whole laps that puts it inside the profile, or nearest to its interval. A profile longer than
-    /// half a lap counts as half a lap long here, because the vehicle is near its start.
+    /// `s` plus the whole laps that put it inside the profile or nearest to it. A profile longer than half a lap counts as
+    /// half a lap long here, because the vehicle is near its start.
     pub(crate) fn unwrapped(&self, s: f64) -> f64 {
         let Some(lap) = self.lap else {
             return s;
@@ -145,7 +147,7 @@ impl SpeedProfile {
         self.step * (self.squares.len() - 1) as f64
     }
 
-    /// Time in s of a lap, or from the profile's start to its end.
+    /// Time in s of a lap, or from the profile's start to its end; infinite for a plan that stops before its end.
     pub fn lap_time(&self) -> f64 {
         self.times[self.times.len() - 1]
     }
@@ -170,12 +172,16 @@ impl SpeedProfile {
     }
 
     /// Time in s at which the profile passes `s`, with time 0 at its start. Time continues to increase over the laps of
-    /// a closed path.
+    /// a closed path. It is infinite beyond the place where a profile of an open path stops, and minus infinity before a
+    /// start at speed zero. The result has no meaning unless `s` is finite.
     pub fn time(&self, s: f64) -> f64 {
         let (laps, s) = self.split(s - self.start, self.length());
         let inside = s.clamp(0.0, self.length());
         let (i, u) = self.locate(inside);
-        let mut time = laps * self.lap_time() + self.times[i];
+        let mut time = self.times[i];
+        if self.closed {
+            time += laps * self.lap_time();
+        }
         if u > 0.0 {
             time += 2.0 * u / (self.squares[i].sqrt() + self.speed_after(inside));
         }
@@ -186,7 +192,8 @@ impl SpeedProfile {
         }
     }
 
-    /// Arc length passed at `time`; the inverse of [`Self::time`].
+    /// Arc length in m passed at `time` in s; the inverse of [`Self::time`]. Where a profile stops, it remains the same from
+    /// then on. The result has no meaning unless `time` is finite.
     pub fn station(&self, time: f64) -> f64 {
         let (laps, time) = self.split(time, self.lap_time());
         let inside = time.clamp(0.0, self.lap_time());
@@ -206,13 +213,12 @@ impl SpeedProfile {
         self.start + laps * self.length() + s + beyond
     }
 
-    /// Number of whole laps of a closed path, and the remainder.
+    /// Number of whole laps of a closed path, and the remainder; on an open path no laps and `value`.
     fn split(&self, value: f64, lap: f64) -> (f64, f64) {
-        let laps = if self.closed {
-            (value / lap).floor()
-        } else {
-            0.0
-        };
+        if !self.closed {
+            return (0.0, value);
+        }
+        let laps = (value / lap).floor();
         (laps, value - laps * lap)
     }
 

@@ -2,10 +2,16 @@
 
 use crate::{PlantError, Surface};
 
-/// The surface under a wheel.
+/// The surface under a wheel. A function of the contact position that returns the surface has this trait.
 pub trait Friction {
     /// Surface at a contact position `[x, y]`, m.
     fn surface(&self, position: [f64; 2]) -> Surface;
+}
+
+impl<F: Fn([f64; 2]) -> Surface> Friction for F {
+    fn surface(&self, position: [f64; 2]) -> Surface {
+        self(position)
+    }
 }
 
 /// The same surface everywhere.

@@ -13,7 +13,7 @@ use serde::de::value::Error;
 
 use crate::array::{ArrayLike, Cube, KeptMatrix, Matrix, NewVector, Vector};
 use crate::array::{array, fixed, rows, vector, wrong_shape};
-use crate::error::{EgpError, InvalidArgumentError, raise};
+use crate::error::{InvalidArgumentError, raise};
 use crate::problem::{Arrays, OcpBounds, OcpWeights, scale_soft_rows};
 
 /// Largest strength of the weights' prior, with which its products with weights are finite.
@@ -70,7 +70,7 @@ pub fn solve_ocp<'py>(
     let mut qp = arrays.problem()?;
     scale_soft_rows(&mut qp);
     let kind = SolverKind::deserialize(solver.into_deserializer())
-        .map_err(|error: Error| EgpError::new_err(format!("solver: {error}")))?;
+        .map_err(|error: Error| InvalidArgumentError::new_err(format!("solver: {error}")))?;
     let settings = SolverSettings {
         kind,
         ..SolverSettings::default()
@@ -176,28 +176,42 @@ pub fn solve_weights<'py>(
         "quadratic" => Prior::Quadratic { lambda: strength },
         "l1" => Prior::L1 { alpha: strength },
         other => {
-            return Err(EgpError::new_err(format!(
+            return Err(InvalidArgumentError::new_err(format!(
                 "prior must be \"quadratic\" or \"l1\", got {other:?}"
             )));
         }
     };
     if !(0.0..=MOST_STRENGTH).contains(&strength) {
-        return Err(EgpError::new_err(format!(
+        return Err(InvalidArgumentError::new_err(format!(
             "strength must be a number from 0 to {MOST_STRENGTH:e}, got {strength}"
         )));
     }
     let predictions: Vec<f64> = predictions.as_array().iter().copied().collect();
-    let numbers = predictions.iter().chain(measured.as_flattened());
+    let mut numbers = predictions.iter().chain(measured.as_flattened());
     let sum: f64 = previous.iter().sum();
-    let sensible = numbers.chain(&previous).all(|v| v.is_finite())
-        && noise.iter().all(|std| (1e-100..1e100).contains(std)) // so that squares are finite, and not zero
-        && state_noise.iter().all(|std| (0.0..1e100).contains(std))
-        && previous.iter().all(|w| *w >= 0.0)
-        && (sum - 1.0).abs() <= 1e-9;
-    if !sensible {
-        return Err(EgpError::new_err(
-            "expected finite numbers, positive noise_std, measurement_std >= 0 and previous weights on the simplex",
-        ));
+    // The squares of the standard deviations are finite, and those of the noise are not zero.
+    for (valid, expected) in [
+        (
+            numbers.all(|v| v.is_finite()),
+            "finite predictions and measured changes",
+        ),
+        (
+            noise.iter().all(|std| (1e-100..1e100).contains(std)),
+            "noise_std from 1e-100 to 1e100",
+        ),
+        (
+            state_noise.iter().all(|std| (0.0..1e100).contains(std)),
+            "measurement_std from 0 to 1e100",
+        ),
+        (
+            previous.iter().all(|w| *w >= 0.0) && (sum - 1.0).abs() <= 1e-9,
+            "previous weights that are not negative and sum to 1",
+        ),
+    ] {
+        if !valid {
+            let message = format!("expected {expected}");
+            return Err(InvalidArgumentError::new_err(message));
+        }
     }
     let mut w = vec![0.0; previous.len()];
     py.detach(|| {
@@ -212,7 +226,7 @@ pub fn solve_weights<'py>(
     });
     let squares = errors_squared(&predictions, &measured, &noise);
     if !squares.is_finite() || !w.iter().all(|w| w.is_finite()) {
-        return Err(EgpError::new_err(
+        return Err(InvalidArgumentError::new_err(
             "the squares of the errors over noise_std are too large for a number: check the units",
         ));
     }

@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use crate::array::{
     ArrayLike, ArrayView, Matrix, OwnedArray, Vector, fixed, rows, shown, wrong_shape,
 };
-use crate::error::EgpError;
+use crate::error::InvalidArgumentError;
 
 #[doc = doc!(OcpWeights)]
 #[pyclass(frozen, module = "egp_service._core")]
@@ -35,7 +35,7 @@ impl OcpWeights {
                 r_d,
             });
         }
-        Err(EgpError::new_err(format!(
+        Err(InvalidArgumentError::new_err(format!(
             "expected finite r > 0, which keeps the solution unique, and r_d >= 0, got {r:?} and {r_d:?}"
         )))
     }
@@ -81,7 +81,7 @@ impl OcpBounds {
             .iter()
             .all(|price| price.is_finite() && *price > 0.0)
         {
-            return Err(EgpError::new_err(format!(
+            return Err(InvalidArgumentError::new_err(format!(
                 "expected finite penalty > 0, got {penalty:?}"
             )));
         }
@@ -167,7 +167,7 @@ impl Arrays<'_, '_> {
             }
         }
         if horizon == 0 || !qp.is_well_posed() {
-            return Err(EgpError::new_err(
+            return Err(InvalidArgumentError::new_err(
                 "expected at least one stage, finite numbers, and lower bounds that are not above the upper ones",
             ));
         }
@@ -176,14 +176,14 @@ impl Arrays<'_, '_> {
             q.diagonal().min() >= 0.0 && q[(0, 1)].powi(2) <= q[(0, 0)] * q[(1, 1)] * (1.0 + 1e-12)
         });
         if !convex {
-            return Err(EgpError::new_err(
+            return Err(InvalidArgumentError::new_err(
                 "expected positive semidefinite q, so that a minimum exists",
             ));
         }
         if qp.keeps_pattern() {
             return Ok(qp);
         }
-        Err(EgpError::new_err(
+        Err(InvalidArgumentError::new_err(
             "expected symmetric q, and entries of A, B, q and soft_normal only where the documentation of solve_ocp \
              lists them",
         ))

@@ -6,7 +6,7 @@ use egp_core::{GpOutput, NY};
 use pyo3::prelude::*;
 
 use crate::array::{Matrix, NewMatrix, Vector, array, fixed, rows};
-use crate::error::{EgpError, raise};
+use crate::error::InvalidArgumentError;
 
 #[doc = doc!(predict_residual)]
 #[pyfunction]
@@ -29,14 +29,18 @@ pub fn predict_residual<'py>(
         noise: fixed::<NY>("noise", &noise)?,
         measurement: fixed::<NY>("measurement", &measurement)?,
     };
-    settings.validate().map_err(raise)?;
-    let sensible = errors.as_flattened().iter().all(|error| error.is_finite())
-        && (1e-6..=1e3).contains(&dt)
-        && (1..=1000).contains(&window);
-    if !sensible {
-        return Err(EgpError::new_err(
-            "errors must be finite, dt in [1e-6, 1000] s and window from 1 to 1000: check their units",
-        ));
+    settings.validate().map_err(InvalidArgumentError::raise)?;
+    if let Some(error) = errors.as_flattened().iter().find(|e| !e.is_finite()) {
+        let message = format!("errors must be finite, got {error}");
+        return Err(InvalidArgumentError::new_err(message));
+    }
+    if !(1e-6..=1e3).contains(&dt) {
+        let message = format!("dt must be from 1e-6 to 1000 s, got {dt}");
+        return Err(InvalidArgumentError::new_err(message));
+    }
+    if !(1..=1000).contains(&window) {
+        let message = format!("window must be from 1 to 1000 transitions, got {window}");
+        return Err(InvalidArgumentError::new_err(message));
     }
     let (mut mean, mut variance) = py.detach(|| {
         let (mut mean, mut variance) = (vec![], vec![]);

@@ -1,6 +1,6 @@
 //! `SpeedProfile` and `horizon_reference`.
 
-use egp_path::SpeedLimits;
+use egp_path::{HorizonRows, ReferenceStart, SpeedLimits};
 use pyo3::prelude::*;
 
 use crate::array::{Matrix, NewMatrix, NewVector, Vector, array, fixed, rows, vector};
@@ -84,24 +84,17 @@ pub fn horizon_reference<'py>(
     catch_up: bool,
 ) -> PyResult<Reference<'py>> {
     let [p_x, p_y, v_x, psi, ..] = fixed::<7>("x", &x)?;
-    let stages = usize::from(horizon) + 1;
-    let mut reference = vec![[0.0; 4]; stages];
-    let mut widths = vec![[0.0; 2]; stages];
-    let projection = egp_path::horizon_reference(
-        &path.0,
-        &profile.0,
-        [p_x, p_y],
+    let start = ReferenceStart {
+        position: [p_x, p_y],
         psi,
-        dt,
+        catch_up_from: catch_up.then_some(v_x),
         hint,
-        &mut reference,
-        &mut widths,
-    )
-    .map_err(raise)?;
-    if catch_up {
-        let (rows, edges) = (&mut reference, &mut widths);
-        egp_path::catch_up(&path.0, &profile.0, projection.s, v_x, dt, rows, edges);
-    }
+    };
+    let mut rows = HorizonRows::new(usize::from(horizon));
+    let projection =
+        egp_path::horizon_reference(&path.0, &profile.0, &start, dt, &mut rows).map_err(raise)?;
+    let (reference, widths) = rows.into_parts();
+    let stages = reference.len();
     let widths = (path.0.has_widths())
         .then(|| array(py, widths.into_flattened(), [stages, 2]))
         .transpose()?;

@@ -1,6 +1,5 @@
 //! Surfaces for a plant: one surface, or a path with zones of surfaces.
 
-use std::cell::Cell;
 use std::collections::BTreeMap;
 
 use egp_plant::{Friction, Surface, Uniform};
@@ -90,25 +89,7 @@ impl Road<'_> {
         Ok(match self {
             Self::Friction(mu) => Box::new(Uniform::new(*mu).map_err(raise)?),
             Self::Surface(value) => Box::new(Uniform::new(value.surface()?).map_err(raise)?),
-            Self::Path(path) => Box::new(OnPath {
-                path: &path.get().0,
-                last: Cell::new(hint),
-            }),
+            Self::Path(path) => Box::new(path.get().0.surfaces_near(hint)),
         })
-    }
-}
-
-/// The surface of a path beside the nearest point on it.
-struct OnPath<'a> {
-    path: &'a egp_path::Path,
-    /// Arc length under the last wheel, where the search for the next one starts.
-    last: Cell<Option<f64>>,
-}
-
-impl Friction for OnPath<'_> {
-    fn surface(&self, position: [f64; 2]) -> Surface {
-        let (surface, s) = self.path.surface_at(position, self.last.get());
-        self.last.set(Some(s));
-        surface
     }
 }

@@ -7,7 +7,7 @@ use egp_core::Settings;
 use egp_engine::{Engine, EngineError};
 use egp_path::tracks::RoundedRectangle;
 use egp_path::{Path, PathError, SpeedLimits, SpeedProfile, Zone};
-use egp_plant::{Friction, PlantError, Surface, VehicleId};
+use egp_plant::{PlantError, VehicleId};
 use egp_wire::WireError;
 use thiserror::Error;
 
@@ -99,14 +99,5 @@ impl Scene {
             profile: SpeedProfile::new(&path, &limits)?,
             path,
         })
-    }
-}
-
-/// The surface at a position, by its projection onto the path.
-pub(crate) struct Road<'a>(pub(crate) &'a Path, pub(crate) f64);
-
-impl Friction for Road<'_> {
-    fn surface(&self, position: [f64; 2]) -> Surface {
-        self.0.surface_at(position, Some(self.1)).0
     }
 }

@@ -4,13 +4,13 @@ use std::time::Duration;
 
 use egp_driver::{Driver, DriverConfig, Measurement, RunKey};
 use egp_gate::{Limits, Mode};
-use egp_path::horizon_reference;
+use egp_path::{HorizonRows, ReferenceStart, horizon_reference};
 use egp_plant::{Plant, VehicleState};
 use egp_wire::{KeyRing, Ready};
 
 use crate::mutant::Mutant;
 use crate::oracle::VehicleOracles;
-use crate::scene::{CAR, Road, Scene, SimulationError};
+use crate::scene::{CAR, Scene, SimulationError};
 
 /// The fleet of all vehicles.
 pub(crate) const FLEET: &str = "fleet";
@@ -87,7 +87,8 @@ impl Vehicle {
     /// Lets the plant drive one period with the last command, and puts a vehicle that has stopped, spun or left the road
     /// back on its course. Returns whether that was so.
     pub(crate) fn drive(&mut self, scene: &Scene, dt: f64) -> Result<bool, SimulationError> {
-        let moved = self.plant.step(self.u, dt, &Road(&scene.path, self.s));
+        let surfaces = scene.path.surfaces_near(Some(self.s));
+        let moved = self.plant.step(self.u, dt, &surfaces);
         let stopped = matches!(self.driver.mode(), Mode::Stop | Mode::Waiting)
             && self.plant.vehicle_state().v_x < STANDSTILL;
         if moved.is_err() || stopped {
@@ -99,20 +100,19 @@ impl Vehicle {
 
     /// What the vehicle measures.
     pub(crate) fn measure(&mut self, scene: &Scene) -> Result<Measurement, SimulationError> {
-        let stages = self.driver.served().horizon as usize + 1;
-        let (mut reference, mut widths) = (vec![[0.0; 4]; stages], vec![[0.0; 2]; stages]);
+        let served = self.driver.served();
+        let mut rows = HorizonRows::new(served.horizon as usize);
         let state = self.plant.vehicle_state();
-        let projection = horizon_reference(
-            &scene.path,
-            &scene.profile,
-            [state.p_x, state.p_y],
-            state.psi,
-            self.driver.served().dt,
-            Some(self.s),
-            &mut reference,
-            &mut widths,
-        )?;
+        let start = ReferenceStart {
+            position: [state.p_x, state.p_y],
+            psi: state.psi,
+            catch_up_from: None,
+            hint: Some(self.s),
+        };
+        let projection =
+            horizon_reference(&scene.path, &scene.profile, &start, served.dt, &mut rows)?;
         self.s = projection.s;
+        let (reference, mut widths) = rows.into_parts();
         if !scene.path.has_widths() {
             widths.clear();
         }

@@ -13,7 +13,7 @@ pub(super) type Square = SMatrix<f64, NY, NY>;
 ///
 /// The measured state is `x + n` with noise `n` of variance `R`, and the change of the state is `f(x) + v` with the model's
 /// error `v` of variance `Q`. The noise of a measured state thus is in the measured change and, if the prediction is made at
-/// the measured state, in the prediction, too: at 10 m/s the tyres of a passenger car take back 40 % of a lateral speed within
+/// the measured state, in the prediction, too: at 10 m/s the tyre forces of a passenger car reduce a lateral speed by 40 % within
 /// 20 ms. The fitted vehicles are therefore evaluated at an estimated state; what the Gaussian processes add is taken at the measured
 /// one, and `F` leaves it out. With the deviation `d` of the state that a model estimates
 /// from the measured one, the deviation `d_0` of the state at which all vehicles are evaluated, the error `e` of the prediction there,
@@ -37,7 +37,7 @@ pub(super) struct Innovations {
     covariance: Square,
 }
 
-/// What one transition makes of an innovation.
+/// The matrices of one step of the filter, which all models share.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Gain {
     /// `S⁻¹`.
@@ -80,9 +80,9 @@ impl Innovations {
 }
 
 impl Gain {
-    /// The square of a model's whitened innovation, from the error of its prediction at the deviation `common` from the measured
-    /// state and its Jacobian there. Updates the deviation of the state that the model estimates.
-    pub fn square(
+    /// Updates the deviation of the state that a model estimates, from the error of its prediction at the deviation `common` from
+    /// the measured state and its Jacobian there, and returns the square of the whitened innovation.
+    pub fn advance(
         &self,
         error: &GpOutput,
         jacobian: &Square,
@@ -134,7 +134,7 @@ mod tests {
             let gain = innovations.next(jacobian).unwrap();
             // The place at which a linear model is evaluated makes no difference.
             let common = error * 0.3;
-            sum += gain.square(
+            sum += gain.advance(
                 &(error - jacobian * common),
                 jacobian,
                 &common,

@@ -91,7 +91,8 @@ pub struct FrictionEstimator {
     of_members: Batch,
     /// Position of each point of the density, counted in hypotheses.
     positions: Vec<f64>,
-    /// The change by each member's vehicle, zero where there is none; then the part of its prediction that is not its vehicle's.
+    /// What the Gaussian process of each member adds: its prediction less the change that its vehicle gives. That change, zero
+    /// without a vehicle, is written here first.
     learned: Vec<GpOutput>,
     /// Change by the vehicle of each hypothesis and its Jacobian by `[v_x, v_y, omega]`; zero where there is none.
     changes: [(GpOutput, Square); HYPOTHESES],
@@ -179,7 +180,7 @@ impl FrictionEstimator {
             let sums = self.squares.iter_mut().zip(&mut self.deviations);
             for ((hypothesis, (change, jacobian)), (sum, deviation)) in hypotheses.zip(sums) {
                 let error = GpOutput::from(*y) - hypothesis.change(*change, f, &self.learned);
-                *sum += gain.square(&error, jacobian, &common, deviation);
+                *sum += gain.advance(&error, jacobian, &common, deviation);
             }
         }
         self.posterior((transitions * NY) as f64)

@@ -1,4 +1,4 @@
-//! How uncertain the transitions of a trajectory are.
+//! Variances and standard deviations of the transitions of a trajectory.
 
 use crate::ocp::TransitionUncertainty;
 use crate::preview::StageWeights;

@@ -18,7 +18,8 @@ use validate::ValidRequest;
 
 use egp_parameters::STATE_IN_MESSAGES;
 
-use crate::executor::for_each;
+use crate::executor::{Executor, for_each};
+use crate::linearisation::Domain;
 use crate::ocp::{self, Road, Setup};
 use crate::preview::StageWeights;
 use crate::solver::{Status, solve_with_fallback};
@@ -31,12 +32,13 @@ use crate::{Ensemble, GpInput, GpOutput, Input, Library, Member, NY, NZ, Setting
 
 /// Speed, m/s, below which a vehicle counts as standing.
 const STANDING: f64 = 0.5;
-/// Force of the drive per mass, m/s², that the most slippery surface transmits.
-const DRIVE: f64 = 1.0;
+/// Force of the drive per mass, m/s², from which on a slow vehicle is about to move: the most slippery surface transmits it.
+const LEAST_DRIVE: f64 = 1.0;
 /// Standard deviations between the mean and the 95 % quantile of a normal distribution.
 const UPPER_QUANTILE: f64 = 1.645;
-/// Slip angle, rad, up to which tyres transmit nearly the same force on all surfaces.
-const FALSE_SLIP: f64 = 0.02;
+/// Largest error of a model's slip angle, rad, with which a transition is used. Up to this slip angle tyres transmit nearly the
+/// same force on all surfaces.
+const LARGEST_SLIP_ERROR: f64 = 0.02;
 
 /// One control step: weights, eq. (6); residual; linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
 ///
@@ -57,8 +59,7 @@ pub fn step(
     reply.clear();
     ws.belongs_to(library, settings)?;
     let rows = validate::validate(library, settings, ws.vehicle.mass, request)?;
-    let known = known_rows(ws.delay, &rows);
-    let used = estimate_weights(library, settings, &rows, known, ws, reply);
+    let used = estimate_weights(library, settings, &rows, ws, reply);
     let disturbance = estimate_residual(&rows, used, ws, reply);
     let frame = Frame::of(&rows.x);
     localise_reference(&frame, &rows, &mut ws.reference);
@@ -86,12 +87,6 @@ pub fn step(
     Ok(())
 }
 
-/// Number of the newest transitions of the window whose inputs are in the request; without a measurement delay all are.
-fn known_rows(delay: Option<Delay>, rows: &ValidRequest) -> usize {
-    let all = rows.history_z.len();
-    delay.map_or(all, |delay| delay.known(all))
-}
-
 /// The ensemble of each stage.
 fn ensembles<'a>(library: &'a Library, stages: &'a StageWeights) -> impl Fn(usize) -> Ensemble<'a> {
     |t: usize| Ensemble::of(library, stages.stage(t))
@@ -108,14 +103,15 @@ fn linearise(
     let ensembles = ensembles(library, &ws.stages);
     let present = |delay: Delay| delay.present(rows, &ensembles(0), disturbance);
     let x0 = local_state(&ws.delay.map_or(rows.x, present));
-    let edges = [settings.soft.v_x_max, ws.vehicle.steering_angle];
+    let operating = &settings.operating;
+    let domain = Domain::new(operating, settings.soft.v_x_max, ws.vehicle.steering_angle);
     ws.dynamics.along(
         |t| (ensembles(t), ws.offsets[t]),
         library.dt(),
         &x0,
         &ws.guess,
-        &settings.operating,
-        edges,
+        operating,
+        &domain,
     );
     x0
 }
@@ -232,52 +228,61 @@ fn localise_reference(frame: &Frame, rows: &ValidRequest, out: &mut [State]) {
     }
 }
 
-/// Estimates weights and friction from the `known` newest transitions of the window. Weights change only if the
-/// transitions distinguish the members. Without excitation the members' predictions differ by less than the noise, and the
-/// weights would follow the noise. Predictions that the request lacks are computed for all members and returned.
+/// Writes the members' predictions of the window's transitions into the reply: those that the request lacks are computed.
 ///
 /// With a measurement delay the inputs of the oldest transitions are not in the request, and their predictions may belong to
 /// the inputs of another row: the request does not tell whether their inputs were known when they were predicted. They are
 /// in the reply because it has one row for each transition, and no estimate uses them. A transition that is known was also
 /// known when it was predicted: the history then had the same older rows, or was full.
-///
-/// Transitions up to the last one that [`is_outside_model`] are left out. Returns the number of those that were used.
-fn estimate_weights(
-    library: &Library,
-    settings: &Settings,
+fn predict_history(
+    members: &[Member],
     rows: &ValidRequest,
-    known: usize,
-    ws: &mut Workspace,
+    history_z: &[[f64; NZ]],
+    executor: &dyn Executor,
     reply: &mut StepReply,
-) -> usize {
-    let members = library.members();
+) {
     let width = members.len() * NY;
-    let history_z = match ws.delay {
-        Some(delay) => {
-            delay.align(rows.history_z, &mut ws.aligned);
-            &ws.aligned
-        }
-        None => rows.history_z,
-    };
     let missing = &history_z[..history_z.len() - rows.history_f.len() / width];
     reply.history_f.resize(missing.len() * width, 0.0);
     let points: usize = members.iter().map(Member::n_points).sum();
     let parts = reply.history_f.chunks_exact_mut(width).zip(missing);
-    for_each(&*ws.executor, missing.len() * points, parts, |(row, z)| {
+    for_each(executor, missing.len() * points, parts, |(row, z)| {
         let z = GpInput::from(*z);
         for (out, member) in row.as_chunks_mut().0.iter_mut().zip(members) {
             *out = <[f64; NY]>::from(member.mean(&z));
         }
     });
     reply.history_f.extend_from_slice(rows.history_f);
+}
+
+/// Estimates weights and friction from the newest transitions of the window, and returns how many were used: those whose
+/// inputs are in the request, without the last one that [`is_outside_model`] and all before it. Weights change only if the
+/// transitions distinguish the members. Without excitation the members' predictions differ by less than the noise, and the
+/// weights would follow the noise.
+fn estimate_weights(
+    library: &Library,
+    settings: &Settings,
+    rows: &ValidRequest,
+    ws: &mut Workspace,
+    reply: &mut StepReply,
+) -> usize {
+    let members = library.members();
+    let (history_z, known) = match ws.delay {
+        Some(delay) => {
+            delay.align(rows.history_z, &mut ws.aligned);
+            (&*ws.aligned, delay.known(rows.history_z.len()))
+        }
+        None => (rows.history_z, rows.history_z.len()),
+    };
+    predict_history(members, rows, history_z, &*ws.executor, reply);
     validate::starting_weights(rows.weights, &mut ws.previous);
     reply.weights.resize(members.len(), 0.0);
-    let moving = history_z[..known]
+    let used = history_z[..known]
         .iter()
         .position(|z| is_outside_model(z, ws.vehicle.mass))
         .unwrap_or(known);
-    let predictions = &reply.history_f[..moving * width];
-    let measured = &rows.history_y[..moving];
+    let predictions = &reply.history_f[..used * members.len() * NY];
+    let measured = &rows.history_y[..used];
     ws.estimator.estimate(
         predictions,
         measured,
@@ -288,20 +293,21 @@ fn estimate_weights(
     );
     reply.friction = ws
         .friction
-        .estimate(&history_z[..moving], predictions, measured);
+        .estimate(&history_z[..used], predictions, measured);
     if settings.weights.whiten && !ws.estimator.informed(&reply.weights) {
         reply.weights.copy_from_slice(&ws.previous);
     }
-    moving
+    used
 }
 
 /// Whether a transition of a vehicle with this mass (kg) lies outside the range of the vehicle models. At standstill the brakes
-/// hold the vehicle, which the models do not contain. Below [`MIN_SLIP_SPEED`] the models compute a slip angle of
-/// `(1 - v_x / MIN_SLIP_SPEED) delta` that does not exist. Both look like very low friction to the estimator.
+/// hold the vehicle, which the models do not contain, unless its drive is at least [`LEAST_DRIVE`]. Below [`MIN_SLIP_SPEED`] the
+/// models compute a slip angle of `(1 - v_x / MIN_SLIP_SPEED) delta` that does not exist. Both look like very low friction to the
+/// estimator.
 fn is_outside_model(z: &[f64; NZ], mass: f64) -> bool {
     let [v_x, _, _, delta, force, _] = *z;
-    let stands = v_x < STANDING && force < DRIVE * mass;
-    stands || (1.0 - v_x / MIN_SLIP_SPEED) * delta.abs() > FALSE_SLIP
+    let stands = v_x < STANDING && force < LEAST_DRIVE * mass;
+    stands || (1.0 - v_x / MIN_SLIP_SPEED) * delta.abs() > LARGEST_SLIP_ERROR
 }
 
 /// Writes what the residual adds to the ensemble's prediction at each stage, with its variances, and returns its

@@ -1,4 +1,4 @@
-//! What the tyres transmit.
+//! The largest forces and slip that the tyres of a surface transmit.
 
 use super::capacity::SATURATED;
 

@@ -1,7 +1,7 @@
 //! What a belief knows, and how it is stored.
 
 use egp_map::{BeliefSettings, RoadBelief};
-use egp_parameters::{FRICTION_HYPOTHESES, friction_hypotheses};
+use egp_parameters::{FRICTION_HYPOTHESES, LEAST_LOG_LIKELIHOOD, friction_hypotheses};
 
 use super::{LENGTH, belief, drive, evidence, quantiles};
 
@@ -249,7 +249,7 @@ fn numbers_out_of_range_are_errors() {
     }
     let mut belief = belief();
     assert!(belief.update(f64::NAN, None).is_err());
-    for spoiled in [f64::NAN, 0.5, f64::NEG_INFINITY] {
+    for spoiled in [f64::NAN, 0.5, f64::NEG_INFINITY, f64::MIN, -1.1e6] {
         assert!(
             belief
                 .update(0.0, Some(&[spoiled; FRICTION_HYPOTHESES]))
@@ -276,6 +276,18 @@ fn numbers_out_of_range_are_errors() {
             ..BeliefSettings::default()
         };
         assert!(RoadBelief::new(LENGTH, true, &settings).is_err());
+    }
+}
+
+#[test]
+fn the_smallest_likelihoods_exclude_coefficients() {
+    let mut belief = belief();
+    let mut only = [LEAST_LOG_LIKELIHOOD; FRICTION_HYPOTHESES];
+    only[9] = 0.0;
+    drive(&mut belief, 0.0, 30.0, |_| Some(only));
+    let [mu_low, mu_high] = [8, 10].map(|i| friction_hypotheses()[i]);
+    for mu in quantiles(&mut belief, 27.0) {
+        assert!(mu_low < mu && mu < mu_high, "{mu}");
     }
 }
 

@@ -1,10 +1,10 @@
 //! Racelines: `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`.
 
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::FRAC_PI_2;
 
 use super::{Row, close, table};
 use crate::error::PathError;
-use crate::path::Path;
+use crate::path::{Path, wrap_angle};
 
 /// Largest mean error in rad between psi and the direction of travel; with the wrong convention the error is a quarter
 /// turn.
@@ -56,7 +56,7 @@ fn check_heading(rows: &[Row<7>]) -> Result<(), PathError> {
             );
             let travel = (after[2] - before[2]).atan2(after[1] - before[1]);
             let error = rows[i].values[3] + quarter - travel;
-            (error - TAU * (error / TAU).round()).abs()
+            wrap_angle(error).abs()
         });
         errors.sum::<f64>() / count as f64
     };

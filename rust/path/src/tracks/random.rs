@@ -98,7 +98,8 @@ impl RandomTrack {
         let neighbours =
             (TAU / 2.0 * self.min_radius.max(apart) / self.length * CHECKED as f64).ceil() as usize;
         (0..CHECKED).all(|i| {
-            (i + neighbours..CHECKED.min(i + CHECKED - neighbours))
+            (i + neighbours..CHECKED)
+                .take_while(|j| j + neighbours < i + CHECKED)
                 .all(|j| (points[j][0] - points[i][0]).hypot(points[j][1] - points[i][1]) > apart)
         })
     }

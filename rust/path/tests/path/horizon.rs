@@ -4,10 +4,11 @@
 
 use std::f64::consts::{PI, TAU};
 
-use egp_parameters::VehicleParameters;
+use egp_parameters::{STANDARD_GRAVITY, VehicleParameters};
 use egp_path::tracks::RoundedRectangle;
 use egp_path::{
-    Path, PathError, Projection, SpeedLimits, SpeedProfile, Zone, catch_up, horizon_reference,
+    HorizonRows, Path, PathError, Projection, ReferenceStart, SpeedLimits, SpeedPlanner,
+    SpeedProfile, Zone, horizon_reference,
 };
 
 /// The speed limits of the simulated car.
@@ -20,19 +21,24 @@ const DT: f64 = 0.05;
 type Rows = (Vec<[f64; 4]>, Vec<[f64; 2]>, Projection);
 
 fn reference(path: &Path, profile: &SpeedProfile, position: [f64; 2], psi: f64) -> Rows {
-    let (mut rows, mut widths) = (vec![[0.0; 4]; 41], vec![[0.0; 2]; 41]);
-    let found = horizon_reference(
-        path,
-        profile,
+    follow(path, profile, &at(position, psi), 40)
+}
+
+/// A vehicle whose speed the reference does not depend on.
+fn at(position: [f64; 2], psi: f64) -> ReferenceStart {
+    ReferenceStart {
         position,
         psi,
-        DT,
-        None,
-        &mut rows,
-        &mut widths,
-    )
-    .unwrap();
-    (rows, widths, found)
+        catch_up_from: None,
+        hint: None,
+    }
+}
+
+fn follow(path: &Path, profile: &SpeedProfile, start: &ReferenceStart, periods: usize) -> Rows {
+    let mut rows = HorizonRows::new(periods);
+    let found = horizon_reference(path, profile, start, DT, &mut rows).unwrap();
+    let (reference, widths) = rows.into_parts();
+    (reference, widths, found)
 }
 
 #[test]
@@ -124,19 +130,9 @@ fn errors_name_the_invalid_argument() {
     }
     .path()
     .unwrap();
-    let (mut rows, mut widths) = ([[0.0; 4]; 3], [[0.0; 2]; 2]);
-    let mut ask = |path: &Path, x: f64, dt: f64| {
-        horizon_reference(
-            path,
-            &profile,
-            [x, 0.0],
-            0.0,
-            dt,
-            None,
-            &mut rows,
-            &mut widths,
-        )
-        .unwrap_err()
+    let ask = |path: &Path, x: f64, dt: f64| {
+        let (start, mut rows) = (at([x, 0.0], 0.0), HorizonRows::new(2));
+        horizon_reference(path, &profile, &start, dt, &mut rows).unwrap_err()
     };
     assert!(matches!(
         ask(&path, f64::NAN, DT),
@@ -150,13 +146,6 @@ fn errors_name_the_invalid_argument() {
         ask(&other, 0.0, DT),
         PathError::ForeignProfile { .. }
     ));
-    assert_eq!(
-        ask(&path, 0.0, DT),
-        PathError::HorizonRows {
-            reference: 3,
-            widths: 2
-        }
-    );
 }
 
 #[test]
@@ -180,29 +169,90 @@ fn a_vehicle_behind_a_standing_start_is_led_on_to_the_path() {
 fn a_vehicle_far_below_the_profile_is_not_left_behind() {
     let path = RoundedRectangle::default().path().unwrap();
     let profile = SpeedProfile::new(&path, &car()).unwrap();
-    let at = path.sample(20.0);
-    let (rows, widths, found) = reference(&path, &profile, [at.x, at.y], at.yaw);
-    let with = |v_x: f64| {
-        let (mut rows, mut widths) = (rows.clone(), widths.clone());
-        catch_up(&path, &profile, found.s, v_x, DT, &mut rows, &mut widths);
-        (rows, widths)
+    let place = path.sample(20.0);
+    let start = at([place.x, place.y], place.yaw);
+    let with = |profile: &SpeedProfile, v_x: f64| {
+        let catching_up = ReferenceStart {
+            catch_up_from: Some(v_x),
+            ..start
+        };
+        follow(&path, profile, &catching_up, 40)
     };
     // Up to 2 m/s below nothing changes.
-    assert_eq!(with(rows[0][2] - 1.99), (rows.clone(), widths.clone()));
-    let (slower, edges) = with(0.0);
+    let (rows, widths, found) = follow(&path, &profile, &start, 40);
+    let near = with(&profile, rows[0][2] - 1.99);
+    assert_eq!(near, (rows.clone(), widths.clone(), found));
+    let (slower, edges, _) = with(&profile, 0.0);
+    assert_eq!(with(&profile, f64::NAN).0, slower);
     let mut s = found.s;
     for (k, row) in slower.iter().enumerate() {
         let v = 2.0 + k as f64 * DT;
         assert!((row[2] - v).abs() < 1e-12, "stage {k}: {}", row[2]);
         let expected = path.sample(s);
         assert!((row[0] - expected.x).hypot(row[1] - expected.y) < 1e-9);
-        assert!((row[3] - at.yaw).abs() < 1.0);
+        assert!((row[3] - place.yaw).abs() < 1.0);
         s += v * DT;
     }
     assert_eq!(edges.len(), widths.len());
     // The profile is not exceeded.
     let low = SpeedProfile::constant(&path, 2.5).unwrap();
-    let (mut rows, mut widths) = (vec![[0.0, 0.0, 2.5, at.yaw]; 41], vec![[0.0; 2]; 41]);
-    catch_up(&path, &low, found.s, 0.0, DT, &mut rows, &mut widths);
-    assert_eq!(rows[40][2], 2.5);
+    let (rows, ..) = with(&low, 0.0);
+    assert_eq!((rows[0][2], rows[40][2]), (2.0, 2.5));
+}
+
+#[test]
+fn a_plan_with_end_speed_zero_comes_to_rest_at_the_end() {
+    let points: Vec<_> = (0..=20).map(|i| [6.17 * f64::from(i), 0.0]).collect();
+    let path = Path::from_points(&points, false, None).unwrap();
+    let end = path.length();
+    let stop = SpeedLimits {
+        end_speed: Some(0.0),
+        ..car()
+    };
+    let mut planner = SpeedPlanner::new(&path, &stop).unwrap();
+    let friction = vec![0.8; planner.places()];
+    let mut rows = |before: f64, v: f64| {
+        let profile = planner.plan(end - before, Some(v), &friction).unwrap();
+        let rows = follow(&path, profile, &at([end - before, 0.0], 0.0), 800).0;
+        let case = format!("{before} m before the end at {v} m/s: {rows:?}");
+        assert!(
+            rows.iter().flatten().all(|value| value.is_finite()),
+            "{case}"
+        );
+        assert!(
+            rows.windows(2).all(|pair| pair[0][0] <= pair[1][0]),
+            "{case}"
+        );
+        // The speed does not rise again.
+        let fastest = (1..rows.len()).rfind(|i| rows[*i][2] > rows[i - 1][2] + 1e-6);
+        let fallen = (1..rows.len()).find(|i| rows[*i][2] < rows[i - 1][2] - 1e-6);
+        assert!(
+            fastest.is_none_or(|i| fallen.is_none_or(|k| i < k)),
+            "{case}"
+        );
+        assert!(rows[rows.len() - 1][2] < 1e-6, "{case}");
+        rows[rows.len() - 1][0]
+    };
+    let braking = car().braking * car().grip * 0.8 * STANDARD_GRAVITY;
+    for before in [123.0, 60.0, 20.3, 5.0, 1.7, 1.0, 0.3, 0.01] {
+        let able_to_stop = 0.9 * (2.0 * braking * before).sqrt().min(20.0);
+        assert!((rows(before, able_to_stop) - end).abs() < 1e-6);
+        let rest = rows(before, able_to_stop + 3.0);
+        assert!(rest > end - 1e-6 && rest < end + 30.0, "{rest}");
+        let rest = rows(before, 0.0);
+        assert!(rest > end - 1.0 && rest < end + 1e-6, "{rest}");
+    }
+    for beyond in [0.0, 0.01, 0.4, 1.0, 3.0, 40.0] {
+        assert!((rows(-beyond, 0.0) - (end + beyond)).abs() < 1e-9);
+        assert!(rows(-beyond, 3.0) > end + beyond);
+    }
+
+    let profile = planner.plan(100.0, Some(5.0), &friction).unwrap();
+    let (last, never) = (profile.time(end), profile.time(end + 1.0));
+    assert!(
+        last > 0.0 && last < 30.0 && never == f64::INFINITY,
+        "{last} {never}"
+    );
+    assert!((profile.station(last + 1e3) - end).abs() < 1e-9);
+    assert_eq!(profile.lap_time(), f64::INFINITY);
 }

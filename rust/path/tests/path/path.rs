@@ -197,6 +197,12 @@ fn a_split_road_has_two_sides() {
         .map(|(s, lateral)| path.surface_beside(s, lateral).friction());
     assert_eq!(beside, [0.8, 0.8, 1.1, 0.5]);
     assert_eq!(path.sample(60.0).friction, 0.8);
+    for hint in [None, Some(40.0)] {
+        let surfaces = path.surfaces_near(hint);
+        let under = [[46.0, 1.0], [46.0, -1.0], [49.0, 1.0], [49.0, -1.0]]
+            .map(|position| surfaces(position).friction());
+        assert_eq!(under, [0.8, 0.8, 1.1, 0.5]);
+    }
     let slick = Zone {
         right: Some(0.0.into()),
         ..split

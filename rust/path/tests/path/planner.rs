@@ -3,7 +3,10 @@
 
 use egp_parameters::{STANDARD_GRAVITY, VehicleParameters};
 use egp_path::tracks::RoundedRectangle;
-use egp_path::{Path, PathError, SpeedLimits, SpeedPlanner, SpeedProfile, horizon_reference};
+use egp_path::{
+    HorizonRows, Path, PathError, ReferenceStart, SpeedLimits, SpeedPlanner, SpeedProfile,
+    horizon_reference,
+};
 
 fn lap() -> Path {
     RoundedRectangle::default().path().unwrap()
@@ -146,20 +149,15 @@ fn the_reference_over_the_horizon_follows_a_plan_across_the_end_of_a_lap() {
     let s = path.length() - 3.0;
     let place = path.sample(s);
     let profile = planner.plan(s, Some(10.0), &friction).unwrap();
-    let (mut reference, mut widths) = (vec![[0.0; 4]; 41], vec![[0.0; 2]; 41]);
-    let position = [place.x, place.y];
-    let (reference, widths) = (&mut reference[..], &mut widths[..]);
-    horizon_reference(
-        &path,
-        profile,
-        position,
-        place.yaw,
-        0.02,
-        Some(s),
-        reference,
-        widths,
-    )
-    .unwrap();
+    let start = ReferenceStart {
+        position: [place.x, place.y],
+        psi: place.yaw,
+        catch_up_from: None,
+        hint: Some(s),
+    };
+    let mut rows = HorizonRows::new(40);
+    horizon_reference(&path, profile, &start, 0.02, &mut rows).unwrap();
+    let reference = rows.reference();
     for pair in reference.windows(2) {
         let distance = (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]);
         let mean = 0.5 * (pair[0][2] + pair[1][2]);
@@ -187,16 +185,20 @@ fn holds_on_both_sides(path: &Path) {
     let mut speeds = |planned: f64, measured: f64| {
         let profile = planner.plan(planned, Some(14.0), &friction).unwrap();
         let place = path.sample(measured);
-        let (mut reference, mut widths) = ([[0.0; 4]; 41], [[0.0; 2]; 41]);
-        let position = [place.x, place.y];
-        let (rows, edges) = (&mut reference[..], &mut widths[..]);
-        horizon_reference(path, profile, position, place.yaw, 0.05, None, rows, edges).unwrap();
-        reference.map(|row| row[2])
+        let start = ReferenceStart {
+            position: [place.x, place.y],
+            psi: place.yaw,
+            catch_up_from: None,
+            hint: None,
+        };
+        let mut rows = HorizonRows::new(40);
+        horizon_reference(path, profile, &start, 0.05, &mut rows).unwrap();
+        (rows.reference().iter().map(|row| row[2])).collect::<Vec<_>>()
     };
     let end = path.length();
     for (planned, measured) in [(0.05, end - 0.02), (end - 0.05, 0.02), (10.005, 9.98)] {
         let [across, beside] = [measured, planned].map(|at| speeds(planned, at));
-        for (a, b) in across.iter().zip(beside) {
+        for (a, b) in across.iter().zip(&beside) {
             assert!((a - b).abs() < 0.2, "{across:?} {beside:?}");
         }
     }
@@ -211,7 +213,13 @@ fn numbers_out_of_range_are_errors() {
         planner.plan(s, Some(v), &friction).unwrap_err().to_string()
     };
     assert!(refused(f64::NAN, 1.0, vec![1.0; places]).contains("arc length"));
-    assert!(refused(0.0, f64::INFINITY, vec![1.0; places]).contains("speed"));
+    for v in [f64::INFINITY, 1e200, 1.1e4, -1e200] {
+        let message = refused(0.0, v, vec![1.0; places]);
+        assert!(
+            message.contains("a speed within ±10000 m/s for v"),
+            "{message}"
+        );
+    }
     assert!(refused(0.0, 1.0, vec![0.0; places]).contains("friction"));
     let short = refused(0.0, 1.0, vec![1.0; 3]);
     assert_eq!(
@@ -222,8 +230,15 @@ fn numbers_out_of_range_are_errors() {
         start_speed: Some(1.0),
         ..limits()
     };
-    assert!(matches!(
-        SpeedPlanner::new(&path, &start),
-        Err(PathError::Parameter { .. })
-    ));
+    let points: Vec<_> = (0..10).map(|i| [10.0 * f64::from(i), 0.0]).collect();
+    let open = Path::from_points(&points, false, None).unwrap();
+    for path in [&path, &open] {
+        assert!(matches!(
+            SpeedPlanner::new(path, &start),
+            Err(PathError::Parameter {
+                name: "start_speed",
+                ..
+            })
+        ));
+    }
 }

@@ -211,6 +211,18 @@ fn a_seed_determines_its_track() {
     assert_ne!(at(7), at(8));
 }
 
+#[test]
+fn on_the_shortest_lap_all_points_are_neighbours_and_only_the_radius_counts() {
+    let min_radius = 10.0_f64.next_up();
+    let track = RandomTrack {
+        seed: 1,
+        length: 1.5 * std::f64::consts::TAU * min_radius,
+        min_radius,
+        track_width: 20.0,
+    };
+    assert!(tightest(&track.path().unwrap()) * min_radius < 1.02);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(30))]
 
