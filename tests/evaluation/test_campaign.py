@@ -290,6 +290,15 @@ def test_weights_that_never_move_break_the_claim_about_settling() -> None:
     assert [claim.holds for claim in check(still, []) if "settle" in claim.text] == [False]
 
 
+def test_the_interval_of_settling_times_is_over_the_runs_and_not_over_their_changes() -> None:
+    times = [0.1, 0.2, 0.6]
+    runs = [replace(OUTCOME, seed=seed, settling=(t,) * 9) for seed, t in enumerate(times)]
+    (group,) = grouped([*runs, replace(OUTCOME, seed=3, settling=())])
+    assert group.settling == median(times)
+    (alone,) = grouped(runs[:1])
+    assert alone.settling.text(".1f") == "0.1"
+
+
 def test_the_order_of_the_means_may_differ_from_that_of_one_seed() -> None:
     errors = {("E(AD)", POOLED): 1.0, (POOLED, POOLED): 2.0, ("A", "D"): 3.0, ("D", "A"): 3.0}
     errors |= {("E(AD)", "T"): 3.0, ("E(ABD)", "T"): 2.0, ("E(ABCD)", "T"): 1.0}

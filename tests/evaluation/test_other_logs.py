@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from egp_service.data.alignment import Delays
 from egp_service.data.collect import CollectionSettings, collect
+from egp_service.data.dataset import Dataset, Provenance
 from egp_service.data.experiment import Experiment
 from egp_service.data.sensors import Sensors, measure
 from egp_service.evaluation import logs
@@ -21,8 +23,6 @@ from egp_service.vehicle import known_vehicle
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from egp_service.data.dataset import Dataset
 
 DT = 0.04  # 25 Hz
 SETTINGS = TrainingSettings(max_points=60, first_points=60, restarts=0, max_iterations=5)
@@ -120,6 +120,41 @@ def test_weights_do_not_come_from_a_window_across_a_gap(outcomes: dict[str, LogO
     assert np.isnan(found[window]).all()
     np.testing.assert_array_equal(found[:after], whole[:after])
     assert np.isfinite(found[after + 12]).all()
+
+
+def test_held_out_blocks_have_no_part_in_the_search_for_delays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # The third of ten blocks is shorter than the delay, so that it is lost.
+    lengths = [60, 60, 2, 60, 60, 60, 60, 60, 60, 60]
+    rng, n = np.random.default_rng(0), sum(lengths)
+    data = Dataset(
+        z=np.array([15.0, 0.0, 0.0, 0.0, 0.0, 0.0]) + 0.1 * rng.standard_normal((n, 6)),
+        y=0.1 * rng.standard_normal((n, 3)),
+        trajectory=np.repeat(np.arange(len(lengths), dtype=np.uint32), lengths),
+        step=np.concatenate([np.arange(length, dtype=np.uint32) for length in lengths]),
+        provenance=Provenance(DT, "own car", "dry", 1.0, 0, "log", "test"),
+    )
+    searched: list[set[int]] = []
+    trained: list[list[set[int]]] = []
+
+    def blocks(part: Dataset) -> set[int]:
+        return set(np.unique(part.trajectory).tolist())
+
+    def found(parts: list[Dataset], _: object) -> Delays:
+        searched.extend(map(blocks, parts))
+        return Delays(measurement=3 * DT)
+
+    def keep(parts: list[tuple[Dataset, Dataset]], *_: object) -> None:
+        trained.extend(list(map(blocks, part)) for part in parts)
+        raise InterruptedError
+
+    monkeypatch.setattr(logs, "find_delays", found)
+    monkeypatch.setattr(logs, "_train", keep)
+    with pytest.raises(InterruptedError):
+        evaluate_logs([data], None, SETTINGS)
+    assert searched == [{0, 1, 2, 3, 5, 6, 7, 8}]
+    assert trained == [[{0, 1, 3, 5, 6, 7, 8}, {4, 9}]]
 
 
 def test_the_picture_names_the_members_whose_weights_it_shows(

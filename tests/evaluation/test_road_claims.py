@@ -74,6 +74,28 @@ def test_a_risk_that_completes_no_first_lap_is_compared_with_the_best_assumption
     assert claimed(0) == (False, f"at worst -3.0 of 4 ({BELIEF}20%)")
 
 
+def test_a_risk_gains_nothing_from_losing_slow_roads() -> None:
+    def run(contender: str, seed: int, completed: bool) -> Outcome:  # noqa: FBT001
+        slow = 30.0 if seed < 5 else 20.0
+        return replace(
+            OUTCOME,
+            experiment=FIRST,
+            contender=contender,
+            seed=seed,
+            completed=completed,
+            time=20.0 if contender == ORACLE else slow,
+        )
+
+    found = [
+        run(contender, seed, contender != f"{BELIEF}5%" or seed > 3)
+        for contender in (ORACLE, f"{ASSUMED}0.4", f"{BELIEF}5%")
+        for seed in range(10)
+    ]
+    (claim,) = (claim for claim in check(found, []) if "equal time" in claim.text)
+    # On each road both take the same time, but the belief loses four of the slow ones.
+    assert (claim.holds, claim.evidence) == (False, f"at worst -4.0 of 10 ({BELIEF}5%)")
+
+
 def test_a_lying_map_costs_the_laps_that_are_completed_without_it() -> None:
     def claimed(outvoted: list[bool], alone: list[bool]) -> tuple[bool | None, str]:
         found = [

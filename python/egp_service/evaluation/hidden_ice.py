@@ -1,4 +1,7 @@
-"""A patch of ice on a dry lap, at a place that nobody told: the laps after it was found."""
+"""A patch of ice on a dry lap, at a place that the controller does not know.
+
+The laps after it was found count.
+"""
 
 from __future__ import annotations
 

@@ -89,7 +89,8 @@ def evaluate_logs(
 
     Raises:
         EgpError: if two logs have the same name of a surface, or differ in car or period, as
-            `check_data`, or if training fails.
+            `check_data`, if the held-out blocks have no transition with moved inputs, or if
+            training fails.
 
     """
     names = [log.provenance.surface for log in logs]
@@ -98,10 +99,13 @@ def evaluate_logs(
     check_one_car([log.provenance for log in logs], "comparison")
     for log in logs:
         check_data(log)
+    split = [hold_out(log) for log in logs]
     with one_thread(settings.max_points):
-        delays = [find_delays([hold_out(log)[0]], vehicle) for log in logs]
-    moved = [align(log, own) for log, own in zip(logs, delays, strict=True)]
-    parts = [hold_out(log) for log in moved]
+        delays = [find_delays([rest], vehicle) for rest, _ in split]
+    parts = [
+        (align(rest, own), align(held, own))
+        for (rest, held), own in zip(split, delays, strict=True)
+    ]
     members = _train(parts, settings, vehicle, report)
     paper = _train(parts, dataclasses.replace(settings, mean="constant"), vehicle, report)
     return [

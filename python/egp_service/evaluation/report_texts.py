@@ -18,7 +18,8 @@ of an incomplete run is the error up to its end, so errors and completions must 
 Brackets are 95 % intervals over the seeds: Wilson's for shares, and expanded percentile intervals
 of the bootstrap for medians (off track: for the mean). With few seeds these are too narrow: with
 normal errors 75 % of them hold the true value with three seeds, 92 % with five. One run has
-brackets for its share only. <i>No plan</i> counts control periods without a usable plan, and
+brackets for its share only. The settling time of a run is the median over its friction changes
+under excitation. <i>No plan</i> counts control periods without a usable plan, and
 <i>late</i> counts periods whose step took longer than the period while other runs shared the
 machine. <i>No data</i> means that no run gives the figure, and claims about experiments that were
 not run are left out.

@@ -39,20 +39,19 @@ def check(outcomes: Sequence[Outcome], ice: Sequence[IceOutcome]) -> list[Claim]
 
 def _first_lap(outcomes: Sequence[Outcome]) -> list[Claim]:
     """Claim how many first laps are completed in the same time as by other sources."""
-    groups = grouped(outcomes)
     claims = []
     for source, name, fewer in (
         (ASSUMED, "the best assumed friction", 0.0),
         (HERE, "a reference that is told the friction under the vehicle", 2.0 / 30.0),
     ):
-        gap = unknown_roads.frontier_gap(groups, source)
+        gap = unknown_roads.frontier_gap(outcomes, source)
         if gap is not None:
-            runs = max(g.runs for g in groups if g.experiment == unknown_roads.FIRST)
+            runs = len({o.seed for o in outcomes if o.experiment == unknown_roads.FIRST})
             text = f", or at most {fewer:.0%} of all runs fewer" if fewer else ""
             claims.append(
                 Claim(
-                    f"On a first lap it completes at least as many runs as {name} at equal time"
-                    f"{text}",
+                    f"On a first lap it completes at least as many runs as {name} at equal time on "
+                    f"the roads that both complete{text}",
                     gap[0] >= -fewer * runs,
                     f"at worst {gap[0]:+.1f} of {runs} ({gap[1]})",
                 )

@@ -61,7 +61,8 @@ class Group:
     off_track: Interval
     """Mean, s."""
     settling: Interval
-    """Median over the friction changes under excitation, s; NaN without one."""
+    """Median over the runs of a run's median over its friction changes under excitation, s; NaN
+    without such a change."""
     regret: Interval
     """Median ratio of lateral RMS errors to the oracle's, over the seeds that both completed; NaN
     without such a seed."""
@@ -84,9 +85,14 @@ class Comparison:
     completed: tuple[int, int]
     """Completed runs of both."""
     runs: int
-    gain: Interval
-    """Mean difference of the lateral RMS errors, the second less the first, m, over the seeds that
-    both completed; NaN without one. One seed has no interval."""
+    gains: tuple[float, ...]
+    """Differences of the lateral RMS errors, the second less the first, m, of the seeds that both
+    completed."""
+
+    @property
+    def gain(self) -> Interval:
+        """Mean of `gains`; NaN without one. One seed has no interval."""
+        return mean(self.gains)
 
     @property
     def closer(self) -> bool:
@@ -106,7 +112,7 @@ def paired(
         condition,
         (sum(a.completed for a, _ in pairs), sum(b.completed for _, b in pairs)),
         len(pairs),
-        mean([b.lateral_rms - a.lateral_rms for a, b in pairs if a.completed and b.completed]),
+        tuple(b.lateral_rms - a.lateral_rms for a, b in pairs if a.completed and b.completed),
     )
 
 
@@ -192,7 +198,7 @@ def _group(
         speed_rms=median([run.speed_rms for run in runs]),
         lap_time=median([run.time for run in through]),
         off_track=mean([run.off_track for run in runs]),
-        settling=median([time for run in runs for time in run.settling]),
+        settling=median([float(np.median(run.settling)) for run in runs if run.settling]),
         regret=median([own.lateral_rms / best.lateral_rms for own, best in pairs]),
         time_regret=median([own.time / best.time for own, best in pairs]),
         avoidable=sum(run.avoidable is True for run in runs),

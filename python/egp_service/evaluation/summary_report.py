@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from egp_service.evaluation.campaign import Drive, Outcome
     from egp_service.evaluation.entry_speed import EntrySpeed
     from egp_service.evaluation.hidden_ice import IceOutcome
@@ -297,9 +299,7 @@ def _prediction_section(folder: Path, predictions: Sequence[PredictionOutcome]) 
             np.array([getattr(p, name) for p in own])
             for name in ("rmse", "coverage", "coverage_mixture", "nlpd", "nlpd_mixture")
         ]
-        rmse = " / ".join(
-            f"{m:.4f}±{s:.4f}" for m, s in zip(columns[0].mean(0), columns[0].std(0), strict=True)
-        )
+        rmse = " / ".join(_mean_and_deviation(errors) for errors in columns[0].T)
         rest = [" / ".join(f"{v:.2f}" for v in column.mean(0)) for column in columns[1:]]
         rows.append((predictor, on, str(window or "-"), rmse, *rest))
     frictions = ", ".join(f"{name} = {mu:g}" for name, mu in SURFACES.items())
@@ -308,9 +308,9 @@ def _prediction_section(folder: Path, predictions: Sequence[PredictionOutcome]) 
         f"The letters are surfaces with the friction {frictions}. A predictor A is a GP trained "
         f"on surface A, {POOLED} one trained on both surfaces, and E(AD) the ensemble of the GPs A "
         "and D; K is the number of periods in the window of its weights. RMS errors of the changes "
-        "of v_x, v_y (m/s) and ω (rad/s) over 20 ms, mean and standard deviation over seeds; share "
-        "inside the 95 % interval and negative log predictive density for the variance of eq. (3) "
-        "and for the mixture variance.",
+        "of v_x, v_y (m/s) and ω (rad/s) over 20 ms, mean and standard deviation over seeds (with "
+        "one seed the error alone); share inside the 95 % interval and negative log predictive "
+        "density for the variance of eq. (3) and for the mixture variance.",
         (figures.draw_prediction(predictions, folder / "prediction.png"),),
         (
             plain_table(
@@ -328,6 +328,12 @@ def _prediction_section(folder: Path, predictions: Sequence[PredictionOutcome]) 
             ),
         ),
     )
+
+
+def _mean_and_deviation(errors: NDArray[np.float64]) -> str:
+    """Format the mean and the standard deviation of errors (n,) of n seeds; one error alone."""
+    mean = f"{errors.mean():.4f}"
+    return mean if len(errors) == 1 else f"{mean}±{errors.std(ddof=1):.4f}"
 
 
 def _write_csv(path: Path, rows: Sequence[dict[str, object]]) -> None:

@@ -109,35 +109,46 @@ def _believed(risk: float) -> dict[str, object]:
     return {"knows": "nothing", "risk": risk}
 
 
-def frontier_gap(groups: Sequence[Group], source: str) -> tuple[float, str] | None:
-    """Return by how many completed runs the belief exceeds a `source` at equal time, at worst.
+def frontier_gap(outcomes: Sequence[Outcome], source: str) -> tuple[float, str] | None:
+    """Return how many more first laps the belief completes than a `source` in equal time, at worst.
 
-    `source` is `ASSUMED` or `HERE`. Between the source's variants its completions are interpolated
-    over the time, and a slower setting of the belief is compared with the best of them, as is one
-    without a time, because it completes no run; settings that are faster than all of them are left
-    out.
-    Also returns the worst setting's name. None if nothing can be compared.
+    `source` is `ASSUMED` or `HERE`. A variant of the source takes the median of the ratios of its
+    lap time to that of a setting of the belief, over the seeds that both completed, so that a
+    setting gains nothing from not completing slow roads. The completions of the variants, of which
+    a slower one is never the worse choice, are interpolated over these ratios at 1. A setting that
+    completes no run is compared with the best variant, and one that is faster than all variants is
+    left out. Also returns the name of the worst setting. None if nothing can be compared.
     """
-    own = [
-        (g.time_regret.value if np.isfinite(g.time_regret.value) else np.inf, g)
-        for g in groups
-        if g.experiment == FIRST
-    ]
-    others = sorted(
-        (time, g.completed)
-        for time, g in own
-        if g.contender.startswith(source) and np.isfinite(time)
-    )
-    if not others:
-        return None
-    times, completed = np.array(others, dtype=np.float64).T
-    best = np.maximum.accumulate(completed)  # a slower variant is never the worse choice
-    gaps = [
-        (g.completed - float(np.interp(time, times, best)), g.contender)
-        for time, g in own
-        if g.contender.startswith(BELIEF) and times[0] <= time
-    ]
+    times: dict[str, dict[int, float]] = {}
+    for o in outcomes:
+        if o.experiment == FIRST:
+            completed = times.setdefault(o.contender, {})
+            if o.completed:
+                completed[o.seed] = o.time
+    variants = [found for name, found in times.items() if name.startswith(source) and found]
+    gaps = []
+    for name, own in times.items():
+        if not name.startswith(BELIEF) or not variants:
+            continue
+        if not own:
+            gaps.append((-float(max(map(len, variants))), name))
+        elif found := _paired_times(own, variants):
+            ratios, completions = np.array(sorted(found), dtype=np.float64).T
+            if ratios[0] <= 1.0:
+                best = float(np.interp(1.0, ratios, np.maximum.accumulate(completions)))
+                gaps.append((len(own) - best, name))
     return min(gaps, default=None)
+
+
+def _paired_times(
+    own: dict[int, float], variants: Sequence[dict[int, float]]
+) -> list[tuple[float, int]]:
+    """Return the median ratio of each variant's time to the own one, and its completed runs."""
+    return [
+        (float(np.median([found[seed] / own[seed] for seed in common])), len(found))
+        for found in variants
+        if (common := found.keys() & own.keys())
+    ]
 
 
 def lap_ratios(outcomes: Sequence[Outcome], contender: str) -> list[Interval]:
