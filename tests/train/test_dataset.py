@@ -141,6 +141,13 @@ def test_refuses_bad_metadata(tmp_path: Path) -> None:
             Dataset.read(path)
 
 
+def test_frictions_are_those_of_surfaces() -> None:
+    assert provenance(3.0).friction == 3.0
+    for friction in (0.0, 3.01, float("nan")):
+        with pytest.raises(EgpError, match="expected a coefficient above 0 and at most 3"):
+            provenance(friction)
+
+
 def test_metadata_that_are_no_object_are_an_error(tmp_path: Path) -> None:
     path = tmp_path / "wet.parquet"
     pl.DataFrame({"v_x": [1.0]}).write_parquet(path, metadata={METADATA_KEY: "[1]"})

@@ -20,7 +20,7 @@ from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean
 from egp_service.training.autocorrelation import autocorrelation
 from egp_service.training.euler import euler_steps
-from egp_service.training.normal_equations import Compressed
+from egp_service.training.normal_equations import NormalEquationProblem
 from egp_service.training.vehicle_file import Line, vehicle_lines
 from egp_service.training.vehicle_fit import FittedParameter, fit_vehicle
 from egp_service.training.vehicle_priors import priors
@@ -72,7 +72,7 @@ def test_trial_points_without_a_solution_are_left_again() -> None:
         distance = x - 1.5
         return np.array([[0.4 * slope]]), slope * distance, 2.5 * float(distance @ distance)
 
-    problem = Compressed(equations)
+    problem = NormalEquationProblem(equations)
     for unusable in (2.0, 3.0):
         assert np.isinf(problem.residuals(np.array([unusable]))).all()
     found = least_squares(problem.residuals, np.array([0.0]), jac=problem.jacobian)

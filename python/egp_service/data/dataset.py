@@ -62,8 +62,10 @@ class Provenance:
         """Check the ranges of the values."""
         if not (_PERIODS[0] <= self.dt <= _PERIODS[1]):
             raise EgpError(f"dt is {self.dt} s: expected a period of 0.001 to 1 s")
-        if not (0.0 < self.friction < 3.0):  # noqa: PLR2004 - no tyre reaches 3
-            raise EgpError(f"friction is {self.friction}: expected a coefficient between 0 and 3")
+        if not (0.0 < self.friction <= 3.0):  # noqa: PLR2004 - as for surfaces
+            raise EgpError(
+                f"friction is {self.friction}: expected a coefficient above 0 and at most 3"
+            )
         if not self.surface:
             raise EgpError("the surface label is empty: name the surface, for example 'wet'")
         for name in ("vehicle", "surface", "method", "tool"):

@@ -23,7 +23,7 @@ from egp_service.training.gaussian_process import Bounds, Hyperparameters, Outpu
 from egp_service.training.prior_mean import change, kinematic_change
 from egp_service.training.sparse import PosteriorMean, average_targets, fit_sparse
 from egp_service.training.subset import select
-from egp_service.training.trained import TrainedMember
+from egp_service.training.trained import ScaledData, TrainedMember
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -100,10 +100,8 @@ def average_member(
         if not std > 0.0:
             raise EgpError(f"surface {data.provenance.surface}: {name} is predicted without error")
     target_mean = rest[moving].mean(axis=0) if mean.constant else np.zeros(NY)
-    input_mean, input_std = data.z.mean(axis=0), data.z.std(axis=0)
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    z = torch.tensor((data.z - input_mean) / input_std, dtype=torch.float64, device=device)
-    y = torch.tensor((rest - target_mean) / target_std, dtype=torch.float64, device=device)
+    scaled = ScaledData.of(data.z, rest, target_mean, target_std)
+    z, y = scaled.z, scaled.y
     widen = np.ones(NY) if widening is None else widening
     chosen, values = moving[:1], [_ALONE] * NY
     if report is not None:
@@ -114,18 +112,18 @@ def average_member(
         _final((z, y[:, j]), chosen, values[j], settings.kernel, moving=moving, widen=widen[j])
         for j in range(NY)
     ]
-    scaled = torch.stack([targets for _, targets in final], dim=1).cpu().numpy()
+    targets = torch.stack([targets for _, targets in final], dim=1).cpu().numpy()
     return TrainedMember(
         dataset=data,
         validation=validation,
         inputs=data.z[chosen],
         targets=mean.predict(data.z[chosen], data.provenance.dt)
         + target_mean
-        + scaled * target_std,
-        input_mean=input_mean,
-        input_std=input_std,
-        target_mean=target_mean,
-        target_std=target_std,
+        + targets * target_std,
+        input_mean=scaled.input_mean,
+        input_std=scaled.input_std,
+        target_mean=scaled.target_mean,
+        target_std=scaled.target_std,
         processes=tuple(process for process, _ in final),
         single_track=mean.single_track,
         steps=mean.steps,

@@ -9,8 +9,8 @@ to all blocks (`vehicle_fit`), which favours kinds with a vehicle. Processes, co
 are those of the four blocks.
 
 A model with more parameters is taken only where it predicts better, with one exception: outside its
-data only a single-track vehicle predicts slides, so that it is preferred unless another kind is
-better by more than `MARGIN`.
+data only a single-track vehicle predicts slides. The best kind with one is therefore preferred if
+it is better than no change, unless another kind is better than it by `MARGIN` or more.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ MARGIN: Final = 0.25
 drives of the simulated car, with exact states and with the sensors of `data.sensors`, such a
 vehicle with processes was the best kind, by 0.18 and 0.14; on a log of an oval another one was
 better by 0.02."""
-_EVERY: Final = 5  # blocks from one that is held out to the next one
+_HELD_OUT_EVERY: Final = 5  # blocks from one that is held out to the next one
 
 
 def best_member(
@@ -164,7 +164,8 @@ def hold_out(data: Dataset) -> tuple[Dataset, Dataset]:
             "new trajectory every 10 s: record more than 20 s (`egp train --mean single-track` "
             "needs less)"
         )
-    held = numbers[_EVERY - 1 :: _EVERY] if len(numbers) >= _EVERY else numbers[-1:]
+    every = _HELD_OUT_EVERY
+    held = numbers[every - 1 :: every] if len(numbers) >= every else numbers[-1:]
     out = np.isin(data.trajectory, held)
     moving = np.unique(data.trajectory[data.z[:, 0] > MOVING])
     if len(moving) > 1 and not np.isin(moving, held).any():

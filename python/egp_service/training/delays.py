@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import logging
 import math
 from typing import TYPE_CHECKING, Final
 
@@ -26,6 +27,7 @@ from egp_service.training.choice import hold_out
 from egp_service.training.open_loop import linear, student_loss
 from egp_service.training.prior_mean import predict
 from egp_service.training.vehicle_fit import fit_vehicle
+from egp_service.training.vehicle_priors import priors, why_outside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -50,9 +52,12 @@ _FILTERS: Final = tuple(0.1 * 2.0 ** (0.5 * k) for k in range(13))  # s; up to 6
 _FILTER_DELAYS: Final = range(-4, 5)
 _WINDOW: Final = 1.0  # s, over which changes of v_x identify the filter
 _V_X, _OMEGA = 0, 2
+_log = logging.getLogger(__name__)
 
 
-def find_delays(logs: Sequence[Dataset], vehicle: VehicleParameters | None) -> Delays:
+def find_delays(
+    logs: Sequence[Dataset], vehicle: VehicleParameters | None, *, fits_vehicle: bool = True
+) -> Delays:
     """Return the delays that all logs of one car have in common; zero if not identified.
 
     A delay is identified if its optimum lies inside the range that is searched (states 0 to 0.32 s,
@@ -62,12 +67,15 @@ def find_delays(logs: Sequence[Dataset], vehicle: VehicleParameters | None) -> D
     measures all states. Only runs of at least 2 s count, and delays that leave enough of them.
     `vehicle` is what is known about the car.
 
+    Without fits of a vehicle, or if the car is outside the range that these search, the delay of
+    the states is not searched, and a warning says so.
+
     A first-order filter of the force (0.1 to 6.4 s, with a delay of at most two periods) is
     identified if it predicts the changes of `v_x` over 1 s better than any delay without a filter,
     by the same differences. For this only runs count that are 1 s longer than the largest delay.
 
     Raises:
-        EgpError: if a fit fails.
+        VehicleFitError: if no single-track vehicle fits the logs.
 
     """
     runs = (_long_runs(log, _SHORTEST / log.provenance.dt) for log in logs)
@@ -87,6 +95,10 @@ def find_delays(logs: Sequence[Dataset], vehicle: VehicleParameters | None) -> D
     latest = dataclasses.replace(of_inputs, measurement=_LATEST)
     if not _splits(parts, [of_inputs, latest]):
         return of_inputs
+    reason = why_outside(priors(vehicle)) if fits_vehicle else "no vehicle is fitted"
+    if reason is not None:
+        _log.warning("the delay of the measured states was not searched: %s", reason)
+        return Delays(0.0, round(force, 4), round(of_inputs.force_filter, 4))
 
     @functools.cache
     def split_of_states(delay: float) -> list[tuple[Dataset, Dataset]]:
@@ -224,8 +236,9 @@ def _optimum(losses: Callable[[Sequence[float]], _Losses | None], low: float) ->
     """Return the delay of least loss; 0 if it is not better than none by enough.
 
     Each delay from 0 up to `_LATEST`, and down to `low`, is compared with the best one so far, in
-    steps of `_STEP`; if `low` is 0, up to the first minimum. Half a step about the best one a
-    parabola through three points follows.
+    steps of `_STEP`; if `low` is 0, up to the first minimum. The result is refined to the minimum
+    of the parabola through the losses at the best step and half a step to both sides of it, or to
+    one of these ends if the minimum is not between them.
     """
     best, least, largest = 0, 0, 0
     for direction, end in ((1, _LATEST), (-1, -low)):

@@ -31,7 +31,7 @@ from egp_service.training.gaussian_process import (
 )
 from egp_service.training.sparse import average_targets
 from egp_service.training.subset import select, spikes
-from egp_service.training.trained import TrainedMember
+from egp_service.training.trained import ScaledData, TrainedMember
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,16 +61,13 @@ def exact_member(
     """
     data, validation = part
     label = data.provenance.surface
-    input_mean, input_std = data.z.mean(axis=0), data.z.std(axis=0)
     vehicle, steps, rest, bounds = None, 1, data.y, WHOLE_CHANGES
     if fitted is not None:
         vehicle, steps = fitted.values, fitted.steps
         rest = data.y - prior_mean.predict(data.z, vehicle, data.provenance.dt, steps)
         bounds = CORRECTIONS
-    target_mean, target_std = rest.mean(axis=0), spread(rest, GP_OUTPUT, label)
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    z = torch.tensor((data.z - input_mean) / input_std, dtype=torch.float64, device=device)
-    y = torch.tensor((rest - target_mean) / target_std, dtype=torch.float64, device=device)
+    scaled = ScaledData.of(data.z, rest, rest.mean(axis=0), spread(rest, GP_OUTPUT, label))
+    z, y = scaled.z, scaled.y
 
     def fit_all(
         rows: NDArray[np.int64], starts: list[list[Hyperparameters]], done: int, stage: str
@@ -105,17 +102,17 @@ def exact_member(
     processes = fit_all(rows, starts, settings.max_iterations, "final")
     targets = data.y[rows]
     if vehicle is not None:
-        known = targets - rest[rows] + target_mean
-        targets = known + target_std * _averaged(processes, z, y)
+        known = targets - rest[rows] + scaled.target_mean
+        targets = known + scaled.target_std * _averaged(processes, z, y)
     return TrainedMember(
         dataset=data,
         validation=validation,
         inputs=data.z[rows],
         targets=targets,
-        input_mean=input_mean,
-        input_std=input_std,
-        target_mean=target_mean,
-        target_std=target_std,
+        input_mean=scaled.input_mean,
+        input_std=scaled.input_std,
+        target_mean=scaled.target_mean,
+        target_std=scaled.target_std,
         processes=tuple(processes),
         single_track=vehicle,
         steps=steps,

@@ -14,12 +14,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-class Compressed:
-    """A least-squares problem with as many residuals as unknowns, and one more.
+class NormalEquationProblem:
+    """A least-squares problem that is given by Jᵀ J, Jᵀ r and rᵀ r of residuals r and slopes J.
 
-    With Jᵀ J = L Lᵀ the residuals [L⁻¹ Jᵀ r, q], where q² = rᵀ r - |L⁻¹ Jᵀ r|², and their
-    derivatives [Lᵀ, 0] have the same sum of squares, gradient and Gauss-Newton Hessian as r and J.
-    These are all that `least_squares` uses, which decomposes J in each iteration.
+    It has n + 1 residuals for n unknowns, however many r has. With Jᵀ J = L Lᵀ the residuals
+    [L⁻¹ Jᵀ r, q], where q² = rᵀ r - |L⁻¹ Jᵀ r|², and their derivatives [Lᵀ, 0] have the same sum of
+    squares, gradient and Gauss-Newton Hessian as r and J. These are all that `least_squares` uses,
+    which decomposes J in each iteration.
     """
 
     def __init__(

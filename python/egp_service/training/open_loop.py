@@ -32,7 +32,7 @@ LINEAR: Final = "linear"
 MAX_STARTS: Final = 5000
 # Rows from the start of a rollout to that of the next one. Errors of satellite receivers repeat
 # each second, which is a multiple of most numbers of periods, but not of 7.
-_EVERY: Final = 7
+_ROLLOUT_STRIDE: Final = 7
 _FREEDOM: Final = 4.0  # degrees of freedom of Student's t distribution: heavy tails
 _ITERATIONS: Final = 50
 
@@ -62,7 +62,7 @@ def skill(predictors: Mapping[str, Predictor], dataset: Dataset) -> Skill:
     dt = dataset.provenance.dt
     for duration in (dt, *(h for h in HORIZONS if h > 1.5 * dt)):
         periods = round(duration / dt)
-        start = starts(dataset, periods, 1 if periods == 1 else _EVERY)
+        start = starts(dataset, periods, 1 if periods == 1 else _ROLLOUT_STRIDE)
         start = start[dataset.z[start, 0] > MOVING]
         if len(start) == 0:
             continue

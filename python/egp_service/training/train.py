@@ -31,6 +31,7 @@ from egp_service.training.delays import find_delays
 from egp_service.training.exact_member import exact_member, spread
 from egp_service.training.kernel import KernelName
 from egp_service.training.vehicle_fit import fit_vehicle
+from egp_service.training.vehicle_priors import VehicleFitError
 from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from egp_service.training.trained import TrainedMember
     from egp_service.training.vehicle_fit import FittedVehicle
 
-_ONE_THREAD: Final = 1000
+_LARGEST_SINGLE_THREADED: Final = 1000  # points of a member
 
 
 @dataclasses.dataclass(frozen=True)
@@ -216,7 +217,7 @@ def one_thread(points: int) -> Iterator[None]:
 
     Further threads would only busy-wait, and beside other programs wait for processors.
     """
-    if points > _ONE_THREAD:
+    if points > _LARGEST_SINGLE_THREADED:
         yield
         return
     before = torch.get_num_threads()

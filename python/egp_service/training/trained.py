@@ -28,6 +28,45 @@ _BLOCK: Final = 1000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class ScaledData:
+    """Inputs and targets of n transitions, less their means and over their standard deviations."""
+
+    z: torch.Tensor
+    """Z-scored inputs (n, 6) in float64, on the graphics card if there is one."""
+    y: torch.Tensor
+    """Z-scored targets (n, 3), likewise."""
+    input_mean: NDArray[np.float64]
+    """Mean (6,) of the inputs, SI units as in `quantities.GP_INPUT`."""
+    input_std: NDArray[np.float64]
+    """Standard deviation (6,) of the same."""
+    target_mean: NDArray[np.float64]
+    """Mean (3,) of the targets, SI units as in `quantities.GP_OUTPUT`."""
+    target_std: NDArray[np.float64]
+    """Standard deviation (3,) of the same."""
+
+    @staticmethod
+    def of(
+        z: NDArray[np.float64],
+        targets: NDArray[np.float64],
+        target_mean: NDArray[np.float64],
+        target_std: NDArray[np.float64],
+    ) -> ScaledData:
+        """Scale inputs (n, 6) by their statistics, and targets (n, 3) by the given ones (3,)."""
+        mean, std = z.mean(axis=0), z.std(axis=0)
+        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        return ScaledData(
+            z=torch.tensor((z - mean) / std, dtype=torch.float64, device=device),
+            y=torch.tensor(
+                (targets - target_mean) / target_std, dtype=torch.float64, device=device
+            ),
+            input_mean=mean,
+            input_std=std,
+            target_mean=target_mean,
+            target_std=target_std,
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class TrainedMember:
     """One surface's processes with their scaling."""
 

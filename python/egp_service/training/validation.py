@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # Each variance needs a triangular solve; more rows than this change the third digit only.
 _MAX_ROWS: Final = 3000
-_EVERY: Final = 5  # rows from the start of a rollout to that of the next one
+_VALIDATION_STRIDE: Final = 5  # rows from the start of a rollout to that of the next one
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ def rollout_error(
     Inputs and steering angles are those of the data. Rollouts start at every fifth row with enough
     following rows of its trajectory; without such a row the result is NaN.
     """
-    start = starts(dataset, periods, _EVERY)
+    start = starts(dataset, periods, _VALIDATION_STRIDE)
     if len(start) == 0:
         return np.full(NY, np.nan)
     error = rollout(lambda z: library.predict_mean(z, index), dataset, start, periods)

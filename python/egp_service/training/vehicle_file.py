@@ -19,6 +19,7 @@ from egp_service.quantities import DELTA, GP_INPUT, GP_OUTPUT, GP_STATE, V_X
 from egp_service.training.exact_member import spread
 from egp_service.training.train import check_magnitudes
 from egp_service.training.vehicle_fit import fit_vehicle
+from egp_service.training.vehicle_priors import VehicleFitError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,6 +47,10 @@ _HIDDEN_TEXT: Final = ", or do not show them, as a measured a_x does not"
 # for the simulated car (docs/settings.md, section 7).
 _RESERVE: Final = 0.65
 _MOST_SLIP: Final = 0.4
+_BY_HAND: Final = (
+    "and if they are right, write the vehicle's file by hand (`egp train --help` lists its lines) "
+    "and train with --mean constant"
+)
 _ORDER: Final = (
     *("mass", "yaw_inertia", "l_f", "l_r", "width", "a_min", "a_max", "power", "a_slew"),
     *("steering_angle", "steering_rate", "steering_slew", "peak_slip"),
@@ -100,7 +105,11 @@ def vehicle_lines(
         check_magnitudes(data)
         spread(data.y, GP_OUTPUT, data.provenance.surface)
     rngs = [np.random.default_rng([seed, number]) for number in range(len(surfaces))]
-    fitted = fit_vehicle(surfaces, known, rngs)
+    try:
+        fitted = fit_vehicle(surfaces, known, rngs)
+    except VehicleFitError as error:
+        error.add_note(_BY_HAND)
+        raise
     frictions = [data.provenance.friction for data in surfaces]
     body = {p.name: p for p in (*fitted[0].parameters, *fitted[0].derived)}
     assumed = body["m"].assumed
@@ -161,7 +170,10 @@ def _limits(
 ) -> list[Line]:
     if known is not None:
         fields = known.fields()
-        names = ("a_min", "a_max", "power", "a_slew", *list(_LEAST)[3:])
+        names = (
+            *("a_min", "a_max", "power", "a_slew"),
+            *("steering_angle", "steering_rate", "steering_slew"),
+        )
         lines = [Line(name, fields[name], "as was known") for name in names]
         own = Line("width", width or fields["width"], "stated" if width else "as was known")
         return [*lines, own]

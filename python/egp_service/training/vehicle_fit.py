@@ -20,14 +20,19 @@ import numpy as np
 import torch
 from scipy.optimize import least_squares
 
-from egp_service._core import EgpError
 from egp_service.data.channels import MAD, channels
 from egp_service.quantities import NORMAL_95, NY
 from egp_service.training.autocorrelation import autocorrelation
 from egp_service.training.euler import euler_steps
-from egp_service.training.normal_equations import Compressed
+from egp_service.training.normal_equations import NormalEquationProblem
 from egp_service.training.prior_mean import BODY, DRAG, PARAMETERS, ROLLING, TYRES, change
-from egp_service.training.vehicle_priors import KNOWN_WIDTHS, Prior, priors
+from egp_service.training.vehicle_priors import (
+    KNOWN_WIDTHS,
+    Prior,
+    VehicleFitError,
+    priors,
+    why_outside,
+)
 from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
@@ -49,11 +54,12 @@ _LEAST_SPREAD: Final = 0.1
 _DISTURBANCE: Final = np.array([0.3, 1.0, 0.1])
 # Share of these standard deviations that is left where grade and bank of the road were measured.
 _LEFT: Final = 0.1
-# The data determine a parameter if they narrow its prior to at most this share and, for one that a
-# vehicle's parameters give, tell it at least as well as these do.
+# A parameter counts as determined if its posterior width is at most this share of its prior width.
+# Mass, axle distances and k² must also be at least as narrow as the prior from a vehicle's file
+# (`KNOWN_WIDTHS`).
 _DETERMINED: Final = 0.5
-# Share of the noise of the measured v_x below which errors of its changes tell that the force is no
-# measurement of its own.
+# If the errors of the predicted changes of v_x are below this share of the noise of these changes,
+# the force was computed from v_x itself.
 _NO_SENSOR: Final = 0.5
 _AT_BOUND: Final = 1e-3  # of the logarithm
 # Relative changes of the sum of squares at which the two fits end. Of the first one only weights
@@ -134,7 +140,8 @@ def fit_vehicle(
     and a constant slope slow alike; only with a measured tilt the data tell one from the other.
 
     Raises:
-        EgpError: if the fit does not converge, or a vehicle is outside the range of the search.
+        VehicleFitError: if the fit does not converge, or `vehicle` is outside the range of the
+            search.
 
     """
     parts = [_Surface.of(dataset, rng) for dataset, rng in zip(surfaces, rngs, strict=True)]
@@ -220,6 +227,8 @@ class _Problem:
     def __init__(
         self, surfaces: Sequence[_Surface], prior: dict[str, Prior], *, slowed: bool
     ) -> None:
+        if reason := why_outside(prior):
+            raise VehicleFitError(reason)
         self.surfaces = surfaces
         self.steps = 1
         self._dt = surfaces[0].dataset.provenance.dt
@@ -232,13 +241,6 @@ class _Problem:
         widths = np.array([prior[name].width for name in own])
         low = np.log([PARAMETERS[name].low for name in own] / self._centre)
         high = np.log([PARAMETERS[name].high for name in own] / self._centre)
-        for name, below, above in zip(own, low, high, strict=True):
-            if not below < 0.0 < above:
-                bounds = PARAMETERS[name]
-                raise EgpError(
-                    f"the vehicle's {name} is {prior[name].centre:g}: expected {bounds.low:g} to "
-                    f"{bounds.high:g}; check the units of its file, or train with --mean constant"
-                )
         self._own = len(road) + NY
         self.size = len(self._body) + len(surfaces) * self._own
         self._low, self._high = self._all(low, -np.inf), self._all(high, np.inf)
@@ -319,7 +321,7 @@ class _Problem:
         The search ends where an iteration changes the sum of squares by less than `tolerance` of
         it.
         """
-        problem = Compressed(self._normal_equations)
+        problem = NormalEquationProblem(self._normal_equations)
         message = "their sum of squares is not finite"
         if np.isfinite(problem.residuals(start)).all():
             found = least_squares(
@@ -332,10 +334,7 @@ class _Problem:
             if found.success and np.isfinite(found.cost):
                 return np.asarray(found.x)
             message = found.message
-        raise EgpError(
-            f"no single-track vehicle fits the data ({message}): "
-            "check their units, or train with --mean constant"
-        )
+        raise VehicleFitError(f"no single-track vehicle fits the data ({message}): check their units")
 
     def vehicles(self, x: NDArray[np.float64]) -> list[FittedVehicle]:
         """Return the vehicle of each surface with its intervals."""

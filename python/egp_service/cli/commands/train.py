@@ -62,9 +62,10 @@ def train(
 
     With --mean best, each member takes what predicts held-out blocks best: no
     change, a constant, a kinematic or a single-track vehicle, each alone or with
-    GPs. A single-track vehicle is preferred to kinds that are better by less than
-    0.25 nats per error, because only it predicts slides outside the data; the
-    command then says which kind is better, and by how much. The last tables
+    GPs. A single-track vehicle that predicts better than no change is preferred
+    to kinds that are better by less than 0.25 nats per error, because only it
+    predicts slides outside the data; the command then says which kind is better,
+    and by how much. The last tables
     compare each member with no change and with a linear model after one period
     and after rollouts; it warns where there is no skill.
 
