@@ -109,14 +109,22 @@ def test_settings_that_are_not_set_exist(key: str) -> None:
     assert key in flat(tomllib.loads(engine.settings_toml))
 
 
+def service_source() -> str:
+    """Give the source of the service's settings, with the filter of the log where it is used."""
+    source = (ROOT / "rust/service/src/config.rs").read_text(encoding="utf-8")
+    (log,) = re.findall(r'const DEFAULT_LOG: &str =\s+("[^"]+");', source)
+    return source.replace("DEFAULT_LOG.to_owned()", f"{log}.to_owned()")
+
+
 def test_service() -> None:
     with pytest.raises(EgpError, match="unknown field") as refused:
         Server('library = "a"\nnonsense = 1')
     _, _, known = str(refused.value).partition("expected one of")
     table = documented("Service")
     assert list(table) == re.findall(r"`(\w+)`", known)
-    source = (ROOT / "rust/service/src/config.rs").read_text(encoding="utf-8")
-    functions = dict(re.findall(r"fn default_(\w+)\(\) -> \w+ \{\s+([^\n]+)\n\}", source))
+    functions = dict(
+        re.findall(r"fn default_(\w+)\(\) -> \w+ \{\s+([^\n]+)\n\}", service_source())
+    )
     stated = {key: str(value) for key, value in table.items() if value is not None}
     # Serde's defaults:
     assert [stated.pop(key) for key in ("log_json", "libraries", "watch_ms")] == [
@@ -139,6 +147,8 @@ def test_map_service() -> None:
     _, _, source = source.partition("fn default() -> Self {")
     source, _, _ = source.partition("\nimpl MapConfig")
     merging = (ROOT / "rust/map/src/merge.rs").read_text(encoding="utf-8")
+    (log,) = re.findall(r"fn default_log\(\) -> String \{\s+([^\n]+)\n\}", service_source())
+    source = source.replace("DEFAULT_LOG.to_owned()", log)
     written = {
         **dict(re.findall(r"^            (\w+): ([^\n]+),$", source, re.MULTILINE)),
         **dict(re.findall(r"^            (\w+): ([\d.]+),$", merging, re.MULTILINE)),

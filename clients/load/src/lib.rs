@@ -52,7 +52,8 @@ continues with the last plan (tail) and finally stops the vehicle; stopped,
 spun or lost vehicles are put back on the track and counted.
 
 With --requests the vehicles have no plant: each sends the requests of a
-recording, which must be of the library that is served; `egp load --replay
+recording, whose library every replica must serve and at least one must
+describe as its own (`library` of its configuration); `egp load --replay
 run.mcap` extracts them from what `egp drive` writes. Sending them costs
 little, so that this shows what the service carries. A request counts as in
 time if its plan came within the budget from when it was due. With --ramp the

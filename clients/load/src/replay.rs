@@ -10,12 +10,11 @@ use egp_vehicle::{GateLimits, VehicleConfig, open_session};
 use egp_wire::keys::{self, Name};
 use egp_wire::{MessageLimits, Ready, Request};
 use zenoh::bytes::ZBytes;
-use zenoh::qos::CongestionControl;
-use zenoh::query::ConsolidationMode;
+use zenoh::query::Reply;
 use zenoh::{Session, Wait};
 
 use crate::counts::{Counts, Sent};
-use crate::{Arguments, Failure};
+use crate::{Arguments, Failure, recording};
 
 /// How long a late answer is waited for.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -26,7 +25,7 @@ pub(crate) struct Replay<'a> {
     requests: Vec<ZBytes>,
     replicas: Vec<Name>,
     sessions: Vec<Session>,
-    /// Control period of the library.
+    /// Control period of the recording's library.
     pub(crate) period: Duration,
     budget: Duration,
 }
@@ -35,22 +34,15 @@ impl<'a> Replay<'a> {
     /// Connects, and prepares the requests: each gets the budget of the arguments.
     ///
     /// # Errors
-    /// A message if no replica can be reached, one does not serve the library of the recording, or the budget is below 1 us.
+    /// A message if no replica can be reached, the replicas do not fit the recording ([`recording::UnfitRecording`]), or the
+    /// budget is below 1 us.
     pub(crate) fn new(arguments: &'a Arguments, recorded: Vec<Request>) -> Result<Self, Failure> {
         let first = session(arguments, 0)?;
         let replicas = live(&first)?;
-        let mut period = Duration::ZERO;
-        for replica in &replicas {
-            let ready = ready(&first, replica)?;
-            if !recorded
-                .iter()
-                .all(|request| ready.serves(&request.library))
-            {
-                let expected = "replay a recording that was made with a library that is served";
-                return Err(format!("replica {replica} serves another library; {expected}").into());
-            }
-            period = Duration::try_from_secs_f64(ready.dt)?;
-        }
+        let described = (replicas.iter())
+            .map(|replica| Ok((replica.clone(), ready(&first, replica)?)))
+            .collect::<Result<Vec<_>, Failure>>()?;
+        let period = Duration::try_from_secs_f64(recording::period(&described, &recorded)?)?;
         let budget = period.mul_f64(arguments.budget);
         let budget_us = u32::try_from(budget.as_micros())?;
         if budget_us == 0 {
@@ -199,25 +191,16 @@ fn ready(session: &Session, replica: &Name) -> Result<Ready, Failure> {
 
 /// Sends a request; `sent` counts its answer.
 fn ask(session: &Session, key: &str, request: ZBytes, sent: Sent) {
+    let count = move |reply: Reply| match reply.into_result() {
+        Ok(sample) => {
+            let attachment = sample.attachment().map(|bytes| bytes.to_bytes());
+            let attachment = attachment.as_deref().unwrap_or_default();
+            sent.replied(&sample.payload().to_bytes(), attachment);
+        }
+        Err(error) => sent.refused(&error.payload().to_bytes()),
+    };
     // An error drops `sent`, which counts a request without an answer.
-    let _ = session
-        .get(key)
-        .payload(request)
-        .encoding("application/protobuf;egp.v1.StepRequest")
-        // As a vehicle's client does: zenoh would wait while the link is full, and all later requests would be late.
-        .congestion_control(CongestionControl::Drop)
-        // By default zenoh keeps a reply until all copies of the question have ended.
-        .consolidation(ConsolidationMode::None)
-        .timeout(PATIENCE)
-        .callback(move |reply| match reply.into_result() {
-            Ok(sample) => {
-                let attachment = sample.attachment().map(|bytes| bytes.to_bytes());
-                let attachment = attachment.as_deref().unwrap_or_default();
-                sent.replied(&sample.payload().to_bytes(), attachment);
-            }
-            Err(error) => sent.refused(&error.payload().to_bytes()),
-        })
-        .wait();
+    let _ = egp_vehicle::ask(session, key, request, Vec::new(), PATIENCE, count);
 }
 
 #[cfg(test)]

@@ -39,8 +39,13 @@ fn serve() -> (Server, String) {
 
 /// A service of the library, and of these files.
 fn serve_too(further: &[&str]) -> (Server, String) {
+    serve_both(LIBRARY, further)
+}
+
+/// A service that describes the library of a file, and serves those of others, too.
+fn serve_both(library: &str, further: &[&str]) -> (Server, String) {
     let endpoint = free_endpoint();
-    let mut config = ServiceConfig::new(LIBRARY);
+    let mut config = ServiceConfig::new(library);
     config.libraries = further.iter().map(Into::into).collect();
     config
         .zenoh
@@ -100,17 +105,30 @@ fn every_due_request_of_each_rate_is_accounted_for() {
 }
 
 #[test]
-fn a_recording_of_a_further_library_is_replayed() {
+fn a_recording_is_replayed_with_the_period_of_its_library() {
     let spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 3);
     let bytes = library::encode(&spec).unwrap();
     let further = concat!(env!("CARGO_TARGET_TMPDIR"), "/further.safetensors");
     std::fs::write(further, &bytes).unwrap();
     let id = Library::from_bytes(&bytes).unwrap().id();
     let requests = requests_file("further.bin", id);
+    // The service states the period of the library that it describes, which is not that of the recording.
     let (server, endpoint) = serve_too(&[further]);
     let output = replay(&endpoint, &requests, &["--seconds", "0.1"]);
     let errors = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success(), "{errors}");
+    assert!(
+        errors.contains("do not state its control period"),
+        "{errors}"
+    );
+    server.drain();
+    let (server, endpoint) = serve_both(further, &[LIBRARY]);
+    let json = concat!(env!("CARGO_TARGET_TMPDIR"), "/further.json");
+    let output = replay(&endpoint, &requests, &["--seconds", "0.1", "--json", json]);
+    let errors = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success(), "{errors}");
+    let report: Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    assert_eq!(report["period_s"].as_f64(), Some(spec.dt));
     server.drain();
 }
 

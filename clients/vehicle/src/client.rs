@@ -141,6 +141,9 @@ impl VehicleClient {
     /// Leaves STOP and discards history, weights, plan and outstanding requests, for instance after the vehicle was moved.
     pub fn reset(&mut self) {
         self.driver.reset();
+        if let Some(traces) = &mut self.traces {
+            traces.abandon();
+        }
     }
 
     /// One control period, to be called once every [`VehicleClient::dt`] with the measured state.

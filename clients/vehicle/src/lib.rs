@@ -32,5 +32,5 @@ pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use egp_parameters::VehicleParameters;
 pub use egp_session::NetworkError;
 pub use egp_wire::set_receive_threads;
-pub use network::open_session;
+pub use network::{ask, open_session};
 pub use traces::{StepTraces, StepTracesError};

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use egp_driver::{Query, QueryId, Question};
 use egp_session::NetworkError;
 use egp_wire::keys::{self, Name};
+use zenoh::bytes::ZBytes;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, Reply};
 use zenoh::sample::SampleKind;
@@ -39,6 +40,34 @@ pub fn open_session(config: &VehicleConfig) -> Result<zenoh::Session, NetworkErr
     const PAUSE: Duration = Duration::from_millis(100);
     let (zenoh, patience) = (configuration(config)?, config.patience);
     egp_session::open_patiently(zenoh, patience, PAUSE, &mut || false, &|_| ())
+}
+
+/// Sends a request as a vehicle's client does, with an attachment unless it is empty. zenoh calls `callback` with each answer
+/// that comes within `timeout`, and drops it after the last one.
+///
+/// # Errors
+/// [`NetworkError`] if zenoh does not accept the key, or the session is closed; `callback` is dropped then, too.
+pub fn ask(
+    session: &zenoh::Session,
+    key: &str,
+    payload: impl Into<ZBytes>,
+    attachment: Vec<u8>,
+    timeout: Duration,
+    callback: impl Fn(Reply) + Send + Sync + 'static,
+) -> Result<(), NetworkError> {
+    session
+        .get(key)
+        .payload(payload)
+        .attachment((!attachment.is_empty()).then_some(attachment))
+        .encoding("application/protobuf;egp.v1.StepRequest")
+        // zenoh would wait for up to five seconds while a link to a silent replica is full, and later requests would be late.
+        .congestion_control(CongestionControl::Drop)
+        // By default zenoh keeps a reply until all copies of the question have ended.
+        .consolidation(ConsolidationMode::None)
+        .timeout(timeout)
+        .callback(callback)
+        .wait()
+        .map_err(|e| NetworkError::new(format!("cannot ask {key}"), &e))
 }
 
 /// A session and its events.
@@ -128,19 +157,14 @@ impl Network {
         let id = query.id;
         // zenoh drops it after the last answer, together with the callback that holds it.
         let end = End(id, self.sender.clone());
-        let sent = self
-            .session
-            .get(query.key)
-            .payload(query.payload)
-            .attachment((!query.attachment.is_empty()).then_some(query.attachment))
-            .encoding("application/protobuf;egp.v1.StepRequest")
-            // zenoh would wait for up to five seconds while a link to a silent replica is full.
-            .congestion_control(CongestionControl::Drop)
-            // By default zenoh keeps a reply until all copies of the question have ended.
-            .consolidation(ConsolidationMode::None)
-            .timeout(query.listen)
-            .callback(move |reply| report(&end.1, answer(id, reply)))
-            .wait();
+        let sent = ask(
+            &self.session,
+            &query.key,
+            query.payload,
+            query.attachment,
+            query.listen,
+            move |reply| report(&end.1, answer(id, reply)),
+        );
         if sent.is_err() {
             report(&self.sender, EventKind::Ended(id));
         }

@@ -5,13 +5,12 @@ use std::time::{Duration, Instant};
 use egp_driver::{Outcome, Step};
 use egp_gate::Mode;
 use egp_wire::proto::{PeriodTimes, StepRecord, VehicleStatus};
-use egp_wire::{ReferenceRow, State};
+use egp_wire::{ReferenceRow, State, VERSION};
 
 /// Least time between two messages.
 const INTERVAL: Duration = Duration::from_millis(100);
 /// Control periods whose times one message has at most.
 const KEPT_TIMES: usize = 64;
-const VERSION: u32 = 1;
 
 /// What stays the same in all messages of a vehicle.
 pub(crate) struct Constants {

@@ -104,6 +104,11 @@ impl StepTraces {
         self.answered(at, id, || Answer::Nothing);
     }
 
+    /// The open period is given up without a command: its questions have no spans, and none of a later period either.
+    pub fn abandon(&mut self) {
+        self.asked.clear();
+    }
+
     /// Notes the first answer to a question of the open period.
     fn answered(&mut self, at: Time, id: QueryId, answer: impl FnOnce() -> Answer) {
         let open = |asked: &&mut Asked| asked.id == id && asked.answer.is_none();

@@ -157,7 +157,8 @@ impl Engine {
 
     /// The properties of the engine that a client needs to make requests.
     pub fn describe(&self) -> Ready {
-        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX); // checked against `MessageLimits`
+        // `check_sizes` has compared the numbers with `MessageLimits`.
+        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         Ready {
             ready: true,
             library: self.library.id(),

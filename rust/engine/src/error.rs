@@ -31,7 +31,7 @@ pub enum EngineError {
     Unfit {
         /// The file.
         path: String,
-        /// Why not.
+        /// Why it cannot be served.
         source: Box<EngineError>,
     },
     /// The settings are not valid.

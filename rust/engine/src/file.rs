@@ -39,12 +39,14 @@ pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     Replacement::write(path, bytes)?.replace()
 }
 
-/// New bytes of a file that are written beside it. They are removed unless [`Replacement::replace`] puts them in its
-/// place. A caller that writes all new files before it replaces the first one leaves every old file in place if one cannot be
-/// written.
+/// New bytes of a file that are written beside it. They are removed unless [`Replacement::replace`] or [`Replacement::rename`]
+/// puts them in its place. A caller that writes all new files before it replaces the first one leaves every old file in place
+/// if one cannot be written.
 pub struct Replacement {
     path: PathBuf,
-    beside: PathBuf,
+    /// The file that has the new bytes; none once it has the name `path`, because its earlier name is then free for other
+    /// writers.
+    beside: Option<PathBuf>,
 }
 
 impl Replacement {
@@ -59,23 +61,47 @@ impl Replacement {
         let (mut file, beside) = create_beside(path)?;
         let written = Self {
             path: path.to_owned(),
-            beside,
+            beside: Some(beside),
         };
         file.write_all(bytes)?;
         file.sync_all()?;
         Ok(written)
     }
 
-    /// Replaces the file.
+    /// Replaces the file, and writes the folder's entry to the disk.
     ///
     /// # Errors
     /// As [`replace_file`].
-    pub fn replace(self) -> io::Result<()> {
-        fs::rename(&self.beside, &self.path)?;
-        let folder = self.path.parent();
-        let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
-        File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+    pub fn replace(mut self) -> io::Result<()> {
+        self.put_in_place()?;
+        sync_folder(&self.path)
     }
+
+    /// Replaces the file, but does not write the folder's entry to the disk, which is left to [`sync_folder`].
+    ///
+    /// # Errors
+    /// [`io::Error`] if the system refuses it; the path then has the old bytes.
+    pub fn rename(mut self) -> io::Result<()> {
+        self.put_in_place()
+    }
+
+    fn put_in_place(&mut self) -> io::Result<()> {
+        if let Some(beside) = &self.beside {
+            fs::rename(beside, &self.path)?;
+        }
+        self.beside = None;
+        Ok(())
+    }
+}
+
+/// Writes the entries of the folder in which a file is to the disk, so that they are the same after a crash.
+///
+/// # Errors
+/// [`io::Error`] if the system cannot write them.
+pub fn sync_folder(file: &Path) -> io::Result<()> {
+    let folder = file.parent();
+    let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
+    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
 }
 
 /// Largest number of files beside a file that are looked at for a free name. They are left over by processes that were killed
@@ -101,7 +127,9 @@ fn create_beside(path: &Path) -> io::Result<(File, PathBuf)> {
 
 impl Drop for Replacement {
     fn drop(&mut self) {
-        // After `replace` there is nothing to remove.
-        let _ = fs::remove_file(&self.beside);
+        if let Some(beside) = &self.beside {
+            // An error is not reported: the file that was to be replaced is as before.
+            let _ = fs::remove_file(beside);
+        }
     }
 }

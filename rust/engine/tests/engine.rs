@@ -100,6 +100,28 @@ fn what_another_container_writes_beside_the_same_file_stays() {
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
+#[test]
+fn writers_of_one_file_do_not_remove_each_others_new_bytes() {
+    let folder = std::env::temp_dir().join(format!("egp-writers-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("library");
+    std::thread::scope(|scope| {
+        for writer in 0..4 {
+            let path = &path;
+            scope.spawn(move || {
+                for round in 0..100 {
+                    let replaced = replace_file(path, &[writer; 8]);
+                    assert!(replaced.is_ok(), "{writer}, {round}: {replaced:?}");
+                }
+            });
+        }
+    });
+    let bytes = std::fs::read(&path).unwrap();
+    assert!((0..4).any(|writer| bytes == [writer; 8]), "{bytes:?}");
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
 /// A request of the wire for [`requests::settings`] with the library of [`requests::library`].
 fn message(request: &requests::Request, library: [u8; 32]) -> Vec<u8> {
     Request {

@@ -306,14 +306,14 @@ impl Driver {
     /// Give an open period up because an exception ends the step. The next request has no history.
     fn abandon(&mut self) {
         self.0.abandon();
+        (self.1.iter_mut()).for_each(|traces| traces.steps.abandon());
     }
 
     /// When `wake` is due, on the driver's clock; infinite while no period is open.
     #[getter]
     fn next_wake(&self) -> f64 {
-        self.0
-            .next_wake()
-            .map_or(f64::INFINITY, |at| at.as_secs_f64())
+        let wake = self.0.next_wake();
+        wake.map_or(f64::INFINITY, |at| at.as_secs_f64())
     }
 
     /// Ask a second replica or decide the open period, if it is time to.
@@ -377,8 +377,7 @@ impl Driver {
 
     /// Write the spans that wait and no more, and return how many could not be written.
     fn finish_traces(&mut self, py: Python<'_>) -> u64 {
-        let traces = self.1.take();
-        traces.map_or(0, |traces| traces.finish(py))
+        self.1.take().map_or(0, |traces| traces.finish(py))
     }
 
     /// Seconds that an answer may take unless a period states its deadline.
@@ -396,5 +395,6 @@ impl Driver {
     /// Leave STOP and forget history, weights, plan and outstanding requests.
     fn reset(&mut self) {
         self.0.reset();
+        (self.1.iter_mut()).for_each(|traces| traces.steps.abandon());
     }
 }

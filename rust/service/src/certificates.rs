@@ -130,7 +130,7 @@ pub(crate) fn show(end: i64, registry: &mut Registry) {
     }
 }
 
-/// What to tell of a certificate with this end, if it is time to renew it.
+/// A warning about a certificate with this end; none if it is not yet time to renew it.
 pub(crate) fn warning(end: i64, now: i64) -> Option<String> {
     let days = days_left(end, now)?;
     Some(format!(

@@ -67,8 +67,8 @@ pub struct ServiceConfig {
     /// Address for `/health`, `/ready` and `/metrics` over HTTP, such as `127.0.0.1:9464`. Default: none.
     #[serde(default, deserialize_with = "address")]
     pub http: Option<SocketAddr>,
-    /// What to log: a level, or directives such as `egp_service=debug,zenoh=warn`. Default
-    /// `info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error`.
+    /// What to log: a level, or directives such as `egp_service=debug,zenoh=warn`. By default it is the level info, and of
+    /// zenoh only warnings and errors, without its warnings about single strangers and their queries.
     #[serde(default = "default_log")]
     pub log: String,
     /// Whether each log line is a JSON object instead of text. Default false.
@@ -119,8 +119,12 @@ fn default_load() -> u64 {
     500
 }
 
+/// The default filter of the log of both kinds of service.
+pub(crate) const DEFAULT_LOG: &str =
+    "info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error";
+
 fn default_log() -> String {
-    "info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error".to_owned()
+    DEFAULT_LOG.to_owned()
 }
 
 fn default_traces_share() -> f64 {

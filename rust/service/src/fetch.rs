@@ -4,32 +4,31 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::thread;
 use std::time::{Duration, Instant};
-use std::{fs, io};
 
 use egp_core::library::{self, MAX_FILE_BYTES};
-use egp_engine::{Replacement, read_library, replace_file};
+use egp_engine::read_library;
 use egp_wire::keys::Name;
 use egp_wire::{Code, LIBRARY_PART_BYTES, LibraryFile, LibraryId, MessageLimits};
 use egp_wire::{WireError, library_keys};
 
 use crate::config::ServiceConfig;
-use crate::fetch_error::{FetchError, FetchFailure};
+use crate::fetch_error::{Failures, FetchError, FetchFailure};
 use crate::network::{Network, SERVICE, asking, configuration};
 use crate::query::Answer;
-use crate::signature::{Signature, Signers, signature_path};
+use crate::signature::{NewLibrary, Signature, Signers};
 
 /// How long all replicas may take to say whether they have a library.
 const QUESTION: Duration = Duration::from_secs(1);
-/// How long a replica may take to answer a part, and how often it is asked for one.
+/// How long a replica may take to answer a question for a part.
 const PART: Duration = Duration::from_secs(2);
+/// How often a replica is asked for a part that it does not answer.
 const ATTEMPTS: u32 = 3;
-/// What a transfer may take: this time, and one second for each of these bytes.
+/// Longest time of a transfer of few bytes. Those of a large library prolong it, as [`SLOWEST`] says.
 const TRANSFER: Duration = Duration::from_secs(10);
+/// Number of bytes that prolong a transfer by a second.
 const SLOWEST: u64 = 4 << 20;
 /// Time between two rounds of questions, and between two looks whether to stop.
 const POLL: Duration = Duration::from_millis(50);
-/// Most failures that an error tells.
-const TOLD: usize = 16;
 
 /// A library that is to be in a file.
 pub struct Wanted<'a> {
@@ -76,7 +75,7 @@ impl Wanted<'_> {
             wanted: self,
             signers,
             network: Network::open(asking(config, patience)?, patience, stopped)?,
-            failures: Vec::new(),
+            failures: Failures::default(),
             stopped,
         };
         let fetched = fetching.rounds(patience);
@@ -110,24 +109,14 @@ impl Wanted<'_> {
         library::hex(&self.id)
     }
 
-    /// Writes library and signature beside their files. Then it replaces the signature and after it the library, so that a
-    /// service that watches the library finds its signature.
+    /// Replaces the file and its signature.
     fn write(&self, bytes: &[u8], signature: Option<Signature>) -> Result<(), FetchError> {
-        let beside = signature_path(self.file);
-        let written = Replacement::write(self.file, bytes);
-        let written = written.map_err(|source| unwritten(self.file, source))?;
-        if let Some(signature) = signature {
-            let line = format!("{}\n", library::hex(&signature));
-            replace_file(&beside, line.as_bytes()).map_err(|source| unwritten(&beside, source))?;
-        }
-        written
-            .replace()
-            .map_err(|source| unwritten(self.file, source))?;
-        if signature.is_none() && beside.exists() {
-            // It is the signature of what the file held before.
-            fs::remove_file(&beside).map_err(|source| unwritten(&beside, source))?;
-        }
-        Ok(())
+        let written = NewLibrary::write(self.file, bytes, signature);
+        let replaced = written.and_then(NewLibrary::replace);
+        replaced.map_err(|(path, source)| FetchError::Write {
+            path: path.display().to_string(),
+            source,
+        })
     }
 }
 
@@ -136,7 +125,7 @@ struct Fetching<'a> {
     wanted: &'a Wanted<'a>,
     signers: Option<Signers>,
     network: Network,
-    failures: Vec<(Option<Name>, FetchFailure)>,
+    failures: Failures,
     stopped: &'a mut dyn FnMut() -> bool,
 }
 
@@ -157,11 +146,11 @@ impl Fetching<'_> {
             thread::sleep(POLL);
         }
         let library = self.wanted.hex();
-        if self.failures.is_empty() {
+        let failures = std::mem::take(&mut self.failures).told();
+        if failures.is_empty() {
             let seconds = begun.elapsed().as_secs_f64();
             return Err(FetchError::NoAnswer { library, seconds });
         }
-        let failures = std::mem::take(&mut self.failures);
         Err(FetchError::Failed { library, failures })
     }
 
@@ -180,14 +169,14 @@ impl Fetching<'_> {
         }
     }
 
-    /// Fetches from the replica of an answer, and writes the library: the replica, or none if it failed.
+    /// Fetches from the replica of an answer, and writes the library. Returns the replica, or none if that failed.
     fn take(&mut self, Answer { key, content }: Answer) -> Result<Option<Name>, FetchError> {
         let replica = key.as_deref().and_then(library_keys::replica_of_library);
-        let failed = match (content, replica) {
+        let (replica, failure) = match (content, replica) {
             (Err(error), replica) => (replica, error.into()),
             // A key that is no replica's cannot be asked for parts.
             (Ok(_), None) => return Ok(None),
-            (Ok(_), Some(replica)) if self.is_final(&replica) => return Ok(None),
+            (Ok(_), Some(replica)) if self.failures.is_given_up(&replica) => return Ok(None),
             (Ok(message), Some(replica)) => match self.transfer(&replica, &message)? {
                 Ok((bytes, signature)) => {
                     self.wanted.write(&bytes, signature)?;
@@ -196,27 +185,8 @@ impl Fetching<'_> {
                 Err(failure) => (Some(replica), failure),
             },
         };
-        // A later failure of the same replica replaces the earlier one.
-        let text = failed.1.to_string();
-        let same = |(replica, failure): &(Option<Name>, FetchFailure)| {
-            *replica == failed.0 && (replica.is_some() || failure.to_string() == text)
-        };
-        self.failures.retain(|one| !same(one));
-        if self.failures.len() < TOLD {
-            self.failures.push(failed);
-        }
+        self.failures.note(replica, failure);
         Ok(None)
-    }
-
-    /// Whether a replica failed in a way that asking again does not change.
-    fn is_final(&self, replica: &Name) -> bool {
-        self.failures.iter().any(|(failed, failure)| {
-            let again = matches!(
-                failure,
-                FetchFailure::Gone { .. } | FetchFailure::Refused(_)
-            );
-            failed.as_ref() == Some(replica) && !again
-        })
     }
 
     /// Fetches all parts from a replica, and checks them; `message` is its answer.
@@ -262,7 +232,7 @@ impl Fetching<'_> {
             .map(|()| (bytes, file.signature)))
     }
 
-    /// Asks for a part: its content, the replica's error, or none if no answer came.
+    /// Asks for a part. Returns its content, the replica's error, or none if no answer came.
     fn part(
         &mut self,
         key: &str,
@@ -303,12 +273,5 @@ impl Fetching<'_> {
     }
 }
 
-/// What a replica sent, checked, or why it is not used.
+/// What a replica sent after its check, or why it is not used.
 type Transferred = Result<(Vec<u8>, Option<Signature>), FetchFailure>;
-
-fn unwritten(path: &Path, source: io::Error) -> FetchError {
-    FetchError::Write {
-        path: path.display().to_string(),
-        source,
-    }
-}

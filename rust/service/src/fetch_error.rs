@@ -1,5 +1,6 @@
 //! Why no library was fetched.
 
+use std::collections::BTreeSet;
 use std::io;
 
 use egp_core::library::{LibraryError, MAX_FILE_BYTES};
@@ -68,7 +69,9 @@ pub enum FetchFailure {
     Library(#[from] LibraryError),
 }
 
-/// Why no library was fetched. The file is as before.
+/// Why no library was fetched. The files of the library and of its signature are as before, except in two cases of
+/// [`FetchError::Write`]: both are new if only the writing of the folder's entries to the disk failed, and the signature alone
+/// is new if the system refused to replace the library and then to put the earlier signature back, which the message says.
 #[derive(Debug, Error)]
 pub enum FetchError {
     /// An operation of zenoh that failed.
@@ -122,6 +125,48 @@ pub enum FetchError {
     },
 }
 
+/// Largest number of failures that the text of an error states.
+const TOLD: usize = 16;
+
+/// The failures of the replicas that were asked for a library.
+#[derive(Default)]
+pub(crate) struct Failures {
+    /// At most [`TOLD`], each with its replica if the answer stated one.
+    told: Vec<(Option<Name>, FetchFailure)>,
+    /// The replicas whose failures another question would not change.
+    given_up: BTreeSet<Name>,
+}
+
+impl Failures {
+    /// Takes note of a failure. A later failure of the same replica replaces the earlier one.
+    pub(crate) fn note(&mut self, replica: Option<Name>, failure: FetchFailure) {
+        let again = matches!(
+            failure,
+            FetchFailure::Gone { .. } | FetchFailure::Refused(_)
+        );
+        if let Some(replica) = replica.as_ref().filter(|_| !again) {
+            self.given_up.insert(replica.clone());
+        }
+        let text = failure.to_string();
+        self.told.retain(|(known, earlier)| {
+            *known != replica || (replica.is_none() && earlier.to_string() != text)
+        });
+        if self.told.len() < TOLD {
+            self.told.push((replica, failure));
+        }
+    }
+
+    /// Whether the replica failed in a way that asking it again does not change.
+    pub(crate) fn is_given_up(&self, replica: &Name) -> bool {
+        self.given_up.contains(replica)
+    }
+
+    /// The failures that an error states.
+    pub(crate) fn told(self) -> Vec<(Option<Name>, FetchFailure)> {
+        self.told
+    }
+}
+
 /// The reasons, each with the name of its replica once: an error of a replica begins with it.
 fn tell(failures: &[(Option<Name>, FetchFailure)]) -> String {
     let one = |(replica, failure): &(Option<Name>, FetchFailure)| {
@@ -145,6 +190,42 @@ mod tests {
     use egp_wire::Code;
 
     use super::*;
+
+    #[test]
+    fn every_replica_with_a_wrong_library_is_given_up_and_a_few_are_told() {
+        let replica = |number| format!("replica-{number}").parse::<Name>().unwrap();
+        let gone = || FetchFailure::Gone { part: 0, parts: 1 };
+        let mut failures = Failures::default();
+        for number in 0..40 {
+            failures.note(Some(replica(number)), gone());
+        }
+        assert!((0..40).all(|number| !failures.is_given_up(&replica(number))));
+        for number in 0..40 {
+            failures.note(Some(replica(number)), FetchFailure::Unsigned);
+        }
+        assert!((0..40).all(|number| failures.is_given_up(&replica(number))));
+        assert!(!failures.is_given_up(&replica(40)));
+        assert_eq!(failures.told().len(), TOLD);
+    }
+
+    #[test]
+    fn the_last_failure_of_each_replica_is_told() {
+        let refused = |detail: &str| {
+            let error = WireError::retryable(Code::UnknownLibrary, 0, detail);
+            FetchFailure::Refused(error)
+        };
+        let (name, mut failures) = ("a".parse::<Name>().unwrap(), Failures::default());
+        failures.note(Some(name.clone()), refused("busy"));
+        failures.note(None, refused("replica x: busy"));
+        failures.note(None, refused("replica y: busy"));
+        failures.note(None, refused("replica x: busy"));
+        failures.note(Some(name), FetchFailure::Unsigned);
+        let told = tell(&failures.told());
+        assert!(
+            told.starts_with("replica y: busy; replica x: busy; replica a: it has no signature"),
+            "{told}"
+        );
+    }
 
     #[test]
     fn each_reason_names_its_replica_once() {

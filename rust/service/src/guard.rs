@@ -20,7 +20,7 @@ const RUNS: usize = 1 << 16;
 /// Least time between two warnings about one vehicle: clients that take turns do so at each request.
 const WARN: Duration = Duration::from_secs(60);
 
-/// What came from a vehicle.
+/// The numbers of the questions that came from a vehicle.
 #[derive(Default)]
 struct Seen {
     /// The number of the newest question of each run.
@@ -32,10 +32,20 @@ struct Seen {
     warned: Option<Instant>,
 }
 
+/// What the number of a question says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Noted {
+    /// It is larger than all earlier ones of its run.
+    New,
+    /// It is new, and another run has asked since this one did, which means that two clients use one key.
+    OtherRun,
+    /// It is not larger than an earlier one of its run.
+    Old,
+}
+
 impl Seen {
-    /// Returns whether the number is larger than all earlier ones of this run, and whether a known run asks again after another
-    /// run has asked, which means that two clients use one key. Beyond `most` runs the oldest one is removed.
-    fn note(&mut self, run: u64, number: u64, most: usize) -> (bool, bool) {
+    /// Takes note of the number of a question. Beyond `most` runs the oldest one is removed.
+    fn note(&mut self, run: u64, number: u64, most: usize) -> Noted {
         let Some(newest) = self.newest.get_mut(&run) else {
             self.newest.insert(run, number);
             self.order.push_back(run);
@@ -45,13 +55,14 @@ impl Seen {
                 self.newest.remove(&first);
             }
             self.last = run;
-            return (true, false);
+            return Noted::New;
         };
         if number <= *newest {
-            return (false, false);
+            return Noted::Old;
         }
         *newest = number;
-        (true, std::mem::replace(&mut self.last, run) != run)
+        let same = std::mem::replace(&mut self.last, run) == run;
+        if same { Noted::New } else { Noted::OtherRun }
     }
 }
 
@@ -111,7 +122,7 @@ impl Guard {
         keys.get(fleet, vehicle).cloned()
     }
 
-    /// Counts how often clients with one key took turns.
+    /// The counter of how often clients with one key took turns.
     pub(crate) fn twice(&self) -> Counter {
         self.twice.clone()
     }
@@ -138,14 +149,14 @@ impl Guard {
             let reason = "the seal was not made with this vehicle's key for this request";
             return Err(denied(reason.to_owned()));
         }
-        let (new, twice) = self.note(fleet, vehicle, &seal);
-        if twice {
+        let noted = self.note(fleet, vehicle, &seal);
+        if noted == Noted::OtherRun {
             self.twice.inc();
             if self.warns(fleet, vehicle, Instant::now()) {
                 tracing::warn!(%fleet, %vehicle, "two clients use the key of this vehicle at the same time");
             }
         }
-        if !new {
+        if noted == Noted::Old {
             let reason = "this request, or a newer one of the same run, came before";
             return Err(denied(reason.to_owned()));
         }
@@ -181,7 +192,7 @@ impl Guard {
     }
 
     /// As [`Seen::note`].
-    fn note(&self, fleet: &Name, vehicle: &Name, seal: &Seal) -> (bool, bool) {
+    fn note(&self, fleet: &Name, vehicle: &Name, seal: &Seal) -> Noted {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         let seen = seen.entry((fleet.clone(), vehicle.clone())).or_default();
         seen.note(seal.run, seal.number, RUNS)
@@ -350,13 +361,13 @@ mod tests {
     fn the_first_of_too_many_runs_is_forgotten() {
         let mut seen = Seen::default();
         for run in 0..4 {
-            assert_eq!(seen.note(run, 1, 3), (true, false));
+            assert_eq!(seen.note(run, 1, 3), Noted::New);
         }
         assert_eq!((seen.newest.len(), seen.order.len()), (3, 3));
         for run in 1..4 {
-            assert_eq!(seen.note(run, 1, 3), (false, false));
+            assert_eq!(seen.note(run, 1, 3), Noted::Old);
         }
-        assert_eq!(seen.note(0, 1, 3), (true, false));
+        assert_eq!(seen.note(0, 1, 3), Noted::New);
     }
 
     #[test]
@@ -382,9 +393,7 @@ mod tests {
         let error = Guard::load(&file).err().map(|error| error.to_string());
         std::fs::remove_file(&file).unwrap();
         let error = error.unwrap();
-        assert!(
-            error.contains("egp-no-keys") && error.contains("no key"),
-            "{error}"
-        );
+        let named = error.contains("egp-no-keys") && error.contains("no key");
+        assert!(named, "{error}");
     }
 }

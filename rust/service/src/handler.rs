@@ -14,7 +14,7 @@ pub struct LibraryContent {
     pub signature: Option<[u8; 64]>,
 }
 
-/// Turns the bytes of a request into those of a reply; in production an [`Engine`].
+/// Turns the bytes of a request into those of a reply. An [`Engine`] does so with one library.
 pub trait Handler: Send + Sync + 'static {
     /// Memory of one worker.
     type Workspace: Send;

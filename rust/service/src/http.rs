@@ -32,7 +32,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Connections at a time; a further one closes the oldest.
 const CONNECTIONS: usize = 256;
 
-/// How long no connection is accepted after the system could not accept one, for instance for want of descriptors.
+/// Time for which no connection is accepted after the system failed to accept one, for instance because no descriptor is free.
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// The encoding of [`crate::metrics::Metrics::text`].

@@ -19,7 +19,7 @@ use crate::traces::Traces;
 /// this reserve an overloaded service would compute answers that arrive shortly after their deadline.
 const TRANSIT: u32 = 8;
 
-/// What the error about another key says.
+/// The end of the error about a key that is not served, for [`no_such_key`].
 const OF_A_REPLICA: &str = "no key of this replica: expected egp/v1/r/REPLICA/FLEET/VEHICLE/step or egp/v1/r/REPLICA/health, \
      ready, metrics, library/SHA256 or library/SHA256/PART";
 
@@ -143,17 +143,18 @@ impl<Q: Query> Shared<Q> {
     /// Queues a request of a vehicle, or answers it with an error.
     fn admit(&self, vehicle: String, job: Job<Q>) {
         let (arrived, deadline) = (job.arrived, job.deadline);
-        // An idle worker tries in any case, because only computed steps correct the estimate.
+        // A request for an idle worker is queued in any case, because only computed steps correct the estimate.
         let idle = |ahead| ahead + self.metrics.busy_workers() < self.workers;
-        // Behind a queue that does not become short, half of the budget is left for the way.
-        let latest = if self.standing.lasts(arrived) {
+        // If the queue has not been short for a while (`standing`), a request is queued only if half of its budget remains for
+        // the network.
+        let latest = if self.standing.is_standing(arrived) {
             arrived + (deadline - arrived) / 2
         } else {
             job.expected_by()
         };
         let in_time = |ahead| {
             if idle(ahead) {
-                self.standing.short(arrived);
+                self.standing.note_short(arrived);
                 return true;
             }
             arrived + self.time_to_answer(ahead) <= latest

@@ -71,7 +71,8 @@ pub fn init_logging(filter: &str, json: bool) -> Result<(), String> {
 fn writer() -> io::Result<LogWriter> {
     match io::stderr().as_fd().try_clone_to_owned() {
         Ok(output) => LogWriter::start(File::from(output)),
-        Err(_) => LogWriter::start(io::sink()), // standard error is closed
+        // Standard error is closed.
+        Err(_) => LogWriter::start(io::sink()),
     }
 }
 

@@ -63,7 +63,7 @@ pub(crate) struct Metrics {
 
 impl Metrics {
     pub(crate) fn new(libraries: &[LibraryId], workers: usize) -> Self {
-        // 0.1 ms to 0.4 s: from a step of two small members to one that is longer than any control period.
+        // The buckets begin at 0.1 ms, a step of two small members, and end at 0.4 s, which is longer than any control period.
         let seconds = || Histogram::new(exponential_buckets(1e-4, 2.0, 13));
         let mut metrics = Self {
             registry: Registry::with_prefix("egp"),
@@ -128,7 +128,7 @@ impl Metrics {
         twice
     }
 
-    /// Where further metrics are registered.
+    /// The registry, in which other modules register their metrics.
     pub(crate) fn registry(&mut self) -> &mut Registry {
         &mut self.registry
     }

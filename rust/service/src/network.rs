@@ -90,8 +90,8 @@ pub(crate) fn rehearse(mut config: Config, http: Option<SocketAddr>) -> Result<(
     ] {
         set(&mut config, key, value)?;
     }
-    drop(egp_session::open(config)?); // closes it
-    Ok(())
+    // A session that is dropped is closed.
+    egp_session::open(config).map(drop)
 }
 
 /// Settings of TLS, each as its key and value. Zenoh shows those with secrets only if they are asked for by their names.
@@ -241,7 +241,7 @@ impl Network {
         Ok(())
     }
 
-    /// Whether routers and peers that are connected know a replica of this name; waits for them for a second at most.
+    /// Whether routers and peers that are connected know a replica of this name. Their answers are awaited for at most 1 s.
     pub(crate) fn announced(&self, replica: &Name) -> bool {
         let (tokens, patience) = (self.session.liveliness(), Duration::from_secs(1));
         let asked = tokens.get(keys::live(replica)).timeout(patience).wait();

@@ -56,12 +56,7 @@ impl<Q: Query> Offer<Q> {
         metrics: &Metrics,
     ) {
         let asked = Asked { query, id, part };
-        let sender = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let left = match &*sender {
-            Some(sender) => sender.try_send(asked),
-            None => Err(TrySendError::Disconnected(asked)),
-        };
-        let (asked, code, wait, detail) = match left {
+        let (asked, code, wait, detail) = match self.leave(asked) {
             Ok(()) => return,
             Err(TrySendError::Full(asked)) => {
                 let detail = format!("{WAITING} questions for libraries wait already");
@@ -79,6 +74,14 @@ impl<Q: Query> Offer<Q> {
         let detail = format!("replica {replica}: {detail}");
         let error = WireError::retryable(code, wait, detail);
         asked.query.refuse(&error);
+    }
+
+    /// Leaves a question for the thread. The lock is released when this returns, so that an error is sent without it.
+    fn leave(&self, asked: Asked<Q>) -> Result<(), TrySendError<Asked<Q>>> {
+        match &*self.0.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(sender) => sender.try_send(asked),
+            None => Err(TrySendError::Disconnected(asked)),
+        }
     }
 
     /// Lets the thread end once it has answered what waits.
@@ -151,6 +154,7 @@ fn pause(bytes: usize) -> Duration {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, clippy::panic)]
 mod tests {
+    use std::borrow::Cow;
     use std::time::Instant;
 
     use egp_wire::MessageLimits;
@@ -245,6 +249,55 @@ mod tests {
         assert_eq!(closed.code(), Some(Code::UnknownLibrary));
         let closed = closed.error().unwrap();
         assert!(closed.detail.starts_with("replica main: "), "{closed}");
+        assert_eq!(questions.iter().count(), WAITING);
+        let refused = "egp_library_questions_total{outcome=\"refused\"} 2";
+        assert!(metrics.text(0).contains(refused));
+    }
+
+    /// A query whose error can be sent only while the offer is not locked.
+    struct Sending(Arc<Offer<Self>>);
+
+    impl Query for Sending {
+        fn key(&self) -> &'static str {
+            ""
+        }
+
+        fn length(&self) -> usize {
+            0
+        }
+
+        fn payload(&self) -> Cow<'_, [u8]> {
+            Cow::default()
+        }
+
+        fn attachment_length(&self) -> usize {
+            0
+        }
+
+        fn attachment(&self) -> Cow<'_, [u8]> {
+            Cow::default()
+        }
+
+        fn answer(&self, _: &str, _: Vec<u8>, _: &'static str, _: Option<Vec<u8>>) {}
+
+        fn refuse(&self, _: &WireError) {
+            assert!(self.0.0.try_lock().is_ok(), "the offer is locked");
+        }
+    }
+
+    #[test]
+    fn the_offer_is_not_locked_while_an_error_is_sent() {
+        let (offering, questions) = Offer::new();
+        let (offering, metrics) = (Arc::new(offering), Metrics::new(&[], 1));
+        let take = || {
+            let query = Sending(offering.clone());
+            offering.take(query, ID, None, &name("main"), &metrics);
+        };
+        for _ in 0..=WAITING {
+            take();
+        }
+        offering.close();
+        take();
         assert_eq!(questions.iter().count(), WAITING);
         let refused = "egp_library_questions_total{outcome=\"refused\"} 2";
         assert!(metrics.text(0).contains(refused));

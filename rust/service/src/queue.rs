@@ -6,7 +6,7 @@
 //! served longer ago takes the place of one whose vehicle was served last.
 //!
 //! A vehicle that asks again at once, with deadlines that are earlier than those of all others, would always be first. The
-//! deadlines by which the queue is ordered are therefore those of `Turn::in_order`.
+//! deadlines by which the queue is ordered are therefore those of `Turn::ordering_deadline`.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
@@ -26,7 +26,7 @@ struct Waiting<T> {
 }
 
 impl<T> Waiting<T> {
-    /// Of the items before `place`, that of the vehicle which was served last, if that was after `turn`.
+    /// The place of the item before `place` whose vehicle was served last; none if no vehicle of these was served after `turn`.
     fn served_after(&self, turn: u64, place: Place) -> Option<Place> {
         let turns = self
             .by_place
@@ -102,7 +102,7 @@ impl<T> Queue<T> {
         let old = waiting.slots.get(&vehicle).copied();
         let superseded = old.and_then(|place| waiting.remove(place));
         let turn = waiting.served.turn(&vehicle);
-        let place = (turn.in_order(deadline), waiting.tickets);
+        let place = (turn.ordering_deadline(deadline), waiting.tickets);
         let ahead = waiting.by_place.range(..place).count();
         let mut displaced = None;
         let queued = if waiting.closed {

@@ -38,7 +38,7 @@ pub enum ServeError {
 pub struct Checked {
     /// What the service would serve.
     pub served: Ready,
-    /// What to tell of the first certificate that expires, if it is time to renew it.
+    /// A warning about the certificate that expires first; none if it is not yet time to renew it.
     pub warning: Option<String>,
 }
 

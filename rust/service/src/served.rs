@@ -26,7 +26,7 @@ impl Turn {
     /// It is that of a constant bandwidth server (Abeni and Buttazzo, "Integrating multimedia applications in hard real-time
     /// systems", IEEE Real-Time Systems Symposium, 1998) with a period of `SPACING`: at least that much after the one by
     /// which the vehicle's last served request was ordered. A vehicle that asks at most once in this time keeps its deadlines.
-    pub(crate) fn in_order(self, deadline: Instant) -> Instant {
+    pub(crate) fn ordering_deadline(self, deadline: Instant) -> Instant {
         let next = self.deadline.map_or(deadline, |last| last + SPACING);
         next.clamp(deadline, deadline + LONGEST_DEFERRAL)
     }
@@ -85,7 +85,7 @@ mod tests {
         let mut served = Served::default();
         for period in 0..100 {
             let deadline = start + SPACING * period;
-            let ordered = served.turn("a").in_order(deadline);
+            let ordered = served.turn("a").ordering_deadline(deadline);
             assert_eq!(ordered, deadline);
             served.note("a".to_owned(), ordered);
         }

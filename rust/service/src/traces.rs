@@ -55,7 +55,8 @@ impl Traces {
         outcome: Result<Status, &WireError>,
     ) {
         let Some(Target::Step { fleet, vehicle }) = keys::parse(job.query.key()) else {
-            return; // only requests are queued
+            // Only requests are queued, so that there is no other key.
+            return;
         };
         let payload = job.query.payload();
         let (replica, fleet, vehicle) = (replica.as_str(), fleet.as_str(), vehicle.as_str());

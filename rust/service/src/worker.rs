@@ -35,7 +35,7 @@ impl<Q: Query> Shared<Q> {
         self.metrics.waited(started - job.arrived);
         let next = self.time_to_answer(self.queue.len());
         if next <= (job.deadline - job.arrived) / 4 {
-            self.standing.short(started);
+            self.standing.note_short(started);
         }
         let hopeless = started + self.metrics.step_time() > job.expected_by();
         // The last request in the queue is tried even if it is likely to be late, because no other request waits for
@@ -58,7 +58,7 @@ impl<Q: Query> Shared<Q> {
     ) {
         let Begun { job, started } = begun;
         let outcome = outcome.as_ref().copied();
-        // The vehicle may send its next request as soon as it has the answer, and that must find an idle worker.
+        // The vehicle may send its next request as soon as it has the answer, and this worker must count as idle by then.
         self.metrics.busy.dec();
         match outcome {
             Ok(status) => {

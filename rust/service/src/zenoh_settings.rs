@@ -13,7 +13,7 @@ pub(crate) const DEFAULTS: [(&str, &str); 5] = [
     ("transport/link/rx/max_message_size", "8388608"),
     // Further sessions are closed, so that strangers fill a bounded part of the memory.
     ("transport/unicast/max_sessions", "1000"),
-    // zenoh waits for 100 connections at once that have not yet become sessions; silent ones must soon make room.
+    // zenoh keeps 100 connections at once that have not yet become sessions; a silent one is closed after this time, ms.
     ("transport/unicast/accept_timeout", "2000"),
     // A reply has the quality of service of its query. One that a link has no room for must be dropped: zenoh would otherwise
     // let a worker wait for up to five seconds for a vehicle that does not read. An express reply takes two messages.

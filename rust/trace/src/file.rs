@@ -20,7 +20,8 @@ use crate::span::Span;
 const PERIOD: Duration = Duration::from_millis(200);
 /// Steps whose spans may wait, which is what 20 000 requests a second bring within a period. Their spans take some 10 MB.
 const CAPACITY: usize = 4096;
-/// Spans of a line at most. A line then has some 150 kB; the Collector cuts lines of more than 1 MiB.
+/// Largest number of spans of a line, unless one step alone has more. A line then has some 150 kB; the Collector cuts lines of
+/// more than 1 MiB.
 const LINE_SPANS: usize = 256;
 
 /// Why traces cannot be written.
@@ -144,23 +145,24 @@ impl Writer {
         self.write_waiting();
     }
 
-    /// Writes all that waits.
+    /// Writes all that waits. The spans of a step are in one line.
     fn write_waiting(&mut self) {
-        loop {
-            let mut spans = Vec::new();
-            while spans.len() < LINE_SPANS
-                && let Ok(step) = self.waiting.try_recv()
-            {
-                spans.extend(step);
+        let mut spans = Vec::new();
+        while let Ok(step) = self.waiting.try_recv() {
+            if spans.len() + step.len() > LINE_SPANS {
+                self.write(&spans);
+                spans.clear();
             }
-            if spans.is_empty() {
-                return;
-            }
-            self.write(&spans);
+            spans.extend(step);
         }
+        self.write(&spans);
     }
 
+    /// Appends a line with these spans to the file; without spans it does nothing.
     fn write(&mut self, spans: &[Span]) {
+        if spans.is_empty() {
+            return;
+        }
         let line = line(&self.resource, spans).map_err(io::Error::from);
         let written = line.and_then(|line| {
             let mut file = append(&self.path)?;
@@ -292,16 +294,20 @@ mod tests {
     fn lines_are_bounded_and_what_is_too_much_is_dropped() {
         let folder = Folder::new();
         let file = TraceFile::open(&folder.file(), resource()).unwrap();
-        let steps = 3 * CAPACITY as u64;
-        for number in 0..steps {
-            file.add(vec![span(number)]);
+        // The bound of a line is no multiple of the spans of a step.
+        let (steps, each) = (3 * CAPACITY as u64, 3);
+        for _ in 0..steps {
+            file.add([1, 2, 3].map(span).to_vec());
         }
         let counts = file.counts();
         drop(file);
-        assert!(counts.written() >= CAPACITY as u64);
-        assert_eq!(counts.written() + counts.dropped(), steps);
+        assert!(counts.written() >= CAPACITY as u64 * each);
+        assert_eq!(counts.written() + counts.dropped(), steps * each);
         let lines = starts(&folder.file());
         assert!(lines.iter().all(|line| line.len() <= LINE_SPANS));
+        assert!(lines.iter().any(|line| line.len() == LINE_SPANS - 1));
+        let whole = |line: &Vec<String>| line.chunks(3).all(|step| step == ["1", "2", "3"]);
+        assert!(lines.iter().all(whole));
         assert_eq!(lines.concat().len() as u64, counts.written());
     }
 

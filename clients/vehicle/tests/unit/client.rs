@@ -6,6 +6,8 @@ use egp_gate::Limits;
 use egp_parameters::VehicleParameters;
 use egp_wire::{MessageLimits, Ready, Reply, Request, Status};
 
+use serde_json::Value;
+
 use super::*;
 use crate::network::report;
 
@@ -47,6 +49,39 @@ fn events_beyond_the_deadline_wait_for_the_next_step() {
         let waiting = std::iter::from_fn(|| client.network.next(Duration::ZERO));
         assert_eq!(waiting.count(), left);
     }
+}
+
+#[test]
+fn questions_of_a_period_that_was_given_up_have_no_spans() {
+    let path = std::env::temp_dir().join(format!("egp-abandoned-{}", std::process::id()));
+    let mut client = client();
+    let [fleet, car] = ["test", "car"].map(|name| name.parse().unwrap());
+    client.traces = Some(StepTraces::open(&path, 1.0, &fleet, &car).unwrap());
+    let replica: Name = "a".parse().unwrap();
+    client
+        .driver
+        .replica_appeared(Duration::ZERO, replica.clone());
+    client.driver.replica_fits(&replica);
+    let (now, measurement) = (client.epoch.elapsed(), measurement(&client));
+    let deadline = now + Duration::from_secs(60);
+    client
+        .driver
+        .tick(now, deadline, measurement.clone())
+        .unwrap();
+    let Some(Action::Ask(query)) = client.driver.next_action() else {
+        panic!("the replica is asked");
+    };
+    client.traces.as_mut().unwrap().asked(now, &query);
+    client.reset();
+    client.driver.replica_gone(now, &replica);
+    client.step_by(Instant::now(), measurement).unwrap();
+    drop(client);
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::remove_file(&path).unwrap();
+    let data: Value = serde_json::from_str(&text).unwrap();
+    let spans = data["resourceSpans"][0]["scopeSpans"][0]["spans"].as_array();
+    let names = spans.unwrap().iter().map(|span| &span["name"]);
+    assert_eq!(names.collect::<Vec<_>>(), ["egp.step"]);
 }
 
 #[test]

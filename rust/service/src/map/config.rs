@@ -9,7 +9,7 @@ use egp_wire::TILE_ORIGINS;
 use serde::Deserialize;
 
 use super::store::MapLimits;
-use crate::config::{ConfigError, address};
+use crate::config::{ConfigError, DEFAULT_LOG, address};
 
 /// The configuration of a map service, in TOML. Unknown keys are errors.
 #[derive(Clone, Debug, Deserialize)]
@@ -36,8 +36,7 @@ pub struct MapConfig {
     /// Address for `/health`, `/ready` and `/metrics` over HTTP, such as `127.0.0.1:9465`. Default: none.
     #[serde(deserialize_with = "address")]
     pub http: Option<SocketAddr>,
-    /// What to log, as for `egp serve`. Default
-    /// `info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error`.
+    /// What to log, with the same default as [`crate::ServiceConfig::log`].
     pub log: String,
     /// Whether each log line is a JSON object instead of text. Default false.
     pub log_json: bool,
@@ -61,7 +60,7 @@ impl Default for MapConfig {
             publish_ms: 500,
             save_ms: 10_000,
             http: None,
-            log: "info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error".to_owned(),
+            log: DEFAULT_LOG.to_owned(),
             log_json: false,
             zenoh_file: None,
             zenoh: BTreeMap::new(),

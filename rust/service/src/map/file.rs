@@ -229,7 +229,7 @@ pub(crate) fn encode((fleet, name): &Road, tiles: &Tiles, clocks: Clocks) -> Vec
         sha256: digest(&SHA256, &bytes).as_ref().to_vec(),
         ..proto::StoredRoad::default()
     };
-    // Messages one behind the other are one message with the fields of both.
+    // Protobuf reads two messages one behind the other as one message with the fields of both.
     bytes.extend(checksum.encode_to_vec());
     bytes
 }

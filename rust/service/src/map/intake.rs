@@ -13,7 +13,7 @@ const EACH: usize = 64;
 const ALL: usize = 1024;
 /// Largest payload of a query, bytes.
 const PAYLOAD: usize = 4096;
-/// When a vehicle should try again, µs.
+/// Time after which a vehicle should try again, µs.
 const LATER: u32 = 1_000_000;
 
 /// A query on its way to the keeper.
@@ -102,7 +102,7 @@ impl<Q: Query> Intake<Q> {
     }
 }
 
-/// What the error about another key says.
+/// The end of the error about a key that is not served, for [`no_such_key`].
 fn of_a_map() -> String {
     format!(
         "no key of a map service: expected egp/v1/map/FLEET/VEHICLE/ROAD/tile/INDEX or tiles/FIRST with INDEX and FIRST below \

@@ -14,11 +14,14 @@ use super::turns::Next;
 use super::writer::Writer;
 use crate::query::Query;
 
-// Messages and beliefs have the same tiles.
+// A tile of a message has as many bytes as a tile of a belief.
 const _: () = assert!(egp_map::TILE_BYTES == egp_wire::TILE_BYTES);
 
 /// Time between two looks for evidence that is too old.
 const EXPIRE: Duration = Duration::from_secs(60);
+
+/// Is called when the keeper has ended, also by a panic.
+pub(crate) type Ended = Box<dyn Fn() + Send>;
 
 /// Publishes a message on a key.
 pub(crate) type Put = Box<dyn Fn(&str, Vec<u8>) + Send>;
@@ -30,11 +33,12 @@ pub(crate) struct Keeper<Q: Query> {
     pub put: Put,
     /// Writes the roads' files; none if the map has no folder.
     pub writer: Option<Writer>,
-    /// The roads whose turn it is to be written.
-    pub due: BTreeSet<Road>,
+    /// The roads of this round of writing that are not yet begun.
+    pub round: BTreeSet<Road>,
     pub started: Instant,
     pub publish: Duration,
     pub save: Duration,
+    pub ended: Ended,
 }
 
 /// The two clocks of a service that started at `started`.
@@ -54,24 +58,24 @@ impl<Q: Query> Keeper<Q> {
     pub(crate) fn run(mut self) -> usize {
         self.count();
         let wait = self.publish.min(self.save);
-        let (mut published, mut saved, mut expired) = (self.started, self.started, self.started);
+        let [mut published, mut saved, mut expired] = [self.started; 3];
         loop {
             match self.intake.waiting.next(wait) {
                 Next::Item(job) => self.answer(&job),
                 Next::Nothing => {}
                 Next::End => break,
             }
-            if due(&mut published, self.publish) {
+            if has_passed(self.publish, &mut published) {
                 self.publish_changes();
             }
-            if due(&mut expired, EXPIRE) {
+            if has_passed(EXPIRE, &mut expired) {
                 self.store.expire(self.started.elapsed().as_secs_f64());
                 self.count();
             }
             // Roads that changed since are added once all roads of the last round were begun: a road that changes again
             // and again would otherwise delay the others.
-            if due(&mut saved, self.save) && self.due.is_empty() {
-                self.due.clone_from(&self.store.unsaved);
+            if has_passed(self.save, &mut saved) && self.round.is_empty() {
+                self.round.clone_from(&self.store.unsaved);
             }
             self.write_next();
         }
@@ -124,13 +128,13 @@ impl<Q: Query> Keeper<Q> {
     fn write_next(&mut self) {
         let Some(writer) = &mut self.writer else {
             self.store.unsaved.clear();
-            self.due.clear();
+            self.round.clear();
             return;
         };
         let ended = writer.ended();
         let idle = writer.road().is_none();
         self.note(ended);
-        if idle && let Some(road) = self.due.pop_first() {
+        if idle && let Some(road) = self.round.pop_first() {
             self.begin(road);
         }
     }
@@ -183,36 +187,43 @@ impl<Q: Query> Keeper<Q> {
     }
 }
 
-/// Drops the queries that wait, also after a panic, so that they end at once at their senders.
+/// Drops the queries that wait, also after a panic, so that they end at once at their senders, and reports that the keeper has
+/// ended.
 impl<Q: Query> Drop for Keeper<Q> {
     fn drop(&mut self) {
         self.intake.waiting.close();
         while let Next::Item(_) = self.intake.waiting.next(Duration::ZERO) {}
+        (self.ended)();
     }
 }
 
 /// Whether `period` has passed since `last`, which then becomes now.
-fn due(last: &mut Instant, period: Duration) -> bool {
+fn has_passed(period: Duration, last: &mut Instant) -> bool {
     let now = Instant::now();
-    let due = now.duration_since(*last) >= period;
-    if due {
+    let passed = now.duration_since(*last) >= period;
+    if passed {
         *last = now;
     }
-    due
+    passed
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used)]
+#[allow(clippy::unwrap_used, clippy::panic)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
     use std::sync::mpsc;
     use std::thread;
 
     use egp_map::{MergeSettings, TILE_BYTES};
+    use prometheus_client::registry::Registry;
 
     use super::super::config::MapConfig;
     use super::super::file_error::{RoadFileError, system};
+    use super::super::pages::MapPages;
     use super::super::writer::Content;
     use super::*;
+    use crate::http::Pages as _;
+    use crate::links::Links;
     use crate::query::recorded::Recorded;
 
     const DUE: Duration = Duration::from_millis(1);
@@ -228,10 +239,11 @@ mod tests {
             intake,
             put: Box::new(|_, _| {}),
             writer: Some(writer.unwrap()),
-            due: BTreeSet::new(),
+            round: BTreeSet::new(),
             started: Instant::now(),
             publish: Duration::from_secs(3600),
             save,
+            ended: Box::new(|| {}),
         }
     }
 
@@ -288,6 +300,27 @@ mod tests {
         intake.waiting.close();
         assert_eq!(running.join().unwrap(), 0);
         assert!(begins.recv().is_err());
+    }
+
+    #[test]
+    fn after_a_panic_the_service_is_not_ready_and_is_told_of_it() {
+        let mut keeper = keeper(DUE, Box::new(|_, _| Ok(())));
+        let (told, end) = mpsc::channel();
+        keeper.publish = DUE;
+        keeper.put = Box::new(|_, _| panic!("this panic is part of a test"));
+        keeper.ended = Box::new(move || told.send(()).unwrap());
+        let intake = keeper.intake.clone();
+        let pages = MapPages {
+            intake: intake.clone(),
+            links: Arc::new(Links::new(false, &mut Registry::default())),
+            serving: Arc::new(AtomicBool::new(true)),
+        };
+        assert_eq!(pages.not_ready(), None);
+        let running = thread::spawn(move || keeper.run());
+        ask(&intake, "ring/tile/0", evidence());
+        end.recv_timeout(Duration::from_secs(60)).unwrap();
+        assert_eq!(pages.not_ready(), Some("closed"));
+        assert!(running.join().is_err());
     }
 
     #[test]

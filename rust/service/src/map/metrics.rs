@@ -45,7 +45,7 @@ impl Metrics {
         metrics
     }
 
-    /// Where further metrics are registered.
+    /// The registry, in which other modules register their metrics.
     pub(crate) fn registry(&mut self) -> &mut Registry {
         &mut self.registry
     }

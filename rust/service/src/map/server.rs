@@ -19,7 +19,7 @@ use super::file::load;
 use super::file_error::RoadFileError;
 use super::folder_lock::lock;
 use super::intake::Intake;
-use super::keeper::{Keeper, clocks};
+use super::keeper::{Ended, Keeper, clocks};
 use super::pages::MapPages;
 use super::store::{Road, Store};
 use super::writer::{Content, Writer, remove_unfinished, write};
@@ -89,13 +89,15 @@ impl MapServer {
     /// # Errors
     /// [`MapError`]; nothing keeps running then.
     pub fn start(config: &MapConfig) -> Result<Self, MapError> {
-        Self::start_unless(config, &mut || false)
+        Self::start_unless(config, &mut || false, Box::new(|| {}))
     }
 
-    /// As [`MapServer::start`], but ends with an error if `stopped` returns true while it waits for a router.
+    /// As [`MapServer::start`], but ends with an error if `stopped` returns true while it waits for a router. `ended` is called
+    /// when the thread that keeps the map has ended, also by a panic.
     fn start_unless(
         config: &MapConfig,
         stopped: &mut dyn FnMut() -> bool,
+        ended: Ended,
     ) -> Result<Self, MapError> {
         config.validate()?;
         let started = Instant::now();
@@ -136,10 +138,11 @@ impl MapServer {
             intake: intake.clone(),
             put: Box::new(move |key, payload| putter.put(key, payload)),
             writer: writer.transpose()?,
-            due: BTreeSet::new(),
+            round: BTreeSet::new(),
             started,
             publish: Duration::from_millis(config.publish_ms),
             save: Duration::from_millis(config.save_ms),
+            ended,
         };
         let thread = thread::Builder::new().name("egp-map".to_owned());
         let keeper = Some(thread.spawn(move || keeper.run())?);
@@ -173,7 +176,8 @@ impl MapServer {
             return Ok(());
         };
         self.network.undeclare();
-        self.intake.waiting.close(); // which ends the keeper once it has answered what waits
+        // The keeper ends once it has answered the queries that wait.
+        self.intake.waiting.close();
         let unsaved = keeper.join();
         drop((self.http.take(), self.watch.take()));
         self.network.close();
@@ -207,8 +211,8 @@ fn zenoh_settings(config: &MapConfig) -> Result<Configured, NetworkError> {
 }
 
 /// Checks what a map service needs to start, except its folder, which a running service may have locked: the log filter, all
-/// values, the host for HTTP, and a zenoh session, which listens on free ports and connects to nothing. Returns what to tell
-/// of the first certificate that expires, if it is time to renew it.
+/// values, the host for HTTP, and a zenoh session, which listens on free ports and connects to nothing. Returns a warning
+/// about the certificate that expires first, if it is time to renew it.
 ///
 /// # Errors
 /// [`MapError`] as [`serve_map`] would report it.
@@ -224,7 +228,8 @@ pub fn check_map(config: &MapConfig) -> Result<Option<String>, MapError> {
 /// Keeps a map until SIGTERM, SIGINT or SIGHUP.
 ///
 /// # Errors
-/// [`MapError`] if the service does not start, or if something is not written at the end.
+/// [`MapError`] if the service does not start, something is not written at the end, or the thread that keeps the map panicked,
+/// which ends the service.
 pub fn serve_map(config: &MapConfig) -> Result<(), MapError> {
     heap::share();
     let _flush = FlushAtEnd;
@@ -232,17 +237,50 @@ pub fn serve_map(config: &MapConfig) -> Result<(), MapError> {
     allow_all();
     // Signals are registered before the start, so that an early one is not lost.
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP])?;
-    let mut ended = false;
+    let (mut ended, closing) = (false, closing(&signals));
     let mut stopped = || {
         ended |= signals.pending().next().is_some();
         ended
     };
-    let server = match MapServer::start_unless(config, &mut stopped) {
+    let server = match MapServer::start_unless(config, &mut stopped, closing) {
         Err(_) if ended => return Ok(()),
         started => started?,
     };
+    wait(&mut signals);
+    server.stop()
+}
+
+/// A function that ends the wait for signals.
+fn closing(signals: &Signals) -> Ended {
+    let handle = signals.handle();
+    Box::new(move || handle.close())
+}
+
+/// Waits for a signal, or until [`closing`] ends the wait.
+fn wait(signals: &mut Signals) {
     if let Some(signal) = signals.forever().next() {
         tracing::info!(signal, "signal received");
     }
-    server.stop()
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use egp_testing::ports::free_endpoint;
+    use signal_hook::consts::SIGUSR1;
+
+    use super::*;
+
+    #[test]
+    fn the_wait_for_signals_ends_with_the_keeper() {
+        let mut config = MapConfig::default();
+        let (key, listen) = ("listen/endpoints", format!("[\"{}\"]", free_endpoint()));
+        config.zenoh.insert(key.to_owned(), listen);
+        let mut signals = Signals::new([SIGUSR1]).unwrap();
+        let ended = closing(&signals);
+        let server = MapServer::start_unless(&config, &mut || false, ended).unwrap();
+        server.intake.waiting.close();
+        wait(&mut signals);
+        server.stop().unwrap();
+    }
 }

@@ -13,6 +13,10 @@ const LIFETIMES: f64 = 6.5;
 /// Least time between two looks for evidence that is too old by vehicles that ask for room, s. A look reads the whole store.
 const LEAST_BETWEEN_LOOKS: f64 = 1.0;
 
+/// Largest number of tiles that are merged for one question. Those of which nothing is left by their age count, too, because
+/// merging them takes time as well.
+const MERGED_AT_ONCE: usize = 2 * TILES_AT_ONCE;
+
 /// How much a store keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MapLimits {
@@ -98,8 +102,8 @@ pub struct Store {
     /// How much each vehicle of each fleet contributes.
     shares: HashMap<(Name, Name), Share>,
     total: usize,
-    /// Time of the last look for evidence that is too old.
-    expired: f64,
+    /// Time at which expired tiles were last removed.
+    looked_at: f64,
     changed: BTreeMap<Road, BTreeSet<u32>>,
     /// The roads that changed since their files were written.
     pub(crate) unsaved: BTreeSet<Road>,
@@ -114,7 +118,7 @@ impl Store {
             roads: BTreeMap::new(),
             shares: HashMap::new(),
             total: 0,
-            expired: f64::NEG_INFINITY,
+            looked_at: f64::NEG_INFINITY,
             changed: BTreeMap::new(),
             unsaved: BTreeSet::new(),
         }
@@ -172,40 +176,58 @@ impl Store {
         Ok(())
     }
 
-    /// Up to [`TILES_AT_ONCE`] tiles from `first` on, of which other vehicles than the asking one measured something.
+    /// Up to [`TILES_AT_ONCE`] tiles from `first` on, of which other vehicles than the asking one measured something. If there
+    /// are more, the asking vehicle goes on behind the last tile of the answer. That tile has no evidence and no origins if the
+    /// last tiles that were merged have none left.
     pub fn tiles(&self, key: &RoadKey, first: u32, now: f64) -> RoadTiles {
         let road = (key.fleet.clone(), key.road.clone());
-        let tiles = self
-            .roads
-            .get(&road)
-            .into_iter()
-            .flat_map(|tiles| tiles.range(first..));
-        let mut found = tiles.filter_map(|(index, vehicles)| {
-            let others = vehicles
-                .iter()
-                .filter(|(vehicle, _)| **vehicle != key.vehicle);
-            let merged = merge(
-                others.clone().map(|(_, c)| (&c.tile, now - c.at)),
-                &self.merge,
-            );
-            let origins = others.map(|(vehicle, contribution)| TileOrigin {
-                vehicle: vehicle.clone(),
-                age_ms: milliseconds(now - contribution.at),
-            });
-            (!merged.is_empty()).then(|| RoadTile {
-                index: *index,
-                rows: merged.bytes().to_vec(),
-                origins: origins.collect(),
-            })
+        let tiles = self.roads.get(&road).into_iter();
+        let mut shared = tiles
+            .flat_map(|tiles| tiles.range(first..))
+            .filter(|(_, vehicles)| vehicles.keys().any(|vehicle| *vehicle != key.vehicle));
+        let (mut found, mut empty) = (Vec::new(), None);
+        for (index, vehicles) in shared.by_ref().take(MERGED_AT_ONCE) {
+            let tile = self.merged(*index, vehicles, &key.vehicle, now);
+            if tile.origins.is_empty() {
+                empty = Some(tile);
+                continue;
+            }
+            empty = None;
+            found.push(tile);
+            if found.len() == TILES_AT_ONCE {
+                break;
+            }
+        }
+        let more = shared.next().is_some();
+        found.extend(empty.filter(|_| more));
+        RoadTiles { tiles: found, more }
+    }
+
+    /// What other vehicles than the asking one measured in a tile; without origins if no evidence is left by its age.
+    fn merged(
+        &self,
+        index: u32,
+        vehicles: &BTreeMap<Name, Contribution>,
+        asking: &Name,
+        now: f64,
+    ) -> RoadTile {
+        let others = vehicles.iter().filter(|(vehicle, _)| *vehicle != asking);
+        let aged = others.clone().map(|(_, c)| (&c.tile, now - c.at));
+        let merged = merge(aged, &self.merge);
+        let origins = others.map(|(vehicle, contribution)| TileOrigin {
+            vehicle: vehicle.clone(),
+            age_ms: milliseconds(now - contribution.at),
         });
-        let tiles = found.by_ref().take(TILES_AT_ONCE).collect();
-        let more = found.next().is_some();
-        RoadTiles { tiles, more }
+        RoadTile {
+            index,
+            rows: merged.bytes().to_vec(),
+            origins: origins.filter(|_| !merged.is_empty()).collect(),
+        }
     }
 
     /// Forgets what is too old to be of use; the tiles have then changed.
     pub fn expire(&mut self, now: f64) {
-        self.expired = now;
+        self.looked_at = now;
         let oldest = now - self.largest_age();
         let (shares, total) = (&mut self.shares, &mut self.total);
         let (changed, unsaved) = (&mut self.changed, &mut self.unsaved);
@@ -279,8 +301,8 @@ impl Store {
         now: f64,
     ) -> Result<(), StoreError> {
         let full = |store: &Self| store.total >= store.limits.contributions;
-        if (full(self) || self.limited(key).is_some()) && now - self.expired >= LEAST_BETWEEN_LOOKS
-        {
+        let crowded = full(self) || self.limited(key).is_some();
+        if crowded && now - self.looked_at >= LEAST_BETWEEN_LOOKS {
             self.expire(now);
         }
         if let Some(error) = self.limited(key) {
@@ -336,65 +358,5 @@ pub(crate) fn milliseconds(seconds: f64) -> u32 {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used)]
-mod tests {
-    use egp_map::TILE_BYTES;
-
-    use super::*;
-
-    fn store(vehicles: usize) -> Store {
-        let limits = MapLimits {
-            contributions: 10,
-            vehicles,
-            tiles: 10,
-            roads: 10,
-        };
-        Store::new(MergeSettings::default(), limits)
-    }
-
-    fn key(vehicle: &str) -> RoadKey {
-        RoadKey {
-            fleet: "depot".parse().unwrap(),
-            vehicle: vehicle.parse().unwrap(),
-            road: "ring".parse().unwrap(),
-        }
-    }
-
-    /// A tile with this ratio of likelihoods.
-    fn tile(ratio: u8) -> Tile {
-        Tile::from_bytes(&[ratio, 0].repeat(TILE_BYTES / 2)).unwrap()
-    }
-
-    #[test]
-    fn tiles_whose_evidence_expires_have_changed() {
-        let mut store = store(10);
-        for (vehicle, index, at) in [("a", 3, 0.0), ("b", 3, 1e4), ("a", 7, 1e4)] {
-            store.add(&key(vehicle), index, tile(7), at, at).unwrap();
-        }
-        store.take_changed();
-        let road = (key("a").fleet, key("a").road);
-        for (index, kept, now) in [(3, true, 1.2e4), (7, false, 1e6)] {
-            store.unsaved.clear();
-            store.expire(now);
-            assert!(store.unsaved.contains(&road));
-            assert!(store.take_changed()[&road].contains(&index));
-            assert_eq!(store.road(&road).is_some(), kept);
-        }
-        store.expire(2e6);
-        assert!(store.take_changed().is_empty());
-    }
-
-    #[test]
-    fn a_tile_without_evidence_takes_no_place_and_changes_nothing() {
-        let mut store = store(1);
-        store.add(&key("a"), 3, tile(64), 0.0, 0.0).unwrap();
-        store.take_changed();
-        // From another vehicle, and from the same one after a restart.
-        for (vehicle, index) in [("b", 3), ("a", 3), ("b", 4)] {
-            store.add(&key(vehicle), index, tile(0), 1.0, 1.0).unwrap();
-        }
-        assert!(store.take_changed().is_empty());
-        assert_eq!(store.contributions(), 1);
-        assert_eq!(store.tiles(&key("b"), 0, 1.0).tiles.len(), 1);
-    }
-}
+#[path = "../../tests/unit/map_store.rs"]
+mod tests;

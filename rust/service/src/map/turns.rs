@@ -13,9 +13,9 @@ pub(crate) type Vehicle = (Name, Name);
 /// Why an item does not wait; it is handed back.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Refused<T> {
-    /// As many items of its vehicle wait as may.
+    /// The largest number of items of its vehicle wait already.
     Vehicle(T),
-    /// As many items of all vehicles wait as may.
+    /// The largest number of items of all vehicles wait already.
     All(T),
     /// Nothing is taken any more.
     Closed(T),
@@ -118,6 +118,11 @@ impl<T> Turns<T> {
     pub(crate) fn close(&self) {
         self.lock().closed = true;
         self.changed.notify_one();
+    }
+
+    /// Whether no further items are taken.
+    pub(crate) fn is_closed(&self) -> bool {
+        self.lock().closed
     }
 
     fn lock(&self) -> MutexGuard<'_, Waiting<T>> {

@@ -38,7 +38,7 @@ impl Writer {
                 if let Err(error) = &written {
                     tracing::error!(%error, "a road was not written");
                 }
-                // A keeper that panicked takes no note of it.
+                // After a panic of the keeper nothing receives the outcome.
                 let _ = told.send(written.is_ok());
                 ended();
             }

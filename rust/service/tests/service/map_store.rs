@@ -182,6 +182,40 @@ fn old_evidence_is_an_error_and_ages_in_answers() {
 }
 
 #[test]
+fn one_question_merges_a_bounded_number_of_tiles_of_others() {
+    let mut store = Store::new(
+        MergeSettings::default(),
+        MapLimits {
+            contributions: 1000,
+            tiles: 1000,
+            ..LIMITS
+        },
+    );
+    // The evidence of `b` is too weak to say anything, except that of the last tile.
+    let weak = Tile::from_bytes(&[7, 0].repeat(TILE_BYTES / 2)).unwrap();
+    for index in 0..200 {
+        store.add(&key("a"), index, tile(1), 0.0, 0.0).unwrap();
+        let theirs = if index == 199 { tile(1) } else { weak.clone() };
+        store.add(&key("b"), 300 + index, theirs, 0.0, 0.0).unwrap();
+    }
+    let (mut first, mut answers) = (0, Vec::new());
+    loop {
+        let answer = store.tiles(&key("a"), first, 0.0);
+        assert_eq!(RoadTiles::decode(&answer.encode()).as_ref(), Ok(&answer));
+        let last = answer.tiles.last().unwrap();
+        answers.push((last.index, last.origins.len()));
+        first = last.index + 1;
+        if !answer.more {
+            break;
+        }
+    }
+    // The 200 tiles that only the asking vehicle has are not merged, and of those of `b` 64 at a time.
+    assert_eq!(answers, [(363, 0), (427, 0), (491, 0), (499, 1)]);
+    let own = store.tiles(&key("b"), 200, 0.0);
+    assert_eq!(own, RoadTiles::default());
+}
+
+#[test]
 fn long_roads_are_answered_in_parts() {
     let mut store = Store::new(
         MergeSettings::default(),
