@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import stat
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,28 +15,53 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path next to `path`; the file there replaces `path` at the end.
-
-    Folders that are missing are made.
+def destination(path: Path) -> Path:
+    """Return where a file lies that is written as `path`: where its symbolic links lead.
 
     Raises:
-        OSError: naming `path`, not the temporary file, if `path` is a folder or cannot be written.
+        OSError: naming `path`, if it is a folder, a pipe, a socket or a device, or cannot be
+            looked up.
 
     """
-    if path.is_dir():
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return path.resolve()
+    if stat.S_ISDIR(mode):
         message = "this is a folder; name a file in it, or a new file"
         raise IsADirectoryError(errno.EISDIR, message, str(path))
-    temporary = f".{path.name}."
+    if not stat.S_ISREG(mode):
+        found = "a pipe" if stat.S_ISFIFO(mode) else "a socket or a device"
+        message = f"expected a regular file or a new name, got {found}"
+        raise OSError(errno.EINVAL, message, str(path))
+    return path.resolve()
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary path; the file there replaces the one at `path` at the end.
+
+    Where `path` is a symbolic link, the file to which it leads is replaced, and the link stays.
+    The temporary file has the same name in a folder beside the one that it replaces. Folders that
+    are missing are made.
+
+    Raises:
+        OSError: naming `path`, not the temporary file, if no file can be written there, or if
+            `path` is a folder, a pipe, a socket or a device.
+
+    """
+    target = destination(path)
+    temporary = f".{target.name}."
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=temporary, dir=path.parent) as folder:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=temporary, dir=target.parent) as folder:
             beside = Path(folder) / path.name
             yield beside
-            beside.replace(path)
+            beside.replace(target)
     except OSError as error:
-        if error.filename is not None and temporary in str(error.filename):
+        # An error of a write, such as that of a full disk, names no file.
+        unnamed = error.errno is not None and error.filename is None
+        if unnamed or temporary in str(error.filename):
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from egp_service._core import InvalidArgumentError
 from egp_service.simulation.environment import TrackEnvironment
 from egp_service.simulation.plant import PlantError
 from egp_service.simulation.scenario import Measurement, load_scenario
+
+if TYPE_CHECKING:
+    from egp_service.simulation.scenario import Scenario
 
 DOCUMENT = Path(__file__).parents[2] / "docs/simulator.md"
 CREEP = np.array([0.05, 0.0])
@@ -81,6 +85,30 @@ def test_delay_and_noise_of_the_scenario_act() -> None:
     steering = [delayed.step(np.array([0.0, 1.0]))[0][5] for _ in range(3)]
     assert steering[1] == 0.0
     assert steering[2] > 0.0
+
+
+def test_what_concerns_the_controller_of_a_closed_loop_has_no_effect() -> None:
+    plain = load_scenario("rounded-rectangle")
+    steering = np.array([0.2, 0.1])
+
+    def observed(scenario: Scenario) -> list[list[float]]:
+        environment = TrackEnvironment(scenario)
+        first, _ = environment.reset(seed=1)
+        return [first.tolist(), environment.step(steering)[0].tolist()]
+
+    changed = replace(
+        plain,
+        library="missing.safetensors",
+        control={"cost": {"lateral": 3.0}},
+        gate={"a_max": 1.0},
+    )
+    for speed in (
+        replace(plain.speed, knows="nothing", risk=0.3, preview=False),
+        replace(plain.speed, knows="here", friction=0.2, risk=0.05),
+    ):
+        assert observed(replace(changed, speed=speed)) == observed(plain)
+    with pytest.raises(FileNotFoundError, match=r"missing\.safetensors"):
+        TrackEnvironment(replace(changed, speed=replace(plain.speed, tyres=True)))
 
 
 def test_the_ends_of_an_episode_are_python_bools() -> None:

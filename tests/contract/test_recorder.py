@@ -96,6 +96,21 @@ def test_a_time_that_runs_backward_is_an_error(
     assert len(read_recording(tmp_path / "run.mcap").steps) == 2
 
 
+@pytest.mark.parametrize("time", [-1.0, 1e12, float("nan"), float("inf")])
+def test_a_message_at_no_time_leaves_the_recording(
+    tmp_path: Path, controller: Controller, step: Step, time: float
+) -> None:
+    file = tmp_path / "run.mcap"
+    with Recorder(file, controller) as recorder:
+        recorder.add(step, X, 0.02)
+        with pytest.raises(InvalidArgumentError, match="expected for time the seconds since"):
+            recorder.message("/note", Timestamp(), time)
+        recorder.message("/note", Timestamp(), 0.01)
+        recorder.add(step, X, 0.04)
+    read = read_recording(file)
+    assert (len(read.steps), read.complete) == (2, True)
+
+
 def test_steps_of_two_controllers_have_their_own_replies(tmp_path: Path) -> None:
     file, limits = tmp_path / "run.mcap", Plant().parameters.gate_limits()
     with (

@@ -17,7 +17,13 @@ from egp_service._core import Plant
 from egp_service.cli.settings_file import read_settings
 from egp_service.control.toml_text import dumps
 from egp_service.simulation.configuration import ConfigurationError
-from egp_service.simulation.course import TRACKS, build_path, build_profile, narrow_place
+from egp_service.simulation.course import (
+    TRACKS,
+    build_path,
+    build_profile,
+    narrow_place,
+    tight_place,
+)
 from egp_service.simulation.scenario import (
     Disturbances,
     Scenario,
@@ -122,9 +128,9 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         (("[track]", "[speed]\nv_max = 1e-200\n[track]"), "speed.v_max must be 0.001 to 10000"),
         (
             ("[track]", "[speed]\nv_start = -8\n[track]"),
-            "speed.v_start must be 0 to 150 m/s, got -8",
+            "speed.v_start must be 0 to 100 m/s, got -8",
         ),
-        (("[track]", "[speed]\nv_start = 500\n[track]"), "speed.v_start must be 0 to 150 m/s"),
+        (("[track]", "[speed]\nv_start = 101\n[track]"), "speed.v_start must be 0 to 100 m/s"),
         *(
             (
                 ("[track]", f"[speed]\nconstant = true\n{name} = {value}\n[track]"),
@@ -292,6 +298,25 @@ def test_a_road_that_is_narrower_than_the_car_is_told() -> None:
     assert narrow_place(parse(MINIMAL)) is None
 
 
+def test_a_path_that_turns_tighter_than_the_car_is_told(tmp_path: Path) -> None:
+    text = MINIMAL.replace("rounded-rectangle", "circle")
+    told = tight_place(parse(text.replace("[[zones]]", "parameters = {radius = 1.5}\n[[zones]]")))
+    assert told is not None
+    # The wheelbase of 2.4 m over the tangent of 0.91 rad.
+    assert re.match(r"The path turns with a radius of 1\.50 m at s = .* is 1\.87 m: make", told)
+    # A square with sharp corners, in a file, which begins 1 m behind one.
+    side = np.arange(1.0, 20.0, 2.0)
+    x = np.concatenate([side, 0.0 * side + 20.0, 20.0 - side, 0.0 * side])
+    rows = "".join(f"{a},{b},4,4\n" for a, b in zip(x, np.roll(x, len(side)), strict=True))
+    (tmp_path / "square.csv").write_text(f"x_m,y_m,w_tr_right_m,w_tr_left_m\n{rows}")
+    text = MINIMAL.replace('"rounded-rectangle"', '"csv"\nfile = "square.csv"')
+    told = tight_place(parse_scenario(text, tmp_path, "mine.toml"))
+    assert told is not None
+    assert re.search(r"at s = \d+\.\d m, .*: smooth the points of its file", told)
+    for name in built_in_names():
+        assert tight_place(load_scenario(name)) is None
+
+
 @pytest.mark.parametrize("seed", ["-3.0", "0.5", "1e300"])
 def test_the_seed_of_a_track_is_a_whole_number(seed: str) -> None:
     text = MINIMAL.replace("rounded-rectangle", "random")
@@ -349,6 +374,10 @@ def test_a_line_of_zones_with_half_a_quotation_is_named(
 def test_the_file_of_a_vehicle_gives_gate_and_speeds(tmp_path: Path) -> None:
     car = VehicleParameters.commonroad(1).fields() | {"a_max": 2.0, "lateral_grip": 0.44}
     (tmp_path / "car.toml").write_text("".join(f"{key} = {car[key]}\n" for key in car))
+    millimetres = "".join(f"{key} = {car[key] * (1e3 if key == 'l_f' else 1)}\n" for key in car)
+    (tmp_path / "millimetres.toml").write_text(millimetres)
+    with pytest.raises(ScenarioError, match=r"vehicle_file: .*l_f is 900: .*check its unit"):
+        parse_scenario('vehicle_file = "millimetres.toml"\n' + MINIMAL, tmp_path, "mine.toml")
     plain = parse(MINIMAL)
     own = parse_scenario('vehicle_file = "car.toml"\n' + MINIMAL, tmp_path, "mine.toml")
     assert gate_settings(own)["force_max"] == pytest.approx(2.0 * car["mass"])

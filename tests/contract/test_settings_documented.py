@@ -122,9 +122,7 @@ def test_service() -> None:
     _, _, known = str(refused.value).partition("expected one of")
     table = documented("Service")
     assert list(table) == re.findall(r"`(\w+)`", known)
-    functions = dict(
-        re.findall(r"fn default_(\w+)\(\) -> \w+ \{\s+([^\n]+)\n\}", service_source())
-    )
+    functions = dict(re.findall(r"fn default_(\w+)\(\) -> \w+ \{\s+([^\n]+)\n\}", service_source()))
     stated = {key: str(value) for key, value in table.items() if value is not None}
     # Serde's defaults:
     assert [stated.pop(key) for key in ("log_json", "libraries", "watch_ms")] == [

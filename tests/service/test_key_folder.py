@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 from typing import TYPE_CHECKING
 
 import pytest
@@ -86,7 +88,7 @@ def test_a_new_key_for_signatures_of_a_known_fleet_is_reported(tmp_path: Path) -
 def test_a_first_call_that_was_interrupted_can_be_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("cryptography", reason="the extra `security` is not installed")
+    x509 = pytest.importorskip("cryptography.x509", reason="the extra `security` is not installed")
     from egp_service.cli import credentials  # noqa: PLC0415
 
     write, own, told = credentials._write, tmp_path / "own", list[str]()  # noqa: SLF001
@@ -106,14 +108,34 @@ def test_a_first_call_that_was_interrupted_can_be_repeated(
         )
         return names
 
-    # Between the two files of the authority an error says what to do.
     names = call(20)
-    between = names.index("ca.pem")
-    for may_write in set(range(len(names))) - {between}:
+    for may_write in range(len(names)):
         own = tmp_path / str(may_write)
         with pytest.raises(KeyboardInterrupt):
             call(may_write)
         call(20)
         ring = (own / "vehicles.keys").read_text(encoding="utf-8")
         assert (own / "vehicles" / "f@a.keys").read_text(encoding="utf-8") == ring
+        authority = x509.load_pem_x509_certificate((own / "ca.pem").read_bytes())
+        for file in (own / "service.json5", own / "vehicles" / "f@a.json5"):
+            tls = json.loads(file.read_text(encoding="utf-8"))["transport"]["link"]["tls"]
+            certificate = base64.b64decode(tls["connect_certificate_base64"])
+            x509.load_pem_x509_certificate(certificate).verify_directly_issued_by(authority)
     assert not any("another pair" in text for text in told)
+
+
+@pytest.mark.parametrize("there", ["service.json5", "vehicles", "neither"])
+def test_a_key_of_an_authority_that_may_have_signed_is_not_replaced(
+    tmp_path: Path, there: str
+) -> None:
+    own = secrets(tmp_path / "own", "tls/127.0.0.1:7447")
+    # What is left of a whole folder; with neither, the list of the vehicles is missing, too.
+    kept = {"vehicles.keys", "ca.key", there} if there != "neither" else {"ca.key"}
+    for file in sorted(own.rglob("*"), reverse=True):
+        first = file.relative_to(own).parts[0]
+        if first not in kept:
+            file.rmdir() if file.is_dir() else file.unlink()
+    before = written(own)
+    with pytest.raises(EgpError, match=r"ca\.pem is missing: copy the authority's certificate"):
+        secrets(own, "tls/127.0.0.1:7447")
+    assert written(own) == before

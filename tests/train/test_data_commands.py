@@ -63,6 +63,10 @@ def test_options_of_the_other_source_are_errors(tmp_path: Path) -> None:
     log = options(tmp_path / "log.csv", plant_log())
     told = failure("collect", *log, "-o", str(tmp_path / "data.parquet"), "--mass", "1.2")
     assert told.startswith("--mass 1.2 is below 50 kg: state kg, such as 1200 for 1.2 t")
+    assert told.endswith("; a car that is so light needs a file, given with --vehicle")
+    model = ("--mass", "3.5", "--vehicle", "f1.toml")
+    told = failure("collect", *log, "-o", str(tmp_path / "data.parquet"), *model)
+    assert told.endswith("for 3.5 t; leave out --mass: f1.toml states it")
     for option in (("--track", "random"), ("--runs", "2"), ("--disturbance", "load=300")):
         told = failure("collect", *log, "-o", str(tmp_path / "data.parquet"), *option)
         assert told.startswith(f"{option[0]} can be given for simulated data only")
@@ -152,10 +156,23 @@ def test_a_surface_of_a_recipe_may_differ_from_what_holds_for_all(tmp_path: Path
 def test_a_vehicle_in_other_units_is_an_error_before_training() -> None:
     fields = known_vehicle("commonroad-1").fields()
     check_limits(known_vehicle("commonroad-1"), "car")
-    for name, value in (("steering_angle", 45.0), ("mass", 1e200), ("peak_slip", 100.0)):
+    for name, value in (
+        *(("steering_angle", 45.0), ("mass", 1e200), ("peak_slip", 100.0), ("l_f", 900.0)),
+        *(("width", 50.0), ("power", 0.001), ("a_slew", 1e-3), ("steering_slew", 1e-3)),
+        *((f"{direction}_grip", 9.0) for direction in ("lateral", "braking", "driving")),
+    ):
         car = VehicleParameters(**(fields | {name: value}))
         with pytest.raises(EgpError, match=f"car.toml: {name} is .*: expected a magnitude of"):
             check_limits(car, "car.toml")
+    tonnes = VehicleParameters(**(fields | {"yaw_inertia": 1.5}))
+    with pytest.raises(EgpError, match=r"yaw_inertia is 1\.5: expected .* for this mass and"):
+        check_limits(tonnes, "car.toml")
+    model = {"mass": 3.74, "yaw_inertia": 0.047, "l_f": 0.159, "l_r": 0.171, "width": 0.27}
+    kart = {"mass": 250.0, "yaw_inertia": 90.0, "l_f": 0.55, "l_r": 0.5, "a_slew": 200.0}
+    lorry = {"mass": 4e4, "yaw_inertia": 4e5, "l_f": 3.0, "l_r": 3.5, "power": 8.0}
+    racing = {"power": 1000.0, "lateral_grip": 3.5, "braking_grip": 4.0, "a_min": -50.0}
+    for sound in (model, kart, lorry, racing):
+        check_limits(VehicleParameters(**(fields | sound)), "car.toml")
 
 
 def test_a_library_that_cannot_be_written_is_an_error_before_training(tmp_path: Path) -> None:

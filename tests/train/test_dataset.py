@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import resource
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +15,8 @@ from surfaces import provenance, surface
 
 from egp_service import EgpError
 from egp_service.data.dataset import METADATA_KEY, Dataset, Provenance, merge
+from egp_service.data.experiment import Experiment
+from egp_service.data.table import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,6 +30,44 @@ def test_comes_back_bit_for_bit(tmp_path: Path) -> None:
     assert read.provenance == written.provenance
     assert read.digest() == written.digest()
     assert [path.name for path in tmp_path.iterdir()] == ["wet.parquet"]
+
+
+def test_a_file_may_have_a_name_that_is_not_utf_8(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"\xff.parquet")
+    surface().write(path)
+    assert os.listdir(os.fsencode(tmp_path)) == [b"\xff.parquet"]  # noqa: PTH208 - bytes
+    assert Dataset.read(path).digest() == surface().digest()
+    assert len(read_table(path)) == len(surface())
+
+
+def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path) -> None:
+    path, before = tmp_path / "wet.parquet", resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, before[1]))
+    try:
+        with pytest.raises(OSError, match=r"wet\.parquet"):
+            surface().write(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("label", "complaint"),
+    [
+        ("", "the surface label is empty"),
+        ("wet\n", "has a control character"),
+        ("\x1b[31mwet", "has a control character"),
+        ("wet\udcff", "or one that is not UTF-8"),
+        ("x" * 65, "has 65 characters: expected at most 64"),
+    ],
+)
+def test_a_label_is_one_short_line(label: str, complaint: str) -> None:
+    for sound in ("Schnee, gefegt", "雪", "x" * 64, "[bold]wet", "mu 0.5"):
+        assert provenance(surface=sound).surface == sound
+    with pytest.raises(EgpError, match=complaint):
+        provenance(surface=label)
+    with pytest.raises(EgpError, match=complaint):
+        Experiment(0.5, label)
 
 
 def test_metadata_name_units_and_origin(tmp_path: Path) -> None:

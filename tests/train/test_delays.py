@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from surfaces import TOY, surface
 
+from egp_service import VehicleParameters
 from egp_service.data.alignment import Delays, align, available
 from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.dataset import Dataset, Provenance
@@ -16,12 +18,20 @@ from egp_service.data.experiment import Experiment
 from egp_service.data.sensors import Sensors, measure
 from egp_service.training import delays
 from egp_service.training.delays import find_delays
+from egp_service.training.train import TrainingSettings, train
+from egp_service.training.vehicle_file import vehicle_lines
+from egp_service.training.vehicle_fit import VehicleFitError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 DT = 0.04  # 25 Hz
 ABOUT = Provenance(DT, "own car", "dry", 1.0, 0, "log", "test")
+
+
+KART = VehicleParameters(
+    **(TOY.fields() | {"mass": 250.0, "yaw_inertia": 90.0, "l_f": 0.55, "l_r": 0.5})
+)
 
 
 @pytest.fixture(autouse=True)
@@ -50,6 +60,35 @@ def rough_at_the_ends(seed: int, runs: int = 20, periods: int = 250, late: float
 def test_a_delay_is_no_better_because_it_leaves_out_what_is_hard_to_predict(seed: int) -> None:
     # Inputs that are moved by -0.8 s are not in the log where the road is rough.
     assert find_delays([rough_at_the_ends(seed)], None) == Delays()
+
+
+def test_with_a_constant_mean_a_kart_needs_no_fit_of_a_vehicle(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fit(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr("egp_service.training.delays.fit_vehicle", fit)
+    monkeypatch.setattr("egp_service.training.delays._vehicle_errors", fit)
+    settings = TrainingSettings(
+        mean="constant", max_points=20, first_points=20, restarts=0, max_iterations=3
+    )
+    log = rough_at_the_ends(2, late=1.2)
+    log.z[:, [0, 5]] += 0.01 * np.random.default_rng(0).standard_normal((len(log), 2))
+    (member,) = train([log], settings, vehicle=KART)
+    assert member.delays is not None
+    assert member.delays.measurement == 0.0
+    assert member.delays.force == pytest.approx(-1.2, abs=0.1)
+    assert "the delay of the measured states is not searched" in caplog.text
+
+
+def test_each_command_says_what_a_kart_needs_instead_of_a_fit() -> None:
+    with pytest.raises(VehicleFitError, match=r"vehicle's m is 250: expected 300 to 4000") as told:
+        train([surface()], TrainingSettings(mean="single-track"), vehicle=KART)
+    assert told.value.__notes__ == ["or train with --mean constant"]
+    with pytest.raises(VehicleFitError, match=r"vehicle's m is 250: expected 300 to 4000") as told:
+        vehicle_lines([surface()], KART)
+    assert "write the vehicle's file by hand" in told.value.__notes__[0]
 
 
 def test_a_delay_that_leaves_too_few_transitions_does_not_count() -> None:

@@ -335,6 +335,16 @@ def test_a_recording_of_this_project_is_a_log(tmp_path: Path) -> None:
     np.testing.assert_allclose(table["time"], 0.02 * np.arange(10), rtol=0.0, atol=1e-9)
     with pytest.raises(EgpError, match=r"has no 'speed', found .*v_x"):
         read_recording(path, ["/step/speed"], 0.02)
+    for index in (2, 5):
+        with pytest.raises(EgpError, match=rf"has no '{index}': there are 2 entries, from 0"):
+            read_recording(path, [f"/step/weights[{index}]"], 0.02)
+    assert read_recording(str(path), list(table.columns[1:]), 0.02).equals(table)
+    for names in (list[str](), "/step/v_x"):
+        with pytest.raises(EgpError, match="expected a list of TOPIC/"):
+            read_recording(path, names, 0.02)
+    for dt in (0.0, -0.02, float("nan"), float("inf")):
+        with pytest.raises(EgpError, match=f"dt is {dt}: expected a positive period in s"):
+            read_recording(path, ["/step/v_x"], dt)
 
 
 def test_parquet_files_with_times_of_the_clock(tmp_path: Path) -> None:
@@ -357,7 +367,7 @@ def test_parquet_files_with_times_of_the_clock(tmp_path: Path) -> None:
         import_log(tmp_path / "noise.parquet", columns, provenance(), mass=MASS)
 
 
-def test_the_command_imports_bags(tmp_path: Path) -> None:
+def test_the_command_imports_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = write(tmp_path, "folder mcap")
     arguments = ["collect", "--friction", "0.8", "--dt", "0.05", "--mass", str(MASS)]
     for quantity, column in COLUMNS.items():
@@ -368,3 +378,16 @@ def test_the_command_imports_bags(tmp_path: Path) -> None:
     data = Dataset.read(output)
     assert data.provenance.method == "log drive"
     assert f"{len(data)} transitions" in " ".join(result.output.split())
+    # The same from within the bag's folder, and from one that is no bag.
+    monkeypatch.chdir(bag)
+    result = CliRunner().invoke(app, [*arguments, "--from-log", ".", "-o", str(output)])
+    assert result.exit_code == 0, result.output
+    assert Dataset.read(output).provenance.method == "log drive"
+    monkeypatch.chdir(tmp_path)
+    for more in ([], ["--column", "time=t:s"]):
+        command = [*arguments, *more, "--from-log", ".", "-o", str(output)]
+        told = str(CliRunner().invoke(app, command).exception)
+        assert told.startswith(".: this folder is no bag of ROS 2")
+    command = [*arguments, "--column", "time=t:s", "--from-log", str(bag), "-o", str(output)]
+    told = str(CliRunner().invoke(app, command).exception)
+    assert told.startswith(f"{bag}: the recording states the time of its messages: leave out --col")

@@ -21,7 +21,7 @@ from egp_service.training import prior_mean
 from egp_service.training.autocorrelation import autocorrelation
 from egp_service.training.euler import euler_steps
 from egp_service.training.normal_equations import NormalEquationProblem
-from egp_service.training.vehicle_file import Line, vehicle_lines
+from egp_service.training.vehicle_file import Line, vehicle_lines, vehicle_toml
 from egp_service.training.vehicle_fit import FittedParameter, fit_vehicle
 from egp_service.training.vehicle_priors import priors
 from egp_service.vehicle import read_vehicle
@@ -239,6 +239,16 @@ def test_errors_for_logs_that_give_no_vehicle() -> None:
         vehicle_lines([data, blind])
     with pytest.raises(EgpError, match=r"d_v_x is [-\d.e+]+ in a row of the training data"):
         vehicle_lines([dataclasses.replace(data, y=1e6 * data.y)])
+
+
+def test_a_fit_to_ice_alone_gives_a_file_that_can_be_read(tmp_path: Path) -> None:
+    ice = dataclasses.replace(drive(ICE, WHOLE, 0.003, 1), provenance=provenance(0.1))
+    lines, _ = vehicle_lines([ice])
+    file = tmp_path / "vehicle.toml"
+    file.write_text(vehicle_toml(lines), encoding="utf-8")
+    assert read_vehicle(file).peak_slip == 1.5  # rad; the peak at 0.22 rad belongs to friction 0.1
+    (slip,) = [line for line in lines if line.name == "peak_slip"]
+    assert re.search(r"the fit gave \d\.\d+, which no file may state", slip.warning)
 
 
 def test_the_file_of_a_vehicle_from_logs(tmp_path: Path) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 import time
 from io import BytesIO
 from pathlib import Path
@@ -27,6 +29,7 @@ from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.runs import record_run
 from egp_service.simulation.scenario import parse_scenario
 from egp_service.view.viewer import QUIET
+from patience import PATIENCE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -214,6 +217,27 @@ def test_an_interrupted_recording_is_shown_up_to_there(run: Path, tmp_path: Path
     measured = saved["/speed/measured"]["Scalars:scalars"]
     assert 0 < count == len(measured) < len(recorded["/step"])
     assert measured == [[step.v_x] for _, step in recorded["/step"][:count]]
+
+
+def test_a_full_disk_is_an_error_that_leaves_nothing(run: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "egp_service", "view", run, "--save", tmp_path / "run.rrd"]
+    done = subprocess.run(
+        ["/bin/bash", "-c", 'ulimit -f 20; exec "$@"', "bash", *map(str, command)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE,
+    )
+    assert done.returncode == 1
+    assert "Saved" not in done.stdout
+    assert f"{tmp_path / 'run.rrd'}: File too large" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_folder_of_a_drive_stands_for_its_recording(run: Path, tmp_path: Path) -> None:
+    printed = view(run.parent, "--save", tmp_path / "run.rrd")
+    assert f"{run}: " in printed
+    assert f"the folder {tmp_path}, in which there is no run.mcap" in failure(tmp_path)
 
 
 def test_other_files_and_names_are_errors(run: Path, tmp_path: Path) -> None:

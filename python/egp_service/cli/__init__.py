@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import sys
 from importlib.metadata import version
 from typing import Annotated, NoReturn
@@ -12,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from egp_service._core import EgpError
-from egp_service.cli import signals
+from egp_service.cli import output, signals
 from egp_service.cli.commands.collect import collect
 from egp_service.cli.commands.demo import demo
 from egp_service.cli.commands.doctor import doctor
@@ -141,8 +140,8 @@ def main() -> None:
     its temporary files. Servers end with status 0; `egp serve` and `egp map` drain before.
     """
     signals.install()
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # characters that its encoding does not have
+    output.install()
+    output.show_own_warnings()
     try:
         app()
     except ModuleNotFoundError as error:
@@ -164,4 +163,5 @@ def main() -> None:
 def _fail(message: str) -> NoReturn:
     console = Console(stderr=True, soft_wrap=True)
     console.print(Text.assemble(("egp: ", "bold red"), message))
+    output.discard()
     sys.exit(FAILED)

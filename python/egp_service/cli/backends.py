@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import tomllib
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from egp_service._core import Engine, Library
+from egp_service.cli.waiting import waiting
 from egp_service.control.client import VehicleClient
 from egp_service.control.service_process import ServiceProcess
 from egp_service.control.toml_text import dumps
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
+
+CONNECT_SECONDS: Final = 10.0
+"""Time in which a running service must answer."""
 
 
 def remote_controller(
@@ -37,15 +41,17 @@ def remote_controller(
     file = library_path(scenario).absolute()
     own = Library.load(file).id
     endpoints = [] if endpoint is None else [endpoint]
-    client = VehicleClient.connect(
-        endpoints,
-        fleet=fleet,
-        vehicle=vehicle,
-        gate=gate_settings(scenario),
-        zenoh_file=zenoh_file,
-        key_file=key_file,
-        traces=traces,
-    )
+    with waiting("a service", endpoints, CONNECT_SECONDS):
+        client = VehicleClient.connect(
+            endpoints,
+            fleet=fleet,
+            vehicle=vehicle,
+            gate=gate_settings(scenario),
+            timeout=CONNECT_SECONDS,
+            zenoh_file=zenoh_file,
+            key_file=key_file,
+            traces=traces,
+        )
     if own == client.library.hex():
         client.library_file = file
     return client

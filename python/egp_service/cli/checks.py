@@ -25,7 +25,7 @@ from egp_service.control.endpoints import (
     why_not_free,
     why_unreachable,
 )
-from egp_service.control.session import session_config
+from egp_service.control.session import session_config, zenoh_reason
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -142,7 +142,7 @@ def _zenoh() -> Check:
         with zenoh.open(session_config([], 1.0, {"listen/endpoints": [endpoint]})):
             reason = why_unreachable(endpoint)
     except (zenoh.ZError, EgpError) as error:
-        return Check("zenoh", "fail", f"{found} opens no session: {error}", advice)
+        return Check("zenoh", "fail", f"{found} opens no session: {zenoh_reason(error)}", advice)
     if reason is not None:
         found += f" opens a session, which cannot be reached at {endpoint}: {reason}"
         return Check("zenoh", "fail", found, advice)

@@ -92,14 +92,17 @@ def write_credentials(
     Raises:
         EgpError: before anything is written, for a name or host that cannot be used, for a file
             that is not as an earlier call wrote it or is missing, and if the folder's authority has
-            expired or lacks its certificate or key.
+            expired or lacks its certificate or key, unless a first call was interrupted between
+            writing these two.
 
     """
     names = list(dict.fromkeys(_vehicle(fleet, vehicle) for vehicle in vehicles))
     check_hosts(hosts)
     with locked(folder):
         found = _collect(folder, names, hosts=hosts, port=port, report=report)
-        authority = read_authority(folder / "ca.pem", folder / "ca.key", days, report)
+        authority = None
+        if not _interrupted(folder):
+            authority = read_authority(folder / "ca.pem", folder / "ca.key", days, report)
         _write_all(folder, found, authority, days)
     return found.new
 
@@ -191,6 +194,16 @@ def _ring(folder: Path) -> Path:
             f"other secret keys, and those that are not named no access; {remedy}"
         )
     return ring
+
+
+def _interrupted(folder: Path) -> bool:
+    """Return whether a first call was interrupted after it wrote `ca.key` and before `ca.pem`.
+
+    That call signed nothing, so that another authority may replace its key.
+    """
+    written = [(folder / name).exists() for name in ("vehicles.keys", "ca.key")]
+    later = [(folder / name).exists() for name in ("ca.pem", "vehicles")]
+    return all(written) and not any(later) and not any(folder.glob("*.json5"))
 
 
 def _write_all(folder: Path, fleet: _Fleet, authority: Authority | None, days: int) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from egp_service._core import EgpError
+from egp_service.files import destination
 
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes; one per core by default.")]
 Cluster = Annotated[
@@ -26,6 +27,24 @@ def fleet_and_name(vehicle: str | None) -> tuple[str, str]:
     return fleet if slash else "default", name
 
 
+def recording_file(path: Path) -> Path:
+    """Return a recording, which for the folder of a drive is the one in it.
+
+    Raises:
+        EgpError: for a folder without a recording.
+
+    """
+    if not path.is_dir():
+        return path
+    file = path / "run.mcap"
+    if not file.is_file():
+        raise EgpError(
+            f"expected a recording, got the folder {path}, in which there is no run.mcap: give the "
+            "file of a recording, or a folder that `egp drive` made, such as runs/TIME-NAME"
+        )
+    return file
+
+
 def check_unused(options: Mapping[str, object], reason: str) -> None:
     """Errors if one of these options has a value, which is why they cannot be used.
 
@@ -38,19 +57,21 @@ def check_unused(options: Mapping[str, object], reason: str) -> None:
 
 
 def check_writable(*files: Path | None) -> None:
-    """Errors if a file that a command will write cannot be written, or is a folder.
+    """Errors if a file that a command will write cannot be written, or is no regular file.
 
     Raises:
         EgpError: naming the file.
+        OSError: naming the file, if it is a pipe, a socket or a device.
 
     """
     for file in files:
         if file is None:
             continue
-        if file.is_dir() or not file.absolute().parent.is_dir():
+        folder = None if file.is_dir() else destination(file).parent
+        if folder is None or not folder.is_dir():
             raise EgpError(f"{file}: expected a file in a folder that exists")
         try:
-            with TemporaryFile(dir=file.absolute().parent):
+            with TemporaryFile(dir=folder):
                 pass
         except OSError as error:
             raise EgpError(f"{file}: no file can be written there ({error.strerror})") from error

@@ -18,6 +18,11 @@ _PATHS: Final = ("library", "folder", "traces", "vehicle_keys", "library_keys", 
 
 # How an error of TOML shows a place: its line and column, and the line with the column marked.
 _PLACE: Final = re.compile(r"TOML parse error at line \d+, column \d+\n[ |]*\n *\d+ \| (.*)\n.*\n")
+_LONGEST: Final = 120
+"""Characters of a line of a file, or of a name or value in it, that an error shows."""
+_SHOWN_LINE: Final = re.compile(rf"^([ \d]*\| .{{{_LONGEST}}}).+", re.MULTILINE)
+# The path of a file may be longer than that, and is shown as a whole.
+_LONG_WORD: Final = re.compile(rf'([^\s`"]{{{_LONGEST}}})[^\s`"]{{{2 * _LONGEST},}}')
 
 
 def read_settings(path: Path) -> dict[str, object]:
@@ -38,7 +43,8 @@ def read_settings(path: Path) -> dict[str, object]:
     try:
         check_settings(text)
     except EgpError as error:
-        raise EgpError(f"{path}: {error}; `egp settings` lists all settings") from error
+        told = _shortened(str(error)).strip()
+        raise EgpError(f"{path}: {told}; `egp settings` lists all settings") from error
     return table
 
 
@@ -92,9 +98,15 @@ def naming(path: Path | None) -> Iterator[None]:
         if found := _PLACE.search(told):
             told = (told[: found.start()] + told[found.end() :]).strip()
             if "missing field" not in told:  # such a field has no line
-                told += f", in the line `{found[1]}`"
-        error.args = (f"{path}: {told}",)
+                line = found[1]
+                told += f", in the line `{line[:_LONGEST]}{'…' if len(line) > _LONGEST else ''}`"
+        error.args = (f"{path}: {_shortened(told)}",)
         raise
+
+
+def _shortened(told: str) -> str:
+    """Cut long lines of a file, and long names and values in it, that an error shows."""
+    return _LONG_WORD.sub(r"\1…", _SHOWN_LINE.sub(r"\1…", told))
 
 
 def _keys(section: str) -> set[str]:

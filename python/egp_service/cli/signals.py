@@ -11,7 +11,10 @@ from egp_service import callbacks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
     from types import FrameType
+
+    from rich.console import Console
 
 # The signals that came, the newest last.
 _received: list[int] = []
@@ -32,6 +35,17 @@ def check() -> None:
     """
     if _received:
         _raise(_received[-1])
+
+
+@contextmanager
+def naming_folder(console: Console, folder: Path) -> Iterator[None]:
+    """Say after Ctrl-C that what was recorded until then is in a folder."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        told = f"Interrupted. What was recorded until then is in {folder}"
+        console.print(told, markup=False, soft_wrap=True)
+        raise
 
 
 @contextmanager

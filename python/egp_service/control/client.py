@@ -26,7 +26,13 @@ from egp_service._core import (
     replica_of_live,
 )
 from egp_service.control.inbox import Inbox
-from egp_service.control.session import direct, look_again, open_session, session_config
+from egp_service.control.session import (
+    direct,
+    look_again,
+    open_session,
+    session_config,
+    zenoh_reason,
+)
 from egp_service.control.step import StepController
 
 if TYPE_CHECKING:
@@ -55,6 +61,10 @@ class ServiceUnreachableError(EgpError):
     """The replicas that announced themselves, each with the reason why it cannot be used."""
 
 
+class LostTracesWarning(UserWarning):
+    """Spans of traces could not be written to their file; the control steps were not affected."""
+
+
 class VehicleClient(StepController):
     """Drive with the service; make one with `VehicleClient.connect`.
 
@@ -64,14 +74,20 @@ class VehicleClient(StepController):
 
     _driver: Driver
 
-    def __init__(self, network: Network, ready: bytes, driver: Driver) -> None:
-        """Use an open network; `ready` is a replica's answer on its `ready` key."""
+    def __init__(
+        self, network: Network, ready: bytes, driver: Driver, traces: Path | None = None
+    ) -> None:
+        """Use an open network; `ready` is a replica's answer on its `ready` key.
+
+        `traces` is the file to which the driver writes them.
+        """
         super().__init__()
         served = decode_ready(ready)
         self.library, self.members = served.library, served.members
         self.dt, self.horizon, self.history = served.dt, served.horizon, served.history
         self._network = network
         self._driver = driver
+        self._traces = traces
 
     @classmethod
     def connect(
@@ -152,7 +168,7 @@ class VehicleClient(StepController):
             for replica in discovery.live:
                 driver.replica_appeared(time.monotonic(), replica)
             driver.replica_fits(fitting)
-            return cls(network, ready, driver)
+            return cls(network, ready, driver, traces)
         except BaseException:
             network.close()
             raise
@@ -192,7 +208,12 @@ class VehicleClient(StepController):
         finally:
             lost = self._driver.finish_traces()
         if lost:
-            warnings.warn(f"{lost} spans of traces could not be written", stacklevel=2)
+            warnings.warn(
+                f"{self._traces}: {lost} spans of traces could not be written, so that the traces "
+                "of some steps are incomplete; make room on the disk, or choose another file",
+                LostTracesWarning,
+                stacklevel=2,
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +242,9 @@ class Network:
         try:
             self.session = open_session(config, patience)
         except zenoh.ZError as error:
-            raise _unreachable(endpoints, f"zenoh cannot open a session ({error})") from error
+            raise _unreachable(
+                endpoints, f"zenoh cannot open a session ({zenoh_reason(error)})"
+            ) from error
         self._subscriber = self.session.liveliness().declare_subscriber(
             LIVE_KEYS, direct(self._on_token), history=True
         )

@@ -74,7 +74,7 @@ class Controller(StepController):
         self._driver = InProcessDriver(engine, gate=gate, want_sigma=want_sigma)
 
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
-        del start  # the driver needs no time, because nobody else can be asked
+        del start  # the driver needs no time, because the engine is in this process
         return self._driver.step(budget, *measured)
 
 

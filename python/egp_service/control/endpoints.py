@@ -24,7 +24,11 @@ MONITOR_ENDPOINT: Final = "tcp/127.0.0.1:7450"
 otherwise."""
 ROS_ROUTER_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 """Where the router of rmw_zenoh listens."""
-_FORM: Final = re.compile(r"[a-z][a-z-]*/.+")
+_FORM: Final = re.compile(r"(?P<protocol>[a-z][a-z-]*)/(?P<address>.+)")
+_HOST_PROTOCOLS: Final = frozenset({"tcp", "tls", "udp", "quic", "ws"})
+"""Protocols whose addresses have the form HOST:PORT; others have paths of files, for instance."""
+_ADDRESS: Final = re.compile(r"(?:\[[^\]/?#]+\]|[^\[\]/?#]+):(?P<port>\d+)(?:[?#].*)?")
+_PARTS: Final = re.compile(r"(\[[^\]]+\]|[^:\[\]]*)(?::(\d+))?")
 _REACH_SECONDS: Final = 1.0
 _LARGEST_PORT: Final = 65535
 # Ray gives smaller ones to its workers.
@@ -34,23 +38,47 @@ _TCP: Final = re.compile(r"(?:tcp|tls)/\[?(?P<host>[^\]/]*)\]?:(?P<port>\d+)([?#
 
 
 def check_endpoints(endpoints: Sequence[str]) -> None:
-    """Check the form `PROTOCOL/ADDRESS`, such as `tcp/127.0.0.1:7447`.
+    """Check the form `PROTOCOL/ADDRESS`, and `HOST:PORT` where this is the form of addresses.
 
     Raises:
         InvalidArgumentError: naming the first endpoint of another form, or with a larger port.
 
     """
     for endpoint in endpoints:
-        if not _FORM.fullmatch(endpoint):
-            address = endpoint.rpartition("/")[2] or SERVICE_ENDPOINT.partition("/")[2]
+        form = _FORM.fullmatch(endpoint)
+        if form is None:
             raise InvalidArgumentError(
-                f"endpoint {endpoint!r}: expected PROTOCOL/ADDRESS; did you mean 'tcp/{address}'?"
+                f"endpoint {endpoint!r}: expected PROTOCOL/ADDRESS; did you mean "
+                f"{_completed(endpoint)!r}?"
             )
-        found = _TCP.fullmatch(endpoint)
-        if found is not None and int(found["port"]) > _LARGEST_PORT:
+        if form["protocol"] not in _HOST_PROTOCOLS:
+            continue
+        address = _ADDRESS.fullmatch(form["address"])
+        if address is None:
+            raise InvalidArgumentError(
+                f"endpoint {endpoint!r}: expected {form['protocol']}/HOST:PORT; did you mean "
+                f"{_completed(endpoint)!r}?"
+            )
+        if int(address["port"]) > _LARGEST_PORT:
             raise InvalidArgumentError(
                 f"endpoint {endpoint!r}: expected a port of at most {_LARGEST_PORT}"
             )
+
+
+def _completed(endpoint: str) -> str:
+    """Give the endpoint that was probably meant: with a protocol, a host and a port."""
+    before, _, address = endpoint.lower().rstrip("/").rpartition("/")
+    if address in _HOST_PROTOCOLS:
+        before, address = address, ""
+    if address.isdecimal():
+        address = f":{address}"
+    elif address.count(":") > 1 and "[" not in address:  # an address of IPv6
+        address = f"[{address}]"
+    host, port = _PARTS.match(address).groups()  # type: ignore[union-attr]  # it matches any text
+    if not port or int(port) > _LARGEST_PORT:
+        port = SERVICE_PORT
+    protocol = before if before in _HOST_PROTOCOLS else "tcp"
+    return f"{protocol}/{host or '127.0.0.1'}:{port}"
 
 
 def check_free(endpoints: Sequence[str]) -> None:

@@ -23,7 +23,7 @@ from egp_service._core import (
     merge_tiles,
 )
 from egp_service.control.inbox import Inbox
-from egp_service.control.session import direct, open_session, session_config
+from egp_service.control.session import direct, open_session, session_config, zenoh_reason
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -116,7 +116,9 @@ class FleetMap:
             config = session_config([endpoint], timeout, zenoh_config or {}, zenoh_file)
             self._session = open_session(config, timeout)
         except zenoh.ZError as error:
-            raise EgpError(f"zenoh cannot open a session with {endpoint}: {error}") from error
+            raise EgpError(
+                f"zenoh cannot open a session with {endpoint}: {zenoh_reason(error)}"
+            ) from error
         self._subscriber = self._session.declare_subscriber(
             self._keys.changed, direct(self._on_change)
         )
@@ -280,32 +282,35 @@ class FleetMap:
         *,
         patience: float | None = None,
     ) -> None:
-        """Send a query; `use` gets an answer, and `end` whether one came within `patience` s.
+        """Send a query whose replies may take `patience` s, by default `timeout`.
 
-        `patience` is `timeout` by default. An error that another attempt will have, too, is an
-        answer. Both are called by `exchange`.
+        `use` is called with the payload of each reply. When the query has ended, `end` is called:
+        with True if it had a reply or an error that is not retryable, otherwise with False. Both
+        are called by the thread that calls `exchange`, `fetch` or `close`.
         """
-        replied, heard = [], []
-        lost = "answer questions" if payload is None else "accept evidence"
+        service_exists = has_final_reply = False
+        purpose = "answer questions" if payload is None else "accept evidence"
 
         def deliver(reply: zenoh.Reply) -> None:
+            nonlocal service_exists, has_final_reply
             if reply.ok is not None:
-                replied.append(True)
-                heard.append(True)
+                service_exists = has_final_reply = True
                 content = reply.ok.payload.to_bytes()
                 self._inbox.put(lambda: use(content))
             elif reply.err is not None:
                 content = reply.err.payload.to_bytes()
                 with suppress(EgpError):  # such as the text with which zenoh reports a timeout
                     refusal = decode_error(content)
-                    replied.append(True)
-                    if not refusal.retryable:
-                        heard.append(True)
-                    self._inbox.put(lambda: self._refused(lost, refusal))
+                    service_exists = True
+                    has_final_reply = has_final_reply or not refusal.retryable
+                    self._inbox.put(lambda: self._refused(purpose, refusal))
 
         def ended() -> None:
-            there, answered = bool(replied), bool(heard)
-            self._inbox.put(lambda: self._ended(end, there=there, answered=answered))
+            self._inbox.put(
+                partial(
+                    self._ended, end, service_exists=service_exists, has_final_reply=has_final_reply
+                )
+            )
 
         try:
             self._session.get(
@@ -318,14 +323,16 @@ class FleetMap:
         except zenoh.ZError:
             ended()
 
-    def _ended(self, end: Callable[[bool], None], *, there: bool, answered: bool) -> None:
-        if not (there or self._silent or self._fetching):
+    def _ended(
+        self, end: Callable[[bool], None], *, service_exists: bool, has_final_reply: bool
+    ) -> None:
+        if not (service_exists or self._silent or self._fetching):
             _log.info(_NO_ANSWER)
-        self._silent = not there
-        end(answered)
+        self._silent = not service_exists
+        end(has_final_reply)
 
-    def _refused(self, lost: str, refusal: Refusal) -> None:
-        self._warn(f"the map service does not {lost}: {refusal.code}: {refusal.detail}")
+    def _refused(self, purpose: str, refusal: Refusal) -> None:
+        self._warn(f"the map service does not {purpose}: {refusal.code}: {refusal.detail}")
 
     def _warn(self, text: str) -> None:
         """Log a warning, each only once."""

@@ -18,6 +18,7 @@ from mcap.writer import MCAP0_MAGIC
 from egp_service._core import EgpError, decode_request
 from egp_service.control.messages import message_class
 from egp_service.control.recorder import ABOUT, NANOSECONDS, SCENARIO, SETTINGS
+from egp_service.control.step import EqualByValue
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -49,8 +50,8 @@ class Damage:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedStep:
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedStep(EqualByValue):
     """A request that was sent, with the reply that it got."""
 
     time: float
@@ -62,8 +63,8 @@ class RecordedStep:
     """`None` if no reply came."""
 
 
-@dataclass(frozen=True)
-class Recorded:
+@dataclass(frozen=True, eq=False)
+class Recorded(EqualByValue):
     """The control steps of a recording and what computed them."""
 
     about: Mapping[str, str]

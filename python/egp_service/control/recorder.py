@@ -88,12 +88,13 @@ class Recorder:
 
         """
         about = _about(controller) | _checked_notes(notes or {})
+        self._path = path
         self._channels: dict[str, int] = {}
         self._steps = 0
         self._last = 0.0
         self._ended = "it is closed"
         with ExitStack() as failed:
-            with replacing(Path(path).resolve()) as beside:
+            with replacing(Path(path)) as beside:
                 self._file = _File(beside, path)
                 failed.callback(self._file.close)
                 self._writer = Writer(cast("IO[bytes]", self._file))
@@ -133,12 +134,7 @@ class Recorder:
 
     def _checked(self, x: ArrayLike, time: float) -> NDArray[np.float64]:
         """Return the state as an array; nothing of a step is written before all of it is valid."""
-        self._check_open()
-        if not 0.0 <= time < LATEST:
-            raise InvalidArgumentError(
-                f"expected for time the seconds since the start of the recording, from 0 to less "
-                f"than {LATEST:.3g}, got {time}"
-            )
+        self._check_open_at(time)
         if time < self._last:
             raise InvalidArgumentError(
                 f"the time {time} s is before that of the last step, {self._last} s: use a clock "
@@ -147,16 +143,32 @@ class Recorder:
         return measured_state(x)
 
     def message(self, topic: str, message: Message, time: float) -> None:
-        """Record a protobuf message on a topic of its own; errors are those of `add`."""
-        self._check_open()
+        """Record a protobuf message on a topic of its own.
+
+        `time` is the time since the start of the recording in s, which may be before that of the
+        last step.
+
+        Raises:
+            InvalidArgumentError: for a time that is negative, above 292 years or not finite, and
+                after the end of the recording; nothing is then recorded.
+            OSError: if the file cannot be written to, which ends the recording.
+
+        """
+        self._check_open_at(time)
         data = message.SerializeToString()
         with self._whole():
             self._write([(topic, type(message), data)], time)
 
-    def _check_open(self) -> None:
+    def _check_open_at(self, time: float) -> None:
+        """Raise `InvalidArgumentError` if the recording has ended or cannot state the time."""
         if self._file.closed:
             raise InvalidArgumentError(
                 f"the recording has ended, because {self._ended}: make another `Recorder`"
+            )
+        if not 0.0 <= time < LATEST:
+            raise InvalidArgumentError(
+                f"expected for time the seconds since the start of the recording, from 0 to less "
+                f"than {LATEST:.3g}, got {time}"
             )
 
     def _write(self, messages: Sequence[tuple[str, type[Message], bytes]], time: float) -> None:
@@ -190,6 +202,11 @@ class Recorder:
             with self._whole():
                 self._writer.finish()  # type: ignore[no-untyped-call]
                 self._file.close()
+
+    def __repr__(self) -> str:
+        """Return the file and the number of steps in one line, and whether it was closed."""
+        steps = f"{self._steps} step{'' if self._steps == 1 else 's'}"
+        return f"<Recorder of {self._path}: {steps}{', closed' if self._file.closed else ''}>"
 
     def __enter__(self) -> Self:
         """Use as a context manager to complete the file at the end."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 import zenoh
 
 from egp_service._core import EgpError, InvalidArgumentError
-from egp_service.control.session import session_config
+from egp_service.control.session import session_config, zenoh_reason
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,7 +51,9 @@ class Router:
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
-            raise EgpError(f"zenoh cannot open a router's session: {error}") from error
+            raise EgpError(
+                f"zenoh cannot open a router's session: {zenoh_reason(error)}"
+            ) from error
         self.endpoints = tuple(json.loads(config.get_json("listen/endpoints")))
         """Where it listens."""
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import time
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import zenoh
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
+_PLACE: Final = re.compile(r" at /\S+\.rs:\d+\.?")
 _PAUSE_SECONDS = 0.1
 _LONGEST_TIMEOUT = 86_400.0  # s; zenoh's times overflow far above it
 _TOKEN_SECONDS = 1.0
@@ -124,6 +126,11 @@ def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:
             if not client or time.monotonic() > late:
                 raise
         time.sleep(_PAUSE_SECONDS)
+
+
+def zenoh_reason(error: Exception) -> str:
+    """Return what zenoh says about an error, without the places in its source."""
+    return _PLACE.sub("", str(error)).rstrip(".; ")
 
 
 def look_again(session: zenoh.Session, key: str, on_token: Callable[[zenoh.Sample], None]) -> None:

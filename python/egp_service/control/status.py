@@ -17,7 +17,7 @@ import zenoh
 from egp_service._core import EgpError, vehicle_key, vehicle_road_key
 from egp_service.control.endpoints import MONITOR_ENDPOINT
 from egp_service.control.messages import message_class
-from egp_service.control.session import direct, open_session, session_config
+from egp_service.control.session import direct, open_session, session_config, zenoh_reason
 from egp_service.control.step_record import measured_state, step_record
 from egp_service.quantities import POSITION
 
@@ -90,7 +90,9 @@ class StatusPublisher:
             config = session_config(names, 0.0, zenoh_config or {}, zenoh_file)
             self._session = open_session(config, 0.0)
         except zenoh.ZError as error:
-            raise EgpError(f"zenoh cannot open a session with {names}: {error}") from error
+            raise EgpError(
+                f"zenoh cannot open a session with {names}: {zenoh_reason(error)}"
+            ) from error
         self._publisher = self._session.declare_publisher(
             key,
             encoding=_ENCODING + "VehicleStatus",

@@ -6,20 +6,22 @@ import math
 import threading
 import time
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal, Self, TypeAlias
 
-from egp_service._core import EgpError, InvalidArgumentError
+import numpy as np
+
+from egp_service._core import EgpError, Friction, InvalidArgumentError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    import numpy as np
+    from _typeshed import DataclassInstance
     from numpy.typing import ArrayLike, NDArray
 
-    from egp_service._core import Decision, Driver, Friction, InProcessDriver
+    from egp_service._core import Decision, Driver, InProcessDriver
 
     Measured: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike | None, ArrayLike | None]
     """State (7,), reference (T+1, 4), widths (T+1, 2) and friction of the road (T+2, 2) of one
@@ -28,6 +30,37 @@ if TYPE_CHECKING:
 
 _LONGEST: Final = 10.0
 """Largest time for a step that a request states, s."""
+
+
+class EqualByValue:
+    """A base of dataclasses with `eq=False`: two are equal if the values of all fields are.
+
+    Arrays are equal if their shapes and all elements are, and NaN equals NaN. As arrays have no
+    hash, such objects have none either.
+    """
+
+    __slots__ = ()
+    __hash__ = None  # type: ignore[assignment]
+
+    def __eq__(self: DataclassInstance, other: object) -> bool:
+        """Compare the values of all fields."""
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(
+            _equal(getattr(self, field.name), getattr(other, field.name)) for field in fields(self)
+        )
+
+
+def _equal(one: object, other: object) -> bool:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return np.array_equal(one, other, equal_nan=True)
+    if isinstance(one, Friction) and isinstance(other, Friction):
+        return _equal(one.__getnewargs__(), other.__getnewargs__())
+    if isinstance(one, tuple | list) and isinstance(other, tuple | list):
+        return len(one) == len(other) and all(map(_equal, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        return one == other or (math.isnan(one) and math.isnan(other))
+    return type(one) is type(other) and one == other
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +75,8 @@ class Timings:
     """Time of decoding, control step and encoding in the service or engine."""
 
 
-@dataclass(frozen=True, slots=True, repr=False)
-class Step:
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Step(EqualByValue):
     """One control period: the command, its origin, and the messages that were exchanged.
 
     States are `[p_x, p_y, v_x, psi, v_y, omega, delta]` of the centre of mass: position in m in the
@@ -57,6 +90,8 @@ class Step:
     - `envelope_distance`, `lost`: distance from the training data, and whether the vehicle is
       stopped because of it.
     - `timings`, `replica`, `request`, `reply`, `late`: times, and what was exchanged.
+
+    Two steps are equal if all their values are, where NaN equals NaN.
     """
 
     u: NDArray[np.float64]
@@ -182,6 +217,13 @@ class StepController(ABC):
         # The same thread may come twice, for instance in a handler of a signal.
         self._lock = threading.RLock()
         self._stepping = self._to_reset = self._closed = False
+
+    def __repr__(self) -> str:
+        """Return members, period and horizon in one line, and whether it was closed."""
+        return (
+            f"<{type(self).__name__} of {', '.join(self.members)}: dt {self.dt:g} s, "
+            f"horizon {self.horizon}{', closed' if self._closed else ''}>"
+        )
 
     def step(
         self,

@@ -23,8 +23,8 @@ def dumps(table: Mapping[str, object]) -> str:
     Numbers and arrays of numpy are written as numbers and arrays of Python.
 
     Raises:
-        EgpError: for a number that is not finite, a name that is no text, and a value without a
-            form here.
+        EgpError: for a name that is no text, and, with the keys that lead to it, for a number that
+            is not finite and for a value without a form here.
 
     """
     return "\n".join(_lines(table, ())).strip() + "\n"
@@ -34,7 +34,7 @@ def _lines(table: Mapping[str, object], path: tuple[str, ...]) -> list[str]:
     tables = {key: value for key, value in table.items() if isinstance(value, Mapping)}
     arrays = {key: rows for key, value in table.items() if (rows := _table_rows(value))}
     lines = [
-        f"{_key(key)} = {_inline(value)}"
+        f"{_key(key)} = {_value(value, (*path, key))}"
         for key, value in table.items()
         if key not in tables and key not in arrays
     ]
@@ -70,6 +70,14 @@ def _quoted(text: str) -> str:
         except UnicodeEncodeError as error:
             raise EgpError(f"expected text in UTF-8 in a configuration, got {text!r}") from error
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _value(value: object, path: tuple[str, ...]) -> str:
+    """Write a value; an error names the keys that lead to it."""
+    try:
+        return _inline(value)
+    except EgpError as error:
+        raise EgpError(f"{'.'.join(path)}: {error}") from error
 
 
 def _inline(value: object) -> str:

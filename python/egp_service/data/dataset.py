@@ -9,8 +9,8 @@ measured, `y` is the change without that by gravity, and the columns `grade` and
 from __future__ import annotations
 
 import dataclasses
-import errno
 import hashlib
+import io
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 SCHEMA: Final = 1
 METADATA_KEY: Final = "egp"
 _PERIODS: Final = (1e-3, 1.0)  # s, the shortest and the longest that a library may have
+_LONGEST_LABEL: Final = 64  # characters of a surface's name
 _INDEX: Final = ("trajectory", "step")
 # By the annotation of a field of `Provenance`: types in JSON, and how they are called.
 _TYPES: Final = {
@@ -38,6 +39,22 @@ _TYPES: Final = {
     "str": ((str,), "a text"),
     "bool": ((bool,), "true or false"),
 }
+
+
+def _check_label(surface: str) -> None:
+    """Check the name of a surface, which is also the label of a member of a library."""
+    if not surface:
+        raise EgpError("the surface label is empty: name the surface, for example 'wet'")
+    if len(surface) > _LONGEST_LABEL:
+        raise EgpError(
+            f"the surface label {surface[:_LONGEST_LABEL]!r}… has {len(surface)} characters: "
+            f"expected at most {_LONGEST_LABEL}"
+        )
+    if not surface.isprintable():
+        raise EgpError(
+            f"the surface label {surface!r} has a control character or one that is not UTF-8: "
+            "expected one line of text, for example 'wet'"
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,11 +83,10 @@ class Provenance:
             raise EgpError(
                 f"friction is {self.friction}: expected a coefficient above 0 and at most 3"
             )
-        if not self.surface:
-            raise EgpError("the surface label is empty: name the surface, for example 'wet'")
         for name in ("vehicle", "surface", "method", "tool"):
             if not isinstance(value := getattr(self, name), str):
                 raise EgpError(f"{name} is {value!r}: expected a text")
+        _check_label(self.surface)
 
     def metadata(self) -> dict[str, Any]:
         """Return the fields for a file; `force_from_a_x` only if true, for older versions."""
@@ -200,13 +216,10 @@ class Dataset:
             "units": units,
             **self.provenance.metadata(),
         }
+        content = io.BytesIO()  # polars opens only files whose names are UTF-8
+        frame.write_parquet(content, metadata={METADATA_KEY: json.dumps(metadata, sort_keys=True)})
         with replacing(Path(path)) as beside:
-            try:
-                frame.write_parquet(
-                    beside, metadata={METADATA_KEY: json.dumps(metadata, sort_keys=True)}
-                )
-            except pl.exceptions.ComputeError as error:  # such as that of a full disk
-                raise OSError(errno.EIO, str(error), str(path)) from error
+            beside.write_bytes(content.getbuffer())
 
     @staticmethod
     def read(path: str | Path) -> Dataset:
@@ -221,9 +234,10 @@ class Dataset:
             raise EgpError(f"{path}: this is a folder; name the .parquet file in it")
         if not path.is_file():
             raise EgpError(f"{path}: no such file")
+        content = io.BytesIO(path.read_bytes())
         try:
-            provenance, tilted = _provenance(pl.read_parquet_metadata(path))
-            frame = pl.read_parquet(path)
+            provenance, tilted = _provenance(pl.read_parquet_metadata(content))
+            frame = pl.read_parquet(content)
             _check_columns(frame, [*GP_INPUT, *GP_OUTPUT, *(TILT if tilted else ())])
             return Dataset(
                 z=frame.select(*GP_INPUT).to_numpy().astype(np.float64),

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import STANDARD_GRAVITY, EgpError
-from egp_service.data import plausibility
+from egp_service.data import motion_limits, plausibility
 from egp_service.data.dataset import Dataset, Provenance
-from egp_service.data.messages import is_recording
+from egp_service.data.messages import check_folder, is_recording
 from egp_service.data.recording import read_recording, topics
 from egp_service.data.table import comes_twice, numbers, read_table, some
 from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY, TILT
@@ -136,6 +136,7 @@ def import_log(
     if front_share is not None and "a_x" not in columns:
         raise EgpError("no column is named for the accelerometer: add --column a_x=NAME:UNIT")
     if is_recording(path):
+        check_folder(path)
         columns = _with_time(path, columns)
         base = columns["v_x"].name
         others = {c.name for q, c in columns.items() if q != "time"} - {base}
@@ -148,6 +149,7 @@ def import_log(
     log = _read(path, columns, frame, steering_ratio)
     _check_time(log["time"])
     plausibility.check(log, columns, mass, wheelbase)
+    motion_limits.check(log, columns)
     if mass is not None and "a_x" in log:
         a_x = log["a_x"]
         if front_share is not None:
@@ -211,13 +213,11 @@ def _with_time(path: Path, columns: Mapping[str, Column]) -> Mapping[str, Column
     """Add the column of the time, which a recording states with its messages."""
     if "time" in columns:
         raise EgpError(
-            f"{path.name} states the time of its messages: leave out --column "
+            f"{path}: the recording states the time of its messages: leave out --column "
             f"time={columns['time'].name}:{columns['time'].unit}"
         )
     columns = {"time": Column("time", "s")} | dict(columns)
-    _check_columns(
-        columns, "TOPIC/FIELD:UNIT", lambda: f"{path.name} has the topics {topics(path)}"
-    )
+    _check_columns(columns, "TOPIC/FIELD:UNIT", lambda: f"{path} has the topics {topics(path)}")
     return columns
 
 

@@ -28,12 +28,27 @@ if TYPE_CHECKING:
 
 _BAGS: Final = {".bag", ".db3"}
 _MCAP: Final = ".mcap"
+_INDEX: Final = "metadata.yaml"
 _log = logging.getLogger(__name__)
 
 
 def is_recording(path: Path) -> bool:
     """Whether a path is a bag's folder or has the suffix of a recording."""
     return path.is_dir() or path.suffix in {_MCAP, *_BAGS}
+
+
+def check_folder(path: Path) -> None:
+    """Check that a path is a bag of ROS 2 if it is a folder.
+
+    Raises:
+        EgpError: if it is another folder.
+
+    """
+    if path.is_dir() and not (path / _INDEX).is_file():
+        raise EgpError(
+            f"{path}: this folder is no bag of ROS 2, in which there is a file {_INDEX}: name the "
+            "folder of a bag, or the file of a log"
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,6 +74,7 @@ def open_recording(path: Path) -> Iterator[Messages]:
     """
     if not path.exists():
         raise EgpError(f"{path}: no such file or folder")
+    check_folder(path)
     with contextlib.ExitStack() as stack:
         with _foreign(path):
             mcap = path.suffix == _MCAP and path.is_file()

@@ -44,16 +44,17 @@ HEAVIEST: Final = 1e5  # kg
 _PERIODS: Final = (1e-3, 1.0)
 # Largest change from one row to the next, and per second: no road vehicle changes faster.
 _JUMPS: Final = {"v_x": (3.0, 60.0), "v_y": (3.0, 60.0), "omega": (2.0, 40.0), "delta": (0.5, 10.0)}
-# Standard deviation of another column above which the vehicle certainly moves differently: the yaw
-# rate in rad/s, the steering angle in rad.
-_ACTIVE: Final = {"omega": 0.05, "delta": 0.02}
-# The same for the change of speed, m/s, that the acceleration about its mean implies. Vibration and
-# slopes imply less.
-_FASTER: Final = 1.0
-# Standard deviation of the change of speed, m/s², above which a vehicle certainly accelerates and
-# brakes, and the share of it that the acceleration of the log has at least.
-_SPEEDING: Final = 0.5
-_DEAD: Final = 0.03
+# A column that is constant is an error only if a related column varies by more than this: standard
+# deviations of the yaw rate in rad/s and of the steering angle in rad.
+_RELATED_STD: Final = {"omega": 0.05, "delta": 0.02}
+# The same for a constant acceleration or speed: the range in m/s of the measured speeds about those
+# of a constant acceleration, or of the speeds that the measured acceleration about its mean
+# implies. Vibration and slopes imply less.
+_SPEED_RANGE: Final = 1.0
+# If the changes of the speed have a standard deviation above this, in m/s², an acceleration whose
+# standard deviation is below this share of it is an error.
+_SPEED_CHANGE_STD: Final = 0.5
+_LEAST_ACCELERATION_SHARE: Final = 0.03
 _HEAVIEST: Final = 4000.0  # kg, for a force of a vehicle whose mass is not known
 _STUCK: Final = 5.0  # s
 _GAP: Final = 3.0  # median periods; what lies on both sides of a longer step is not compared
@@ -197,13 +198,13 @@ def _moves(quantity: str, log: Log) -> bool:
     if len(time) < 3:  # noqa: PLR2004
         return False
     if quantity == "v_x":
-        return _speed_change(time, log["a_x"]) > _FASTER
+        return _speed_change(time, log["a_x"]) > _SPEED_RANGE
     if quantity == "a_x":
-        return _about_line(time, v_x) > _FASTER
+        return _about_line(time, v_x) > _SPEED_RANGE
     if quantity == "delta":
-        return _beside_speed(v_x, omega) > _ACTIVE["omega"]
-    steered = float(np.std(log["delta"])) > _ACTIVE["delta"]
-    return steered or (quantity == "v_y" and float(np.std(omega)) > _ACTIVE["omega"])
+        return _beside_speed(v_x, omega) > _RELATED_STD["omega"]
+    steered = float(np.std(log["delta"])) > _RELATED_STD["delta"]
+    return steered or (quantity == "v_y" and float(np.std(omega)) > _RELATED_STD["omega"])
 
 
 def _after_gap(time: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -332,8 +333,9 @@ def _check_accelerating(log: Log, columns: Mapping[str, Column], mass: float | N
     lagging = (_later(mean, change, piece, round(lag / period)) for lag in _LAGS)
     late = [pair for pair in lagging if pair is not None]
     names = f"'{columns['v_x'].name}' and '{columns[stated].name}'"
-    active = moving.any() and float(np.std(change[moving])) > _SPEEDING
-    if active and float(np.std(mean[moving])) < _DEAD * float(np.std(change[moving])):
+    of_speed = float(np.std(change[moving])) if moving.any() else 0.0
+    least = _LEAST_ACCELERATION_SHARE * of_speed
+    if of_speed > _SPEED_CHANGE_STD and float(np.std(mean[moving])) < least:
         raise EgpError(
             f"{names} contradict each other: the speed changes, and '{columns[stated].name}' read "
             f"in {columns[stated].unit} hardly does. Its unit is probably wrong, or the sensor is "

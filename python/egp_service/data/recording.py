@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -13,7 +14,6 @@ from egp_service.data.messages import open_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -25,20 +25,20 @@ _REPORTED: Final = 1000  # messages
 _LATEST: Final = 2**62  # ns
 
 
-def topics(path: Path) -> str:
+def topics(path: str | Path) -> str:
     """List the topics of a recording with their types, for messages.
 
     Raises:
         EgpError: if the recording cannot be read.
 
     """
-    with open_recording(path) as messages:
+    with open_recording(Path(path)) as messages:
         found = sorted(messages.topics.items())
     return ", ".join(f"{topic} ({kind})" for topic, (kind, _) in found)
 
 
 def read_recording(
-    path: Path,
+    path: str | Path,
     names: Sequence[str],
     dt: float,
     report: Callable[[int, int], None] | None = None,
@@ -56,10 +56,16 @@ def read_recording(
     messages that were read, and of all.
 
     Raises:
-        EgpError: if the recording cannot be read, a topic or field does not exist or is no number,
-            a topic has fewer messages than one per `dt` seconds, or topics do not overlap in time.
+        EgpError: if there is no name or no positive `dt`, the recording cannot be read, a topic or
+            field does not exist or is no number, a topic has fewer messages than one per `dt`
+            seconds, or topics do not overlap in time.
 
     """
+    path = Path(path)
+    if isinstance(names, str) or not names:
+        raise EgpError(f"names are {names!r}: expected a list of TOPIC/FIELD.FIELD, at least one")
+    if not 0.0 < dt < float("inf"):
+        raise EgpError(f"dt is {dt}: expected a positive period in s")
     with open_recording(path) as messages:
         split = {name: _split(path, name, messages.topics) for name in names}
         wanted = list(dict.fromkeys(topic for topic, _ in split.values()))
@@ -119,7 +125,7 @@ class _Signal:
 
 
 def _member(value: Any, step: str) -> Any:  # noqa: ANN401
-    if step.isdigit():
+    if step.isdecimal():
         return value[int(step)]
     return value[step] if isinstance(value, dict) else getattr(value, step)
 
@@ -139,7 +145,11 @@ def _number(path: Path, name: str, message: Any, steps: list[str]) -> float:  # 
     for step in steps:
         try:
             value = _member(value, step)
-        except (AttributeError, KeyError, IndexError, TypeError):
+        except IndexError:
+            raise EgpError(
+                f"{path}: '{name}' has no '{step}': there are {len(value)} entries, from 0 on"
+            ) from None
+        except (AttributeError, KeyError, TypeError):
             fields = _fields(value)
             found = f"found {', '.join(fields)}" if fields else f"found {type(value).__name__}"
             raise EgpError(f"{path}: '{name}' has no '{step}', {found}") from None

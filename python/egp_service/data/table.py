@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import gzip
+import io
 import zlib
 from typing import TYPE_CHECKING, Final
 
@@ -44,7 +45,7 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
         raise EgpError(f"{path}: no such file")
     if path.suffix.lower() == ".parquet":
         try:
-            return pl.read_parquet(path)
+            return pl.read_parquet(io.BytesIO(path.read_bytes()))
         except pl.exceptions.PolarsError as error:
             raise EgpError(f"{path}: not a readable Parquet file ({error})") from error
     try:

@@ -19,7 +19,13 @@ from egp_service._core import (
     replica_of_load,
     vehicle_road_key,
 )
-from egp_service.control.session import direct, look_again, open_session, session_config
+from egp_service.control.session import (
+    direct,
+    look_again,
+    open_session,
+    session_config,
+    zenoh_reason,
+)
 from egp_service.monitor.fleet import LARGEST_ROAD, LARGEST_STATUS
 
 if TYPE_CHECKING:
@@ -74,7 +80,7 @@ class Listener:
                     "a session in zenoh's client mode needs a service or router that runs, and a "
                     "certificate that has not expired"
                 )
-            raise EgpError(f"zenoh cannot open a session: {error}; {hint}") from error
+            raise EgpError(f"zenoh cannot open a session: {zenoh_reason(error)}; {hint}") from error
         self._declared = [
             self._session.declare_subscriber(VEHICLE_KEYS, direct(self._on_vehicle)),
             self._session.declare_subscriber(LOAD_KEYS, direct(self._on_load)),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import zenoh
 
 from egp_service._core import EgpError
-from egp_service.control.session import open_session, session_config
+from egp_service.control.session import open_session, session_config, zenoh_reason
 from egp_service.ros2.messages import decode, encode
 from egp_service.ros2.rmw_zenoh import (
     Topic,
@@ -81,10 +81,8 @@ class Node:
         try:
             self._session = open_session(config, _CONNECT_SECONDS)
         except zenoh.ZError as error:
-            # What follows is the place in zenoh's source.
-            reason = str(error).partition(" at /")[0].rstrip(".")
             raise EgpError(
-                f"no router of rmw_zenoh at {endpoint}: {reason}; start one with "
+                f"no router of rmw_zenoh at {endpoint}: {zenoh_reason(error)}; start one with "
                 "`ros2 run rmw_zenoh_cpp rmw_zenohd` or `egp router`, or name another --router"
             ) from error
         self._name, self._domain = name, domain
@@ -92,7 +90,7 @@ class Node:
         self.arrived = threading.Event()
         """Is set when a message arrives."""
         self._entities = 0
-        # What zenoh drops when nobody holds it.
+        # References that keep zenoh's declarations alive.
         self._held: list[object] = []
         self._declare_token(node_token(domain, self._id, name))
 

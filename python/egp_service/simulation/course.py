@@ -132,6 +132,23 @@ def narrow_place(scenario: Scenario) -> str | None:
     )
 
 
+def tight_place(scenario: Scenario) -> str | None:
+    """Say where the scenario's path turns tighter than its vehicle can; None if it does not."""
+    path, car = build_path(scenario), vehicle_parameters(scenario)
+    s = np.arange(0.0, path.length, 0.1)
+    curvature = np.abs(path.sample(s)[3])
+    tightest = int(curvature.argmax())
+    smallest = (car.l_f + car.l_r) / np.tan(car.steering_angle)
+    if curvature[tightest] * smallest <= 1.0:
+        return None
+    advice = "smooth the points of its file" if scenario.track.file else "make the track larger"
+    return (
+        f"The path turns with a radius of {1.0 / curvature[tightest]:.2f} m at s = "
+        f"{s[tightest]:.1f} m, and the smallest that the vehicle steers is {smallest:.2f} m: "
+        f"{advice}. The car cannot follow the path there"
+    )
+
+
 def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:
     """Return the speed profile for `speed.grip` of each zone's friction, at most `speed.v_max`."""
     if scenario.speed.constant:

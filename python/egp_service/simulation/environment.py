@@ -45,9 +45,10 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
     * `info` has the true state `x` (7,), its arc length `s` in m and the `friction` under the
       vehicle.
 
-    Actions reach the wheels after the scenario's `actuator_delay`, counted in periods of `dt`.
-    `library`, `control`, `gate` and `speed.knows` of a scenario concern the controller of a closed
-    loop and have no effect here (docs/simulator.md).
+    Actions reach the wheels after the scenario's `actuator_delay`, counted in periods of `dt`. What
+    concerns the controller of a closed loop has no effect here: `control`, `gate`, and in `speed`
+    the keys `knows`, `risk`, `friction` and `preview` (docs/simulator.md). `library` has an effect
+    only with `speed.tyres = true`, where the speed at the start depends on the members' tyres.
     """
 
     def __init__(self, scenario: Scenario | str = "random", dt: float = 0.02) -> None:
@@ -55,7 +56,9 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
 
         Raises:
             InvalidArgumentError: unless `dt` is positive and finite.
-            EgpError: if the scenario or its track cannot be made.
+            EgpError: if the scenario or its track cannot be made, or the file of the library that
+                `speed.tyres = true` needs is no library.
+            OSError: if the file of this library cannot be read.
 
         """
         if not 0.0 < dt < np.inf:

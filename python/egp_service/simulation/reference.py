@@ -221,8 +221,12 @@ def load_belief(scenario: Scenario, file: str | FilePath | None) -> RoadBelief:
     known = None if file is None else FilePath(file)
     if known is not None and known.exists():
         try:
-            belief.recall(known.read_bytes(), max(0.0, time.time() - known.stat().st_mtime))
-        except (OSError, EgpError) as error:
+            content, age = known.read_bytes(), time.time() - known.stat().st_mtime
+        except OSError as error:
+            raise ScenarioError(f"{file}: {error.strerror}; name another file") from error
+        try:
+            belief.recall(content, max(0.0, age))
+        except EgpError as error:
             raise ScenarioError(
                 f"{file}: {error}; delete it to begin anew, or name another file"
             ) from error

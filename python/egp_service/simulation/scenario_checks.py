@@ -22,7 +22,7 @@ _NAME = re.compile(rf"\w[\w .-]{{0,{MAX_NAME - 1}}}")
 KNOWLEDGE = ("zones", "here", "weights", "nothing")
 SPEEDS = (1e-3, 1e4)
 """The range of `speed.v_max`, m/s; no profile has another largest speed."""
-MAX_START = 150.0
+MAX_START = 100.0
 """The largest `speed.v_start`, m/s; the control step accepts no larger speed."""
 
 

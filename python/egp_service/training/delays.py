@@ -27,7 +27,6 @@ from egp_service.training.choice import hold_out
 from egp_service.training.open_loop import linear, student_loss
 from egp_service.training.prior_mean import predict
 from egp_service.training.vehicle_fit import fit_vehicle
-from egp_service.training.vehicle_priors import priors, why_outside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -56,7 +55,7 @@ _log = logging.getLogger(__name__)
 
 
 def find_delays(
-    logs: Sequence[Dataset], vehicle: VehicleParameters | None, *, fits_vehicle: bool = True
+    logs: Sequence[Dataset], vehicle: VehicleParameters | None, *, may_fit: bool = True
 ) -> Delays:
     """Return the delays that all logs of one car have in common; zero if not identified.
 
@@ -67,15 +66,15 @@ def find_delays(
     measures all states. Only runs of at least 2 s count, and delays that leave enough of them.
     `vehicle` is what is known about the car.
 
-    Without fits of a vehicle, or if the car is outside the range that these search, the delay of
-    the states is not searched, and a warning says so.
+    The delay of the states is not searched if no vehicle may be fitted; a warning then says so.
 
     A first-order filter of the force (0.1 to 6.4 s, with a delay of at most two periods) is
     identified if it predicts the changes of `v_x` over 1 s better than any delay without a filter,
     by the same differences. For this only runs count that are 1 s longer than the largest delay.
 
     Raises:
-        VehicleFitError: if no single-track vehicle fits the logs.
+        VehicleFitError: if `vehicle` is outside the range that a fit searches, or no vehicle fits
+            the logs.
 
     """
     runs = (_long_runs(log, _SHORTEST / log.provenance.dt) for log in logs)
@@ -95,9 +94,11 @@ def find_delays(
     latest = dataclasses.replace(of_inputs, measurement=_LATEST)
     if not _splits(parts, [of_inputs, latest]):
         return of_inputs
-    reason = why_outside(priors(vehicle)) if fits_vehicle else "no vehicle is fitted"
-    if reason is not None:
-        _log.warning("the delay of the measured states was not searched: %s", reason)
+    if not may_fit:
+        _log.warning(
+            "the delay of the measured states is not searched, because this needs the fit of a "
+            "vehicle, which training with a constant mean does without"
+        )
         return Delays(0.0, round(force, 4), round(of_inputs.force_filter, 4))
 
     @functools.cache

@@ -30,8 +30,7 @@ from egp_service.training.choice import BUDGET, best_member, blocks_to_compare
 from egp_service.training.delays import find_delays
 from egp_service.training.exact_member import exact_member, spread
 from egp_service.training.kernel import KernelName
-from egp_service.training.vehicle_fit import fit_vehicle
-from egp_service.training.vehicle_priors import VehicleFitError
+from egp_service.training.vehicle_fit import VehicleFitError, fit_vehicle
 from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
@@ -140,7 +139,8 @@ def train(
 
     What is known about the vehicle are the parameters `vehicle`, or those of a simulated vehicle.
     The logs of a real car are trained with their inputs moved by the delays that are found in them.
-    Delays are found before the split, so that validation data contribute to them, too.
+    Delays are found before the split, so that validation data contribute to them, too. With
+    `mean="constant"` that of the states is not searched, because this fits a vehicle.
 
     Raises:
         EgpError: if datasets differ in dt or vehicle, cannot be split or compared, as `check_data`,
@@ -156,12 +156,28 @@ def train(
     check_one_library([dataset.provenance for dataset in datasets])
     rngs = [np.random.default_rng([settings.seed, number]) for number in range(len(surfaces))]
     logs = [merge(surfaces[key]) for key in sorted(surfaces)]
+    try:
+        return _train(logs, settings, report, vehicle=vehicle, rngs=rngs)
+    except VehicleFitError as error:
+        error.add_note("or train with --mean constant")
+        raise
+
+
+def _train(
+    logs: Sequence[Dataset],
+    settings: TrainingSettings,
+    report: Callable[[FitProgress], None],
+    *,
+    vehicle: VehicleParameters | None,
+    rngs: Sequence[np.random.Generator],
+) -> list[TrainedMember]:
+    """Train one member for each log, as `train`."""
     delays = None
     if simulated_vehicle(logs[0].provenance.vehicle) is None:
         for log in logs:
             check_data(log)  # errors of the fits that find the delays name no column
         with one_thread(settings.max_points):
-            delays = find_delays(logs, vehicle)
+            delays = find_delays(logs, vehicle, may_fit=settings.mean != "constant")
         logs = [align(log, delays) for log in logs]
     parts = [
         split(log, settings.validation_fraction, rng) for log, rng in zip(logs, rngs, strict=True)

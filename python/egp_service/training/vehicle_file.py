@@ -18,8 +18,8 @@ from egp_service.data.experiment import check_seed
 from egp_service.quantities import DELTA, GP_INPUT, GP_OUTPUT, GP_STATE, V_X
 from egp_service.training.exact_member import spread
 from egp_service.training.train import check_magnitudes
-from egp_service.training.vehicle_fit import fit_vehicle
-from egp_service.training.vehicle_priors import VehicleFitError
+from egp_service.training.vehicle_fit import VehicleFitError, fit_vehicle
+from egp_service.vehicle import within_limits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -232,11 +232,18 @@ def _tyres(
     of_slip = _doubt(fitted, ("B_f", "C_f"), _UNREACHED_TEXT)
     across = _doubt(fitted, ("D_f", "D_r"), _UNREACHED_TEXT)
     return [
-        Line("peak_slip", _rounded(min(slips)), least, of_slip),
-        Line("lateral_grip", _rounded(min(lateral)), least, across),
-        Line("braking_grip", _rounded(min(braking)), reserve, _doubt(fitted, ("D_b",), unreached)),
-        Line("driving_grip", _rounded(min(driving)), reserve, _doubt(fitted, ("D_d",), unreached)),
+        _tyre_line("peak_slip", min(slips), least, of_slip),
+        _tyre_line("lateral_grip", min(lateral), least, across),
+        _tyre_line("braking_grip", min(braking), reserve, _doubt(fitted, ("D_b",), unreached)),
+        _tyre_line("driving_grip", min(driving), reserve, _doubt(fitted, ("D_d",), unreached)),
     ]
+
+
+def _tyre_line(name: str, value: float, origin: str, doubt: str) -> Line:
+    """Give a line with the nearest value that the file of a vehicle may have."""
+    allowed = within_limits(name, value)
+    changed = f"the fit gave {value:.4g}, which no file may state" if allowed != value else ""
+    return Line(name, _rounded(allowed), origin, ", ".join(filter(None, (doubt, changed))))
 
 
 def _doubt(fitted: Sequence[FittedVehicle], names: tuple[str, ...], unreached: str) -> str:

@@ -20,19 +20,14 @@ import numpy as np
 import torch
 from scipy.optimize import least_squares
 
+from egp_service._core import EgpError
 from egp_service.data.channels import MAD, channels
 from egp_service.quantities import NORMAL_95, NY
 from egp_service.training.autocorrelation import autocorrelation
 from egp_service.training.euler import euler_steps
 from egp_service.training.normal_equations import NormalEquationProblem
 from egp_service.training.prior_mean import BODY, DRAG, PARAMETERS, ROLLING, TYRES, change
-from egp_service.training.vehicle_priors import (
-    KNOWN_WIDTHS,
-    Prior,
-    VehicleFitError,
-    priors,
-    why_outside,
-)
+from egp_service.training.vehicle_priors import KNOWN_WIDTHS, Prior, priors
 from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
@@ -67,6 +62,10 @@ _AT_BOUND: Final = 1e-3  # of the logarithm
 # vehicles of the shipped recipes differ by at most 0.2 standard deviations from those with 1e-8.
 _FIRST_TOLERANCE: Final = 1e-5
 _TOLERANCE: Final = 1e-8
+
+
+class VehicleFitError(EgpError):
+    """A vehicle outside the range that a fit searches, or data that no vehicle fits."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,8 +226,6 @@ class _Problem:
     def __init__(
         self, surfaces: Sequence[_Surface], prior: dict[str, Prior], *, slowed: bool
     ) -> None:
-        if reason := why_outside(prior):
-            raise VehicleFitError(reason)
         self.surfaces = surfaces
         self.steps = 1
         self._dt = surfaces[0].dataset.provenance.dt
@@ -241,6 +238,13 @@ class _Problem:
         widths = np.array([prior[name].width for name in own])
         low = np.log([PARAMETERS[name].low for name in own] / self._centre)
         high = np.log([PARAMETERS[name].high for name in own] / self._centre)
+        for name, below, above in zip(own, low, high, strict=True):
+            if not below < 0.0 < above:
+                bounds = PARAMETERS[name]
+                raise VehicleFitError(
+                    f"the vehicle's {name} is {prior[name].centre:g}: expected {bounds.low:g} to "
+                    f"{bounds.high:g}; check the units of its file"
+                )
         self._own = len(road) + NY
         self.size = len(self._body) + len(surfaces) * self._own
         self._low, self._high = self._all(low, -np.inf), self._all(high, np.inf)
@@ -334,7 +338,9 @@ class _Problem:
             if found.success and np.isfinite(found.cost):
                 return np.asarray(found.x)
             message = found.message
-        raise VehicleFitError(f"no single-track vehicle fits the data ({message}): check their units")
+        raise VehicleFitError(
+            f"no single-track vehicle fits the data ({message}): check their units"
+        )
 
     def vehicles(self, x: NDArray[np.float64]) -> list[FittedVehicle]:
         """Return the vehicle of each surface with its intervals."""

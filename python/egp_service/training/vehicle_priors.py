@@ -5,20 +5,13 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Final
 
-from egp_service._core import EgpError
 from egp_service.training.prior_mean import PARAMETERS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from egp_service._core import VehicleParameters
 
 KNOWN_WIDTHS: Final = {"m": 0.03, "l_f": 0.02, "l_r": 0.02, "k²": 0.15}
 """Widths of the priors that a vehicle's parameters give."""
-
-
-class VehicleFitError(EgpError):
-    """A vehicle that cannot be fitted, by its parameters or by the data."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,14 +34,3 @@ def priors(vehicle: VehicleParameters | None) -> dict[str, Prior]:
         "k²": vehicle.yaw_inertia / vehicle.mass,
     }
     return general | {name: Prior(value, KNOWN_WIDTHS[name]) for name, value in known.items()}
-
-
-def why_outside(prior: Mapping[str, Prior]) -> str | None:
-    """Say which centre is outside the range that a fit searches; None if all are inside."""
-    for name, (_, _, low, high) in PARAMETERS.items():
-        if not low < prior[name].centre < high:
-            return (
-                f"the vehicle's {name} is {prior[name].centre:g}: expected {low:g} to {high:g}; "
-                "check the units of its file"
-            )
-    return None

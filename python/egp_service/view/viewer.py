@@ -45,9 +45,12 @@ def save(run: RecordedRun, name: str, path: Path) -> None:
     rr.set_strict_mode(True)
     with replacing(path) as beside:
         recording = rr.RecordingStream("egp_view", send_properties=False)
-        recording.save(beside, default_blueprint=layout(run))
+        written = recording.memory_recording()
+        recording.send_blueprint(layout(run), make_active=False)
         recording.send_recording_name(name)
         log_run(recording, run)
+        # A full disk is no error of the file that Rerun writes itself: it is then cut off.
+        beside.write_bytes(written.drain_as_bytes())
         recording.disconnect()
 
 

@@ -143,9 +143,14 @@ def collect(
     if vehicle is None:
         vehicle = _UNNAMED if from_log else _VEHICLE
     if mass is not None and 0.0 < mass < _LIGHTEST:
+        light = (
+            f"leave out --mass: {vehicle} states it"
+            if _is_file(vehicle)
+            else "a car that is so light needs a file, given with --vehicle"
+        )
         raise EgpError(
             f"--mass {mass:g} is below {_LIGHTEST:g} kg: state kg, such as {1e3 * mass:g} for "
-            f"{mass:g} t; a car that is so light needs a file, given with --vehicle"
+            f"{mass:g} t; {light}"
         )
     check_outputs([*(from_log or []), Path(vehicle)], output, picture)
     _check_picture(picture)
@@ -209,6 +214,11 @@ def collect(
     console.print(f"{output}: {len(dataset)} transitions of {dt:g} s on {label}")
 
 
+def _is_file(vehicle: str) -> bool:
+    """Return whether --vehicle states a file, and not a name."""
+    return vehicle.endswith(".toml")
+
+
 def _make_writable(output: Path, picture: Path | None) -> None:
     """Find files that cannot be written before the minutes that a collection or a log takes."""
     output.parent.mkdir(parents=True, exist_ok=True)
@@ -242,7 +252,7 @@ def _import(
     from egp_service.vehicle import read_vehicle
 
     wheelbase = front_share = None
-    if provenance.vehicle.endswith(".toml"):
+    if _is_file(provenance.vehicle):
         file = Path(provenance.vehicle)
         car = read_vehicle(file)
         mass, wheelbase = car.mass if mass is None else mass, car.l_f + car.l_r
@@ -256,12 +266,13 @@ def _import(
         )
     parts = []
     for log in logs:
+        name = log.name or log.absolute().name  # of the folder in which the command runs
         try:
-            with reading(console, log.name) as report:
+            with reading(console, name) as report:
                 part = import_log(
                     log,
                     columns,
-                    dataclasses.replace(provenance, method=f"log {log.name}"),
+                    dataclasses.replace(provenance, method=f"log {name}"),
                     mass=mass,
                     wheelbase=wheelbase,
                     front_share=front_share,
@@ -270,9 +281,9 @@ def _import(
                     report=report,
                 )
         except EgpError as error:
-            if str(error).startswith((f"{log}: ", f"{log.name} ")):
+            if str(error).startswith(f"{log}: "):
                 raise
-            raise EgpError(f"{log.name}: {error}") from error
+            raise EgpError(f"{log}: {error}") from error
         parts.append(part)
     return merge(parts)
 

@@ -36,6 +36,7 @@ def demo(
     For example: egp demo
     """
     from egp_service.cli.demo import LAPS, drive_laps
+    from egp_service.cli.signals import naming_folder
     from egp_service.cli.status_line import StatusLine
     from egp_service.cli.tables import summary_table
     from egp_service.simulation.report import draw_comparison, draw_run
@@ -45,15 +46,16 @@ def demo(
     start = time.perf_counter()
     folder = new_folder(output, "demo")
     library = _trained(folder) if train else None
-    with StatusLine(console) as line:
-        laps = drive_laps(library, folder, line.show)
-    console.print(summary_table([(lap.label, lap.run.summary) for lap in laps]))
-    with console.status("Drawing ..."):
-        overview = draw_comparison(
-            [(lap.label, lap.run) for lap in laps if lap.label != LAPS[1]], folder / "laps.png"
-        )
-        for lap in laps:
-            draw_run(lap.run, lap.folder)
+    with naming_folder(console, folder):
+        with StatusLine(console) as line:
+            laps = drive_laps(library, folder, line.show)
+        console.print(summary_table([(lap.label, lap.run.summary) for lap in laps]))
+        with console.status("Drawing ..."):
+            overview = draw_comparison(
+                [(lap.label, lap.run) for lap in laps if lap.label != LAPS[1]], folder / "laps.png"
+            )
+            for lap in laps:
+                draw_run(lap.run, lap.folder)
     _explain(console, laps)
     console.print(f"Took {time.perf_counter() - start:.0f} s. Look at:", highlight=False)
     for path in (overview, laps[0].folder / "weights.png", folder):

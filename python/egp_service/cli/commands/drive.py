@@ -118,6 +118,7 @@ def drive(
       egp drive --monitor tcp/127.0.0.1:7450    (with `egp monitor` running)
     """
     from egp_service.cli.publication import publication
+    from egp_service.cli.signals import naming_folder
     from egp_service.cli.status_line import StatusLine
     from egp_service.simulation.reference import load_belief, store_belief
     from egp_service.simulation.runs import new_folder, record_run
@@ -163,7 +164,7 @@ def drive(
             check_writable(road)
         folder = new_folder(output, chosen.name)
         try:
-            with StatusLine(console) as line:
+            with naming_folder(console, folder), StatusLine(console) as line:
 
                 def observe(period: "Period") -> None:
                     line.show(chosen.name, period)
@@ -171,9 +172,6 @@ def drive(
                     publish(period)
 
                 run = record_run(chosen, controller, folder, observe, belief)
-        except KeyboardInterrupt:
-            console.print(f"Interrupted. What was recorded until then is in {folder}", markup=False)
-            raise
         finally:
             if road is not None:
                 store_belief(belief, road)
@@ -211,10 +209,11 @@ def _chosen(name: str, library: Path | None, plant: str | None, seed: int | None
 
 def _warn(console: Console, scenario: "Scenario") -> None:
     """Say what of a scenario is probably a mistake."""
-    from egp_service.simulation.course import narrow_place
+    from egp_service.simulation.course import narrow_place, tight_place
 
-    if warning := narrow_place(scenario):
-        console.print(warning, markup=False, highlight=False)
+    for warning in (narrow_place(scenario), tight_place(scenario)):
+        if warning is not None:
+            console.print(warning, markup=False, highlight=False)
 
 
 @contextmanager

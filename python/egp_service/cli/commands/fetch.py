@@ -46,6 +46,7 @@ def fetch(
       egp fetch 6f1c... --connect tcp/10.0.0.5:7447 -o library.safetensors
     """
     from egp_service._core import EgpError, fetch_library
+    from egp_service.cli.waiting import waiting
     from egp_service.control.endpoints import check_endpoints
     from egp_service.control.toml_text import dumps
 
@@ -59,7 +60,8 @@ def fetch(
         network["zenoh_file"] = str(zenoh)
     if connect:
         network["zenoh"] = {"connect/endpoints": json.dumps(connect)}
-    replica = fetch_library(sha256, output, dumps(network), library_keys=keys, timeout=timeout)
+    with waiting("a replica", connect or [], timeout):
+        replica = fetch_library(sha256, output, dumps(network), library_keys=keys, timeout=timeout)
     if replica is None:
         typer.echo(f"{output} holds this library already.")
     else:

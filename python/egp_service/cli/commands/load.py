@@ -5,13 +5,17 @@ from typing import Annotated
 
 import typer
 
+from egp_service.control.endpoints import SERVICE_ENDPOINT
+
+_WAIT_SECONDS = 10.0  # as long as the program waits
+
 
 def load(
     context: typer.Context,
     replay: Annotated[
         Path | None,
         typer.Option(
-            help="Recording (run.mcap) whose requests are sent without a plant.",
+            help="Recording (run.mcap or its folder) whose requests are sent without a plant.",
             show_default=False,
         ),
     ] = None,
@@ -45,9 +49,8 @@ def load(
     """
     from tempfile import TemporaryFile
 
-    from egp_service._core import EgpError, run_load
-    from egp_service.cli.options import check_outputs
-    from egp_service.cli.programs import run_program
+    from egp_service._core import EgpError
+    from egp_service.cli.options import check_outputs, recording_file
     from egp_service.control.recorded import read_recording, write_requests
 
     arguments = list(context.args)
@@ -62,6 +65,8 @@ def load(
             )
         check_picture(figure)
         report = report or figure.with_suffix(".json")
+    if replay is not None:
+        replay = recording_file(replay)
     check_outputs([replay], report, figure)
     if report is not None:
         arguments += ["--json", str(report)]
@@ -69,14 +74,37 @@ def load(
         stated = {argument.partition("=")[0] for argument in arguments}
         if "--ramp" in stated and "--requests" not in stated:
             raise EgpError("--ramp raises the rate of recorded requests: give --replay run.mcap")
-        raise typer.Exit(run_program(run_load, arguments))
+        raise typer.Exit(_run(arguments))
     # The file has no name, so that nothing is left behind if a signal ends the program.
     with TemporaryFile() as file:
         write_requests(read_recording(replay), file)
         file.seek(0)
         requests = f"/dev/fd/{file.fileno()}"
-        code = run_program(run_load, ["--requests", requests, *arguments])
+        code = _run(["--requests", requests, *arguments])
     if code == 0 and figure is not None and report is not None:
         draw_load(report, figure)
         typer.echo(f"The picture is {figure}, and its figures are in {report}.")
     raise typer.Exit(code)
+
+
+def _run(arguments: list[str]) -> int:
+    """Run the program, and say meanwhile if it waits for a service."""
+    from egp_service._core import run_load
+    from egp_service.cli.programs import run_program
+    from egp_service.cli.waiting import waiting
+
+    endpoints = _endpoints(arguments)
+    with waiting("a service", endpoints, _WAIT_SECONDS, unless_reachable=True):
+        return run_program(run_load, arguments)
+
+
+def _endpoints(arguments: list[str]) -> list[str]:
+    """Return the endpoints to which the program connects, as far as its arguments state them."""
+    found = []
+    for argument, after in zip(arguments, [*arguments[1:], ""], strict=True):
+        if argument == "--connect":
+            found.append(after)
+        elif argument.startswith("--connect="):
+            found.append(argument.partition("=")[2])
+    zenoh = any(argument.partition("=")[0] == "--zenoh" for argument in arguments)
+    return found or ([] if zenoh else [SERVICE_ENDPOINT])

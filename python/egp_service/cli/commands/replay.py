@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import check_unused
+from egp_service.cli.options import check_unused, recording_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,7 +18,10 @@ DIFFERENT = 4
 
 def replay(
     recording: Annotated[
-        Path, typer.Argument(help="A run.mcap of `egp drive` or `Recorder`.", show_default=False)
+        Path,
+        typer.Argument(
+            help="A run.mcap of `egp drive` or `Recorder`, or its folder.", show_default=False
+        ),
     ],
     library: Annotated[
         Path | None, typer.Option("--library", "-l", help="Library in place of the recorded one.")
@@ -59,6 +62,7 @@ def replay(
     if not pictures:
         reason = "names a picture, which --no-pictures leaves out: give one of them"
         check_unused({"--output": output}, reason)
+    recording = recording_file(recording)
     target = output or _default_picture(recording, library, settings)
     if output is not None:
         _check_output(output, recording)

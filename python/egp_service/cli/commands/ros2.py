@@ -181,17 +181,22 @@ def _controller(
         return Controller(library, stated, gate=car.gate_limits())
     if settings is not None:
         raise typer.BadParameter("--settings belongs to the service: egp serve --settings")
+    from egp_service.cli.backends import CONNECT_SECONDS
+    from egp_service.cli.waiting import waiting
     from egp_service.control.client import VehicleClient
 
     fleet, vehicle = fleet_and_name(name)
-    return VehicleClient.connect(
-        [] if connect is None else [connect],
-        fleet=fleet,
-        vehicle=vehicle,
-        gate=car.gate_limits(),
-        key_file=key,
-        zenoh_file=zenoh,
-    )
+    endpoints = [] if connect is None else [connect]
+    with waiting("a service", endpoints, CONNECT_SECONDS):
+        return VehicleClient.connect(
+            endpoints,
+            fleet=fleet,
+            vehicle=vehicle,
+            gate=car.gate_limits(),
+            timeout=CONNECT_SECONDS,
+            key_file=key,
+            zenoh_file=zenoh,
+        )
 
 
 def _write_settings(file: Path, dt: float) -> None:

@@ -9,7 +9,10 @@ import typer
 
 def view(
     recording: Annotated[
-        Path, typer.Argument(help="A run.mcap of `egp drive` or `Recorder`.", show_default=False)
+        Path,
+        typer.Argument(
+            help="A run.mcap of `egp drive` or `Recorder`, or its folder.", show_default=False
+        ),
     ],
     *,
     output: Annotated[
@@ -30,9 +33,11 @@ def view(
       egp view runs/20260101-120000-random/run.mcap
       egp view run.mcap --save run.rrd    (then: rerun run.rrd)
     """
+    from egp_service.cli.options import recording_file
     from egp_service.view.run import read_run
     from egp_service.view.viewer import save, show
 
+    recording = recording_file(recording)
     run = read_run(recording)
     seconds = (max(run.steps) - min(run.steps)) * 1e-9
     typer.echo(f"{recording}: {len(run.steps)} control steps in {seconds:.1f} s")

@@ -1,0 +1,63 @@
+"""Motions that no road vehicle makes, though each value of the log is plausible."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from plant_log import COLUMNS, options, plant_log
+from typer.testing import CliRunner
+
+from egp_service import EgpError
+from egp_service.cli import app
+from egp_service.data import motion_limits
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from plant_log import Log
+
+
+def check(log: Log) -> None:
+    motion_limits.check(log, COLUMNS)
+
+
+def test_a_lateral_acceleration_of_several_g_is_an_error() -> None:
+    log = plant_log()
+    check(log)
+    # As of a spin whose v_y is in the place of the yaw rate.
+    log["omega"][700:720] = 4.0
+    with pytest.raises(EgpError, match=r"exceeds [3-9]\.\d g in 0\.5% .* 'omega' and 'v_y' are"):
+        check(log)
+    log["omega"][703:720] = 0.0
+    check(log)  # three rows of 1500 are outliers
+
+
+def test_a_steering_angle_that_fails_for_seconds_is_an_error(tmp_path: Path) -> None:
+    log = plant_log()
+    log["delta"] += 0.15
+    check(log)
+    log["delta"][600:800] = 0.0
+    command = ["collect", *options(tmp_path / "log.csv", log), "-o", str(tmp_path / "a.parquet")]
+    result = CliRunner().invoke(app, command)
+    assert "'delta' stays at 0 rad from row 600 to 799, 4.0 s, and jumps" in str(result.exception)
+    # A pause during which the wheels were turned is no jump.
+    log["time"][600:] += 3.0
+    log["time"][800:] += 3.0
+    check(log)
+
+
+def test_single_outliers_of_the_steering_angle_are_none() -> None:
+    log = plant_log()
+    log["delta"][[300, 900]] += 0.2
+    check(log)
+    log["delta"][::50] += 0.2
+    with pytest.raises(EgpError, match=r"changes faster than 6 rad/s in 3\.9% of the rows"):
+        check(log)
+
+
+def test_coarse_steps_of_the_steering_angle_are_no_failure() -> None:
+    log = plant_log()
+    log["delta"] = np.deg2rad(np.round(np.rad2deg(log["delta"])))
+    check(log)
